@@ -1,0 +1,1990 @@
+--- Statecharts in pure Lua: load, check, compile and run a model.
+--
+-- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
+-- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its place, and makes
+-- an independent machine of it; `rfsm.step` and `rfsm.run` advance the machine, and
+-- `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
+--
+-- The file reads in the order the data flows: model elements, load, check, clone,
+-- resolve, compile, run, public functions. "F" is a fully qualified name ("root.a.b"),
+-- an "iteration" one turn of the loop inside `step`.
+--
+-- @module rfsm
+-- @license BSD-3-Clause
+
+local error, getmetatable, ipairs, loadfile = error, getmetatable, ipairs, loadfile
+local pairs, pcall, print, rawget, rawset = pairs, pcall, print, rawget, rawset
+local require, select, setmetatable, tostring = require, select, setmetatable, tostring
+local type = type
+local floor, huge, min = math.floor, math.huge, math.min
+local concat, sort = table.concat, table.sort
+local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
+local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
+
+local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
+
+-- Model elements: constructors, predicates, order -------------------------------
+
+--- A state as the user writes it.
+--
+-- Every key not named here is the user's data. Only a leaf state can have a doo, a
+-- coroutine; a true value that it yields means that it is idle.
+--
+---@class rfsm.State
+---@field entry? fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
+---@field exit? fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
+---@field doo? fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
+local State = {}
+State.__index = State
+
+--- An edge from one state or connector to another.
+---@class rfsm.Transition
+---@field src string|rfsm.State|rfsm.Connector source; a node after init
+---@field tgt string|rfsm.State|rfsm.Connector target; a node after init
+---@field events? any[]|string any one of them triggers; none: any event does
+---@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
+---@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, events: any[])
+---@field pn? number priority among the transitions of a node, larger first (0)
+local Transition = {}
+Transition.__index = Transition
+
+--- A point where transitions meet; never active.
+---@class rfsm.Connector
+local Connector = {}
+Connector.__index = Connector
+
+--- A model made ready to run by `rfsm.init`; the root state of its own tree.
+---@class rfsm.Machine : rfsm.State
+---@field getevents fun(): any[]? asked for new events in each iteration
+---@field dbg fun(id: string, ...) trace records
+---@field info fun(...)
+---@field warn fun(...)
+---@field err fun(...)
+---@field idle_hook? fun(fsm: rfsm.Machine) called instead of returning when idle
+---@field pre_step_hook? fun(fsm: rfsm.Machine, events: any[])
+---@field post_step_hook? fun(fsm: rfsm.Machine, events: any[])
+---@field _act_leaf rfsm.State|false the innermost active state
+---@field _intq any[] events that wait for the next iteration
+---@field _curq any[] events of the running iteration
+
+local KIND = {
+  [State] = "state", [Transition] = "transition", [Connector] = "connector",
+}
+
+local function kind_of(value) return KIND[getmetatable(value)] end
+
+-- Gives `class` its constructor, callable as X{...}, X:new{...} and instance:new{...}.
+local function define(class, name)
+  local function mark(t, level)
+    if type(t) ~= "table" then
+      error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
+    end
+    return setmetatable(t, class)
+  end
+  function class.new(_, t) return (mark(t, 2)) end
+  function class.type() return KIND[class] end
+  return setmetatable(class, { __call = function(_, t) return (mark(t, 2)) end })
+end
+
+--- Mark a table as a state.
+--
+-- `sista`, `csta`, `simple_state` and `composite_state` are the same function.
+--
+-- @usage
+--    local on = rfsm.state { entry = function() lamp(true) end }
+--
+---@param t table fields, substates by name, transitions at 1, 2, ...
+---@return rfsm.State state the same table
+---@overload fun(t: table): rfsm.State
+rfsm.state = define(State, "state")
+rfsm.sista, rfsm.csta = rfsm.state, rfsm.state
+rfsm.simple_state, rfsm.composite_state = rfsm.state, rfsm.state
+
+--- Mark a table as a transition; `transition` is the same function.
+---@param t table
+---@return rfsm.Transition transition the same table
+---@overload fun(t: table): rfsm.Transition
+rfsm.trans = define(Transition, "trans")
+rfsm.transition = rfsm.trans
+
+--- Mark a table as a connector; `connector` is the same function.
+---@param t table
+---@return rfsm.Connector connector the same table
+---@overload fun(t: table): rfsm.Connector
+rfsm.conn = define(Connector, "conn")
+rfsm.connector = rfsm.conn
+
+--- Is `key` one of the engine's own (a leading underscore)?
+---@param key any
+---@return boolean
+function rfsm.is_meta(key) return type(key) == "string" and key:sub(1, 1) == "_" end
+
+--- Is `value` a state?
+---@param value any
+---@return boolean
+function rfsm.is_state(value) return getmetatable(value) == State end
+
+--- Is `value` a transition?
+---@param value any
+---@return boolean
+function rfsm.is_trans(value) return getmetatable(value) == Transition end
+
+--- Is `value` a connector?
+---@param value any
+---@return boolean
+function rfsm.is_conn(value) return getmetatable(value) == Connector end
+
+--- Is `value` a state, a transition or a connector?
+---@param value any
+---@return boolean
+function rfsm.is_fsmobj(value) return kind_of(value) ~= nil end
+
+--- Is `value` a state or a connector?
+---@param value any
+---@return boolean
+function rfsm.is_node(value)
+  local class = getmetatable(value)
+  return class == State or class == Connector
+end
+
+local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
+local is_trans, is_conn = rfsm.is_trans, rfsm.is_conn
+
+-- Any order will do: one node decides.
+local function has_nodes(t)
+  for key, value in pairs(t) do
+    if is_node(value) and not is_meta(key) then return true end
+  end
+  return false
+end
+
+--- Is `value` a state with states or connectors in it?
+---@param value any
+---@return boolean
+function rfsm.is_composite(value) return is_state(value) and has_nodes(value) end
+
+--- Is `value` a state without states or connectors in it?
+---@param value any
+---@return boolean
+function rfsm.is_leaf(value) return is_state(value) and not has_nodes(value) end
+
+--- Is `value` the root of a machine?
+---@param value any
+---@return boolean
+function rfsm.is_root(value)
+  return is_state(value) and rawget(value, "_parent") == value
+end
+
+--- Is `value` a machine, the result of `rfsm.init`?
+---@param value any
+---@return boolean
+function rfsm.is_initialized_root(value)
+  return rfsm.is_root(value) and rawget(value, "_initialized") == true
+end
+
+--- Is `value` a state or connector other than the root of a machine?
+---@param value any
+---@return boolean
+function rfsm.is_nr_node(value) return is_node(value) and not rfsm.is_root(value) end
+
+--- Tell the kind of a model element in one or two letters.
+---@param value any
+---@return "CS"|"LS"|"TR"|"c"|nil letters composite, leaf, transition, connector
+function rfsm.fsmobj_tochar(value)
+  if is_state(value) then return has_nodes(value) and "CS" or "LS" end
+  return is_trans(value) and "TR" or is_conn(value) and "c" or nil
+end
+
+-- Returns `value` as text: numbers alike on every Lua, and no error for any value.
+local function text_of(value)
+  if type(value) == "number" then return ("%.14g"):format(value) end
+  local ok, text = pcall(tostring, value)
+  return ok and type(text) == "string" and text or type(value)
+end
+
+local function list_text(values)
+  local texts = {}
+  for i = 1, #values do texts[i] = text_of(values[i]) end
+  return concat(texts, ", ")
+end
+
+local function end_text(node)
+  if is_node(node) then return rawget(node, "_fqn") or kind_of(node) end
+  return text_of(node)
+end
+
+-- T={ src='a', tgt='b', pn=3, events='x, y' }, with F after init.
+function Transition.__tostring(tr)
+  local parts = {
+    "src='" .. end_text(tr.src) .. "'", "tgt='" .. end_text(tr.tgt) .. "'",
+  }
+  local pn, events = tr.pn, tr.events
+  if pn ~= nil then parts[#parts + 1] = "pn=" .. text_of(pn) end
+  if type(events) == "string" then events = { events } end
+  if type(events) == "table" and events[1] ~= nil then
+    parts[#parts + 1] = "events='" .. list_text(events) .. "'"
+  end
+  return "T={ " .. concat(parts, ", ") .. " }"
+end
+
+-- Numbers before strings, each ascending: array part first, then names sorted.
+local function key_before(a, b)
+  local a_type, b_type = type(a), type(b)
+  if a_type ~= b_type then return a_type == "number" end
+  return a < b
+end
+
+-- Returns the keys under which `t` holds what `pred` accepts, in `key_before` order.
+local function sorted_keys(t, pred)
+  local keys, n = {}, 0
+  for key, value in pairs(t) do
+    local key_type = type(key)
+    if (key_type == "number" or key_type == "string") and not is_meta(key)
+      and pred(value) then
+      n = n + 1
+      keys[n] = key
+    end
+  end
+  sort(keys, key_before)
+  return keys, n
+end
+
+-- Load --------------------------------------------------------------------------
+
+--- Load a model from a file that returns it.
+--
+-- @usage
+--    local fsm = rfsm.init(rfsm.load("examples/hello_world.lua"))
+--
+-- @raise when there is no file name, the file cannot be read or fails, or it returns
+-- no state
+---@param file string
+---@return rfsm.State model
+---@nodiscard
+function rfsm.load(file)
+  if type(file) ~= "string" then
+    error("rfsm.load: file name expected, got " .. type(file), 2)
+  end
+  local chunk, problem = loadfile(file)
+  if not chunk then error("rfsm.load: " .. problem, 0) end
+  local model = chunk(file)
+  if not is_state(model) then
+    error("rfsm.load: no valid rfsm in file '" .. file .. "' found.", 0)
+  end
+  return model
+end
+
+--- Load a model from a text that returns it.
+-- @raise when the text does not compile or fails, or it returns no state
+---@param text string Lua source
+---@param chunkname? string its name in error messages
+---@return rfsm.State model
+---@nodiscard
+function rfsm.load_str(text, chunkname)
+  if type(text) ~= "string" then
+    error("rfsm.load_str: string expected, got " .. type(text), 2)
+  end
+  local chunk, problem = loadstring(text, chunkname)
+  if not chunk then error("rfsm.load_str: failed to load chunk: " .. problem, 0) end
+  local model = chunk()
+  if not is_state(model) then
+    local name = chunkname or "string"
+    error("rfsm.load_str: no valid rfsm in '" .. name .. "' found.", 0)
+  end
+  return model
+end
+
+-- Check: every mistake in the model, each with its place ------------------------
+--
+-- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
+-- never raises. They come in the order of the walk; `init` sorts them by place.
+
+--- What one `init` or `fsm_merge` works on.
+---@class rfsm.Build
+---@field fsm rfsm.Machine
+---@field problems { place: string, text: string }[]
+---@field warnings { place: string, text: string }[]
+---@field created rfsm.Connector[] `initial` connectors that nobody declared
+---@field transitions rfsm.Transition[] the new ones
+---@field nodes (rfsm.State|rfsm.Connector)[] the new ones, parents before children
+---@field mounts table model node -> its clone, or the list of them
+---@field copies table plain table of the user -> its copy
+
+local function add(list, place, text, ...)
+  if select("#", ...) > 0 then text = text:format(...) end
+  list[#list + 1] = { place = place, text = text }
+end
+
+-- Describes a value that is not what was expected.
+local function got(value)
+  local kind = kind_of(value) or type(value)
+  if kind == "string" then return "got string '" .. value .. "'" end
+  if kind == "number" then return "got number " .. text_of(value) end
+  return "got " .. kind
+end
+
+local function is_callable(value)
+  if type(value) == "function" then return true end
+  local class = getmetatable(value)
+  return type(class) == "table" and rawget(class, "__call") ~= nil
+end
+
+-- How many letters to insert, drop or replace to make `b` of `a`.
+local function edit_distance(a, b)
+  local row = {}
+  for j = 0, #b do row[j] = j end
+  for i = 1, #a do
+    local diagonal = row[0]
+    row[0] = i
+    for j = 1, #b do
+      local cost = a:byte(i) == b:byte(j) and diagonal or diagonal + 1
+      diagonal = row[j]
+      row[j] = min(cost, diagonal + 1, row[j - 1] + 1)
+    end
+  end
+  return row[#b]
+end
+
+-- Returns the nearest of `names`; nil when none is near.
+local function find_nearest(name, names)
+  local nearest, least = nil, min(#name, floor(#name / 3) + 2)
+  for i = 1, #names do
+    local candidate = names[i]
+    if type(candidate) == "string" then
+      local distance = edit_distance(name:lower(), candidate:lower())
+      if distance < least then nearest, least = candidate, distance end
+    end
+  end
+  return nearest
+end
+
+-- What to say after an unknown name: the nearest right one, or all if they are few.
+local function suggestion(name, names)
+  local nearest = find_nearest(name, names)
+  if nearest then return " (did you mean '" .. nearest .. "'?)" end
+  if #names == 0 or #names > 6 then return "" end
+  local verb = #names == 1 and "is" or "are"
+  return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
+end
+
+-- Where a transition stands: F.trans[2], or F.key for one that has a name.
+local function place_of(tr)
+  local key = tr._id
+  if type(key) == "number" then
+    return tr._parent._fqn .. ".trans[" .. text_of(key) .. "]"
+  end
+  return tr._parent._fqn .. "." .. key
+end
+
+local function check_callable(build, place, t, field)
+  local value = t[field]
+  if value ~= nil and not is_callable(value) and not is_node(value) then
+    add(build.problems, place .. "." .. field, "function expected, " .. got(value))
+  end
+end
+
+local RESERVED = { entry = "state", exit = "state", doo = "state" }
+local ROOT_FIELDS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
+local PRINTERS = { "dbg", "info", "warn", "err" }
+for i = 1, 4 do RESERVED[ROOT_FIELDS[i]], RESERVED[PRINTERS[i]] = "root", "root" end
+
+-- A node needs a name that a reference can spell and that is no field of its parent.
+local function check_name(build, parent, key, kind)
+  local place = parent._fqn
+  if type(key) ~= "string" then
+    return add(build.problems, place .. ".trans[" .. text_of(key) .. "]",
+      "a %s needs a name (name = ...)", kind)
+  end
+  if key == "" or key:find("[.\\]") or is_meta(key) then
+    add(build.problems, place .. "." .. key,
+      "the name of a %s must not be empty, contain '.' or '\\' or start with '_'", kind)
+  end
+  local owner = RESERVED[key]
+  if owner == "state" or owner == "root" and parent == build.fsm then
+    add(build.problems, place .. "." .. key,
+      "a %s cannot have this name, it is a field of every %s", kind, owner)
+  end
+  if key == "initial" and kind ~= "connector" then
+    add(build.problems, place .. ".initial", "connector expected, got %s", kind)
+  end
+end
+
+-- Events: a list of anything but NaN without holes, or one string.
+local function check_events(build, place, events)
+  if events == nil or type(events) == "string" then return end
+  if type(events) ~= "table" or getmetatable(events) ~= nil then
+    return add(build.problems, place .. ".events",
+      "list of events or a string expected, " .. got(events))
+  end
+  local count = 0
+  for _ in pairs(events) do count = count + 1 end -- any order: only counted
+  for i = 1, count do
+    local event = events[i]
+    if event == nil then
+      return add(build.problems, place .. ".events",
+        "list of events expected, got a table with holes or keys")
+    elseif event ~= event then
+      add(build.problems, place .. ".events[" .. i .. "]", "an event cannot be NaN")
+    end
+  end
+end
+
+local function check_transition(build, tr)
+  local place = place_of(tr)
+  check_events(build, place, tr.events)
+  check_callable(build, place, tr, "guard")
+  check_callable(build, place, tr, "effect")
+  local pn = tr.pn
+  if pn ~= nil and (type(pn) ~= "number" or pn ~= pn) then
+    add(build.problems, place .. ".pn", "number expected, " .. got(pn))
+  end
+  if rawget(tr, "event") ~= nil and tr.events == nil then
+    add(build.warnings, place,
+      "a transition has no field 'event' (did you mean 'events'?)")
+  end
+end
+
+-- Warns of a plain table that looks like a state or transition somebody forgot to mark.
+local function check_plain_table(build, place, t)
+  if rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil then
+    add(build.warnings, place, "a plain table with 'src' and 'tgt' is ignored (did you "
+      .. "mean rfsm.trans{...}?)")
+    return
+  end
+  for _, value in pairs(t) do -- any order: one element decides
+    if is_node(value) or is_trans(value) then
+      add(build.warnings, place, "a plain table that contains a %s is ignored (did you "
+        .. "mean rfsm.state{...}?)", kind_of(value))
+      return
+    end
+  end
+end
+
+-- The programs of a state, once it is known to have children or not.
+local function check_state(build, state, is_composite)
+  check_callable(build, state._fqn, state, "entry")
+  check_callable(build, state._fqn, state, "exit")
+  check_callable(build, state._fqn, state, "doo")
+  if is_composite and state.doo ~= nil then
+    add(build.problems, state._fqn .. ".doo", "only a leaf state can have a doo")
+  end
+end
+
+local function check_root(build, fsm)
+  for i = 1, 4 do
+    check_callable(build, "root", fsm, ROOT_FIELDS[i])
+    local name = PRINTERS[i]
+    if type(fsm[name]) ~= "boolean" then check_callable(build, "root", fsm, name) end
+  end
+  if has_nodes(fsm) and rawget(fsm, "initial") == nil then
+    add(build.problems, "root", "the root needs an initial transition "
+      .. "(rfsm.trans{ src='initial', tgt=... })")
+  end
+end
+
+-- Clone: nodes per position, the user's plain tables copied, all else shared -----
+
+-- Returns what stands for `value` in the copy; a plain table is filled in later.
+local function copy_of(build, value, pending)
+  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+  local copy = build.copies[value]
+  if not copy then
+    copy = {}
+    build.copies[value] = copy
+    pending[#pending + 1] = value
+  end
+  return copy
+end
+
+-- Copies a plain table; a list of pending tables instead of recursion bears any depth.
+local function clone_data(build, value)
+  local pending = {}
+  local copy = copy_of(build, value, pending)
+  while pending[1] do
+    local source = pending[#pending]
+    pending[#pending] = nil
+    local target = build.copies[source]
+    for k, v in pairs(source) do -- any order: each pair stands alone
+      target[copy_of(build, k, pending)] = copy_of(build, v, pending)
+    end
+  end
+  return copy
+end
+
+-- Remembers where a model node went, so that it can stand for its name in src and tgt.
+local function add_mount(build, model, node)
+  local mounts = build.mounts[model]
+  if mounts then mounts[#mounts + 1] = node else build.mounts[model] = { node } end
+end
+
+-- The model behind `value`: an initialised machine stands for what it was made of.
+local function model_of(value)
+  return rawget(value, "_initialized") and rawget(value, "_model") or value
+end
+
+local function events_of(events)
+  if type(events) == "string" then return { events } end
+  if type(events) ~= "table" or getmetatable(events) ~= nil then return events end
+  local list = {}
+  for i = 1, #events do list[i] = events[i] end
+  return list
+end
+
+local function clone_transition(build, model, parent, key)
+  local tr = setmetatable({ _id = key, _parent = parent }, Transition)
+  for k, v in pairs(model) do -- any order: each field stands alone
+    if k == "events" or k == "src" or k == "tgt" then
+      tr[k] = v
+    elseif not is_meta(k) or tr[k] == nil and model._parent == nil then
+      tr[k] = clone_data(build, v)
+    end
+  end
+  if type(key) ~= "number" and type(key) ~= "string" then
+    tr._id = text_of(key)
+    add(build.problems, place_of(tr), "the key of a transition is a position or a name")
+  end
+  check_transition(build, tr)
+  tr.events = events_of(model.events)
+  build.transitions[#build.transitions + 1] = tr
+  return tr
+end
+
+-- True when `model` is already open above `parent`: the walk would never end.
+local function is_mounted_above(build, model, parent)
+  local mounts = build.mounts[model]
+  if not mounts then return false end
+  local state = parent
+  while true do
+    for i = 1, #mounts do
+      if mounts[i] == state then return true end
+    end
+    if state._parent == state then return false end
+    state = state._parent
+  end
+end
+
+-- Makes the bare node; `clone_members` fills in a state's members, when its turn comes.
+local function clone_node(build, value, parent, key)
+  local model = model_of(value)
+  local kind = kind_of(model)
+  check_name(build, parent, key, kind)
+  local fqn = parent._fqn .. "." .. text_of(key)
+  if is_mounted_above(build, model, parent) then
+    return add(build.problems, fqn, "a state cannot contain itself")
+  end
+  local node = { _id = key, _fqn = fqn, _parent = parent }
+  if kind == "state" then
+    node._mode, node._actchild, node._doo_co = "inactive", false, false
+  end
+  setmetatable(node, getmetatable(model))
+  build.nodes[#build.nodes + 1] = node
+  build.models[node] = model
+  add_mount(build, model, node)
+  return node
+end
+
+-- Clones one member of `node` and returns its kind, nil for the user's data.
+local function clone_member(build, node, key, value)
+  local kind = kind_of(value)
+  if not kind then
+    if is_meta(key) and rawget(node, key) ~= nil then return end
+    node[key] = clone_data(build, value)
+    if type(value) == "table" and getmetatable(value) == nil then
+      check_plain_table(build, node._fqn .. "." .. text_of(key), value)
+    end
+  elseif is_conn(node) then
+    add(build.warnings, node._fqn, "a connector holds no %s, '%s' is ignored", kind,
+      text_of(key))
+  elseif kind == "transition" then
+    node[key] = clone_transition(build, value, node, key)
+  else
+    node[key] = clone_node(build, value, node, key)
+  end
+  return kind
+end
+
+local function clone_members(build, node)
+  local model = build.models[node]
+  local from_instance = rawget(model, "_fqn") ~= nil
+  local has_transition, is_composite = false, false
+  for key, value in pairs(model) do -- any order: what depends on it is sorted later
+    if not (from_instance and is_meta(key)) then
+      local kind = clone_member(build, node, key, value)
+      has_transition = has_transition or kind == "transition"
+      is_composite = is_composite or kind == "state" or kind == "connector"
+    end
+  end
+  if is_conn(node) then return end
+  check_state(build, node, is_composite)
+  if has_transition and not is_composite then
+    add(build.warnings, node._fqn, "a transition inside a leaf state")
+  end
+end
+
+-- Clones what hangs below the nodes from `first` on; the list grows as it is walked.
+local function clone_below(build, first)
+  local i = first
+  while build.nodes[i] do
+    clone_members(build, build.nodes[i])
+    i = i + 1
+  end
+end
+-- Resolve: names become nodes, `e_done` gets the name of its source --------------
+
+-- Splits "a.b" into { "a", "b" }; an empty part stays, and leads nowhere.
+local function split(path)
+  local parts = {}
+  for part in (path .. "."):gmatch("([^.]*)%.") do parts[#parts + 1] = part end
+  return parts
+end
+
+-- Walks from `node` down the names of `parts`; nil and a reason when one fails.
+local function find_below(node, parts)
+  for i = 1, #parts do
+    local name = parts[i]
+    local child = not is_meta(name) and rawget(node, name) or nil
+    if not is_node(child) then
+      if child ~= nil then
+        return nil, ("'%s.%s' is no state or connector but a %s"):format(node._fqn,
+          name, kind_of(child) or type(child))
+      end
+      return nil, ("no state or connector is named '%s' in '%s'"):format(name,
+        node._fqn) .. suggestion(name, (sorted_keys(node, is_node)))
+    end
+    node = child
+  end
+  return node
+end
+
+-- A name without a dot: in the composite of the transition, or the root itself.
+local function find_local(fsm, composite, name)
+  local node, reason = find_below(composite, { name })
+  if not node and name == "root" then return fsm end
+  return node, reason
+end
+
+-- A path from the root; `root.` in front is optional, and a state may be named so.
+local function find_absolute(fsm, path)
+  local parts = split(path)
+  if parts[1] ~= "root" then return find_below(fsm, parts) end
+  local node, reason = find_below(fsm, split(path:sub(6)))
+  if node then return node end
+  return (find_below(fsm, parts)), reason
+end
+
+-- Returns the node that a name in a transition of `composite` refers to:
+-- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) the rest from the root.
+local function find_named(fsm, composite, name)
+  local relative = name:match("^%.%.?([^.].*)$")
+  if relative then return find_below(composite, split(relative)) end
+  if not name:find(".", 1, true) then return find_local(fsm, composite, name) end
+  return find_absolute(fsm, name)
+end
+
+-- How many ancestors `node` shares with `composite`.
+local function shared_depth(composite, node)
+  local above, depth = {}, 0
+  while composite._parent ~= composite do
+    above[composite] = true
+    composite = composite._parent
+  end
+  while node._parent ~= node do
+    if above[node] then depth = depth + 1 end
+    node = node._parent
+  end
+  return depth
+end
+
+local function root_of(node)
+  while node._parent ~= node do node = node._parent end
+  return node
+end
+
+-- A node table of the model may be mounted more than once: the nearest clone is meant.
+local function find_mounted(build, composite, model)
+  if rawget(model, "_fqn") and root_of(model) == build.fsm then return model end
+  local mounts = build.mounts[model_of(model)]
+  if not mounts then return nil, "the table given is no part of this model" end
+  local nearest, most, is_tie = nil, -1, false
+  for i = 1, #mounts do
+    local depth = shared_depth(composite, mounts[i])
+    if depth > most then
+      nearest, most, is_tie = mounts[i], depth, false
+    elseif depth == most then
+      is_tie = true
+    end
+  end
+  if is_tie then return nil, "the table given stands in several places, use a name" end
+  return nearest
+end
+
+-- Resolves src or tgt of `tr`; returns nil when a problem was reported.
+local function resolve_end(build, tr, field)
+  local ref = tr[field]
+  local node, reason
+  if type(ref) == "string" then
+    node, reason = find_named(build.fsm, tr._parent, ref)
+    if not node and field == "tgt" and ref == "internal" then
+      reason = "internal transitions are not supported"
+    end
+    reason = reason and ("%s '%s': %s"):format(field, ref, reason)
+  elseif is_node(ref) then
+    node, reason = find_mounted(build, tr._parent, ref)
+    reason = reason and field .. ": " .. reason
+  elseif ref == nil then
+    reason = field .. " is missing, the name of a state or connector expected"
+  else
+    reason = field .. ": name of a state or connector expected, " .. got(ref)
+  end
+  if not node then add(build.problems, place_of(tr), reason) end
+  return node
+end
+
+-- The node where a transition to `node` ends: a composite is entered at its `initial`.
+local function find_entrance(build, tr, node)
+  if not is_state(node) or not has_nodes(node) then return node end
+  local initial = rawget(node, "initial")
+  if is_conn(initial) then return initial end
+  if node ~= build.fsm then -- of the root that is a problem of its own
+    add(build.problems, place_of(tr), "tgt '%s': the composite has no initial "
+      .. "transition (rfsm.trans{ src='initial', tgt=... })", node._fqn)
+  end
+end
+
+-- An undeclared `initial` comes into being where a transition starts from it.
+local function create_initial(build, tr)
+  local composite = tr._parent
+  if tr.src ~= "initial" or rawget(composite, "initial") ~= nil then return end
+  local connector = setmetatable({
+    _id = "initial", _fqn = composite._fqn .. ".initial", _parent = composite,
+  }, Connector)
+  composite.initial = connector
+  build.nodes[#build.nodes + 1] = connector
+  build.created[#build.created + 1] = connector
+end
+
+local function expand_e_done(build, tr)
+  local events, src = tr.events, tr.src
+  if type(events) ~= "table" then return end
+  for i = 1, #events do
+    if events[i] == "e_done" then
+      events[i] = "e_done@" .. src._fqn
+      if not is_state(src) or has_nodes(src) then
+        add(build.warnings, place_of(tr),
+          "'e_done' never fires here, '%s' is no leaf state", src._fqn)
+      end
+    end
+  end
+end
+
+local function resolve_transition(build, tr)
+  local src, tgt = resolve_end(build, tr, "src"), resolve_end(build, tr, "tgt")
+  tgt = tgt and find_entrance(build, tr, tgt)
+  if not (src and tgt) then return end
+  tr.src, tr.tgt = src, tgt
+  expand_e_done(build, tr)
+end
+
+local function resolve(build)
+  local transitions = build.transitions
+  for i = 1, #transitions do create_initial(build, transitions[i]) end
+  for i = 1, #transitions do resolve_transition(build, transitions[i]) end
+end
+
+-- Compile: the structure becomes lists and indexes; no user function is stored ---
+
+local function depth_of(node)
+  local depth = 0
+  while node._parent ~= node do
+    node, depth = node._parent, depth + 1
+  end
+  return depth
+end
+
+-- The order in which the transitions of a node are tried: larger pn first, then the one
+-- declared further out, then position in its table, then name.
+local function tried_before(a, b)
+  local a_pn, b_pn = a.pn or 0, b.pn or 0
+  if a_pn ~= b_pn then return a_pn > b_pn end
+  local a_parent, b_parent = a._parent, b._parent
+  if a_parent ~= b_parent then
+    local a_depth, b_depth = depth_of(a_parent), depth_of(b_parent)
+    if a_depth ~= b_depth then return a_depth < b_depth end
+    return a_parent._fqn < b_parent._fqn
+  end
+  return key_before(a._id, b._id)
+end
+
+-- The nearest common proper ancestor of both ends: what it contains is left and
+-- entered, itself it stays active. The root stays active also under a transition of its
+-- own.
+local function find_lca(src, tgt)
+  local a, b = src._parent, tgt._parent
+  if a == b then return a end
+  local a_depth, b_depth = depth_of(a), depth_of(b)
+  while a ~= b do
+    if a_depth >= b_depth then
+      a, a_depth = a._parent, a_depth - 1
+    else
+      b, b_depth = b._parent, b_depth - 1
+    end
+  end
+  return a
+end
+
+-- The states between `lca` and `tgt`, outermost first, with `tgt` if it is a state.
+local function entries_of(lca, tgt)
+  local upwards, n = {}, 0
+  local state = is_state(tgt) and tgt or tgt._parent
+  while state ~= lca do
+    n = n + 1
+    upwards[n], state = state, state._parent
+  end
+  local entries = {}
+  for i = 1, n do entries[i] = upwards[n + 1 - i] end
+  return entries
+end
+
+local function has_predicate(events)
+  for i = 1, #events do
+    if type(events[i]) == "function" then return true end
+  end
+  return false
+end
+
+local function compile_transition(tr)
+  local events = tr.events
+  if type(events) == "string" then
+    events = { events } -- a preproc function may have left it so
+    tr.events = events
+  end
+  tr._lca = find_lca(tr.src, tr.tgt)
+  tr._entries = entries_of(tr._lca, tr.tgt)
+  tr._to_connector = is_conn(tr.tgt)
+  tr._is_open_to_all = events == nil or #events == 0
+  tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
+end
+
+-- Adds `tr` to the list of each event that may trigger it.
+local function add_to_index(by_event, by_any, tr)
+  if tr._is_open_to_all or tr._has_predicate then
+    for _, list in pairs(by_event) do list[#list + 1] = tr end -- any order: each once
+    by_any[#by_any + 1] = tr
+    return
+  end
+  for i = 1, #tr.events do
+    local list = by_event[tr.events[i]]
+    if list[#list] ~= tr then list[#list + 1] = tr end
+  end
+end
+
+-- Indexes the outgoing transitions of `node`: `_by_event[event]` holds the candidates
+-- in the order in which they are tried, `_by_any` those for an event without a list.
+local function compile_node(node)
+  local otrs = node._otrs
+  if not otrs then
+    node._by_event, node._by_any = false, false
+    return
+  end
+  sort(otrs, tried_before)
+  local by_event, by_any = {}, {}
+  for rank = 1, #otrs do
+    local tr = otrs[rank]
+    tr._rank = rank
+    for i = 1, tr.events and #tr.events or 0 do by_event[tr.events[i]] = {} end
+  end
+  for rank = 1, #otrs do add_to_index(by_event, by_any, otrs[rank]) end
+  node._by_event, node._by_any = by_event, by_any[1] and by_any or false
+end
+
+-- Rebuilds all that the run relies on, from `nodes` and `transitions` of the machine.
+local function compile(fsm)
+  local nodes, transitions = fsm._nodes, fsm._transitions
+  for i = 1, #nodes do
+    local node = nodes[i]
+    node._otrs = nil
+    node._is_leaf = is_state(node) and not has_nodes(node)
+    node._done_event = node._is_leaf and "e_done@" .. node._fqn
+  end
+  for i = 1, #transitions do
+    local tr = transitions[i]
+    local otrs = tr.src._otrs
+    if otrs then otrs[#otrs + 1] = tr else tr.src._otrs = { tr } end
+  end
+  for i = 1, #transitions do compile_transition(transitions[i]) end
+  for i = 1, #nodes do compile_node(nodes[i]) end
+end
+
+-- Run: collect events, choose, take, doo ----------------------------------------
+--
+-- What holds here: between two iterations exactly one leaf is active, or none before
+-- the first entry. Functions are read from their tables at each use, because tools
+-- replace them on a live machine. No error of a user's function passes through: those
+-- of states and transitions go to `err`, those of printers, hooks and getevents are
+-- kept and raised when the iteration is over.
+
+local function silent() end
+
+local function no_events() end
+
+-- Prints any values, tab separated, to stdout (or stderr).
+local function print_line(stream, ...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
+  local line, io = concat(texts, "\t"), rawget(_G, "io")
+  if stream and io and io[stream] then io[stream]:write(line, "\n") else print(line) end
+end
+
+local function to_stdout(...) print_line(nil, ...) end
+
+local function to_stderr(...) print_line("stderr", ...) end
+
+local DEFAULT_PRINTER = {
+  dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
+}
+
+-- Returns the function that a printer field means: true prints, false is silent.
+local function printer_of(fsm, name)
+  local printer = fsm[name]
+  if printer == nil then return DEFAULT_PRINTER[name] end
+  return printer == true and to_stdout or printer or silent
+end
+
+-- Keeps the first error of the surroundings until the iteration is over.
+local function keep_failure(fsm, failure)
+  if fsm._has_failure then return end
+  fsm._has_failure, fsm._failure = true, failure
+end
+
+local function raise_failure(fsm)
+  if not fsm._has_failure then return end
+  local failure = fsm._failure
+  fsm._has_failure, fsm._failure = false, nil
+  error(failure, 0)
+end
+
+local function report(fsm, name, ...)
+  local ok, failure = pcall(printer_of(fsm, name), ...)
+  if not ok then keep_failure(fsm, failure) end
+end
+
+-- A program of a state or transition failed.
+local function report_program(fsm, id, program, owner, failure)
+  report(fsm, "err", id, "error executing " .. program .. " of " .. owner .. ": ", failure)
+end
+
+local function is_traced(fsm)
+  local dbg = fsm.dbg
+  return dbg and dbg ~= silent
+end
+
+-- Adds an event to the queue.
+local function post(fsm, event)
+  local queue = fsm._intq
+  queue[#queue + 1] = event
+  if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
+end
+
+-- Appends what getevents returns to `list`.
+local function poll(fsm, list)
+  local getevents = fsm.getevents
+  if not getevents or getevents == no_events then return end
+  local ok, events = pcall(getevents)
+  if not ok then return keep_failure(fsm, events) end
+  if events == nil then return end
+  if type(events) ~= "table" then
+    return keep_failure(fsm, "rfsm.step: getevents: list of events expected, "
+      .. got(events))
+  end
+  for i = 1, #events do
+    local event = events[i]
+    if event ~= nil then
+      list[#list + 1] = event
+      if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
+    end
+  end
+end
+
+-- Hooks: a list in which OWN stands for the model's own hook, the field `slot`.
+local OWN = {}
+local OWN_ONLY = { OWN }
+
+local function run_hooks(fsm, hooks, slot, events)
+  for i = 1, #hooks do
+    local hook = hooks[i]
+    if hook == OWN then hook = fsm[slot] end
+    if hook then
+      local ok, failure = pcall(hook, fsm, events)
+      if not ok then keep_failure(fsm, failure) end
+    end
+  end
+end
+
+-- Choose: which transition do the events enable? .................................
+
+-- Is one of `events` in tr.events, or accepted by a predicate there?
+local function matches_predicate(tr, events)
+  for i = 1, #tr.events do
+    local wanted = tr.events[i]
+    for j = 1, #events do
+      local event = events[j]
+      if wanted == event then return true end
+      if type(wanted) == "function" then
+        local ok, answer = pcall(wanted, event)
+        if ok and answer then return true end
+      end
+    end
+  end
+  return false
+end
+
+local function matches(tr, events)
+  if tr._is_open_to_all then return true end
+  if tr._has_predicate then return matches_predicate(tr, events) end
+  local wanted = tr.events
+  for i = 1, #wanted do
+    for j = 1, #events do
+      if wanted[i] == events[j] then return true end
+    end
+  end
+  return false
+end
+
+-- A guard that fails does not enable.
+local function guard_allows(fsm, tr, events)
+  local guard = tr.guard
+  if not guard then return true end
+  local ok, answer = pcall(guard, tr, events)
+  if ok then return answer ~= false end
+  report_program(fsm, "GUARD", "guard", tostring(tr), answer)
+  return false
+end
+
+local evaluate_connector
+
+-- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
+local function is_enabled(fsm, tr, events)
+  if is_traced(fsm) then report(fsm, "dbg", "CHECKING", tostring(tr)) end
+  if not guard_allows(fsm, tr, events) then return false end
+  return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events)
+end
+
+local function warn_of_conflict(fsm, connector, ways)
+  report(fsm, "warn", "conflicting transitions from src " .. connector._fqn .. " to")
+  for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt._fqn) end
+end
+
+-- Chooses the way out of a connector: the first of `otrs` that is enabled. Further ones
+-- of the same priority are asked only to warn of a conflict.
+local function choose_way(fsm, connector, otrs, events)
+  local way, conflict = false, nil
+  for i = 1, #otrs do
+    local tr = otrs[i]
+    if way and (tr.pn or 0) ~= (way.pn or 0) then break end
+    if matches(tr, events) and is_enabled(fsm, tr, events) then
+      if way then
+        conflict = conflict or { way }
+        conflict[#conflict + 1] = tr
+      end
+      way = way or tr
+    end
+  end
+  if conflict then warn_of_conflict(fsm, connector, conflict) end
+  return way
+end
+
+-- Returns the way out of a connector, or false; it is chosen once a search. While it is
+-- being evaluated it counts as closed, so that cycles end.
+function evaluate_connector(fsm, connector, events)
+  if connector._search == fsm._search then return connector._way end
+  connector._search, connector._way = fsm._search, false
+  local otrs = connector._otrs
+  if otrs then connector._way = choose_way(fsm, connector, otrs, events) end
+  return connector._way
+end
+
+-- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
+local function find_candidates(fsm, node, events)
+  local by_event, by_any, lists = node._by_event, node._by_any, fsm._lists
+  local n = 0
+  for i = 1, #events do
+    local list = by_event[events[i]] or by_any
+    if list then
+      local known = 0
+      for j = 1, n do
+        if lists[j] == list then known = j end
+      end
+      if known == 0 then
+        n = n + 1
+        lists[n] = list
+      end
+    end
+  end
+  return n
+end
+
+-- Returns the first of the candidates in `lists` that is tried after `rank`.
+local function next_candidate(lists, n, rank)
+  local nearest = nil
+  for i = 1, n do
+    local list = lists[i]
+    for j = 1, #list do
+      local tr = list[j]
+      if tr._rank > rank then
+        if not nearest or tr._rank < nearest._rank then nearest = tr end
+        break
+      end
+    end
+  end
+  return nearest
+end
+
+-- Returns the first transition from `node` that is enabled, or nil.
+local function find_from_node(fsm, node, events)
+  if not node._by_event then return nil end
+  local n = find_candidates(fsm, node, events)
+  if n == 0 then return nil end
+  local tr = next_candidate(fsm._lists, n, 0)
+  while tr do
+    local is_match = not tr._has_predicate or matches_predicate(tr, events)
+    if is_match and is_enabled(fsm, tr, events) then return tr end
+    tr = next_candidate(fsm._lists, n, tr._rank)
+  end
+end
+
+local function start_search(fsm, events)
+  fsm._search = fsm._search + 1
+  if is_traced(fsm) then
+    report(fsm, "dbg", "TRANSITION", "events: " .. list_text(events))
+  end
+end
+
+-- From the root down to the active leaf; an outer transition wins.
+local function find_transition(fsm, events)
+  start_search(fsm, events)
+  local state = fsm
+  while state do
+    local tr = find_from_node(fsm, state, events)
+    if tr then return tr end
+    state = state._actchild
+  end
+end
+
+-- Take: exit, effect, entry ......................................................
+
+local function exit_one(fsm, state)
+  state._mode = "inactive"
+  local exit = state.exit
+  if exit then
+    local ok, failure = pcall(exit, fsm, state, "exit")
+    if not ok then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
+  end
+  state._actchild, state._doo_co = false, false
+  state._parent._actchild = false
+  if fsm._act_leaf == state then fsm._act_leaf = false end
+  if is_traced(fsm) then report(fsm, "dbg", "STATE_EXIT", state._fqn) end
+end
+
+-- A leaf has done its work.
+local function complete(fsm, leaf)
+  leaf._mode = "done"
+  post(fsm, leaf._done_event)
+end
+
+local function enter_one(fsm, state)
+  state._mode = "active"
+  if state ~= fsm then state._parent._actchild = state end
+  local entry = state.entry
+  if entry then
+    local ok, failure = pcall(entry, fsm, state, "entry")
+    if not ok then report_program(fsm, "ENTRY", "entry", state._fqn, failure) end
+  end
+  if state._is_leaf then
+    fsm._act_leaf = state
+    if not state.doo then complete(fsm, state) end
+  end
+  if is_traced(fsm) then report(fsm, "dbg", "STATE_ENTER", state._fqn) end
+end
+
+local function run_effect(fsm, tr, events)
+  local effect = tr.effect
+  if not effect then return end
+  local ok, failure = pcall(effect, fsm, tr, "effect", events)
+  if not ok then report_program(fsm, "EFFECT", "effect", tostring(tr), failure) end
+end
+
+-- One segment: from the innermost active state up to the lca, down to the target.
+local function take_segment(fsm, tr, events)
+  local traced = is_traced(fsm)
+  if traced then report(fsm, "dbg", "TRANS_EXIT", tostring(tr)) end
+  local state, lca = fsm._act_leaf or tr.src._parent, tr._lca
+  while state ~= lca do
+    local parent = state._parent
+    exit_one(fsm, state)
+    state = parent
+  end
+  run_effect(fsm, tr, events)
+  if is_traced(fsm) then
+    report(fsm, "dbg", "EFFECT", tostring(tr))
+    report(fsm, "dbg", "TRANS_ENTER", tostring(tr))
+  end
+  local entries = tr._entries
+  for i = 1, #entries do enter_one(fsm, entries[i]) end
+end
+
+local function path_text(path, n)
+  local names = { path[1].src._fqn }
+  for i = 1, n do names[i + 1] = path[i].tgt._fqn end
+  return concat(names, " -> ")
+end
+
+-- Notes the segments from `tr` to a leaf in `path`, as the search chose them.
+local function note_path(tr, path)
+  local n = 1
+  path[1] = tr
+  while tr._to_connector do
+    tr, n = tr.tgt._way, n + 1
+    path[n] = tr
+  end
+  return n
+end
+
+local function take_path(fsm, path, n, events)
+  for i = 1, n do take_segment(fsm, path[i], events) end
+end
+
+local function note_and_trace(fsm, tr)
+  local n = note_path(tr, fsm._path)
+  if is_traced(fsm) then report(fsm, "dbg", "EXEC_PATH", path_text(fsm._path, n)) end
+  return n
+end
+
+local function take_enabled(fsm, events)
+  local tr = find_transition(fsm, events)
+  if not tr then return false end
+  local n = note_and_trace(fsm, tr)
+  take_path(fsm, fsm._path, n, events)
+  return true
+end
+
+-- First entry: the root, then the path from its `initial`; false when none is enabled.
+local function enter_machine(fsm, events)
+  if fsm._is_leaf then
+    enter_one(fsm, fsm)
+    return true
+  end
+  start_search(fsm, events)
+  local tr = #events > 0 and find_from_node(fsm, fsm.initial, events)
+  if not tr then return false end
+  local n = note_and_trace(fsm, tr)
+  enter_one(fsm, fsm)
+  take_path(fsm, fsm._path, n, events)
+  return true
+end
+
+-- Doo ............................................................................
+
+-- A coroutine takes only functions; a callable table is called by one.
+local function coroutine_of(doo)
+  if type(doo) == "function" then return create(doo) end
+  return create(function(...) return doo(...) end)
+end
+
+local function trace_doo(fsm, leaf, outcome)
+  if is_traced(fsm) then report(fsm, "dbg", "DOO", leaf._fqn, outcome) end
+end
+
+local function fail_doo(fsm, leaf, failure)
+  leaf._doo_co, leaf._mode = false, "done"
+  report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
+    failure)
+  trace_doo(fsm, leaf, "failed")
+  return true
+end
+
+-- One cycle of the active leaf's doo; true when it is idle or done.
+local function run_doo(fsm)
+  local leaf = fsm._act_leaf
+  if leaf._mode == "done" then return true end
+  local co = leaf._doo_co
+  if not co then
+    if not leaf.doo then
+      complete(fsm, leaf)
+      return true
+    end
+    co = coroutine_of(leaf.doo)
+    leaf._doo_co = co
+  end
+  local ok, idle = resume(co, fsm, leaf, "doo")
+  if not ok then return fail_doo(fsm, leaf, idle) end
+  if status(co) ~= "dead" then
+    trace_doo(fsm, leaf, idle and "idle" or "active")
+    return idle and true or false
+  end
+  leaf._doo_co = false
+  complete(fsm, leaf)
+  trace_doo(fsm, leaf, "done")
+  return true
+end
+
+-- Iterate ........................................................................
+
+local function reset_now(fsm)
+  local state = fsm
+  while state do
+    local child = state._actchild
+    state._mode, state._actchild, state._doo_co = "inactive", false, false
+    state = child
+  end
+  fsm._act_leaf, fsm._reset_wanted = false, false
+  fsm._intq = { "e_init_fsm" }
+  run_hooks(fsm, fsm._reset_hooks, nil, nil)
+end
+
+-- Takes the queue and asks getevents; returns the events of this iteration.
+local function collect_events(fsm)
+  local events = fsm._intq
+  fsm._intq, fsm._curq = {}, events
+  poll(fsm, events)
+  return events
+end
+
+local function copy_list(list)
+  local copy = {}
+  for i = 1, #list do copy[i] = list[i] end
+  return copy
+end
+
+-- No way in: the queue becomes again what it was, and what came meanwhile follows.
+local function refuse_entry(fsm, collected, events)
+  local sent = fsm._intq
+  for i = 1, #sent do collected[#collected + 1] = sent[i] end
+  fsm._intq, fsm._curq = collected, {}
+  report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+    .. "events: " .. list_text(events))
+end
+
+local function end_iteration(fsm, events)
+  if fsm._reset_wanted then reset_now(fsm) end
+  run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
+end
+
+local function hibernate(fsm)
+  if is_traced(fsm) then
+    report(fsm, "dbg", "HIBERNATING", fsm._act_leaf and fsm._act_leaf._fqn)
+  end
+  raise_failure(fsm)
+end
+
+-- One iteration. Returns nil when there is no way in; else whether it counts as a step
+-- and whether the machine is idle after it. `after_free`: the one before did not count.
+local function iterate(fsm, after_free)
+  local events = collect_events(fsm)
+  local is_first = fsm._mode == "inactive"
+  local collected = is_first and copy_list(events)
+  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+  local counted, idle = true, false
+  if is_first then
+    if not enter_machine(fsm, events) then
+      refuse_entry(fsm, collected, events)
+      if fsm._reset_wanted then reset_now(fsm) end
+      return nil
+    end
+  elseif #events == 0 then
+    idle = run_doo(fsm)
+    if idle then poll(fsm, fsm._intq) end
+  elseif not take_enabled(fsm, events) then
+    counted = after_free
+    idle = after_free and run_doo(fsm)
+  end
+  end_iteration(fsm, events)
+  return counted, idle and #fsm._intq == 0 and fsm._act_leaf ~= false
+end
+
+-- Iterates until `left` iterations were counted or the machine is idle.
+local function iterate_up_to(fsm, left)
+  local after_free = false
+  while true do
+    fsm._stepping = true
+    local counted, idle = iterate(fsm, after_free)
+    fsm._stepping = false
+    raise_failure(fsm)
+    if counted == nil then return false end
+    if counted then
+      left = left - 1
+      if left < 1 then return idle end
+    end
+    after_free = not counted
+    if idle then
+      hibernate(fsm)
+      if not fsm.idle_hook then return true end
+      fsm.idle_hook(fsm)
+    end
+  end
+end
+
+-- Public functions --------------------------------------------------------------
+
+-- Blames the caller of the public function for something that is no machine.
+local function check_machine(fsm, name)
+  if type(fsm) == "table" and rawget(fsm, "_initialized") then return end
+  local hint = is_state(fsm) and " (rfsm.init makes one of a state)" or ""
+  error("rfsm." .. name .. ": initialised fsm expected, " .. got(fsm) .. hint, 3)
+end
+
+local function check_function(f, name)
+  if is_callable(f) then return end
+  error("rfsm." .. name .. ": function expected, " .. got(f), 3)
+end
+
+-- Digits padded, so that trans[10] comes after trans[2].
+local function natural(text)
+  return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
+end
+
+-- Turns { place, text } into sorted lines.
+local function lines_of(list)
+  sort(list, function(a, b)
+    if a.place ~= b.place then return natural(a.place) < natural(b.place) end
+    return a.text < b.text
+  end)
+  local lines = {}
+  for i = 1, #list do lines[i] = list[i].place .. ": " .. list[i].text end
+  return lines
+end
+
+local function summary(name, problems)
+  return ("%s: the model has %d problem%s\n  %s"):format(name, #problems,
+    #problems == 1 and "" or "s", concat(problems, "\n  "))
+end
+
+local function new_build(fsm)
+  return {
+    fsm = fsm, problems = {}, warnings = {}, created = {}, transitions = {}, nodes = {},
+    models = {}, mounts = {}, copies = {},
+  }
+end
+
+-- The root of a machine with all that a run needs, still without members.
+local function new_machine(model)
+  local fsm = setmetatable({
+    _id = "root", _fqn = "root", _mode = "inactive", _actchild = false, _doo_co = false,
+    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
+    _model = model, _nodes = false, _transitions = false, _stepping = false,
+    _reset_wanted = false, _has_failure = false, _pre_hooks = OWN_ONLY,
+    _post_hooks = OWN_ONLY, _reset_hooks = {}, _search = 0, _lists = {}, _path = {},
+  }, State)
+  fsm._parent = fsm
+  return fsm
+end
+
+-- Check, clone, resolve: all that can be said of a model without running anything.
+local function build_machine(model)
+  model = model_of(model)
+  local fsm = new_machine(model)
+  local build = new_build(fsm)
+  build.nodes[1], build.models[fsm] = fsm, model
+  add_mount(build, model, fsm)
+  clone_below(build, 1)
+  resolve(build)
+  check_root(build, fsm)
+  return build
+end
+
+-- Printers become functions, also the wrong ones, which are reported.
+local function prepare_fields(fsm)
+  for i = 1, 4 do
+    local name = PRINTERS[i]
+    local printer = printer_of(fsm, name)
+    fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
+  end
+  if fsm.getevents == nil then fsm.getevents = no_events end
+end
+
+-- The conditions under which a composite can be left without a way in.
+local function check_initial(build, connector)
+  local otrs = connector._otrs
+  if not otrs or connector._id ~= "initial" then return end
+  for i = 1, #otrs do
+    if not otrs[i].guard and otrs[i]._is_open_to_all then return end
+  end
+  add(build.warnings, connector._fqn, "each transition from here has events or a "
+    .. "guard, '%s' cannot be entered while none of them is enabled",
+    connector._parent._fqn)
+end
+
+local function warn_after_compile(build)
+  local fsm, nodes = build.fsm, build.nodes
+  for i = 1, #nodes do
+    if is_conn(nodes[i]) then check_initial(build, nodes[i]) end
+  end
+  local warnings = lines_of(build.warnings)
+  for i = 1, #warnings do report(fsm, "warn", "WARNING: " .. warnings[i]) end
+end
+
+local function by_natural_fqn(a, b) return natural(a._fqn) < natural(b._fqn) end
+
+local function tell_created(build)
+  sort(build.created, by_natural_fqn)
+  for _, connector in ipairs(build.created) do
+    report(build.fsm, "info", "INFO: created undeclared connector " .. connector._fqn)
+  end
+end
+
+-- Warns of those among `nodes` that nothing leaves.
+local function warn_of_dead_ends(fsm, nodes)
+  local dead = {}
+  for i = 1, #nodes do
+    if nodes[i] ~= fsm and not nodes[i]._otrs then dead[#dead + 1] = nodes[i] end
+  end
+  sort(dead, by_natural_fqn)
+  for i = 1, #dead do
+    report(fsm, "warn",
+      "WARNING: no outgoing transitions from node '" .. dead[i]._fqn .. "'")
+  end
+  return not dead[1]
+end
+
+--- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
+--
+-- They run after names are resolved and before events are indexed, and may change
+-- events, guards, entries. `rfsm.fsm_merge` calls them again with what it added.
+--
+---@type (fun(fsm: rfsm.Machine, merged?: table))[]
+rfsm.preproc = {}
+
+-- Runs the preproc functions, compiles, and says what deserves a word.
+local function finish(build, merged)
+  local fsm = build.fsm
+  tell_created(build)
+  for i = 1, #rfsm.preproc do rfsm.preproc[i](fsm, merged) end
+  compile(fsm)
+  warn_after_compile(build)
+  warn_of_dead_ends(fsm, build.nodes)
+end
+
+--- Check a model and make a machine of it.
+--
+-- The model is not touched and may be used again. All its problems are handed to `err`
+-- in one text, sorted by place.
+--
+-- @raise when `model` is no state
+---@param model rfsm.State a root state, or a machine for a fresh one of the same model
+---@return rfsm.Machine|false fsm false when the model has problems
+---@return string[]? problems each "place: what is wrong"
+---@nodiscard
+function rfsm.init(model)
+  if not is_state(model) then
+    error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
+  end
+  local build = build_machine(model)
+  local fsm = build.fsm
+  prepare_fields(fsm)
+  if build.problems[1] then
+    local problems = lines_of(build.problems)
+    report(fsm, "err", summary("rfsm.init", problems))
+    raise_failure(fsm)
+    return false, problems
+  end
+  fsm._nodes, fsm._transitions = build.nodes, build.transitions
+  fsm._initialized = true
+  finish(build)
+  raise_failure(fsm)
+  return fsm
+end
+
+--- Check a model without making a machine of it.
+---@param model rfsm.State
+---@return boolean is_valid
+---@return string[] problems each "place: what is wrong"
+---@return string[] warnings
+function rfsm.verify_early(model)
+  if not is_state(model) then
+    error("rfsm.verify_early: state expected, " .. got(model), 2)
+  end
+  local build = build_machine(model)
+  return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
+end
+
+--- Warn of each state or connector that nothing leaves.
+---@param fsm rfsm.Machine
+---@return boolean is_clean true when there is none
+function rfsm.check_no_otrs(fsm)
+  check_machine(fsm, "check_no_otrs")
+  return warn_of_dead_ends(fsm, fsm._nodes)
+end
+
+--- Send events to a machine; they wait in the queue until the next iteration, in order.
+--
+-- @usage
+--    rfsm.send_events(fsm, "e_start", "e_ready")
+--
+---@param fsm rfsm.Machine
+---@param ... any events; nil is skipped
+function rfsm.send_events(fsm, ...)
+  check_machine(fsm, "send_events")
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    if event ~= nil then post(fsm, event) end
+  end
+  if not fsm._stepping then raise_failure(fsm) end
+end
+
+--- Advance a machine by at most `n` transitions or doo cycles.
+--
+-- Returns earlier when it is idle. Errors of states and transitions go to `err`; an
+-- error of a printer, a step hook or getevents is raised when the iteration is over.
+--
+---@param fsm rfsm.Machine
+---@param n? number at least 1, default 1
+---@return boolean idle true when there is nothing left to do
+function rfsm.step(fsm, n)
+  check_machine(fsm, "step")
+  if n ~= nil and type(n) ~= "number" then
+    error("rfsm.step: number of steps expected, " .. got(n), 2)
+  end
+  if fsm._stepping then
+    error("rfsm.step: the machine is in the middle of a step", 2)
+  end
+  return iterate_up_to(fsm, n and n > 1 and n or 1) -- NaN is no more than 1, too
+end
+
+--- Advance a machine until no event waits and no doo is busy.
+---@param fsm rfsm.Machine
+---@return boolean idle false when the machine could not be entered
+function rfsm.run(fsm)
+  check_machine(fsm, "run")
+  if fsm._stepping then
+    error("rfsm.run: the machine is in the middle of a step", 2)
+  end
+  return iterate_up_to(fsm, huge)
+end
+
+--- Make a machine as it was after `init`: inactive, no exit is called.
+--
+-- Called by one of the machine's own functions it takes effect when the iteration ends.
+--
+---@param fsm rfsm.Machine
+function rfsm.reset(fsm)
+  check_machine(fsm, "reset")
+  if fsm._stepping then
+    fsm._reset_wanted = true
+    return
+  end
+  reset_now(fsm)
+  raise_failure(fsm)
+end
+
+--- Move what getevents returns to the queue.
+---@param fsm rfsm.Machine
+---@return integer waiting length of the queue
+function rfsm.check_events(fsm)
+  check_machine(fsm, "check_events")
+  poll(fsm, fsm._intq)
+  if not fsm._stepping then raise_failure(fsm) end
+  return #fsm._intq
+end
+
+--- Return the name of the active leaf.
+---@param fsm rfsm.Machine
+---@return string|false fqn false when no leaf is active
+function rfsm.get_actleaf_fqn(fsm)
+  check_machine(fsm, "get_actleaf_fqn")
+  return fsm._act_leaf and fsm._act_leaf._fqn
+end
+
+--- Return the names of the active states, from the root to the leaf.
+---@param fsm rfsm.Machine
+---@return string[] configuration empty when the machine is inactive
+function rfsm.get_active_conf(fsm)
+  check_machine(fsm, "get_active_conf")
+  local configuration = {}
+  local state = fsm._mode ~= "inactive" and fsm
+  while state do
+    configuration[#configuration + 1] = state._fqn
+    state = state._actchild
+  end
+  return configuration
+end
+
+--- Return the mode of a state.
+---@param state rfsm.State
+---@return "active"|"inactive"|"done" mode
+function rfsm.get_sta_mode(state)
+  return is_state(state) and rawget(state, "_mode") or "inactive"
+end
+
+--- Set the mode of a state, for tools.
+---@param state rfsm.State
+---@param mode "active"|"inactive"|"done"
+function rfsm.set_sta_mode(state, mode)
+  if not is_state(state) then
+    error("rfsm.set_sta_mode: state expected, " .. got(state), 2)
+  end
+  state._mode = mode
+end
+
+--- Return the active child of a composite.
+---@param state rfsm.State
+---@return rfsm.State|false child
+function rfsm.actchild_get(state)
+  return is_state(state) and rawget(state, "_actchild") or false
+end
+
+--- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
+--
+-- Parents before children; the array part first, then names sorted.
+--
+---@param f fun(obj: table, parent: rfsm.State, name: string|integer): any
+---@param fsm rfsm.State a machine or a model
+---@param pred? fun(obj: any): boolean default is_fsmobj
+---@param depth? integer how many levels, default all
+---@return any[] results what f returned, in order, without nils
+function rfsm.mapfsm(f, fsm, pred, depth)
+  check_function(f, "mapfsm")
+  if not is_state(fsm) then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
+  pred = pred or rfsm.is_fsmobj
+  local results = {}
+  local function map_members(state, levels)
+    if levels < 1 then return end
+    local keys, n = sorted_keys(state, rfsm.is_fsmobj)
+    for i = 1, n do
+      local obj = state[keys[i]]
+      if pred(obj) then results[#results + 1] = f(obj, state, keys[i]) end
+      if is_state(obj) then map_members(obj, levels - 1) end
+    end
+  end
+  map_members(fsm, depth or huge)
+  return results
+end
+
+-- Returns the states from `inner` up to its ancestor `outer`; nil when that is none.
+local function line_up(inner, outer)
+  local line = { inner }
+  while inner ~= outer do
+    if inner._parent == inner then return nil end
+    inner = inner._parent
+    line[#line + 1] = inner
+  end
+  return line
+end
+
+--- Call `f(fsm, state)` for each state on the line between two, both included.
+-- @raise when neither is an ancestor of the other
+---@param fsm rfsm.Machine
+---@param f fun(fsm: rfsm.Machine, state: rfsm.State)
+---@param from rfsm.State where to begin
+---@param to rfsm.State an ancestor or descendant of `from`
+function rfsm.map_from_to(fsm, f, from, to)
+  check_machine(fsm, "map_from_to")
+  check_function(f, "map_from_to")
+  if not (is_node(from) and is_node(to)) then
+    error("rfsm.map_from_to: two states expected, " .. got(from) .. " and "
+      .. got(to), 2)
+  end
+  local line, is_reversed = line_up(from, to), false
+  if not line then line, is_reversed = line_up(to, from), true end
+  if not line then
+    error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
+      to._fqn), 2)
+  end
+  for i = 1, #line do f(fsm, line[is_reversed and #line + 1 - i or i]) end
+end
+
+--- Find the path that events would enable from one node, for tools; nothing is taken.
+---@param fsm rfsm.Machine
+---@param node rfsm.State|rfsm.Connector
+---@param events any[]
+---@return rfsm.Transition[]|false path its segments in order
+function rfsm.node_find_enabled(fsm, node, events)
+  check_machine(fsm, "node_find_enabled")
+  if not is_node(node) or rawget(node, "_by_event") == nil then
+    error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
+  end
+  fsm._search = fsm._search + 1
+  local tr = #events > 0 and find_from_node(fsm, node, events)
+  if not fsm._stepping then raise_failure(fsm) end
+  if not tr then return false end
+  local path = {}
+  note_path(tr, path)
+  return path
+end
+
+--- Exit a state and the active states below it, the innermost first.
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+function rfsm.exit_state(fsm, state)
+  check_machine(fsm, "exit_state")
+  if not is_state(state) then
+    error("rfsm.exit_state: state expected, " .. got(state), 2)
+  end
+  if state._mode == "inactive" then return end
+  local innermost = state
+  while innermost._actchild do innermost = innermost._actchild end
+  while innermost ~= state do
+    local parent = innermost._parent
+    exit_one(fsm, innermost)
+    innermost = parent
+  end
+  exit_one(fsm, state)
+  if not fsm._stepping then raise_failure(fsm) end
+end
+
+-- Hooks: lists that are replaced, never changed: a run over one is not disturbed.
+
+local function hook_add(fsm, field, hook, place)
+  local hooks = copy_list(fsm[field])
+  if place == "before" then
+    for i = #hooks, 1, -1 do hooks[i + 1] = hooks[i] end
+    hooks[1] = hook
+  else
+    hooks[#hooks + 1] = hook
+  end
+  fsm[field] = hooks
+end
+
+local function hook_rm(fsm, field, slot, hook)
+  local hooks, is_found = {}, false
+  for _, other in ipairs(fsm[field]) do
+    if other == hook and not is_found then
+      is_found = true
+    else
+      hooks[#hooks + 1] = other
+    end
+  end
+  if is_found then
+    fsm[field] = hooks
+  elseif slot and hook ~= nil and fsm[slot] == hook then
+    fsm[slot], is_found = nil, true
+  end
+  return is_found
+end
+
+-- Defines rfsm.<name>_add and rfsm.<name>_rm for the list `field`.
+local function define_hook(name, field, slot)
+  rfsm[name .. "_add"] = function(fsm, hook, place)
+    check_machine(fsm, name .. "_add")
+    check_function(hook, name .. "_add")
+    if place ~= nil and place ~= "before" and place ~= "after" then
+      error("rfsm." .. name .. "_add: 'before' or 'after' expected, " .. got(place), 2)
+    end
+    hook_add(fsm, field, hook, place)
+  end
+  rfsm[name .. "_rm"] = function(fsm, hook)
+    check_machine(fsm, name .. "_rm")
+    return hook_rm(fsm, field, slot, hook)
+  end
+end
+
+define_hook("pre_step_hook", "_pre_hooks", "pre_step_hook")
+define_hook("post_step_hook", "_post_hooks", "post_step_hook")
+define_hook("reset_hook", "_reset_hooks", nil)
+
+-- Merge: a new element of a live machine --------------------------------------
+
+-- Why `obj` cannot become a member of `parent`; nil when it can.
+local function merge_obstacle(fsm, parent, obj, id)
+  if not is_state(parent) or root_of(parent) ~= fsm then
+    return "parent: a state of the fsm expected, " .. got(parent)
+  end
+  local kind = kind_of(obj)
+  if not kind then return "state, transition or connector expected, " .. got(obj) end
+  if id == nil and kind ~= "transition" then return "a " .. kind .. " needs a name" end
+  if id ~= nil and rawget(parent, id) ~= nil then
+    return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
+  end
+  if kind ~= "transition" and parent._is_leaf and parent._mode ~= "inactive" then
+    return ("'%s' is an active leaf state"):format(parent._fqn)
+  end
+end
+
+-- Clones `obj` into its place; returns the clone and its key.
+local function attach(build, parent, obj, id)
+  if is_trans(obj) then
+    local key = id or #parent + 1
+    if parent._is_leaf then
+      add(build.warnings, parent._fqn, "a transition inside a leaf state")
+    end
+    parent[key] = clone_transition(build, obj, parent, key)
+    return parent[key], key
+  end
+  if parent._is_leaf and parent.doo ~= nil then
+    add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
+  end
+  parent[id] = clone_node(build, obj, parent, id)
+  clone_below(build, 1)
+  return parent[id], id
+end
+
+-- Transitions to a leaf that has become a composite end at its `initial` now.
+local function find_new_entrances(build, parent)
+  local entrances = {}
+  for _, tr in ipairs(build.fsm._transitions) do
+    if tr.tgt == parent then entrances[tr] = find_entrance(build, tr, parent) end
+  end
+  return entrances
+end
+
+local function undo_merge(build, parent, key)
+  parent[key] = nil
+  for _, connector in ipairs(build.created) do connector._parent.initial = nil end
+end
+
+local function append(list, more)
+  for i = 1, #more do list[#list + 1] = more[i] end
+end
+
+--- Add a state, connector or transition to a live machine.
+--
+-- From the next iteration on the machine behaves as if it had been there at `init`.
+-- Nothing changes when it cannot be added.
+--
+---@param fsm rfsm.Machine
+---@param parent rfsm.State the state of the machine that gets it
+---@param obj rfsm.State|rfsm.Connector|rfsm.Transition it is cloned, as `init` does
+---@param id? string name, which only a transition may lack
+---@return boolean is_merged
+---@return string? reason why not
+function rfsm.fsm_merge(fsm, parent, obj, id)
+  check_machine(fsm, "fsm_merge")
+  local obstacle = merge_obstacle(fsm, parent, obj, id)
+  if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
+  local build = new_build(fsm)
+  local merged, key = attach(build, parent, obj, id)
+  resolve(build)
+  local entrances = find_new_entrances(build, parent)
+  if build.problems[1] then
+    undo_merge(build, parent, key)
+    return false, summary("rfsm.fsm_merge", lines_of(build.problems))
+  end
+  for tr, entrance in pairs(entrances) do tr.tgt = entrance end -- any order: each once
+  append(fsm._nodes, build.nodes)
+  append(fsm._transitions, build.transitions)
+  finish(build, merged)
+  if not fsm._stepping then raise_failure(fsm) end
+  return true
+end
+
+-- A field that the core lacks is looked for in a module rfsm_<field>, once.
+
+local missing = {}
+
+local function find_extension(_, field)
+  if type(field) ~= "string" or missing[field] then return nil end
+  local name = "rfsm_" .. field
+  local ok, extension = pcall(require, name)
+  if ok then
+    rawset(rfsm, field, extension)
+    return extension
+  end
+  if not tostring(extension):find("module '" .. name .. "' not found", 1, true) then
+    error(extension, 0)
+  end
+  missing[field] = true
+end
+
+setmetatable(rfsm, { __index = find_extension })
+
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
+
+return rfsm
