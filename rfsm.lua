@@ -43,7 +43,7 @@ State.__index = State
 ---@field tgt string|rfsm.State|rfsm.Connector target; a node after init
 ---@field events? any[]|string any one of them triggers; none: any event does
 ---@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
----@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, events: any[])
+---@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, events: any)
 ---@field pn? number priority among the transitions of a node, larger first (0)
 local Transition = {}
 Transition.__index = Transition
@@ -575,6 +575,7 @@ local function clone_node(build, value, parent, key)
   local node = { _id = key, _fqn = fqn, _parent = parent }
   if kind == "state" then
     node._mode, node._actchild, node._doo_co = "inactive", false, false
+    node._entry_hooks, node._exit_hooks = false, false
   end
   setmetatable(node, getmetatable(model))
   build.nodes[#build.nodes + 1] = node
@@ -970,7 +971,8 @@ end
 
 -- A program of a state or transition failed.
 local function report_program(fsm, id, program, owner, failure)
-  report(fsm, "err", id, "error executing " .. program .. " of " .. owner .. ": ", failure)
+  report(fsm, "err", id, "error executing " .. program .. " of " .. owner .. ": ",
+    failure)
 end
 
 local function is_traced(fsm)
@@ -1017,6 +1019,14 @@ local function run_hooks(fsm, hooks, slot, events)
       local ok, failure = pcall(hook, fsm, events)
       if not ok then keep_failure(fsm, failure) end
     end
+  end
+end
+
+-- What an extension wants done when a state is entered or left.
+local function run_state_hooks(fsm, state, hooks)
+  for i = 1, #hooks do
+    local ok, failure = pcall(hooks[i], fsm, state)
+    if not ok then keep_failure(fsm, failure) end
   end
 end
 
@@ -1179,6 +1189,7 @@ local function exit_one(fsm, state)
     local ok, failure = pcall(exit, fsm, state, "exit")
     if not ok then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
   end
+  if state._exit_hooks then run_state_hooks(fsm, state, state._exit_hooks) end
   state._actchild, state._doo_co = false, false
   state._parent._actchild = false
   if fsm._act_leaf == state then fsm._act_leaf = false end
@@ -1194,6 +1205,7 @@ end
 local function enter_one(fsm, state)
   state._mode = "active"
   if state ~= fsm then state._parent._actchild = state end
+  if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
   local entry = state.entry
   if entry then
     local ok, failure = pcall(entry, fsm, state, "entry")
@@ -1469,6 +1481,7 @@ end
 local function new_machine(model)
   local fsm = setmetatable({
     _id = "root", _fqn = "root", _mode = "inactive", _actchild = false, _doo_co = false,
+    _entry_hooks = false, _exit_hooks = false,
     _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     _model = model, _nodes = false, _transitions = false, _stepping = false,
     _reset_wanted = false, _has_failure = false, _pre_hooks = OWN_ONLY,
@@ -1548,16 +1561,28 @@ end
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
 --
 -- They run after names are resolved and before events are indexed, and may change
--- events, guards, entries. `rfsm.fsm_merge` calls them again with what it added.
+-- events, guards, entries. `rfsm.fsm_merge` calls them again with what it added. A list
+-- of texts "place: what is wrong" that one returns counts among the model's problems.
 --
----@type (fun(fsm: rfsm.Machine, merged?: table))[]
+---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
--- Runs the preproc functions, compiles, and says what deserves a word.
-local function finish(build, merged)
+-- Runs the preproc functions; returns the problems they found.
+local function preprocess(fsm, merged)
+  local problems = {}
+  for i = 1, #rfsm.preproc do
+    local found = rfsm.preproc[i](fsm, merged)
+    for j = 1, type(found) == "table" and #found or 0 do
+      problems[#problems + 1] = found[j]
+    end
+  end
+  sort(problems, function(a, b) return natural(a) < natural(b) end)
+  return problems
+end
+
+-- Compiles, and says what deserves a word.
+local function finish(build)
   local fsm = build.fsm
-  tell_created(build)
-  for i = 1, #rfsm.preproc do rfsm.preproc[i](fsm, merged) end
   compile(fsm)
   warn_after_compile(build)
   warn_of_dead_ends(fsm, build.nodes)
@@ -1580,14 +1605,19 @@ function rfsm.init(model)
   local build = build_machine(model)
   local fsm = build.fsm
   prepare_fields(fsm)
-  if build.problems[1] then
-    local problems = lines_of(build.problems)
+  local problems = lines_of(build.problems)
+  if not problems[1] then
+    fsm._nodes, fsm._transitions = build.nodes, build.transitions
+    fsm._initialized = true
+    tell_created(build)
+    problems = preprocess(fsm)
+  end
+  if problems[1] then
+    fsm._initialized = false
     report(fsm, "err", summary("rfsm.init", problems))
     raise_failure(fsm)
     return false, problems
   end
-  fsm._nodes, fsm._transitions = build.nodes, build.transitions
-  fsm._initialized = true
   finish(build)
   raise_failure(fsm)
   return fsm
@@ -1876,6 +1906,40 @@ local function define_hook(name, field, slot)
   end
 end
 
+local function add_state_hook(name, field, state, hook)
+  if not is_state(state) or rawget(state, "_fqn") == nil then
+    error("rfsm." .. name .. ": state of the fsm expected, " .. got(state), 3)
+  end
+  if not is_callable(hook) then
+    error("rfsm." .. name .. ": function expected, " .. got(hook), 3)
+  end
+  local hooks = state[field] and copy_list(state[field]) or {}
+  hooks[#hooks + 1] = hook
+  state[field] = hooks
+end
+
+--- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
+--
+-- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
+-- Its error is raised when the iteration is over.
+--
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
+function rfsm.entry_hook_add(fsm, state, hook)
+  check_machine(fsm, "entry_hook_add")
+  add_state_hook("entry_hook_add", "_entry_hooks", state, hook)
+end
+
+--- Have `hook(fsm, state)` called each time `state` is left, after its exit.
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
+function rfsm.exit_hook_add(fsm, state, hook)
+  check_machine(fsm, "exit_hook_add")
+  add_state_hook("exit_hook_add", "_exit_hooks", state, hook)
+end
+
 define_hook("pre_step_hook", "_pre_hooks", "pre_step_hook")
 define_hook("post_step_hook", "_post_hooks", "post_step_hook")
 define_hook("reset_hook", "_reset_hooks", nil)
@@ -1953,14 +2017,17 @@ function rfsm.fsm_merge(fsm, parent, obj, id)
   local merged, key = attach(build, parent, obj, id)
   resolve(build)
   local entrances = find_new_entrances(build, parent)
-  if build.problems[1] then
+  local problems = lines_of(build.problems)
+  if not problems[1] then problems = preprocess(fsm, merged) end
+  if problems[1] then
     undo_merge(build, parent, key)
-    return false, summary("rfsm.fsm_merge", lines_of(build.problems))
+    return false, summary("rfsm.fsm_merge", problems)
   end
   for tr, entrance in pairs(entrances) do tr.tgt = entrance end -- any order: each once
   append(fsm._nodes, build.nodes)
   append(fsm._transitions, build.transitions)
-  finish(build, merged)
+  tell_created(build)
+  finish(build)
   if not fsm._stepping then raise_failure(fsm) end
   return true
 end
