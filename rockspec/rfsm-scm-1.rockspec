@@ -1,0 +1,23 @@
+rockspec_format = "3.0"
+package = "rfsm"
+version = "scm-1"
+source = { url = "git+https://example.org/rfsm.git" }
+description = {
+  summary = "Statecharts for coordination, in pure Lua",
+  detailed = "A faithful reimplementation of rFSM: hierarchical state machines written"
+    .. " as plain Lua tables, checked before they move anything.",
+  license = "BSD-3-Clause",
+  homepage = "https://example.org/rfsm",
+  labels = { "fsm", "statechart", "robotics" },
+}
+dependencies = { "lua >= 5.1, < 5.6" }
+test_dependencies = { "busted >= 2.0" }
+test = { type = "busted" }
+build = {
+  type = "builtin",
+  modules = {
+    ["rfsm"] = "rfsm.lua",
+    ["rfsm_sim"] = "rfsm_sim.lua",
+  },
+  install = { bin = { ["rfsm-sim"] = "tools/rfsm-sim" } },
+}
