@@ -23,7 +23,7 @@ local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 
 local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 
--- Model elements: constructors, predicates, order -------------------------------
+-- Model elements: constructors, predicates, order -----------------------------
 
 --- A state as the user writes it.
 --
@@ -249,7 +249,7 @@ local function sorted_keys(t, pred)
   return keys, n
 end
 
--- Load --------------------------------------------------------------------------
+-- Load ------------------------------------------------------------------------
 
 --- Load a model from a file that returns it.
 --
@@ -294,7 +294,7 @@ function rfsm.load_str(text, chunkname)
   return model
 end
 
--- Check: every mistake in the model, each with its place ------------------------
+-- Check: every mistake in the model, each with its place ----------------------
 --
 -- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
 -- never raises. They come in the order of the walk; `init` sorts them by place.
@@ -482,7 +482,7 @@ local function check_root(build, fsm)
   end
 end
 
--- Clone: nodes per position, the user's plain tables copied, all else shared -----
+-- Clone: nodes per position, the user's plain tables copied, all else shared ---
 
 -- Returns what stands for `value` in the copy; a plain table is filled in later.
 local function copy_of(build, value, pending)
@@ -630,7 +630,7 @@ local function clone_below(build, first)
     i = i + 1
   end
 end
--- Resolve: names become nodes, `e_done` gets the name of its source --------------
+-- Resolve: names become nodes, `e_done` gets the name of its source -----------
 
 -- Splits "a.b" into { "a", "b" }; an empty part stays, and leads nowhere.
 local function split(path)
@@ -916,7 +916,7 @@ local function compile(fsm)
   for i = 1, #nodes do compile_node(nodes[i]) end
 end
 
--- Run: collect events, choose, take, doo ----------------------------------------
+-- Run: collect events, choose, take, doo --------------------------------------
 --
 -- What holds here: between two iterations exactly one leaf is active, or none before
 -- the first entry. Functions are read from their tables at each use, because tools
@@ -1435,7 +1435,7 @@ local function iterate_up_to(fsm, left)
   end
 end
 
--- Public functions --------------------------------------------------------------
+-- Public functions ------------------------------------------------------------
 
 -- Blames the caller of the public function for something that is no machine.
 local function check_machine(fsm, name)

@@ -103,7 +103,8 @@ describe("a reference", function()
   end)
 
   it("is reported when it ends on a composite without initial", function()
-    local model = chart { m = state { x = state {} }, [2] = trans { src = "a", tgt = "m" } }
+    local m = state { x = state {} }
+    local model = chart { m = m, [2] = trans { src = "a", tgt = "m" } }
     assert.same({
       "root.trans[2]: tgt 'root.m': the composite has no initial transition "
         .. "(rfsm.trans{ src='initial', tgt=... })",
@@ -252,7 +253,8 @@ describe("a transition", function()
   end)
 
   it("has a number as priority", function()
-    assert.same({ "root.trans[2].pn: number expected, got string '3'" }, of { pn = "3" })
+    assert.same({ "root.trans[2].pn: number expected, got string '3'" },
+      of { pn = "3" })
   end)
 
   it("has a position or a name as its key", function()
@@ -264,7 +266,8 @@ end)
 describe("the root", function()
   it("needs a way in", function()
     assert.same({
-      "root: the root needs an initial transition (rfsm.trans{ src='initial', tgt=... })",
+      "root: the root needs an initial transition "
+        .. "(rfsm.trans{ src='initial', tgt=... })",
     }, problems_of(state { err = false, a = state {} }))
   end)
 end)
@@ -329,7 +332,9 @@ describe("a warning", function()
     local m = state { x = state {}, trans { src = "initial", tgt = "x" } }
     assert.same({
       "WARNING: root.trans[2]: 'e_done' never fires here, 'root.m' is no leaf state",
-    }, warnings_of(chart { m = m, [2] = trans { src = "m", tgt = "a", events = "e_done" } }))
+    }, warnings_of(chart {
+      m = m, [2] = trans { src = "m", tgt = "a", events = "e_done" },
+    }))
   end)
 
   it("tells of 'e_done' on a connector", function()
@@ -408,7 +413,8 @@ describe("init", function()
 
   it("tells of each connector it created", function()
     local said = {}
-    local model = chart { m = state { x = state {}, trans { src = "initial", tgt = "x" } } }
+    local m = state { x = state {}, trans { src = "initial", tgt = "x" } }
+    local model = chart { m = m }
     model.info = function(text) said[#said + 1] = text end
     rfsm.init(model)
     assert.same({

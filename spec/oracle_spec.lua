@@ -1,0 +1,120 @@
+-- Core and oracle agree on random charts. SEED and N come from the environment.
+
+local charts = require "spec.support.charts"
+local rfsm = require "rfsm"
+local runs = require "spec.support.runs"
+local shrink = require "spec.support.shrink"
+
+local seed = tonumber(os.getenv("SEED")) or 1
+local count = tonumber(os.getenv("N")) or 2000
+
+local function differs(chart) return runs.compare(chart) ~= nil end
+
+-- Runs `f` with the core's `name` replaced by a wrong one.
+local function with_broken(name, broken, f)
+  local right = rfsm[name]
+  rfsm[name] = function(...) return broken(right, ...) end
+  local ok, problem = pcall(f)
+  rfsm[name] = right
+  if not ok then error(problem, 0) end
+end
+
+-- The first chart from `from` on that shows a difference.
+local function find_difference(from)
+  for s = from, from + 200 do
+    local chart = charts.generate(s)
+    if differs(chart) then return chart end
+  end
+end
+
+local function keep_one_event(right, fsm, first) right(fsm, first) end
+
+describe("the oracle", function()
+  it(("agrees with the core on %d charts from seed %d"):format(count, seed), function()
+    for s = seed, seed + count - 1 do
+      local at, expected, actual = runs.compare(charts.generate(s))
+      if at then
+          .. "shrinks it)"):format(s, at, tostring(expected[at]), tostring(actual[at]), s))
+          .. "it)"):format(s, at, tostring(expected[at]), tostring(actual[at]), s))
+      end
+    end
+  end)
+
+  it("tells a core that drops an event", function()
+    with_broken("send_events", keep_one_event, function()
+      assert.is_table(find_difference(1))
+    end)
+  end)
+
+  it("tells a core that resets at the wrong time", function()
+    local function reset_between_steps(right, fsm)
+      if rfsm.get_active_conf(fsm)[1] then right(fsm) end
+    end
+    with_broken("reset", reset_between_steps, function()
+      assert.is_table(find_difference(1))
+    end)
+  end)
+end)
+
+describe("the shrinker", function()
+  it("leaves little of a chart", function()
+    with_broken("send_events", keep_one_event, function()
+      local chart = find_difference(1)
+      local small = shrink.smallest(chart, differs)
+      assert.is_true(differs(small))
+      assert.is_true(#small.ops <= 3)
+      assert.is_true(#shrink.to_lua(small) < #shrink.to_lua(chart))
+    end)
+  end)
+
+  it("writes Lua", function()
+    local load_text = loadstring or load -- luacheck: ignore 113
+    for s = 1, 50 do
+      assert.is_function(load_text(shrink.to_lua(charts.generate(s))))
+    end
+  end)
+end)
+
+-- What a chart's trace or data must show in some of the charts.
+local FEATURES = {
+  ["entry after first"] = "^entry root%.", exit = "^exit ", effect = "^effect ",
+  guard = "^guard ", doo = "^doo ", ["busy doo"] = "^dbg DOO .* active$",
+  ["idle doo"] = "^dbg DOO .* idle$", ["done doo"] = "^dbg DOO .* done$",
+  ["failing entry"] = "^err ENTRY", ["failing exit"] = "^err EXIT",
+  ["failing effect"] = "^err EFFECT", ["failing guard"] = "^err GUARD",
+  ["failing doo"] = "^err DOO", conflict = "^warn conflicting",
+  ["no way in"] = "^err ERROR: cannot enter", getevents = "^getevents",
+  ["pre hook"] = "^pre_hook", ["post hook"] = "^post_hook", hibernating = "HIBERNATING",
+  ["idle hook"] = "^idle_hook", ["error to the caller"] = "^= step raised",
+  run = "^= run", reset = "^= reset", ["idle step"] = "^= step ok true",
+  ["depth 5"] = "^active .*%.%l%.%l%.%l%.%l%.%l", ["an object"] = "an object",
+  ["path of connectors"] = "^dbg EXEC_PATH .*%->.*%->.*%->",
+}
+
+describe("the generator", function()
+  it("gives the same chart for the same seed", function()
+    assert.equal(shrink.to_lua(charts.generate(42)), shrink.to_lua(charts.generate(42)))
+    assert.not_equal(shrink.to_lua(charts.generate(42)),
+      shrink.to_lua(charts.generate(43)))
+  end)
+
+  it("gives the same chart on every Lua", function()
+    local chart = charts.generate(3)
+    assert.equal("root root.a root.b root.b.a root.c root.d root.initial "
+      .. "root.b.initial", table.concat(chart.names, " "))
+    assert.equal(11, #chart.transitions)
+  end)
+
+  it("covers what the contract speaks of", function()
+    local missing = {}
+    for feature in pairs(FEATURES) do missing[feature] = true end -- a set
+    for s = 1, 1500 do
+      for _, line in ipairs(runs.on_core(charts.generate(s)) or {}) do
+        for feature in pairs(missing) do -- any order: a set
+          if line:find(FEATURES[feature]) then missing[feature] = nil end
+        end
+      end
+    end
+    assert.same({}, missing)
+  end)
+end)

@@ -1,0 +1,51 @@
+-- Compares core and oracle on random charts:  LUA spec/support/fuzz.lua N SEED
+--
+-- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first: they must not
+-- change a thing for charts that do not use them. A difference prints the seed, both
+-- traces around it, and the chart shrunk to what is needed.
+
+package.path = "./?.lua;" .. package.path
+
+for name in (os.getenv("RFSM_FUZZ_WITH") or ""):gmatch("[%w_.]+") do require(name) end
+
+local charts = require "spec.support.charts"
+local runs = require "spec.support.runs"
+local shrink = require "spec.support.shrink"
+
+local count = tonumber(arg[1]) or 2000
+local first = tonumber(arg[2]) or 1
+
+local function differs(chart) return runs.compare(chart) ~= nil end
+
+local function print_around(title, trace, at)
+  print(title)
+  for i = math.max(at == 0 and 0 or 1, at - 5), math.min(#trace, at + 1) do
+    print((i == at and "> " or "  ") .. trace[i])
+  end
+end
+
+-- Shrinking must not end at another fault: a chart that init refuses.
+local function tell(seed, chart)
+  local is_refused = runs.compare(chart) == 0
+  local small = shrink.smallest(chart, function(candidate)
+    local at = runs.compare(candidate)
+    return at and (at == 0) == is_refused
+  end)
+  local at, expected, actual = runs.compare(small)
+  print(("seed %d: core and oracle differ"):format(seed))
+  print_around("oracle:", expected, at)
+  print_around("core:", actual, at)
+  print("the chart, shrunk:")
+  print(shrink.to_lua(small))
+end
+
+for i = 0, count - 1 do
+  local chart = charts.generate(first + i)
+  if differs(chart) then
+    tell(first + i, chart)
+    print(("%d passed, 1 failed"):format(i))
+    os.exit(1)
+  end
+  if (i + 1) % 10000 == 0 then print(("%d ..."):format(i + 1)) end
+end
+print(("%d passed, 0 failed"):format(count))

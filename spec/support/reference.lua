@@ -1,0 +1,418 @@
+-- The oracle: section 2 of the contract, as plainly as it can be written.
+--
+-- It works on an abstract chart (see charts.lua), shares no code with the core, keeps
+-- no index and compiles nothing. It is slow and meant to be read; the core must not be
+-- distinguishable from it. A machine is a table:
+--
+--   chart     nodes by F, transitions in a list (declaration data only)
+--   calls     what the chart's programs do: calls.entry(F), calls.guard(tr, events) ...
+--   mode      F -> "active" | "done" | "inactive"
+--   leaf      F of the active leaf, or nil
+--   queue     events that wait
+--
+-- A program that fails raises; the oracle reports it to calls.err, as the core does.
+
+local reference = {}
+
+-- Structure: parents, ancestors, order of transitions -------------------------
+
+-- All ancestors of F, nearest first.
+local function ancestors(machine, fqn)
+  local list = {}
+  local parent = machine.chart.nodes[fqn].parent
+  while parent do
+    list[#list + 1] = parent
+    parent = machine.chart.nodes[parent].parent
+  end
+  return list
+end
+
+local function is_in(list, value)
+  for _, other in ipairs(list) do
+    if other == value then return true end
+  end
+  return false
+end
+
+-- The nearest ancestor that both ends have; the root for what starts at the root.
+local function common_ancestor(machine, tr)
+  if tr.src == "root" then return "root" end
+  local of_tgt = ancestors(machine, tr.tgt)
+  for _, fqn in ipairs(ancestors(machine, tr.src)) do
+    if is_in(of_tgt, fqn) then return fqn end
+  end
+end
+
+-- Higher pn first, then declared further out, then position, then key.
+local function comes_before(machine, a, b)
+  if (a.pn or 0) ~= (b.pn or 0) then return (a.pn or 0) > (b.pn or 0) end
+  if a.owner ~= b.owner then
+    local depth_a, depth_b = #ancestors(machine, a.owner), #ancestors(machine, b.owner)
+    if depth_a ~= depth_b then return depth_a < depth_b end
+    return a.owner < b.owner
+  end
+  if type(a.key) ~= type(b.key) then return type(a.key) == "number" end
+  return a.key < b.key
+end
+
+-- The transitions that start at F, in the order in which they are tried.
+local function outgoing(machine, fqn)
+  local list = {}
+  for _, tr in ipairs(machine.chart.transitions) do
+    if tr.src == fqn then list[#list + 1] = tr end
+  end
+  table.sort(list, function(a, b) return a ~= b and comes_before(machine, a, b) end)
+  return list
+end
+
+-- Printers --------------------------------------------------------------------
+
+-- A printer that raises: the first such error waits for the end of the iteration.
+local function protected(machine, f, ...)
+  local ok, result = pcall(f, ...)
+  if ok then return result end
+  if not machine.failed then machine.failed, machine.failure = true, result end
+end
+
+local function dbg(machine, ...)
+  if machine.calls.dbg then protected(machine, machine.calls.dbg, ...) end
+end
+
+local function program_failed(machine, id, what, owner, problem)
+  protected(machine, machine.calls.err, id,
+    "error executing " .. what .. " of " .. owner .. ": ", problem)
+end
+
+local function raise(machine, event)
+  machine.queue[#machine.queue + 1] = event
+  dbg(machine, "RAISED", event)
+end
+
+local function text_of(values)
+  local texts = {}
+  for i, value in ipairs(values) do texts[i] = tostring(value) end
+  return table.concat(texts, ", ")
+end
+
+-- Which transition ------------------------------------------------------------
+
+-- Events are a set: one of them is wanted, or a predicate accepts it.
+local function matches(tr, events)
+  if not tr.events or #tr.events == 0 then return #events > 0 end
+  for _, wanted in ipairs(tr.events) do
+    for _, event in ipairs(events) do
+      if wanted == event then return true end
+      if type(wanted) == "function" then
+        local ok, answer = pcall(wanted, event)
+        if ok and answer then return true end
+      end
+    end
+  end
+  return false
+end
+
+local function guard_allows(machine, tr, events)
+  if not tr.guard then return true end
+  local ok, answer = pcall(machine.calls.guard, tr, events)
+  if ok then return answer ~= false end
+  program_failed(machine, "GUARD", "guard", machine.calls.text(tr), answer)
+  return false
+end
+
+local find_path
+
+-- A path through `tr`: the segment, then what follows behind a connector. nil: closed.
+local function path_through(machine, tr, events, seen)
+  if not matches(tr, events) then return nil end
+  dbg(machine, "CHECKING", machine.calls.text(tr))
+  if not guard_allows(machine, tr, events) then return nil end
+  if machine.chart.nodes[tr.tgt].kind == "state" then return { tr } end
+  local rest = find_path(machine, tr.tgt, events, seen)
+  if not rest then return nil end
+  local path = { tr }
+  for _, segment in ipairs(rest) do path[#path + 1] = segment end
+  return path
+end
+
+-- Each connector is evaluated once a step, and is closed while that goes on. Two open
+-- ways of the same priority are a conflict: a warning, and the first is taken.
+function find_path(machine, connector, events, seen)
+  if seen[connector] ~= nil then return seen[connector] end
+  seen[connector] = false
+  local open = {}
+  for _, tr in ipairs(outgoing(machine, connector)) do
+    if open[1] and (tr.pn or 0) ~= (open[1][1].pn or 0) then break end
+    open[#open + 1] = path_through(machine, tr, events, seen)
+  end
+  if open[2] then
+    protected(machine, machine.calls.warn,
+      "conflicting transitions from src " .. connector .. " to")
+    for _, path in ipairs(open) do
+      protected(machine, machine.calls.warn, "\t" .. path[1].tgt)
+    end
+  end
+  seen[connector] = open[1] or false
+  return seen[connector]
+end
+
+-- States from the root down; the first open path wins, without a look at others.
+local function find_enabled(machine, states, events)
+  dbg(machine, "TRANSITION", "events: " .. text_of(events))
+  local seen = {}
+  for _, fqn in ipairs(states) do
+    for _, tr in ipairs(outgoing(machine, fqn)) do
+      local path = path_through(machine, tr, events, seen)
+      if path then return path end
+    end
+  end
+end
+
+-- The active states, from the root to the leaf.
+local function configuration(machine)
+  if not machine.leaf then return {} end
+  local list = { machine.leaf }
+  for _, fqn in ipairs(ancestors(machine, machine.leaf)) do
+    table.insert(list, 1, fqn)
+  end
+  return list
+end
+
+-- One transition --------------------------------------------------------------
+
+-- Calls entry or exit of F, if it has one, with the active leaf that it must see.
+local function run_program(machine, id, what, fqn)
+  if not machine.chart.nodes[fqn][what] then return end
+  local ok, problem = pcall(machine.calls[what], fqn, machine.leaf or false)
+  if not ok then program_failed(machine, id, what, fqn, problem) end
+end
+
+local function exit(machine, fqn)
+  machine.mode[fqn] = "inactive"
+  run_program(machine, "EXIT", "exit", fqn)
+  machine.coroutine[fqn] = nil
+  if machine.leaf == fqn then machine.leaf = nil end
+  dbg(machine, "STATE_EXIT", fqn)
+end
+
+local function done(machine, fqn)
+  machine.mode[fqn] = "done"
+  raise(machine, "e_done@" .. fqn)
+end
+
+local function enter(machine, fqn)
+  machine.mode[fqn] = "active"
+  run_program(machine, "ENTRY", "entry", fqn)
+  local node = machine.chart.nodes[fqn]
+  if node.is_leaf then
+    machine.leaf = fqn
+    if not node.doo then done(machine, fqn) end
+  end
+  dbg(machine, "STATE_ENTER", fqn)
+end
+
+-- Exits from `innermost` up to the common ancestor, effect, entries down to the target.
+local function take_segment(machine, tr, innermost, events)
+  local top = common_ancestor(machine, tr)
+  local text = machine.calls.text(tr)
+  dbg(machine, "TRANS_EXIT", text)
+  local fqn = innermost
+  while fqn ~= top do
+    exit(machine, fqn)
+    fqn = machine.chart.nodes[fqn].parent
+  end
+  if tr.effect then
+    local ok, problem = pcall(machine.calls.effect, tr, events)
+    if not ok then program_failed(machine, "EFFECT", "effect", text, problem) end
+  end
+  dbg(machine, "EFFECT", text)
+  dbg(machine, "TRANS_ENTER", text)
+  local below = ancestors(machine, tr.tgt)
+  for i = #below, 1, -1 do
+    if is_in(ancestors(machine, below[i]), top) then enter(machine, below[i]) end
+  end
+  if machine.chart.nodes[tr.tgt].kind == "state" then enter(machine, tr.tgt) end
+end
+
+local function trace_path(machine, path)
+  local names = { path[1].src }
+  for _, tr in ipairs(path) do names[#names + 1] = tr.tgt end
+  dbg(machine, "EXEC_PATH", table.concat(names, " -> "))
+end
+
+-- The first segment starts at the leaf, each further one in the connector's parent.
+local function take_path(machine, path, events)
+  for i, tr in ipairs(path) do
+    local innermost = i == 1 and machine.leaf or machine.chart.nodes[tr.src].parent
+    take_segment(machine, tr, innermost, events)
+  end
+end
+
+local function take(machine, events)
+  local path = find_enabled(machine, configuration(machine), events)
+  if not path then return false end
+  trace_path(machine, path)
+  take_path(machine, path, events)
+  return true
+end
+
+-- Root's entry, then the path from root.initial.
+local function first_entry(machine, events)
+  if machine.chart.nodes.root.is_leaf then
+    enter(machine, "root")
+    return true
+  end
+  local path = find_enabled(machine, { "root.initial" }, events)
+  if not path then return false end
+  trace_path(machine, path)
+  enter(machine, "root")
+  take_path(machine, path, events)
+  return true
+end
+
+-- Doo -------------------------------------------------------------------------
+
+local function doo_failed(machine, fqn, problem)
+  machine.mode[fqn] = "done"
+  machine.coroutine[fqn] = nil
+  protected(machine, machine.calls.err, "DOO",
+    "doo program of state '" .. fqn .. "' failed: ", problem)
+  dbg(machine, "DOO", fqn, "failed")
+  return true
+end
+
+-- One doo cycle of the active leaf; is it idle or done?
+local function doo_cycle(machine)
+  local fqn = machine.leaf
+  if machine.mode[fqn] == "done" then return true end
+  local co = machine.coroutine[fqn]
+    or coroutine.create(function(...) return machine.calls.doo(...) end)
+  machine.coroutine[fqn] = co
+  local ok, idle = coroutine.resume(co, fqn)
+  if not ok then return doo_failed(machine, fqn, idle) end
+  if coroutine.status(co) == "dead" then
+    machine.coroutine[fqn] = nil
+    done(machine, fqn)
+    dbg(machine, "DOO", fqn, "done")
+    return true
+  end
+  dbg(machine, "DOO", fqn, idle and "idle" or "active")
+  return not not idle
+end
+
+-- Step ------------------------------------------------------------------------
+
+local function reset_now(machine)
+  for fqn in pairs(machine.chart.nodes) do machine.mode[fqn] = "inactive" end -- a set
+  machine.coroutine = {}
+  machine.leaf, machine.reset_wanted = nil, false
+  machine.queue = { "e_init_fsm" }
+end
+
+-- Appends what getevents says to `list`.
+local function ask_getevents(machine, list)
+  local new = machine.calls.getevents and protected(machine, machine.calls.getevents)
+  for _, event in ipairs(new or {}) do
+    list[#list + 1] = event
+    dbg(machine, "RAISED", event)
+  end
+end
+
+local function run_hook(machine, name, events)
+  if machine.calls[name] then protected(machine, machine.calls[name], events) end
+end
+
+-- No way in: the queue is kept, as it was before the hooks, and goes on with what came.
+local function refuse(machine, before, events)
+  for _, event in ipairs(machine.queue) do before[#before + 1] = event end
+  machine.queue = before
+  protected(machine, machine.calls.err, "ERROR: cannot enter: no enabled path from "
+    .. "'root.initial' on events: " .. text_of(events))
+  if machine.reset_wanted then reset_now(machine) end
+end
+
+-- One iteration. Returns "refused", or "free" / "counted" and whether it is idle.
+local function iterate(machine, after_free)
+  local events = machine.queue
+  machine.queue = {}
+  ask_getevents(machine, events)
+  local before = {}
+  for i, event in ipairs(events) do before[i] = event end
+  run_hook(machine, "pre_hook", events)
+  local result, idle = "counted", false
+  if machine.mode.root == "inactive" then
+    if not first_entry(machine, events) then
+      refuse(machine, before, events)
+      return "refused", false
+    end
+  elseif #events == 0 then
+    idle = doo_cycle(machine)
+    if idle then ask_getevents(machine, machine.queue) end
+  elseif not take(machine, events) then
+    if after_free then idle = doo_cycle(machine) else result = "free" end
+  end
+  if machine.reset_wanted then
+    reset_now(machine)
+    idle = false
+  end
+  run_hook(machine, "post_hook", events)
+  return result, idle and #machine.queue == 0
+end
+
+-- What printers, hooks and getevents raised reaches the caller when all is consistent.
+local function raise_failure(machine)
+  if not machine.failed then return end
+  local failure = machine.failure
+  machine.failed, machine.failure = false, nil
+  error(failure, 0)
+end
+
+--- Step at most n counted iterations; returns idle.
+function reference.step(machine, n)
+  local left, after_free = math.max(1, math.floor(n or 1)), false
+  while true do
+    machine.stepping = true
+    local result, idle = iterate(machine, after_free)
+    machine.stepping = false
+    raise_failure(machine)
+    if result == "refused" then return false end
+    if result == "counted" then left = left - 1 end
+    if left == 0 then return idle end
+    after_free = result == "free"
+    if idle then
+      dbg(machine, "HIBERNATING", machine.leaf)
+      raise_failure(machine)
+      if not machine.calls.idle_hook then return true end
+      machine.calls.idle_hook()
+    end
+  end
+end
+
+--- Send events; nil is no event.
+function reference.send(machine, ...)
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    if event ~= nil then raise(machine, event) end
+  end
+  if not machine.stepping then raise_failure(machine) end
+end
+
+--- Back to the start; from inside a callback when the iteration is over.
+function reference.reset(machine)
+  if machine.stepping then machine.reset_wanted = true else reset_now(machine) end
+end
+
+--- The active states from root to leaf, each with its mode.
+function reference.active(machine)
+  local list = configuration(machine)
+  for i, fqn in ipairs(list) do list[i] = fqn .. "(" .. machine.mode[fqn] .. ")" end
+  return list
+end
+
+--- A machine of an abstract chart; `calls` run its programs.
+function reference.new(chart, calls)
+  local machine = { chart = chart, calls = calls, mode = {} }
+  reset_now(machine)
+  return machine
+end
+
+return reference

@@ -1,0 +1,234 @@
+-- Runs a chart of charts.lua on the core or on the oracle; both leave the same trace, a
+-- flat list of texts.
+
+local reference = require "spec.support.reference"
+local rfsm = require "rfsm"
+
+local runs = {}
+
+local function text_of(value)
+  if type(value) == "table" and getmetatable(value) == nil then
+    local texts = {}
+    for i, item in ipairs(value) do texts[i] = tostring(item) end
+    return "[" .. table.concat(texts, ", ") .. "]"
+  end
+  return tostring(value)
+end
+
+local function note(world, ...)
+  local texts = { ... }
+  for i = 1, #texts do texts[i] = text_of(texts[i]) end
+  world.trace[#world.trace + 1] = table.concat(texts, " ")
+end
+
+-- Does what the chart says for this call of program `id`.
+local function perform(world, action, list)
+  if not action then return nil end
+  local what = action[1]
+  if what == "raise" then error(action[2], 0) end
+  if what == "return" then return action[2] end
+  if what == "reset" then world.reset() end
+  if what == "send" then world.send(action[2], action[3]) end
+  if what == "append" then list[#list + 1] = action[2] end
+  if what == "clear" then
+    for i = #list, 1, -1 do list[i] = nil end
+  end
+end
+
+local function act(world, id, list)
+  local actions = world.chart.programs[id]
+  local count = world.counts[id] or 0
+  world.counts[id] = count + 1
+  return perform(world, actions[count % #actions + 1], list)
+end
+
+local function run_doo(world, fqn)
+  for i, cycle in ipairs(world.chart.programs["doo " .. fqn]) do
+    note(world, "doo", fqn, i)
+    perform(world, cycle.action)
+    if cycle.is_return then return cycle.idle end
+    coroutine.yield(cycle.idle)
+  end
+end
+
+local function new_world(chart) return { chart = chart, trace = {}, counts = {} } end
+
+-- A printer or hook of the world, nil when the chart has none.
+local function outside(world, id, list_at)
+  if not world.chart.programs[id] then return nil end
+  return function(...)
+    local list = list_at and select(list_at, ...)
+    if list_at then note(world, id, list) else note(world, id, ...) end
+    return act(world, id, list)
+  end
+end
+
+-- The core --------------------------------------------------------------------
+
+local function leaf_name(fsm) return fsm._act_leaf and fsm._act_leaf._fqn or false end
+
+local function program_of(world, what, fqn)
+  return function(fsm, state, kind)
+    note(world, kind, state._fqn, "leaf", leaf_name(fsm))
+    return act(world, what .. " " .. fqn)
+  end
+end
+
+local function model_transition(world, tr)
+  local id = tr.index
+  return rfsm.trans {
+    src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = tr.events_ref,
+    guard = tr.guard and function(_, events)
+      note(world, "guard", id, events)
+      return act(world, "guard " .. id)
+    end or nil,
+    effect = tr.effect and function(_, _, kind, events)
+      note(world, kind, id, events)
+      act(world, "effect " .. id)
+    end or nil,
+  }
+end
+
+local function model_node(world, fqn, node)
+  if node.kind == "connector" then return rfsm.conn {} end
+  return rfsm.state {
+    entry = node.entry and program_of(world, "entry", fqn) or nil,
+    exit = node.exit and program_of(world, "exit", fqn) or nil,
+    doo = node.doo and function() return run_doo(world, fqn) end or nil,
+  }
+end
+
+--- The chart as a model for rfsm.init.
+function runs.model_of(world)
+  local chart, models = world.chart, {}
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.id ~= "initial" or node.is_declared then
+      models[fqn] = model_node(world, fqn, node)
+      if node.parent then models[node.parent][node.id] = models[fqn] end
+    end
+  end
+  for _, tr in ipairs(chart.transitions) do
+    models[tr.owner][tr.key] = model_transition(world, tr)
+  end
+  local root = models.root
+  root.info, root.err = false, outside(world, "err")
+  root.warn = outside(world, "warn")
+  root.dbg = outside(world, "dbg") or false
+  root.getevents = outside(world, "getevents")
+  root.pre_step_hook = outside(world, "pre_hook", 2)
+  root.post_step_hook = outside(world, "post_hook", 2)
+  local idle_hook = outside(world, "idle_hook")
+  root.idle_hook = idle_hook and function() return idle_hook() end
+  return root
+end
+
+local function core_active(fsm)
+  local list = rfsm.get_active_conf(fsm)
+  local state = fsm
+  for i = 1, #list do
+    list[i] = list[i] .. "(" .. rfsm.get_sta_mode(state) .. ")"
+    state = rfsm.actchild_get(state)
+  end
+  return list
+end
+
+-- The oracle ------------------------------------------------------------------
+
+-- tostring of a transition, as the contract has it.
+local function transition_text(tr)
+  local parts = { "src='" .. tr.src .. "'", "tgt='" .. tr.tgt .. "'" }
+  if tr.pn then parts[#parts + 1] = ("pn=%d"):format(tr.pn) end
+  if tr.events[1] ~= nil then
+    local events = text_of(tr.events):sub(2, -2)
+    parts[#parts + 1] = "events='" .. events .. "'"
+  end
+  return "T={ " .. table.concat(parts, ", ") .. " }"
+end
+
+local function oracle_calls(world)
+  local function program(what)
+    return function(fqn, leaf)
+      note(world, what, fqn, "leaf", leaf)
+      return act(world, what .. " " .. fqn)
+    end
+  end
+  return {
+    entry = program("entry"), exit = program("exit"), text = transition_text,
+    doo = function(fqn) return run_doo(world, fqn) end,
+    guard = function(tr, events)
+      note(world, "guard", tr.index, events)
+      return act(world, "guard " .. tr.index)
+    end,
+    effect = function(tr, events)
+      note(world, "effect", tr.index, events)
+      act(world, "effect " .. tr.index)
+    end,
+    err = outside(world, "err"), warn = outside(world, "warn"),
+    dbg = outside(world, "dbg"), getevents = outside(world, "getevents"),
+    pre_hook = outside(world, "pre_hook", 1),
+    post_hook = outside(world, "post_hook", 1),
+    idle_hook = outside(world, "idle_hook"),
+  }
+end
+
+-- Both ------------------------------------------------------------------------
+
+-- Runs the operations; after each one the trace has its result and what can be seen.
+local function drive(world, engine)
+  for _, op in ipairs(world.chart.ops) do
+    local results = { pcall(engine[op[1]], op[2], op[3], op[4]) }
+    note(world, "=", op[1], results[1] and "ok" or "raised", results[2])
+    note(world, "active", engine.active(), "queue", engine.queue())
+  end
+  return world.trace
+end
+
+--- The trace of the core; nil and the problems when init refuses the chart.
+function runs.on_core(chart)
+  local world = new_world(chart)
+  local model = runs.model_of(world)
+  local warn = model.warn
+  model.warn = false
+  local fsm, problems = rfsm.init(model)
+  if not fsm then return nil, problems end
+  fsm.warn = warn
+  world.send = function(...) rfsm.send_events(fsm, ...) end
+  world.reset = function() rfsm.reset(fsm) end
+  return drive(world, {
+    send = world.send, reset = world.reset,
+    step = function(n) return rfsm.step(fsm, n) end,
+    run = function() return rfsm.run(fsm) end,
+    active = function() return core_active(fsm) end,
+    queue = function() return fsm._intq end,
+  })
+end
+
+--- The trace of the oracle.
+function runs.on_oracle(chart)
+  local world = new_world(chart)
+  local machine = reference.new(chart, oracle_calls(world))
+  world.send = function(...) reference.send(machine, ...) end
+  world.reset = function() reference.reset(machine) end
+  return drive(world, {
+    send = world.send, reset = world.reset,
+    step = function(n) return reference.step(machine, n) end,
+    run = function() return reference.step(machine, 1e9) end,
+    active = function() return reference.active(machine) end,
+    queue = function() return machine.queue end,
+  })
+end
+
+--- The first line in which both differ; nil when they agree.
+function runs.compare(chart)
+  local expected = runs.on_oracle(chart)
+  local actual, problems = runs.on_core(chart)
+  if not actual then
+    return 0, expected, { [0] = "init: " .. table.concat(problems, "; ") }
+  end
+  for i = 1, math.max(#expected, #actual) do
+    if expected[i] ~= actual[i] then return i, expected, actual end
+  end
+end
+
+return runs
