@@ -34,8 +34,9 @@ describe("the oracle", function()
     for s = seed, seed + count - 1 do
       local at, expected, actual = runs.compare(charts.generate(s))
       if at then
-        error(("seed %d, line %d: oracle '%s', core '%s' (make fuzz N=1 SEED=%d shrinks "
-          .. "it)"):format(s, at, tostring(expected[at]), tostring(actual[at]), s))
+        error(("seed %d, line %d: oracle '%s', core '%s' (make fuzz N=1 SEED=%d "
+          .. "shrinks it)"):format(s, at, tostring(expected[at]), tostring(actual[at]),
+          s))
       end
     end
   end)

@@ -1,0 +1,19 @@
+-- Deriving: load a base machine and change what is different. Each rfsm.load gives a
+-- model of its own, so the base stays as it is.
+--
+--   the base, examples/on_off.lua:  off --e_push--> on --e_push--> off
+--   here: a third state, `dimmed`, between on and off
+--
+-- In rfsm-sim:  run()  ser("e_push")  ser("e_push")  ser("e_push")
+
+local rfsm = require "rfsm"
+
+local here = (... or ""):match("^(.*[/\\])") or ""
+local lamp = rfsm.load(here .. "on_off.lua")
+
+lamp.dimmed = rfsm.state { entry = function() print("dimmed") end }
+lamp.on.entry = function() print("brighter than ever") end
+lamp[3].tgt = "dimmed" -- on --e_push--> dimmed instead of off
+lamp[4] = rfsm.trans { src = "dimmed", tgt = "off", events = { "e_push" } }
+
+return lamp

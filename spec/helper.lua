@@ -1,0 +1,61 @@
+-- What several specs need.
+
+local rfsm = require "rfsm"
+
+local helper = {}
+
+--- Runs `f` and returns the lines that it printed.
+function helper.printed(f)
+  local lines, real = {}, print
+  rawset(_G, "print", function(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
+    lines[#lines + 1] = table.concat(texts, " ")
+  end)
+  local ok, problem = pcall(f)
+  rawset(_G, "print", real)
+  if not ok then error(problem, 0) end
+  return lines
+end
+
+local function noting(trace, what)
+  return function(_, state) trace[#trace + 1] = what .. " " .. state._fqn end
+end
+
+local function note_state(trace, state)
+  state.entry = state.entry or noting(trace, "entry")
+  state.exit = state.exit or noting(trace, "exit")
+end
+
+--- Gives each state of `model` an entry and exit, and each transition an effect, that
+-- note in a flat list what ran; returns the list and the machine.
+function helper.traced(model)
+  local trace = {}
+  rfsm.mapfsm(function(state) note_state(trace, state) end, model, rfsm.is_state)
+  rfsm.mapfsm(function(tr)
+    tr.effect = tr.effect or function(_, self)
+      trace[#trace + 1] = "effect " .. self.src._fqn .. "->" .. self.tgt._fqn
+    end
+  end, model, rfsm.is_trans)
+  return trace, helper.init(model)
+end
+
+--- A machine that says nothing about its model.
+function helper.init(model)
+  if model.warn == nil then model.warn = false end
+  if model.info == nil then model.info = false end
+  return (assert(rfsm.init(model)))
+end
+
+--- Forgets what a list holds.
+function helper.clear(list)
+  for i = #list, 1, -1 do list[i] = nil end
+end
+
+--- Sends events and runs until there is nothing to do.
+function helper.post_and_run(fsm, ...)
+  rfsm.send_events(fsm, ...)
+  return rfsm.run(fsm)
+end
+
+return helper
