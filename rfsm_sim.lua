@@ -1,254 +1,381 @@
---- The simulator behind `rfsm-sim`: a prompt that drives one machine.
+--- The simulator: steps through a chart by hand, with Lua at the prompt.
 --
--- Each line is Lua; the commands of `help()` are functions in its scope, as are `fsm` and
--- `rfsm`. Reading and writing are handed in, so that specs can hold both ends.
+-- `tools/rfsm-sim` parses the command line and calls `rfsm_sim.main`. The code that is
+-- typed sees the machine as `fsm`, the commands that `help()` lists, and the globals of
+-- the chart, which it can also set.
+--
+-- The file reads in the order in which a session goes: output, open a chart, commands,
+-- evaluate, read lines, public functions.
 --
 -- @module rfsm_sim
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
+local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
+local rawget, require, select, setmetatable = rawget, require, select, setmetatable
+local tostring, type = tostring, type
+local io, os = io, os
 local concat, sort = table.concat, table.sort
+local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
 
-local rfsm_sim = {}
+local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
--- The ids that dbg(true) shows; dbg('full') shows them all.
-local IMPORTANT = {
-  STATE_ENTER = true, STATE_EXIT = true, EFFECT = true, DOO = true, EXEC_PATH = true,
-  ERROR = true, HIBERNATING = true, RAISED = true, TIMEEVENT = true,
-}
+-- Output: values as text, complaints of one line ------------------------------
 
-local HELP = [[
-step(n)     advance by one step, or by n
-run()       advance until nothing is left to do
-se(...)     send events
-ses(...)    send events and step
-ser(...)    send events and run
-dbg(x)      trace: false (off), true (the important records), 'full' (all)
-pp()        print the states, active ones marked
-showeq()    show the queue
-showfqn()   show the active leaf
-add_hook(f) have f(fsm) called after each advance
-help()      this list
-fsm, rfsm   the machine and the library; any other Lua works too]]
-
---- What a simulator works with.
----@class rfsm_sim.Simulator
----@field fsm rfsm.Machine
----@field write fun(text: string) takes each line of output
----@field hooks function[]
----@field env table scope of the lines
-
--- Showing ---------------------------------------------------------------------
-
--- The first line of an error, whatever value it is.
-local function first_line(problem)
-  return (tostring(problem):match("^[^\n]*"))
+local function text_of(value)
+  if type(value) == "number" then return ("%.14g"):format(value) end
+  local ok, text = pcall(tostring, value)
+  return ok and type(text) == "string" and text or type(value)
 end
 
-local function list_text(values)
+local function list_text(values, separator)
   local texts = {}
-  for i = 1, #values do texts[i] = tostring(values[i]) end
-  return concat(texts, ", ")
+  for i = 1, #values do texts[i] = text_of(values[i]) end
+  return concat(texts, separator)
 end
 
-local function show_leaf(sim)
-  local leaf = sim.fsm._act_leaf
-  if not leaf then return sim.write("active: <none>") end
-  sim.write("active: " .. leaf._fqn .. "(" .. rfsm.get_sta_mode(leaf) .. ")")
+-- Writes a line to stderr, after what stands in stdout.
+local function complain(text)
+  io.stdout:flush()
+  io.stderr:write(text, "\n")
 end
 
-local function show_queue(sim) sim.write("queue:  " .. list_text(sim.fsm._intq)) end
-
-local function show(sim)
-  show_leaf(sim)
-  show_queue(sim)
-  for i = 1, #sim.hooks do sim.hooks[i](sim.fsm) end
+-- Returns the first line of an error: the rest is a traceback or a list of paths.
+local function first_line(failure)
+  local text = text_of(failure)
+  return (text:match("[^\n]+") or text):gsub(":%s*$", "")
 end
 
--- rfsmpp, when it is installed.
-local function pretty_printer()
-  local ok, rfsmpp = pcall(require, "rfsmpp")
-  return ok and rfsmpp or nil
+-- The errors of the chart's own programs.
+local function print_err(...)
+  local values = { ... }
+  for i = 1, select("#", ...) do values[i] = text_of(values[i]) end
+  complain(concat(values, "\t"))
 end
 
-local function depth_of(fqn)
-  local _, dots = fqn:gsub("%.", "")
-  return dots
+-- Open a chart ----------------------------------------------------------------
+
+-- Initialises `model`, silent about its problems: they are returned.
+local function init_quietly(model)
+  local own_err = model.err
+  if own_err == nil then model.err = false end
+  local fsm, problems = rfsm.init(model)
+  model.err = own_err
+  if fsm and own_err == nil then fsm.err = print_err end
+  return fsm, problems
 end
 
--- The states as plain text, one a line, for want of rfsmpp.
-local function plain_tree(fsm)
-  local lines = { "root " .. rfsm.get_sta_mode(fsm) }
-  rfsm.mapfsm(function(state)
-    lines[#lines + 1] = ("  "):rep(depth_of(state._fqn)) .. state._id .. " ["
-      .. rfsm.fsmobj_tochar(state) .. "] " .. rfsm.get_sta_mode(state)
-  end, fsm, rfsm.is_state)
-  return concat(lines, "\n")
-end
-
-local function show_tree(sim)
-  local pp = pretty_printer()
-  sim.write(pp and pp.fsm2str(sim.fsm) or plain_tree(sim.fsm))
-end
-
--- Tracing ---------------------------------------------------------------------
-
-local function plain_dbg(sim, ids)
-  return function(id, ...)
-    if ids and not ids[id] then return end
-    local texts = { ... }
-    for i = 1, #texts do texts[i] = tostring(texts[i]) end
-    sim.write(id .. "\t" .. concat(texts, "\t"))
-  end
-end
-
--- Sets fsm.dbg to what `wanted` means: false, true or "full".
-local function set_dbg(sim, wanted)
-  if not wanted then
-    sim.fsm.dbg = false
-    return
-  end
-  local ids = wanted ~= "full" and IMPORTANT or nil
-  local pp = pretty_printer()
-  sim.fsm.dbg = pp and pp.gen_dbgcolor("sim", ids or {}, not ids) or plain_dbg(sim, ids)
+-- Returns a machine, or false and the lines that say why not.
+local function open(file)
+  local ok, model = pcall(rfsm.load, file)
+  if not ok then return false, { (first_line(model):gsub("^rfsm%.load: ", "")) } end
+  local done, fsm, problems = pcall(init_quietly, model)
+  if not done then return false, { file .. ": " .. first_line(fsm) } end
+  if fsm then return fsm end
+  for i = 1, #problems do problems[i] = file .. ": " .. problems[i] end
+  return false, problems
 end
 
 -- Commands --------------------------------------------------------------------
 
-local function commands_of(sim)
-  local fsm, commands = sim.fsm, {}
-  local function advancing(f)
-    return function(...)
-      f(...)
-      show(sim)
+--- One chart under the hand of one person.
+---@class rfsm_sim.Session
+---@field fsm rfsm.Machine
+---@field name string of the chart, for trace records
+---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
+---@field env table what typed code sees: the commands, then the globals
+
+local function show_active(sim)
+  local leaf = sim.fsm._act_leaf
+  print("active: " .. (leaf and leaf._fqn .. "(" .. leaf._mode .. ")" or "<none>"))
+end
+
+local function show_queue(sim) print("queue:  " .. list_text(sim.fsm._intq, ", ")) end
+
+-- Calls rfsm.step or rfsm.run, and shows where that led, also when it failed.
+local function advance(sim, how, n)
+  local ok, failure = pcall(how, sim.fsm, n)
+  show_active(sim)
+  show_queue(sim)
+  for _, hook in ipairs(sim.hooks) do hook(sim.fsm) end
+  if not ok then error(failure, 0) end
+end
+
+-- The records that matter most while a chart is written.
+local MAIN_RECORDS = {}
+for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED "
+  .. "TIMEEVENT"):gmatch("%S+") do
+  MAIN_RECORDS[id] = true
+end
+
+-- Returns rfsmpp when it is installed: colours.
+local function find_rfsmpp()
+  local ok, rfsmpp = pcall(require, "rfsmpp")
+  return ok and rfsmpp
+end
+
+-- Stands in for rfsmpp.gen_dbgcolor.
+local function plain_dbg(name, ids, shows_others)
+  return function(id, ...)
+    if ids[id] or ids[id] == nil and shows_others then
+      print(("%s:\t%-20s"):format(name, id), ...)
     end
   end
-  function commands.se(...)
-    rfsm.send_events(fsm, ...)
-    show_queue(sim)
+end
+
+local function set_dbg(sim, level)
+  if level == nil then level = true end
+  if level ~= true and level ~= false and level ~= "full" then
+    error("dbg: false, true or 'full' expected, got " .. text_of(level), 0)
   end
-  commands.step = advancing(function(n) rfsm.step(fsm, n) end)
-  commands.run = advancing(function() rfsm.run(fsm) end)
-  commands.ses = advancing(function(...)
+  local rfsmpp = find_rfsmpp()
+  local gen_dbg = rfsmpp and rfsmpp.gen_dbgcolor or plain_dbg
+  local ids = level == "full" and {} or MAIN_RECORDS
+  sim.fsm.dbg = level and gen_dbg(sim.name, ids, level == "full")
+end
+
+-- Stands in for rfsmpp.fsm2str.
+local function append_tree(lines, state, indent)
+  local name = state._fqn:match("[^.]*$")
+  lines[#lines + 1] = ("%s%s [%s] %s"):format(indent, name, rfsm.fsmobj_tochar(state),
+    rfsm.get_sta_mode(state))
+  rfsm.mapfsm(function(child) append_tree(lines, child, indent .. "  ") end, state,
+    rfsm.is_state, 1)
+end
+
+local function pretty_print(sim)
+  local rfsmpp = find_rfsmpp()
+  if rfsmpp then return print((rfsmpp.fsm2str(sim.fsm):gsub("\n$", ""))) end
+  local lines = {}
+  append_tree(lines, sim.fsm, "")
+  print(concat(lines, "\n"))
+end
+
+local function add_hook(sim, hook)
+  if type(hook) ~= "function" then
+    error("add_hook: function expected, got " .. type(hook), 0)
+  end
+  sim.hooks[#sim.hooks + 1] = hook
+end
+
+local HELP = [[
+step([n])    advance by n transitions or doo cycles (1)
+run()        advance until nothing is left to do
+se(...)      send events
+ses(...)     send events, then step()
+ser(...)     send events, then run()
+dbg(level)   trace records: false none, true the main ones, 'full' all of them
+pp()         print the states as a tree
+showeq()     print the events that wait in the queue
+showfqn()    print the active state and its mode
+add_hook(f)  call f(fsm) after each advance
+help()       print this list
+
+'fsm' is the machine, 'rfsm' the library. Any Lua works: an expression prints its value,
+and what is not complete goes on in the next line. Control-D ends the simulator.]]
+
+-- Returns the commands for `sim`. None returns a value: the prompt would print it.
+local function commands_for(sim)
+  local fsm = sim.fsm
+  local commands = { fsm = fsm, rfsm = rfsm }
+  function commands.step(n) advance(sim, rfsm.step, n) end
+  function commands.run() advance(sim, rfsm.run) end
+  function commands.se(...) rfsm.send_events(fsm, ...) end
+  function commands.ses(...)
     rfsm.send_events(fsm, ...)
-    rfsm.step(fsm)
-  end)
-  commands.ser = advancing(function(...)
+    advance(sim, rfsm.step)
+  end
+  function commands.ser(...)
     rfsm.send_events(fsm, ...)
-    rfsm.run(fsm)
-  end)
-  function commands.dbg(wanted) set_dbg(sim, wanted) end
-  function commands.pp() show_tree(sim) end
+    advance(sim, rfsm.run)
+  end
+  function commands.dbg(level) set_dbg(sim, level) end
+  function commands.pp() pretty_print(sim) end
   function commands.showeq() show_queue(sim) end
-  function commands.showfqn() show_leaf(sim) end
-  function commands.add_hook(f)
-    if type(f) ~= "function" then error("add_hook: function expected", 2) end
-    sim.hooks[#sim.hooks + 1] = f
-  end
-  function commands.help() sim.write(HELP) end
-  commands.fsm, commands.rfsm = fsm, rfsm
+  function commands.showfqn() show_active(sim) end
+  function commands.add_hook(hook) add_hook(sim, hook) end
+  function commands.help() print(HELP) end
   return commands
 end
 
---- The names that a prompt can complete.
----@param sim rfsm_sim.Simulator
----@return string[] names sorted
-function rfsm_sim.names(sim)
-  local names = {}
-  for name in pairs(commands_of(sim)) do names[#names + 1] = name end -- sorted below
-  sort(names)
-  return names
-end
-
--- Prompt ----------------------------------------------------------------------
-
--- Compiles `text` in the scope of the simulator.
-local function compile(sim, text)
-  if not setfenv then return load(text, "=prompt", "t", sim.env) end
-  local chunk, problem = loadstring(text, "=prompt") -- luacheck: ignore 113 (5.1)
-  return chunk and setfenv(chunk, sim.env), problem
-end
-
--- An expression is a statement with `return` in front; "= x" is the old way to say so.
-local function compile_line(sim, text)
-  local expression = text:match("^%s*=(.*)$") or text
-  local chunk = compile(sim, "return " .. expression)
-  if chunk then return chunk end
-  return compile(sim, text)
-end
-
-local function write_results(sim, ok, ...)
-  if not ok then return sim.write(first_line((...))) end
-  local texts = { ... }
-  for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
-  if texts[1] then sim.write(concat(texts, "\t")) end
-end
-
---- Run one piece of Lua in the scope of the simulator.
----@param sim rfsm_sim.Simulator
----@param text string
----@return boolean is_incomplete true when more lines are needed; nothing ran then
-function rfsm_sim.eval(sim, text)
-  local chunk, problem = compile_line(sim, text)
-  if chunk then
-    write_results(sim, pcall(chunk))
-    return false
-  end
-  if problem:find("<eof>", 1, true) then return true end
-  sim.write(first_line(problem))
-  return false
-end
-
---- Read lines and run them until there are no more.
----@param sim rfsm_sim.Simulator
----@param read fun(prompt: string): string? next line, nil at the end
-function rfsm_sim.loop(sim, read)
-  local line, pending = read("> "), ""
-  while line do
-    local text = pending .. line
-    if rfsm_sim.eval(sim, text) then pending = text .. "\n" else pending = "" end
-    line = read(pending == "" and "> " or ">> ")
-  end
-  if pending ~= "" then sim.write("prompt: unfinished: " .. first_line(pending)) end
-end
-
---- Make a simulator for a machine.
----@param fsm rfsm.Machine
----@param write? fun(text: string) default print
----@return rfsm_sim.Simulator sim
----@nodiscard
-function rfsm_sim.new(fsm, write)
-  local sim = { fsm = fsm, write = write or print, hooks = {} }
-  sim.env = setmetatable(commands_of(sim), { __index = _G, __newindex = _G })
+local function new_session(fsm, file)
+  local sim = { fsm = fsm, name = file:gsub("^.*/", ""):gsub("%.lua$", ""), hooks = {} }
+  sim.env = setmetatable(commands_for(sim), { __index = _G, __newindex = _G })
   return sim
 end
 
---- The line that greets.
----@return string
-function rfsm_sim.banner()
-  local version = rfsm._VERSION:match("%d.*")
-  return "rFSM simulator v" .. version .. ", type 'help()' to list available commands"
+-- Evaluate: an expression prints its value, a statement runs ------------------
+
+-- Loads a text so that its globals are those of `env`, on every Lua.
+local function load_in(env, text, chunkname)
+  local chunk, problem = load(text, chunkname, "t", env)
+  if chunk and setfenv then setfenv(chunk, env) end
+  return chunk, problem
 end
 
---- Load the chart in a file; nil and what is wrong with it.
----@param file string
----@return rfsm.Machine? fsm
----@return string? problem
-function rfsm_sim.load(file)
-  local ok, model = pcall(rfsm.load, file)
-  if not ok then return nil, (first_line(model):gsub("^rfsm%.load: ", "")) end
-  local is_valid, problems = rfsm.verify_early(model)
-  if not is_valid then
-    return nil, ("%s: the model has %d problem%s\n  %s"):format(file, #problems,
-      #problems == 1 and "" or "s", concat(problems, "\n  "))
+local function compile(env, text, chunkname)
+  local expression = text:match("^%s*=(.*)")
+  local chunk, problem = load_in(env, "return " .. (expression or text), chunkname)
+  if chunk or expression then return chunk, problem end
+  return load_in(env, text, chunkname)
+end
+
+local function is_incomplete(problem)
+  return problem:find("<eof>'?$") ~= nil
+end
+
+local function print_results(...)
+  if select("#", ...) > 0 then print(...) end
+end
+
+-- Runs `text`. Returns true, or false, one line, and whether more text may mend it.
+local function evaluate(sim, text, chunkname)
+  local chunk, problem = compile(sim.env, text, chunkname)
+  if not chunk then return false, first_line(problem), is_incomplete(problem) end
+  local ok, failure = pcall(function() print_results(chunk()) end)
+  if not ok then return false, first_line(failure), false end
+  return true
+end
+
+-- Read lines: piped in, or typed at a terminal --------------------------------
+
+-- Is the file descriptor (0: stdin, 1: stdout) a terminal?
+local function is_terminal(descriptor)
+  local result = os.execute("test -t " .. descriptor)
+  return result == true or result == 0
+end
+
+-- What the Tab key can complete: commands, states, the library, events.
+local function words_of(sim)
+  local set = {}
+  for name in pairs(sim.env) do set[name] = true end
+  for name in pairs(rfsm) do set["rfsm." .. name] = true end
+  rfsm.mapfsm(function(node) set["fsm" .. node._fqn:match("%..*")] = true end, sim.fsm,
+    rfsm.is_node)
+  rfsm.mapfsm(function(tr)
+    for _, event in ipairs(tr.events or {}) do
+      if type(event) == "string" then set[event] = true end
+    end
+  end, sim.fsm, rfsm.is_trans)
+  local words = {}
+  for word in pairs(set) do words[#words + 1] = word end -- any order: sorted below
+  sort(words)
+  return words
+end
+
+-- Line editing, history and completion by the readline module; nil without it.
+local function readline_reader(sim)
+  local ok, readline = pcall(require, "readline")
+  if not ok then return nil end
+  readline.set_options { histfile = "~/.rfsm_sim_history", keeplines = 1000 }
+  readline.set_complete_function(function(text, from, to)
+    readline.set_completion_append_character("")
+    local typed, matches = text:sub(from, to), {}
+    for _, word in ipairs(words_of(sim)) do
+      if word:sub(1, #typed) == typed then matches[#matches + 1] = word end
+    end
+    return matches
+  end)
+  return readline.readline, readline.save_history
+end
+
+local function prompting_reader(prompt)
+  io.write(prompt)
+  io.flush()
+  return io.read()
+end
+
+local function no_op() end
+
+-- Returns a function that reads a line, and one to call at the end.
+local function choose_reader(sim)
+  if not is_terminal(0) then return function() return io.read() end, no_op end
+  local read, close
+  if is_terminal(1) then read, close = readline_reader(sim) end
+  read, close = read or prompting_reader, close or no_op
+  return read, function()
+    close()
+    print() -- the shell's prompt belongs on a line of its own
   end
-  local fsm = rfsm.init(model)
-  if not fsm then return nil, file .. ": the model is not valid" end
-  return fsm
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_sim", rfsm_sim) end
+-- Reads a line; nil at the end of the input, false after Control-C.
+local function read_line(read, prompt)
+  local ok, line = pcall(read, prompt)
+  if ok then return line end
+  if not tostring(line):find("interrupted!", 1, true) then error(line, 0) end
+  return false
+end
+
+-- Evaluates what is typed so far. When more must follow, returns the text and what is
+-- wrong with it as it is, otherwise "".
+local function digest(sim, text)
+  local ok, problem, is_open = evaluate(sim, text, "=stdin")
+  if ok then return "" end
+  if is_open then return text, problem end
+  complain(problem)
+  return ""
+end
+
+-- Reads and evaluates until the end of the input. Control-C drops what is typed.
+local function converse(sim, read)
+  local text, problem = "", nil
+  while true do
+    local line = read_line(read, text == "" and "> " or ">> ")
+    if line == nil then break end
+    if line then
+      text, problem = digest(sim, text .. line .. "\n")
+    else
+      text = ""
+    end
+  end
+  if text ~= "" then complain(problem) end
+end
+
+-- Public functions ------------------------------------------------------------
+
+-- Runs the texts of -e up to the first that fails; returns whether all went well.
+local function run_code(sim, texts)
+  for _, text in ipairs(texts) do
+    local ok, problem = evaluate(sim, text, "=(command line)")
+    if not ok then
+      complain("rfsm-sim: " .. problem)
+      return false
+    end
+  end
+  return true
+end
+
+--- What the command line says.
+---@class rfsm_sim.Options
+---@field file string the chart
+---@field code? string[] Lua to run first
+---@field is_quiet? boolean no banner
+---@field is_interactive? boolean read commands, also after `code`
+
+--- Open a chart, run the code given, read commands from stdin.
+---@param options rfsm_sim.Options
+---@return integer status for the shell: 0, or 1 for a chart or code that is wrong
+function rfsm_sim.main(options)
+  io.stdout:setvbuf("line")
+  local fsm, problems = open(options.file)
+  if not fsm then
+    for _, problem in ipairs(problems) do complain("rfsm-sim: " .. problem) end
+    return 1
+  end
+  local sim, code = new_session(fsm, options.file), options.code or {}
+  if not run_code(sim, code) then return 1 end
+  if code[1] and not options.is_interactive then return 0 end
+  if not options.is_quiet then
+    print("rFSM simulator v" .. rfsm_sim.VERSION
+      .. ", type 'help()' to list available commands")
+  end
+  local read, close = choose_reader(sim)
+  converse(sim, read)
+  close()
+  return 0
+end
 
 return rfsm_sim

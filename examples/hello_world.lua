@@ -1,18 +1,41 @@
--- Hello, world: two states and the event with which a state says that it is done.
+-- Hello, world: one state says "hello" when it is left, the other "world" on entry.
 --
---   (initial) --> hello --e_done--> world
---                   ^                 |
---                   +----e_restart----+
+--      initial
+--         |
+--         v      e_done
+--     [ hello ] ---------> [ world ]
+--         ^                    |
+--         +----- e_restart ----+
 --
--- In rfsm-sim:  step()  step()  se("e_restart")  step()
+-- A leaf state without a doo is done as soon as it is entered, and says so by the event
+-- e_done. So the second step leaves hello:
+--
+--     rfsm-sim examples/hello_world.lua
+--     > step()
+--     active: root.hello(done)
+--     queue:  e_done@root.hello
+--     > step()
+--     hello
+--     world
+--     active: root.world(done)
+--     queue:  e_done@root.world
+--     > ses("e_restart")
+--     active: root.hello(done)
+--     queue:  e_done@root.hello
 
 local rfsm = require "rfsm"
+local state, trans = rfsm.state, rfsm.trans
 
-return rfsm.state {
-  hello = rfsm.state { exit = function() print("hello") end },
-  world = rfsm.state { entry = function() print("world") end },
+return state {
+  hello = state {
+    exit = function() print("hello") end,
+  },
 
-  rfsm.trans { src = "initial", tgt = "hello" },
-  rfsm.trans { src = "hello", tgt = "world", events = { "e_done" } },
-  rfsm.trans { src = "world", tgt = "hello", events = { "e_restart" } },
+  world = state {
+    entry = function() print("world") end,
+  },
+
+  trans { src = "initial", tgt = "hello" },
+  trans { src = "hello", tgt = "world", events = { "e_done" } },
+  trans { src = "world", tgt = "hello", events = { "e_restart" } },
 }
