@@ -163,7 +163,7 @@ end
 local HELP = [[
 step([n])    advance by n transitions or doo cycles (1)
 run()        advance until nothing is left to do
-se(...)      send events
+se(...)      send events and print the queue
 ses(...)     send events, then step()
 ser(...)     send events, then run()
 dbg(level)   trace records: false none, true the main ones, 'full' all of them
@@ -182,7 +182,10 @@ local function commands_for(sim)
   local commands = { fsm = fsm, rfsm = rfsm }
   function commands.step(n) advance(sim, rfsm.step, n) end
   function commands.run() advance(sim, rfsm.run) end
-  function commands.se(...) rfsm.send_events(fsm, ...) end
+  function commands.se(...)
+    rfsm.send_events(fsm, ...)
+    show_queue(sim)
+  end
   function commands.ses(...)
     rfsm.send_events(fsm, ...)
     advance(sim, rfsm.step)
@@ -215,9 +218,16 @@ local function load_in(env, text, chunkname)
   return chunk, problem
 end
 
+-- Compiles an expression to a chunk that hands its values to a function: a mere
+-- `return` would be a tail call, after which an error has lost its place.
+local function compile_expression(env, text, chunkname)
+  local chunk, problem = load_in(env, "return " .. text, chunkname)
+  return chunk and load_in(env, "(...)(" .. text .. "\n)", chunkname) or chunk, problem
+end
+
 local function compile(env, text, chunkname)
   local expression = text:match("^%s*=(.*)")
-  local chunk, problem = load_in(env, "return " .. (expression or text), chunkname)
+  local chunk, problem = compile_expression(env, expression or text, chunkname)
   if chunk or expression then return chunk, problem end
   return load_in(env, text, chunkname)
 end
@@ -234,7 +244,7 @@ end
 local function evaluate(sim, text, chunkname)
   local chunk, problem = compile(sim.env, text, chunkname)
   if not chunk then return false, first_line(problem), is_incomplete(problem) end
-  local ok, failure = pcall(function() print_results(chunk()) end)
+  local ok, failure = pcall(chunk, print_results)
   if not ok then return false, first_line(failure), false end
   return true
 end
