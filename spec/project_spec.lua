@@ -1,0 +1,158 @@
+-- The project holds together: rockspecs, examples, the code in the documents.
+
+local rfsm = require "rfsm"
+
+local setfenv = rawget(_G, "setfenv")
+local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
+
+local function lines_of(command)
+  local pipe, lines = assert(io.popen(command)), {}
+  for line in pipe:lines() do lines[#lines + 1] = line end
+  pipe:close()
+  return lines
+end
+
+-- The files of the project: those that git knows, all in a tree without git.
+local function files(...)
+  local globs = table.concat({ ... }, "' ':(glob)")
+  local found = lines_of("git ls-files -- ':(glob)" .. globs .. "' 2>/dev/null")
+  if found[1] then return found end
+  return lines_of("ls -d " .. table.concat({ ... }, " ") .. " 2>/dev/null")
+end
+
+local function content(name)
+  local file = assert(io.open(name))
+  local text = file:read("*a")
+  file:close()
+  return text
+end
+
+-- Loads a text so that its globals are those of `env`, on every Lua.
+local function load_in(env, text, name)
+  local chunk = assert(load_text(text, name, "t", env))
+  if setfenv then setfenv(chunk, env) end
+  return chunk
+end
+
+local function rockspec(name)
+  local env = {}
+  load_in(env, content(name), "@" .. name)()
+  return env
+end
+
+local ROCKSPECS = { "rockspec/rfsm-scm-1.rockspec", "rockspec/rfsm-1.0.0-1.rockspec" }
+
+-- rfsm/pp.lua is the module rfsm.pp.
+local function modules_in_tree()
+  local modules = {}
+  for _, file in ipairs(files("*.lua", "rfsm/*.lua")) do
+    modules[file:gsub("%.lua$", ""):gsub("/", ".")] = file
+  end
+  return modules
+end
+
+local function tools_in_tree()
+  local tools = {}
+  for _, file in ipairs(files("tools/*")) do
+    if not file:find("%.%w+$") then tools[file:match("[^/]*$")] = file end
+  end
+  return tools
+end
+
+for _, name in ipairs(ROCKSPECS) do
+  describe(name, function()
+    it("lists the modules that there are", function()
+      assert.same(modules_in_tree(), rockspec(name).build.modules)
+    end)
+
+    it("lists the tools that there are", function()
+      assert.same(tools_in_tree(), rockspec(name).build.install.bin)
+    end)
+
+    it("bears the version in its name", function()
+      assert.equal(name:match("rfsm%-(.*)%.rockspec"), rockspec(name).version)
+    end)
+  end)
+end
+
+describe("the rockspecs", function()
+  it("differ in version and source only", function()
+    local scm, release = rockspec(ROCKSPECS[1]), rockspec(ROCKSPECS[2])
+    scm.version, release.version = nil, nil
+    scm.source, release.source = nil, nil
+    assert.same(scm, release)
+  end)
+
+  it("release the version that the core bears", function()
+    local version = rockspec(ROCKSPECS[2]).version:match("^[%d.]+")
+    assert.equal("rfsm " .. version, rfsm._VERSION)
+  end)
+
+  it("release what the changelog tells of", function()
+    assert.is_truthy(content("CHANGELOG.md"):find("## 1.0.0", 1, true))
+  end)
+end)
+
+describe("an example", function()
+  for _, file in ipairs(files("examples/*.lua")) do
+    it(file .. " loads and has no problem", function()
+      local model = rfsm.load(file)
+      model.info, model.warn = false, false
+      assert.is_table((rfsm.init(model)))
+    end)
+  end
+end)
+
+-- The blocks of a document that open with ```lua: { line =, text = } each.
+local function lua_blocks(file)
+  local blocks, block, number = {}, nil, 0
+  for line in (content(file) .. "\n"):gmatch("(.-)\n") do
+    number = number + 1
+    if block and line:match("^%s*```") then
+      block.text = table.concat(block, "\n")
+      blocks[#blocks + 1], block = block, nil
+    elseif block then
+      block[#block + 1] = line
+    elseif line:match("^%s*```lua%s*$") then
+      block = { line = number + 1 }
+    end
+  end
+  return blocks
+end
+
+-- What a block says that it prints:  print(1)  --> 1
+local function promised(block)
+  local lines = {}
+  for _, line in ipairs(block) do
+    local text = line:match("%-%->%s?(.-)%s*$")
+    if text then lines[#lines + 1] = text end
+  end
+  return lines
+end
+
+-- Runs a block; returns the lines that it printed.
+local function run_block(env, block, name)
+  local lines = {}
+  rawset(env, "print", function(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
+    for line in (table.concat(texts, "\t") .. "\n"):gmatch("(.-)\n") do
+      lines[#lines + 1] = line:match("^(.-)%s*$")
+    end
+  end)
+  load_in(env, ("\n"):rep(block.line - 1) .. block.text, "@" .. name)()
+  return lines
+end
+
+-- The blocks of one document share their globals, as at one prompt.
+for _, file in ipairs(files("*.md", "doc/*.md")) do
+  describe(file, function()
+    local env = setmetatable({}, { __index = _G })
+    for _, block in ipairs(lua_blocks(file)) do
+      it("runs at line " .. block.line .. ", and prints what it says", function()
+        local printed, expected = run_block(env, block, file), promised(block)
+        if expected[1] then assert.same(expected, printed) end
+      end)
+    end
+  end)
+end
