@@ -25,7 +25,7 @@ FILES    := $(MODULES) $(DOTTED) $(EXAMPLES) $(wildcard spec/*.lua spec/support/
 all: test               ## the same as test
 
 help:                   ## this list
-	@grep -hE '^[a-z][a-z-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
+	@grep -hE '^[a-z][a-z%-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
 
 sim:                    ## open MODEL in the simulator
 	@tools/deps.sh sim
@@ -36,14 +36,17 @@ test:                   ## lint, then every spec on each of LUAS
 	@$(MAKE) --no-print-directory lint
 	@BUSTED="$(BUSTED)" tools/test.sh $(LUAS)
 
+test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
+	@$(BUSTED) --lua=$$(command -v $*)
+
 lint:                   ## luacheck, and the syntax under the oldest Lua
 	luacheck -q .
-	luac5.1 -p $(FILES) $(TOOLS)
+	@luac5.1 -p $(FILES) $(TOOLS)
 
 fuzz:                   ## compare core and oracle on N random charts from SEED, with LUA
 	$(LUA) spec/support/fuzz.lua $(N) $(SEED)
 
-bench:                  ## the figures of doc/performance.md, with LUA
+bench:                  ## measure, with LUA
 	$(LUA) bench/run.lua
 
 examples:               ## load and initialise every example, with LUA

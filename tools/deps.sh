@@ -33,31 +33,38 @@ missing_for_test() {
   done
   command -v busted >/dev/null 2>&1 || echo lua-busted
   command -v luacheck >/dev/null 2>&1 || echo lua-check
-  command -v luac5.1 >/dev/null 2>&1 || echo lua5.1
   has_module lua5.1 argparse || echo lua-argparse
   has_module lua5.1 ansicolors || echo lua-ansicolors
   has_module lua5.1 dkjson || echo lua-dkjson
   has_module lua5.1 socket || echo lua-socket
   has_module lua5.1 luv || echo lua-luv
+  has_module lua5.1 readline || echo lua-readline
 }
 
+# Prints what to put before a command to run it as root; fails where that needs asking.
+as_root() {
+  [ "$(id -u)" = 0 ] && return 0
+  command -v sudo >/dev/null 2>&1 && sudo -n true 2>/dev/null && echo "sudo -n"
+}
+
+# An update of apt's lists comes second: mostly they do, and then this takes a moment.
 install_packages() {
-  as_root=
-  if [ "$(id -u)" != 0 ]; then
-    as_root="sudo -n"
-    command -v sudo >/dev/null 2>&1 && sudo -n true 2>/dev/null || as_root=none
-  fi
-  if [ "$as_root" = none ] || ! command -v apt-get >/dev/null 2>&1; then
+  if ! command -v apt-get >/dev/null 2>&1 || ! root=$(as_root); then
     echo "missing; please type: sudo apt-get install $*" >&2
-    exit 1
+    return 1
   fi
   echo "installing: $*" >&2
-  export DEBIAN_FRONTEND=noninteractive
+  apt="$root env DEBIAN_FRONTEND=noninteractive apt-get -q"
   log=$(mktemp)
-  $as_root apt-get install -y -q "$@" >"$log" 2>&1 </dev/null ||
-    { $as_root apt-get update -q && $as_root apt-get install -y -q "$@"; } \
-      >"$log" 2>&1 </dev/null ||
-    { cat "$log" >&2; rm -f "$log"; echo "could not install: $*" >&2; exit 1; }
+  {
+    $apt install -y --no-install-recommends "$@" ||
+      { $apt update && $apt install -y --no-install-recommends "$@"; }
+  } >"$log" 2>&1 </dev/null || {
+    cat "$log" >&2
+    rm -f "$log"
+    echo "could not install; please type: sudo apt-get install $*" >&2
+    return 1
+  }
   rm -f "$log"
 }
 
