@@ -93,6 +93,20 @@ describe("the rockspecs", function()
   end)
 end)
 
+describe("config.ld", function()
+  it("lists the modules that there are", function()
+    local listed = {}
+    for file in content("config.ld"):match("\nfile = (%b{})"):gmatch("'(.-)'") do
+      listed[file:gsub("%.lua$", "")] = file
+    end
+    local expected = modules_in_tree()
+    for name in pairs(expected) do -- any order: a set
+      if name:find(".", 1, true) then expected[name] = nil end
+    end
+    assert.same(expected, listed)
+  end)
+end)
+
 describe("an example", function()
   for _, file in ipairs(files("examples/*.lua")) do
     it(file .. " loads and has no problem", function()
