@@ -211,9 +211,10 @@ end
 
 -- Evaluate: an expression prints its value, a statement runs ------------------
 
--- Loads a text so that its globals are those of `env`, on every Lua.
+-- Loads a text so that its globals are those of `env`, on every Lua. The blank is for
+-- 5.1, which takes what starts with an escape (an arrow key) for a compiled chunk.
 local function load_in(env, text, chunkname)
-  local chunk, problem = load(text, chunkname, "t", env)
+  local chunk, problem = load(" " .. text, chunkname, "t", env)
   if chunk and setfenv then setfenv(chunk, env) end
   return chunk, problem
 end
