@@ -376,8 +376,10 @@ local function place_of(tr)
   return tr._parent._fqn .. "." .. key
 end
 
+-- `t` is a table of the model; one of an instance has false for what is absent.
 local function check_callable(build, place, t, field)
-  local value = t[field]
+  local value = rawget(t, field)
+  if value == false and rawget(t, "_parent") then return end
   if value ~= nil and not is_callable(value) and not is_node(value) then
     add(build.problems, place .. "." .. field, "function expected, " .. got(value))
   end
@@ -429,11 +431,11 @@ local function check_events(build, place, events)
   end
 end
 
-local function check_transition(build, tr)
+local function check_transition(build, tr, model)
   local place = place_of(tr)
   check_events(build, place, tr.events)
-  check_callable(build, place, tr, "guard")
-  check_callable(build, place, tr, "effect")
+  check_callable(build, place, model, "guard")
+  check_callable(build, place, model, "effect")
   local pn = tr.pn
   if pn ~= nil and (type(pn) ~= "number" or pn ~= pn) then
     add(build.problems, place .. ".pn", "number expected, " .. got(pn))
@@ -461,20 +463,20 @@ local function check_plain_table(build, place, t)
 end
 
 -- The programs of a state, once it is known to have children or not.
-local function check_state(build, state, is_composite)
-  check_callable(build, state._fqn, state, "entry")
-  check_callable(build, state._fqn, state, "exit")
-  check_callable(build, state._fqn, state, "doo")
-  if is_composite and state.doo ~= nil then
+local function check_state(build, state, model, is_composite)
+  check_callable(build, state._fqn, model, "entry")
+  check_callable(build, state._fqn, model, "exit")
+  check_callable(build, state._fqn, model, "doo")
+  if is_composite and rawget(model, "doo") then
     add(build.problems, state._fqn .. ".doo", "only a leaf state can have a doo")
   end
 end
 
-local function check_root(build, fsm)
+local function check_root(build, fsm, model)
   for i = 1, 4 do
-    check_callable(build, "root", fsm, ROOT_FIELDS[i])
+    check_callable(build, "root", model, ROOT_FIELDS[i])
     local name = PRINTERS[i]
-    if type(fsm[name]) ~= "boolean" then check_callable(build, "root", fsm, name) end
+    if type(model[name]) ~= "boolean" then check_callable(build, "root", model, name) end
   end
   if has_nodes(fsm) and rawget(fsm, "initial") == nil then
     add(build.problems, "root", "the root needs an initial transition "
@@ -531,7 +533,9 @@ local function events_of(events)
 end
 
 local function clone_transition(build, model, parent, key)
-  local tr = setmetatable({ _id = key, _parent = parent }, Transition)
+  local tr = setmetatable({
+    _id = key, _parent = parent, guard = false, effect = false,
+  }, Transition)
   for k, v in pairs(model) do -- any order: each field stands alone
     if k == "events" or k == "src" or k == "tgt" then
       tr[k] = v
@@ -543,7 +547,7 @@ local function clone_transition(build, model, parent, key)
     tr._id = text_of(key)
     add(build.problems, place_of(tr), "the key of a transition is a position or a name")
   end
-  check_transition(build, tr)
+  check_transition(build, tr, model)
   tr.events = events_of(model.events)
   build.transitions[#build.transitions + 1] = tr
   return tr
@@ -575,7 +579,8 @@ local function clone_node(build, value, parent, key)
   local node = { _id = key, _fqn = fqn, _parent = parent }
   if kind == "state" then
     node._mode, node._actchild, node._doo_co = "inactive", false, false
-    node._entry_hooks, node._exit_hooks = false, false
+    node._entry_hooks, node._exit_hooks, node._sources = false, false, false
+    node.entry, node.exit, node.doo = false, false, false
   end
   setmetatable(node, getmetatable(model))
   build.nodes[#build.nodes + 1] = node
@@ -616,7 +621,7 @@ local function clone_members(build, node)
     end
   end
   if is_conn(node) then return end
-  check_state(build, node, is_composite)
+  check_state(build, node, model, is_composite)
   if has_transition and not is_composite then
     add(build.warnings, node._fqn, "a transition inside a leaf state")
   end
@@ -903,7 +908,7 @@ local function compile(fsm)
   local nodes, transitions = fsm._nodes, fsm._transitions
   for i = 1, #nodes do
     local node = nodes[i]
-    node._otrs = nil
+    node._otrs, node._sources = nil, false
     node._is_leaf = is_state(node) and not has_nodes(node)
     node._done_event = node._is_leaf and "e_done@" .. node._fqn
   end
@@ -975,36 +980,54 @@ local function report_program(fsm, id, program, owner, failure)
     failure)
 end
 
-local function is_traced(fsm)
-  local dbg = fsm.dbg
-  return dbg and dbg ~= silent
+local function trace(fsm, ...)
+  if fsm.dbg then report(fsm, "dbg", ...) end
 end
 
--- Adds an event to the queue.
+-- Adds an event to the queue, of which fsm._queued is the length.
 local function post(fsm, event)
-  local queue = fsm._intq
-  queue[#queue + 1] = event
-  if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
+  local n = fsm._queued + 1
+  fsm._intq[n], fsm._queued = event, n
+  if fsm.dbg ~= silent then trace(fsm, "RAISED", event) end
 end
 
--- Appends what getevents returns to `list`.
-local function poll(fsm, list)
+local NONE = {}
+
+-- Returns the list that getevents returns; an empty one when it fails.
+local function ask_getevents(fsm)
   local getevents = fsm.getevents
-  if not getevents or getevents == no_events then return end
+  if not getevents then return NONE end
   local ok, events = pcall(getevents)
-  if not ok then return keep_failure(fsm, events) end
-  if events == nil then return end
-  if type(events) ~= "table" then
-    return keep_failure(fsm, "rfsm.step: getevents: list of events expected, "
-      .. got(events))
+  if not ok then
+    keep_failure(fsm, events)
+  elseif type(events) == "table" then
+    return events
+  elseif events ~= nil then
+    keep_failure(fsm, "rfsm.step: getevents: list of events expected, " .. got(events))
   end
+  return NONE
+end
+
+-- Puts what getevents returns into the queue.
+local function poll(fsm)
+  local events = ask_getevents(fsm)
+  for i = 1, #events do
+    if events[i] ~= nil then post(fsm, events[i]) end
+  end
+end
+
+-- Appends what getevents returns to the `n` events of the iteration.
+local function collect(fsm, list, n)
+  local events = ask_getevents(fsm)
   for i = 1, #events do
     local event = events[i]
     if event ~= nil then
-      list[#list + 1] = event
-      if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
+      n = n + 1
+      list[n] = event
+      if fsm.dbg ~= silent then trace(fsm, "RAISED", event) end
     end
   end
+  return n
 end
 
 -- Hooks: a list in which OWN stands for the model's own hook, the field `slot`.
@@ -1012,6 +1035,7 @@ local OWN = {}
 local OWN_ONLY = { OWN }
 
 local function run_hooks(fsm, hooks, slot, events)
+  fsm._is_kept = true
   for i = 1, #hooks do
     local hook = hooks[i]
     if hook == OWN then hook = fsm[slot] end
@@ -1062,9 +1086,7 @@ end
 
 -- A guard that fails does not enable.
 local function guard_allows(fsm, tr, events)
-  local guard = tr.guard
-  if not guard then return true end
-  local ok, answer = pcall(guard, tr, events)
+  local ok, answer = pcall(tr.guard, tr, events)
   if ok then return answer ~= false end
   report_program(fsm, "GUARD", "guard", tostring(tr), answer)
   return false
@@ -1074,8 +1096,8 @@ local evaluate_connector
 
 -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
 local function is_enabled(fsm, tr, events)
-  if is_traced(fsm) then report(fsm, "dbg", "CHECKING", tostring(tr)) end
-  if not guard_allows(fsm, tr, events) then return false end
+  if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
+  if tr.guard and not guard_allows(fsm, tr, events) then return false end
   return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events)
 end
 
@@ -1114,29 +1136,27 @@ function evaluate_connector(fsm, connector, events)
 end
 
 -- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
-local function find_candidates(fsm, node, events)
+local function find_lists(fsm, node, events, n)
   local by_event, by_any, lists = node._by_event, node._by_any, fsm._lists
-  local n = 0
-  for i = 1, #events do
+  local count = 0
+  for i = 1, n do
     local list = by_event[events[i]] or by_any
     if list then
-      local known = 0
-      for j = 1, n do
-        if lists[j] == list then known = j end
-      end
-      if known == 0 then
-        n = n + 1
-        lists[n] = list
+      local is_known = false
+      for j = 1, count do is_known = is_known or lists[j] == list end
+      if not is_known then
+        count = count + 1
+        lists[count] = list
       end
     end
   end
-  return n
+  return count
 end
 
 -- Returns the first of the candidates in `lists` that is tried after `rank`.
-local function next_candidate(lists, n, rank)
+local function next_candidate(lists, count, rank)
   local nearest = nil
-  for i = 1, n do
+  for i = 1, count do
     local list = lists[i]
     for j = 1, #list do
       local tr = list[j]
@@ -1149,34 +1169,71 @@ local function next_candidate(lists, n, rank)
   return nearest
 end
 
--- Returns the first transition from `node` that is enabled, or nil.
-local function find_from_node(fsm, node, events)
-  if not node._by_event then return nil end
-  local n = find_candidates(fsm, node, events)
-  if n == 0 then return nil end
-  local tr = next_candidate(fsm._lists, n, 0)
+-- May `tr`, whose list an event led to, be taken?
+local function is_candidate_enabled(fsm, tr, events)
+  if tr._has_predicate and not matches_predicate(tr, events) then return false end
+  return is_enabled(fsm, tr, events)
+end
+
+-- Returns the first enabled transition when events lead to several lists of `node`.
+local function find_in_lists(fsm, node, events, n)
+  local count = find_lists(fsm, node, events, n)
+  local tr = next_candidate(fsm._lists, count, 0)
   while tr do
-    local is_match = not tr._has_predicate or matches_predicate(tr, events)
-    if is_match and is_enabled(fsm, tr, events) then return tr end
-    tr = next_candidate(fsm._lists, n, tr._rank)
+    if is_candidate_enabled(fsm, tr, events) then return tr end
+    tr = next_candidate(fsm._lists, count, tr._rank)
+  end
+end
+
+-- Returns the first transition from `node` that is enabled, or nil. Most often one list
+-- is all there is: other events of the step, such as an `e_done@F`, lead nowhere here.
+local function find_from_node(fsm, node, events, n)
+  local by_event, list = node._by_event, false
+  if not by_event then return nil end
+  local by_any = node._by_any
+  for i = 1, n do
+    local found = by_event[events[i]] or by_any
+    if found and found ~= list then
+      if list then return find_in_lists(fsm, node, events, n) end
+      list = found
+    end
+  end
+  if not list then return nil end
+  for i = 1, #list do
+    if is_candidate_enabled(fsm, list[i], events) then return list[i] end
   end
 end
 
 local function start_search(fsm, events)
   fsm._search = fsm._search + 1
-  if is_traced(fsm) then
-    report(fsm, "dbg", "TRANSITION", "events: " .. list_text(events))
+  if fsm.dbg ~= silent then trace(fsm, "TRANSITION", "events: " .. list_text(events)) end
+end
+
+-- The states from the root to `leaf` that have transitions of their own.
+local function sources_of(leaf)
+  local upwards, n, state = {}, 0, leaf
+  while true do
+    if state._otrs then
+      n = n + 1
+      upwards[n] = state
+    end
+    if state._parent == state then break end
+    state = state._parent
   end
+  local sources = {}
+  for i = 1, n do sources[i] = upwards[n + 1 - i] end
+  leaf._sources = sources
+  return sources
 end
 
 -- From the root down to the active leaf; an outer transition wins.
-local function find_transition(fsm, events)
+local function find_transition(fsm, events, n)
   start_search(fsm, events)
-  local state = fsm
-  while state do
-    local tr = find_from_node(fsm, state, events)
+  local leaf = fsm._act_leaf
+  local sources = leaf._sources or sources_of(leaf)
+  for i = 1, #sources do
+    local tr = find_from_node(fsm, sources[i], events, n)
     if tr then return tr end
-    state = state._actchild
   end
 end
 
@@ -1193,7 +1250,7 @@ local function exit_one(fsm, state)
   state._actchild, state._doo_co = false, false
   state._parent._actchild = false
   if fsm._act_leaf == state then fsm._act_leaf = false end
-  if is_traced(fsm) then report(fsm, "dbg", "STATE_EXIT", state._fqn) end
+  if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
 end
 
 -- A leaf has done its work.
@@ -1215,20 +1272,20 @@ local function enter_one(fsm, state)
     fsm._act_leaf = state
     if not state.doo then complete(fsm, state) end
   end
-  if is_traced(fsm) then report(fsm, "dbg", "STATE_ENTER", state._fqn) end
+  if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
 end
 
 local function run_effect(fsm, tr, events)
   local effect = tr.effect
   if not effect then return end
+  fsm._is_kept = true
   local ok, failure = pcall(effect, fsm, tr, "effect", events)
   if not ok then report_program(fsm, "EFFECT", "effect", tostring(tr), failure) end
 end
 
 -- One segment: from the innermost active state up to the lca, down to the target.
 local function take_segment(fsm, tr, events)
-  local traced = is_traced(fsm)
-  if traced then report(fsm, "dbg", "TRANS_EXIT", tostring(tr)) end
+  if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
   local state, lca = fsm._act_leaf or tr.src._parent, tr._lca
   while state ~= lca do
     local parent = state._parent
@@ -1236,9 +1293,9 @@ local function take_segment(fsm, tr, events)
     state = parent
   end
   run_effect(fsm, tr, events)
-  if is_traced(fsm) then
-    report(fsm, "dbg", "EFFECT", tostring(tr))
-    report(fsm, "dbg", "TRANS_ENTER", tostring(tr))
+  if fsm.dbg ~= silent then
+    trace(fsm, "EFFECT", tostring(tr))
+    trace(fsm, "TRANS_ENTER", tostring(tr))
   end
   local entries = tr._entries
   for i = 1, #entries do enter_one(fsm, entries[i]) end
@@ -1267,30 +1324,29 @@ end
 
 local function note_and_trace(fsm, tr)
   local n = note_path(tr, fsm._path)
-  if is_traced(fsm) then report(fsm, "dbg", "EXEC_PATH", path_text(fsm._path, n)) end
+  if fsm.dbg ~= silent then trace(fsm, "EXEC_PATH", path_text(fsm._path, n)) end
   return n
 end
 
-local function take_enabled(fsm, events)
-  local tr = find_transition(fsm, events)
+local function take_enabled(fsm, events, n)
+  local tr = find_transition(fsm, events, n)
   if not tr then return false end
-  local n = note_and_trace(fsm, tr)
-  take_path(fsm, fsm._path, n, events)
+  take_path(fsm, fsm._path, note_and_trace(fsm, tr), events)
   return true
 end
 
 -- First entry: the root, then the path from its `initial`; false when none is enabled.
-local function enter_machine(fsm, events)
+local function enter_machine(fsm, events, n)
   if fsm._is_leaf then
     enter_one(fsm, fsm)
     return true
   end
   start_search(fsm, events)
-  local tr = #events > 0 and find_from_node(fsm, fsm.initial, events)
+  local tr = find_from_node(fsm, fsm.initial, events, n)
   if not tr then return false end
-  local n = note_and_trace(fsm, tr)
+  local segments = note_and_trace(fsm, tr)
   enter_one(fsm, fsm)
-  take_path(fsm, fsm._path, n, events)
+  take_path(fsm, fsm._path, segments, events)
   return true
 end
 
@@ -1303,7 +1359,7 @@ local function coroutine_of(doo)
 end
 
 local function trace_doo(fsm, leaf, outcome)
-  if is_traced(fsm) then report(fsm, "dbg", "DOO", leaf._fqn, outcome) end
+  if fsm.dbg ~= silent then trace(fsm, "DOO", leaf._fqn, outcome) end
 end
 
 local function fail_doo(fsm, leaf, failure)
@@ -1341,6 +1397,10 @@ end
 
 -- Iterate ........................................................................
 
+local function start_queue(fsm)
+  fsm._intq, fsm._queued = { "e_init_fsm" }, 1
+end
+
 local function reset_now(fsm)
   local state = fsm
   while state do
@@ -1349,16 +1409,8 @@ local function reset_now(fsm)
     state = child
   end
   fsm._act_leaf, fsm._reset_wanted = false, false
-  fsm._intq = { "e_init_fsm" }
+  start_queue(fsm)
   run_hooks(fsm, fsm._reset_hooks, nil, nil)
-end
-
--- Takes the queue and asks getevents; returns the events of this iteration.
-local function collect_events(fsm)
-  local events = fsm._intq
-  fsm._intq, fsm._curq = {}, events
-  poll(fsm, events)
-  return events
 end
 
 local function copy_list(list)
@@ -1367,50 +1419,80 @@ local function copy_list(list)
   return copy
 end
 
+-- The queue becomes the events of this iteration, the spare table the new queue.
+local function take_queue(fsm)
+  local events, n = fsm._intq, fsm._queued
+  fsm._intq, fsm._queued, fsm._curq = fsm._spare, 0, events
+  return events, n
+end
+
+-- The events table becomes the spare, emptied; one that a user's function has seen, and
+-- may have kept, is left to it.
+local function give_back(fsm, events, n)
+  if fsm._is_kept then
+    fsm._spare, fsm._is_kept = {}, false
+  else
+    for i = n, 1, -1 do events[i] = nil end
+    fsm._spare = events
+  end
+end
+
 -- No way in: the queue becomes again what it was, and what came meanwhile follows.
 local function refuse_entry(fsm, collected, events)
   local sent = fsm._intq
-  for i = 1, #sent do collected[#collected + 1] = sent[i] end
-  fsm._intq, fsm._curq = collected, {}
+  for i = 1, fsm._queued do collected[#collected + 1] = sent[i] end
+  fsm._intq, fsm._queued, fsm._curq, fsm._spare = collected, #collected, {}, {}
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
+  if fsm._reset_wanted then reset_now(fsm) end
 end
 
-local function end_iteration(fsm, events)
-  if fsm._reset_wanted then reset_now(fsm) end
-  run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
+-- The first iteration: nil when there is no way in, else true: it counts.
+local function iterate_first(fsm, events, collected)
+  if not enter_machine(fsm, events, #events) then
+    refuse_entry(fsm, collected, events)
+    return nil
+  end
+  return true
+end
+
+local function run_pre_hooks(fsm, events)
+  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+  return #events
 end
 
 local function hibernate(fsm)
-  if is_traced(fsm) then
-    report(fsm, "dbg", "HIBERNATING", fsm._act_leaf and fsm._act_leaf._fqn)
+  if fsm.dbg ~= silent then
+    trace(fsm, "HIBERNATING", fsm._act_leaf and fsm._act_leaf._fqn)
+    raise_failure(fsm)
   end
-  raise_failure(fsm)
 end
 
 -- One iteration. Returns nil when there is no way in; else whether it counts as a step
 -- and whether the machine is idle after it. `after_free`: the one before did not count.
 local function iterate(fsm, after_free)
-  local events = collect_events(fsm)
+  local events, n = take_queue(fsm)
+  if fsm.getevents ~= no_events then n = collect(fsm, events, n) end
   local is_first = fsm._mode == "inactive"
   local collected = is_first and copy_list(events)
-  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+  if fsm._pre_hooks ~= OWN_ONLY or fsm.pre_step_hook then n = run_pre_hooks(fsm, events) end
   local counted, idle = true, false
   if is_first then
-    if not enter_machine(fsm, events) then
-      refuse_entry(fsm, collected, events)
-      if fsm._reset_wanted then reset_now(fsm) end
-      return nil
-    end
-  elseif #events == 0 then
+    counted = iterate_first(fsm, events, collected)
+    if not counted then return nil end
+  elseif n == 0 then
     idle = run_doo(fsm)
-    if idle then poll(fsm, fsm._intq) end
-  elseif not take_enabled(fsm, events) then
+    if idle and fsm.getevents ~= no_events then poll(fsm) end
+  elseif not take_enabled(fsm, events, n) then
     counted = after_free
     idle = after_free and run_doo(fsm)
   end
-  end_iteration(fsm, events)
-  return counted, idle and #fsm._intq == 0 and fsm._act_leaf ~= false
+  if fsm._reset_wanted then reset_now(fsm) end
+  if fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook then
+    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
+  end
+  give_back(fsm, events, n)
+  return counted, idle and fsm._queued == 0 and fsm._act_leaf ~= false
 end
 
 -- Iterates until `left` iterations were counted or the machine is idle.
@@ -1420,7 +1502,7 @@ local function iterate_up_to(fsm, left)
     fsm._stepping = true
     local counted, idle = iterate(fsm, after_free)
     fsm._stepping = false
-    raise_failure(fsm)
+    if fsm._has_failure then raise_failure(fsm) end
     if counted == nil then return false end
     if counted then
       left = left - 1
@@ -1481,8 +1563,11 @@ end
 local function new_machine(model)
   local fsm = setmetatable({
     _id = "root", _fqn = "root", _mode = "inactive", _actchild = false, _doo_co = false,
-    _entry_hooks = false, _exit_hooks = false,
-    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
+    _entry_hooks = false, _exit_hooks = false, _sources = false,
+    entry = false, exit = false, doo = false,
+    _act_leaf = false, _intq = { "e_init_fsm" }, _queued = 1, _curq = {}, _spare = {},
+    _is_kept = false, _initialized = false, idle_hook = false, pre_step_hook = false,
+    post_step_hook = false,
     _model = model, _nodes = false, _transitions = false, _stepping = false,
     _reset_wanted = false, _has_failure = false, _pre_hooks = OWN_ONLY,
     _post_hooks = OWN_ONLY, _reset_hooks = {}, _search = 0, _lists = {}, _path = {},
@@ -1500,7 +1585,7 @@ local function build_machine(model)
   add_mount(build, model, fsm)
   clone_below(build, 1)
   resolve(build)
-  check_root(build, fsm)
+  check_root(build, fsm, model)
   return build
 end
 
@@ -1710,9 +1795,9 @@ end
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
   check_machine(fsm, "check_events")
-  poll(fsm, fsm._intq)
+  poll(fsm)
   if not fsm._stepping then raise_failure(fsm) end
-  return #fsm._intq
+  return fsm._queued
 end
 
 --- Return the name of the active leaf.
@@ -1832,7 +1917,7 @@ function rfsm.node_find_enabled(fsm, node, events)
     error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
   end
   fsm._search = fsm._search + 1
-  local tr = #events > 0 and find_from_node(fsm, node, events)
+  local tr = find_from_node(fsm, node, events, #events)
   if not fsm._stepping then raise_failure(fsm) end
   if not tr then return false end
   local path = {}
@@ -1885,7 +1970,7 @@ local function hook_rm(fsm, field, slot, hook)
   if is_found then
     fsm[field] = hooks
   elseif slot and hook ~= nil and fsm[slot] == hook then
-    fsm[slot], is_found = nil, true
+    fsm[slot], is_found = false, true
   end
   return is_found
 end
@@ -1972,7 +2057,7 @@ local function attach(build, parent, obj, id)
     parent[key] = clone_transition(build, obj, parent, key)
     return parent[key], key
   end
-  if parent._is_leaf and parent.doo ~= nil then
+  if parent._is_leaf and parent.doo then
     add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
   end
   parent[id] = clone_node(build, obj, parent, id)
