@@ -476,7 +476,9 @@ local function check_root(build, fsm, model)
   for i = 1, 4 do
     check_callable(build, "root", model, ROOT_FIELDS[i])
     local name = PRINTERS[i]
-    if type(model[name]) ~= "boolean" then check_callable(build, "root", model, name) end
+    if type(model[name]) ~= "boolean" then
+      check_callable(build, "root", model, name)
+    end
   end
   if has_nodes(fsm) and rawget(fsm, "initial") == nil then
     add(build.problems, "root", "the root needs an initial transition "
@@ -869,6 +871,7 @@ local function compile_transition(tr)
   tr._to_connector = is_conn(tr.tgt)
   tr._is_open_to_all = events == nil or #events == 0
   tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
+  tr._is_simple = not tr._has_predicate and not tr._to_connector
 end
 
 -- Adds `tr` to the list of each event that may trigger it.
@@ -1185,6 +1188,17 @@ local function find_in_lists(fsm, node, events, n)
   end
 end
 
+-- Returns the first enabled transition of a candidate list.
+local function find_in_list(fsm, list, events)
+  for i = 1, #list do
+    local tr = list[i]
+    if tr._is_simple and not tr.guard and fsm.dbg == silent
+      or is_candidate_enabled(fsm, tr, events) then
+      return tr
+    end
+  end
+end
+
 -- Returns the first transition from `node` that is enabled, or nil. Most often one list
 -- is all there is: other events of the step, such as an `e_done@F`, lead nowhere here.
 local function find_from_node(fsm, node, events, n)
@@ -1198,15 +1212,11 @@ local function find_from_node(fsm, node, events, n)
       list = found
     end
   end
-  if not list then return nil end
-  for i = 1, #list do
-    if is_candidate_enabled(fsm, list[i], events) then return list[i] end
-  end
+  return list and find_in_list(fsm, list, events)
 end
 
-local function start_search(fsm, events)
-  fsm._search = fsm._search + 1
-  if fsm.dbg ~= silent then trace(fsm, "TRANSITION", "events: " .. list_text(events)) end
+local function trace_search(fsm, events)
+  trace(fsm, "TRANSITION", "events: " .. list_text(events))
 end
 
 -- The states from the root to `leaf` that have transitions of their own.
@@ -1228,7 +1238,8 @@ end
 
 -- From the root down to the active leaf; an outer transition wins.
 local function find_transition(fsm, events, n)
-  start_search(fsm, events)
+  fsm._search = fsm._search + 1
+  if fsm.dbg ~= silent then trace_search(fsm, events) end
   local leaf = fsm._act_leaf
   local sources = leaf._sources or sources_of(leaf)
   for i = 1, #sources do
@@ -1239,17 +1250,10 @@ end
 
 -- Take: exit, effect, entry ......................................................
 
-local function exit_one(fsm, state)
-  state._mode = "inactive"
-  local exit = state.exit
-  if exit then
-    local ok, failure = pcall(exit, fsm, state, "exit")
-    if not ok then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
-  end
+-- What follows when the exit of `state` has run.
+local function finish_exit(fsm, state)
   if state._exit_hooks then run_state_hooks(fsm, state, state._exit_hooks) end
-  state._actchild, state._doo_co = false, false
-  state._parent._actchild = false
-  if fsm._act_leaf == state then fsm._act_leaf = false end
+  state._parent._actchild, state._doo_co, fsm._act_leaf = false, false, false
   if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
 end
 
@@ -1259,15 +1263,8 @@ local function complete(fsm, leaf)
   post(fsm, leaf._done_event)
 end
 
-local function enter_one(fsm, state)
-  state._mode = "active"
-  if state ~= fsm then state._parent._actchild = state end
-  if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
-  local entry = state.entry
-  if entry then
-    local ok, failure = pcall(entry, fsm, state, "entry")
-    if not ok then report_program(fsm, "ENTRY", "entry", state._fqn, failure) end
-  end
+-- What follows when the entry of `state` has run.
+local function finish_entry(fsm, state)
   if state._is_leaf then
     fsm._act_leaf = state
     if not state.doo then complete(fsm, state) end
@@ -1275,30 +1272,110 @@ local function enter_one(fsm, state)
   if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
 end
 
-local function run_effect(fsm, tr, events)
-  local effect = tr.effect
-  if not effect then return end
-  fsm._is_kept = true
-  local ok, failure = pcall(effect, fsm, tr, "effect", events)
-  if not ok then report_program(fsm, "EFFECT", "effect", tostring(tr), failure) end
+local function trace_effect(fsm, tr)
+  trace(fsm, "EFFECT", tostring(tr))
+  trace(fsm, "TRANS_ENTER", tostring(tr))
 end
 
--- One segment: from the innermost active state up to the lca, down to the target.
+-- Exits from `state` up to the lca of `tr`.
+local function exit_up(fsm, tr, state)
+  local lca = tr._lca
+  while state ~= lca do
+    fsm._at, state._mode = state, "inactive"
+    local exit = state.exit
+    if exit then exit(fsm, state, "exit") end
+    if state._exit_hooks or fsm.dbg ~= silent then
+      finish_exit(fsm, state)
+    else -- the same without a call
+      state._parent._actchild, state._doo_co, fsm._act_leaf = false, false, false
+    end
+    state = state._parent
+  end
+end
+
+-- Enters the states of `tr`, beginning with number `first`.
+local function enter_down(fsm, tr, first)
+  local entries = tr._entries
+  for i = first, #entries do
+    local state = entries[i]
+    fsm._at, state._mode, state._parent._actchild = i, "active", state
+    if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
+    local entry = state.entry
+    if entry then entry(fsm, state, "entry") end
+    if state._is_leaf or fsm.dbg ~= silent then finish_entry(fsm, state) end
+  end
+end
+
+-- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
+-- stands for all of it, 1 for all of (c). It runs in a protected call, and fsm._at says
+-- what is running: a state that is left, the transition, the number of an entry. What
+-- follows a program (finish_exit, finish_entry) does not raise.
+local function run_segment(fsm, tr, events, state, first)
+  if first == 0 then
+    exit_up(fsm, tr, state)
+    local effect = tr.effect
+    if effect then
+      fsm._at, fsm._is_kept = tr, true
+      effect(fsm, tr, "effect", events)
+    end
+    first = 1
+  end
+  if first == 1 and fsm.dbg ~= silent then trace_effect(fsm, tr) end
+  enter_down(fsm, tr, first)
+end
+
+-- A program of the segment failed: reports it, finishes what it belongs to, and returns
+-- where to go on.
+local function recover(fsm, tr, failure)
+  local at = fsm._at
+  if at == tr then
+    report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
+    return nil, 1
+  end
+  if type(at) == "number" then
+    local state = tr._entries[at]
+    report_program(fsm, "ENTRY", "entry", state._fqn, failure)
+    finish_entry(fsm, state)
+    return nil, at + 1
+  end
+  report_program(fsm, "EXIT", "exit", at._fqn, failure)
+  finish_exit(fsm, at)
+  return at._parent, 0
+end
+
+-- One segment: from the innermost active state up to the lca, down to the target. One
+-- protected call is enough where nothing fails.
 local function take_segment(fsm, tr, events)
   if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
-  local state, lca = fsm._act_leaf or tr.src._parent, tr._lca
-  while state ~= lca do
-    local parent = state._parent
-    exit_one(fsm, state)
-    state = parent
+  local innermost = fsm._act_leaf or tr.src._parent
+  local ok, failure = pcall(run_segment, fsm, tr, events, innermost, 0)
+  while not ok do
+    local state, first = recover(fsm, tr, failure)
+    ok, failure = pcall(run_segment, fsm, tr, events, state, first)
   end
-  run_effect(fsm, tr, events)
-  if fsm.dbg ~= silent then
-    trace(fsm, "EFFECT", tostring(tr))
-    trace(fsm, "TRANS_ENTER", tostring(tr))
+end
+
+-- Exits one state outside of a transition.
+local function exit_one(fsm, state)
+  state._mode = "inactive"
+  local exit = state.exit
+  if exit then
+    local ok, failure = pcall(exit, fsm, state, "exit")
+    if not ok then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
   end
-  local entries = tr._entries
-  for i = 1, #entries do enter_one(fsm, entries[i]) end
+  finish_exit(fsm, state)
+end
+
+-- Enters the root.
+local function enter_root(fsm)
+  fsm._mode = "active"
+  if fsm._entry_hooks then run_state_hooks(fsm, fsm, fsm._entry_hooks) end
+  local entry = fsm.entry
+  if entry then
+    local ok, failure = pcall(entry, fsm, fsm, "entry")
+    if not ok then report_program(fsm, "ENTRY", "entry", fsm._fqn, failure) end
+  end
+  finish_entry(fsm, fsm)
 end
 
 local function path_text(path, n)
@@ -1328,24 +1405,23 @@ local function note_and_trace(fsm, tr)
   return n
 end
 
-local function take_enabled(fsm, events, n)
-  local tr = find_transition(fsm, events, n)
-  if not tr then return false end
+local function take(fsm, tr, events)
+  if tr._is_simple and fsm.dbg == silent then return take_segment(fsm, tr, events) end
   take_path(fsm, fsm._path, note_and_trace(fsm, tr), events)
-  return true
 end
 
 -- First entry: the root, then the path from its `initial`; false when none is enabled.
 local function enter_machine(fsm, events, n)
   if fsm._is_leaf then
-    enter_one(fsm, fsm)
+    enter_root(fsm)
     return true
   end
-  start_search(fsm, events)
+  fsm._search = fsm._search + 1
+  if fsm.dbg ~= silent then trace_search(fsm, events) end
   local tr = find_from_node(fsm, fsm.initial, events, n)
   if not tr then return false end
   local segments = note_and_trace(fsm, tr)
-  enter_one(fsm, fsm)
+  enter_root(fsm)
   take_path(fsm, fsm._path, segments, events)
   return true
 end
@@ -1419,24 +1495,6 @@ local function copy_list(list)
   return copy
 end
 
--- The queue becomes the events of this iteration, the spare table the new queue.
-local function take_queue(fsm)
-  local events, n = fsm._intq, fsm._queued
-  fsm._intq, fsm._queued, fsm._curq = fsm._spare, 0, events
-  return events, n
-end
-
--- The events table becomes the spare, emptied; one that a user's function has seen, and
--- may have kept, is left to it.
-local function give_back(fsm, events, n)
-  if fsm._is_kept then
-    fsm._spare, fsm._is_kept = {}, false
-  else
-    for i = n, 1, -1 do events[i] = nil end
-    fsm._spare = events
-  end
-end
-
 -- No way in: the queue becomes again what it was, and what came meanwhile follows.
 local function refuse_entry(fsm, collected, events)
   local sent = fsm._intq
@@ -1447,18 +1505,47 @@ local function refuse_entry(fsm, collected, events)
   if fsm._reset_wanted then reset_now(fsm) end
 end
 
--- The first iteration: nil when there is no way in, else true: it counts.
-local function iterate_first(fsm, events, collected)
-  if not enter_machine(fsm, events, #events) then
-    refuse_entry(fsm, collected, events)
-    return nil
+-- The events table becomes the spare for the queue, emptied; one that a user's function
+-- has seen, and may have kept, is left to it.
+local function give_back(fsm, events, n)
+  if fsm._is_kept then
+    fsm._spare, fsm._is_kept = {}, false
+  else
+    for i = n, 1, -1 do events[i] = nil end
+    fsm._spare = events
   end
-  return true
+end
+
+local function end_iteration(fsm, events, n)
+  if fsm._reset_wanted then reset_now(fsm) end
+  if fsm._is_hooked or fsm.post_step_hook then
+    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
+  end
+  give_back(fsm, events, n)
 end
 
 local function run_pre_hooks(fsm, events)
   run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
   return #events
+end
+
+-- The first iteration: nil when there is no way in, else true: it counts.
+local function iterate_first(fsm, events, n)
+  local collected = copy_list(events)
+  if fsm._is_hooked or fsm.pre_step_hook then n = run_pre_hooks(fsm, events) end
+  if not enter_machine(fsm, events, n) then
+    refuse_entry(fsm, collected, events)
+    return nil
+  end
+  end_iteration(fsm, events, n)
+  return true, false
+end
+
+-- An iteration without a transition: a doo cycle. Returns whether it is idle.
+local function iterate_idly(fsm, is_eventless)
+  local idle = run_doo(fsm)
+  if idle and is_eventless and fsm.getevents ~= no_events then poll(fsm) end
+  return idle
 end
 
 local function hibernate(fsm)
@@ -1471,27 +1558,20 @@ end
 -- One iteration. Returns nil when there is no way in; else whether it counts as a step
 -- and whether the machine is idle after it. `after_free`: the one before did not count.
 local function iterate(fsm, after_free)
-  local events, n = take_queue(fsm)
+  local events, n = fsm._intq, fsm._queued
+  fsm._intq, fsm._queued, fsm._curq = fsm._spare, 0, events
   if fsm.getevents ~= no_events then n = collect(fsm, events, n) end
-  local is_first = fsm._mode == "inactive"
-  local collected = is_first and copy_list(events)
-  if fsm._pre_hooks ~= OWN_ONLY or fsm.pre_step_hook then n = run_pre_hooks(fsm, events) end
+  if not fsm._act_leaf then return iterate_first(fsm, events, n) end
+  if fsm._is_hooked or fsm.pre_step_hook then n = run_pre_hooks(fsm, events) end
+  local tr = n > 0 and find_transition(fsm, events, n)
   local counted, idle = true, false
-  if is_first then
-    counted = iterate_first(fsm, events, collected)
-    if not counted then return nil end
-  elseif n == 0 then
-    idle = run_doo(fsm)
-    if idle and fsm.getevents ~= no_events then poll(fsm) end
-  elseif not take_enabled(fsm, events, n) then
-    counted = after_free
-    idle = after_free and run_doo(fsm)
+  if tr then
+    take(fsm, tr, events)
+  else
+    counted = n == 0 or after_free
+    if counted then idle = iterate_idly(fsm, n == 0) end
   end
-  if fsm._reset_wanted then reset_now(fsm) end
-  if fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook then
-    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
-  end
-  give_back(fsm, events, n)
+  end_iteration(fsm, events, n)
   return counted, idle and fsm._queued == 0 and fsm._act_leaf ~= false
 end
 
@@ -1562,15 +1642,19 @@ end
 -- The root of a machine with all that a run needs, still without members.
 local function new_machine(model)
   local fsm = setmetatable({
+    -- what every state has
     _id = "root", _fqn = "root", _mode = "inactive", _actchild = false, _doo_co = false,
     _entry_hooks = false, _exit_hooks = false, _sources = false,
     entry = false, exit = false, doo = false,
+    -- fields of the model that may be absent
+    idle_hook = false, pre_step_hook = false, post_step_hook = false,
+    -- the run
     _act_leaf = false, _intq = { "e_init_fsm" }, _queued = 1, _curq = {}, _spare = {},
-    _is_kept = false, _initialized = false, idle_hook = false, pre_step_hook = false,
-    post_step_hook = false,
-    _model = model, _nodes = false, _transitions = false, _stepping = false,
+    _is_kept = false, _is_hooked = false, _at = false, _stepping = false,
     _reset_wanted = false, _has_failure = false, _pre_hooks = OWN_ONLY,
     _post_hooks = OWN_ONLY, _reset_hooks = {}, _search = 0, _lists = {}, _path = {},
+    -- the structure
+    _initialized = false, _model = model, _nodes = false, _transitions = false,
   }, State)
   fsm._parent = fsm
   return fsm
@@ -1955,7 +2039,7 @@ local function hook_add(fsm, field, hook, place)
   else
     hooks[#hooks + 1] = hook
   end
-  fsm[field] = hooks
+  fsm[field], fsm._is_hooked = hooks, true
 end
 
 local function hook_rm(fsm, field, slot, hook)
