@@ -12,9 +12,12 @@ run() { # run LUA: specs to a file of their own
   echo $? >"$logs/$1.status"
 }
 
-running=0
 for lua in "$@"; do
   command -v "$lua" >/dev/null 2>&1 || { echo "$lua: not installed" >&2; exit 1; }
+done
+
+running=0
+for lua in "$@"; do
   run "$lua" &
   running=$((running + 1))
   [ $((running % 2)) = 0 ] && wait
