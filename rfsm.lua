@@ -13,7 +13,7 @@
 -- @license BSD-3-Clause
 
 local error, getmetatable, ipairs, loadfile = error, getmetatable, ipairs, loadfile
-local pairs, pcall, print, rawget, rawset = pairs, pcall, print, rawget, rawset
+local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
 local require, select, setmetatable, tostring = require, select, setmetatable, tostring
 local type = type
 local floor, huge, min = math.floor, math.huge, math.min
@@ -936,12 +936,17 @@ local function silent() end
 
 local function no_events() end
 
--- Prints any values, tab separated, to stdout (or stderr).
+-- Prints any values, tab separated, to stderr where there is one, or with the `print` of
+-- the moment.
 local function print_line(stream, ...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
   local line, io = concat(texts, "\t"), rawget(_G, "io")
-  if stream and io and io[stream] then io[stream]:write(line, "\n") else print(line) end
+  if stream and io and io[stream] then
+    io[stream]:write(line, "\n")
+  else
+    rawget(_G, "print")(line)
+  end
 end
 
 local function to_stdout(...) print_line(nil, ...) end
