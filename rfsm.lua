@@ -936,8 +936,8 @@ local function silent() end
 
 local function no_events() end
 
--- Prints any values, tab separated, to stderr where there is one, or with the `print` of
--- the moment.
+-- Prints any values, tab separated: to stderr where there is one, or with the `print`
+-- of the moment.
 local function print_line(stream, ...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end

@@ -24,7 +24,8 @@ local function lines(list) return table.concat(list, " ") end
 describe("FIX predicates:", function()
   local PREDICATES = {
     "is_fsmobj", "is_state", "is_trans", "is_conn", "is_node", "is_composite",
-    "is_leaf", "is_root", "is_initialized_root", "is_nr_node", "is_meta", "fsmobj_tochar",
+    "is_leaf", "is_root", "is_initialized_root", "is_nr_node", "is_meta",
+    "fsmobj_tochar",
   }
 
   it("any value at all may be asked about", function()

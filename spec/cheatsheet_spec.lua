@@ -1,0 +1,97 @@
+-- The code of the cheatsheet, as it stands there, its slips mended: missing commas, names
+-- swapped in `local state, trans, conn`, `entry` written twice, an `end` out of place. It
+-- uses the global `rfsm`, as charts in the wild do.
+
+local helper = require "spec.helper"
+
+require "rfsm"
+
+-- Runs a block of the cheatsheet with these globals besides the usual ones.
+local function run_block(text, globals)
+  local env = setmetatable(globals or {}, { __index = _G })
+  local setfenv = rawget(_G, "setfenv")
+  if not setfenv then return assert(load(text, "=cheatsheet", "t", env))() end
+  return setfenv(assert(loadstring(text, "=cheatsheet")), env)() -- luacheck: ignore 113
+end
+
+-- Notes which of the functions that a block leaves to the reader were called.
+local function noting(...)
+  local trace, globals = {}, {}
+  for _, name in ipairs({ ... }) do
+    globals[name] = function() trace[#trace + 1] = name end
+  end
+  return globals, trace
+end
+
+describe("the cheatsheet's block on", function()
+  local global_rfsm = rawget(_G, "rfsm") or require "rfsm"
+
+  it("models returns the toplevel state", function()
+    local model = run_block [[
+return rfsm.state {
+}
+]]
+    assert.is_true(global_rfsm.is_state(model))
+  end)
+
+  it("states runs entry and exit", function()
+    local globals, trace = noting("do_this", "do_that")
+    local model = run_block([[
+return rfsm.state {
+  s = rfsm.state {
+    entry=function() do_this() end,
+    exit=function() do_that() end,
+
+    substate1=rfsm.state{},
+    rfsm.transition{ src='initial', tgt='substate1' },
+  },
+  rest = rfsm.state{},
+  rfsm.trans{ src='initial', tgt='s' },
+  rfsm.trans{ src='s', tgt='rest', events={ 'e' } },
+}
+]], globals)
+    local fsm = helper.init(model)
+    global_rfsm.run(fsm)
+    helper.post_and_run(fsm, "e")
+    assert.same({ "do_this", "do_that" }, trace)
+  end)
+
+  it("transitions takes each of its events", function()
+    for _, event in ipairs({ "e_1", "e_2" }) do
+      local fsm = helper.init(run_block [[
+return rfsm.state {
+  stateX=rfsm.state{}, stateY=rfsm.state{},
+  rfsm.trans{ src='initial', tgt='stateX' }, -- short form
+rfsm.transition{ src='stateX', tgt='stateY',
+    events={"e_1", "e_2"} },
+}
+]])
+      global_rfsm.run(fsm)
+      helper.post_and_run(fsm, event)
+      assert.equal("root.stateY", global_rfsm.get_actleaf_fqn(fsm))
+    end
+  end)
+
+  it("connectors has a long and a short form", function()
+    assert.is_true(global_rfsm.is_conn(run_block "return rfsm.connector{ }"))
+    assert.is_true(global_rfsm.is_conn(run_block "return rfsm.conn{} -- short form"))
+  end)
+
+  it("loading and advancing drives a machine", function()
+    local globals = { filename = "examples/hello_world.lua", N = 2 }
+    globals.event1, globals.event2 = "e_restart", "e_other"
+    local lines = helper.printed(function()
+      run_block([[
+model=rfsm.load(filename)
+model.info = false
+fsm = rfsm.init(model)
+rfsm.step(fsm)
+rfsm.step(fsm, N)
+rfsm.run(fsm)
+rfsm.send_events(fsm, event1, event2)
+]], globals)
+    end)
+    assert.same({ "hello", "world" }, lines)
+    assert.same({ "e_restart", "e_other" }, globals.fsm._intq)
+  end)
+end)
