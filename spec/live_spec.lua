@@ -1,0 +1,207 @@
+-- What tools may replace on a live machine; and the hooks, trace and calls from inside.
+
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+
+local state, trans = rfsm.state, rfsm.trans
+
+-- initial -> a --e--> b --e--> a
+local function started(fields)
+  local model = fields or {}
+  model.a, model.b = model.a or state {}, state {}
+  model[1] = trans { src = "initial", tgt = "a" }
+  model[2] = trans { src = "a", tgt = "b", events = "e" }
+  model[3] = trans { src = "b", tgt = "a", events = "e" }
+  local fsm = helper.init(state(model))
+  rfsm.run(fsm)
+  return fsm
+end
+
+local function noting(trace, text) return function() trace[#trace + 1] = text end end
+
+describe("a live machine", function()
+  it("runs a new entry, exit, effect and guard at the next use", function()
+    local trace, fsm = {}, started()
+    fsm.a.exit, fsm.b.entry = noting(trace, "exit"), noting(trace, "entry")
+    fsm[2].effect, fsm[2].guard = noting(trace, "effect"), noting(trace, "guard")
+    helper.post_and_run(fsm, "e")
+    assert.same({ "guard", "exit", "effect", "entry" }, trace)
+  end)
+
+  it("runs a new doo at the next entry", function()
+    local trace, fsm = {}, started()
+    fsm.b.doo = noting(trace, "doo")
+    helper.post_and_run(fsm, "e")
+    assert.same({ "doo" }, trace)
+  end)
+
+  it("completes a leaf whose doo is taken away before it started", function()
+    local fsm = started { a = state { doo = function() rfsm.yield() end } }
+    helper.post_and_run(fsm, "e")
+    rfsm.send_events(fsm, "e")
+    rfsm.step(fsm)
+    fsm.a.doo = nil
+    rfsm.step(fsm, 2)
+    assert.equal("done", rfsm.get_sta_mode(fsm.a))
+  end)
+
+  it("asks a new getevents", function()
+    local fsm, asked = started(), 0
+    fsm.getevents = function()
+      asked = asked + 1
+      return asked == 1 and { "e" } or {}
+    end
+    rfsm.run(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("traces from when dbg is set until it is taken away", function()
+    local ids, fsm = {}, started()
+    fsm.dbg = function(id) ids[#ids + 1] = id end
+    rfsm.send_events(fsm, "e_other")
+    fsm.dbg = nil
+    helper.post_and_run(fsm, "e")
+    assert.same({ "RAISED" }, ids)
+  end)
+
+  it("has printers that can be called, whatever the model said", function()
+    local fsm = started()
+    for _, name in ipairs({ "dbg", "info", "warn", "err", "getevents" }) do
+      assert.is_function(fsm[name])
+    end
+  end)
+end)
+
+describe("the trace", function()
+  it("has its records in order", function()
+    local records = {}
+    local fsm = started()
+    fsm.dbg = function(...) records[#records + 1] = table.concat({ ... }, " ") end
+    helper.post_and_run(fsm, "e")
+    local tr = "T={ src='root.a', tgt='root.b', events='e' }"
+    assert.same({
+      "RAISED e", "TRANSITION events: e", "CHECKING " .. tr,
+      "EXEC_PATH root.a -> root.b", "TRANS_EXIT " .. tr, "STATE_EXIT root.a",
+      "EFFECT " .. tr, "TRANS_ENTER " .. tr, "RAISED e_done@root.b",
+      "STATE_ENTER root.b", "TRANSITION events: e_done@root.b", "HIBERNATING root.b",
+    }, records)
+  end)
+
+  it("tells of each doo cycle", function()
+    local records = {}
+    local fsm = started { a = state { doo = function() rfsm.yield() end } }
+    fsm.dbg = function(...) records[#records + 1] = table.concat({ ... }, " ") end
+    rfsm.reset(fsm)
+    rfsm.run(fsm)
+    local doos = {}
+    for _, record in ipairs(records) do
+      if record:find("^DOO") then doos[#doos + 1] = record end
+    end
+    assert.same({ "DOO root.a active", "DOO root.a done" }, doos)
+  end)
+end)
+
+describe("a step hook", function()
+  it("sees the events and may change them", function()
+    local fsm = started()
+    rfsm.pre_step_hook_add(fsm, function(_, events) events[1] = "e" end)
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("runs before or after those that are there", function()
+    local trace, fsm = {}, started()
+    fsm.pre_step_hook = noting(trace, "own")
+    rfsm.pre_step_hook_add(fsm, noting(trace, "last"))
+    rfsm.pre_step_hook_add(fsm, noting(trace, "first"), "before")
+    rfsm.step(fsm)
+    assert.same({ "first", "own", "last" }, trace)
+  end)
+
+  it("can be taken out again", function()
+    local trace, fsm = {}, started()
+    local hook = noting(trace, "hook")
+    rfsm.post_step_hook_add(fsm, hook)
+    assert.is_true(rfsm.post_step_hook_rm(fsm, hook))
+    assert.is_false(rfsm.post_step_hook_rm(fsm, hook))
+    rfsm.step(fsm)
+    assert.same({}, trace)
+  end)
+
+  it("that takes itself out does not disturb the others", function()
+    local trace, fsm = {}, started()
+    local function once()
+      trace[#trace + 1] = "once"
+      rfsm.pre_step_hook_rm(fsm, once)
+    end
+    rfsm.pre_step_hook_add(fsm, once)
+    rfsm.pre_step_hook_add(fsm, noting(trace, "other"))
+    rfsm.step(fsm)
+    rfsm.step(fsm)
+    assert.same({ "once", "other", "other" }, trace)
+  end)
+end)
+
+describe("an entry hook", function()
+  it("runs before the entry and survives a new one", function()
+    local trace, fsm = {}, started()
+    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "hook"))
+    rfsm.exit_hook_add(fsm, fsm.b, noting(trace, "exit hook"))
+    fsm.b.entry, fsm.b.exit = noting(trace, "entry"), noting(trace, "exit")
+    helper.post_and_run(fsm, "e")
+    helper.post_and_run(fsm, "e")
+    assert.same({ "hook", "entry", "exit", "exit hook" }, trace)
+  end)
+end)
+
+describe("a call from inside", function()
+  it("to step is an error of the program that made it", function()
+    local said = {}
+    local fsm = started()
+    fsm.err = function(...) said[#said + 1] = table.concat({ ... }, " ") end
+    fsm.b.entry = function(machine) rfsm.step(machine) end
+    helper.post_and_run(fsm, "e")
+    assert.equal(1, #said)
+    assert.matches("live_spec.lua:%d+: rfsm.step: the machine is in the middle of a "
+      .. "step", said[1])
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("to reset takes effect when the iteration is over", function()
+    local fsm = started()
+    local seen
+    fsm.b.entry = function(machine)
+      rfsm.reset(machine)
+      seen = rfsm.get_active_conf(machine)
+    end
+    rfsm.send_events(fsm, "e")
+    assert.is_false(rfsm.step(fsm))
+    assert.same({ "root", "root.b" }, seen)
+    assert.same({}, rfsm.get_active_conf(fsm))
+    assert.same({ "e_init_fsm" }, fsm._intq)
+  end)
+
+  it("to send_events counts in the next iteration", function()
+    local fsm = started()
+    fsm.b.entry = function(machine) rfsm.send_events(machine, "e") end
+    rfsm.send_events(fsm, "e")
+    rfsm.step(fsm)
+    assert.same({ "e", "e_done@root.b" }, fsm._intq)
+    rfsm.step(fsm)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
+describe("exit_state", function()
+  it("exits what is active below, the deepest first", function()
+    local trace, fsm = helper.traced(state {
+      a = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      trans { src = "initial", tgt = "a" },
+    })
+    rfsm.run(fsm)
+    helper.clear(trace)
+    rfsm.exit_state(fsm, fsm)
+    assert.same({ "exit root.a.x", "exit root.a" }, trace)
+    assert.same({}, rfsm.get_active_conf(fsm))
+  end)
+end)
