@@ -1,5 +1,5 @@
--- The workloads of bench/run.lua. Each makes two functions of n: the core doing n events,
--- and its limit doing the same by hand. Callbacks only count.
+-- The workloads of bench/run.lua. Each makes two functions of n: the core doing n
+-- events, and its limit doing the same by hand. Callbacks only count.
 
 local workloads = {}
 
@@ -14,7 +14,9 @@ local function no()
   return false
 end
 
-local function add(name, make) workloads[#workloads + 1] = { name = name, make = make } end
+local function add(name, make)
+  workloads[#workloads + 1] = { name = name, make = make }
+end
 
 local function silent(fields)
   fields.info, fields.warn = false, false
@@ -223,8 +225,8 @@ for _, size in ipairs({ 20, 1000, 10000 }) do
     add(("W6 %s %d"):format(shape, size), function(rfsm)
       local model = big_model(rfsm, size, shape)
       local init = rfsm.init
-      return function(n) for _ = 1, math.min(n, 20) do init(model) end end,
-        function(n) for _ = 1, math.min(n, 20) do deep_copy(model) end end
+      return function(n) for _ = 1, n do init(model) end end,
+        function(n) for _ = 1, n do deep_copy(model) end end
     end)
   end
 end

@@ -1,6 +1,6 @@
--- The code of the cheatsheet, as it stands there, its slips mended: missing commas, names
--- swapped in `local state, trans, conn`, `entry` written twice, an `end` out of place. It
--- uses the global `rfsm`, as charts in the wild do.
+-- The code of the cheatsheet, as it stands there, its slips mended: missing commas,
+-- names swapped in `local state, trans, conn`, `entry` written twice, an `end` out of
+-- place. It uses the global `rfsm`, as charts in the wild do.
 
 local helper = require "spec.helper"
 
