@@ -18,6 +18,12 @@ build = {
   modules = {
     ["rfsm"] = "rfsm.lua",
     ["rfsm_sim"] = "rfsm_sim.lua",
+    ["rfsm_timeevent"] = "rfsm_timeevent.lua",
+    ["rfsm.timeevent"] = "rfsm/timeevent.lua",
   },
-  install = { bin = { ["rfsm-sim"] = "tools/rfsm-sim" } },
+  install = {
+    bin = {
+      ["rfsm-sim"] = "tools/rfsm-sim",
+    },
+  },
 }
