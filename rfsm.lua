@@ -1621,15 +1621,19 @@ local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
--- Turns { place, text } into sorted lines.
+-- Sorts texts so that numbers in them count as numbers.
+local function sort_naturally(texts)
+  local keys = {}
+  for i = 1, #texts do keys[texts[i]] = natural(texts[i]) end
+  sort(texts, function(a, b) return keys[a] < keys[b] end)
+  return texts
+end
+
+-- Turns { place, text } into lines, sorted by place.
 local function lines_of(list)
-  sort(list, function(a, b)
-    if a.place ~= b.place then return natural(a.place) < natural(b.place) end
-    return a.text < b.text
-  end)
   local lines = {}
   for i = 1, #list do lines[i] = list[i].place .. ": " .. list[i].text end
-  return lines
+  return sort_naturally(lines)
 end
 
 local function summary(name, problems)
@@ -1709,12 +1713,12 @@ local function warn_after_compile(build)
   for i = 1, #warnings do report(fsm, "warn", "WARNING: " .. warnings[i]) end
 end
 
-local function by_natural_fqn(a, b) return natural(a._fqn) < natural(b._fqn) end
-
 local function tell_created(build)
-  sort(build.created, by_natural_fqn)
-  for _, connector in ipairs(build.created) do
-    report(build.fsm, "info", "INFO: created undeclared connector " .. connector._fqn)
+  local fsm, names = build.fsm, {}
+  if fsm.info == silent then return end
+  for i, connector in ipairs(build.created) do names[i] = connector._fqn end
+  for _, name in ipairs(sort_naturally(names)) do
+    report(fsm, "info", "INFO: created undeclared connector " .. name)
   end
 end
 
@@ -1722,14 +1726,13 @@ end
 local function warn_of_dead_ends(fsm, nodes)
   local dead = {}
   for i = 1, #nodes do
-    if nodes[i] ~= fsm and not nodes[i]._otrs then dead[#dead + 1] = nodes[i] end
+    if nodes[i] ~= fsm and not nodes[i]._otrs then dead[#dead + 1] = nodes[i]._fqn end
   end
-  sort(dead, by_natural_fqn)
-  for i = 1, #dead do
-    report(fsm, "warn",
-      "WARNING: no outgoing transitions from node '" .. dead[i]._fqn .. "'")
+  if not dead[1] or fsm.warn == silent then return not dead[1] end
+  for _, name in ipairs(sort_naturally(dead)) do
+    report(fsm, "warn", "WARNING: no outgoing transitions from node '" .. name .. "'")
   end
-  return not dead[1]
+  return false
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
@@ -1750,8 +1753,7 @@ local function preprocess(fsm, merged)
       problems[#problems + 1] = found[j]
     end
   end
-  sort(problems, function(a, b) return natural(a) < natural(b) end)
-  return problems
+  return sort_naturally(problems)
 end
 
 -- Compiles, and says what deserves a word.

@@ -1,9 +1,9 @@
 -- The figures of doc/performance.md:  LUA bench/run.lua [WORKLOAD ...]
 --
--- Each workload runs in turn with its limit (A B A B ...): the same callbacks, called by
--- a hand-written table, each through pcall, with no queue, hierarchy or hooks. Printed
--- is the share of the limit's rate that the core reaches: median of the rounds, lowest
--- and highest.
+-- Each workload runs in turn with its limit (A B A B ...): the same callbacks, called
+-- by a hand-written table, each through pcall, with no queue, hierarchy or hooks.
+-- Printed is the share of the limit's rate that the core reaches: median of the rounds,
+-- lowest and highest.
 
 package.path = "./?.lua;" .. package.path
 
