@@ -999,6 +999,13 @@ local function post(fsm, event)
   if fsm.dbg ~= silent then trace(fsm, "RAISED", event) end
 end
 
+local function post_all(fsm, ...)
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    if event ~= nil then post(fsm, event) end
+  end
+end
+
 local NONE = {}
 
 -- Returns the list that getevents returns; an empty one when it fails.
@@ -1452,8 +1459,7 @@ local function fail_doo(fsm, leaf, failure)
 end
 
 -- One cycle of the active leaf's doo; true when it is idle or done.
-local function run_doo(fsm)
-  local leaf = fsm._act_leaf
+local function run_doo(fsm, leaf)
   if leaf._mode == "done" then return true end
   local co = leaf._doo_co
   if not co then
@@ -1510,23 +1516,19 @@ local function refuse_entry(fsm, collected, events)
   if fsm._reset_wanted then reset_now(fsm) end
 end
 
--- The events table becomes the spare for the queue, emptied; one that a user's function
--- has seen, and may have kept, is left to it.
-local function give_back(fsm, events, n)
+-- At last the events table becomes the spare for the queue, emptied; one that a user's
+-- function has seen, and may have kept, is left to it.
+local function end_iteration(fsm, events, n)
+  if fsm._reset_wanted then reset_now(fsm) end
+  if fsm._is_hooked or fsm.post_step_hook then
+    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
+  end
   if fsm._is_kept then
     fsm._spare, fsm._is_kept = {}, false
   else
     for i = n, 1, -1 do events[i] = nil end
     fsm._spare = events
   end
-end
-
-local function end_iteration(fsm, events, n)
-  if fsm._reset_wanted then reset_now(fsm) end
-  if fsm._is_hooked or fsm.post_step_hook then
-    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
-  end
-  give_back(fsm, events, n)
 end
 
 local function run_pre_hooks(fsm, events)
@@ -1548,16 +1550,14 @@ end
 
 -- An iteration without a transition: a doo cycle. Returns whether it is idle.
 local function iterate_idly(fsm, is_eventless)
-  local idle = run_doo(fsm)
+  local idle = run_doo(fsm, fsm._act_leaf)
   if idle and is_eventless and fsm.getevents ~= no_events then poll(fsm) end
   return idle
 end
 
 local function hibernate(fsm)
-  if fsm.dbg ~= silent then
-    trace(fsm, "HIBERNATING", fsm._act_leaf and fsm._act_leaf._fqn)
-    raise_failure(fsm)
-  end
+  trace(fsm, "HIBERNATING", fsm._act_leaf and fsm._act_leaf._fqn)
+  raise_failure(fsm)
 end
 
 -- One iteration. Returns nil when there is no way in; else whether it counts as a step
@@ -1595,7 +1595,7 @@ local function iterate_up_to(fsm, left)
     end
     after_free = not counted
     if idle then
-      hibernate(fsm)
+      if fsm.dbg ~= silent then hibernate(fsm) end
       if not fsm.idle_hook then return true end
       fsm.idle_hook(fsm)
     end
@@ -1826,14 +1826,15 @@ end
 --    rfsm.send_events(fsm, "e_start", "e_ready")
 --
 ---@param fsm rfsm.Machine
----@param ... any events; nil is skipped
-function rfsm.send_events(fsm, ...)
-  check_machine(fsm, "send_events")
-  for i = 1, select("#", ...) do
-    local event = select(i, ...)
-    if event ~= nil then post(fsm, event) end
+---@param event? any anything; nil is skipped
+---@param ... any more of them
+function rfsm.send_events(fsm, event, ...)
+  if type(fsm) ~= "table" or not fsm._initialized then
+    check_machine(fsm, "send_events")
   end
-  if not fsm._stepping then raise_failure(fsm) end
+  if event ~= nil then post(fsm, event) end
+  if select("#", ...) > 0 then post_all(fsm, ...) end
+  if fsm._has_failure and not fsm._stepping then raise_failure(fsm) end
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
@@ -1845,7 +1846,7 @@ end
 ---@param n? number at least 1, default 1
 ---@return boolean idle true when there is nothing left to do
 function rfsm.step(fsm, n)
-  check_machine(fsm, "step")
+  if type(fsm) ~= "table" or not fsm._initialized then check_machine(fsm, "step") end
   if n ~= nil and type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
