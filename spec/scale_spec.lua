@@ -1,0 +1,71 @@
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+
+local state, trans = rfsm.state, rfsm.trans
+
+-- root.s.s.s ..., `levels` deep, each composite with an initial transition.
+local function nested(levels)
+  local model = state {}
+  for _ = 1, levels do
+    model = state { s = model, trans { src = "initial", tgt = "s" } }
+  end
+  return model
+end
+
+describe("a machine", function()
+  it("nests 200 levels deep", function()
+    local trace, fsm = helper.traced(nested(200))
+    rfsm.run(fsm)
+    assert.equal(201, #rfsm.get_active_conf(fsm))
+    helper.clear(trace)
+    rfsm.exit_state(fsm, fsm)
+    assert.equal(200, #trace)
+    assert.equal("exit root" .. (".s"):rep(200), trace[1])
+  end)
+
+  it("runs 10^6 doo cycles in one call without growing", function()
+    local left = 1e6
+    local fsm = helper.init(state {
+      a = state {
+        doo = function()
+          while left > 0 do
+            left = left - 1
+            rfsm.yield()
+          end
+        end,
+      },
+      trans { src = "initial", tgt = "a" },
+    })
+    rfsm.step(fsm, 3)
+    collectgarbage()
+    collectgarbage()
+    local before = collectgarbage("count")
+    assert.is_true(rfsm.run(fsm))
+    collectgarbage()
+    collectgarbage()
+    assert.equal(0, left)
+    assert.is_true(collectgarbage("count") - before < 64)
+  end)
+
+  it("takes an event storm in one step", function()
+    local fsm = helper.init(state {
+      a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = "e_last" },
+    })
+    rfsm.run(fsm)
+    for i = 1, 100000 do rfsm.send_events(fsm, i) end
+    helper.post_and_run(fsm, "e_last")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("copies a long linked list of the user's data without recursion", function()
+    local list
+    for _ = 1, 100000 do list = { next = list } end
+    local fsm = helper.init(state { list = list })
+    local length, node = 0, fsm.list
+    while node do
+      length, node = length + 1, node.next
+    end
+    assert.equal(100000, length)
+  end)
+end)
