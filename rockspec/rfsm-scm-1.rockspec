@@ -17,8 +17,10 @@ build = {
   type = "builtin",
   modules = {
     ["rfsm"] = "rfsm.lua",
+    ["rfsm_seqand"] = "rfsm_seqand.lua",
     ["rfsm_sim"] = "rfsm_sim.lua",
     ["rfsm_timeevent"] = "rfsm_timeevent.lua",
+    ["rfsm.seqand"] = "rfsm/seqand.lua",
     ["rfsm.timeevent"] = "rfsm/timeevent.lua",
   },
   install = {
