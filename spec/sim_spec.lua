@@ -130,15 +130,15 @@ describe("a command", function()
 
   it("dbg(true) shows the main records, dbg(false) none", function()
     local out = said("dbg(true) step() dbg(false) step()")
-    assert.matches("STATE_ENTER +\troot%.hello\n", out)
+    assert.matches("STATE_ENTER%s+root%.hello\n", out)
     assert.is_nil(out:find("TRANSITION", 1, true))
     assert.is_nil(out:find("STATE_ENTER[^\n]*root.world"))
   end)
 
   it("dbg('full') shows every record", function()
     local out = said("dbg('full') step()")
-    assert.matches("TRANSITION +\tevents: e_init_fsm\n", out)
-    assert.matches("STATE_ENTER +\troot%.hello\n", out)
+    assert.matches("TRANSITION%s+events: e_init_fsm\n", out)
+    assert.matches("STATE_ENTER%s+root%.hello\n", out)
   end)
 
   it("dbg says what it expects", function()

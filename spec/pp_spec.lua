@@ -1,0 +1,125 @@
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsmpp = require "rfsmpp"
+
+local state, trans = rfsm.state, rfsm.trans
+
+-- Debian has ansicolors for some of the interpreters only.
+local has_ansicolors = pcall(require, "ansicolors")
+
+-- Escape sequences written as <31>, <0> ...
+local function visible(text)
+  return (text:gsub("\27%[(%d+)m", "<%1>"))
+end
+
+-- What a dbg function with its own print function makes of records.
+local function printed(ids, defshow, ...)
+  local lines = {}
+  local dbg = rfsmpp.gen_dbgcolor("arm", ids, defshow, function(line)
+    lines[#lines + 1] = visible(line)
+  end)
+  for _, record in ipairs({ ... }) do dbg(record, "root.a") end
+  return lines
+end
+
+-- initial -> a{ x } , b
+local function machine()
+  return helper.init(state {
+    a = state { x = state {}, trans { src = "initial", tgt = "x" } },
+    b = state { doo = function() rfsm.yield(true) end },
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = "e" },
+  })
+end
+
+describe("gen_dbgcolor", function()
+  it("prints the name, the id in its colour and the arguments", function()
+    local expected = {
+      "<36><1>arm<0>:\t<32>STATE_ENTER         <0> root.a",
+      "<36><1>arm<0>:\t<31>STATE_EXIT          <0> root.a",
+      "<36><1>arm<0>:\t<33>EFFECT              <0> root.a",
+      "<36><1>arm<0>:\t<34>DOO                 <0> root.a",
+      "<36><1>arm<0>:\t<36>EXEC_PATH           <0> root.a",
+      "<36><1>arm<0>:\t<31><1>ERROR               <0> root.a",
+      "<36><1>arm<0>:\t<35>HIBERNATING         <0> root.a",
+      "<36><1>arm<0>:\t<37><1>RAISED              <0> root.a",
+      "<36><1>arm<0>:\t<33><1>TIMEEVENT           <0> root.a",
+      "<36><1>arm<0>:\tCHECKING             root.a",
+    }
+    for i = 1, has_ansicolors and 0 or #expected do
+      expected[i] = expected[i]:gsub("<%d+>", "")
+    end
+    assert.same(expected, printed(nil, nil, "STATE_ENTER", "STATE_EXIT", "EFFECT", "DOO", "EXEC_PATH",
+      "ERROR", "HIBERNATING", "RAISED", "TIMEEVENT", "CHECKING"))
+  end)
+
+  it("prints what ids names, and nothing else when defshow is false", function()
+    assert.equal(1, #printed({ DOO = true }, false, "DOO", "EFFECT"))
+  end)
+
+  it("prints what ids does not forbid when defshow is absent", function()
+    assert.equal(1, #printed({ DOO = false }, nil, "DOO", "EFFECT"))
+  end)
+
+  it("prints plain text where no colour is wanted", function()
+    local lines = helper.printed(function()
+      rfsmpp.gen_dbgcolor("arm")("DOO", 1, nil, false)
+    end)
+    -- the specs run with their output in a file or pipe, or on a terminal
+    assert.equal("arm:\tDOO                  1 nil false",
+      (lines[1]:gsub("\27%[%d+m", "")))
+  end)
+
+  it("bears values that cannot be printed", function()
+    local bad = setmetatable({}, { __tostring = function() error("no") end })
+    local lines = {}
+    rfsmpp.gen_dbgcolor("m", nil, true, function(line) lines[1] = line end)("X", bad)
+    assert.matches("table$", lines[1])
+  end)
+
+  it("blames the caller for a print function that is none", function()
+    local ok, problem = pcall(function()
+      return (rfsmpp.gen_dbgcolor("m", {}, true, "print"))
+    end)
+    assert.is_false(ok)
+    assert.matches("pp_spec.lua:%d+: rfsmpp.gen_dbgcolor: function expected, got "
+      .. "string", problem)
+  end)
+
+  it("traces a machine", function()
+    local lines = {}
+    local fsm = machine()
+    fsm.dbg = rfsmpp.gen_dbgcolor("m", { STATE_ENTER = true, STATE_EXIT = true }, false,
+      function(line) lines[#lines + 1] = line:gsub("\27%[%d+m", "") end)
+    rfsm.run(fsm)
+    assert.same({
+      "m:\tSTATE_ENTER          root", "m:\tSTATE_ENTER          root.a",
+      "m:\tSTATE_ENTER          root.a.x",
+    }, lines)
+  end)
+end)
+
+describe("fsm2str", function()
+  it("draws the states as a tree, sorted by name", function()
+    local tree = rfsmpp.fsm2str(machine()):gsub("\27%[%d+m", "")
+    assert.equal("root[CS]\n  a[CS]\n    x[LS]\n  b[LS]", tree)
+  end)
+
+  it("starts each line with the indent", function()
+    local tree = rfsmpp.fsm2str(machine(), "| "):gsub("\27%[%d+m", "")
+    assert.equal("| root[CS]\n|   a[CS]\n|     x[LS]\n|   b[LS]", tree)
+  end)
+
+  it("wants an initialised fsm", function()
+    local ok, problem = pcall(function() return (rfsmpp.fsm2str(state {})) end)
+    assert.is_false(ok)
+    assert.matches("pp_spec.lua:%d+: rfsmpp.fsm2str: initialised fsm expected", problem)
+  end)
+end)
+
+describe("the module", function()
+  it("has its dotted name and its global", function()
+    assert.equal(rfsmpp, require("rfsm.pp"))
+    assert.equal(rfsmpp, rawget(_G, "rfsmpp"))
+  end)
+end)
