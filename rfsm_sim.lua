@@ -136,7 +136,7 @@ local function set_dbg(sim, level)
   sim.fsm.dbg = level and gen_dbg(sim.name, ids, level == "full")
 end
 
--- Stands in for rfsmpp.fsm2str.
+-- Stands in for rfsmpp.fsm2str: "hello [LS] done", a line for each state.
 local function append_tree(lines, state, indent)
   local name = state._fqn:match("[^.]*$")
   lines[#lines + 1] = ("%s%s [%s] %s"):format(indent, name, rfsm.fsmobj_tochar(state),
@@ -145,9 +145,11 @@ local function append_tree(lines, state, indent)
     rfsm.is_state, 1)
 end
 
+-- Without colours the tree of rfsmpp does not tell the modes.
 local function pretty_print(sim)
   local rfsmpp = find_rfsmpp()
-  if rfsmpp then return print((rfsmpp.fsm2str(sim.fsm):gsub("\n$", ""))) end
+  local tree = rfsmpp and rfsmpp.fsm2str(sim.fsm)
+  if tree and tree:find("\27", 1, true) then return print((tree:gsub("\n$", ""))) end
   local lines = {}
   append_tree(lines, sim.fsm, "")
   print(concat(lines, "\n"))

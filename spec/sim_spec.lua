@@ -146,9 +146,9 @@ describe("a command", function()
       complaint("dbg('fool')"))
   end)
 
-  it("pp shows each state", function()
-    local out = said("run() pp()")
-    assert.matches("root.-hello.-world", out)
+  it("pp shows each state with its mode", function()
+    assert.equal(AT_HELLO .. "root [CS] active\n  hello [LS] done\n"
+      .. "  world [LS] inactive\n", said("step() pp()"))
   end)
 
   it("add_hook has a function called after each advance", function()
