@@ -94,4 +94,110 @@ rfsm.send_events(fsm, event1, event2)
     assert.same({ "hello", "world" }, lines)
     assert.same({ "e_restart", "e_other" }, globals.fsm._intq)
   end)
+
+  it("tracing shows entries and exits", function()
+    local lines = helper.printed(function()
+      run_block([[
+require "rfsmpp"
+fsm.dbg=rfsmpp.gen_dbgcolor("fsmX",
+    { STATE_ENTER=true,
+      STATE_EXIT=true }, false)
+rfsm.run(fsm)
+]], { fsm = helper.init(global_rfsm.load("examples/on_off.lua")) })
+    end)
+    for i = 1, #lines do lines[i] = lines[i]:gsub("\27%[%d+m", "") end
+    assert.same({
+      "fsmX:\tSTATE_ENTER          root", "dark",
+      "fsmX:\tSTATE_ENTER          root.off",
+    }, lines)
+  end)
+
+  it("time events takes a transition after three seconds", function()
+    local now = 100
+    local model = run_block([[
+require "rfsm_timeevent"
+rfsm_timeevent.set_gettime_hook(gettime_func)
+return rfsm.state {
+    trans{ src="sA", tgt="sB", events={ "e_after(3)" } },
+    sA=rfsm.state{}, sB=rfsm.state{},
+    trans{ src="initial", tgt="sA" },
+}
+]], { trans = global_rfsm.trans, gettime_func = function() return now, 0 end })
+    local fsm = helper.init(model)
+    global_rfsm.run(fsm)
+    now = 103
+    global_rfsm.run(fsm)
+    assert.equal("root.sA", global_rfsm.get_actleaf_fqn(fsm))
+    now = 104
+    global_rfsm.run(fsm)
+    assert.equal("root.sB", global_rfsm.get_actleaf_fqn(fsm))
+    require("rfsm_timeevent").set_gettime_hook(nil)
+  end)
+
+  it("the clock of Lua returns seconds and nanoseconds", function()
+    local globals = {}
+    run_block("function gettime() return os.time(), 0 end", globals)
+    local seconds, nanoseconds = globals.gettime()
+    assert.is_number(seconds)
+    assert.equal(0, nanoseconds)
+  end)
+
+  it("the sequential AND state steps its machines in order", function()
+    local globals = {}
+    local lines = helper.printed(function()
+      run_block([[
+function sub(name)
+  return rfsm.state { info=false, warn=false,
+    on=rfsm.state{ entry=function() print(name) end },
+    rfsm.trans{ src='initial', tgt='on' } }
+end
+seqAND = rfsm.seqand {
+    subfsm1=rfsm.init(sub("one")),
+    subfsm2=rfsm.init(sub("two")),
+    order={ "subfsm2" },
+}
+fsm = rfsm.init(rfsm.state { info=false, warn=false, both=seqAND,
+  rfsm.trans{ src='initial', tgt='both' } })
+rfsm.run(fsm)
+]], globals)
+    end)
+    assert.same({ "two", "one" }, lines)
+  end)
+
+  it("the complete example moves and stops", function()
+    local globals, trace = noting("enable_robot", "disable_robot", "start_motor",
+      "stop_motor", "compute_next_pos")
+    require "rfsmpp"
+    local model = run_block([[
+local state, trans = rfsm.state, rfsm.trans
+return rfsm.state {
+    dbg=rfsmpp.gen_dbgcolor("sample-fsm", {}, false),
+    entry=function() enable_robot() end,
+    exit=function() disable_robot() end,
+
+    stopped = state{},
+
+    moving = state {
+        entry=function() start_motor() end,
+        exit=function() stop_motor() end,
+
+        doo = function()
+            while true do
+                compute_next_pos()
+                rfsm.yield(true)
+            end
+        end,
+    },
+    trans{ src="initial", tgt="stopped" },
+    trans{ src="stopped", tgt="moving", events={"e_start"} },
+    trans{ src="moving", tgt="stopped", events={"e_stop"} },
+}
+]], globals)
+    local fsm = helper.init(model)
+    global_rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_start")
+    helper.post_and_run(fsm, "e_stop")
+    assert.same({ "enable_robot", "start_motor", "compute_next_pos", "stop_motor" },
+      trace)
+  end)
 end)
