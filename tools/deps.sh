@@ -9,8 +9,9 @@
 # asking; otherwise the line to type is printed and the status is 1.
 set -u
 
+# 5.3 comes first: Debian's colours for the terminal, lua-ansicolors, are not for 5.4.
 any_lua() {
-  for lua in lua5.4 lua lua5.3 luajit lua5.2 lua5.1; do
+  for lua in lua5.3 lua5.4 lua luajit lua5.2 lua5.1; do
     command -v "$lua" >/dev/null 2>&1 && { echo "$lua"; return 0; }
   done
   return 1
@@ -22,7 +23,7 @@ has_module() { # has_module LUA MODULE
 
 # Prints the packages that the simulator misses.
 missing_for_sim() {
-  lua=$(any_lua) || { echo "lua5.4 lua-argparse lua-ansicolors lua-readline"; return; }
+  lua=$(any_lua) || { echo "lua5.3 lua-argparse lua-ansicolors lua-readline"; return; }
   has_module "$lua" argparse || echo lua-argparse
 }
 
