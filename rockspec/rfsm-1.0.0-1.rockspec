@@ -21,6 +21,13 @@ build = {
     ["rfsm_sim"] = "rfsm_sim.lua",
     ["rfsmpp"] = "rfsmpp.lua",
     ["rfsm.pp"] = "rfsm/pp.lua",
+    ["rfsm_marsh"] = "rfsm_marsh.lua",
+    ["rfsm.marsh"] = "rfsm/marsh.lua",
+    ["rfsm2json"] = "rfsm2json.lua",
+    ["rfsm.rfsm2json"] = "rfsm/rfsm2json.lua",
+    ["rfsm2plantuml"] = "rfsm2plantuml.lua",
+    ["rfsm.plantuml"] = "rfsm/plantuml.lua",
+    ["rfsm_export"] = "rfsm_export.lua",
     ["rfsm_timeevent"] = "rfsm_timeevent.lua",
     ["rfsm.seqand"] = "rfsm/seqand.lua",
     ["rfsm.timeevent"] = "rfsm/timeevent.lua",
@@ -28,6 +35,8 @@ build = {
   install = {
     bin = {
       ["rfsm-sim"] = "tools/rfsm-sim",
+      ["rfsm2json"] = "tools/rfsm2json",
+      ["rfsm2plantuml"] = "tools/rfsm2plantuml",
     },
   },
 }

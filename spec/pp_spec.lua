@@ -49,8 +49,8 @@ describe("gen_dbgcolor", function()
     for i = 1, has_ansicolors and 0 or #expected do
       expected[i] = expected[i]:gsub("<%d+>", "")
     end
-    assert.same(expected, printed(nil, nil, "STATE_ENTER", "STATE_EXIT", "EFFECT", "DOO",
-      "EXEC_PATH", "ERROR", "HIBERNATING", "RAISED", "TIMEEVENT", "CHECKING"))
+    assert.same(expected, printed(nil, nil, "STATE_ENTER", "STATE_EXIT", "EFFECT",
+      "DOO", "EXEC_PATH", "ERROR", "HIBERNATING", "RAISED", "TIMEEVENT", "CHECKING"))
   end)
 
   it("prints what ids names, and nothing else when defshow is false", function()

@@ -1,0 +1,182 @@
+local helper = require "spec.helper"
+local marsh = require "rfsm_marsh"
+local rfsm = require "rfsm"
+local rfsm2json = require "rfsm2json"
+local rfsm2plantuml = require "rfsm2plantuml"
+
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+
+-- initial -> m{ initial -> x -> k } ; m.k -> b, x -e1,e2-> "a b"
+local function machine()
+  return helper.init(state {
+    m = state {
+      x = state {}, k = conn {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "k", events = { "e1", "e2" }, pn = 2 },
+    },
+    ["a b"] = state {}, a_b = state {},
+    trans { src = "initial", tgt = "m" },
+    trans { src = "m.k", tgt = "a b" },
+    trans { src = "a b", tgt = "m", events = { "e_again" } },
+  })
+end
+
+describe("model2tab", function()
+  it("gives the structure as plain tables, nodes sorted by name", function()
+    local function tr(src, tgt, events, pn)
+      return { type = "transition", src = src, tgt = tgt, events = events, pn = pn }
+    end
+    assert.same({
+      id = "root", type = "state",
+      transitions = {
+        tr("root.initial", "root.m.initial", {}), tr("root.m.k", "root.a b", {}),
+        tr("root.a b", "root.m.initial", { "e_again" }),
+      },
+      subnodes = {
+        { id = "a b", type = "state" }, { id = "a_b", type = "state" },
+        { id = "initial", type = "connector" },
+        {
+          id = "m", type = "state",
+          transitions = {
+            tr("root.m.initial", "root.m.x", {}),
+            tr("root.m.x", "root.m.k", { "e1", "e2" }, 2),
+          },
+          subnodes = {
+            { id = "initial", type = "connector" }, { id = "k", type = "connector" },
+            { id = "x", type = "state" },
+          },
+        },
+      },
+    }, marsh.model2tab(machine()))
+  end)
+
+  it("wants an initialised fsm", function()
+    local ok, problem = pcall(function() return (marsh.model2tab(state {})) end)
+    assert.is_false(ok)
+    assert.matches("export_spec.lua:%d+: rfsm_marsh.model2tab: initialised fsm "
+      .. "expected", problem)
+  end)
+end)
+
+describe("actinfo2tab", function()
+  it("gives three times false when nothing is active", function()
+    assert.same({ false, false, false }, { marsh.actinfo2tab(machine()) })
+  end)
+
+  it("gives F and mode of the active leaf", function()
+    local fsm = machine()
+    rfsm.run(fsm)
+    assert.same({ "root.m.x", "done", false }, { marsh.actinfo2tab(fsm) })
+  end)
+end)
+
+describe("rfsm2json", function()
+  it("gives the graph and what is active", function()
+    local fsm = machine()
+    rfsm.run(fsm)
+    local decoded = require("dkjson").decode(rfsm2json.encode(fsm))
+    assert.equal(2, decoded.version)
+    assert.equal("rfsm_model", decoded.type)
+    assert.equal("root.m.x", decoded.active_leaf)
+    assert.equal("done", decoded.active_leaf_state)
+    assert.equal("root", decoded.graph.id)
+    assert.equal(4, #decoded.graph.subnodes)
+  end)
+
+  it("writes empty lists as arrays", function()
+    assert.matches('"events":%[%]', rfsm2json.encode(machine()))
+    local empty = helper.init(state { x = conn {}, initial = conn {} })
+    assert.matches('"transitions":%[%]', rfsm2json.encode(empty))
+  end)
+
+  it("writes the same text each time", function()
+    assert.equal(rfsm2json.encode(machine()), rfsm2json.encode(machine()))
+  end)
+
+  it("writes events that JSON does not know as text", function()
+    local event = setmetatable({}, { __tostring = function() return "an event" end })
+    local fsm = helper.init(state {
+      a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "a", events = { event, 7, true, 1 / 0 } },
+    })
+    assert.matches('"events":%["an event",7,true,"inf"%]', rfsm2json.encode(fsm))
+  end)
+end)
+
+describe("rfsm2plantuml", function()
+  it("draws composites, connectors and arrows with unique identifiers", function()
+    assert.equal([[
+@startuml
+title T
+state "root" as root {
+  state "a b" as root_a_b
+  state "a_b" as root_a_b_2
+  state "m" as root_m {
+    state root_m_k <<choice>>
+    state "x" as root_m_x
+    [*] --> root_m_x
+    root_m_x --> root_m_k : e1, e2
+  }
+  [*] --> root_m
+  root_m_k --> root_a_b
+  root_a_b --> root_m : e_again
+}
+@enduml
+]], rfsm2plantuml.encode(machine(), "T"))
+  end)
+
+  it("saves to a file", function()
+    local file = os.tmpname()
+    rfsm2plantuml.save(machine(), file)
+    local handle = assert(io.open(file))
+    local text = handle:read("*a")
+    handle:close()
+    os.remove(file)
+    assert.equal(rfsm2plantuml.encode(machine()), text)
+  end)
+end)
+
+describe("the tool", function()
+  local lua = arg and arg[-1] or "lua5.1"
+
+  -- Runs a tool; returns what it wrote and its status.
+  local function run(command)
+    local pipe = io.popen(lua .. " " .. command .. " 2>&1; echo status $?")
+    local text = pipe:read("*a")
+    pipe:close()
+    return text
+  end
+
+  it("rfsm2plantuml writes several charts to stdout", function()
+    local text = run("tools/rfsm2plantuml examples/on_off.lua examples/doo_once.lua")
+    local _, count = text:gsub("@startuml\n", "")
+    assert.equal(2, count)
+    assert.matches("status 0\n$", text)
+  end)
+
+  it("rfsm2json writes to a file", function()
+    local file = os.tmpname()
+    assert.equal("status 0\n",
+      run("tools/rfsm2json -o " .. file .. " examples/on_off.lua"))
+    local handle = assert(io.open(file))
+    assert.matches('^{\n  "version":2,', handle:read("*a"))
+    handle:close()
+    os.remove(file)
+  end)
+
+  it("says in one line what is wrong with a file", function()
+    assert.matches("^rfsm2json: cannot open nowhere.lua[^\n]*\nstatus 1\n$",
+      run("tools/rfsm2json nowhere.lua"))
+  end)
+end)
+
+describe("the modules", function()
+  it("have their dotted names and globals", function()
+    for dotted, flat in pairs({ -- any order: each stands alone
+      ["rfsm.marsh"] = "rfsm_marsh", ["rfsm.rfsm2json"] = "rfsm2json",
+      ["rfsm.plantuml"] = "rfsm2plantuml",
+    }) do
+      assert.equal(require(flat), require(dotted))
+      assert.equal(require(flat), rawget(_G, flat))
+    end
+  end)
+end)
