@@ -41,7 +41,7 @@ end
 local function is_initial(fqn) return fqn:match("[^.]*$") == "initial" end
 
 -- The end of an arrow that is drawn in `composite`: its own `initial` is the pseudo
--- state when the arrow starts there; any other stands for the composite that is entered.
+-- state where the arrow starts there; any other stands for the composite it enters.
 local function end_of(drawing, fqn, composite)
   if not is_initial(fqn) then return identifier_of(drawing, fqn) end
   local owner = fqn:match("^(.*)%.initial$")
