@@ -96,16 +96,20 @@ end
 
 -- Which transition ------------------------------------------------------------
 
--- Events are a set: one of them is wanted, or a predicate accepts it.
+-- An event is wanted as itself, or because a predicate says so; one that fails does not.
+local function is_wanted(wanted, event)
+  if wanted == event then return true end
+  if type(wanted) ~= "function" then return false end
+  local ran, answer = pcall(wanted, event)
+  return ran and not not answer
+end
+
+-- Events are a set: it is enough that one of them is wanted.
 local function matches(tr, events)
   if not tr.events or #tr.events == 0 then return #events > 0 end
   for _, wanted in ipairs(tr.events) do
     for _, event in ipairs(events) do
-      if wanted == event then return true end
-      if type(wanted) == "function" then
-        local ok, answer = pcall(wanted, event)
-        if ok and answer then return true end
-      end
+      if is_wanted(wanted, event) then return true end
     end
   end
   return false
