@@ -96,7 +96,7 @@ end
 
 -- Which transition ------------------------------------------------------------
 
--- An event is wanted as itself, or because a predicate says so; one that fails does not.
+-- An event is wanted as itself, or because a predicate says so (not if it fails).
 local function is_wanted(wanted, event)
   if wanted == event then return true end
   if type(wanted) ~= "function" then return false end
