@@ -1,0 +1,20 @@
+-- Undeclared events: with rfsm_checkevents loaded, a machine warns of each event that
+-- no transition names, such as one that is misspelt.
+--
+--   (initial) --> off --e_push--> on --e_push--> off
+--
+-- In rfsm-sim:  ser("e_push")  ser("e_pusch")
+-- and           print(table.concat(rfsm_checks.check(fsm), "\n"))
+
+local rfsm = require "rfsm"
+require "rfsm_checkevents"
+
+return rfsm.state {
+  off = rfsm.state { entry = function() print("dark") end },
+  on = rfsm.state { entry = function() print("bright") end },
+  spare = rfsm.state {}, -- the static check finds that nothing leads here
+
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_push" } },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_push" } },
+}
