@@ -1,0 +1,343 @@
+-- What holds for all extensions: names, no state that leaks, no cost when unused.
+
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+
+local state, trans = rfsm.state, rfsm.trans
+
+-- Module, its other names.
+local NAMES = {
+  { "rfsm_timeevent", "rfsm.timeevent" }, { "rfsm_seqand", "rfsm.seqand" },
+  { "rfsm_ext", "rfsm.ext" }, { "rfsm_emem", "rfsm.emem" },
+  { "rfsm_await", "rfsm.await" }, { "rfsm_preview", "rfsm.preview" },
+  { "rfsm_checkevents", "rfsm.checkevents" }, { "rfsm_checks" },
+}
+
+-- Names in child processes -----------------------------------------------------
+
+-- The interpreter that runs this, as the shell can call it.
+local function interpreter()
+  local i = 0
+  while arg[i - 1] do i = i - 1 end
+  return arg[i]
+end
+
+-- Runs a text with a fresh Lua; returns what it printed.
+local function output_of(text)
+  local name = os.tmpname()
+  local file = assert(io.open(name, "w"))
+  file:write(text)
+  file:close()
+  local pipe = assert(io.popen(interpreter() .. " " .. name .. " 2>&1"))
+  local output = pipe:read("*a")
+  pipe:close()
+  os.remove(name)
+  return (output:gsub("%s+$", ""))
+end
+
+local function requires(names)
+  local lines = { "package.path = './?.lua;' .. package.path" }
+  for i, name in ipairs(names) do lines[i + 1] = ("require '%s'"):format(name) end
+  return table.concat(lines, "\n") .. "\n"
+end
+
+-- Every name, in the order of the list and in the other one.
+local function all_names(is_reversed)
+  local names = { "rfsm" }
+  for _, entry in ipairs(NAMES) do
+    for _, name in ipairs(entry) do
+      table.insert(names, is_reversed and 1 or #names + 1, name)
+    end
+  end
+  return names
+end
+
+-- Prints whether flat and dotted names are one module, and its global.
+local SHOW = [[
+local names = { %s }
+for _, name in ipairs(names) do
+  local flat = "rfsm_" .. name
+  local dotted = name ~= "checks" and require("rfsm." .. name) or require(flat)
+  print(name, require(flat) == dotted, rawget(_G, flat) == %s)
+end
+]]
+
+local function show(expected_global)
+  local quoted = {}
+  for i, entry in ipairs(NAMES) do quoted[i] = ("%q"):format(entry[1]:sub(6)) end
+  return SHOW:format(table.concat(quoted, ", "), expected_global)
+end
+
+local function expected_lines()
+  local lines = {}
+  for i, entry in ipairs(NAMES) do lines[i] = entry[1]:sub(6) .. "\ttrue\ttrue" end
+  return table.concat(lines, "\n")
+end
+
+describe("the names of extensions", function()
+  for _, is_reversed in ipairs { false, true } do
+    local order = is_reversed and "reversed" or "listed"
+
+    it("are one module each, and set their globals, in the order " .. order, function()
+      assert.equal(expected_lines(),
+        output_of(requires(all_names(is_reversed)) .. show("require(flat)")))
+    end)
+
+    it("set no global after RFSM_NO_GLOBALS, in the order " .. order, function()
+      assert.equal(expected_lines(), output_of("RFSM_NO_GLOBALS = true\n"
+        .. requires(all_names(is_reversed)) .. show("nil")))
+    end)
+  end
+
+  for _, entry in ipairs(NAMES) do
+    for _, name in ipairs(entry) do
+      it("work alone: " .. name, function()
+        assert.equal("table table", output_of(requires { name }
+          .. ("print(type(require '%s') .. ' ' .. type(rfsm))"):format(name)))
+      end)
+    end
+  end
+
+  it("are fields of the core, loaded on first use", function()
+    assert.equal("nil table table true", output_of(requires { "rfsm" }
+      .. "print(type(rawget(rfsm, 'seqand')) .. ' ' .. type(rfsm.seqand) .. ' ' .. "
+      .. "type(rfsm.timeevent) .. ' ' .. tostring(rfsm.seqand == "
+      .. "require('rfsm_ext').seqand))"))
+  end)
+end)
+
+-- State that must not leak -----------------------------------------------------
+
+local timeevent = require "rfsm_timeevent"
+local rfsm_ext = require "rfsm_ext"
+require "rfsm_await"
+require "rfsm_emem"
+require "rfsm_preview"
+
+local now = 0
+timeevent.set_gettime_hook(function() return now, 0 end)
+
+-- (initial) -> a --e_leave--> out --e_enter--> a;  a --events--> found
+local function around(a, tr)
+  tr.src, tr.tgt = "a", "found"
+  return state {
+    warn = false, info = false, a = a, out = state {}, found = state {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "out", events = { "e_leave" } },
+    trans { src = "out", tgt = "a", events = { "e_enter" } },
+    trans(tr),
+  }
+end
+
+local function inner_machine()
+  return state {
+    warn = false, info = false, p = state {}, q = state {},
+    trans { src = "initial", tgt = "p" },
+    trans { src = "p", tgt = "q", events = { "e_x" } },
+  }
+end
+
+-- For each extension: a model, what gives it something to remember while a is active,
+-- and what it remembers.
+local EXTENSIONS = {
+  timeevent = {
+    model = function() return around(state {}, { events = { "e_after(10)" } }) end,
+    use = function(fsm)
+      now = now + 6
+      rfsm.run(fsm)
+    end,
+    memory = function(fsm) return timeevent.next_deadline(fsm) < 5 end,
+  },
+  seqand = {
+    model = function()
+      return around(rfsm.seqand { idle_doo = "auto", s = inner_machine() },
+        { events = { "e_none" } })
+    end,
+    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
+    memory = function(fsm) return rfsm.get_actleaf_fqn(fsm.a.substates.s) end,
+  },
+  ext = {
+    model = function()
+      return around(rfsm_ext.gen_monitor_state { count = { 0 },
+        montab = { e_third = function(_, self)
+          self.seen = (self.seen or 0) + 1
+          return false
+        end }, entry = function(_, self) self.seen = 0 end },
+        { events = { "e_third" } })
+    end,
+    use = function(fsm) rfsm.step(fsm, 5) end,
+    memory = function(fsm) return fsm.a.seen > 2 end,
+    advance = function(fsm) rfsm.step(fsm, 2) end,
+  },
+  emem = {
+    model = function() return around(state {}, { events = { "e_none" } }) end,
+    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
+    memory = function(fsm) return fsm.a.emem.e_x or 0 end,
+  },
+  await = {
+    model = function() return around(state {}, { events = { "await(e_x, e_y)" } }) end,
+    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
+    memory = function(fsm)
+      helper.post_and_run(fsm, "e_y")
+      return fsm._act_leaf._id
+    end,
+  },
+  preview = {
+    model = function()
+      local model = around(state {}, { events = { "e_none" },
+        likely = function(fsm) return fsm.is_near end })
+      model.found.prepare = function(fsm) fsm.is_prepared = true end
+      return model
+    end,
+    use = function(fsm)
+      fsm.is_near = true
+      rfsm.run(fsm)
+      fsm.is_near = false
+    end,
+    memory = function(fsm)
+      local answer = fsm.is_prepared or false
+      fsm.is_prepared = false
+      rfsm.run(fsm)
+      return tostring(answer) .. tostring(fsm.is_prepared)
+    end,
+    forget = function(fsm) fsm.is_prepared = false end,
+  },
+}
+
+local function advance(extension, fsm)
+  return (extension.advance or rfsm.run)(fsm)
+end
+
+local ORDER = {}
+for name in pairs(EXTENSIONS) do ORDER[#ORDER + 1] = name end -- any order: sorted
+table.sort(ORDER)
+
+for _, name in ipairs(ORDER) do
+  local extension = EXTENSIONS[name]
+
+  local function started(model)
+    local fsm = helper.init(model or extension.model())
+    advance(extension, fsm)
+    return fsm
+  end
+
+  -- What a machine remembers that was never used.
+  local function fresh_memory() return extension.memory(started()) end
+
+  local function used(model)
+    local fsm = started(model)
+    extension.use(fsm)
+    return fsm
+  end
+
+  describe("rfsm_" .. name, function()
+    it("remembers something, as long as its state is active", function()
+      assert.not_equal(fresh_memory(), extension.memory(used()))
+    end)
+
+    it("forgets it when the state is left and entered again", function()
+      local fsm = used()
+      rfsm.send_events(fsm, "e_leave")
+      rfsm.step(fsm)
+      rfsm.send_events(fsm, "e_enter")
+      rfsm.step(fsm)
+      if extension.forget then extension.forget(fsm) end
+      advance(extension, fsm)
+      assert.equal(fresh_memory(), extension.memory(fsm))
+    end)
+
+    it("forgets it at reset", function()
+      local fsm = used()
+      rfsm.reset(fsm)
+      if extension.forget then extension.forget(fsm) end
+      advance(extension, fsm)
+      assert.equal(fresh_memory(), extension.memory(fsm))
+    end)
+
+    it("shares nothing with a second instance of the model", function()
+      local model = extension.model()
+      local second = helper.init(model)
+      used(model)
+      advance(extension, second)
+      assert.equal(fresh_memory(), extension.memory(second))
+    end)
+
+    it("shares nothing with an instance made of the first", function()
+      local first = used()
+      local second = helper.init(first)
+      advance(extension, second)
+      assert.equal(fresh_memory(), extension.memory(second))
+    end)
+  end)
+end
+
+-- No cost when unused ----------------------------------------------------------
+
+-- Loads modules in a child; a chart that uses none; prints what hooks are added to it.
+local COUNT = [[
+local rfsm = require "rfsm"
+local added = {}
+for _, name in ipairs { "pre_step_hook_add", "post_step_hook_add", "reset_hook_add",
+  "entry_hook_add", "exit_hook_add" } do
+  local real = rfsm[name]
+  rfsm[name] = function(...)
+    added[#added + 1] = name
+    return real(...)
+  end
+end
+local fsm = rfsm.init(rfsm.state {
+  warn = false, info = false, a = rfsm.state {}, b = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_x" } },
+})
+local fields = {}
+for _, obj in ipairs { fsm, fsm.a, fsm.b, fsm[2] } do
+  for key in pairs(obj) do
+    if not known[key] then fields[#fields + 1] = tostring(key) end
+  end
+end
+table.sort(fields)
+print(table.concat(added, " ") .. "|" .. table.concat(fields, " "))
+]]
+
+-- The same chart before anything was loaded: the fields of the core alone.
+local KNOWN = [[
+local bare = require "rfsm"
+local known = {}
+local machine = bare.init(bare.state {
+  warn = false, info = false, a = bare.state {}, b = bare.state {},
+  bare.trans { src = "initial", tgt = "a" },
+  bare.trans { src = "a", tgt = "b", events = { "e_x" } },
+})
+for _, obj in ipairs { machine, machine.a, machine.b, machine[2] } do
+  for key in pairs(obj) do known[key] = true end
+end
+]]
+
+local function added_by(names)
+  return output_of(requires {} .. KNOWN .. requires(names) .. COUNT)
+end
+
+describe("a chart that uses no extension", function()
+  for _, name in ipairs { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext", "rfsm_await",
+    "rfsm_preview", "rfsm_checks" } do
+    it("gets no hook and no field when " .. name .. " is loaded", function()
+      assert.equal("|", added_by { name })
+    end)
+  end
+
+  it("gets none when all of them are loaded", function()
+    assert.equal("|", added_by { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext",
+      "rfsm_await", "rfsm_preview", "rfsm_checks" })
+  end)
+
+  -- These two are for every machine: loading them is using them.
+  it("gets what it counts with when rfsm_emem is loaded", function()
+    assert.equal("exit_hook_add exit_hook_add exit_hook_add pre_step_hook_add "
+      .. "reset_hook_add|emem emem emem", added_by { "rfsm_emem" })
+  end)
+
+  it("gets the check when rfsm_checkevents is loaded", function()
+    assert.equal("pre_step_hook_add|_checks", added_by { "rfsm_checkevents" })
+  end)
+end)
