@@ -5,7 +5,7 @@
 -- Each machine is initialised after one more extension was loaded: what that adds to
 -- machines which do not use it would show from there on. The last two are for all
 -- machines, used or not.
--- Each machine is initialised after one more extension was loaded: what the extension
+
 package.path = "./?.lua;" .. package.path
 
 local rfsm = require "rfsm"
