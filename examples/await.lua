@@ -4,7 +4,7 @@
 --                    ^                                                   |
 --                    +---------------------- e_reboot -------------------+
 --
--- In rfsm-sim:  ser("e_camera")  ser("e_arm")  ser("e_base")  ser("e_reboot")
+-- In rfsm-sim:  run()  ser("e_camera")  ser("e_arm")  ser("e_base")  ser("e_reboot")
 
 local rfsm = require "rfsm"
 require "rfsm_await"

@@ -3,7 +3,7 @@
 --
 --   (initial) --> off --e_push--> on --e_push--> off
 --
--- In rfsm-sim:  ser("e_push")  ser("e_pusch")
+-- In rfsm-sim:  run()  ser("e_push")  ser("e_pusch")
 -- and           print(table.concat(rfsm_checks.check(fsm), "\n"))
 
 local rfsm = require "rfsm"
