@@ -6,7 +6,7 @@
 --                   +----e_close------+
 --
 -- The count belongs to closed and begins anew on each entry. In rfsm-sim:
---   run()  ser("e_wrong")  ser("e_wrong")  ser("e_wrong")  ser("e_reset")  ser("e_right")
+--   run()  then three times  ser("e_wrong")  then  ser("e_reset")  ser("e_right")
 
 local rfsm = require "rfsm"
 require "rfsm_emem"
