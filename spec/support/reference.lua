@@ -190,9 +190,17 @@ local function run_program(machine, id, what, fqn)
   if not ok then program_failed(machine, id, what, fqn, problem) end
 end
 
+-- What extensions have hung on F: calls.entry_hook or calls.exit_hook(F, 1), (F, 2) ...
+local function run_state_hooks(machine, what, fqn)
+  for i = 1, machine.chart.nodes[fqn].hooks or 0 do
+    protected(machine, machine.calls[what], fqn, i, machine.leaf or false)
+  end
+end
+
 local function exit(machine, fqn)
   machine.mode[fqn] = "inactive"
   run_program(machine, "EXIT", "exit", fqn)
+  run_state_hooks(machine, "exit_hook", fqn)
   machine.coroutine[fqn] = nil
   if machine.leaf == fqn then machine.leaf = nil end
   dbg(machine, "STATE_EXIT", fqn)
@@ -205,6 +213,7 @@ end
 
 local function enter(machine, fqn)
   machine.mode[fqn] = "active"
+  run_state_hooks(machine, "entry_hook", fqn)
   run_program(machine, "ENTRY", "entry", fqn)
   local node = machine.chart.nodes[fqn]
   if node.is_leaf then

@@ -53,6 +53,17 @@ end
 
 local function new_world(chart) return { chart = chart, trace = {}, counts = {} } end
 
+-- The modes of all states, active or not.
+local function modes_of(chart, mode_of)
+  local modes = {}
+  for _, fqn in ipairs(chart.names) do
+    if chart.nodes[fqn].kind == "state" then
+      modes[#modes + 1] = fqn .. "=" .. mode_of(fqn)
+    end
+  end
+  return modes
+end
+
 -- A printer or hook of the world, nil when the chart has none.
 local function outside(world, id, list_at)
   if not world.chart.programs[id] then return nil end
@@ -67,25 +78,41 @@ end
 
 local function leaf_name(fsm) return fsm._act_leaf and fsm._act_leaf._fqn or false end
 
+-- Program `id`: the function `f`, or where the chart says so a table that calls it.
+local function program(world, id, f)
+  if not (world.chart.callables and world.chart.callables[id]) then return f end
+  return setmetatable({}, { __call = function(_, ...) return f(...) end })
+end
+
 local function program_of(world, what, fqn)
-  return function(fsm, state, kind)
+  local id = what .. " " .. fqn
+  return program(world, id, function(fsm, state, kind)
     note(world, kind, state._fqn, "leaf", leaf_name(fsm))
-    return act(world, what .. " " .. fqn)
-  end
+    return act(world, id)
+  end)
+end
+
+local function guard_of(world, index)
+  local id = "guard " .. index
+  return program(world, id, function(_, events)
+    note(world, "guard", index, events)
+    return act(world, id)
+  end)
+end
+
+local function effect_of(world, index)
+  local id = "effect " .. index
+  return program(world, id, function(_, _, kind, events)
+    note(world, kind, index, events)
+    act(world, id)
+  end)
 end
 
 local function model_transition(world, tr)
-  local id = tr.index
   return rfsm.trans {
     src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = tr.events_ref,
-    guard = tr.guard and function(_, events)
-      note(world, "guard", id, events)
-      return act(world, "guard " .. id)
-    end or nil,
-    effect = tr.effect and function(_, _, kind, events)
-      note(world, kind, id, events)
-      act(world, "effect " .. id)
-    end or nil,
+    guard = tr.guard and guard_of(world, tr.index) or nil,
+    effect = tr.effect and effect_of(world, tr.index) or nil,
   }
 end
 
@@ -133,6 +160,32 @@ local function core_active(fsm)
   return list
 end
 
+local function node_of(fsm, fqn)
+  local node = fsm
+  for name in fqn:sub(6):gmatch("[^.]+") do node = node[name] end
+  return node
+end
+
+local function core_modes(world, fsm)
+  return modes_of(world.chart, function(fqn)
+    return rfsm.get_sta_mode(node_of(fsm, fqn))
+  end)
+end
+
+-- node.hooks says how many hooks extensions have hung on entry and exit of a state.
+local function add_state_hooks(world, fsm)
+  for _, fqn in ipairs(world.chart.names) do
+    for i = 1, world.chart.nodes[fqn].hooks or 0 do
+      for _, what in ipairs({ "entry_hook", "exit_hook" }) do
+        rfsm[what .. "_add"](fsm, node_of(fsm, fqn), function(_, state)
+          note(world, what, i, state._fqn, "leaf", leaf_name(fsm))
+          act(world, ("%s %d %s"):format(what, i, fqn))
+        end)
+      end
+    end
+  end
+end
+
 -- The oracle ------------------------------------------------------------------
 
 -- tostring of a transition, as the contract has it.
@@ -146,15 +199,24 @@ local function transition_text(tr)
   return "T={ " .. table.concat(parts, ", ") .. " }"
 end
 
-local function oracle_calls(world)
-  local function program(what)
-    return function(fqn, leaf)
+local function oracle_state_calls(world, calls)
+  for _, what in ipairs({ "entry", "exit" }) do
+    calls[what] = function(fqn, leaf)
       note(world, what, fqn, "leaf", leaf)
       return act(world, what .. " " .. fqn)
     end
+    local hook = what .. "_hook"
+    calls[hook] = function(fqn, i, leaf)
+      note(world, hook, i, fqn, "leaf", leaf)
+      act(world, ("%s %d %s"):format(hook, i, fqn))
+    end
   end
-  return {
-    entry = program("entry"), exit = program("exit"), text = transition_text,
+  return calls
+end
+
+local function oracle_calls(world)
+  return oracle_state_calls(world, {
+    text = transition_text,
     doo = function(fqn) return run_doo(world, fqn) end,
     guard = function(tr, events)
       note(world, "guard", tr.index, events)
@@ -169,7 +231,7 @@ local function oracle_calls(world)
     pre_hook = outside(world, "pre_hook", 1),
     post_hook = outside(world, "post_hook", 1),
     idle_hook = outside(world, "idle_hook"),
-  }
+  })
 end
 
 -- Both ------------------------------------------------------------------------
@@ -193,6 +255,7 @@ function runs.on_core(chart)
   local fsm, problems = rfsm.init(model)
   if not fsm then return nil, problems end
   fsm.warn = warn
+  add_state_hooks(world, fsm)
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
   return drive(world, {
@@ -201,6 +264,7 @@ function runs.on_core(chart)
     run = function() return rfsm.run(fsm) end,
     active = function() return core_active(fsm) end,
     queue = function() return fsm._intq end,
+    modes = function() return core_modes(world, fsm) end,
   })
 end
 
@@ -216,6 +280,9 @@ function runs.on_oracle(chart)
     run = function() return reference.step(machine, 1e9) end,
     active = function() return reference.active(machine) end,
     queue = function() return machine.queue end,
+    modes = function()
+      return modes_of(chart, function(fqn) return machine.mode[fqn] end)
+    end,
   })
 end
 
