@@ -19,13 +19,13 @@ TOOLS    := $(filter-out %.sh %.lua,$(wildcard tools/*))
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(MODULES) $(DOTTED) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench examples doc deps install uninstall clean
+.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps install uninstall clean
 .DEFAULT_GOAL := all
 
 all: test               ## the same as test
 
 help:                   ## this list
-	@grep -hE '^[a-z][a-z%-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 12
+	@grep -hE '^[a-z][a-z%-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 16
 
 sim:                    ## open MODEL in the simulator
 	@tools/deps.sh sim
@@ -46,8 +46,15 @@ lint:                   ## luacheck, and the syntax under the oldest Lua
 fuzz:                   ## compare core and oracle on N random charts from SEED, with LUA
 	$(LUA) spec/support/fuzz.lua $(N) $(SEED)
 
-bench:                  ## measure, with LUA
+bench:                  ## measure all there is in bench/, with LUA
 	$(LUA) bench/run.lua
+	$(LUA) bench/latency.lua
+	$(LUA) bench/growth.lua
+	$(LUA) bench/scale.lua
+	$(LUA) bench/extensions.lua
+
+bench-profile:          ## where the time goes: the hottest functions and lines, with LUA
+	$(LUA) bench/profile.lua
 
 examples:               ## load and initialise every example, with LUA
 	@$(LUA) tools/try-examples.lua $(EXAMPLES)

@@ -8,9 +8,11 @@
 
 package.path = "./?.lua;" .. package.path
 
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
 
-local EVENTS, ROUNDS = 200000, 7
+local ROUNDS = measure.count("ROUNDS", 7)
+local SECONDS = measure.setting("SECONDS", 0.3) -- per measurement
 
 local function new_machine()
   local fsm = assert(rfsm.init(rfsm.state {
@@ -27,33 +29,19 @@ local function new_machine()
   return fsm
 end
 
-local function microseconds_per_event(fsm)
-  local start = os.clock()
-  for _ = 1, EVENTS do
-    rfsm.send_events(fsm, "e_next")
-    rfsm.step(fsm)
-  end
-  return (os.clock() - start) / EVENTS * 1e6
-end
+local function stepping(fsm) return measure.stepping(rfsm, fsm, "e_next") end
 
 local names = { "the core alone", "rfsm_timeevent", "rfsm_seqand", "rfsm_ext",
   "rfsm_await", "rfsm_preview", "rfsm_checks", "rfsm_emem", "rfsm_checkevents" }
-local machines, best = { new_machine() }, {}
+local subjects = { stepping(new_machine()) }
 for i = 2, #names do
   require(names[i])
-  machines[i] = new_machine()
+  subjects[i] = stepping(new_machine())
 end
-for i = 1, #machines do best[i] = math.huge end
-for _ = 1, ROUNDS do -- in turn, so that a busy machine hits all alike
-  for i = 1, #machines do
-    collectgarbage()
-    best[i] = math.min(best[i], microseconds_per_event(machines[i]))
-  end
-end
+local best = measure.best_in_turn(subjects, ROUNDS, SECONDS)
 
-local jit = rawget(_G, "jit")
-print(("%s: microseconds per event, best of %d rounds"):format(
-  jit and jit.version or _VERSION, ROUNDS))
+print(("%s: microseconds per event, best of %d rounds"):format(measure.engine(),
+  ROUNDS))
 for i = 1, #names do
   print(("%-20s %8.3f %6.1f %%"):format((i > 1 and "+ " or "") .. names[i], best[i],
     best[i] / best[1] * 100))

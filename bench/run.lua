@@ -7,31 +7,17 @@
 
 package.path = "./?.lua;" .. package.path
 
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
 local workloads = require "bench.workloads"
 
-local ROUNDS = tonumber(os.getenv("ROUNDS")) or 7
-local SECONDS = tonumber(os.getenv("SECONDS")) or 0.1 -- per measurement
-
-local function time(f, n)
-  local start = os.clock()
-  f(n)
-  return os.clock() - start
-end
-
--- How many events take about SECONDS.
-local function calibrate(f)
-  local n = 1
-  while true do
-    local seconds = time(f, n)
-    if seconds > SECONDS / 4 then return math.ceil(n * SECONDS / seconds) end
-    n = n * 4
-  end
-end
+local ROUNDS = measure.count("ROUNDS", 7)
+local SECONDS = measure.setting("SECONDS", 0.1) -- per measurement
 
 -- Rates of both sides, measured in turn: returns the sorted shares and median rates.
 local function compare(subject, limit)
-  local subject_n, limit_n = calibrate(subject), calibrate(limit)
+  local time, calibrate = measure.time, measure.calibrate
+  local subject_n, limit_n = calibrate(subject, SECONDS), calibrate(limit, SECONDS)
   local shares, rates = {}, {}
   for i = 1, ROUNDS do
     collectgarbage()
@@ -58,27 +44,16 @@ local function bytes_per_event(subject)
   return grown * 1024 / 1000
 end
 
-local function wanted(name)
-  if #arg == 0 then return true end
-  for _, other in ipairs(arg) do
-    if other == name then return true end
-  end
-  return false
-end
-
-local jit = rawget(_G, "jit")
-print(("%s, %s, %d rounds"):format(rfsm._VERSION, jit and jit.version or _VERSION,
-  ROUNDS))
+local selected = measure.select(workloads, arg)
+print(("%s, %s, %d rounds"):format(rfsm._VERSION, measure.engine(), ROUNDS))
 print("workload   share of the limit (low .. high)      us/event   bytes/event")
-for _, workload in ipairs(workloads) do
-  if wanted(workload.name) then
-    local subject, limit = workload.make(rfsm)
-    local shares, rates = compare(subject, limit)
-    local middle = math.ceil(ROUNDS / 2)
-    local bytes = workload.name:find("^W6") and "-"
-      or ("%.1f"):format(bytes_per_event(subject))
-    print(("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
-      shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,
-      1e6 / rates[middle], bytes))
-  end
+for _, workload in ipairs(selected) do
+  local subject, limit = workload.make(rfsm)
+  local shares, rates = compare(subject, limit)
+  local middle = math.ceil(ROUNDS / 2)
+  local bytes = workload.name:find("^W6") and "-"
+    or ("%.1f"):format(bytes_per_event(subject))
+  print(("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
+    shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,
+    1e6 / rates[middle], bytes))
 end

@@ -1,10 +1,11 @@
 -- How size shows:  LUA bench/scale.lua
 --
 -- 10^7 iterations in one call of run, with the memory they leave; then the time of init
--- per state, and of an event, in charts of 10 to 10,000 states.
+-- per state in charts of 10 to 10,000 states. What an event costs there: growth.lua.
 
 package.path = "./?.lua;" .. package.path
 
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
 
 local function silent(model)
@@ -46,22 +47,13 @@ local function ring(size)
   return silent(model)
 end
 
-local function per_state(size)
+local function time_init(size)
   local model = ring(size)
   collectgarbage()
-  local start = os.clock()
-  local fsm = rfsm.init(model)
-  local init = (os.clock() - start) / size
-  rfsm.run(fsm)
-  local count = 200000
-  start = os.clock()
-  for i = 1, count do
-    rfsm.send_events(fsm, i % 2 == 1 and "e_1" or "e_0")
-    rfsm.step(fsm)
-  end
-  print(("%6d states: init %.2f us a state, %.3f us an event"):format(size, init * 1e6,
-    (os.clock() - start) / count * 1e6))
+  local seconds = measure.time(rfsm.init, model)
+  print(("%6d states: init %.2f us a state"):format(size, seconds / size * 1e6))
 end
 
-many_iterations(1e7)
-for _, size in ipairs({ 10, 100, 1000, 10000 }) do per_state(size) end
+print(measure.engine())
+many_iterations(measure.count("ITERATIONS", 10000000))
+for _, size in ipairs({ 10, 100, 1000, 10000 }) do time_init(size) end

@@ -1,0 +1,97 @@
+-- What the programs of bench/ share: the name of the interpreter, time, rounds in turn.
+
+local measure = {}
+
+local jit = rawget(_G, "jit")
+
+--- The interpreter that runs, as "Lua 5.4" or "LuaJIT 2.1.0".
+function measure.engine() return jit and jit.version or _VERSION end
+
+--- Stops the program with one line about what is wrong.
+function measure.fail(text)
+  io.stderr:write(arg[0], ": ", text, "\n")
+  os.exit(1)
+end
+
+--- Seconds of processor time that f(n) takes.
+function measure.time(f, n)
+  local start = os.clock()
+  f(n)
+  return os.clock() - start
+end
+
+--- The n for which f(n) takes about `seconds`.
+function measure.calibrate(f, seconds)
+  local n = 1
+  while true do
+    local taken = measure.time(f, n)
+    if taken > seconds / 4 then return math.ceil(n * seconds / taken) end
+    n = n * 4
+  end
+end
+
+--- A function of n that sends the event and steps, n times.
+function measure.stepping(rfsm, fsm, event)
+  local send_events, step = rfsm.send_events, rfsm.step
+  return function(n)
+    for _ = 1, n do
+      send_events(fsm, event)
+      step(fsm)
+    end
+  end
+end
+
+-- Forgets compiled code: traces made for one subject are no measure for the next.
+local function forget_traces(subject, n)
+  if not jit then return end
+  jit.flush()
+  subject(math.ceil(n / 10))
+end
+
+--- Microseconds per call, a figure for each of `subjects`, functions of n: the best of
+-- `rounds`, in turn, so that a busy machine hits all alike.
+function measure.best_in_turn(subjects, rounds, seconds)
+  local counts, best = {}, {}
+  for i = 1, #subjects do
+    counts[i], best[i] = measure.calibrate(subjects[i], seconds), math.huge
+  end
+  for _ = 1, rounds do
+    for i = 1, #subjects do
+      collectgarbage()
+      forget_traces(subjects[i], counts[i])
+      local microseconds = measure.time(subjects[i], counts[i]) / counts[i] * 1e6
+      best[i] = math.min(best[i], microseconds)
+    end
+  end
+  return best
+end
+
+--- A number from the environment, or `default`; anything else stops the program.
+function measure.setting(name, default)
+  local text = os.getenv(name)
+  if not text or text == "" then return default end
+  local number = tonumber(text)
+  if number and number > 0 then return number end
+  measure.fail(("%s: number greater than 0 expected, got '%s'"):format(name, text))
+end
+
+--- A whole number from the environment, or `default`.
+function measure.count(name, default)
+  local number = measure.setting(name, default)
+  if number % 1 == 0 then return number end
+  measure.fail(("%s: whole number expected, got '%s'"):format(name, os.getenv(name)))
+end
+
+--- Those of `list` (each has a name) that are named; all when none is.
+function measure.select(list, names)
+  if #names == 0 then return list end
+  local by_name, all, selected = {}, {}, {}
+  for i, item in ipairs(list) do by_name[item.name], all[i] = item, item.name end
+  for i, name in ipairs(names) do
+    selected[i] = by_name[name] or measure.fail(("nothing is named '%s' here (there is "
+      .. "'%s')"):format(name, table.concat(all, "', '")))
+  end
+  return selected
+end
+
+return measure
