@@ -52,8 +52,9 @@ end)
 describe("bench/profile.lua", function()
   it("says its bias and lists functions and lines", function()
     assert_lines({ "^Lua.* samples of ", "^bias: ",
-      "^W1: %d+ samples, [%d.]+ %% outside", "^   share  function$", "^ +[%d.]+ %%  rfsm%.lua:%d+ +[%a_.]+$",
-      "^   share  line$", "^ +[%d.]+ %%  rfsm%.lua:%d+ +%S", "^status 0$" },
+      "^W1: %d+ samples, [%d.]+ %% outside", "^   share  function$",
+      "^ +[%d.]+ %%  rfsm%.lua:%d+ +[%a_.]+$", "^   share  line$",
+      "^ +[%d.]+ %%  rfsm%.lua:%d+ +%S", "^status 0$" },
       output_of("profile.lua W1 0.2"))
   end)
 end)
@@ -62,8 +63,9 @@ describe("bench/latency.lua", function()
   it("has the core, the limit and the clock", function()
     local figures = " +%d+ +%d+ +%d+ +%d+$"
     assert_lines({ "W2: 2000 events, nanoseconds each, clock: %w",
-      "p50 .*p99%.9 .*max$", "^core" .. figures, "^limit" .. figures, "^the clock itself" .. figures,
-      "^status 0$" }, output_of("latency.lua", "STEPS=2000"))
+      "p50 .*p99%.9 .*max$", "^core" .. figures, "^limit" .. figures,
+      "^the clock itself" .. figures, "^status 0$" },
+      output_of("latency.lua", "STEPS=2000"))
   end)
 end)
 
