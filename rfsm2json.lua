@@ -8,8 +8,8 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm_marsh"
 
-local error, ipairs, pcall, rawget, rawset = error, ipairs, pcall, rawget, rawset
-local require, setmetatable, tostring, type = require, setmetatable, tostring, type
+local error, pcall, rawget, rawset = error, pcall, rawget, rawset
+local require, type = require, type
 
 local rfsm2json = {}
 
@@ -17,27 +17,6 @@ local KEY_ORDER = {
   "version", "type", "id", "src", "tgt", "pn", "events", "transitions", "subnodes",
   "graph", "active_leaf", "active_leaf_state",
 }
-
--- JSON knows strings, finite numbers and booleans; other events become their text.
-local function plain_event(event)
-  local kind = type(event)
-  if kind == "number" and event - event == 0 then return event end
-  return kind ~= "boolean" and tostring(event) or event
-end
-
--- Marks a list, so that an empty one is no object.
-local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
-
-local function mark_lists(node)
-  for _, tr in ipairs(node.transitions or {}) do
-    for i = 1, #tr.events do tr.events[i] = plain_event(tr.events[i]) end
-    as_array(tr.events)
-  end
-  if node.transitions then as_array(node.transitions) end
-  if node.subnodes then as_array(node.subnodes) end
-  for _, subnode in ipairs(node.subnodes or {}) do mark_lists(subnode) end
-  return node
-end
 
 local function find_dkjson()
   local ok, dkjson = pcall(require, "dkjson")
@@ -59,7 +38,7 @@ function rfsm2json.encode(fsm)
   end
   local leaf, mode = marsh.actinfo2tab(fsm)
   return find_dkjson().encode({
-    version = 2, type = "rfsm_model", graph = mark_lists(marsh.model2tab(fsm)),
+    version = 2, type = "rfsm_model", graph = marsh.jsontab(fsm),
     active_leaf = leaf, active_leaf_state = mode,
   }, { indent = true, keyorder = KEY_ORDER })
 end

@@ -8,7 +8,8 @@
 
 local rfsm = require "rfsm"
 
-local error, rawget, rawset, type = error, rawget, rawset, type
+local error, rawget, rawset, setmetatable = error, rawget, rawset, setmetatable
+local tostring, type = tostring, type
 
 local rfsm_marsh = {}
 
@@ -59,6 +60,43 @@ end
 function rfsm_marsh.model2tab(fsm)
   check_machine(fsm, "model2tab")
   return node_table(fsm)
+end
+
+-- JSON knows strings, finite numbers and booleans; other events become their text.
+local function plain_event(event)
+  local kind = type(event)
+  if kind == "number" and event - event == 0 then return event end
+  return kind ~= "boolean" and tostring(event) or event
+end
+
+-- Marks a list, so that an empty one is no object.
+local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
+
+local function mark_lists(node)
+  local transitions, subnodes = node.transitions, node.subnodes
+  if not transitions then return node end
+  for i = 1, #transitions do
+    local events = as_array(transitions[i].events)
+    for j = 1, #events do events[j] = plain_event(events[j]) end
+  end
+  for i = 1, #subnodes do mark_lists(subnodes[i]) end
+  as_array(transitions)
+  as_array(subnodes)
+  return node
+end
+
+--- Return the structure of a machine as dkjson should write it.
+--
+-- As `model2tab`, but the lists are marked as arrays, and events that JSON does not
+-- know are their text.
+--
+-- @raise when `fsm` was not initialised
+---@param fsm rfsm.Machine
+---@return rfsm_marsh.Node root
+---@nodiscard
+function rfsm_marsh.jsontab(fsm)
+  check_machine(fsm, "jsontab")
+  return mark_lists(node_table(fsm))
 end
 
 --- Return what is active in a machine.

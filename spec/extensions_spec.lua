@@ -10,6 +10,7 @@ local NAMES = {
   { "rfsm_timeevent", "rfsm.timeevent" }, { "rfsm_seqand", "rfsm.seqand" },
   { "rfsm_ext", "rfsm.ext" }, { "rfsm_emem", "rfsm.emem" },
   { "rfsm_await", "rfsm.await" }, { "rfsm_preview", "rfsm.preview" },
+  { "rfsm_proto", "rfsm.proto" },
   { "rfsm_checkevents", "rfsm.checkevents" }, { "rfsm_checks" },
 }
 
@@ -109,7 +110,9 @@ end)
 -- State that must not leak -----------------------------------------------------
 
 local timeevent = require "rfsm_timeevent"
+local proto = require "rfsm_proto"
 local rfsm_ext = require "rfsm_ext"
+local socket = require "socket"
 require "rfsm_await"
 require "rfsm_emem"
 require "rfsm_preview"
@@ -135,6 +138,21 @@ local function inner_machine()
     trans { src = "initial", tgt = "p" },
     trans { src = "p", tgt = "q", events = { "e_x" } },
   }
+end
+
+-- Sends a message to a machine over UDP and runs it; returns the last answer.
+local function converse(fsm, text)
+  local server = proto.install { fsm = fsm, port = 0, allow_send = true }
+  local udp, last = socket.udp4(), nil
+  udp:setpeername(server.host, server.port)
+  udp:settimeout(0)
+  udp:send(text)
+  socket.select({ server.udp }, nil, 5) -- it has arrived
+  rfsm.run(fsm)
+  for answer in function() return (udp:receive()) end do last = answer end
+  udp:close()
+  server:close()
+  return last
 end
 
 -- For each extension: a model, what gives it something to remember while a is active,
@@ -180,6 +198,13 @@ local EXTENSIONS = {
     memory = function(fsm)
       helper.post_and_run(fsm, "e_y")
       return fsm._act_leaf._id
+    end,
+  },
+  proto = {
+    model = function() return around(inner_machine(), { events = { "e_none" } }) end,
+    use = function(fsm) converse(fsm, '{"type":"event","event":"e_x"}') end,
+    memory = function(fsm)
+      return converse(fsm, '{"type":"subscribe"}'):match('"act_leaf":"([^"]*)"')
     end,
   },
   preview = {
@@ -320,7 +345,7 @@ end
 
 describe("a chart that uses no extension", function()
   for _, name in ipairs { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext", "rfsm_await",
-    "rfsm_preview", "rfsm_checks" } do
+    "rfsm_preview", "rfsm_checks", "rfsm_proto" } do
     it("gets no hook and no field when " .. name .. " is loaded", function()
       assert.equal("|", added_by { name })
     end)
@@ -328,7 +353,7 @@ describe("a chart that uses no extension", function()
 
   it("gets none when all of them are loaded", function()
     assert.equal("|", added_by { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext",
-      "rfsm_await", "rfsm_preview", "rfsm_checks" })
+      "rfsm_await", "rfsm_preview", "rfsm_checks", "rfsm_proto" })
   end)
 
   -- These two are for every machine: loading them is using them.
