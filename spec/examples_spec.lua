@@ -127,6 +127,13 @@ describe("the example", function()
     }, session("ball_tracking", "e_ball", "e_lost", "e_stop"))
   end)
 
+  it("rtt grasps, and lets go when something slips", function()
+    assert.same({
+      "fingers open", "fingers closing", "fingers open", "fingers closing",
+      "motor holds", "motor off", "fingers open",
+    }, session("rtt", "e_close", "e_open", "e_close", "e_contact", "e_slip"))
+  end)
+
   it("failure_recovery reports, brakes and recovers", function()
     local function repair() _G.motor.is_broken = false end -- luacheck: ignore 143
     assert.same({

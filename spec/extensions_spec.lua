@@ -12,6 +12,7 @@ local NAMES = {
   { "rfsm_await", "rfsm.await" }, { "rfsm_preview", "rfsm.preview" },
   { "rfsm_proto", "rfsm.proto" },
   { "rfsm_checkevents", "rfsm.checkevents" }, { "rfsm_checks" },
+  { "rfsm_rtt", "rfsm.rtt" },
 }
 
 -- Names in child processes -----------------------------------------------------
@@ -109,10 +110,15 @@ end)
 
 -- State that must not leak -----------------------------------------------------
 
+local rtt = require "spec.support.rtt"
+
+package.loaded.rtt = rtt
+
 local timeevent = require "rfsm_timeevent"
 local proto = require "rfsm_proto"
 local rfsm_ext = require "rfsm_ext"
 local socket = require "socket"
+local rfsm_rtt = require "rfsm_rtt"
 require "rfsm_await"
 require "rfsm_emem"
 require "rfsm_preview"
@@ -226,6 +232,24 @@ local EXTENSIONS = {
       return tostring(answer) .. tostring(fsm.is_prepared)
     end,
     forget = function(fsm) fsm.is_prepared = false end,
+  },
+  rtt = {
+    model = function()
+      local feed, events = rtt.OutputPort("string"), rtt.InputPort("string")
+      local out, names = rtt.OutputPort("string"), rtt.InputPort("string")
+      feed:connect(events)
+      out:connect(names)
+      local model = around(inner_machine(), { events = { "e_none" } })
+      model.getevents = rfsm_rtt.gen_read_str_events(events)
+      model.post_step_hook = rfsm_rtt.gen_write_fqn(out)
+      model.feed, model.names = feed, names
+      return model
+    end,
+    use = function(fsm)
+      fsm.feed:write("e_x")
+      rfsm.run(fsm)
+    end,
+    memory = function(fsm) return (select(2, fsm.names:read())) end,
   },
 }
 
@@ -345,7 +369,7 @@ end
 
 describe("a chart that uses no extension", function()
   for _, name in ipairs { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext", "rfsm_await",
-    "rfsm_preview", "rfsm_checks", "rfsm_proto" } do
+    "rfsm_preview", "rfsm_checks", "rfsm_proto", "rfsm_rtt" } do
     it("gets no hook and no field when " .. name .. " is loaded", function()
       assert.equal("|", added_by { name })
     end)
@@ -353,7 +377,7 @@ describe("a chart that uses no extension", function()
 
   it("gets none when all of them are loaded", function()
     assert.equal("|", added_by { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext",
-      "rfsm_await", "rfsm_preview", "rfsm_checks", "rfsm_proto" })
+      "rfsm_await", "rfsm_preview", "rfsm_checks", "rfsm_proto", "rfsm_rtt" })
   end)
 
   -- These two are for every machine: loading them is using them.

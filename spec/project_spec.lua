@@ -144,6 +144,15 @@ local function promised(block)
   return lines
 end
 
+-- Runs `f` while the global print is another one, which modules may look up, too.
+local function with_print(print_fn, f)
+  local real = print
+  rawset(_G, "print", print_fn)
+  local ok, problem = pcall(f)
+  rawset(_G, "print", real)
+  if not ok then error(problem, 0) end
+end
+
 -- Runs a block; returns the lines that it printed.
 local function run_block(env, block, name)
   local lines = {}
@@ -154,7 +163,8 @@ local function run_block(env, block, name)
       lines[#lines + 1] = line:match("^(.-)%s*$")
     end
   end)
-  load_in(env, ("\n"):rep(block.line - 1) .. block.text, "@" .. name)()
+  local text = ("\n"):rep(block.line - 1) .. block.text
+  with_print(env.print, load_in(env, text, "@" .. name))
   return lines
 end
 

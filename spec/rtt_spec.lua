@@ -1460,6 +1460,41 @@ describe("without RTT", function()
   end)
 end)
 
+describe("examples/hosts/rtt_host.lua", function()
+  -- Runs it with these modules named rtt; returns what it printed.
+  local function output_with(module)
+    local path = package.path
+    package.loaded.rtt = module
+    local lines = helper.printed(function() dofile("examples/hosts/rtt_host.lua") end)
+    package.loaded.rtt, package.path = rtt, path
+    return lines
+  end
+
+  local EXPECTED = {
+    "fingers open", "gripper: <none>", "gripper: root.open",
+    "fingers closing", "gripper: root.closing",
+    "motor holds", "gripper: root.holding",
+    "motor off", "fingers open", "gripper: root.open",
+  }
+
+  it("launches a component and drives it through ports", function()
+    assert.same(EXPECTED, output_with(rtt))
+  end)
+
+  it("leaves no component and no port", function()
+    output_with(rtt)
+    assert.same({}, rtt.getTC():getPortNames())
+    assert.same({}, rtt.getTC():getPeer("Deployer"):getPeers())
+  end)
+
+  it("says so when it runs on the stand-in", function()
+    local lines = output_with(nil)
+    assert.equal("RTT is not here, its stand-in is used: spec/support/rtt.lua",
+      table.remove(lines, 1))
+    assert.same(EXPECTED, lines)
+  end)
+end)
+
 -- The stand-in ---------------------------------------------------------------------
 --
 -- What it has in common with the real one and a careless user of RTT would not expect.
