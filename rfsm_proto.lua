@@ -30,7 +30,9 @@ local VERSION = 2 -- of the messages and of the graph in them, as rfsm2json writ
 -- Limits: what a datagram, or a lot of them, can cost.
 local MAX_READS = 64 -- datagrams read in one iteration
 local MAX_RECEIVED = 4096 -- bytes of a datagram
+local BUDGET = 32768 -- bytes read and answered, after which the rest waits
 local MAX_DEPTH = 8 -- lists and objects inside each other
+local MAX_COMMAS = 64 -- between values
 local MAX_WAITING = 1000 -- events that wait until their machine is advanced
 local MAX_SILENCE = 3 -- seconds without a heartbeat
 local ENVELOPE = 256 -- bytes at most around a graph or a part of it
@@ -153,7 +155,7 @@ local function new_server(settings, socket, json, udp)
     max_datagram = settings.max_datagram, read_timeout = settings.read_timeout,
     clock = settings.clock or socket.gettime,
     -- the run
-    udp = udp, json = json, now = 0,
+    udp = udp, json = json, now = 0, budget = 0,
     subscribers = {}, -- in the order in which they came
     machines = setmetatable({}, WEAK_VALUES), count = 0, -- by number; not kept alive
   }, Server)
@@ -184,6 +186,7 @@ local function new_feed(server)
     cnt = 0, inbox = {}, -- events that wait for the next step
     -- the graph as JSON, made when it is first wanted; or why there is none
     graph = false, failure = false, cuts = false, revision = 1,
+    part = 0, data = false, -- the part that was sent last, as a JSON string
     -- the end of the last rfsm_active_state, and what it was made of
     leaf = nil, mode = nil, tail = false,
   }
@@ -211,6 +214,7 @@ end
 
 -- Sends a text. A full buffer loses it, as UDP may; who cannot be reached is dropped.
 local function send(server, ip, port, text)
+  server.budget = server.budget - #text
   local sent, problem = server.udp:sendto(text, ip, port)
   if not sent and problem ~= "timeout" then drop(server, ip, port) end
 end
@@ -258,7 +262,7 @@ local function prepare_graph(server, fsm, feed)
     feed.failure = "the graph cannot be written: " .. tostring(graph):match("^[^\n]*")
     return
   end
-  feed.graph, feed.cuts = graph, false
+  feed.graph, feed.cuts, feed.part = graph, false, 0
   if #graph + ENVELOPE > server.max_datagram then -- quoted, a text doubles at most
     feed.cuts = cuts_of(graph, floor((server.max_datagram - ENVELOPE) / 2))
   end
@@ -266,9 +270,12 @@ end
 
 local function part_text(server, feed, part)
   local cuts = feed.cuts
+  if feed.part ~= part then
+    feed.part = part
+    feed.data = server.json.quotestring(feed.graph:sub(cuts[part], cuts[part + 1] - 1))
+  end
   return ('%s"revision":%d,"part":%d,"parts":%d,"data":%s}'):format(
-    head("rfsm_model_part", feed), feed.revision, part, #cuts - 1,
-    server.json.quotestring(feed.graph:sub(cuts[part], cuts[part + 1] - 1)))
+    head("rfsm_model_part", feed), feed.revision, part, #cuts - 1, feed.data)
 end
 
 -- Sends the graph, or that part of it if it is too long for one datagram.
@@ -409,12 +416,14 @@ end
 
 -- Receive ---------------------------------------------------------------------
 
--- Has a text brackets inside each other, deeper than is read? What is in strings does
--- not count. Only JSON's dialects have a slash elsewhere.
-local function is_deep(text)
-  if select(2, text:gsub("[%[{]", "")) <= MAX_DEPTH then return false end
+local function count(text, pattern) return select(2, text:gsub(pattern, "")) end
+
+-- Has a text more values, or brackets deeper inside each other, than are read? What is
+-- in strings does not count. Only JSON's dialects have a slash elsewhere.
+local function is_tangled(text)
+  if count(text, "[%[{,]") <= MAX_DEPTH then return false end
   text = text:gsub("\\.", ""):gsub('"[^"]*"', "")
-  if text:find("/", 1, true) then return true end
+  if text:find("/", 1, true) or count(text, ",") > MAX_COMMAS then return true end
   local depth = 0
   for bracket in text:gmatch("[%[%]{}]") do
     depth = depth + ((bracket == "[" or bracket == "{") and 1 or -1)
@@ -425,7 +434,9 @@ end
 
 -- Returns the message in a datagram; nil when there is none that could be read.
 local function decode(json, data)
-  if #data > MAX_RECEIVED or not data:find("^%s*{") or is_deep(data) then return nil end
+  if #data > MAX_RECEIVED or not data:find("^%s*{") or is_tangled(data) then
+    return nil
+  end
   local ok, message, after = pcall(json.decode, data, 1, nil, nil, nil)
   if not ok or type(message) ~= "table" or data:find("%S", after) then return nil end
   return message
@@ -453,20 +464,20 @@ end
 
 local function is_over(problem) return problem == "timeout" or problem == "closed" end
 
--- Reads what waits, up to a limit; `data` is the first. Returns whether that was all.
--- Errors of earlier sends show here, too, and are no reason to stop.
+-- Reads what waits, up to the limits; `data` is the first. Returns whether that was
+-- all. Errors of earlier sends show here, too, and are no reason to stop.
 local function receive_all(server, data, ip, port)
+  server.budget = BUDGET
   for i = 1, MAX_READS do
     if data then
+      server.budget = server.budget - #data
       handle(server, data, ip, port)
     elseif is_over(ip) then
       return true
     end
-    if i < MAX_READS then
-      data, ip, port = server.udp:receivefrom(MAX_RECEIVED + 1)
-    end
+    if i == MAX_READS or server.budget <= 0 then return false end
+    data, ip, port = server.udp:receivefrom(MAX_RECEIVED + 1)
   end
-  return false
 end
 
 -- Sets the server's time; returns why not, and the time stands still.

@@ -611,6 +611,16 @@ describe("rfsm_proto", function()
       end
     end)
 
+    it("comes one part per iteration, however many are asked for", function()
+      local fsm, client, first = fetch(chain(2000))
+      for part = 2, first.parts do client:send { type = "model", part = part } end
+      for part = 2, first.parts do
+        rfsm.step(fsm)
+        assert.equal(part, client:read().part)
+        assert.equal("rfsm_active_state", client:read().type)
+      end
+    end)
+
     it("has no more parts than it says", function()
       local fsm, client, first = fetch(chain(20), { max_datagram = 1024 })
       client:send { type = "model", part = first.parts + 1 }
@@ -675,6 +685,7 @@ describe("rfsm_proto", function()
         '{"type":"subscribe"}x', '{"type":"rfsm_error"}', '{"type":"none"}',
         '{"type":["subscribe"]}', '{"type":1}',
         '{"type":"subscribe","x":[[[[[[[[]]]]]]]]}',
+        '{"type":"subscribe","x":[' .. ("1,"):rep(64) .. '1]}',
         '{"type":"subscribe","x":"' .. ("x"):rep(4096) .. '"}',
       } do client:send(text) end
       rfsm.step(fsm)
@@ -682,10 +693,10 @@ describe("rfsm_proto", function()
       assert.same({}, client:lines(0))
     end)
 
-    it("is told from one with brackets in a string", function()
+    it("is told from one with brackets and commas in a string", function()
       local fsm, server = served()
       local client = new_client(server)
-      client:send('{"type":"subscribe","x":"\\"' .. ("["):rep(100) .. '","y":[[1],2]}')
+      client:send('{"type":"subscribe","x":"\\"' .. ("[,"):rep(100) .. '","y":[[1],2]}')
       rfsm.step(fsm)
       assert.same({ "model 1", "active_state root.off" }, client:lines(2))
     end)
@@ -697,14 +708,15 @@ describe("rfsm_proto", function()
       return collectgarbage("count")
     end
 
-    -- Feeds random datagrams to a lamp, as many in a step as it reads. `put` is called
-    -- with each, `sweep` after each step. Returns the KiB by which memory has grown
-    -- since the first fifth, in which buffers find their size.
+    -- Feeds random datagrams to a lamp, no more at a time than it reads in two steps.
+    -- `put` is called with each, `sweep` after the steps. Returns the KiB by which
+    -- memory has grown since the first fifth, in which buffers find their size.
     local function feed(fsm, count, put, sweep)
       local next_datagram, before = datagrams.generator(SEED), nil
       for i = 1, count do
         put(next_datagram())
-        if i % 64 == 0 then
+        if i % 32 == 0 then
+          assert.is_boolean(rfsm.step(fsm))
           assert.is_boolean(rfsm.step(fsm))
           sweep()
         end
@@ -749,6 +761,7 @@ describe("rfsm_proto", function()
           return 1
         end
         local function sweep()
+          assert.is_true(first > #waiting)
           helper.clear(waiting)
           first, now = 1, now + 1
         end
@@ -771,6 +784,17 @@ describe("rfsm_proto", function()
       local fsm, server = served { allow_send = true }
       local client = new_client(server)
       for _ = 1, 64 do client:send("x") end
+      client:send { type = "event", event = "e_push" }
+      rfsm.run(fsm)
+      assert.equal("root.off", rfsm.get_actleaf_fqn(fsm))
+      rfsm.run(fsm)
+      assert.equal("root.on", rfsm.get_actleaf_fqn(fsm))
+    end)
+
+    it("reads no more than 32 KiB, the rest waits", function()
+      local fsm, server = served { allow_send = true }
+      local client = new_client(server)
+      for _ = 1, 8 do client:send(("x"):rep(4096)) end
       client:send { type = "event", event = "e_push" }
       rfsm.run(fsm)
       assert.equal("root.off", rfsm.get_actleaf_fqn(fsm))
