@@ -38,8 +38,9 @@ function rfsm2json.encode(fsm)
   end
   local leaf, mode = marsh.actinfo2tab(fsm)
   return find_dkjson().encode({
-    version = 2, type = "rfsm_model", graph = marsh.jsontab(fsm),
-    active_leaf = leaf, active_leaf_state = mode,
+    version = 2, type = "rfsm_model",
+    graph = marsh.jsontab(fsm),
+    active_leaf = leaf and marsh.utf8(leaf), active_leaf_state = mode,
   }, { indent = true, keyorder = KEY_ORDER })
 end
 

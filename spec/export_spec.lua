@@ -102,6 +102,38 @@ describe("rfsm2json", function()
   end)
 end)
 
+describe("rfsm2json", function()
+  local function encoded(events, pn)
+    return rfsm2json.encode(helper.init(state {
+      a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "a", events = events, pn = pn },
+    }))
+  end
+
+  it("writes numbers alike on each Lua, and so that none is lost", function()
+    local text = encoded({ 5.0, 0.1, -2.5, 1e100, 2 ^ 53, 1 / 3, -1 / 0 }, 3.0)
+    assert.is_truthy(text:find('"events":[5,0.1,-2.5,1e+100,9007199254740992,'
+      .. '0.33333333333333331,"-inf"]', 1, true))
+    assert.matches('"pn":3,\n', text)
+    assert.matches('"pn":"inf",\n', encoded({}, 1 / 0))
+  end)
+
+  it("numbers events that have no text of their own", function()
+    local f, t = function() end, {}
+    assert.is_truthy(encoded({ f, t, print, f, false }):find('"events":["function 1",'
+      .. '"table 1","function 2","function 1",false]', 1, true))
+  end)
+
+  it("is UTF-8 whatever the names", function()
+    assert.matches('"events":%["\\ufffd","\195\169"%]',
+      encoded { "\255", "\195\169" })
+    local fsm = helper.init(state { ["\255"] = state {},
+      trans { src = "initial", tgt = "\255" } })
+    rfsm.run(fsm)
+    assert.matches('"active_leaf":"root.\\ufffd"', rfsm2json.encode(fsm))
+  end)
+end)
+
 describe("rfsm2plantuml", function()
   it("draws composites, connectors and arrows with unique identifiers", function()
     assert.equal([[
@@ -132,40 +164,6 @@ state "root" as root {
     handle:close()
     os.remove(file)
     assert.equal(rfsm2plantuml.encode(machine()), text)
-  end)
-end)
-
-describe("the tool", function()
-  local lua = arg and arg[-1] or "lua5.1"
-
-  -- Runs a tool; returns what it wrote and its status.
-  local function run(command)
-    local pipe = io.popen(lua .. " " .. command .. " 2>&1; echo status $?")
-    local text = pipe:read("*a")
-    pipe:close()
-    return text
-  end
-
-  it("rfsm2plantuml writes several charts to stdout", function()
-    local text = run("tools/rfsm2plantuml examples/on_off.lua examples/doo_once.lua")
-    local _, count = text:gsub("@startuml\n", "")
-    assert.equal(2, count)
-    assert.matches("status 0\n$", text)
-  end)
-
-  it("rfsm2json writes to a file", function()
-    local file = os.tmpname()
-    assert.equal("status 0\n",
-      run("tools/rfsm2json -o " .. file .. " examples/on_off.lua"))
-    local handle = assert(io.open(file))
-    assert.matches('^{\n  "version":2,', handle:read("*a"))
-    handle:close()
-    os.remove(file)
-  end)
-
-  it("says in one line what is wrong with a file", function()
-    assert.matches("^rfsm2json: cannot open nowhere.lua[^\n]*\nstatus 1\n$",
-      run("tools/rfsm2json nowhere.lua"))
   end)
 end)
 
