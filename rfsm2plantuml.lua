@@ -3,93 +3,69 @@
 -- @module rfsm2plantuml
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
-local marsh = require "rfsm_marsh"
+require "rfsm"
+local diagram = require "rfsm_diagram"
 
-local error, ipairs, rawget, rawset = error, ipairs, rawget, rawset
-local io, tostring, type = io, tostring, type
+local ipairs, rawget, rawset = ipairs, rawget, rawset
 local concat = table.concat
 
 local rfsm2plantuml = {}
 
--- Gives F an identifier of letters, digits and underscores that no other F has.
-local function identifier_of(drawing, fqn)
-  local id = drawing.ids[fqn]
-  if id then return id end
-  local plain = fqn:gsub("[^%w]", "_")
-  id = plain
-  local count = 1
-  while drawing.taken[id] do
-    count = count + 1
-    id = plain .. "_" .. count
-  end
-  drawing.ids[fqn], drawing.taken[id] = id, true
-  return id
+-- Text: what PlantUML would take for a command becomes <U+0022> ------------------
+
+local function code(character) return ("<U+%04X>"):format(character:byte()) end
+
+local function text_of(text)
+  text = text:gsub('[\\"<&~%%]', code):gsub("/'", "/" .. code("'"))
+  -- two of these in a row begin or end bold, italic, underlined, struck out text
+  text = text:gsub("([*/_-])%1", function(one) return one .. code(one) end)
+  return (text:gsub("\n", "\\n"))
 end
 
-local function add(drawing, depth, text)
-  drawing.lines[#drawing.lines + 1] = ("  "):rep(depth) .. text
+-- Lines -----------------------------------------------------------------------
+
+local function add(lines, depth, text)
+  lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
-local function label_of(tr)
-  if not tr.events[1] then return "" end
-  local texts = {}
-  for i, event in ipairs(tr.events) do texts[i] = tostring(event) end
-  return " : " .. concat(texts, ", ")
+-- An initial is [*] where its composite begins; everywhere else that stands for it.
+local function end_of(node, is_start)
+  if node.kind ~= "initial" then return node.id end
+  return is_start and "[*]" or node.parent.id
 end
 
-local function is_initial(fqn) return fqn:match("[^.]*$") == "initial" end
-
--- The end of an arrow that is drawn in `composite`: its own `initial` is the pseudo
--- state where the arrow starts there; any other stands for the composite it enters.
-local function end_of(drawing, fqn, composite)
-  if not is_initial(fqn) then return identifier_of(drawing, fqn) end
-  local owner = fqn:match("^(.*)%.initial$")
-  return owner == composite and "[*]" or identifier_of(drawing, owner)
-end
-
-local function add_transition(drawing, depth, composite, tr)
-  add(drawing, depth, end_of(drawing, tr.src, composite) .. " --> "
-    .. end_of(drawing, tr.tgt, nil) .. label_of(tr))
-end
-
-local add_node
-
-local function add_members(drawing, depth, fqn, node)
-  for _, subnode in ipairs(node.subnodes or {}) do
-    add_node(drawing, depth, fqn .. "." .. subnode.id, subnode)
-  end
-  for _, tr in ipairs(node.transitions or {}) do
-    add_transition(drawing, depth, fqn, tr)
+local function add_arrows(lines, depth, composite)
+  for _, arrow in ipairs(composite.arrows) do
+    local is_start = arrow.src.parent == composite
+    local label = arrow.events ~= "" and " : " .. text_of(arrow.events) or ""
+    add(lines, depth, end_of(arrow.src, is_start) .. " --> " .. end_of(arrow.tgt)
+      .. label)
   end
 end
 
-function add_node(drawing, depth, fqn, node)
-  local id = identifier_of(drawing, fqn)
-  if node.type == "connector" then
-    if node.id == "initial" then return end
-    return add(drawing, depth, "state " .. id .. " <<choice>>")
+local function add_node(lines, depth, node)
+  if node.kind == "initial" then return end
+  if node.kind == "connector" then
+    return add(lines, depth, "state " .. node.id .. " <<choice>>")
   end
-  local head = ('state "%s" as %s'):format(node.id:gsub('"', "'"), id)
-  if not node.subnodes then return add(drawing, depth, head) end
-  add(drawing, depth, head .. " {")
-  add_members(drawing, depth + 1, fqn, node)
-  add(drawing, depth, "}")
+  local head = ('state "%s" as %s'):format(text_of(node.name), node.id)
+  if node.kind == "leaf" then return add(lines, depth, head) end
+  add(lines, depth, head .. " {")
+  for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, subnode) end
+  add_arrows(lines, depth + 1, node)
+  add(lines, depth, "}")
 end
 
-local function check_machine(fsm, name)
-  if rfsm.is_initialized_root(fsm) then return end
-  error("rfsm2plantuml." .. name .. ": initialised fsm expected, got " .. type(fsm), 3)
+local function draw(chart)
+  local lines = { "@startuml" }
+  if chart.title then add(lines, 0, "title " .. text_of(chart.title)) end
+  add_node(lines, 0, chart.root)
+  add_arrows(lines, 0, chart)
+  add(lines, 0, "@enduml")
+  return concat(lines, "\n") .. "\n"
 end
 
-local function draw(fsm, title)
-  local drawing = { lines = {}, ids = {}, taken = {} }
-  add(drawing, 0, "@startuml")
-  if title then add(drawing, 0, "title " .. title) end
-  add_node(drawing, 0, "root", marsh.model2tab(fsm))
-  add(drawing, 0, "@enduml")
-  return concat(drawing.lines, "\n") .. "\n"
-end
+-- Public functions ------------------------------------------------------------
 
 --- Return a machine as the text of a PlantUML diagram.
 -- @raise when `fsm` was not initialised
@@ -98,8 +74,8 @@ end
 ---@return string plantuml
 ---@nodiscard
 function rfsm2plantuml.encode(fsm, title)
-  check_machine(fsm, "encode")
-  return draw(fsm, title)
+  local chart = diagram.read(fsm, "rfsm2plantuml.encode", title)
+  return draw(chart)
 end
 
 --- Write a machine as a PlantUML diagram to a file.
@@ -108,11 +84,8 @@ end
 ---@param file string
 ---@param title? string
 function rfsm2plantuml.save(fsm, file, title)
-  check_machine(fsm, "save")
-  local handle, problem = io.open(file, "w")
-  if not handle then error("rfsm2plantuml.save: " .. problem, 2) end
-  handle:write(draw(fsm, title))
-  handle:close()
+  local chart = diagram.read(fsm, "rfsm2plantuml.save", title)
+  diagram.save("rfsm2plantuml.save", file, draw(chart))
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2plantuml", rfsm2plantuml) end

@@ -40,6 +40,7 @@ missing_for_test() {
   has_module lua5.1 socket || echo lua-socket
   has_module lua5.1 luv || echo lua-luv
   has_module lua5.1 readline || echo lua-readline
+  command -v dot >/dev/null 2>&1 || echo graphviz
 }
 
 # Prints what to put before a command to run it as root; fails where that needs asking.

@@ -1,0 +1,186 @@
+--- What the diagrams have in common: identifiers, labels, where arrows begin and end.
+--
+-- `rfsm2plantuml`, `rfsm2dot` and `rfsm2mermaid` write what `rfsm_diagram.read`
+-- returns, each in its language.
+--
+-- @module rfsm_diagram
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local marsh = require "rfsm_marsh"
+
+local error, io, ipairs, rawget, rawset = error, io, ipairs, rawget, rawset
+local tostring, type = tostring, type
+local concat = table.concat
+
+local rfsm_diagram = {}
+
+--- A box, a diamond or the dot where a composite begins.
+---@class rfsm_diagram.Node
+---@field name string as in the model
+---@field id string letters, digits and underscores; no other node has it
+---@field kind "leaf"|"composite"|"connector"|"initial"
+---@field parent? rfsm_diagram.Node absent at the root
+---@field nodes rfsm_diagram.Node[] sorted by name
+---@field arrows rfsm_diagram.Arrow[] those with both ends in this composite
+---@field initial? rfsm_diagram.Node
+
+--- A transition.
+---@class rfsm_diagram.Arrow
+---@field src rfsm_diagram.Node
+---@field tgt rfsm_diagram.Node an `initial` where the transition stays inside
+---@field events string "e1, e2"; empty for any
+---@field label string the events, "[guard]" and "/ effect", as far as there are any
+
+--- A machine, ready to be drawn.
+---@class rfsm_diagram.Chart
+---@field title? string
+---@field root rfsm_diagram.Node
+---@field arrows rfsm_diagram.Arrow[] those that begin or end at the root
+---@field all rfsm_diagram.Arrow[] all arrows
+---@field taken table<string, boolean> identifiers that are given
+
+--- Return an identifier that nothing else in the drawing has.
+---@param chart rfsm_diagram.Chart
+---@param text string
+---@return string id
+function rfsm_diagram.new_id(chart, text)
+  local plain = text:gsub("[^%w]", "_")
+  local id, count = plain, 1
+  while chart.taken[id] do
+    count = count + 1
+    id = plain .. "_" .. count
+  end
+  chart.taken[id] = true
+  return id
+end
+
+-- Texts fit for a picture: UTF-8, and no control characters but the line feed.
+local function clean(text)
+  text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
+  return (text:gsub("[%z\1-\9\11-\31\127]", "\239\191\189"))
+end
+
+local function kind_of(tab)
+  if tab.type == "state" then return tab.subnodes and "composite" or "leaf" end
+  return tab.id == "initial" and "initial" or "connector"
+end
+
+-- Reads a node and those in it; `by_fqn` gets them all.
+local function read_node(chart, by_fqn, tab, parent, fqn)
+  local node = {
+    name = clean(tab.id), id = rfsm_diagram.new_id(chart, fqn), kind = kind_of(tab),
+    parent = parent, nodes = {}, arrows = {},
+  }
+  by_fqn[fqn] = node
+  for i, subtab in ipairs(tab.subnodes or {}) do
+    node.nodes[i] = read_node(chart, by_fqn, subtab, node, fqn .. "." .. subtab.id)
+    if node.nodes[i].kind == "initial" then node.initial = node.nodes[i] end
+  end
+  return node
+end
+
+--- Is `node` somewhere inside of `composite`?
+---@param node rfsm_diagram.Node
+---@param composite rfsm_diagram.Node
+---@return boolean
+function rfsm_diagram.is_inside(node, composite)
+  local parent = node.parent
+  while parent and parent ~= composite do parent = parent.parent end
+  return parent ~= nil
+end
+
+local is_inside = rfsm_diagram.is_inside
+
+-- Returns the innermost composite that has both ends of an arrow in it; nil when one is
+-- the root. An arrow to an initial ends, in most languages, at the composite itself.
+local function find_home(src, tgt)
+  if tgt.kind == "initial" then tgt = tgt.parent end
+  local home = src.parent
+  while home and not is_inside(tgt, home) do home = home.parent end
+  return home
+end
+
+local function label_of(tr, events)
+  local parts = { events ~= "" and events or nil }
+  if tr.guard then parts[#parts + 1] = "[guard]" end
+  if tr.effect then parts[#parts + 1] = "/ effect" end
+  return concat(parts, " ")
+end
+
+-- A transition that enters a composite from outside ends at its border, one from inside
+-- at its initial, which does not leave the composite.
+local function read_arrow(by_fqn, tr, text_of)
+  local src, tgt = by_fqn[tr.src], by_fqn[tr.tgt]
+  if tgt.kind == "initial" and not is_inside(src, tgt.parent) then tgt = tgt.parent end
+  local texts = {}
+  for i = 1, #tr.events do texts[i] = clean(text_of(tr.events[i])) end
+  local events = concat(texts, ", ")
+  return { src = src, tgt = tgt, events = events, label = label_of(tr, events) }
+end
+
+local function read_arrows(chart, by_fqn, tab, fqn, text_of)
+  for _, tr in ipairs(tab.transitions or {}) do
+    local arrow = read_arrow(by_fqn, tr, text_of)
+    local home = find_home(arrow.src, arrow.tgt) or chart
+    home.arrows[#home.arrows + 1] = arrow
+    chart.all[#chart.all + 1] = arrow
+  end
+  for _, subtab in ipairs(tab.subnodes or {}) do
+    read_arrows(chart, by_fqn, subtab, fqn .. "." .. subtab.id, text_of)
+  end
+end
+
+-- Blames the caller of the function `name` two levels up.
+local function check(fsm, name, title)
+  if not rfsm.is_initialized_root(fsm) then
+    error(name .. ": initialised fsm expected, got " .. type(fsm), 4)
+  end
+  local kind = type(title)
+  if kind ~= "nil" and kind ~= "string" and kind ~= "number" then
+    error(name .. ": title: string expected, got " .. kind, 4)
+  end
+end
+
+--- Read a machine, for a public function of an exporter.
+-- @raise when `fsm` was not initialised, blaming the caller of that function
+---@param fsm rfsm.Machine
+---@param name string of the function
+---@param title? string
+---@return rfsm_diagram.Chart chart
+---@nodiscard
+function rfsm_diagram.read(fsm, name, title)
+  check(fsm, name, title)
+  local chart, by_fqn = { arrows = {}, all = {}, taken = {} }, {}
+  chart.title = title and title ~= "" and clean(tostring(title)) or nil
+  local tab = marsh.model2tab(fsm, true)
+  chart.root = read_node(chart, by_fqn, tab, nil, "root")
+  read_arrows(chart, by_fqn, tab, "root", marsh.gen_event_text())
+  return chart
+end
+
+local function write(file, text)
+  local handle, problem = io.open(file, "w")
+  if not handle then return false, problem end
+  local is_written, why = handle:write(text)
+  local is_closed, why_not = handle:close()
+  if is_written and is_closed then return true end
+  return false, file .. ": " .. (why or why_not)
+end
+
+--- Write a text to a file, for a public function of an exporter.
+-- @raise when it cannot be written, blaming the caller of that function
+---@param name string of the function
+---@param file string
+---@param text string
+function rfsm_diagram.save(name, file, text)
+  if type(file) ~= "string" then
+    error(name .. ": file name expected, got " .. type(file), 3)
+  end
+  local ok, problem = write(file, text)
+  if not ok then error(name .. ": " .. problem, 3) end
+end
+
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_diagram", rfsm_diagram) end
+
+return rfsm_diagram

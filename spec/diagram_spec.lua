@@ -1,0 +1,432 @@
+-- What the three diagrams have in common, and each of them.
+
+local helper = require "spec.helper"
+local marsh = require "rfsm_marsh"
+local rfsm = require "rfsm"
+
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+
+local LANGUAGES = { "rfsm2plantuml", "rfsm2dot", "rfsm2mermaid" }
+
+local function yes() return true end
+
+-- off, on{ idle, moving } with a connector, a guard and an effect
+local function lamp()
+  return helper.init(state {
+    off = state {}, k = conn {},
+    on = state {
+      idle = state {}, moving = state {},
+      trans { src = "initial", tgt = "idle" },
+      trans { src = "idle", tgt = "moving", events = { "e_go", "e_run" } },
+      trans { src = "moving", tgt = "root.off", events = { "e_panic" } },
+      trans { src = "moving", tgt = "initial", events = { "e_halt" } },
+    },
+    trans { src = "initial", tgt = "off" },
+    trans { src = "off", tgt = "k", events = { "e_switch" }, guard = yes },
+    trans { src = "k", tgt = "on", effect = yes },
+    trans { src = "on", tgt = "on", events = { "e_again" } },
+    trans { src = "on", tgt = "on.moving", events = { "e_in" }, guard = yes,
+      effect = yes },
+    trans { src = "on", tgt = "off", events = { "e_switch" } },
+  })
+end
+
+local ODD_NAMES = {
+  "a b", "a_b", "a-b", "end", 'q"q', "q'q", "l1\nl2", "<b>", "<<choice>>", "[*]", "a:b",
+  "}", "{", "#", "%d", "%% x", "&amp;", "1", " ", "--", "état", "日本", "\255\254", "\1",
+  "tab\t", "note", "graph", "x_", "*b*", "//i//", "__", "~",
+  "`c`", ";", "$x", "|", "/' '/",
+}
+
+-- One leaf for each odd name, and an arrow with that text as event from the first.
+local function odd()
+  local model = state { root = state {}, trans { src = "initial", tgt = "root" } }
+  for _, name in ipairs(ODD_NAMES) do
+    if name ~= "__" then model[name] = state {} end
+    model[#model + 1] = trans { src = "root", tgt = "root", events = { name } }
+  end
+  return helper.init(model)
+end
+
+local function write_file(text)
+  local file = os.tmpname()
+  local handle = assert(io.open(file, "wb"))
+  handle:write(text)
+  handle:close()
+  return file
+end
+
+local function read_file(file)
+  local handle = assert(io.open(file, "rb"))
+  local text = handle:read("*a")
+  handle:close()
+  os.remove(file)
+  return text
+end
+
+-- What Graphviz says to a text on stderr, and the picture.
+local function graphviz(text)
+  local file, log = write_file(text), os.tmpname()
+  local pipe = io.popen("dot -Tsvg '" .. file .. "' 2>'" .. log .. "'")
+  local picture = pipe:read("*a")
+  pipe:close()
+  os.remove(file)
+  return read_file(log), picture
+end
+
+describe("gen_event_text", function()
+  it("says the same on each Lua", function()
+    local text_of = marsh.gen_event_text()
+    local texts = {}
+    for i, event in ipairs { 5, 2.0, 0.1, 1e100, "e_x", true, false } do
+      texts[i] = text_of(event)
+    end
+    assert.same({ "5", "2", "0.1", "1e+100", "e_x", "true", "false" }, texts)
+  end)
+
+  it("counts what has an address only", function()
+    local text_of = marsh.gen_event_text()
+    local t, f = {}, function() end
+    assert.same({ "table 1", "function 1", "table 2", "function 2", "table 1",
+      "userdata 1", "thread 1" }, { text_of(t), text_of(f), text_of({}), text_of(print),
+      text_of(t), text_of(io.stdout), text_of(coroutine.create(f)) })
+  end)
+
+  it("takes a text that an event has of its own, unless it fails", function()
+    local text_of = marsh.gen_event_text()
+    local class = { __tostring = function() return "my event" end }
+    local bad = { __tostring = function() error("no") end }
+    assert.equal("my event", text_of(setmetatable({}, class)))
+    assert.equal("table 1", text_of(setmetatable({}, bad)))
+  end)
+end)
+
+describe("utf8", function()
+  it("leaves UTF-8 as it is", function()
+    local text = "a é 日 \240\159\164\150 \0"
+    assert.equal(text, marsh.utf8(text))
+  end)
+
+  it("replaces each byte that is none", function()
+    local mark = "\239\191\189"
+    assert.equal("a" .. mark .. mark .. "b", marsh.utf8("a\255\192b"))
+    assert.equal(mark .. mark .. mark, marsh.utf8("\237\160\128")) -- a surrogate
+    assert.equal(mark .. mark, marsh.utf8("\224\160")) -- cut off
+  end)
+end)
+
+describe("model2tab", function()
+  it("tells of guards and effects when asked to", function()
+    local transitions = marsh.model2tab(lamp(), true).transitions
+    assert.same({ true, nil }, { transitions[2].guard, transitions[2].effect })
+    assert.same({ nil, true }, { transitions[3].guard, transitions[3].effect })
+    assert.is_nil(marsh.model2tab(lamp()).transitions[2].guard)
+  end)
+end)
+
+for _, language in ipairs(LANGUAGES) do
+  local exporter = require(language)
+
+  describe(language, function()
+    it("has its dotted name and its global", function()
+      local dotted = "rfsm." .. language:gsub("^rfsm2", "")
+      assert.equal(exporter, require(dotted))
+      assert.equal(exporter, rawget(_G, language))
+    end)
+
+    it("writes the same text each time, whatever the events", function()
+      local function machine()
+        return helper.init(state {
+          a = state {}, trans { src = "initial", tgt = "a" },
+          trans { src = "a", tgt = "a",
+            events = { function() end, {}, 5, 5.0, false } },
+        })
+      end
+      local text = exporter.encode(machine())
+      assert.equal(text, exporter.encode(machine()))
+      assert.is_truthy(text:find("function 1, table 1, 5, 5, false", 1, true))
+    end)
+
+    it("gives each node an identifier of its own", function()
+      local seen = {}
+      for id in exporter.encode(odd()):gmatch("[^\n]* as ([%w_]+)") do
+        assert.is_nil(seen[id])
+        seen[id] = true
+      end
+    end)
+
+    it("wants an initialised fsm", function()
+      for _, name in ipairs { "encode", "save" } do
+        local ok, problem = pcall(function() return (exporter[name](state {}, "x")) end)
+        assert.is_false(ok)
+        assert.matches("diagram_spec.lua:%d+: " .. language .. "." .. name
+          .. ": initialised fsm expected, got table", problem)
+      end
+    end)
+
+    it("wants a title that is a text", function()
+      local ok, problem = pcall(function() return (exporter.encode(lamp(), {})) end)
+      assert.is_false(ok)
+      assert.matches("diagram_spec.lua:%d+: " .. language
+        .. ".encode: title: string expected, got table", problem)
+    end)
+
+    it("saves to a file", function()
+      local file = os.tmpname()
+      exporter.save(lamp(), file, "T")
+      assert.equal(exporter.encode(lamp(), "T"), read_file(file))
+    end)
+
+    it("says why it cannot save", function()
+      for file, reason in pairs { -- any order: each stands alone
+        ["/nowhere/x"] = "/nowhere/x: No such file or directory",
+        ["/dev/full"] = "/dev/full: No space left on device",
+      } do
+        local ok, problem = pcall(function() exporter.save(lamp(), file) end)
+        assert.is_false(ok)
+        assert.matches("diagram_spec.lua:%d+: " .. language .. ".save: " .. reason
+          .. "$", problem)
+      end
+    end)
+
+    it("draws a machine of one state", function()
+      local text = exporter.encode(helper.init(state {}))
+      assert.is_truthy(text:find('"root"', 1, true))
+    end)
+
+    it("draws 150 levels", function()
+      local model = state {}
+      for _ = 1, 150 do
+        model = state { a = model, trans { src = "initial", tgt = "a" } }
+      end
+      local _, arrows = exporter.encode(helper.init(model)):gsub("%->", "")
+      assert.equal(150, arrows)
+    end)
+  end)
+end
+
+describe("rfsm2plantuml", function()
+  it("draws an arrow in the innermost composite that has both its ends", function()
+    assert.equal([[
+@startuml
+title the lamp
+state "root" as root {
+  state root_k <<choice>>
+  state "off" as root_off
+  state "on" as root_on {
+    state "idle" as root_on_idle
+    state "moving" as root_on_moving
+    [*] --> root_on_idle
+    root_on_idle --> root_on_moving : e_go, e_run
+  }
+  [*] --> root_off
+  root_off --> root_k : e_switch
+  root_k --> root_on
+  root_on --> root_on : e_again
+  root_on --> root_on_moving : e_in
+  root_on --> root_off : e_switch
+  root_on_moving --> root_off : e_panic
+  root_on_moving --> root_on : e_halt
+}
+@enduml
+]], require("rfsm2plantuml").encode(lamp(), "the lamp"))
+  end)
+
+  it("begins at the initial of a composite what a parent layers on it", function()
+    local fsm = helper.init(state {
+      m = state { x = state {}, initial = conn {} },
+      trans { src = "initial", tgt = "m" }, trans { src = "m.initial", tgt = "m.x" },
+    })
+    assert.matches('    state "x" as root_m_x\n    %[%*%] %-%-> root_m_x\n  }',
+      require("rfsm2plantuml").encode(fsm))
+  end)
+
+  it("writes what would be a command as a code", function()
+    local text = require("rfsm2plantuml").encode(odd(), "a\n@enduml")
+    for _, expected in ipairs {
+      "title a\\n@enduml\n", '"q<U+0022>q"', '"l1\\nl2"', '"<U+003C>b>"',
+      '"<U+0025>d"', '"<U+0026>amp;"', '"-<U+002D>"', '"/<U+0027> \'/"',
+      " : _<U+005F>\n",
+    } do
+      assert.is_truthy(text:find(expected, 1, true),
+        expected)
+    end
+    assert.is_falsy(text:find("\n@enduml\n.", 1, true))
+  end)
+end)
+
+-- luacheck: push no max line length
+describe("rfsm2dot", function()
+  local encode = require("rfsm2dot").encode
+
+  it("draws composites as clusters and their arrows at the border", function()
+    assert.equal([=[
+digraph "the lamp" {
+  compound=true
+  fontname="Helvetica"
+  node [shape=box, style=rounded, fontname="Helvetica"]
+  edge [fontname="Helvetica", fontsize=11]
+  label="the lamp" labelloc=t
+  subgraph cluster_root {
+    label="root" style=rounded
+    root_initial [shape=point, width=0.15]
+    root_k [shape=diamond, style="", width=0.25, height=0.25, label="", xlabel="k"]
+    root_off [label="off"]
+    subgraph cluster_root_on {
+      label="on" style=rounded
+      root_on_idle [label="idle"]
+      root_on_initial [shape=point, width=0.15]
+      root_on_moving [label="moving"]
+    }
+    root_on_loop [shape=point, width=0.02]
+    root_on_loop_2 [shape=point, width=0.02]
+  }
+  root_initial -> root_off
+  root_off -> root_k [label="e_switch [guard]"]
+  root_k -> root_on_initial [label="/ effect", lhead=cluster_root_on]
+  root_on_initial -> root_on_loop [label="e_again", ltail=cluster_root_on, arrowhead=none]
+  root_on_loop -> root_on_initial [lhead=cluster_root_on]
+  root_on_initial -> root_on_loop_2 [label="e_in [guard] / effect", ltail=cluster_root_on, arrowhead=none]
+  root_on_loop_2 -> root_on_moving
+  root_on_initial -> root_off [label="e_switch", ltail=cluster_root_on]
+  root_on_initial -> root_on_idle
+  root_on_idle -> root_on_moving [label="e_go, e_run"]
+  root_on_moving -> root_off [label="e_panic"]
+  root_on_moving -> root_on_initial [label="e_halt"]
+}
+]=], encode(lamp(), "the lamp"))
+  end)
+
+  it("is drawn by Graphviz without a word", function()
+    local said, picture = graphviz(encode(lamp(), "the lamp"))
+    assert.equal("", said)
+    for _, text in ipairs { "the lamp", "e_go, e_run", "moving", "cluster_root_on" } do
+      assert.is_truthy(picture:find(text, 1, true), text)
+    end
+  end)
+
+  it("is drawn by Graphviz with any names, as they are", function()
+    local said, picture = graphviz(encode(odd(), 'T "x" \\ & <i>\nnew'))
+    assert.equal("", said)
+    for _, text in ipairs { "q&quot;q", "&lt;b&gt;", "&amp;amp;", "%d", "état",
+      "&lt;&lt;choice&gt;&gt;", "|", "T &quot;x&quot; \\ &amp; &lt;i&gt;" } do
+      assert.is_truthy(picture:find(">" .. text .. "<", 1, true), text)
+    end
+  end)
+
+  it("is drawn by Graphviz for each example", function()
+    local texts = {}
+    for file in io.popen("ls examples/*.lua"):lines() do
+      helper.printed(function()
+        texts[#texts + 1] = encode(helper.init(rfsm.load(file)), file)
+      end)
+    end
+    local said, picture = graphviz(table.concat(texts))
+    local _, count = picture:gsub("</svg>", "")
+    assert.equal("", said)
+    assert.equal(#texts, count)
+  end)
+end)
+
+-- luacheck: pop
+describe("rfsm2mermaid", function()
+  local encode = require("rfsm2mermaid").encode
+
+  it("draws composites, choices and arrows", function()
+    assert.equal([[
+---
+title: "the \"lamp\""
+---
+stateDiagram-v2
+  state root_k <<choice>>
+  state "off" as root_off
+  state "on" as root_on {
+    state "idle" as root_on_idle
+    state "moving" as root_on_moving
+    [*] --> root_on_idle
+    root_on_idle --> root_on_moving : e_go, e_run
+  }
+  [*] --> root_off
+  root_off --> root_k : e_switch [guard]
+  root_k --> root_on : / effect
+  root_on --> root_on : e_again
+  root_on --> root_on_moving : e_in [guard] / effect
+  root_on --> root_off : e_switch
+  root_on_moving --> root_off : e_panic
+  root_on_moving --> root_on : e_halt
+]], encode(lamp(), 'the "lamp"'))
+  end)
+
+  it("draws the root where an arrow begins or ends at it", function()
+    assert.equal([[
+stateDiagram-v2
+  state "root" as root {
+    state "a" as root_a
+    [*] --> root_a
+  }
+  root --> root_a : e_reset
+]], encode(helper.init(state {
+      a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "root", tgt = "a", events = { "e_reset" } },
+    })))
+  end)
+
+  it("wrote the picture in the README, of the chart in the README", function()
+    local readme = assert(io.open("README.md"))
+    local text = readme:read("*a")
+    readme:close()
+    local chart = text:match("```lua\n(.-)\nrfsm%.run")
+    local load = rawget(_G, "loadstring") or load
+    assert.equal(text:match("```mermaid\n(.-)```"), encode(load(chart
+      .. "\nreturn fsm")()))
+  end)
+
+  -- What may stand in a line, and what it declares or uses.
+  local SAFE = '[%w \128-\255%.,_/@%[%]%(%)#;<br>%-]*'
+  local function check_line(line, declared, used)
+    local id = line:match('^ *state "' .. SAFE .. '" as ([%w_]+) ?{?$')
+      or line:match("^ *state ([%w_]+) <<choice>>$")
+    if id then
+      assert.is_nil(declared[id], id)
+      declared[id] = true
+      return line:sub(-1) == "{" and 1 or 0
+    end
+    if line:match("^ *}$") then return -1 end
+    local src, tgt = line:match("^ *(%S+) %-%-> ([%w_]+)$")
+    if not src then
+      src, tgt = line:match("^ *(%S+) %-%-> ([%w_]+) : " .. SAFE .. "$")
+    end
+    assert.is_truthy(src, line)
+    if src ~= "[*]" then used[src] = true end
+    used[tgt] = true
+    return 0
+  end
+
+  local function check(text)
+    local declared, used, depth = {}, {}, 0
+    local body = text:gsub("^%-%-%-\n.-\n%-%-%-\n", "")
+    assert.equal("stateDiagram-v2\n", body:sub(1, 16))
+    for line in body:sub(17):gmatch("[^\n]+") do
+      depth = depth + check_line(line, declared, used)
+      assert.is_true(depth >= 0)
+    end
+    assert.equal(0, depth)
+    for id in pairs(used) do assert.is_true(declared[id], id) end -- any order
+  end
+
+  it("keeps to the grammar with any names, and declares what it uses", function()
+    check(encode(odd(), "T\n---\n"))
+    check(encode(lamp(), "lamp"))
+  end)
+
+  it("writes what means something to Mermaid, Markdown or HTML by number", function()
+    local text = encode(odd())
+    for _, expected in ipairs {
+      '"q#34;q"', '"l1<br>l2"', '"#60;b#62;"', '"a#58;b"', '"#37;#37; x"', '"#59;"',
+      '"#38;amp#59;"', '"#45;#45;"', '"x#95;"', '"a_b"', '"#42;b#42;"', '"état"',
+    } do
+      assert.is_truthy(text:find(expected, 1, true),
+        expected)
+    end
+  end)
+end)
