@@ -322,51 +322,84 @@ local function problems_text(problems)
     #problems == 1 and "" or "s", concat(problems, "\n  "))
 end
 
--- Makes the machine; printers that the chart leaves open print to RTT's log. Problems
--- of the model are raised, and not printed there as well.
+local PRINTERS = { "err", "warn", "info" }
+local LEVELS = { err = "Error", warn = "Warning", info = "Info" }
+
+-- Returns the printers that a model leaves open, by name, and puts them into it. The
+-- problems of the model are raised later, so that `err` has not to print them as well.
+local function add_printers(rtt, model)
+  local added = {}
+  for _, name in ipairs(PRINTERS) do
+    if model[name] == nil then
+      added[name] = printer_to_log(rtt, LEVELS[name])
+      model[name] = name ~= "err" and added[name]
+    end
+  end
+  return added
+end
+
+-- Makes the machine; printers that the chart leaves open print to RTT's log. The model
+-- may be in use elsewhere and is left as it was.
 local function load_machine(rtt, file)
   local model = rfsm.load(file)
-  local has_err = model.err ~= nil
-  if not has_err then model.err = false end
-  if model.warn == nil then model.warn = printer_to_log(rtt, "Warning") end
-  if model.info == nil then model.info = printer_to_log(rtt, "Info") end
-  local fsm, problems = rfsm.init(model)
+  local added = add_printers(rtt, model)
+  local ok, fsm, problems = pcall(rfsm.init, model)
+  for name in pairs(added) do model[name] = nil end -- any order: all of them
+  if not ok then error(fsm, 0) end
   if not fsm then error(problems_text(problems), 0) end
-  if not has_err then fsm.err = printer_to_log(rtt, "Error") end
+  fsm.err = added.err or fsm.err
   return fsm, model.getevents
+end
+
+-- What a launch has made, to be taken back.
+---@class rfsm_rtt.Launched
+---@field component any the TaskContext
+---@field fsm rfsm.Machine|false
+---@field ports { name: string, port: any }[] those that were added
+---@field globals { name: string, before: any }[] those that were set
+
+local function has_port(component, name)
+  for _, other in ipairs(component:getPortNames()) do
+    if other == name then return true end
+  end
+  return false
 end
 
 -- RTT replaces and disconnects a port whose name is used again; that is never meant.
 local function check_free(component, name)
-  for _, other in ipairs(component:getPortNames()) do
-    if other == name then
-      error("'" .. component:getName() .. "' has a port '" .. name .. "' already", 0)
-    end
+  if has_port(component, name) then
+    error("'" .. component:getName() .. "' has a port '" .. name .. "' already", 0)
   end
-end
-
--- Ports that Lua made are no garbage: they are removed and deleted by hand.
-local function detach(launched)
-  for i = #launched.ports, 1, -1 do
-    local entry = launched.ports[i]
-    if entry.is_added then launched.component:removePort(entry.name) end
-    entry.port:delete()
-    launched.ports[i] = nil
-  end
-  rawset(_G, "fsm", launched.global_before)
 end
 
 local function add_port(launched, port, name, text, is_trigger)
-  local entry = { port = port, name = name, is_added = false }
-  launched.ports[#launched.ports + 1] = entry
   local component = launched.component
   if is_trigger then
     component:addEventPort(port, name, text)
   else
     component:addPort(port, name, text)
   end
-  entry.is_added = true
+  launched.ports[#launched.ports + 1] = { name = name, port = port }
   return port
+end
+
+local function set_global(launched, name, value)
+  launched.globals[#launched.globals + 1] = { name = name, before = rawget(_G, name) }
+  rawset(_G, name, value)
+end
+
+-- Takes a launch back. Ports that Lua made are no garbage: they are removed and deleted
+-- by hand, unless somebody (rttlib.tc_cleanup) was faster.
+local function detach(launched)
+  for _, entry in ipairs(launched.ports) do
+    if has_port(launched.component, entry.name) then
+      launched.component:removePort(entry.name)
+      entry.port:delete()
+    end
+  end
+  for i = #launched.globals, 1, -1 do
+    rawset(_G, launched.globals[i].name, launched.globals[i].before)
+  end
 end
 
 -- Returns the name of the port for events; nil for none.
@@ -412,7 +445,7 @@ local function set_up(launched, rtt, args, finish)
     "fully qualified name of the active leaf")
   rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(port))
   if name then add_events_port(launched, rtt, args, name, getevents) end
-  rawset(_G, "fsm", fsm)
+  set_global(launched, "fsm", fsm)
   run_file(args.postfile)
   if finish then finish(launched, rtt) end
 end
@@ -422,9 +455,7 @@ end
 local function launch(args, finish)
   local rtt = find_rtt()
   if not rtt then error("module 'rtt' is not there, this is no Lua of RTT", 0) end
-  local launched = {
-    component = rtt.getTC(), fsm = false, ports = {}, global_before = rawget(_G, "fsm"),
-  }
+  local launched = { component = rtt.getTC(), fsm = false, ports = {}, globals = {} }
   local ok, why = pcall(set_up, launched, rtt, args, finish)
   if ok then return launched end
   detach(launched)
@@ -448,10 +479,12 @@ local function launch_in_service(args)
     error("a machine was launched here before, it is the global 'fsm'", 0)
   end
   launch(args, function(launched, rtt)
-    local eehook = args.eehook and rtt.EEHook("rfsm_update")
-    if eehook then eehook:enable() end
-    rawset(_G, "rfsm_update", function() return advance(rfsm.run, launched.fsm) end)
-    rawset(_G, "rfsm_eehook", eehook or nil) -- one that nobody holds is collected
+    local function update() return advance(rfsm.run, launched.fsm) end
+    set_global(launched, "rfsm_update", update)
+    if not args.eehook then return end
+    local eehook = rtt.EEHook("rfsm_update")
+    set_global(launched, "rfsm_eehook", eehook) -- one that nobody holds is collected
+    eehook:enable()
   end)
 end
 
@@ -470,6 +503,7 @@ local function launch_in_component(args)
     return ok
   end)
   rawset(_G, "updateHook", function()
+    if not launched then return end -- somebody replaced configureHook
     advance(args.is_trigger and rfsm.run or rfsm.step, launched.fsm)
   end)
   rawset(_G, "cleanupHook", leave)

@@ -919,11 +919,13 @@ describe("service_launch_rfsm", function()
     end)
 
     it("a Lua in which the hook cannot be made, and takes all back", function()
-      exec_str("fsm = 'mine' rtt.EEHook = function() error('no engine', 0) end")
+      exec_str("fsm = 'mine' rtt.EEHook = function() "
+        .. "return { enable = function() error('no engine', 0) end } end")
       assert.equal("rfsm_rtt.service_launch_rfsm: no engine",
         refused(chart_file(), exec_str, true, { speed = 3 }))
       assert.same({}, host:getPortNames())
-      assert.equal("mine nil nil", evaluate(exec_str, "fsm, rfsm_update, speed"))
+      assert.equal("mine nil nil nil",
+        evaluate(exec_str, "fsm, rfsm_update, rfsm_eehook, speed"))
     end)
 
     it("an operation that fails and says nothing", function()
@@ -1261,6 +1263,51 @@ fsm.b.entry = function() print("in b") end
       assert.equal("PreOperational", arm:getState())
       assert.same({ "Error: rfsm_rtt: edited" }, logged("edited"))
       assert.same({}, arm:getPortNames())
+    end)
+
+    it("leaves a model that others use as it was", function()
+      local arm = launched {
+        prefile = file_with [[
+package.preload.model = package.preload.model or function()
+  return rfsm.state { a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } }
+end]],
+        fsmfile = file_with "return require 'model'",
+      }
+      local exec_str = arm:getOperation("exec_str")
+      assert.equal("nil nil nil", evaluate(exec_str,
+        "require('model').err, require('model').warn, require('model').info"))
+      arm:configure()
+      exec_str("fsm.a.entry = function() error('no oil', 0) end")
+      arm:start()
+      standin.spin()
+      assert.equal(1, #logged("no oil"))
+    end)
+
+    it("bears a clean-up of its ports by others", function()
+      local arm = launched { postfile = file_with [[
+function cleanupHook() -- as rttlib.tc_cleanup does
+  local component = rtt.getTC()
+  for _, name in ipairs(component:getPortNames()) do
+    local port = component:getPort(name)
+    component:removePort(name)
+    port:delete()
+  end
+end]] }
+      arm:cleanup()
+      assert.same({}, arm:getPortNames())
+      assert.is_true(arm:configure())
+      assert.same({ "rFSM_cur_fqn", "rFSM_events" }, arm:getPortNames())
+      assert.same({}, logged("Error"))
+    end)
+
+    it("does nothing in updates when its configureHook was replaced", function()
+      local arm = launched()
+      arm:cleanup()
+      arm:getOperation("exec_str")("function configureHook() return true end")
+      arm:configure()
+      arm:start()
+      standin.spin()
+      assert.same({}, logged("Error"))
     end)
 
     it("can be unloaded, and its name used again", function()
