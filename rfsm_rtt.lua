@@ -414,7 +414,7 @@ local function source_of(getevents)
   return function(events)
     local list = getevents()
     for i = 1, type(list) == "table" and #list or 0 do
-      if list[i] ~= nil then events[#events + 1] = list[i] end
+      events[#events + 1] = list[i] -- nil is skipped
     end
   end
 end
