@@ -12,6 +12,8 @@
 --   - configure() of a stopped component calls configureHook again, without cleanupHook
 --   - threads: nothing runs at a write or a trigger, see `standin.spin`
 --
+-- Written from knowledge of the API; it was not compared with a real RTT.
+--
 -- The field `standin`, which the real one has not, is for specs: the clock, the log,
 -- the turn of the threads.
 
