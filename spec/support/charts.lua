@@ -6,9 +6,9 @@
 --   transitions  { src, tgt (F), src_ref, tgt_ref (as written), owner, key, pn, guard,
 --                  effect, events (expanded), events_ref (as written), index }
 --   programs     id of a callback -> the actions of its 1st, 2nd, ... call (then again
---                from the first): false or { "send"|"raise"|"reset"|..., value }
+--                from the first): false or { "send"|"raise"|"reset"|"trace"..., value }
 --   ops          what the run does: { "send", ... } { "step", n } { "run" } { "reset" }
---   traced       dbg is on
+--   traced       false: dbg is off at first; programs may switch it
 
 local charts = {}
 
@@ -211,6 +211,7 @@ local function random_action(chart, random)
   if random:chance(25) then return { "raise", "failed on purpose" } end
   if chart.is_tame then return false end
   if random:chance(8) then return { "reset" } end
+  if random:chance(12) then return { "trace", random:chance(60) } end
   local second = random:chance(30) and random:pick(EVENTS) or nil
   return { "send", random:pick(EVENTS), second }
 end
@@ -294,7 +295,7 @@ local function add_programs(chart, random)
   add_hook(chart, random, "post_hook")
   add_printer(chart, random, "err")
   add_printer(chart, random, "warn")
-  if chart.traced then add_printer(chart, random, "dbg") end
+  add_printer(chart, random, "dbg")
   if not chart.is_tame and random:chance(10) then
     add_program(chart, random, "idle_hook")
   end

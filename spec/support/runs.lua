@@ -28,6 +28,7 @@ local function perform(world, action, list)
   if what == "raise" then error(action[2], 0) end
   if what == "return" then return action[2] end
   if what == "reset" then world.reset() end
+  if what == "trace" then world.switch_trace(action[2]) end
   if what == "send" then world.send(action[2], action[3]) end
   if what == "append" then list[#list + 1] = action[2] end
   if what == "clear" then
@@ -53,6 +54,16 @@ end
 
 local function new_world(chart) return { chart = chart, trace = {}, counts = {} } end
 
+-- Notes the modes that a program sees.
+local function note_modes(world)
+  local texts = {}
+  for _, fqn in ipairs(world.chart.names) do
+    local mode = world.mode_of(fqn)
+    if mode ~= "inactive" then texts[#texts + 1] = fqn .. "(" .. mode .. ")" end
+  end
+  note(world, " ", table.concat(texts, " "))
+end
+
 -- The modes of all states, active or not.
 local function modes_of(chart, mode_of)
   local modes = {}
@@ -74,6 +85,11 @@ local function outside(world, id, list_at)
   end
 end
 
+-- What dbg is at first; programs may switch it.
+local function first_dbg(world)
+  return world.chart.traced ~= false and outside(world, "dbg")
+end
+
 -- The core --------------------------------------------------------------------
 
 local function leaf_name(fsm) return fsm._act_leaf and fsm._act_leaf._fqn or false end
@@ -88,6 +104,7 @@ local function program_of(world, what, fqn)
   local id = what .. " " .. fqn
   return program(world, id, function(fsm, state, kind)
     note(world, kind, state._fqn, "leaf", leaf_name(fsm))
+    note_modes(world)
     return act(world, id)
   end)
 end
@@ -104,6 +121,7 @@ local function effect_of(world, index)
   local id = "effect " .. index
   return program(world, id, function(_, _, kind, events)
     note(world, kind, index, events)
+    note_modes(world)
     act(world, id)
   end)
 end
@@ -141,7 +159,7 @@ function runs.model_of(world)
   local root = models.root
   root.info, root.err = false, outside(world, "err")
   root.warn = outside(world, "warn")
-  root.dbg = outside(world, "dbg") or false
+  root.dbg = first_dbg(world) or false
   root.getevents = outside(world, "getevents")
   root.pre_step_hook = outside(world, "pre_hook", 2)
   root.post_step_hook = outside(world, "post_hook", 2)
@@ -203,6 +221,7 @@ local function oracle_state_calls(world, calls)
   for _, what in ipairs({ "entry", "exit" }) do
     calls[what] = function(fqn, leaf)
       note(world, what, fqn, "leaf", leaf)
+      note_modes(world)
       return act(world, what .. " " .. fqn)
     end
     local hook = what .. "_hook"
@@ -224,10 +243,11 @@ local function oracle_calls(world)
     end,
     effect = function(tr, events)
       note(world, "effect", tr.index, events)
+      note_modes(world)
       act(world, "effect " .. tr.index)
     end,
     err = outside(world, "err"), warn = outside(world, "warn"),
-    dbg = outside(world, "dbg"), getevents = outside(world, "getevents"),
+    dbg = first_dbg(world), getevents = outside(world, "getevents"),
     pre_hook = outside(world, "pre_hook", 1),
     post_hook = outside(world, "post_hook", 1),
     idle_hook = outside(world, "idle_hook"),
@@ -258,6 +278,10 @@ function runs.on_core(chart)
   add_state_hooks(world, fsm)
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
+  world.switch_trace = function(on) fsm.dbg = on and outside(world, "dbg") end
+  local nodes = {}
+  for _, fqn in ipairs(chart.names) do nodes[fqn] = node_of(fsm, fqn) end
+  world.mode_of = function(fqn) return rfsm.get_sta_mode(nodes[fqn]) end
   return drive(world, {
     send = world.send, reset = world.reset,
     step = function(n) return rfsm.step(fsm, n) end,
@@ -271,9 +295,12 @@ end
 --- The trace of the oracle.
 function runs.on_oracle(chart)
   local world = new_world(chart)
-  local machine = reference.new(chart, oracle_calls(world))
+  local calls = oracle_calls(world)
+  local machine = reference.new(chart, calls)
   world.send = function(...) reference.send(machine, ...) end
   world.reset = function() reference.reset(machine) end
+  world.switch_trace = function(on) calls.dbg = on and outside(world, "dbg") end
+  world.mode_of = function(fqn) return machine.mode[fqn] or "inactive" end
   return drive(world, {
     send = world.send, reset = world.reset,
     step = function(n) return reference.step(machine, n) end,
