@@ -18,7 +18,7 @@ local require, select, setmetatable, tostring = require, select, setmetatable, t
 local type = type
 local floor, huge, min = math.floor, math.huge, math.min
 local concat, sort = table.concat, table.sort
-local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
+local create, resume = coroutine.create, coroutine.resume
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 
 local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
@@ -66,9 +66,12 @@ Connector.__index = Connector
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration
 ---@field _curq any[] events of the running iteration
+local Machine = setmetatable({}, { __index = State })
+Machine.__index = Machine
 
 local KIND = {
-  [State] = "state", [Transition] = "transition", [Connector] = "connector",
+  [State] = "state", [Machine] = "state", [Transition] = "transition",
+  [Connector] = "connector",
 }
 
 local function kind_of(value) return KIND[getmetatable(value)] end
@@ -79,7 +82,7 @@ local function define(class, name)
     if type(t) ~= "table" then
       error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
     end
-    return setmetatable(t, class)
+    return getmetatable(t) == Machine and t or setmetatable(t, class)
   end
   function class.new(_, t) return (mark(t, 2)) end
   function class.type() return KIND[class] end
@@ -122,7 +125,7 @@ function rfsm.is_meta(key) return type(key) == "string" and key:sub(1, 1) == "_"
 --- Is `value` a state?
 ---@param value any
 ---@return boolean
-function rfsm.is_state(value) return getmetatable(value) == State end
+function rfsm.is_state(value) return KIND[getmetatable(value)] == "state" end
 
 --- Is `value` a transition?
 ---@param value any
@@ -143,8 +146,8 @@ function rfsm.is_fsmobj(value) return kind_of(value) ~= nil end
 ---@param value any
 ---@return boolean
 function rfsm.is_node(value)
-  local class = getmetatable(value)
-  return class == State or class == Connector
+  local kind = KIND[getmetatable(value)]
+  return kind == "state" or kind == "connector"
 end
 
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
@@ -247,6 +250,16 @@ local function sorted_keys(t, pred)
   end
   sort(keys, key_before)
   return keys, n
+end
+
+local function copy_list(list)
+  local copy = {}
+  for i = 1, #list do copy[i] = list[i] end
+  return copy
+end
+
+local function append(list, more)
+  for i = 1, #more do list[#list + 1] = more[i] end
 end
 
 -- Load ------------------------------------------------------------------------
@@ -584,7 +597,7 @@ local function clone_node(build, value, parent, key)
     node._entry_hooks, node._exit_hooks, node._sources = false, false, false
     node.entry, node.exit, node.doo = false, false, false
   end
-  setmetatable(node, getmetatable(model))
+  setmetatable(node, kind == "state" and State or Connector)
   build.nodes[#build.nodes + 1] = node
   build.models[node] = model
   add_mount(build, model, node)
@@ -860,7 +873,7 @@ local function has_predicate(events)
   return false
 end
 
-local function compile_transition(tr)
+local function compile_transition(known_events, tr)
   local events = tr.events
   if type(events) == "string" then
     events = { events } -- a preproc function may have left it so
@@ -872,6 +885,8 @@ local function compile_transition(tr)
   tr._is_open_to_all = events == nil or #events == 0
   tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
   tr._is_simple = not tr._has_predicate and not tr._to_connector
+  tr._run = nil
+  for i = 1, events and #events or 0 do known_events[events[i]] = true end
 end
 
 -- Adds `tr` to the list of each event that may trigger it.
@@ -914,13 +929,15 @@ local function compile(fsm)
     node._otrs, node._sources = nil, false
     node._is_leaf = is_state(node) and not has_nodes(node)
     node._done_event = node._is_leaf and "e_done@" .. node._fqn
+    node._choices = nil
   end
   for i = 1, #transitions do
     local tr = transitions[i]
     local otrs = tr.src._otrs
     if otrs then otrs[#otrs + 1] = tr else tr.src._otrs = { tr } end
   end
-  for i = 1, #transitions do compile_transition(transitions[i]) end
+  fsm._events = {}
+  for i = 1, #transitions do compile_transition(fsm._events, transitions[i]) end
   for i = 1, #nodes do compile_node(nodes[i]) end
 end
 
@@ -931,10 +948,35 @@ end
 -- replace them on a live machine. No error of a user's function passes through: those
 -- of states and transitions go to `err`, those of printers, hooks and getevents are
 -- kept and raised when the iteration is over.
+--
+-- What makes it fast: three flags stand for all that is rarely there, so that a step
+-- asks for each once and not for every hook and printer.
+--
+--   _is_traced     dbg is on, or a state has hooks: transitions run in full detail
+--   _is_hooked     there is a getevents, a pre or a post step hook
+--   _is_unsettled  the iteration has more to do at its end: see `settle`
+--
+-- The fields behind the first two are absent from the machine while they are off (the
+-- class has what they read as then), so that setting one of them passes through
+-- Machine.__newindex. They may be set too long, never too short.
 
 local function silent() end
 
 local function no_events() end
+
+-- What the fields of a machine are while they are off, and the flag to set with them.
+local FLAG_OF = {
+  dbg = "_is_traced", getevents = "_is_hooked", pre_step_hook = "_is_hooked",
+  post_step_hook = "_is_hooked",
+}
+Machine.dbg, Machine.getevents = silent, no_events
+Machine.pre_step_hook, Machine.post_step_hook = false, false
+
+function Machine.__newindex(fsm, key, value)
+  rawset(fsm, key, value)
+  local flag = FLAG_OF[key]
+  if flag then fsm[flag] = true end
+end
 
 -- Prints any values, tab separated: to stderr where there is one, or with the `print`
 -- of the moment.
@@ -967,7 +1009,7 @@ end
 -- Keeps the first error of the surroundings until the iteration is over.
 local function keep_failure(fsm, failure)
   if fsm._has_failure then return end
-  fsm._has_failure, fsm._failure = true, failure
+  fsm._has_failure, fsm._failure, fsm._is_unsettled = true, failure, true
 end
 
 local function raise_failure(fsm)
@@ -992,11 +1034,11 @@ local function trace(fsm, ...)
   if fsm.dbg then report(fsm, "dbg", ...) end
 end
 
--- Adds an event to the queue, of which fsm._queued is the length.
+-- Adds an event to the queue.
 local function post(fsm, event)
-  local n = fsm._queued + 1
-  fsm._intq[n], fsm._queued = event, n
-  if fsm.dbg ~= silent then trace(fsm, "RAISED", event) end
+  local queue = fsm._intq
+  queue[#queue + 1] = event
+  if fsm._is_traced then trace(fsm, "RAISED", event) end
 end
 
 local function post_all(fsm, ...)
@@ -1031,30 +1073,32 @@ local function poll(fsm)
   end
 end
 
--- Appends what getevents returns to the `n` events of the iteration.
-local function collect(fsm, list, n)
-  local events = ask_getevents(fsm)
+-- Appends what getevents returns to the events of the iteration.
+local function collect(fsm, list)
+  local events, n = ask_getevents(fsm), #list
   for i = 1, #events do
     local event = events[i]
     if event ~= nil then
       n = n + 1
       list[n] = event
-      if fsm.dbg ~= silent then trace(fsm, "RAISED", event) end
+      if fsm._is_traced then trace(fsm, "RAISED", event) end
     end
   end
-  return n
 end
 
 -- Hooks: a list in which OWN stands for the model's own hook, the field `slot`.
 local OWN = {}
 local OWN_ONLY = { OWN }
 
+-- The events table was handed to a function that may have kept it.
+local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
+
 local function run_hooks(fsm, hooks, slot, events)
-  fsm._is_kept = true
   for i = 1, #hooks do
     local hook = hooks[i]
     if hook == OWN then hook = fsm[slot] end
     if hook then
+      keep_events(fsm)
       local ok, failure = pcall(hook, fsm, events)
       if not ok then keep_failure(fsm, failure) end
     end
@@ -1067,6 +1111,13 @@ local function run_state_hooks(fsm, state, hooks)
     local ok, failure = pcall(hooks[i], fsm, state)
     if not ok then keep_failure(fsm, failure) end
   end
+end
+
+-- Has everything gone that makes transitions run in full detail?
+local function check_traced(fsm)
+  if fsm._has_state_hooks or fsm.dbg and fsm.dbg ~= silent then return end
+  rawset(fsm, "dbg", nil)
+  fsm._is_traced = false
 end
 
 -- Choose: which transition do the events enable? .................................
@@ -1109,9 +1160,13 @@ end
 
 local evaluate_connector
 
+local function trace_checking(fsm, tr)
+  if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
+end
+
 -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
 local function is_enabled(fsm, tr, events)
-  if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
+  if fsm._is_traced then trace_checking(fsm, tr) end
   if tr.guard and not guard_allows(fsm, tr, events) then return false end
   return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events)
 end
@@ -1151,10 +1206,10 @@ function evaluate_connector(fsm, connector, events)
 end
 
 -- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
-local function find_lists(fsm, node, events, n)
+local function find_lists(fsm, node, events)
   local by_event, by_any, lists = node._by_event, node._by_any, fsm._lists
   local count = 0
-  for i = 1, n do
+  for i = 1, #events do
     local list = by_event[events[i]] or by_any
     if list then
       local is_known = false
@@ -1190,45 +1245,24 @@ local function is_candidate_enabled(fsm, tr, events)
   return is_enabled(fsm, tr, events)
 end
 
--- Returns the first enabled transition when events lead to several lists of `node`.
-local function find_in_lists(fsm, node, events, n)
-  local count = find_lists(fsm, node, events, n)
+-- Returns the first enabled transition of a candidate list.
+local function find_in_list(fsm, list, events)
+  for i = 1, #list do
+    if is_candidate_enabled(fsm, list[i], events) then return list[i] end
+  end
+end
+
+-- Returns the first transition from `node` that is enabled, or nil; events may lead to
+-- several lists.
+local function find_from_node(fsm, node, events)
+  if not node._by_event then return nil end
+  local count = find_lists(fsm, node, events)
+  if count == 1 then return find_in_list(fsm, fsm._lists[1], events) end
   local tr = next_candidate(fsm._lists, count, 0)
   while tr do
     if is_candidate_enabled(fsm, tr, events) then return tr end
     tr = next_candidate(fsm._lists, count, tr._rank)
   end
-end
-
--- Returns the first enabled transition of a candidate list.
-local function find_in_list(fsm, list, events)
-  for i = 1, #list do
-    local tr = list[i]
-    if tr._is_simple and not tr.guard and fsm.dbg == silent
-      or is_candidate_enabled(fsm, tr, events) then
-      return tr
-    end
-  end
-end
-
--- Returns the first transition from `node` that is enabled, or nil. Most often one list
--- is all there is: other events of the step, such as an `e_done@F`, lead nowhere here.
-local function find_from_node(fsm, node, events, n)
-  local by_event, list = node._by_event, false
-  if not by_event then return nil end
-  local by_any = node._by_any
-  for i = 1, n do
-    local found = by_event[events[i]] or by_any
-    if found and found ~= list then
-      if list then return find_in_lists(fsm, node, events, n) end
-      list = found
-    end
-  end
-  return list and find_in_list(fsm, list, events)
-end
-
-local function trace_search(fsm, events)
-  trace(fsm, "TRANSITION", "events: " .. list_text(events))
 end
 
 -- The states from the root to `leaf` that have transitions of their own.
@@ -1248,19 +1282,77 @@ local function sources_of(leaf)
   return sources
 end
 
--- From the root down to the active leaf; an outer transition wins.
-local function find_transition(fsm, events, n)
+local function trace_search(fsm, events)
+  trace(fsm, "TRANSITION", "events: " .. list_text(events))
+end
+
+-- From the root down to the active leaf, node by node; an outer transition wins.
+local function find_transition(fsm, leaf, events)
   fsm._search = fsm._search + 1
   if fsm.dbg ~= silent then trace_search(fsm, events) end
-  local leaf = fsm._act_leaf
   local sources = leaf._sources or sources_of(leaf)
   for i = 1, #sources do
-    local tr = find_from_node(fsm, sources[i], events, n)
+    local tr = find_from_node(fsm, sources[i], events)
     if tr then return tr end
   end
 end
 
--- Take: exit, effect, entry ......................................................
+-- leaf._choices[event] holds what the event leads to while the leaf is active, noted
+-- when it first came: the candidates of all sources in one list, false for none. Only
+-- events that the machine knows are noted; all others have one answer, at [OTHER].
+local OTHER, NO_CHOICES = {}, {}
+State._choices = NO_CHOICES
+
+local function candidates_of(sources, event)
+  local candidates, is_shared = false, true
+  for i = 1, #sources do
+    local list = sources[i]._by_event[event] or sources[i]._by_any
+    if list and not candidates then
+      candidates = list
+    elseif list then
+      candidates = is_shared and copy_list(candidates) or candidates
+      is_shared = false
+      append(candidates, list)
+    end
+  end
+  return candidates
+end
+
+local function find_candidates(fsm, leaf, event)
+  if leaf._choices == NO_CHOICES then leaf._choices = {} end
+  local key = (fsm._events[event] or event == leaf._done_event) and event or OTHER
+  local candidates = leaf._choices[key]
+  if candidates == nil then
+    candidates = candidates_of(leaf._sources or sources_of(leaf), key)
+    leaf._choices[key] = candidates
+  end
+  return candidates
+end
+
+-- Returns the transition to take, or nothing. Most often one list of candidates is all
+-- there is: other events of the step, such as an `e_done@F`, lead nowhere.
+local function choose(fsm, leaf, events, n)
+  if fsm._is_traced then
+    check_traced(fsm)
+    return find_transition(fsm, leaf, events)
+  end
+  local choices, candidates = leaf._choices, false
+  for i = 1, n do
+    local found = choices[events[i]]
+    if found == nil then found = find_candidates(fsm, leaf, events[i]) end
+    if found and found ~= candidates then
+      if candidates then return find_transition(fsm, leaf, events) end
+      candidates = found
+    end
+  end
+  if not candidates then return nil end
+  local first = candidates[1]
+  if first._is_simple and not first.guard then return first end
+  fsm._search = fsm._search + 1
+  return find_in_list(fsm, candidates, events)
+end
+
+-- Take: exit, effect, entry, in full detail ......................................
 
 -- What follows when the exit of `state` has run.
 local function finish_exit(fsm, state)
@@ -1284,23 +1376,20 @@ local function finish_entry(fsm, state)
   if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
 end
 
-local function trace_effect(fsm, tr)
+-- What follows when the effect of `tr` has run, or there is none.
+local function finish_effect(fsm, tr)
+  if fsm.dbg == silent then return end
   trace(fsm, "EFFECT", tostring(tr))
   trace(fsm, "TRANS_ENTER", tostring(tr))
 end
 
 -- Exits from `state` up to the lca of `tr`.
 local function exit_up(fsm, tr, state)
-  local lca = tr._lca
-  while state ~= lca do
+  while state ~= tr._lca do
     fsm._at, state._mode = state, "inactive"
     local exit = state.exit
     if exit then exit(fsm, state, "exit") end
-    if state._exit_hooks or fsm.dbg ~= silent then
-      finish_exit(fsm, state)
-    else -- the same without a call
-      state._parent._actchild, state._doo_co, fsm._act_leaf = false, false, false
-    end
+    finish_exit(fsm, state)
     state = state._parent
   end
 end
@@ -1314,25 +1403,26 @@ local function enter_down(fsm, tr, first)
     if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
     local entry = state.entry
     if entry then entry(fsm, state, "entry") end
-    if state._is_leaf or fsm.dbg ~= silent then finish_entry(fsm, state) end
+    finish_entry(fsm, state)
   end
 end
 
 -- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
 -- stands for all of it, 1 for all of (c). It runs in a protected call, and fsm._at says
 -- what is running: a state that is left, the transition, the number of an entry. What
--- follows a program (finish_exit, finish_entry) does not raise.
+-- follows a program (the functions finish_*) does not raise.
 local function run_segment(fsm, tr, events, state, first)
   if first == 0 then
     exit_up(fsm, tr, state)
     local effect = tr.effect
     if effect then
-      fsm._at, fsm._is_kept = tr, true
+      fsm._at = tr
+      keep_events(fsm)
       effect(fsm, tr, "effect", events)
     end
+    finish_effect(fsm, tr)
     first = 1
   end
-  if first == 1 and fsm.dbg ~= silent then trace_effect(fsm, tr) end
   enter_down(fsm, tr, first)
 end
 
@@ -1342,6 +1432,8 @@ local function recover(fsm, tr, failure)
   local at = fsm._at
   if at == tr then
     report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
+    keep_events(fsm)
+    finish_effect(fsm, tr)
     return nil, 1
   end
   if type(at) == "number" then
@@ -1355,16 +1447,63 @@ local function recover(fsm, tr, failure)
   return at._parent, 0
 end
 
--- One segment: from the innermost active state up to the lca, down to the target. One
--- protected call is enough where nothing fails.
-local function take_segment(fsm, tr, events)
+-- One segment from the `innermost` active state.
+local function run_in_detail(fsm, tr, innermost, events)
   if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
-  local innermost = fsm._act_leaf or tr.src._parent
-  local ok, failure = pcall(run_segment, fsm, tr, events, innermost, 0)
-  while not ok do
-    local state, first = recover(fsm, tr, failure)
-    ok, failure = pcall(run_segment, fsm, tr, events, state, first)
+  run_segment(fsm, tr, events, innermost, 0)
+end
+
+-- Runs the segments of fsm._path from number `first` to `last`.
+local function run_path(fsm, events, first, last)
+  for i = first, last do
+    local tr = fsm._path[i]
+    fsm._segment = i
+    local run = fsm._is_traced and run_in_detail or tr._run
+    local effect = run(fsm, tr, fsm._act_leaf or tr.src._parent, events)
+    if effect then keep_events(fsm) end
   end
+end
+
+-- Goes on in the segment whose program failed, then with those after it.
+local function resume_path(fsm, events, last, state, first)
+  run_segment(fsm, fsm._path[fsm._segment], events, state, first)
+  run_path(fsm, events, fsm._segment + 1, last)
+end
+
+-- Recovers until the path is at its end.
+local function recover_path(fsm, events, last, failure)
+  local ok
+  repeat
+    local state, first = recover(fsm, fsm._path[fsm._segment], failure)
+    ok, failure = pcall(resume_path, fsm, events, last, state, first)
+  until ok
+end
+
+-- Takes the first `last` segments of fsm._path. One protected call is enough where
+-- nothing fails.
+local function take_path(fsm, events, last)
+  local ok, failure = pcall(run_path, fsm, events, 1, last)
+  if not ok then recover_path(fsm, events, last, failure) end
+end
+
+-- Notes the segments from `tr` to a leaf in fsm._path, as the search chose them;
+-- returns their number.
+local function note_path(fsm, tr)
+  local path, n = fsm._path, 1
+  path[1] = tr
+  while tr._to_connector do
+    tr, n = tr.tgt._way, n + 1
+    path[n] = tr
+  end
+  return n
+end
+
+local function trace_path(fsm, n)
+  if fsm.dbg == silent then return end
+  local path = fsm._path
+  local names = { path[1].src._fqn }
+  for i = 1, n do names[i + 1] = path[i].tgt._fqn end
+  trace(fsm, "EXEC_PATH", concat(names, " -> "))
 end
 
 -- Exits one state outside of a transition.
@@ -1390,61 +1529,186 @@ local function enter_root(fsm)
   finish_entry(fsm, fsm)
 end
 
-local function path_text(path, n)
-  local names = { path[1].src._fqn }
-  for i = 1, n do names[i + 1] = path[i].tgt._fqn end
-  return concat(names, " -> ")
-end
-
--- Notes the segments from `tr` to a leaf in `path`, as the search chose them.
-local function note_path(tr, path)
-  local n = 1
-  path[1] = tr
-  while tr._to_connector do
-    tr, n = tr.tgt._way, n + 1
-    path[n] = tr
-  end
-  return n
-end
-
-local function take_path(fsm, path, n, events)
-  for i = 1, n do take_segment(fsm, path[i], events) end
-end
-
-local function note_and_trace(fsm, tr)
-  local n = note_path(tr, fsm._path)
-  if fsm.dbg ~= silent then trace(fsm, "EXEC_PATH", path_text(fsm._path, n)) end
-  return n
-end
-
-local function take(fsm, tr, events)
-  if tr._is_simple and fsm.dbg == silent then return take_segment(fsm, tr, events) end
-  take_path(fsm, fsm._path, note_and_trace(fsm, tr), events)
-end
-
 -- First entry: the root, then the path from its `initial`; false when none is enabled.
-local function enter_machine(fsm, events, n)
+local function enter_machine(fsm, events)
   if fsm._is_leaf then
     enter_root(fsm)
     return true
   end
   fsm._search = fsm._search + 1
   if fsm.dbg ~= silent then trace_search(fsm, events) end
-  local tr = find_from_node(fsm, fsm.initial, events, n)
+  local tr = find_from_node(fsm, fsm.initial, events)
   if not tr then return false end
-  local segments = note_and_trace(fsm, tr)
+  local n = note_path(fsm, tr)
+  trace_path(fsm, n)
   enter_root(fsm)
-  take_path(fsm, fsm._path, segments, events)
+  take_path(fsm, events, n)
   return true
+end
+
+-- Take, straight: the same as run_in_detail while nothing is traced ...............
+--
+-- The segment as code without a loop, made once for each number of exits and entries.
+-- It asks after each program whether a trace began, and then goes on in detail; the
+-- notes in fsm._at are those of run_segment. It returns the effect, which had the
+-- events table.
+
+do
+  -- an entry: the entry before it, or the last state that the exits reached.
+  -- an entry: the entry before it, or the last state that the exits reached.
+  local TEXT = {
+    exit = [[
+  s$i._mode = "inactive"
+  program = s$i.exit
+  if program then
+    fsm._at = s$i
+    program(fsm, s$i, "exit")
+    if fsm._is_traced then return after_exit(fsm, tr, events, s$i) end
+  end
+  local s$n = s$i._parent
+  s$n._actchild = false
+]],
+    leaf_left = [[
+  s1._doo_co, fsm._act_leaf = false, false
+]],
+    effect = [[
+  local effect = tr.effect
+  if effect then
+    fsm._at = tr
+    effect(fsm, tr, "effect", events)
+    if fsm._is_traced then return after_effect(fsm, tr) end
+  end
+]],
+    entry = [[
+  local t$i = entries[$i]
+  t$i._mode, $p._actchild = "active", t$i
+  program = t$i.entry
+  if program then
+    fsm._at = $i
+    program(fsm, t$i, "entry")
+    if fsm._is_traced then return after_entry(fsm, tr, $i) end
+  end
+]],
+    leaf_entered = [[
+  fsm._act_leaf = t$i
+  if not t$i.doo then
+    local queue = fsm._intq
+    t$i._mode, queue[#queue + 1] = "done", t$i._done_event
+  end
+]],
+  }
+
+  local function fill(text, values) return (text:gsub("%$(%l)", values)) end
+
+  -- The source for so many exits and entries, the last one a leaf or not.
+  local function segment_source(exits, entries, is_leaf_entered)
+    local lines = { [[
+local after_exit, after_effect, after_entry = ...
+return function(fsm, tr, s1, events)
+  local program
+]] }
+    local function write(text, values) lines[#lines + 1] = fill(text, values) end
+    for i = 1, exits do
+      write(TEXT.exit, { i = i, n = i + 1 })
+      if i == 1 then write(TEXT.leaf_left, {}) end
+    end
+    write(TEXT.effect, {})
+    if entries > 0 then write("local entries = tr._entries\n", {}) end
+    for i = 1, entries do
+      write(TEXT.entry, { i = i, p = i == 1 and "s" .. exits + 1 or "t" .. i - 1 })
+    end
+    if is_leaf_entered then write(TEXT.leaf_entered, { i = entries }) end
+    write("return effect\nend\n", {})
+    return concat(lines)
+  end
+
+  -- A program of a straight segment switched the trace on: the rest goes in detail.
+  local function after_exit(fsm, tr, events, state)
+    finish_exit(fsm, state)
+    run_segment(fsm, tr, events, state._parent, 0)
+  end
+
+  local function after_effect(fsm, tr)
+    keep_events(fsm)
+    finish_effect(fsm, tr)
+    enter_down(fsm, tr, 1)
+  end
+
+  local function after_entry(fsm, tr, i)
+    keep_events(fsm)
+    finish_entry(fsm, tr._entries[i])
+    enter_down(fsm, tr, i + 1)
+  end
+
+  -- How deep a segment may go to be made straight code.
+  local MAX_STATES = 60
+
+  local straight = {}
+
+  -- Returns the function for segments of this shape; run_in_detail where Lua is built
+  -- without a compiler, or they are too deep.
+  local function straight_segment(exits, entries, is_leaf_entered)
+    if exits + entries > MAX_STATES or not loadstring then return run_in_detail end
+    local shape = (exits * 100 + entries) * 2 + (is_leaf_entered and 1 or 0)
+    if not straight[shape] then
+      local source = segment_source(exits, entries, is_leaf_entered)
+      straight[shape] = loadstring(source, "=rfsm segment")(after_exit, after_effect,
+        after_entry)
+    end
+    return straight[shape]
+  end
+
+  local function count_up(state, ancestor)
+    local n = 0
+    while state ~= ancestor do
+      state, n = state._parent, n + 1
+    end
+    return n
+  end
+
+  -- Runs a segment that starts at a composite: how many states it exits depends on the
+  -- leaf.
+  local function run_from_composite(fsm, tr, innermost, events)
+    local exits = count_up(innermost, tr._lca)
+    local run = straight_segment(exits, #tr._entries, not tr._to_connector)
+    return run(fsm, tr, innermost, events)
+  end
+
+  -- Until the first time.
+  function Transition._run(fsm, tr, innermost, events)
+    local src = tr.src
+    if is_state(src) and not src._is_leaf then
+      tr._run = run_from_composite
+    else
+      tr._run = straight_segment(count_up(innermost, tr._lca), #tr._entries,
+        not tr._to_connector)
+    end
+    return tr._run(fsm, tr, innermost, events)
+  end
+end
+
+-- Takes `tr` from the active leaf.
+local function take(fsm, tr, leaf, events)
+  if tr._to_connector or fsm._is_traced then
+    local n = note_path(fsm, tr)
+    trace_path(fsm, n)
+    return take_path(fsm, events, n)
+  end
+  local ok, effect = pcall(tr._run, fsm, tr, leaf, events)
+  if not ok then
+    fsm._path[1], fsm._segment = tr, 1
+    recover_path(fsm, events, 1, effect)
+  elseif effect then
+    keep_events(fsm)
+  end
 end
 
 -- Doo ............................................................................
 
--- A coroutine takes only functions; a callable table is called by one.
-local function coroutine_of(doo)
-  if type(doo) == "function" then return create(doo) end
-  return create(function(...) return doo(...) end)
-end
+-- What a doo's coroutine returns at its end, before what the doo returned.
+local ENDED = {}
+
+local function doo_body(doo, fsm, leaf) return ENDED, doo(fsm, leaf, "doo") end
 
 local function trace_doo(fsm, leaf, outcome)
   if fsm.dbg ~= silent then trace(fsm, "DOO", leaf._fqn, outcome) end
@@ -1458,22 +1722,11 @@ local function fail_doo(fsm, leaf, failure)
   return true
 end
 
--- One cycle of the active leaf's doo; true when it is idle or done.
-local function run_doo(fsm, leaf)
-  if leaf._mode == "done" then return true end
-  local co = leaf._doo_co
-  if not co then
-    if not leaf.doo then
-      complete(fsm, leaf)
-      return true
-    end
-    co = coroutine_of(leaf.doo)
-    leaf._doo_co = co
-  end
-  local ok, idle = resume(co, fsm, leaf, "doo")
+-- What follows a cycle of the doo; true when it is idle or done.
+local function finish_cycle(fsm, leaf, ok, idle)
   if not ok then return fail_doo(fsm, leaf, idle) end
-  if status(co) ~= "dead" then
-    trace_doo(fsm, leaf, idle and "idle" or "active")
+  if idle ~= ENDED then
+    if fsm._is_traced then trace_doo(fsm, leaf, idle and "idle" or "active") end
     return idle and true or false
   end
   leaf._doo_co = false
@@ -1482,11 +1735,26 @@ local function run_doo(fsm, leaf)
   return true
 end
 
--- Iterate ........................................................................
-
-local function start_queue(fsm)
-  fsm._intq, fsm._queued = { "e_init_fsm" }, 1
+-- The first cycle: a coroutine is made.
+local function start_doo(fsm, leaf)
+  if not leaf.doo then
+    complete(fsm, leaf)
+    return true
+  end
+  local co = create(doo_body)
+  leaf._doo_co = co
+  return finish_cycle(fsm, leaf, resume(co, leaf.doo, fsm, leaf))
 end
+
+-- One cycle of the active leaf's doo; true when it is idle or done.
+local function run_doo(fsm, leaf)
+  if leaf._mode == "done" then return true end
+  local co = leaf._doo_co
+  if not co then return start_doo(fsm, leaf) end
+  return finish_cycle(fsm, leaf, resume(co, fsm, leaf, "doo"))
+end
+
+-- Iterate ........................................................................
 
 local function reset_now(fsm)
   local state = fsm
@@ -1495,63 +1763,68 @@ local function reset_now(fsm)
     state._mode, state._actchild, state._doo_co = "inactive", false, false
     state = child
   end
-  fsm._act_leaf, fsm._reset_wanted = false, false
-  start_queue(fsm)
+  fsm._act_leaf, fsm._reset_wanted, fsm._intq = false, false, { "e_init_fsm" }
   run_hooks(fsm, fsm._reset_hooks, nil, nil)
-end
-
-local function copy_list(list)
-  local copy = {}
-  for i = 1, #list do copy[i] = list[i] end
-  return copy
 end
 
 -- No way in: the queue becomes again what it was, and what came meanwhile follows.
 local function refuse_entry(fsm, collected, events)
-  local sent = fsm._intq
-  for i = 1, fsm._queued do collected[#collected + 1] = sent[i] end
-  fsm._intq, fsm._queued, fsm._curq, fsm._spare = collected, #collected, {}, {}
+  append(collected, fsm._intq)
+  fsm._intq, fsm._curq, fsm._spare = collected, {}, {}
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
   if fsm._reset_wanted then reset_now(fsm) end
+  raise_failure(fsm)
 end
 
 -- At last the events table becomes the spare for the queue, emptied; one that a user's
 -- function has seen, and may have kept, is left to it.
-local function end_iteration(fsm, events, n)
+local function settle(fsm, events)
   if fsm._reset_wanted then reset_now(fsm) end
-  if fsm._is_hooked or fsm.post_step_hook then
-    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
-  end
+  if fsm._is_hooked then run_hooks(fsm, fsm._post_hooks, "post_step_hook", events) end
   if fsm._is_kept then
     fsm._spare, fsm._is_kept = {}, false
   else
-    for i = n, 1, -1 do events[i] = nil end
+    for i = #events, 1, -1 do events[i] = nil end
     fsm._spare = events
   end
-end
-
-local function run_pre_hooks(fsm, events)
-  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
-  return #events
+  fsm._is_unsettled = false
+  raise_failure(fsm)
 end
 
 -- The first iteration: nil when there is no way in, else true: it counts.
-local function iterate_first(fsm, events, n)
+local function iterate_first(fsm, events)
+  if fsm._is_hooked then collect(fsm, events) end
   local collected = copy_list(events)
-  if fsm._is_hooked or fsm.pre_step_hook then n = run_pre_hooks(fsm, events) end
-  if not enter_machine(fsm, events, n) then
-    refuse_entry(fsm, collected, events)
-    return nil
+  if fsm._is_hooked then run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events) end
+  if not enter_machine(fsm, events) then return refuse_entry(fsm, collected, events) end
+  settle(fsm, events)
+  return true
+end
+
+-- Has a step hook or getevents gone that set the flag? Then it goes, too.
+local function check_hooked(fsm)
+  if fsm._pre_hooks ~= OWN_ONLY or fsm._post_hooks ~= OWN_ONLY or fsm.pre_step_hook
+    or fsm.post_step_hook or fsm.getevents and fsm.getevents ~= no_events then
+    return
   end
-  end_iteration(fsm, events, n)
-  return true, false
+  rawset(fsm, "getevents", nil)
+  rawset(fsm, "pre_step_hook", nil)
+  rawset(fsm, "post_step_hook", nil)
+  fsm._is_hooked = false
+end
+
+-- Collects what getevents returns, and lets the pre step hooks change the events.
+local function gather(fsm, events)
+  collect(fsm, events)
+  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+  check_hooked(fsm)
 end
 
 -- An iteration without a transition: a doo cycle. Returns whether it is idle.
-local function iterate_idly(fsm, is_eventless)
-  local idle = run_doo(fsm, fsm._act_leaf)
-  if idle and is_eventless and fsm.getevents ~= no_events then poll(fsm) end
+local function iterate_idly(fsm, leaf, is_eventless)
+  local idle = run_doo(fsm, leaf)
+  if idle and is_eventless and fsm._is_hooked then poll(fsm) end
   return idle
 end
 
@@ -1560,42 +1833,48 @@ local function hibernate(fsm)
   raise_failure(fsm)
 end
 
--- One iteration. Returns nil when there is no way in; else whether it counts as a step
--- and whether the machine is idle after it. `after_free`: the one before did not count.
-local function iterate(fsm, after_free)
-  local events, n = fsm._intq, fsm._queued
-  fsm._intq, fsm._queued, fsm._curq = fsm._spare, 0, events
-  if fsm.getevents ~= no_events then n = collect(fsm, events, n) end
-  if not fsm._act_leaf then return iterate_first(fsm, events, n) end
-  if fsm._is_hooked or fsm.pre_step_hook then n = run_pre_hooks(fsm, events) end
-  local tr = n > 0 and find_transition(fsm, events, n)
-  local counted, idle = true, false
+-- One iteration while `leaf` is active. Returns whether it counts as a step, and if its
+-- doo cycle was idle. `after_free`: the iteration before did not count.
+local function iterate(fsm, leaf, events, after_free)
+  if fsm._is_hooked then gather(fsm, events) end
+  local n, counted, idle = #events, true, false
+  local tr = n > 0 and choose(fsm, leaf, events, n)
   if tr then
-    take(fsm, tr, events)
+    take(fsm, tr, leaf, events)
   else
     counted = n == 0 or after_free
-    if counted then idle = iterate_idly(fsm, n == 0) end
+    if counted then idle = iterate_idly(fsm, leaf, n == 0) end
   end
-  end_iteration(fsm, events, n)
-  return counted, idle and fsm._queued == 0 and fsm._act_leaf ~= false
+  if fsm._is_unsettled or fsm._is_hooked then
+    settle(fsm, events)
+  else
+    for i = #events, 1, -1 do events[i] = nil end
+    fsm._spare = events
+  end
+  return counted, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
--- Iterates until `left` iterations were counted or the machine is idle.
+-- Iterates until `left` iterations were counted or the machine is idle. While one is
+-- under way, fsm._spare is false.
 local function iterate_up_to(fsm, left)
   local after_free = false
   while true do
-    fsm._stepping = true
-    local counted, idle = iterate(fsm, after_free)
-    fsm._stepping = false
-    if fsm._has_failure then raise_failure(fsm) end
-    if counted == nil then return false end
+    local events, leaf = fsm._intq, fsm._act_leaf
+    fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
+    local counted, idle
+    if leaf then
+      counted, idle = iterate(fsm, leaf, events, after_free)
+    else
+      counted = iterate_first(fsm, events)
+      if not counted then return false end
+    end
     if counted then
       left = left - 1
-      if left < 1 then return idle end
+      if left < 1 then return idle or false end
     end
     after_free = not counted
     if idle then
-      if fsm.dbg ~= silent then hibernate(fsm) end
+      if fsm._is_traced then hibernate(fsm) end
       if not fsm.idle_hook then return true end
       fsm.idle_hook(fsm)
     end
@@ -1656,14 +1935,16 @@ local function new_machine(model)
     _entry_hooks = false, _exit_hooks = false, _sources = false,
     entry = false, exit = false, doo = false,
     -- fields of the model that may be absent
-    idle_hook = false, pre_step_hook = false, post_step_hook = false,
+    idle_hook = false,
     -- the run
-    _act_leaf = false, _intq = { "e_init_fsm" }, _queued = 1, _curq = {}, _spare = {},
-    _is_kept = false, _is_hooked = false, _at = false, _stepping = false,
-    _reset_wanted = false, _has_failure = false, _pre_hooks = OWN_ONLY,
-    _post_hooks = OWN_ONLY, _reset_hooks = {}, _search = 0, _lists = {}, _path = {},
+    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _spare = {},
+    _is_traced = false, _is_hooked = false, _is_unsettled = false, _is_kept = false,
+    _reset_wanted = false, _has_failure = false, _at = false, _segment = 0,
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
+    _has_state_hooks = false, _search = 0, _lists = {}, _path = {},
     -- the structure
     _initialized = false, _model = model, _nodes = false, _transitions = false,
+    _events = false,
   }, State)
   fsm._parent = fsm
   return fsm
@@ -1683,13 +1964,22 @@ local function build_machine(model)
 end
 
 -- Printers become functions, also the wrong ones, which are reported.
-local function prepare_fields(fsm)
+local function prepare_printers(fsm)
   for i = 1, 4 do
     local name = PRINTERS[i]
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
-  if fsm.getevents == nil then fsm.getevents = no_events end
+end
+
+-- From now on it is noticed when one of the fields is set that flags stand for.
+local function watch_fields(fsm)
+  setmetatable(fsm, Machine)
+  for field in pairs(FLAG_OF) do -- any order: each stands alone
+    local value = rawget(fsm, field)
+    rawset(fsm, field, nil)
+    if value and value ~= Machine[field] then fsm[field] = value end
+  end
 end
 
 -- The conditions under which a composite can be left without a way in.
@@ -1780,11 +2070,12 @@ function rfsm.init(model)
   end
   local build = build_machine(model)
   local fsm = build.fsm
-  prepare_fields(fsm)
+  prepare_printers(fsm)
   local problems = lines_of(build.problems)
   if not problems[1] then
     fsm._nodes, fsm._transitions = build.nodes, build.transitions
     fsm._initialized = true
+    watch_fields(fsm)
     tell_created(build)
     problems = preprocess(fsm)
   end
@@ -1834,7 +2125,7 @@ function rfsm.send_events(fsm, event, ...)
   end
   if event ~= nil then post(fsm, event) end
   if select("#", ...) > 0 then post_all(fsm, ...) end
-  if fsm._has_failure and not fsm._stepping then raise_failure(fsm) end
+  if fsm._is_unsettled and fsm._spare then raise_failure(fsm) end
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
@@ -1850,7 +2141,7 @@ function rfsm.step(fsm, n)
   if n ~= nil and type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  if fsm._stepping then
+  if not fsm._spare then
     error("rfsm.step: the machine is in the middle of a step", 2)
   end
   return iterate_up_to(fsm, n and n > 1 and n or 1) -- NaN is no more than 1, too
@@ -1861,7 +2152,7 @@ end
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
   check_machine(fsm, "run")
-  if fsm._stepping then
+  if not fsm._spare then
     error("rfsm.run: the machine is in the middle of a step", 2)
   end
   return iterate_up_to(fsm, huge)
@@ -1874,8 +2165,8 @@ end
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
   check_machine(fsm, "reset")
-  if fsm._stepping then
-    fsm._reset_wanted = true
+  if not fsm._spare then
+    fsm._reset_wanted, fsm._is_unsettled = true, true
     return
   end
   reset_now(fsm)
@@ -1888,8 +2179,8 @@ end
 function rfsm.check_events(fsm)
   check_machine(fsm, "check_events")
   poll(fsm)
-  if not fsm._stepping then raise_failure(fsm) end
-  return fsm._queued
+  if fsm._spare then raise_failure(fsm) end
+  return #fsm._intq
 end
 
 --- Return the name of the active leaf.
@@ -2009,8 +2300,8 @@ function rfsm.node_find_enabled(fsm, node, events)
     error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
   end
   fsm._search = fsm._search + 1
-  local tr = find_from_node(fsm, node, events, #events)
-  if not fsm._stepping then raise_failure(fsm) end
+  local tr = find_from_node(fsm, node, events)
+  if fsm._spare then raise_failure(fsm) end
   if not tr then return false end
   local path = {}
   note_path(tr, path)
@@ -2034,179 +2325,185 @@ function rfsm.exit_state(fsm, state)
     innermost = parent
   end
   exit_one(fsm, state)
-  if not fsm._stepping then raise_failure(fsm) end
+  if fsm._spare then raise_failure(fsm) end
 end
 
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed.
 
-local function hook_add(fsm, field, hook, place)
-  local hooks = copy_list(fsm[field])
-  if place == "before" then
-    for i = #hooks, 1, -1 do hooks[i + 1] = hooks[i] end
-    hooks[1] = hook
-  else
-    hooks[#hooks + 1] = hook
-  end
-  fsm[field], fsm._is_hooked = hooks, true
-end
-
-local function hook_rm(fsm, field, slot, hook)
-  local hooks, is_found = {}, false
-  for _, other in ipairs(fsm[field]) do
-    if other == hook and not is_found then
-      is_found = true
+do
+  local function hook_add(fsm, field, hook, place)
+    local hooks = copy_list(fsm[field])
+    if place == "before" then
+      for i = #hooks, 1, -1 do hooks[i + 1] = hooks[i] end
+      hooks[1] = hook
     else
-      hooks[#hooks + 1] = other
+      hooks[#hooks + 1] = hook
     end
-  end
-  if is_found then
     fsm[field] = hooks
-  elseif slot and hook ~= nil and fsm[slot] == hook then
-    fsm[slot], is_found = false, true
+    if field ~= "_reset_hooks" then fsm._is_hooked = true end
   end
-  return is_found
-end
 
--- Defines rfsm.<name>_add and rfsm.<name>_rm for the list `field`.
-local function define_hook(name, field, slot)
-  rfsm[name .. "_add"] = function(fsm, hook, place)
-    check_machine(fsm, name .. "_add")
-    check_function(hook, name .. "_add")
-    if place ~= nil and place ~= "before" and place ~= "after" then
-      error("rfsm." .. name .. "_add: 'before' or 'after' expected, " .. got(place), 2)
+  local function hook_rm(fsm, field, slot, hook)
+    local hooks, is_found = {}, false
+    for _, other in ipairs(fsm[field]) do
+      if other == hook and not is_found then
+        is_found = true
+      else
+        hooks[#hooks + 1] = other
+      end
     end
-    hook_add(fsm, field, hook, place)
+    if is_found then
+      fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
+    elseif slot and hook ~= nil and fsm[slot] == hook then
+      fsm[slot], is_found = false, true
+    end
+    return is_found
   end
-  rfsm[name .. "_rm"] = function(fsm, hook)
-    check_machine(fsm, name .. "_rm")
-    return hook_rm(fsm, field, slot, hook)
+
+  -- Defines rfsm.<name>_add and rfsm.<name>_rm for the list `field`.
+  local function define_hook(name, field, slot)
+    rfsm[name .. "_add"] = function(fsm, hook, place)
+      check_machine(fsm, name .. "_add")
+      check_function(hook, name .. "_add")
+      if place ~= nil and place ~= "before" and place ~= "after" then
+        error("rfsm." .. name .. "_add: 'before' or 'after' expected, "
+          .. got(place), 2)
+      end
+      hook_add(fsm, field, hook, place)
+    end
+    rfsm[name .. "_rm"] = function(fsm, hook)
+      check_machine(fsm, name .. "_rm")
+      return hook_rm(fsm, field, slot, hook)
+    end
   end
-end
 
-local function add_state_hook(name, field, state, hook)
-  if not is_state(state) or rawget(state, "_fqn") == nil then
-    error("rfsm." .. name .. ": state of the fsm expected, " .. got(state), 3)
+  local function add_state_hook(fsm, name, field, state, hook)
+    if not is_state(state) or rawget(state, "_fqn") == nil then
+      error("rfsm." .. name .. ": state of the fsm expected, " .. got(state), 3)
+    end
+    if not is_callable(hook) then
+      error("rfsm." .. name .. ": function expected, " .. got(hook), 3)
+    end
+    local hooks = state[field] and copy_list(state[field]) or {}
+    hooks[#hooks + 1] = hook
+    state[field], fsm._has_state_hooks, fsm._is_traced = hooks, true, true
   end
-  if not is_callable(hook) then
-    error("rfsm." .. name .. ": function expected, " .. got(hook), 3)
+
+  --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
+  --
+  -- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
+  -- Its error is raised when the iteration is over.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param state rfsm.State
+  ---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
+  function rfsm.entry_hook_add(fsm, state, hook)
+    check_machine(fsm, "entry_hook_add")
+    add_state_hook(fsm, "entry_hook_add", "_entry_hooks", state, hook)
   end
-  local hooks = state[field] and copy_list(state[field]) or {}
-  hooks[#hooks + 1] = hook
-  state[field] = hooks
-end
 
---- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
---
--- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
--- Its error is raised when the iteration is over.
---
----@param fsm rfsm.Machine
----@param state rfsm.State
----@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
-function rfsm.entry_hook_add(fsm, state, hook)
-  check_machine(fsm, "entry_hook_add")
-  add_state_hook("entry_hook_add", "_entry_hooks", state, hook)
-end
+  --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
+  ---@param fsm rfsm.Machine
+  ---@param state rfsm.State
+  ---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
+  function rfsm.exit_hook_add(fsm, state, hook)
+    check_machine(fsm, "exit_hook_add")
+    add_state_hook(fsm, "exit_hook_add", "_exit_hooks", state, hook)
+  end
 
---- Have `hook(fsm, state)` called each time `state` is left, after its exit.
----@param fsm rfsm.Machine
----@param state rfsm.State
----@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
-function rfsm.exit_hook_add(fsm, state, hook)
-  check_machine(fsm, "exit_hook_add")
-  add_state_hook("exit_hook_add", "_exit_hooks", state, hook)
+  define_hook("pre_step_hook", "_pre_hooks", "pre_step_hook")
+  define_hook("post_step_hook", "_post_hooks", "post_step_hook")
+  define_hook("reset_hook", "_reset_hooks", nil)
 end
-
-define_hook("pre_step_hook", "_pre_hooks", "pre_step_hook")
-define_hook("post_step_hook", "_post_hooks", "post_step_hook")
-define_hook("reset_hook", "_reset_hooks", nil)
 
 -- Merge: a new element of a live machine --------------------------------------
 
--- Why `obj` cannot become a member of `parent`; nil when it can.
-local function merge_obstacle(fsm, parent, obj, id)
-  if not is_state(parent) or root_of(parent) ~= fsm then
-    return "parent: a state of the fsm expected, " .. got(parent)
-  end
-  local kind = kind_of(obj)
-  if not kind then return "state, transition or connector expected, " .. got(obj) end
-  if id == nil and kind ~= "transition" then return "a " .. kind .. " needs a name" end
-  if id ~= nil and rawget(parent, id) ~= nil then
-    return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
-  end
-  if kind ~= "transition" and parent._is_leaf and parent._mode ~= "inactive" then
-    return ("'%s' is an active leaf state"):format(parent._fqn)
-  end
-end
-
--- Clones `obj` into its place; returns the clone and its key.
-local function attach(build, parent, obj, id)
-  if is_trans(obj) then
-    local key = id or #parent + 1
-    if parent._is_leaf then
-      add(build.warnings, parent._fqn, "a transition inside a leaf state")
+do
+  -- Why `obj` cannot become a member of `parent`; nil when it can.
+  local function merge_obstacle(fsm, parent, obj, id)
+    if not is_state(parent) or root_of(parent) ~= fsm then
+      return "parent: a state of the fsm expected, " .. got(parent)
     end
-    parent[key] = clone_transition(build, obj, parent, key)
-    return parent[key], key
+    local kind = kind_of(obj)
+    if not kind then return "state, transition or connector expected, " .. got(obj) end
+    if id == nil and kind ~= "transition" then
+      return "a " .. kind .. " needs a name"
+    end
+    if id ~= nil and rawget(parent, id) ~= nil then
+      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
+    end
+    if kind ~= "transition" and parent._is_leaf and parent._mode ~= "inactive" then
+      return ("'%s' is an active leaf state"):format(parent._fqn)
+    end
   end
-  if parent._is_leaf and parent.doo then
-    add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
+
+  -- Clones `obj` into its place; returns the clone and its key.
+  local function attach(build, parent, obj, id)
+    if is_trans(obj) then
+      local key = id or #parent + 1
+      if parent._is_leaf then
+        add(build.warnings, parent._fqn, "a transition inside a leaf state")
+      end
+      parent[key] = clone_transition(build, obj, parent, key)
+      return parent[key], key
+    end
+    if parent._is_leaf and parent.doo then
+      add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
+    end
+    parent[id] = clone_node(build, obj, parent, id)
+    clone_below(build, 1)
+    return parent[id], id
   end
-  parent[id] = clone_node(build, obj, parent, id)
-  clone_below(build, 1)
-  return parent[id], id
-end
 
--- Transitions to a leaf that has become a composite end at its `initial` now.
-local function find_new_entrances(build, parent)
-  local entrances = {}
-  for _, tr in ipairs(build.fsm._transitions) do
-    if tr.tgt == parent then entrances[tr] = find_entrance(build, tr, parent) end
+  -- Transitions to a leaf that has become a composite end at its `initial` now.
+  local function find_new_entrances(build, parent)
+    local entrances = {}
+    for _, tr in ipairs(build.fsm._transitions) do
+      if tr.tgt == parent then entrances[tr] = find_entrance(build, tr, parent) end
+    end
+    return entrances
   end
-  return entrances
-end
 
-local function undo_merge(build, parent, key)
-  parent[key] = nil
-  for _, connector in ipairs(build.created) do connector._parent.initial = nil end
-end
-
-local function append(list, more)
-  for i = 1, #more do list[#list + 1] = more[i] end
-end
-
---- Add a state, connector or transition to a live machine.
---
--- From the next iteration on the machine behaves as if it had been there at `init`.
--- Nothing changes when it cannot be added.
---
----@param fsm rfsm.Machine
----@param parent rfsm.State the state of the machine that gets it
----@param obj rfsm.State|rfsm.Connector|rfsm.Transition it is cloned, as `init` does
----@param id? string name, which only a transition may lack
----@return boolean is_merged
----@return string? reason why not
-function rfsm.fsm_merge(fsm, parent, obj, id)
-  check_machine(fsm, "fsm_merge")
-  local obstacle = merge_obstacle(fsm, parent, obj, id)
-  if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
-  local build = new_build(fsm)
-  local merged, key = attach(build, parent, obj, id)
-  resolve(build)
-  local entrances = find_new_entrances(build, parent)
-  local problems = lines_of(build.problems)
-  if not problems[1] then problems = preprocess(fsm, merged) end
-  if problems[1] then
-    undo_merge(build, parent, key)
-    return false, summary("rfsm.fsm_merge", problems)
+  local function undo_merge(build, parent, key)
+    parent[key] = nil
+    for _, connector in ipairs(build.created) do connector._parent.initial = nil end
   end
-  for tr, entrance in pairs(entrances) do tr.tgt = entrance end -- any order: each once
-  append(fsm._nodes, build.nodes)
-  append(fsm._transitions, build.transitions)
-  tell_created(build)
-  finish(build)
-  if not fsm._stepping then raise_failure(fsm) end
-  return true
+
+  --- Add a state, connector or transition to a live machine.
+  --
+  -- From the next iteration on the machine behaves as if it had been there at `init`.
+  -- Nothing changes when it cannot be added.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param parent rfsm.State the state of the machine that gets it
+  ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition it is cloned, as `init` does
+  ---@param id? string name, which only a transition may lack
+  ---@return boolean is_merged
+  ---@return string? reason why not
+  function rfsm.fsm_merge(fsm, parent, obj, id)
+    check_machine(fsm, "fsm_merge")
+    local obstacle = merge_obstacle(fsm, parent, obj, id)
+    if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
+    local build = new_build(fsm)
+    local merged, key = attach(build, parent, obj, id)
+    resolve(build)
+    local entrances = find_new_entrances(build, parent)
+    local problems = lines_of(build.problems)
+    if not problems[1] then problems = preprocess(fsm, merged) end
+    if problems[1] then
+      undo_merge(build, parent, key)
+      return false, summary("rfsm.fsm_merge", problems)
+    end
+    for tr, entrance in pairs(entrances) do -- any order: each once
+      tr.tgt = entrance
+    end
+    append(fsm._nodes, build.nodes)
+    append(fsm._transitions, build.transitions)
+    tell_created(build)
+    finish(build)
+    if fsm._spare then raise_failure(fsm) end
+    return true
+  end
 end
 
 -- A field that the core lacks is looked for in a module rfsm_<field>, once.
