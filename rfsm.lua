@@ -652,113 +652,119 @@ local function clone_below(build, first)
 end
 -- Resolve: names become nodes, `e_done` gets the name of its source -----------
 
--- Splits "a.b" into { "a", "b" }; an empty part stays, and leads nowhere.
-local function split(path)
-  local parts = {}
-  for part in (path .. "."):gmatch("([^.]*)%.") do parts[#parts + 1] = part end
-  return parts
-end
-
--- Walks from `node` down the names of `parts`; nil and a reason when one fails.
-local function find_below(node, parts)
-  for i = 1, #parts do
-    local name = parts[i]
-    local child = not is_meta(name) and rawget(node, name) or nil
-    if not is_node(child) then
-      if child ~= nil then
-        return nil, ("'%s.%s' is no state or connector but a %s"):format(node._fqn,
-          name, kind_of(child) or type(child))
-      end
-      return nil, ("no state or connector is named '%s' in '%s'"):format(name,
-        node._fqn) .. suggestion(name, (sorted_keys(node, is_node)))
-    end
-    node = child
-  end
-  return node
-end
-
--- A name without a dot: in the composite of the transition, or the root itself.
-local function find_local(fsm, composite, name)
-  local node, reason = find_below(composite, { name })
-  if not node and name == "root" then return fsm end
-  return node, reason
-end
-
--- A path from the root; `root.` in front is optional, and a state may be named so.
-local function find_absolute(fsm, path)
-  local parts = split(path)
-  if parts[1] ~= "root" then return find_below(fsm, parts) end
-  local node, reason = find_below(fsm, split(path:sub(6)))
-  if node then return node end
-  return (find_below(fsm, parts)), reason
-end
-
--- Returns the node that a name in a transition of `composite` refers to:
--- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) the rest from the root.
-local function find_named(fsm, composite, name)
-  local relative = name:match("^%.%.?([^.].*)$")
-  if relative then return find_below(composite, split(relative)) end
-  if not name:find(".", 1, true) then return find_local(fsm, composite, name) end
-  return find_absolute(fsm, name)
-end
-
--- How many ancestors `node` shares with `composite`.
-local function shared_depth(composite, node)
-  local above, depth = {}, 0
-  while composite._parent ~= composite do
-    above[composite] = true
-    composite = composite._parent
-  end
-  while node._parent ~= node do
-    if above[node] then depth = depth + 1 end
-    node = node._parent
-  end
-  return depth
-end
-
 local function root_of(node)
   while node._parent ~= node do node = node._parent end
   return node
 end
 
--- A node table of the model may be mounted more than once: the nearest clone is meant.
-local function find_mounted(build, composite, model)
-  if rawget(model, "_fqn") and root_of(model) == build.fsm then return model end
-  local mounts = build.mounts[model_of(model)]
-  if not mounts then return nil, "the table given is no part of this model" end
-  local nearest, most, is_tie = nil, -1, false
-  for i = 1, #mounts do
-    local depth = shared_depth(composite, mounts[i])
-    if depth > most then
-      nearest, most, is_tie = mounts[i], depth, false
-    elseif depth == most then
-      is_tie = true
-    end
-  end
-  if is_tie then return nil, "the table given stands in several places, use a name" end
-  return nearest
-end
+local resolve_end
 
--- Resolves src or tgt of `tr`; returns nil when a problem was reported.
-local function resolve_end(build, tr, field)
-  local ref = tr[field]
-  local node, reason
-  if type(ref) == "string" then
-    node, reason = find_named(build.fsm, tr._parent, ref)
-    if not node and field == "tgt" and ref == "internal" then
-      reason = "internal transitions are not supported"
-    end
-    reason = reason and ("%s '%s': %s"):format(field, ref, reason)
-  elseif is_node(ref) then
-    node, reason = find_mounted(build, tr._parent, ref)
-    reason = reason and field .. ": " .. reason
-  elseif ref == nil then
-    reason = field .. " is missing, the name of a state or connector expected"
-  else
-    reason = field .. ": name of a state or connector expected, " .. got(ref)
+do
+  -- Splits "a.b" into { "a", "b" }; an empty part stays, and leads nowhere.
+  local function split(path)
+    local parts = {}
+    for part in (path .. "."):gmatch("([^.]*)%.") do parts[#parts + 1] = part end
+    return parts
   end
-  if not node then add(build.problems, place_of(tr), reason) end
-  return node
+
+  -- Walks from `node` down the names of `parts`; nil and a reason when one fails.
+  local function find_below(node, parts)
+    for i = 1, #parts do
+      local name = parts[i]
+      local child = not is_meta(name) and rawget(node, name) or nil
+      if not is_node(child) then
+        if child ~= nil then
+          return nil, ("'%s.%s' is no state or connector but a %s"):format(node._fqn,
+            name, kind_of(child) or type(child))
+        end
+        return nil, ("no state or connector is named '%s' in '%s'"):format(name,
+          node._fqn) .. suggestion(name, (sorted_keys(node, is_node)))
+      end
+      node = child
+    end
+    return node
+  end
+
+  -- A name without a dot: in the composite of the transition, or the root itself.
+  local function find_local(fsm, composite, name)
+    local node, reason = find_below(composite, { name })
+    if not node and name == "root" then return fsm end
+    return node, reason
+  end
+
+  -- A path from the root; `root.` in front is optional, and a state may be named so.
+  local function find_absolute(fsm, path)
+    local parts = split(path)
+    if parts[1] ~= "root" then return find_below(fsm, parts) end
+    local node, reason = find_below(fsm, split(path:sub(6)))
+    if node then return node end
+    return (find_below(fsm, parts)), reason
+  end
+
+  -- Returns the node that a name in a transition of `composite` refers to:
+  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) others from the root.
+  local function find_named(fsm, composite, name)
+    local relative = name:match("^%.%.?([^.].*)$")
+    if relative then return find_below(composite, split(relative)) end
+    if not name:find(".", 1, true) then return find_local(fsm, composite, name) end
+    return find_absolute(fsm, name)
+  end
+
+  -- How many ancestors `node` shares with `composite`.
+  local function shared_depth(composite, node)
+    local above, depth = {}, 0
+    while composite._parent ~= composite do
+      above[composite] = true
+      composite = composite._parent
+    end
+    while node._parent ~= node do
+      if above[node] then depth = depth + 1 end
+      node = node._parent
+    end
+    return depth
+  end
+
+  -- A node table of the model may be mounted more than once: the nearest clone counts.
+  local function find_mounted(build, composite, model)
+    if rawget(model, "_fqn") and root_of(model) == build.fsm then return model end
+    local mounts = build.mounts[model_of(model)]
+    if not mounts then return nil, "the table given is no part of this model" end
+    local nearest, most, is_tie = nil, -1, false
+    for i = 1, #mounts do
+      local depth = shared_depth(composite, mounts[i])
+      if depth > most then
+        nearest, most, is_tie = mounts[i], depth, false
+      elseif depth == most then
+        is_tie = true
+      end
+    end
+    if is_tie then
+      return nil, "the table given stands in several places, use a name"
+    end
+    return nearest
+  end
+
+  -- Resolves src or tgt of `tr`; returns nil when a problem was reported.
+  function resolve_end(build, tr, field)
+    local ref = tr[field]
+    local node, reason
+    if type(ref) == "string" then
+      node, reason = find_named(build.fsm, tr._parent, ref)
+      if not node and field == "tgt" and ref == "internal" then
+        reason = "internal transitions are not supported"
+      end
+      reason = reason and ("%s '%s': %s"):format(field, ref, reason)
+    elseif is_node(ref) then
+      node, reason = find_mounted(build, tr._parent, ref)
+      reason = reason and field .. ": " .. reason
+    elseif ref == nil then
+      reason = field .. " is missing, the name of a state or connector expected"
+    else
+      reason = field .. ": name of a state or connector expected, " .. got(ref)
+    end
+    if not node then add(build.problems, place_of(tr), reason) end
+    return node
+  end
 end
 
 -- The node where a transition to `node` ends: a composite is entered at its `initial`.
@@ -814,131 +820,135 @@ end
 
 -- Compile: the structure becomes lists and indexes; no user function is stored ---
 
-local function depth_of(node)
-  local depth = 0
-  while node._parent ~= node do
-    node, depth = node._parent, depth + 1
-  end
-  return depth
-end
+local compile
 
--- The order in which the transitions of a node are tried: larger pn first, then the one
--- declared further out, then position in its table, then name.
-local function tried_before(a, b)
-  local a_pn, b_pn = a.pn or 0, b.pn or 0
-  if a_pn ~= b_pn then return a_pn > b_pn end
-  local a_parent, b_parent = a._parent, b._parent
-  if a_parent ~= b_parent then
-    local a_depth, b_depth = depth_of(a_parent), depth_of(b_parent)
-    if a_depth ~= b_depth then return a_depth < b_depth end
-    return a_parent._fqn < b_parent._fqn
+do
+  local function depth_of(node)
+    local depth = 0
+    while node._parent ~= node do
+      node, depth = node._parent, depth + 1
+    end
+    return depth
   end
-  return key_before(a._id, b._id)
-end
 
--- The nearest common proper ancestor of both ends: what it contains is left and
--- entered, itself it stays active. The root stays active also under a transition of its
--- own.
-local function find_lca(src, tgt)
-  local a, b = src._parent, tgt._parent
-  if a == b then return a end
-  local a_depth, b_depth = depth_of(a), depth_of(b)
-  while a ~= b do
-    if a_depth >= b_depth then
-      a, a_depth = a._parent, a_depth - 1
-    else
-      b, b_depth = b._parent, b_depth - 1
+  -- The order in which the transitions of a node are tried: larger pn first, then the
+  -- one declared further out, then position in its table, then name.
+  local function tried_before(a, b)
+    local a_pn, b_pn = a.pn or 0, b.pn or 0
+    if a_pn ~= b_pn then return a_pn > b_pn end
+    local a_parent, b_parent = a._parent, b._parent
+    if a_parent ~= b_parent then
+      local a_depth, b_depth = depth_of(a_parent), depth_of(b_parent)
+      if a_depth ~= b_depth then return a_depth < b_depth end
+      return a_parent._fqn < b_parent._fqn
+    end
+    return key_before(a._id, b._id)
+  end
+
+  -- The nearest common proper ancestor of both ends: what it contains is left and
+  -- entered, itself it stays active. The root stays active also under a transition of
+  -- its own.
+  local function find_lca(src, tgt)
+    local a, b = src._parent, tgt._parent
+    if a == b then return a end
+    local a_depth, b_depth = depth_of(a), depth_of(b)
+    while a ~= b do
+      if a_depth >= b_depth then
+        a, a_depth = a._parent, a_depth - 1
+      else
+        b, b_depth = b._parent, b_depth - 1
+      end
+    end
+    return a
+  end
+
+  -- The states between `lca` and `tgt`, outermost first, with `tgt` if it is a state.
+  local function entries_of(lca, tgt)
+    local upwards, n = {}, 0
+    local state = is_state(tgt) and tgt or tgt._parent
+    while state ~= lca do
+      n = n + 1
+      upwards[n], state = state, state._parent
+    end
+    local entries = {}
+    for i = 1, n do entries[i] = upwards[n + 1 - i] end
+    return entries
+  end
+
+  local function has_predicate(events)
+    for i = 1, #events do
+      if type(events[i]) == "function" then return true end
+    end
+    return false
+  end
+
+  local function compile_transition(known_events, tr)
+    local events = tr.events
+    if type(events) == "string" then
+      events = { events } -- a preproc function may have left it so
+      tr.events = events
+    end
+    tr._lca = find_lca(tr.src, tr.tgt)
+    tr._entries = entries_of(tr._lca, tr.tgt)
+    tr._to_connector = is_conn(tr.tgt)
+    tr._is_open_to_all = events == nil or #events == 0
+    tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
+    tr._is_simple = not tr._has_predicate and not tr._to_connector
+    tr._run = nil
+    for i = 1, events and #events or 0 do known_events[events[i]] = true end
+  end
+
+  -- Adds `tr` to the list of each event that may trigger it.
+  local function add_to_index(by_event, by_any, tr)
+    if tr._is_open_to_all or tr._has_predicate then
+      for _, list in pairs(by_event) do list[#list + 1] = tr end -- any order: each once
+      by_any[#by_any + 1] = tr
+      return
+    end
+    for i = 1, #tr.events do
+      local list = by_event[tr.events[i]]
+      if list[#list] ~= tr then list[#list + 1] = tr end
     end
   end
-  return a
-end
 
--- The states between `lca` and `tgt`, outermost first, with `tgt` if it is a state.
-local function entries_of(lca, tgt)
-  local upwards, n = {}, 0
-  local state = is_state(tgt) and tgt or tgt._parent
-  while state ~= lca do
-    n = n + 1
-    upwards[n], state = state, state._parent
+  -- Indexes the outgoing transitions of `node`: `_by_event[event]` holds the candidates
+  -- in the order in which they are tried, `_by_any` those for an event without a list.
+  local function compile_node(node)
+    local otrs = node._otrs
+    if not otrs then
+      node._by_event, node._by_any = false, false
+      return
+    end
+    sort(otrs, tried_before)
+    local by_event, by_any = {}, {}
+    for rank = 1, #otrs do
+      local tr = otrs[rank]
+      tr._rank = rank
+      for i = 1, tr.events and #tr.events or 0 do by_event[tr.events[i]] = {} end
+    end
+    for rank = 1, #otrs do add_to_index(by_event, by_any, otrs[rank]) end
+    node._by_event, node._by_any = by_event, by_any[1] and by_any or false
   end
-  local entries = {}
-  for i = 1, n do entries[i] = upwards[n + 1 - i] end
-  return entries
-end
 
-local function has_predicate(events)
-  for i = 1, #events do
-    if type(events[i]) == "function" then return true end
+  -- Rebuilds all that the run relies on, from `nodes` and `transitions` of the machine.
+  function compile(fsm)
+    local nodes, transitions = fsm._nodes, fsm._transitions
+    for i = 1, #nodes do
+      local node = nodes[i]
+      node._otrs, node._sources = nil, false
+      node._is_leaf = is_state(node) and not has_nodes(node)
+      node._done_event = node._is_leaf and "e_done@" .. node._fqn
+      node._choices = nil
+    end
+    for i = 1, #transitions do
+      local tr = transitions[i]
+      local otrs = tr.src._otrs
+      if otrs then otrs[#otrs + 1] = tr else tr.src._otrs = { tr } end
+    end
+    fsm._events = {}
+    for i = 1, #transitions do compile_transition(fsm._events, transitions[i]) end
+    for i = 1, #nodes do compile_node(nodes[i]) end
   end
-  return false
-end
-
-local function compile_transition(known_events, tr)
-  local events = tr.events
-  if type(events) == "string" then
-    events = { events } -- a preproc function may have left it so
-    tr.events = events
-  end
-  tr._lca = find_lca(tr.src, tr.tgt)
-  tr._entries = entries_of(tr._lca, tr.tgt)
-  tr._to_connector = is_conn(tr.tgt)
-  tr._is_open_to_all = events == nil or #events == 0
-  tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
-  tr._is_simple = not tr._has_predicate and not tr._to_connector
-  tr._run = nil
-  for i = 1, events and #events or 0 do known_events[events[i]] = true end
-end
-
--- Adds `tr` to the list of each event that may trigger it.
-local function add_to_index(by_event, by_any, tr)
-  if tr._is_open_to_all or tr._has_predicate then
-    for _, list in pairs(by_event) do list[#list + 1] = tr end -- any order: each once
-    by_any[#by_any + 1] = tr
-    return
-  end
-  for i = 1, #tr.events do
-    local list = by_event[tr.events[i]]
-    if list[#list] ~= tr then list[#list + 1] = tr end
-  end
-end
-
--- Indexes the outgoing transitions of `node`: `_by_event[event]` holds the candidates
--- in the order in which they are tried, `_by_any` those for an event without a list.
-local function compile_node(node)
-  local otrs = node._otrs
-  if not otrs then
-    node._by_event, node._by_any = false, false
-    return
-  end
-  sort(otrs, tried_before)
-  local by_event, by_any = {}, {}
-  for rank = 1, #otrs do
-    local tr = otrs[rank]
-    tr._rank = rank
-    for i = 1, tr.events and #tr.events or 0 do by_event[tr.events[i]] = {} end
-  end
-  for rank = 1, #otrs do add_to_index(by_event, by_any, otrs[rank]) end
-  node._by_event, node._by_any = by_event, by_any[1] and by_any or false
-end
-
--- Rebuilds all that the run relies on, from `nodes` and `transitions` of the machine.
-local function compile(fsm)
-  local nodes, transitions = fsm._nodes, fsm._transitions
-  for i = 1, #nodes do
-    local node = nodes[i]
-    node._otrs, node._sources = nil, false
-    node._is_leaf = is_state(node) and not has_nodes(node)
-    node._done_event = node._is_leaf and "e_done@" .. node._fqn
-    node._choices = nil
-  end
-  for i = 1, #transitions do
-    local tr = transitions[i]
-    local otrs = tr.src._otrs
-    if otrs then otrs[#otrs + 1] = tr else tr.src._otrs = { tr } end
-  end
-  fsm._events = {}
-  for i = 1, #transitions do compile_transition(fsm._events, transitions[i]) end
-  for i = 1, #nodes do compile_node(nodes[i]) end
 end
 
 -- Run: collect events, choose, take, doo --------------------------------------
@@ -949,11 +959,12 @@ end
 -- of states and transitions go to `err`, those of printers, hooks and getevents are
 -- kept and raised when the iteration is over.
 --
--- What makes it fast: three flags stand for all that is rarely there, so that a step
+-- What makes it fast: flags stand for all that is rarely there, so that a step
 -- asks for each once and not for every hook and printer.
 --
 --   _is_traced     dbg is on, or a state has hooks: transitions run in full detail
 --   _is_hooked     there is a getevents, a pre or a post step hook
+--   _is_plain      none of these
 --   _is_unsettled  the iteration has more to do at its end: see `settle`
 --
 -- The fields behind the first two are absent from the machine while they are off (the
@@ -972,10 +983,11 @@ local FLAG_OF = {
 Machine.dbg, Machine.getevents = silent, no_events
 Machine.pre_step_hook, Machine.post_step_hook = false, false
 
+local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
+
 function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
-  local flag = FLAG_OF[key]
-  if flag then fsm[flag] = true end
+  if FLAG_OF[key] then set_flag(fsm, FLAG_OF[key]) end
 end
 
 -- Prints any values, tab separated: to stderr where there is one, or with the `print`
@@ -1117,7 +1129,7 @@ end
 local function check_traced(fsm)
   if fsm._has_state_hooks or fsm.dbg and fsm.dbg ~= silent then return end
   rawset(fsm, "dbg", nil)
-  fsm._is_traced = false
+  fsm._is_traced, fsm._is_plain = false, not fsm._is_hooked
 end
 
 -- Choose: which transition do the events enable? .................................
@@ -1298,8 +1310,9 @@ local function find_transition(fsm, leaf, events)
 end
 
 -- leaf._choices[event] holds what the event leads to while the leaf is active, noted
--- when it first came: the candidates of all sources in one list, false for none. Only
--- events that the machine knows are noted; all others have one answer, at [OTHER].
+-- when it first came: false for nothing, a transition that stands alone and goes
+-- straight to a leaf, or a list of candidates, those of all sources. Only events that
+-- the machine knows are noted; all others have one answer, at [OTHER].
 local OTHER, NO_CHOICES = {}, {}
 State._choices = NO_CHOICES
 
@@ -1318,38 +1331,54 @@ local function candidates_of(sources, event)
   return candidates
 end
 
-local function find_candidates(fsm, leaf, event)
-  if leaf._choices == NO_CHOICES then leaf._choices = {} end
-  local key = (fsm._events[event] or event == leaf._done_event) and event or OTHER
-  local candidates = leaf._choices[key]
-  if candidates == nil then
-    candidates = candidates_of(leaf._sources or sources_of(leaf), key)
-    leaf._choices[key] = candidates
+local function choice_of(leaf, event)
+  local candidates = candidates_of(leaf._sources or sources_of(leaf), event)
+  if not candidates or candidates[2] or not candidates[1]._is_simple then
+    return candidates
   end
-  return candidates
+  return candidates[1]
 end
 
--- Returns the transition to take, or nothing. Most often one list of candidates is all
--- there is: other events of the step, such as an `e_done@F`, lead nowhere.
-local function choose(fsm, leaf, events, n)
+-- leaf._ignored is its e_done if that leads nowhere, as it mostly does.
+local function start_choices(leaf)
+  local done_event = leaf._done_event
+  local choice = choice_of(leaf, done_event)
+  leaf._choices = { [done_event] = choice }
+  leaf._ignored = not choice and done_event or OTHER
+end
+
+local function find_choice(fsm, leaf, event)
+  if leaf._choices == NO_CHOICES then start_choices(leaf) end
+  local choices = leaf._choices
+  if choices[event] ~= nil then return choices[event] end
+  local key = fsm._events[event] and event or OTHER
+  if choices[key] == nil then choices[key] = choice_of(leaf, key) end
+  return choices[key]
+end
+
+-- Returns the first candidate that is enabled, or nothing.
+local function choose_from(fsm, choice, events)
+  fsm._search = fsm._search + 1
+  if not choice._is_simple then return find_in_list(fsm, choice, events) end
+  return is_enabled(fsm, choice, events) and choice
+end
+
+-- Returns the transition to take, or nothing. Mostly one of the events leads somewhere.
+local function choose(fsm, leaf, events)
   if fsm._is_traced then
     check_traced(fsm)
     return find_transition(fsm, leaf, events)
   end
-  local choices, candidates = leaf._choices, false
-  for i = 1, n do
+  local choices, choice = leaf._choices, false
+  for i = 1, #events do
     local found = choices[events[i]]
-    if found == nil then found = find_candidates(fsm, leaf, events[i]) end
-    if found and found ~= candidates then
-      if candidates then return find_transition(fsm, leaf, events) end
-      candidates = found
+    if found == nil then found = find_choice(fsm, leaf, events[i]) end
+    if found and found ~= choice then
+      if choice then return find_transition(fsm, leaf, events) end
+      choice = found
     end
   end
-  if not candidates then return nil end
-  local first = candidates[1]
-  if first._is_simple and not first.guard then return first end
-  fsm._search = fsm._search + 1
-  return find_in_list(fsm, candidates, events)
+  return choice and choose_from(fsm, choice, events)
 end
 
 -- Take: exit, effect, entry, in full detail ......................................
@@ -1569,7 +1598,8 @@ do
   s$n._actchild = false
 ]],
     leaf_left = [[
-  s1._doo_co, fsm._act_leaf = false, false
+  s1._doo_co = false
+  fsm._act_leaf = false
 ]],
     effect = [[
   local effect = tr.effect
@@ -1581,7 +1611,8 @@ do
 ]],
     entry = [[
   local t$i = entries[$i]
-  t$i._mode, $p._actchild = "active", t$i
+  t$i._mode = "active"
+  $p._actchild = t$i
   program = t$i.entry
   if program then
     fsm._at = $i
@@ -1593,7 +1624,8 @@ do
   fsm._act_leaf = t$i
   if not t$i.doo then
     local queue = fsm._intq
-    t$i._mode, queue[#queue + 1] = "done", t$i._done_event
+    t$i._mode = "done"
+    queue[#queue + 1] = t$i._done_event
   end
 ]],
   }
@@ -1687,6 +1719,14 @@ return function(fsm, tr, s1, events)
   end
 end
 
+-- What follows the protected call of a straight segment.
+local function finish_take(fsm, tr, events, ok, effect)
+  if ok and effect then return keep_events(fsm) end
+  if ok then return end
+  fsm._path[1], fsm._segment = tr, 1
+  recover_path(fsm, events, 1, effect)
+end
+
 -- Takes `tr` from the active leaf.
 local function take(fsm, tr, leaf, events)
   if tr._to_connector or fsm._is_traced then
@@ -1694,13 +1734,7 @@ local function take(fsm, tr, leaf, events)
     trace_path(fsm, n)
     return take_path(fsm, events, n)
   end
-  local ok, effect = pcall(tr._run, fsm, tr, leaf, events)
-  if not ok then
-    fsm._path[1], fsm._segment = tr, 1
-    recover_path(fsm, events, 1, effect)
-  elseif effect then
-    keep_events(fsm)
-  end
+  finish_take(fsm, tr, events, pcall(tr._run, fsm, tr, leaf, events))
 end
 
 -- Doo ............................................................................
@@ -1811,7 +1845,7 @@ local function check_hooked(fsm)
   rawset(fsm, "getevents", nil)
   rawset(fsm, "pre_step_hook", nil)
   rawset(fsm, "post_step_hook", nil)
-  fsm._is_hooked = false
+  fsm._is_hooked, fsm._is_plain = false, not fsm._is_traced
 end
 
 -- Collects what getevents returns, and lets the pre step hooks change the events.
@@ -1838,7 +1872,7 @@ end
 local function iterate(fsm, leaf, events, after_free)
   if fsm._is_hooked then gather(fsm, events) end
   local n, counted, idle = #events, true, false
-  local tr = n > 0 and choose(fsm, leaf, events, n)
+  local tr = n > 0 and choose(fsm, leaf, events)
   if tr then
     take(fsm, tr, leaf, events)
   else
@@ -1854,23 +1888,52 @@ local function iterate(fsm, leaf, events, after_free)
   return counted, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
+-- The usual iteration in one go: of a plain machine, with one event apart from an
+-- e_done that nothing waits for, which leads to one transition without a guard straight
+-- to a leaf. Returns whether it was that; if not, nothing has changed.
+local function iterate_quickly(fsm)
+  local leaf, events = fsm._act_leaf, fsm._intq
+  if not fsm._is_plain or not leaf then return false end
+  local at = 1
+  if events[1] == leaf._ignored then at = 2 end
+  local tr = leaf._choices[events[at]]
+  if not tr or not tr._is_simple or tr.guard or events[at + 1] ~= nil then
+    return false
+  end
+  fsm._intq = fsm._spare
+  fsm._spare = false
+  fsm._curq = events
+  local ok, effect = pcall(tr._run, fsm, tr, leaf, events)
+  if not ok or effect or fsm._is_unsettled then
+    finish_take(fsm, tr, events, ok, effect)
+    settle(fsm, events)
+    return true
+  end
+  events[at] = nil
+  if at == 2 then events[1] = nil end
+  fsm._spare = events
+  return true
+end
+
 -- Iterates until `left` iterations were counted or the machine is idle. While one is
 -- under way, fsm._spare is false.
 local function iterate_up_to(fsm, left)
   local after_free = false
   while true do
-    local events, leaf = fsm._intq, fsm._act_leaf
-    fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
-    local counted, idle
-    if leaf then
-      counted, idle = iterate(fsm, leaf, events, after_free)
-    else
-      counted = iterate_first(fsm, events)
-      if not counted then return false end
+    local counted, idle = iterate_quickly(fsm), false
+    if not counted then
+      local events, leaf = fsm._intq, fsm._act_leaf
+      fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
+      if leaf then
+        counted, idle = iterate(fsm, leaf, events, after_free)
+      else
+        counted = iterate_first(fsm, events)
+        if not counted then return false end
+      end
     end
     if counted then
       left = left - 1
-      if left < 1 then return idle or false end
+      if left < 1 then return idle end
     end
     after_free = not counted
     if idle then
@@ -1882,6 +1945,9 @@ local function iterate_up_to(fsm, left)
 end
 
 -- Public functions ------------------------------------------------------------
+
+-- The machines there are: one look tells for any value at all whether it is one.
+local machines = setmetatable({}, { __mode = "k" })
 
 -- Blames the caller of the public function for something that is no machine.
 local function check_machine(fsm, name)
@@ -1938,7 +2004,8 @@ local function new_machine(model)
     idle_hook = false,
     -- the run
     _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _spare = {},
-    _is_traced = false, _is_hooked = false, _is_unsettled = false, _is_kept = false,
+    _is_traced = false, _is_hooked = false, _is_plain = true, _is_unsettled = false,
+    _is_kept = false,
     _reset_wanted = false, _has_failure = false, _at = false, _segment = 0,
     _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
     _has_state_hooks = false, _search = 0, _lists = {}, _path = {},
@@ -2086,6 +2153,7 @@ function rfsm.init(model)
     return false, problems
   end
   finish(build)
+  machines[fsm] = true
   raise_failure(fsm)
   return fsm
 end
@@ -2120,12 +2188,15 @@ end
 ---@param event? any anything; nil is skipped
 ---@param ... any more of them
 function rfsm.send_events(fsm, event, ...)
-  if type(fsm) ~= "table" or not fsm._initialized then
-    check_machine(fsm, "send_events")
+  if not machines[fsm] then check_machine(fsm, "send_events") end
+  if fsm._is_plain and event ~= nil then
+    local queue = fsm._intq
+    queue[#queue + 1] = event
+    if select("#", ...) > 0 then post_all(fsm, ...) end
+    return
   end
-  if event ~= nil then post(fsm, event) end
-  if select("#", ...) > 0 then post_all(fsm, ...) end
-  if fsm._is_unsettled and fsm._spare then raise_failure(fsm) end
+  post_all(fsm, event, ...)
+  if fsm._spare then raise_failure(fsm) end
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
@@ -2137,7 +2208,7 @@ end
 ---@param n? number at least 1, default 1
 ---@return boolean idle true when there is nothing left to do
 function rfsm.step(fsm, n)
-  if type(fsm) ~= "table" or not fsm._initialized then check_machine(fsm, "step") end
+  if not machines[fsm] then check_machine(fsm, "step") end
   if n ~= nil and type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
@@ -2151,7 +2222,7 @@ end
 ---@param fsm rfsm.Machine
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
-  check_machine(fsm, "run")
+  if not machines[fsm] then check_machine(fsm, "run") end
   if not fsm._spare then
     error("rfsm.run: the machine is in the middle of a step", 2)
   end
@@ -2340,7 +2411,7 @@ do
       hooks[#hooks + 1] = hook
     end
     fsm[field] = hooks
-    if field ~= "_reset_hooks" then fsm._is_hooked = true end
+    if field ~= "_reset_hooks" then set_flag(fsm, "_is_hooked") end
   end
 
   local function hook_rm(fsm, field, slot, hook)
@@ -2386,7 +2457,8 @@ do
     end
     local hooks = state[field] and copy_list(state[field]) or {}
     hooks[#hooks + 1] = hook
-    state[field], fsm._has_state_hooks, fsm._is_traced = hooks, true, true
+    state[field], fsm._has_state_hooks = hooks, true
+    set_flag(fsm, "_is_traced")
   end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
