@@ -1363,21 +1363,32 @@ local function choose_from(fsm, choice, events)
   return is_enabled(fsm, choice, events) and choice
 end
 
--- Returns the transition to take, or nothing. Mostly one of the events leads somewhere.
-local function choose(fsm, leaf, events)
-  if fsm._is_traced then
-    check_traced(fsm)
-    return find_transition(fsm, leaf, events)
-  end
-  local choices, choice = leaf._choices, false
+-- Returns what several events lead to.
+local function choose_among(fsm, leaf, events)
+  local choice = false
   for i = 1, #events do
-    local found = choices[events[i]]
-    if found == nil then found = find_choice(fsm, leaf, events[i]) end
+    local found = find_choice(fsm, leaf, events[i])
     if found and found ~= choice then
       if choice then return find_transition(fsm, leaf, events) end
       choice = found
     end
   end
+  return choice and choose_from(fsm, choice, events)
+end
+
+-- Returns the transition to take, or nothing.
+local function choose(fsm, leaf, events)
+  if fsm._is_traced then
+    check_traced(fsm)
+    return events[1] ~= nil and find_transition(fsm, leaf, events)
+  end
+  local at = 1
+  if events[1] == leaf._ignored then at = 2 end
+  local event = events[at]
+  if event == nil then return nil end
+  if events[at + 1] ~= nil then return choose_among(fsm, leaf, events) end
+  local choice = leaf._choices[event]
+  if choice == nil then choice = find_choice(fsm, leaf, event) end
   return choice and choose_from(fsm, choice, events)
 end
 
@@ -1811,6 +1822,16 @@ local function refuse_entry(fsm, collected, events)
   raise_failure(fsm)
 end
 
+-- Empties an events table, and makes it the spare for the queue.
+local function recycle(fsm, events)
+  if events[3] ~= nil then
+    for i = #events, 3, -1 do events[i] = nil end
+  end
+  if events[2] ~= nil then events[2] = nil end
+  if events[1] ~= nil then events[1] = nil end
+  fsm._spare = events
+end
+
 -- At last the events table becomes the spare for the queue, emptied; one that a user's
 -- function has seen, and may have kept, is left to it.
 local function settle(fsm, events)
@@ -1819,8 +1840,7 @@ local function settle(fsm, events)
   if fsm._is_kept then
     fsm._spare, fsm._is_kept = {}, false
   else
-    for i = #events, 1, -1 do events[i] = nil end
-    fsm._spare = events
+    recycle(fsm, events)
   end
   fsm._is_unsettled = false
   raise_failure(fsm)
@@ -1833,7 +1853,7 @@ local function iterate_first(fsm, events)
   if fsm._is_hooked then run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events) end
   if not enter_machine(fsm, events) then return refuse_entry(fsm, collected, events) end
   settle(fsm, events)
-  return true
+  return true, false
 end
 
 -- Has a step hook or getevents gone that set the flag? Then it goes, too.
@@ -1867,38 +1887,42 @@ local function hibernate(fsm)
   raise_failure(fsm)
 end
 
--- One iteration while `leaf` is active. Returns whether it counts as a step, and if its
--- doo cycle was idle. `after_free`: the iteration before did not count.
-local function iterate(fsm, leaf, events, after_free)
+-- One iteration. Returns nil when there is no way in; else whether it counts as a step,
+-- and if its doo cycle was idle. `after_free`: the iteration before did not count.
+-- While it is under way fsm._spare is false.
+local function iterate_fully(fsm, after_free)
+  local leaf, events = fsm._act_leaf, fsm._intq
+  fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
+  if not leaf then return iterate_first(fsm, events) end
   if fsm._is_hooked then gather(fsm, events) end
-  local n, counted, idle = #events, true, false
-  local tr = n > 0 and choose(fsm, leaf, events)
+  local counted, idle = true, false
+  local tr = choose(fsm, leaf, events)
   if tr then
     take(fsm, tr, leaf, events)
   else
-    counted = n == 0 or after_free
-    if counted then idle = iterate_idly(fsm, leaf, n == 0) end
+    local is_eventless = events[1] == nil
+    counted = is_eventless or after_free
+    if counted then idle = iterate_idly(fsm, leaf, is_eventless) end
   end
   if fsm._is_unsettled or fsm._is_hooked then
     settle(fsm, events)
   else
-    for i = #events, 1, -1 do events[i] = nil end
-    fsm._spare = events
+    recycle(fsm, events)
   end
   return counted, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
--- The usual iteration in one go: of a plain machine, with one event apart from an
--- e_done that nothing waits for, which leads to one transition without a guard straight
--- to a leaf. Returns whether it was that; if not, nothing has changed.
-local function iterate_quickly(fsm)
+-- The same; the usual case in one go, which is: a plain machine, one event apart from
+-- an e_done that nothing waits for, and it leads to one transition without a guard
+-- straight to a leaf.
+local function iterate(fsm, after_free)
   local leaf, events = fsm._act_leaf, fsm._intq
-  if not fsm._is_plain or not leaf then return false end
+  if not fsm._is_plain or not leaf then return iterate_fully(fsm, after_free) end
   local at = 1
   if events[1] == leaf._ignored then at = 2 end
   local tr = leaf._choices[events[at]]
   if not tr or not tr._is_simple or tr.guard or events[at + 1] ~= nil then
-    return false
+    return iterate_fully(fsm, after_free)
   end
   fsm._intq = fsm._spare
   fsm._spare = false
@@ -1907,40 +1931,28 @@ local function iterate_quickly(fsm)
   if not ok or effect or fsm._is_unsettled then
     finish_take(fsm, tr, events, ok, effect)
     settle(fsm, events)
-    return true
+  else
+    events[at] = nil
+    if at == 2 then events[1] = nil end
+    fsm._spare = events
   end
-  events[at] = nil
-  if at == 2 then events[1] = nil end
-  fsm._spare = events
-  return true
+  return true, false
 end
 
--- Iterates until `left` iterations were counted or the machine is idle. While one is
--- under way, fsm._spare is false.
-local function iterate_up_to(fsm, left)
-  local after_free = false
+-- Goes on after an iteration until `left` more were counted or the machine is idle.
+local function iterate_on(fsm, left, counted, idle)
   while true do
-    local counted, idle = iterate_quickly(fsm), false
-    if not counted then
-      local events, leaf = fsm._intq, fsm._act_leaf
-      fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
-      if leaf then
-        counted, idle = iterate(fsm, leaf, events, after_free)
-      else
-        counted = iterate_first(fsm, events)
-        if not counted then return false end
-      end
-    end
+    if counted == nil then return false end
     if counted then
       left = left - 1
       if left < 1 then return idle end
     end
-    after_free = not counted
     if idle then
       if fsm._is_traced then hibernate(fsm) end
       if not fsm.idle_hook then return true end
       fsm.idle_hook(fsm)
     end
+    counted, idle = iterate(fsm, not counted)
   end
 end
 
@@ -2215,7 +2227,9 @@ function rfsm.step(fsm, n)
   if not fsm._spare then
     error("rfsm.step: the machine is in the middle of a step", 2)
   end
-  return iterate_up_to(fsm, n and n > 1 and n or 1) -- NaN is no more than 1, too
+  local counted, idle = iterate(fsm, false)
+  if counted and n == nil then return idle end -- without a loop: one trace of LuaJIT
+  return iterate_on(fsm, n and n > 1 and n or 1, counted, idle) -- NaN: 1
 end
 
 --- Advance a machine until no event waits and no doo is busy.
@@ -2226,7 +2240,7 @@ function rfsm.run(fsm)
   if not fsm._spare then
     error("rfsm.run: the machine is in the middle of a step", 2)
   end
-  return iterate_up_to(fsm, huge)
+  return iterate_on(fsm, huge, iterate(fsm, false))
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
