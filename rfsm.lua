@@ -1351,7 +1351,8 @@ local function find_choice(fsm, leaf, event)
   if leaf._choices == NO_CHOICES then start_choices(leaf) end
   local choices = leaf._choices
   if choices[event] ~= nil then return choices[event] end
-  local key = fsm._events[event] and event or OTHER
+  local key = event
+  if not fsm._events[event] then key = OTHER end
   if choices[key] == nil then choices[key] = choice_of(leaf, key) end
   return choices[key]
 end

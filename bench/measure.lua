@@ -94,4 +94,22 @@ function measure.select(list, names)
   return selected
 end
 
+--- Bytes that `n` calls' worth of `subject` leave on the heap, when it has run before.
+--
+-- A full collection shrinks the stack, which grows again at the first call; so the call
+-- that is measured must stand no higher on it than the one before: hence the loop.
+function measure.bytes_grown(subject, n)
+  collectgarbage()
+  collectgarbage()
+  collectgarbage("stop")
+  local before, after = 0, 0
+  for i = 1, 2 do
+    before = collectgarbage("count")
+    subject(i == 1 and 10 or n)
+    after = collectgarbage("count")
+  end
+  collectgarbage("restart")
+  return (after - before) * 1024
+end
+
 return measure

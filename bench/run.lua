@@ -31,19 +31,6 @@ local function compare(subject, limit)
   return shares, rates
 end
 
--- What 1,000 events leave on the heap; not asked of workloads that init machines.
-local function bytes_per_event(subject)
-  collectgarbage()
-  collectgarbage()
-  collectgarbage("stop")
-  subject(10)
-  local before = collectgarbage("count")
-  subject(1000)
-  local grown = collectgarbage("count") - before
-  collectgarbage("restart")
-  return grown * 1024 / 1000
-end
-
 local selected = measure.select(workloads, arg)
 print(("%s, %s, %d rounds"):format(rfsm._VERSION, measure.engine(), ROUNDS))
 print("workload   share of the limit (low .. high)      us/event   bytes/event")
@@ -52,7 +39,7 @@ for _, workload in ipairs(selected) do
   local shares, rates = compare(subject, limit)
   local middle = math.ceil(ROUNDS / 2)
   local bytes = workload.name:find("^W6") and "-"
-    or ("%.1f"):format(bytes_per_event(subject))
+    or ("%.1f"):format(measure.bytes_grown(subject, 1000) / 1000)
   print(("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
     shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,
     1e6 / rates[middle], bytes))

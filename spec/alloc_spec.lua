@@ -1,24 +1,15 @@
 -- In steady state an event costs no garbage. With the JIT off and on: its traces would
 -- count, and allocations that it sinks would not.
 
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
 local workloads = require "bench.workloads"
 
 local jit = rawget(_G, "jit")
 
--- Bytes that 1,000 events leave on the heap. A full collection shrinks the stack, which
--- grows again at the first call.
 local function bytes_grown(subject)
   subject(25000) -- W7: each of its machines has been in each of its states
-  collectgarbage()
-  collectgarbage()
-  collectgarbage("stop")
-  subject(10)
-  local before = collectgarbage("count")
-  subject(1000)
-  local grown = collectgarbage("count") - before
-  collectgarbage("restart")
-  return grown * 1024
+  return measure.bytes_grown(subject, 1000)
 end
 
 local function with_jit(mode, f)

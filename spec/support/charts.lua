@@ -17,7 +17,7 @@ local floor = math.floor
 -- Events that are no strings: compared by identity, and never copied.
 local Object = { __tostring = function(self) return self.name end }
 local OBJECT = setmetatable({ name = "an object" }, Object)
-local EVENTS = { "e1", "e2", "e3", "e4", 7, OBJECT }
+local EVENTS = { "e1", "e2", "e3", "e4", 7, false, OBJECT }
 
 -- Matches itself, and each event with a 2 in it; fails for numbers.
 local function predicate(event)
