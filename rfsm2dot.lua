@@ -35,7 +35,8 @@ end
 -- Nodes: composites are clusters ------------------------------------------------
 
 local DOT = "shape=point, width=0.15"
-local DIAMOND = 'shape=diamond, style="", width=0.25, height=0.25, label=""'
+local DIAMOND = 'shape=diamond, style="", width=0.25, height=0.25, label="", '
+  .. "fontsize=11"
 
 local function look_of(node)
   if node.kind == "initial" then return DOT end

@@ -146,7 +146,11 @@ end
 
 -- States: one a line, indented as they are nested ----------------------------------
 
+-- A name is one line, whatever is in it.
+local function escape_control(character) return ("\\%d"):format(character:byte()) end
+
 local function state_line(fsm, state, name, is_coloured, depth, indent)
+  name = name:gsub("%c", escape_control)
   local mode = rfsm.get_sta_mode(state)
   local is_active_leaf = mode == "active" and fsm._act_leaf == state
   local colour = MODE[is_active_leaf and "active_leaf" or mode]

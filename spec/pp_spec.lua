@@ -105,6 +105,14 @@ describe("fsm2str", function()
     assert.equal("root[CS]\n  a[CS]\n    x[LS]\n  b[LS]", tree)
   end)
 
+  it("draws one line for a state, whatever its name", function()
+    local fsm = helper.init(state {
+      ["a\nb\27[1m"] = state {}, trans { src = "initial", tgt = "a\nb\27[1m" },
+    })
+    assert.equal("root[CS]\n  a\\10b\\27[1m[LS]",
+      (rfsmpp.fsm2str(fsm):gsub("\27%[%d+m", "")))
+  end)
+
   it("starts each line with the indent", function()
     local tree = rfsmpp.fsm2str(machine(), "| "):gsub("\27%[%d+m", "")
     assert.equal("| root[CS]\n|   a[CS]\n|     x[LS]\n|   b[LS]", tree)
