@@ -1,7 +1,7 @@
 --- A machine as a Mermaid state diagram, which many web pages draw, GitHub's too.
 --
--- The root gets a frame only when an arrow begins or ends at it: Mermaid draws the
--- better the less is nested.
+-- The root has no frame: Mermaid draws the better the less is nested. Arrows that begin
+-- at the root begin at a box of that name.
 --
 -- @module rfsm2mermaid
 -- @license BSD-3-Clause
@@ -37,38 +37,58 @@ local function add(lines, depth, text)
   lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
--- An initial is [*] where its composite begins; everywhere else that stands for it.
-local function end_of(node, is_start)
-  if node.kind ~= "initial" then return node.id end
-  return is_start and "[*]" or node.parent.id
+-- An initial is [*] where its composite begins, which no arrow can be led to: one with
+-- an arrow from elsewhere, or to elsewhere, gets a diamond behind its [*].
+local function find_diamonds(chart)
+  local diamonds = {}
+  local function note(node, is_plain)
+    if node.kind == "initial" and not is_plain then diamonds[node] = true end
+  end
+  for _, arrow in ipairs(chart.all) do
+    local composite = arrow.src.parent
+    note(arrow.src, composite and diagram.is_inside(arrow.tgt, composite))
+    note(arrow.tgt)
+  end
+  return diamonds
 end
 
-local function add_arrows(lines, depth, composite)
+-- Mermaid calls what is around everything "root". No other node is "root_".
+local function id_of(node) return node.parent and node.id or node.id .. "_" end
+
+local function start_of(node, diamonds)
+  return node.kind == "initial" and not diamonds[node] and "[*]" or id_of(node)
+end
+
+local function add_arrows(lines, depth, composite, diamonds)
   for _, arrow in ipairs(composite.arrows) do
-    local is_start = arrow.src.parent == composite
     local label = arrow.label ~= "" and " : " .. text_of(arrow.label) or ""
-    add(lines, depth, end_of(arrow.src, is_start) .. " --> " .. end_of(arrow.tgt)
+    add(lines, depth, start_of(arrow.src, diamonds) .. " --> " .. id_of(arrow.tgt)
       .. label)
   end
 end
 
-local add_node
-
-local function add_members(lines, depth, composite)
-  for _, node in ipairs(composite.nodes) do add_node(lines, depth, node) end
-  add_arrows(lines, depth, composite)
+local function add_diamond(lines, depth, node)
+  add(lines, depth, "state " .. id_of(node) .. " <<choice>>")
+  if node.kind == "initial" then add(lines, depth, "[*] --> " .. id_of(node)) end
 end
 
-function add_node(lines, depth, node)
-  if node.kind == "initial" then return end
-  if node.kind == "connector" then
-    return add(lines, depth, "state " .. node.id .. " <<choice>>")
+local function name_line(node)
+  return ('state "%s" as %s'):format(text_of(node.name), id_of(node))
+end
+
+local function add_members(lines, depth, composite, diamonds)
+  for _, node in ipairs(composite.nodes) do
+    if node.kind == "composite" then
+      add(lines, depth, name_line(node) .. " {")
+      add_members(lines, depth + 1, node, diamonds)
+      add(lines, depth, "}")
+    elseif node.kind == "connector" or diamonds[node] then
+      add_diamond(lines, depth, node)
+    elseif node.kind == "leaf" then
+      add(lines, depth, name_line(node))
+    end
   end
-  local head = ('state "%s" as %s'):format(text_of(node.name), node.id)
-  if node.kind == "leaf" then return add(lines, depth, head) end
-  add(lines, depth, head .. " {")
-  add_members(lines, depth + 1, node)
-  add(lines, depth, "}")
+  add_arrows(lines, depth, composite, diamonds)
 end
 
 local function draw(chart)
@@ -77,12 +97,10 @@ local function draw(chart)
     lines = { "---", "title: " .. title_of(chart.title), "---" }
   end
   add(lines, 0, "stateDiagram-v2")
-  if root.kind == "leaf" or chart.arrows[1] then
-    add_node(lines, 1, root)
-    add_arrows(lines, 1, chart)
-  else
-    add_members(lines, 1, root)
-  end
+  if root.kind == "leaf" or chart.arrows[1] then add(lines, 1, name_line(root)) end
+  local diamonds = find_diamonds(chart)
+  add_members(lines, 1, root, diamonds)
+  add_arrows(lines, 1, chart, diamonds)
   return concat(lines, "\n") .. "\n"
 end
 

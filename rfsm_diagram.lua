@@ -93,9 +93,8 @@ end
 local is_inside = rfsm_diagram.is_inside
 
 -- Returns the innermost composite that has both ends of an arrow in it; nil when one is
--- the root. An arrow to an initial ends, in most languages, at the composite itself.
+-- the root.
 local function find_home(src, tgt)
-  if tgt.kind == "initial" then tgt = tgt.parent end
   local home = src.parent
   while home and not is_inside(tgt, home) do home = home.parent end
   return home

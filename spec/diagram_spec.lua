@@ -235,6 +235,7 @@ state "root" as root {
     state "moving" as root_on_moving
     [*] --> root_on_idle
     root_on_idle --> root_on_moving : e_go, e_run
+    root_on_moving --> root_on : e_halt
   }
   [*] --> root_off
   root_off --> root_k : e_switch
@@ -243,7 +244,6 @@ state "root" as root {
   root_on --> root_on_moving : e_in
   root_on --> root_off : e_switch
   root_on_moving --> root_off : e_panic
-  root_on_moving --> root_on : e_halt
 }
 @enduml
 ]], require("rfsm2plantuml").encode(lamp(), "the lamp"))
@@ -366,9 +366,12 @@ stateDiagram-v2
   state "off" as root_off
   state "on" as root_on {
     state "idle" as root_on_idle
+    state root_on_initial <<choice>>
+    [*] --> root_on_initial
     state "moving" as root_on_moving
-    [*] --> root_on_idle
+    root_on_initial --> root_on_idle
     root_on_idle --> root_on_moving : e_go, e_run
+    root_on_moving --> root_on_initial : e_halt
   }
   [*] --> root_off
   root_off --> root_k : e_switch [guard]
@@ -377,18 +380,16 @@ stateDiagram-v2
   root_on --> root_on_moving : e_in [guard] / effect
   root_on --> root_off : e_switch
   root_on_moving --> root_off : e_panic
-  root_on_moving --> root_on : e_halt
 ]], encode(lamp(), 'the "lamp"'))
   end)
 
-  it("draws the root where an arrow begins or ends at it", function()
+  it("draws the root as a box where an arrow begins at it", function()
     assert.equal([[
 stateDiagram-v2
-  state "root" as root {
-    state "a" as root_a
-    [*] --> root_a
-  }
-  root --> root_a : e_reset
+  state "root" as root_
+  state "a" as root_a
+  [*] --> root_a
+  root_ --> root_a : e_reset
 ]], encode(helper.init(state {
       a = state {}, trans { src = "initial", tgt = "a" },
       trans { src = "root", tgt = "a", events = { "e_reset" } },
@@ -449,7 +450,8 @@ stateDiagram-v2
       local fsm, count = next_machine()
       local text = encode(fsm)
       check(text)
-      assert.equal(count, select(2, text:gsub(" %-%-> ", "")))
+      local arrows = text:gsub("%[%*%] %-%-> [%w_]*initial\n", "")
+      assert.equal(count, select(2, arrows:gsub(" %-%-> ", "")))
       local plantuml = require("rfsm2plantuml").encode(fsm)
       assert.equal(count, select(2, plantuml:gsub(" %-%-> ", "")))
     end
