@@ -894,6 +894,7 @@ do
     tr._is_open_to_all = events == nil or #events == 0
     tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
     tr._is_simple = not tr._has_predicate and not tr._to_connector
+    tr._pn = tr.pn or 0
     tr._run = nil
     for i = 1, events and #events or 0 do known_events[events[i]] = true end
   end
@@ -983,7 +984,9 @@ local FLAG_OF = {
 Machine.dbg, Machine.getevents = silent, no_events
 Machine.pre_step_hook, Machine.post_step_hook = false, false
 
-local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
+local function set_flag(fsm, flag)
+  fsm[flag], fsm._is_plain, fsm._is_unsettled = true, false, true
+end
 
 function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
@@ -1151,7 +1154,6 @@ local function matches_predicate(tr, events)
 end
 
 local function matches(tr, events)
-  if tr._is_open_to_all then return true end
   if tr._has_predicate then return matches_predicate(tr, events) end
   local wanted = tr.events
   for i = 1, #wanted do
@@ -1162,11 +1164,9 @@ local function matches(tr, events)
   return false
 end
 
--- A guard that fails does not enable.
-local function guard_allows(fsm, tr, events)
-  local ok, answer = pcall(tr.guard, tr, events)
-  if ok then return answer ~= false end
-  report_program(fsm, "GUARD", "guard", tostring(tr), answer)
+-- The guard of `tr` said no, or failed, which does not enable either.
+local function refuse(fsm, tr, ok, failure)
+  if not ok then report_program(fsm, "GUARD", "guard", tostring(tr), failure) end
   return false
 end
 
@@ -1179,7 +1179,11 @@ end
 -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
 local function is_enabled(fsm, tr, events)
   if fsm._is_traced then trace_checking(fsm, tr) end
-  if tr.guard and not guard_allows(fsm, tr, events) then return false end
+  local guard = tr.guard
+  if guard then
+    local ok, answer = pcall(guard, tr, events)
+    if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
+  end
   return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events)
 end
 
@@ -1194,8 +1198,8 @@ local function choose_way(fsm, connector, otrs, events)
   local way, conflict = false, nil
   for i = 1, #otrs do
     local tr = otrs[i]
-    if way and (tr.pn or 0) ~= (way.pn or 0) then break end
-    if matches(tr, events) and is_enabled(fsm, tr, events) then
+    if way and tr._pn ~= way._pn then break end
+    if (tr._is_open_to_all or matches(tr, events)) and is_enabled(fsm, tr, events) then
       if way then
         conflict = conflict or { way }
         conflict[#conflict + 1] = tr
@@ -1253,14 +1257,18 @@ end
 
 -- May `tr`, whose list an event led to, be taken?
 local function is_candidate_enabled(fsm, tr, events)
-  if tr._has_predicate and not matches_predicate(tr, events) then return false end
-  return is_enabled(fsm, tr, events)
+  return (not tr._has_predicate or matches_predicate(tr, events))
+    and is_enabled(fsm, tr, events)
 end
 
 -- Returns the first enabled transition of a candidate list.
 local function find_in_list(fsm, list, events)
   for i = 1, #list do
-    if is_candidate_enabled(fsm, list[i], events) then return list[i] end
+    local tr = list[i]
+    if (not tr._has_predicate or matches_predicate(tr, events))
+      and is_enabled(fsm, tr, events) then
+      return tr
+    end
   end
 end
 
@@ -1448,6 +1456,18 @@ local function enter_down(fsm, tr, first)
   end
 end
 
+-- May an effect keep the events table? Not if it has fewer than the four parameters
+-- with which it is called; Lua 5.1 cannot tell. The answers are noted, each says
+-- something about a function alone.
+local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+
+local may_keep = setmetatable({}, { __mode = "k", __index = function(notes, effect)
+  local info = getinfo and type(effect) == "function" and getinfo(effect, "u") or {}
+  local answer = info.isvararg ~= false or not info.nparams or info.nparams > 3
+  notes[effect] = answer
+  return answer
+end })
+
 -- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
 -- stands for all of it, 1 for all of (c). It runs in a protected call, and fsm._at says
 -- what is running: a state that is left, the transition, the number of an entry. What
@@ -1473,7 +1493,6 @@ local function recover(fsm, tr, failure)
   local at = fsm._at
   if at == tr then
     report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
-    keep_events(fsm)
     finish_effect(fsm, tr)
     return nil, 1
   end
@@ -1494,26 +1513,31 @@ local function run_in_detail(fsm, tr, innermost, events)
   run_segment(fsm, tr, events, innermost, 0)
 end
 
--- Runs the segments of fsm._path from number `first` to `last`.
-local function run_path(fsm, events, first, last)
+-- Runs the segments of fsm._path from number `first` to `last`; the first of them
+-- leaves `innermost`. Returns whether an effect may have kept the events table.
+local function run_path(fsm, events, first, last, innermost)
+  local path, is_kept = fsm._path, false
   for i = first, last do
-    local tr = fsm._path[i]
+    local tr = path[i]
     fsm._segment = i
     local run = fsm._is_traced and run_in_detail or tr._run
-    local effect = run(fsm, tr, fsm._act_leaf or tr.src._parent, events)
-    if effect then keep_events(fsm) end
+    local effect = run(fsm, tr, innermost or tr.src._parent, events)
+    is_kept = is_kept or effect and may_keep[effect]
+    innermost = nil
   end
+  return is_kept
 end
 
 -- Goes on in the segment whose program failed, then with those after it.
 local function resume_path(fsm, events, last, state, first)
   run_segment(fsm, fsm._path[fsm._segment], events, state, first)
-  run_path(fsm, events, fsm._segment + 1, last)
+  return run_path(fsm, events, fsm._segment + 1, last, nil)
 end
 
 -- Recovers until the path is at its end.
 local function recover_path(fsm, events, last, failure)
   local ok
+  keep_events(fsm)
   repeat
     local state, first = recover(fsm, fsm._path[fsm._segment], failure)
     ok, failure = pcall(resume_path, fsm, events, last, state, first)
@@ -1522,9 +1546,10 @@ end
 
 -- Takes the first `last` segments of fsm._path. One protected call is enough where
 -- nothing fails.
-local function take_path(fsm, events, last)
-  local ok, failure = pcall(run_path, fsm, events, 1, last)
-  if not ok then recover_path(fsm, events, last, failure) end
+local function take_path(fsm, events, last, innermost)
+  local ok, is_kept = pcall(run_path, fsm, events, 1, last, innermost)
+  if not ok then return recover_path(fsm, events, last, is_kept) end
+  if is_kept then keep_events(fsm) end
 end
 
 -- Notes the segments from `tr` to a leaf in fsm._path, as the search chose them;
@@ -1583,7 +1608,7 @@ local function enter_machine(fsm, events)
   local n = note_path(fsm, tr)
   trace_path(fsm, n)
   enter_root(fsm)
-  take_path(fsm, events, n)
+  take_path(fsm, events, n, nil)
   return true
 end
 
@@ -1733,7 +1758,7 @@ end
 
 -- What follows the protected call of a straight segment.
 local function finish_take(fsm, tr, events, ok, effect)
-  if ok and effect then return keep_events(fsm) end
+  if ok and effect and may_keep[effect] then return keep_events(fsm) end
   if ok then return end
   fsm._path[1], fsm._segment = tr, 1
   recover_path(fsm, events, 1, effect)
@@ -1743,8 +1768,8 @@ end
 local function take(fsm, tr, leaf, events)
   if tr._to_connector or fsm._is_traced then
     local n = note_path(fsm, tr)
-    trace_path(fsm, n)
-    return take_path(fsm, events, n)
+    if fsm._is_traced then trace_path(fsm, n) end
+    return take_path(fsm, events, n, leaf)
   end
   finish_take(fsm, tr, events, pcall(tr._run, fsm, tr, leaf, events))
 end
@@ -1836,6 +1861,7 @@ end
 -- At last the events table becomes the spare for the queue, emptied; one that a user's
 -- function has seen, and may have kept, is left to it.
 local function settle(fsm, events)
+  if not fsm._is_unsettled and not fsm._is_hooked then return recycle(fsm, events) end
   if fsm._reset_wanted then reset_now(fsm) end
   if fsm._is_hooked then run_hooks(fsm, fsm._post_hooks, "post_step_hook", events) end
   if fsm._is_kept then
@@ -1888,53 +1914,83 @@ local function hibernate(fsm)
   raise_failure(fsm)
 end
 
--- One iteration. Returns nil when there is no way in; else whether it counts as a step,
--- and if its doo cycle was idle. `after_free`: the iteration before did not count.
--- While it is under way fsm._spare is false.
+-- What ends an iteration in which nothing was enabled: a doo cycle when there was no
+-- event, or the iteration before did not count. Returns what `iterate` returns.
+local function iterate_free(fsm, leaf, events, after_free)
+  local is_eventless, idle = events[1] == nil, false
+  local counted = is_eventless or after_free
+  if counted then idle = iterate_idly(fsm, leaf, is_eventless) end
+  settle(fsm, events)
+  return counted, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+end
+
+-- The same for a plain machine without events: there is nothing to collect or empty.
+local function iterate_doo(fsm, leaf)
+  local events = fsm._spare
+  fsm._spare = false
+  fsm._curq = events
+  local idle = run_doo(fsm, leaf)
+  if fsm._is_unsettled then
+    if idle and fsm._is_hooked then poll(fsm) end
+    settle(fsm, events)
+  else
+    fsm._spare = events
+  end
+  return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+end
+
+-- One iteration, whatever the machine is like. Returns nil when there is no way in;
+-- else whether it counts as a step, and if its doo cycle was idle. `after_free`: the
+-- iteration before did not count. While it is under way fsm._spare is false.
 local function iterate_fully(fsm, after_free)
   local leaf, events = fsm._act_leaf, fsm._intq
   fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
   if not leaf then return iterate_first(fsm, events) end
   if fsm._is_hooked then gather(fsm, events) end
-  local counted, idle = true, false
   local tr = choose(fsm, leaf, events)
-  if tr then
-    take(fsm, tr, leaf, events)
-  else
-    local is_eventless = events[1] == nil
-    counted = is_eventless or after_free
-    if counted then idle = iterate_idly(fsm, leaf, is_eventless) end
-  end
-  if fsm._is_unsettled or fsm._is_hooked then
-    settle(fsm, events)
-  else
-    recycle(fsm, events)
-  end
-  return counted, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+  if not tr then return iterate_free(fsm, leaf, events, after_free) end
+  take(fsm, tr, leaf, events)
+  settle(fsm, events)
+  return true, false
 end
 
--- The same; the usual case in one go, which is: a plain machine, one event apart from
--- an e_done that nothing waits for, and it leads to one transition without a guard
--- straight to a leaf.
+-- One iteration of a plain machine when no event, or more than one, leads somewhere. An
+-- e_done that nothing waits for makes no difference: without another event there is a
+-- doo cycle in any case, now or in the next iteration.
+local function iterate_slowly(fsm, leaf, events, after_free)
+  if events[1] == leaf._ignored and events[2] == nil then events[1] = nil end
+  if events[1] == nil then return iterate_doo(fsm, leaf) end
+  return iterate_fully(fsm, after_free)
+end
+
+-- One iteration: as iterate_fully says; in one go where the machine is plain and one
+-- event, apart from an e_done that nothing waits for, leads somewhere.
 local function iterate(fsm, after_free)
   local leaf, events = fsm._act_leaf, fsm._intq
   if not fsm._is_plain or not leaf then return iterate_fully(fsm, after_free) end
   local at = 1
   if events[1] == leaf._ignored then at = 2 end
-  local tr = leaf._choices[events[at]]
-  if not tr or not tr._is_simple or tr.guard or events[at + 1] ~= nil then
-    return iterate_fully(fsm, after_free)
+  local choice = leaf._choices[events[at]]
+  if not choice or events[at + 1] ~= nil then
+    return iterate_slowly(fsm, leaf, events, after_free)
   end
   fsm._intq = fsm._spare
   fsm._spare = false
   fsm._curq = events
-  local ok, effect = pcall(tr._run, fsm, tr, leaf, events)
-  if not ok or effect or fsm._is_unsettled then
-    finish_take(fsm, tr, events, ok, effect)
+  if not choice._is_simple or choice.guard then
+    local tr = choose_from(fsm, choice, events)
+    if not tr then return iterate_free(fsm, leaf, events, after_free) end
+    take(fsm, tr, leaf, events)
+    settle(fsm, events)
+    return true, false
+  end
+  local ok, effect = pcall(choice._run, fsm, choice, leaf, events)
+  if not ok or effect then finish_take(fsm, choice, events, ok, effect) end
+  if fsm._is_unsettled then
     settle(fsm, events)
   else
     events[at] = nil
-    if at == 2 then events[1] = nil end
+    events[1] = nil
     fsm._spare = events
   end
   return true, false
