@@ -112,4 +112,19 @@ function measure.bytes_grown(subject, n)
   return (after - before) * 1024
 end
 
+--- Bytes that what `make` returns holds on the heap: the mean of `n`, garbage not
+-- counted.
+function measure.bytes_kept(make, n)
+  local kept = {}
+  for i = 1, n do kept[i] = make(1) end -- whatever the first ones leave behind for good
+  for i = 1, n do kept[i] = false end
+  collectgarbage()
+  collectgarbage()
+  local before = collectgarbage("count")
+  for i = 1, n do kept[i] = make(1) end
+  collectgarbage()
+  collectgarbage()
+  return (collectgarbage("count") - before) * 1024 / n, kept
+end
+
 return measure

@@ -3,7 +3,8 @@
 -- Each workload runs in turn with its limit (A B A B ...): the same callbacks, called
 -- by a hand-written table, each through pcall, with no queue, hierarchy or hooks.
 -- Printed is the share of the limit's rate that the core reaches: median of the rounds,
--- lowest and highest.
+-- lowest and highest. The last column is the garbage of an event; of W6, how many times
+-- the memory of the limit is kept.
 
 package.path = "./?.lua;" .. package.path
 
@@ -31,16 +32,23 @@ local function compare(subject, limit)
   return shares, rates
 end
 
+-- Bytes an event leaves behind, or the memory that a machine keeps, in copies.
+local function memory_of(workload, subject, limit)
+  if not workload.name:find("^W6") then
+    return ("%.1f"):format(measure.bytes_grown(subject, 1000) / 1000)
+  end
+  local bytes = measure.bytes_kept(subject, 4)
+  return ("%.2f copies"):format(bytes / measure.bytes_kept(limit, 4))
+end
+
 local selected = measure.select(workloads, arg)
 print(("%s, %s, %d rounds"):format(rfsm._VERSION, measure.engine(), ROUNDS))
-print("workload   share of the limit (low .. high)      us/event   bytes/event")
+print("workload   share of the limit (low .. high)      us/event        memory")
 for _, workload in ipairs(selected) do
   local subject, limit = workload.make(rfsm)
   local shares, rates = compare(subject, limit)
   local middle = math.ceil(ROUNDS / 2)
-  local bytes = workload.name:find("^W6") and "-"
-    or ("%.1f"):format(measure.bytes_grown(subject, 1000) / 1000)
   print(("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
     shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,
-    1e6 / rates[middle], bytes))
+    1e6 / rates[middle], memory_of(workload, subject, limit)))
 end

@@ -33,6 +33,11 @@ describe("bench/run.lua", function()
       "^status 0$" }, output_of("run.lua W1", QUICK))
   end)
 
+  it("tells the memory of a machine in copies of its model", function()
+    assert_lines({ "^workload ", "^W6 flat 20 .* [%d.]+ copies$", "^status 0$" },
+      output_of("run.lua 'W6 flat 20'", QUICK))
+  end)
+
   it("says which workloads there are", function()
     assert.same({ "bench/run.lua: nothing is named 'W0' here (there is 'W1', 'W1r', "
       .. "'W2', 'W3', 'W4', 'W5', 'W6 flat 20', 'W6 tree 20', 'W6 deep 20', "
