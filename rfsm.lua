@@ -1552,10 +1552,10 @@ local function take_path(fsm, events, last, innermost)
   if is_kept then keep_events(fsm) end
 end
 
--- Notes the segments from `tr` to a leaf in fsm._path, as the search chose them;
--- returns their number.
-local function note_path(fsm, tr)
-  local path, n = fsm._path, 1
+-- Notes the segments from `tr` to a leaf in `path`, as the search chose them; returns
+-- their number.
+local function note_path(path, tr)
+  local n = 1
   path[1] = tr
   while tr._to_connector do
     tr, n = tr.tgt._way, n + 1
@@ -1605,7 +1605,7 @@ local function enter_machine(fsm, events)
   if fsm.dbg ~= silent then trace_search(fsm, events) end
   local tr = find_from_node(fsm, fsm.initial, events)
   if not tr then return false end
-  local n = note_path(fsm, tr)
+  local n = note_path(fsm._path, tr)
   trace_path(fsm, n)
   enter_root(fsm)
   take_path(fsm, events, n, nil)
@@ -1767,7 +1767,7 @@ end
 -- Takes `tr` from the active leaf.
 local function take(fsm, tr, leaf, events)
   if tr._to_connector or fsm._is_traced then
-    local n = note_path(fsm, tr)
+    local n = note_path(fsm._path, tr)
     if fsm._is_traced then trace_path(fsm, n) end
     return take_path(fsm, events, n, leaf)
   end
@@ -2446,7 +2446,7 @@ function rfsm.node_find_enabled(fsm, node, events)
   if fsm._spare then raise_failure(fsm) end
   if not tr then return false end
   local path = {}
-  note_path(tr, path)
+  note_path(path, tr)
   return path
 end
 

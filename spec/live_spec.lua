@@ -3,7 +3,7 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
-local state, trans = rfsm.state, rfsm.trans
+local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
 
 -- initial -> a --e--> b --e--> a
 local function started(fields)
@@ -15,6 +15,12 @@ local function started(fields)
   local fsm = helper.init(state(model))
   rfsm.run(fsm)
   return fsm
+end
+
+local function texts_of(list)
+  local texts = {}
+  for i = 1, #list do texts[i] = tostring(list[i]) end
+  return texts
 end
 
 local function noting(trace, text) return function() trace[#trace + 1] = text end end
@@ -203,5 +209,52 @@ describe("exit_state", function()
     rfsm.exit_state(fsm, fsm)
     assert.same({ "exit root.a.x", "exit root.a" }, trace)
     assert.same({}, rfsm.get_active_conf(fsm))
+  end)
+end)
+
+describe("node_find_enabled", function()
+  -- initial -> a --e_go--> k --> b
+  local function through_a_connector()
+    local trace, fsm = helper.traced(state {
+      a = state {}, k = conn {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "k", events = { "e_go" } },
+      trans { src = "k", tgt = "b" },
+    })
+    rfsm.run(fsm)
+    return fsm, trace
+  end
+
+  it("returns the segments of the path, and takes none", function()
+    local fsm, trace = through_a_connector()
+    helper.clear(trace)
+    assert.same({ "T={ src='root.a', tgt='root.k', events='e_go' }",
+      "T={ src='root.k', tgt='root.b' }" },
+      texts_of(rfsm.node_find_enabled(fsm, fsm.a, { "e_go" })))
+    assert.same({}, trace)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("tells what leaves a node that has never been active", function()
+    local fsm = through_a_connector()
+    assert.same({ "T={ src='root.k', tgt='root.b' }" },
+      texts_of(rfsm.node_find_enabled(fsm, fsm.k, { "e" })))
+    assert.is_false(rfsm.node_find_enabled(fsm, fsm.b, { "e" }))
+  end)
+
+  it("leaves the path alone that an effect asks from", function()
+    local fsm, trace = through_a_connector()
+    fsm[2].effect = function(machine)
+      rfsm.node_find_enabled(machine, machine.initial, { "e" })
+    end
+    helper.clear(trace)
+    helper.post_and_run(fsm, "e_go")
+    assert.same({ "exit root.a", "effect root.k->root.b", "entry root.b" }, trace)
+  end)
+
+  it("wants a node of a machine", function()
+    local fsm = started()
+    assert.error_matches(function() rfsm.node_find_enabled(fsm, state {}, {}) end,
+      "rfsm.node_find_enabled: node of the fsm expected, got state", 1, true)
   end)
 end)
