@@ -34,7 +34,12 @@ local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 ---@field entry? fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
 ---@field exit? fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
 ---@field doo? fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
-local State = {}
+local State = {
+  -- what a state is until its first entry
+  _mode = "inactive", _actchild = false, _doo_co = false, _done_event = false,
+  _entry_hooks = false, _exit_hooks = false, _sources = false, _is_leaf = true,
+  _by_event = false, _by_any = false,
+}
 State.__index = State
 
 --- An edge from one state or connector to another.
@@ -50,7 +55,7 @@ Transition.__index = Transition
 
 --- A point where transitions meet; never active.
 ---@class rfsm.Connector
-local Connector = {}
+local Connector = { _search = 0, _way = false, _by_event = false, _by_any = false }
 Connector.__index = Connector
 
 --- A model made ready to run by `rfsm.init`; the root state of its own tree.
@@ -493,7 +498,7 @@ local function check_root(build, fsm, model)
       check_callable(build, "root", model, name)
     end
   end
-  if has_nodes(fsm) and rawget(fsm, "initial") == nil then
+  if not fsm._is_leaf and rawget(fsm, "initial") == nil then
     add(build.problems, "root", "the root needs an initial transition "
       .. "(rfsm.trans{ src='initial', tgt=... })")
   end
@@ -548,9 +553,7 @@ local function events_of(events)
 end
 
 local function clone_transition(build, model, parent, key)
-  local tr = setmetatable({
-    _id = key, _parent = parent, guard = false, effect = false,
-  }, Transition)
+  local tr = setmetatable({ _id = key, _parent = parent }, Transition)
   for k, v in pairs(model) do -- any order: each field stands alone
     if k == "events" or k == "src" or k == "tgt" then
       tr[k] = v
@@ -591,13 +594,8 @@ local function clone_node(build, value, parent, key)
   if is_mounted_above(build, model, parent) then
     return add(build.problems, fqn, "a state cannot contain itself")
   end
-  local node = { _id = key, _fqn = fqn, _parent = parent }
-  if kind == "state" then
-    node._mode, node._actchild, node._doo_co = "inactive", false, false
-    node._entry_hooks, node._exit_hooks, node._sources = false, false, false
-    node.entry, node.exit, node.doo = false, false, false
-  end
-  setmetatable(node, kind == "state" and State or Connector)
+  local node = setmetatable({ _id = key, _fqn = fqn, _parent = parent },
+    kind == "state" and State or Connector)
   build.nodes[#build.nodes + 1] = node
   build.models[node] = model
   add_mount(build, model, node)
@@ -608,7 +606,7 @@ end
 local function clone_member(build, node, key, value)
   local kind = kind_of(value)
   if not kind then
-    if is_meta(key) and rawget(node, key) ~= nil then return end
+    if is_meta(key) and (node[key] ~= nil or key == "_otrs") then return end
     node[key] = clone_data(build, value)
     if type(value) == "table" and getmetatable(value) == nil then
       check_plain_table(build, node._fqn .. "." .. text_of(key), value)
@@ -636,6 +634,7 @@ local function clone_members(build, node)
     end
   end
   if is_conn(node) then return end
+  if is_composite then node._is_leaf = false end
   check_state(build, node, model, is_composite)
   if has_transition and not is_composite then
     add(build.warnings, node._fqn, "a transition inside a leaf state")
@@ -769,7 +768,7 @@ end
 
 -- The node where a transition to `node` ends: a composite is entered at its `initial`.
 local function find_entrance(build, tr, node)
-  if not is_state(node) or not has_nodes(node) then return node end
+  if not is_state(node) or node._is_leaf then return node end
   local initial = rawget(node, "initial")
   if is_conn(initial) then return initial end
   if node ~= build.fsm then -- of the root that is a problem of its own
@@ -785,7 +784,7 @@ local function create_initial(build, tr)
   local connector = setmetatable({
     _id = "initial", _fqn = composite._fqn .. ".initial", _parent = composite,
   }, Connector)
-  composite.initial = connector
+  composite.initial, composite._is_leaf = connector, false
   build.nodes[#build.nodes + 1] = connector
   build.created[#build.created + 1] = connector
 end
@@ -796,7 +795,7 @@ local function expand_e_done(build, tr)
   for i = 1, #events do
     if events[i] == "e_done" then
       events[i] = "e_done@" .. src._fqn
-      if not is_state(src) or has_nodes(src) then
+      if not src._is_leaf then
         add(build.warnings, place_of(tr),
           "'e_done' never fires here, '%s' is no leaf state", src._fqn)
       end
@@ -819,8 +818,12 @@ local function resolve(build)
 end
 
 -- Compile: the structure becomes lists and indexes; no user function is stored ---
+--
+-- At init that is only which transitions leave a node. The rest is made when a node is
+-- searched, a transition taken, a state entered for the first time, so that what never
+-- runs takes neither time nor memory.
 
-local compile
+local compile, compile_node, compile_path
 
 do
   local function depth_of(node)
@@ -882,21 +885,15 @@ do
     return false
   end
 
-  local function compile_transition(known_events, tr)
+  -- All fields that come ever, so that a run adds none: LuaJIT likes that.
+  local function compile_transition(tr)
     local events = tr.events
-    if type(events) == "string" then
-      events = { events } -- a preproc function may have left it so
-      tr.events = events
-    end
-    tr._lca = find_lca(tr.src, tr.tgt)
-    tr._entries = entries_of(tr._lca, tr.tgt)
+    tr.guard, tr.effect, tr._pn = tr.guard or false, tr.effect or false, tr.pn or 0
     tr._to_connector = is_conn(tr.tgt)
     tr._is_open_to_all = events == nil or #events == 0
     tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
     tr._is_simple = not tr._has_predicate and not tr._to_connector
-    tr._pn = tr.pn or 0
-    tr._run = nil
-    for i = 1, events and #events or 0 do known_events[events[i]] = true end
+    tr._lca, tr._entries, tr._run = false, false, Transition._run
   end
 
   -- Adds `tr` to the list of each event that may trigger it.
@@ -914,41 +911,74 @@ do
 
   -- Indexes the outgoing transitions of `node`: `_by_event[event]` holds the candidates
   -- in the order in which they are tried, `_by_any` those for an event without a list.
-  local function compile_node(node)
-    local otrs = node._otrs
-    if not otrs then
-      node._by_event, node._by_any = false, false
-      return
-    end
-    sort(otrs, tried_before)
-    local by_event, by_any = {}, {}
+  function compile_node(fsm, node)
+    local otrs, by_event, by_any = node._otrs, {}, {}
     for rank = 1, #otrs do
       local tr = otrs[rank]
+      compile_transition(tr)
       tr._rank = rank
-      for i = 1, tr.events and #tr.events or 0 do by_event[tr.events[i]] = {} end
+      for i = 1, tr.events and #tr.events or 0 do
+        by_event[tr.events[i]], fsm._events[tr.events[i]] = {}, true
+      end
     end
     for rank = 1, #otrs do add_to_index(by_event, by_any, otrs[rank]) end
     node._by_event, node._by_any = by_event, by_any[1] and by_any or false
   end
 
-  -- Rebuilds all that the run relies on, from `nodes` and `transitions` of the machine.
-  function compile(fsm)
-    local nodes, transitions = fsm._nodes, fsm._transitions
+  local RUN_FIELDS = {
+    "entry", "exit", "doo", "_mode", "_actchild", "_doo_co", "_entry_hooks",
+    "_exit_hooks", "_is_leaf", "_sources", "_choices", "_ignored", "_by_event",
+    "_by_any",
+  }
+
+  -- Gives a state that is going to be active all that a run reads, false where there is
+  -- nothing.
+  local function make_ready(state)
+    if rawget(state, "_sources") ~= nil then return end
+    for i = 1, #RUN_FIELDS do
+      local field = RUN_FIELDS[i]
+      state[field] = state[field] or false
+    end
+    state._done_event = state._is_leaf and "e_done@" .. state._fqn
+  end
+
+  -- Lists what `tr` enters, when it is first taken.
+  function compile_path(tr)
+    tr._lca = find_lca(tr.src, tr.tgt)
+    tr._entries = entries_of(tr._lca, tr.tgt)
+    for i = 1, #tr._entries do make_ready(tr._entries[i]) end
+  end
+
+  -- Undoes all of this: the structure has changed.
+  local function forget(nodes)
     for i = 1, #nodes do
       local node = nodes[i]
-      node._otrs, node._sources = nil, false
-      node._is_leaf = is_state(node) and not has_nodes(node)
-      node._done_event = node._is_leaf and "e_done@" .. node._fqn
-      node._choices = nil
+      node._otrs, node._by_event, node._by_any = nil, nil, nil
+      node._sources, node._choices, node._ignored = nil, nil, nil
     end
+  end
+
+  -- Gives each node the list of the transitions that leave it, in order.
+  function compile(fsm)
+    local transitions, several = fsm._transitions, {}
+    if fsm._events then forget(fsm._nodes) end
     for i = 1, #transitions do
       local tr = transitions[i]
-      local otrs = tr.src._otrs
-      if otrs then otrs[#otrs + 1] = tr else tr.src._otrs = { tr } end
+      local src, events = tr.src, tr.events
+      local otrs = src._otrs
+      if type(events) == "string" then -- a preproc function may have left it so
+        tr.events = { events }
+      end
+      if not otrs then
+        src._otrs = { tr }
+      else
+        if not otrs[2] then several[#several + 1] = otrs end
+        otrs[#otrs + 1] = tr
+      end
     end
+    for i = 1, #several do sort(several[i], tried_before) end
     fsm._events = {}
-    for i = 1, #transitions do compile_transition(fsm._events, transitions[i]) end
-    for i = 1, #nodes do compile_node(nodes[i]) end
+    make_ready(fsm)
   end
 end
 
@@ -1217,7 +1247,10 @@ function evaluate_connector(fsm, connector, events)
   if connector._search == fsm._search then return connector._way end
   connector._search, connector._way = fsm._search, false
   local otrs = connector._otrs
-  if otrs then connector._way = choose_way(fsm, connector, otrs, events) end
+  if otrs then
+    if not connector._by_event then compile_node(fsm, connector) end
+    connector._way = choose_way(fsm, connector, otrs, events)
+  end
   return connector._way
 end
 
@@ -1275,7 +1308,8 @@ end
 -- Returns the first transition from `node` that is enabled, or nil; events may lead to
 -- several lists.
 local function find_from_node(fsm, node, events)
-  if not node._by_event then return nil end
+  if not node._otrs then return nil end
+  if not node._by_event then compile_node(fsm, node) end
   local count = find_lists(fsm, node, events)
   if count == 1 then return find_in_list(fsm, fsm._lists[1], events) end
   local tr = next_candidate(fsm._lists, count, 0)
@@ -1297,7 +1331,11 @@ local function sources_of(leaf)
     state = state._parent
   end
   local sources = {}
-  for i = 1, n do sources[i] = upwards[n + 1 - i] end
+  for i = 1, n do
+    local source = upwards[n + 1 - i]
+    if not source._by_event then compile_node(state, source) end
+    sources[i] = source
+  end
   leaf._sources = sources
   return sources
 end
@@ -1322,7 +1360,7 @@ end
 -- straight to a leaf, or a list of candidates, those of all sources. Only events that
 -- the machine knows are noted; all others have one answer, at [OTHER].
 local OTHER, NO_CHOICES = {}, {}
-State._choices = NO_CHOICES
+State._choices, State._ignored = NO_CHOICES, OTHER
 
 local function candidates_of(sources, event)
   local candidates, is_shared = false, true
@@ -1509,6 +1547,7 @@ end
 
 -- One segment from the `innermost` active state.
 local function run_in_detail(fsm, tr, innermost, events)
+  if not tr._entries then compile_path(tr) end
   if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
   run_segment(fsm, tr, events, innermost, 0)
 end
@@ -1746,6 +1785,7 @@ return function(fsm, tr, s1, events)
   -- Until the first time.
   function Transition._run(fsm, tr, innermost, events)
     local src = tr.src
+    if not tr._entries then compile_path(tr) end
     if is_state(src) and not src._is_leaf then
       tr._run = run_from_composite
     else
@@ -2065,10 +2105,7 @@ end
 -- The root of a machine with all that a run needs, still without members.
 local function new_machine(model)
   local fsm = setmetatable({
-    -- what every state has
-    _id = "root", _fqn = "root", _mode = "inactive", _actchild = false, _doo_co = false,
-    _entry_hooks = false, _exit_hooks = false, _sources = false,
-    entry = false, exit = false, doo = false,
+    _id = "root", _fqn = "root",
     -- fields of the model that may be absent
     idle_hook = false,
     -- the run
@@ -2123,7 +2160,8 @@ local function check_initial(build, connector)
   local otrs = connector._otrs
   if not otrs or connector._id ~= "initial" then return end
   for i = 1, #otrs do
-    if not otrs[i].guard and otrs[i]._is_open_to_all then return end
+    local events = otrs[i].events
+    if not otrs[i].guard and (events == nil or #events == 0) then return end
   end
   add(build.warnings, connector._fqn, "each transition from here has events or a "
     .. "guard, '%s' cannot be entered while none of them is enabled",
@@ -2351,7 +2389,7 @@ end
 ---@param state rfsm.State
 ---@return "active"|"inactive"|"done" mode
 function rfsm.get_sta_mode(state)
-  return is_state(state) and rawget(state, "_mode") or "inactive"
+  return is_state(state) and state._mode or "inactive"
 end
 
 --- Set the mode of a state, for tools.
@@ -2368,7 +2406,7 @@ end
 ---@param state rfsm.State
 ---@return rfsm.State|false child
 function rfsm.actchild_get(state)
-  return is_state(state) and rawget(state, "_actchild") or false
+  return is_state(state) and state._actchild or false
 end
 
 --- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
@@ -2438,7 +2476,7 @@ end
 ---@return rfsm.Transition[]|false path its segments in order
 function rfsm.node_find_enabled(fsm, node, events)
   check_machine(fsm, "node_find_enabled")
-  if not is_node(node) or rawget(node, "_by_event") == nil then
+  if not is_node(node) or rawget(node, "_fqn") == nil then
     error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
   end
   fsm._search = fsm._search + 1
@@ -2593,7 +2631,7 @@ do
     if parent._is_leaf and parent.doo then
       add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
     end
-    parent[id] = clone_node(build, obj, parent, id)
+    parent[id], parent._is_leaf = clone_node(build, obj, parent, id), false
     clone_below(build, 1)
     return parent[id], id
   end
@@ -2610,6 +2648,7 @@ do
   local function undo_merge(build, parent, key)
     parent[key] = nil
     for _, connector in ipairs(build.created) do connector._parent.initial = nil end
+    parent._is_leaf = not has_nodes(parent)
   end
 
   --- Add a state, connector or transition to a live machine.

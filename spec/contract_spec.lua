@@ -382,6 +382,31 @@ describe("FIX copying:", function()
     assert.equal(object, fsm.data.object)
   end)
 
+  it("what a model holds under the engine's own names does no harm", function()
+    local own = {}
+    for _, name in ipairs({ "id", "fqn", "parent", "mode", "actchild", "doo_co", "otrs",
+      "is_leaf", "sources", "choices", "ignored", "by_event", "by_any", "done_event",
+      "search", "way", "entry_hooks", "exit_hooks", "lca", "entries", "run", "rank",
+      "is_simple", "initialized", "nodes" }) do
+      own["_" .. name] = { "the user's" }
+    end
+    local function marked(element)
+      for name, value in pairs(own) do element[name] = value end
+      return element
+    end
+    local trace, fsm = helper.traced(marked(state {
+      a = marked(state {}), b = marked(state {}), k = marked(conn {}),
+      marked(trans { src = "initial", tgt = "a" }),
+      marked(trans { src = "a", tgt = "k", events = "e" }),
+      marked(trans { src = "k", tgt = "b" }),
+    }))
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e")
+    assert.same({ "effect root.initial->root.a", "entry root.a",
+      "exit root.a", "effect root.a->root.k", "effect root.k->root.b", "entry root.b" },
+      trace)
+  end)
+
   it("init of an initialised fsm gives a fresh instance of its model", function()
     local fsm = started {}
     local fresh = helper.init(fsm)
