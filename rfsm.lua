@@ -17,6 +17,7 @@ local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
 local require, select, setmetatable, tostring = require, select, setmetatable, tostring
 local type = type
 local floor, huge, min = math.floor, math.huge, math.min
+local find = string.find
 local concat, sort = table.concat, table.sort
 local create, resume = coroutine.create, coroutine.resume
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
@@ -325,7 +326,9 @@ end
 ---@field created rfsm.Connector[] `initial` connectors that nobody declared
 ---@field transitions rfsm.Transition[] the new ones
 ---@field nodes (rfsm.State|rfsm.Connector)[] the new ones, parents before children
----@field mounts table model node -> its clone, or the list of them
+---@field models (rfsm.State|rfsm.Connector)[] what each of the nodes was made of
+---@field mounts table model node -> its last clone
+---@field earlier table clone -> the one before it of the same model node
 ---@field copies table plain table of the user -> its copy
 
 local function add(list, place, text, ...)
@@ -347,59 +350,67 @@ local function is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
--- How many letters to insert, drop or replace to make `b` of `a`.
-local function edit_distance(a, b)
-  local row = {}
-  for j = 0, #b do row[j] = j end
-  for i = 1, #a do
-    local diagonal = row[0]
-    row[0] = i
-    for j = 1, #b do
-      local cost = a:byte(i) == b:byte(j) and diagonal or diagonal + 1
-      diagonal = row[j]
-      row[j] = min(cost, diagonal + 1, row[j - 1] + 1)
+local suggestion
+
+do
+  -- How many letters to insert, drop or replace to make `b` of `a`.
+  local function edit_distance(a, b)
+    local row = {}
+    for j = 0, #b do row[j] = j end
+    for i = 1, #a do
+      local diagonal = row[0]
+      row[0] = i
+      for j = 1, #b do
+        local cost = a:byte(i) == b:byte(j) and diagonal or diagonal + 1
+        diagonal = row[j]
+        row[j] = min(cost, diagonal + 1, row[j - 1] + 1)
+      end
     end
+    return row[#b]
   end
-  return row[#b]
-end
 
--- Returns the nearest of `names`; nil when none is near.
-local function find_nearest(name, names)
-  local nearest, least = nil, min(#name, floor(#name / 3) + 2)
-  for i = 1, #names do
-    local candidate = names[i]
-    if type(candidate) == "string" then
-      local distance = edit_distance(name:lower(), candidate:lower())
-      if distance < least then nearest, least = candidate, distance end
+  -- Returns the nearest of `names`; nil when none is near.
+  local function find_nearest(name, names)
+    local nearest, least = nil, min(#name, floor(#name / 3) + 2)
+    for i = 1, #names do
+      local candidate = names[i]
+      if type(candidate) == "string" then
+        local distance = edit_distance(name:lower(), candidate:lower())
+        if distance < least then nearest, least = candidate, distance end
+      end
     end
+    return nearest
   end
-  return nearest
+
+  -- What to say after an unknown name: the nearest right one, or all if they are few.
+  function suggestion(name, names)
+    local nearest = find_nearest(name, names)
+    if nearest then return " (did you mean '" .. nearest .. "'?)" end
+    if #names == 0 or #names > 6 then return "" end
+    local verb = #names == 1 and "is" or "are"
+    return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
+  end
 end
 
--- What to say after an unknown name: the nearest right one, or all if they are few.
-local function suggestion(name, names)
-  local nearest = find_nearest(name, names)
-  if nearest then return " (did you mean '" .. nearest .. "'?)" end
-  if #names == 0 or #names > 6 then return "" end
-  local verb = #names == 1 and "is" or "are"
-  return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
-end
-
--- Where a transition stands: F.trans[2], or F.key for one that has a name.
-local function place_of(tr)
-  local key = tr._id
+-- The F of a node; of a transition where it stands: F.trans[2], or F.key if it has a
+-- name.
+local function place_of(owner)
+  if is_node(owner) then return owner._fqn end
+  local key = owner._id
   if type(key) == "number" then
-    return tr._parent._fqn .. ".trans[" .. text_of(key) .. "]"
+    return owner._parent._fqn .. ".trans[" .. text_of(key) .. "]"
   end
-  return tr._parent._fqn .. "." .. key
+  return owner._parent._fqn .. "." .. key
 end
 
--- `t` is a table of the model; one of an instance has false for what is absent.
-local function check_callable(build, place, t, field)
-  local value = rawget(t, field)
-  if value == false and rawget(t, "_parent") then return end
-  if value ~= nil and not is_callable(value) and not is_node(value) then
-    add(build.problems, place .. "." .. field, "function expected, " .. got(value))
+-- `model` is what `owner` is made of; one of an instance has false for what is absent.
+local function check_callable(build, owner, model, field)
+  local value = rawget(model, field)
+  if value == nil or type(value) == "function" then return end
+  if value == false and rawget(model, "_parent") then return end
+  if not is_callable(value) and not is_node(value) then
+    add(build.problems, place_of(owner) .. "." .. field, "function expected, "
+      .. got(value))
   end
 end
 
@@ -407,6 +418,12 @@ local RESERVED = { entry = "state", exit = "state", doo = "state" }
 local ROOT_FIELDS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 for i = 1, 4 do RESERVED[ROOT_FIELDS[i]], RESERVED[PRINTERS[i]] = "root", "root" end
+
+-- A name like most, about which there is no more to say.
+local function is_usual_name(key)
+  return type(key) == "string" and find(key, "^[^_.\\][^.\\]*$") ~= nil
+    and not RESERVED[key] and key ~= "initial"
+end
 
 -- A node needs a name that a reference can spell and that is no field of its parent.
 local function check_name(build, parent, key, kind)
@@ -429,37 +446,40 @@ local function check_name(build, parent, key, kind)
   end
 end
 
--- Events: a list of anything but NaN without holes, or one string.
-local function check_events(build, place, events)
-  if events == nil or type(events) == "string" then return end
+-- Returns the events of a transition as a list of its own: a list of anything but NaN
+-- without holes, or one string.
+local function clone_events(build, tr, events)
+  if events == nil then return nil end
+  if type(events) == "string" then return { events } end
   if type(events) ~= "table" or getmetatable(events) ~= nil then
-    return add(build.problems, place .. ".events",
+    return add(build.problems, place_of(tr) .. ".events",
       "list of events or a string expected, " .. got(events))
   end
-  local count = 0
+  local list, count = { events[1] }, 0
   for _ in pairs(events) do count = count + 1 end -- any order: only counted
   for i = 1, count do
     local event = events[i]
     if event == nil then
-      return add(build.problems, place .. ".events",
+      return add(build.problems, place_of(tr) .. ".events",
         "list of events expected, got a table with holes or keys")
     elseif event ~= event then
-      add(build.problems, place .. ".events[" .. i .. "]", "an event cannot be NaN")
+      add(build.problems, place_of(tr) .. ".events[" .. i .. "]",
+        "an event cannot be NaN")
     end
+    list[i] = event
+  end
+  return list
+end
+
+local function check_pn(build, tr, pn)
+  if type(pn) ~= "number" or pn ~= pn then
+    add(build.problems, place_of(tr) .. ".pn", "number expected, " .. got(pn))
   end
 end
 
-local function check_transition(build, tr, model)
-  local place = place_of(tr)
-  check_events(build, place, tr.events)
-  check_callable(build, place, model, "guard")
-  check_callable(build, place, model, "effect")
-  local pn = tr.pn
-  if pn ~= nil and (type(pn) ~= "number" or pn ~= pn) then
-    add(build.problems, place .. ".pn", "number expected, " .. got(pn))
-  end
-  if rawget(tr, "event") ~= nil and tr.events == nil then
-    add(build.warnings, place,
+local function warn_of_event(build, tr)
+  if tr.events == nil then
+    add(build.warnings, place_of(tr),
       "a transition has no field 'event' (did you mean 'events'?)")
   end
 end
@@ -480,22 +500,22 @@ local function check_plain_table(build, place, t)
   end
 end
 
--- The programs of a state, once it is known to have children or not.
-local function check_state(build, state, model, is_composite)
-  check_callable(build, state._fqn, model, "entry")
-  check_callable(build, state._fqn, model, "exit")
-  check_callable(build, state._fqn, model, "doo")
+-- A state that is now known to have children or not, transitions or not.
+local function check_members(build, state, model, is_composite, has_transition)
   if is_composite and rawget(model, "doo") then
     add(build.problems, state._fqn .. ".doo", "only a leaf state can have a doo")
+  end
+  if has_transition and not is_composite then
+    add(build.warnings, state._fqn, "a transition inside a leaf state")
   end
 end
 
 local function check_root(build, fsm, model)
   for i = 1, 4 do
-    check_callable(build, "root", model, ROOT_FIELDS[i])
+    check_callable(build, fsm, model, ROOT_FIELDS[i])
     local name = PRINTERS[i]
     if type(model[name]) ~= "boolean" then
-      check_callable(build, "root", model, name)
+      check_callable(build, fsm, model, name)
     end
   end
   if not fsm._is_leaf and rawget(fsm, "initial") == nil then
@@ -506,149 +526,173 @@ end
 
 -- Clone: nodes per position, the user's plain tables copied, all else shared ---
 
--- Returns what stands for `value` in the copy; a plain table is filled in later.
-local function copy_of(build, value, pending)
-  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-  local copy = build.copies[value]
-  if not copy then
-    copy = {}
-    build.copies[value] = copy
-    pending[#pending + 1] = value
-  end
-  return copy
-end
+local add_node, clone_below, clone_node, clone_transition, model_of
 
--- Copies a plain table; a list of pending tables instead of recursion bears any depth.
-local function clone_data(build, value)
-  local pending = {}
-  local copy = copy_of(build, value, pending)
-  while pending[1] do
-    local source = pending[#pending]
-    pending[#pending] = nil
-    local target = build.copies[source]
-    for k, v in pairs(source) do -- any order: each pair stands alone
-      target[copy_of(build, k, pending)] = copy_of(build, v, pending)
+do
+  -- Returns what stands for `value` in the copy; a plain table is filled in later.
+  local function copy_of(build, value, pending)
+    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+    local copy = build.copies[value]
+    if not copy then
+      copy = {}
+      build.copies[value] = copy
+      pending[#pending + 1] = value
+    end
+    return copy
+  end
+
+  -- Copies a plain table; a list of pending tables instead of recursion bears any
+  -- depth.
+  local function clone_data(build, value)
+    if type(value) ~= "table" then return value end
+    local pending = {}
+    local copy = copy_of(build, value, pending)
+    while pending[1] do
+      local source = pending[#pending]
+      pending[#pending] = nil
+      local target = build.copies[source]
+      for k, v in pairs(source) do -- any order: each pair stands alone
+        target[copy_of(build, k, pending)] = copy_of(build, v, pending)
+      end
+    end
+    return copy
+  end
+
+  -- Remembers what a node was made of, so that the model can stand for it in src, tgt.
+  function add_node(build, model, node)
+    local n = #build.nodes + 1
+    build.nodes[n], build.models[n] = node, model
+    local earlier = build.mounts[model]
+    if earlier then build.earlier[node] = earlier end
+    build.mounts[model] = node
+  end
+
+  -- The model behind `value`: an initialised machine stands for what it was made of.
+  function model_of(value)
+    return rawget(value, "_initialized") and rawget(value, "_model") or value
+  end
+
+  -- Takes over a field of a transition other than src, tgt and events.
+  local function clone_field(build, tr, model, key, value)
+    if key == "guard" or key == "effect" then
+      tr[key] = value
+      check_callable(build, tr, model, key)
+    elseif not is_meta(key) or tr[key] == nil and model._parent == nil then
+      tr[key] = clone_data(build, value)
+      if key == "pn" then check_pn(build, tr, value) end
+      if key == "event" then warn_of_event(build, tr) end
     end
   end
-  return copy
-end
 
--- Remembers where a model node went, so that it can stand for its name in src and tgt.
-local function add_mount(build, model, node)
-  local mounts = build.mounts[model]
-  if mounts then mounts[#mounts + 1] = node else build.mounts[model] = { node } end
-end
-
--- The model behind `value`: an initialised machine stands for what it was made of.
-local function model_of(value)
-  return rawget(value, "_initialized") and rawget(value, "_model") or value
-end
-
-local function events_of(events)
-  if type(events) == "string" then return { events } end
-  if type(events) ~= "table" or getmetatable(events) ~= nil then return events end
-  local list = {}
-  for i = 1, #events do list[i] = events[i] end
-  return list
-end
-
-local function clone_transition(build, model, parent, key)
-  local tr = setmetatable({ _id = key, _parent = parent }, Transition)
-  for k, v in pairs(model) do -- any order: each field stands alone
-    if k == "events" or k == "src" or k == "tgt" then
-      tr[k] = v
-    elseif not is_meta(k) or tr[k] == nil and model._parent == nil then
-      tr[k] = clone_data(build, v)
+  function clone_transition(build, model, parent, key)
+    local tr = setmetatable({
+      src = model.src, tgt = model.tgt, events = nil, _id = key, _parent = parent,
+    }, Transition)
+    if type(key) ~= "number" and type(key) ~= "string" then
+      tr._id = text_of(key)
+      add(build.problems, place_of(tr),
+        "the key of a transition is a position or a name")
     end
-  end
-  if type(key) ~= "number" and type(key) ~= "string" then
-    tr._id = text_of(key)
-    add(build.problems, place_of(tr), "the key of a transition is a position or a name")
-  end
-  check_transition(build, tr, model)
-  tr.events = events_of(model.events)
-  build.transitions[#build.transitions + 1] = tr
-  return tr
-end
-
--- True when `model` is already open above `parent`: the walk would never end.
-local function is_mounted_above(build, model, parent)
-  local mounts = build.mounts[model]
-  if not mounts then return false end
-  local state = parent
-  while true do
-    for i = 1, #mounts do
-      if mounts[i] == state then return true end
+    tr.events = clone_events(build, tr, model.events)
+    for k, v in pairs(model) do -- any order: each field stands alone
+      if k ~= "src" and k ~= "tgt" and k ~= "events" then
+        clone_field(build, tr, model, k, v)
+      end
     end
-    if state._parent == state then return false end
-    state = state._parent
+    build.transitions[#build.transitions + 1] = tr
+    return tr
   end
-end
 
--- Makes the bare node; `clone_members` fills in a state's members, when its turn comes.
-local function clone_node(build, value, parent, key)
-  local model = model_of(value)
-  local kind = kind_of(model)
-  check_name(build, parent, key, kind)
-  local fqn = parent._fqn .. "." .. text_of(key)
-  if is_mounted_above(build, model, parent) then
-    return add(build.problems, fqn, "a state cannot contain itself")
+  -- True when `model` is already open above `parent`: the walk would never end.
+  local function is_mounted_above(build, model, parent)
+    local mount = build.mounts[model]
+    while mount do
+      local state = parent
+      while state ~= mount and state._parent ~= state do state = state._parent end
+      if state == mount then return true end
+      mount = build.earlier[mount]
+    end
+    return false
   end
-  local node = setmetatable({ _id = key, _fqn = fqn, _parent = parent },
-    kind == "state" and State or Connector)
-  build.nodes[#build.nodes + 1] = node
-  build.models[node] = model
-  add_mount(build, model, node)
-  return node
-end
 
--- Clones one member of `node` and returns its kind, nil for the user's data.
-local function clone_member(build, node, key, value)
-  local kind = kind_of(value)
-  if not kind then
-    if is_meta(key) and (node[key] ~= nil or key == "_otrs") then return end
+  -- Makes the bare node; `clone_members` fills in its members when its turn comes.
+  function clone_node(build, value, parent, key)
+    local model = model_of(value)
+    local kind = kind_of(model)
+    if not is_usual_name(key) then check_name(build, parent, key, kind) end
+    local fqn = parent._fqn .. "." .. (type(key) == "string" and key or text_of(key))
+    if is_mounted_above(build, model, parent) then
+      return add(build.problems, fqn, "a state cannot contain itself")
+    end
+    local node = setmetatable({ _id = key, _fqn = fqn, _parent = parent },
+      kind == "state" and State or Connector)
+    add_node(build, model, node)
+    return node
+  end
+
+  -- Is `key` of `model` a mark of the engine that `node` does not take over?
+  local function is_mark(node, model, key)
+    if not is_meta(key) then return false end
+    return node[key] ~= nil or key == "_otrs" or rawget(model, "_fqn") ~= nil
+  end
+
+  -- Takes over a member that is no element of the model: a program or the user's data.
+  local function clone_datum(build, node, model, key, value)
+    if is_mark(node, model, key) then return end
     node[key] = clone_data(build, value)
+    if RESERVED[key] == "state" and is_state(node) then
+      check_callable(build, node, model, key)
+    end
     if type(value) == "table" and getmetatable(value) == nil then
       check_plain_table(build, node._fqn .. "." .. text_of(key), value)
     end
-  elseif is_conn(node) then
-    add(build.warnings, node._fqn, "a connector holds no %s, '%s' is ignored", kind,
-      text_of(key))
-  elseif kind == "transition" then
-    node[key] = clone_transition(build, value, node, key)
-  else
-    node[key] = clone_node(build, value, node, key)
   end
-  return kind
-end
 
-local function clone_members(build, node)
-  local model = build.models[node]
-  local from_instance = rawget(model, "_fqn") ~= nil
-  local has_transition, is_composite = false, false
-  for key, value in pairs(model) do -- any order: what depends on it is sorted later
-    if not (from_instance and is_meta(key)) then
-      local kind = clone_member(build, node, key, value)
-      has_transition = has_transition or kind == "transition"
-      is_composite = is_composite or kind == "state" or kind == "connector"
+  local function clone_connector(build, connector, model)
+    local from_instance = rawget(model, "_fqn") ~= nil
+    for key, value in pairs(model) do -- any order: each member stands alone
+      local kind = kind_of(value)
+      if from_instance and is_meta(key) then kind = nil end
+      if kind then
+        add(build.warnings, connector._fqn, "a connector holds no %s, '%s' is ignored",
+          kind, text_of(key))
+      else
+        clone_datum(build, connector, model, key, value)
+      end
     end
   end
-  if is_conn(node) then return end
-  if is_composite then node._is_leaf = false end
-  check_state(build, node, model, is_composite)
-  if has_transition and not is_composite then
-    add(build.warnings, node._fqn, "a transition inside a leaf state")
+
+  local function clone_members(build, state, model)
+    local from_instance = rawget(model, "_fqn") ~= nil
+    local has_transition, is_composite = false, false
+    for key, value in pairs(model) do -- any order: what depends on it is sorted later
+      local kind = type(value) == "table" and KIND[getmetatable(value)]
+      if from_instance and is_meta(key) then kind = false end
+      if type(value) == "function" and RESERVED[key] == "state" then
+        state[key] = value
+      elseif kind == "transition" then
+        state[key], has_transition = clone_transition(build, value, state, key), true
+      elseif kind then
+        state[key], is_composite = clone_node(build, value, state, key), true
+      else
+        clone_datum(build, state, model, key, value)
+      end
+    end
+    if is_composite then state._is_leaf = false end
+    check_members(build, state, model, is_composite, has_transition)
+  end
+
+  -- Clones what hangs below the nodes from `first` on; the list grows as it is walked.
+  function clone_below(build, first)
+    local i = first
+    while build.nodes[i] do
+      local clone = is_conn(build.nodes[i]) and clone_connector or clone_members
+      clone(build, build.nodes[i], build.models[i])
+      i = i + 1
+    end
   end
 end
 
--- Clones what hangs below the nodes from `first` on; the list grows as it is walked.
-local function clone_below(build, first)
-  local i = first
-  while build.nodes[i] do
-    clone_members(build, build.nodes[i])
-    i = i + 1
-  end
-end
 -- Resolve: names become nodes, `e_done` gets the name of its source -----------
 
 local function root_of(node)
@@ -726,16 +770,17 @@ do
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, model)
     if rawget(model, "_fqn") and root_of(model) == build.fsm then return model end
-    local mounts = build.mounts[model_of(model)]
-    if not mounts then return nil, "the table given is no part of this model" end
+    local mount = build.mounts[model_of(model)]
+    if not mount then return nil, "the table given is no part of this model" end
     local nearest, most, is_tie = nil, -1, false
-    for i = 1, #mounts do
-      local depth = shared_depth(composite, mounts[i])
+    while mount do
+      local depth = shared_depth(composite, mount)
       if depth > most then
-        nearest, most, is_tie = mounts[i], depth, false
+        nearest, most, is_tie = mount, depth, false
       elseif depth == most then
         is_tie = true
       end
+      mount = build.earlier[mount]
     end
     if is_tie then
       return nil, "the table given stands in several places, use a name"
@@ -743,8 +788,8 @@ do
     return nearest
   end
 
-  -- Resolves src or tgt of `tr`; returns nil when a problem was reported.
-  function resolve_end(build, tr, field)
+  -- Returns the node that src or tgt of a transition means; nil and a reason when none.
+  local function find_end(build, tr, field)
     local ref = tr[field]
     local node, reason
     if type(ref) == "string" then
@@ -761,6 +806,16 @@ do
     else
       reason = field .. ": name of a state or connector expected, " .. got(ref)
     end
+    return node, reason
+  end
+
+  -- Resolves src or tgt of `tr`; returns nil when a problem was reported. Mostly it is
+  -- the name of a sibling.
+  function resolve_end(build, tr, field)
+    local ref = tr[field]
+    local sibling = type(ref) == "string" and rawget(tr._parent, ref)
+    if is_node(sibling) and not is_meta(ref) then return sibling end
+    local node, reason = find_end(build, tr, field)
     if not node then add(build.problems, place_of(tr), reason) end
     return node
   end
@@ -779,8 +834,9 @@ end
 
 -- An undeclared `initial` comes into being where a transition starts from it.
 local function create_initial(build, tr)
+  if tr.src ~= "initial" then return end
   local composite = tr._parent
-  if tr.src ~= "initial" or rawget(composite, "initial") ~= nil then return end
+  if rawget(composite, "initial") ~= nil then return end
   local connector = setmetatable({
     _id = "initial", _fqn = composite._fqn .. ".initial", _parent = composite,
   }, Connector)
@@ -2098,7 +2154,7 @@ end
 local function new_build(fsm)
   return {
     fsm = fsm, problems = {}, warnings = {}, created = {}, transitions = {}, nodes = {},
-    models = {}, mounts = {}, copies = {},
+    models = {}, mounts = {}, earlier = {}, copies = {},
   }
 end
 
@@ -2128,8 +2184,7 @@ local function build_machine(model)
   model = model_of(model)
   local fsm = new_machine(model)
   local build = new_build(fsm)
-  build.nodes[1], build.models[fsm] = fsm, model
-  add_mount(build, model, fsm)
+  add_node(build, model, fsm)
   clone_below(build, 1)
   resolve(build)
   check_root(build, fsm, model)
@@ -2158,7 +2213,7 @@ end
 -- The conditions under which a composite can be left without a way in.
 local function check_initial(build, connector)
   local otrs = connector._otrs
-  if not otrs or connector._id ~= "initial" then return end
+  if not otrs or not is_conn(connector) then return end
   for i = 1, #otrs do
     local events = otrs[i].events
     if not otrs[i].guard and (events == nil or #events == 0) then return end
@@ -2171,7 +2226,7 @@ end
 local function warn_after_compile(build)
   local fsm, nodes = build.fsm, build.nodes
   for i = 1, #nodes do
-    if is_conn(nodes[i]) then check_initial(build, nodes[i]) end
+    if nodes[i]._id == "initial" then check_initial(build, nodes[i]) end
   end
   local warnings = lines_of(build.warnings)
   for i = 1, #warnings do report(fsm, "warn", "WARNING: " .. warnings[i]) end
@@ -2192,7 +2247,7 @@ local function warn_of_dead_ends(fsm, nodes)
   for i = 1, #nodes do
     if nodes[i] ~= fsm and not nodes[i]._otrs then dead[#dead + 1] = nodes[i]._fqn end
   end
-  if not dead[1] or fsm.warn == silent then return not dead[1] end
+  if not dead[1] then return true end
   for _, name in ipairs(sort_naturally(dead)) do
     report(fsm, "warn", "WARNING: no outgoing transitions from node '" .. name .. "'")
   end
@@ -2224,6 +2279,7 @@ end
 local function finish(build)
   local fsm = build.fsm
   compile(fsm)
+  if fsm.warn == silent then return end
   warn_after_compile(build)
   warn_of_dead_ends(fsm, build.nodes)
 end
