@@ -1,8 +1,9 @@
 --- Checks: events that nobody declared, and what is dead or suspicious in a model.
 --
 -- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` has a
--- machine warn of each event that none of its transitions names; `rfsm_checkevents`
--- (also known as `rfsm.checkevents`) does so for all machines initialised afterwards.
+-- machine warn of each event that none of its transitions names, and so does
+-- `checkevents = true` in the root of a model; `rfsm_checkevents` (also known as
+-- `rfsm.checkevents`) does so for all machines initialised afterwards.
 --
 -- @module rfsm_checks
 -- @license BSD-3-Clause
@@ -24,7 +25,7 @@ local function all(fsm, pred) return rfsm.mapfsm(itself, fsm, pred) end
 
 -- Watch: events that nobody declared -------------------------------------------
 
---- What a machine knows, in its field `_checks`.
+--- What the transitions of a machine declare.
 ---@class rfsm_checks.Known
 ---@field events table<any, boolean> the events that are declared
 ---@field predicates function[] functions in events
@@ -75,33 +76,43 @@ local function text_of(value)
   return ok and type(text) == "string" and text or type(value)
 end
 
-local function warn_of_unknown(fsm, events)
-  local own = fsm._checks
-  local known = own.known
-  if not known then -- not before the first step: other extensions may add events
-    known = known_of(fsm)
-    own.known = known
-  end
+local function learn(fsm, own)
+  own.known = known_of(fsm)
+  own.events = own.known.events
+end
+
+local function warn_of_unknown(fsm, own, event)
   local printer = fsm.warn == true and print or fsm.warn
-  for i = 1, printer and #events or 0 do
-    if not is_known(known, events[i]) then
-      printer("WARNING: undeclared event " .. text_of(events[i]) .. " received")
-    end
+  if not printer then return end
+  if not own.known then learn(fsm, own) end
+  if is_known(own.known, event) then return end
+  printer("WARNING: undeclared event " .. text_of(event) .. " received")
+end
+
+-- This runs in every iteration: one look for an event that is declared.
+local function check_events(fsm, events)
+  local own = fsm._checks
+  for i = 1, #events do
+    if not own.events[events[i]] then warn_of_unknown(fsm, own, events[i]) end
   end
 end
+
+-- What is declared is collected when the first event comes, not before: other
+-- extensions may add events.
+local function forget_known(own) own.known, own.events = false, {} end
 
 local function watch(fsm)
   if fsm._checks then return end
-  fsm._checks = { known = false }
-  rfsm.pre_step_hook_add(fsm, warn_of_unknown)
+  fsm._checks = {}
+  forget_known(fsm._checks)
+  rfsm.pre_step_hook_add(fsm, check_events)
 end
 
--- What was merged may declare more.
-local function forget_known(fsm, merged)
-  if merged and fsm._checks then fsm._checks.known = false end
+-- `checkevents = true` in the root asks for it; what was merged may declare more.
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  if not merged and fsm.checkevents == true then watch(fsm) end
+  if merged and fsm._checks then forget_known(fsm._checks) end
 end
-
-rfsm.preproc[#rfsm.preproc + 1] = forget_known
 
 -- Reach: which nodes can become active, or be passed ----------------------------
 

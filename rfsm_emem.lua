@@ -13,28 +13,32 @@ local rfsm = require "rfsm"
 
 local error, pairs, rawget, rawset, setmetatable, type = error, pairs, rawget, rawset,
   setmetatable, type
-local actchild_get = rfsm.actchild_get
 
 local rfsm_emem = {}
 
 -- Events that are objects are forgotten with the object.
 local WEAK = { __mode = "k" }
 
--- Counts the events for each active state.
+-- Counts the events for each active state. This runs in every iteration, hence the
+-- fields instead of the functions that read them.
 local function count(fsm, events)
-  local n = #events
-  if n == 0 or rfsm.get_sta_mode(fsm) == "inactive" then return end
-  local state = fsm
-  while state do
+  if events[1] == nil or fsm._mode == "inactive" then return end
+  local n, state = #events, fsm
+  repeat
     local emem = state.emem
     if emem then
       for i = 1, n do
         local event = events[i]
-        if event == event then emem[event] = (emem[event] or 0) + 1 end -- no NaN
+        local before = emem[event]
+        if before then
+          emem[event] = before + 1
+        elseif event == event then -- no NaN
+          emem[event] = 1
+        end
       end
     end
-    state = actchild_get(state)
-  end
+    state = state._actchild
+  until not state
 end
 
 local function forget(emem)
@@ -50,8 +54,14 @@ local function reset(fsm)
   rfsm.mapfsm(function(state) leave_state(fsm, state) end, fsm, rfsm.is_state)
 end
 
+-- The first state that counts makes the machine do so.
 local function prepare_state(fsm, state)
   if state.emem == false then return end
+  if not fsm._emem then
+    fsm._emem = true
+    rfsm.pre_step_hook_add(fsm, count)
+    rfsm.reset_hook_add(fsm, reset)
+  end
   state.emem = setmetatable({}, WEAK)
   rfsm.exit_hook_add(fsm, state, leave_state)
 end
@@ -61,10 +71,6 @@ local function prepare(fsm, merged)
   if fsm.emem == false or not rfsm.is_state(obj) then return end
   prepare_state(fsm, obj)
   rfsm.mapfsm(function(state) prepare_state(fsm, state) end, obj, rfsm.is_state)
-  if not merged then
-    rfsm.pre_step_hook_add(fsm, count)
-    rfsm.reset_hook_add(fsm, reset)
-  end
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = prepare

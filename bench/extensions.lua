@@ -1,21 +1,31 @@
--- What does a step of a chart that uses no extension cost when they are loaded?
+-- What does a step of a chart that uses no extension cost while one is loaded?
 --
---   LUA bench/extensions.lua
+--   LUA bench/extensions.lua [NAME ...]
 --
--- Each machine is initialised after one more extension was loaded: what that adds to
--- machines which do not use it would show from there on. The last two are for all
--- machines, used or not.
+-- Each module is loaded alone, on a core of its own, and measured in turn with the core
+-- alone. rfsm_emem and rfsm_checkevents are for all machines, used or not; the lines
+-- "off" are of machines that do without.
 
 package.path = "./?.lua;" .. package.path
 
 local measure = require "bench.measure"
-local rfsm = require "rfsm"
 
 local ROUNDS = measure.count("ROUNDS", 7)
-local SECONDS = measure.setting("SECONDS", 0.3) -- per measurement
+local SECONDS = measure.setting("SECONDS", 0.1) -- per measurement
 
-local function new_machine()
-  local fsm = assert(rfsm.init(rfsm.state {
+-- Loads a core, and one module besides; returns the core.
+local function load_alone(module)
+  for name in pairs(package.loaded) do -- any order: each stands alone
+    if name:find("^rfsm") then package.loaded[name] = nil end
+  end
+  local rfsm = require "rfsm"
+  if module then require(module) end
+  return rfsm
+end
+
+-- Drives a machine of the core `rfsm`; `fields` are of its root.
+local function stepping(rfsm, fields)
+  local model = rfsm.state {
     info = false, warn = false,
     c = rfsm.state {
       a = rfsm.state {}, b = rfsm.state {},
@@ -24,25 +34,48 @@ local function new_machine()
       rfsm.trans { src = "b", tgt = "a", events = { "e_next" } },
     },
     rfsm.trans { src = "initial", tgt = "c" },
-  }))
+  }
+  for name, value in pairs(fields or {}) do model[name] = value end -- any order: a set
+  local fsm = assert(rfsm.init(model))
   rfsm.run(fsm)
-  return fsm
+  return measure.stepping(rfsm, fsm, "e_next")
 end
 
-local function stepping(fsm) return measure.stepping(rfsm, fsm, "e_next") end
+local MODULES = {
+  { name = "rfsm_timeevent" }, { name = "rfsm_seqand" }, { name = "rfsm_ext" },
+  { name = "rfsm_await" }, { name = "rfsm_preview" }, { name = "rfsm_checks" },
+  { name = "rfsm_proto" }, { name = "rfsm_rtt" }, { name = "rfsmpp" },
+  { name = "rfsm_marsh" }, { name = "rfsm2json" }, { name = "rfsm2plantuml" },
+  { name = "rfsm2dot" }, { name = "rfsm2mermaid" },
+  { name = "rfsm_emem" },
+  { name = "rfsm_emem off", fields = { emem = false } },
+  { name = "rfsm_checkevents" },
+  { name = "rfsm_checkevents off", fields = { checkevents = false } },
+}
 
-local names = { "the core alone", "rfsm_timeevent", "rfsm_seqand", "rfsm_ext",
-  "rfsm_await", "rfsm_preview", "rfsm_checks", "rfsm_emem", "rfsm_checkevents" }
-local subjects = { stepping(new_machine()) }
-for i = 2, #names do
-  require(names[i])
-  subjects[i] = stepping(new_machine())
+-- What is measured; nil and why not, if a package is missing.
+local function subject_of(module)
+  local ok, answer = pcall(load_alone, module.name:match("%S+"))
+  if not ok then return nil, tostring(answer):match("[^\n]*") end
+  return stepping(answer, module.fields)
+end
+
+package.loaded.rtt = package.loaded.rtt or require "spec.support.rtt"
+
+local labels, subjects, skipped = { "the core alone" }, { stepping(load_alone()) }, {}
+for _, module in ipairs(measure.select(MODULES, arg)) do
+  local subject, reason = subject_of(module)
+  if subject then
+    labels[#labels + 1], subjects[#subjects + 1] = "+ " .. module.name, subject
+  else
+    skipped[#skipped + 1] = ("- %s: not measured, %s"):format(module.name, reason)
+  end
 end
 local best = measure.best_in_turn(subjects, ROUNDS, SECONDS)
 
 print(("%s: microseconds per event, best of %d rounds"):format(measure.engine(),
   ROUNDS))
-for i = 1, #names do
-  print(("%-20s %8.3f %6.1f %%"):format((i > 1 and "+ " or "") .. names[i], best[i],
-    best[i] / best[1] * 100))
+for i = 1, #labels do
+  print(("%-24s %8.3f %6.1f %%"):format(labels[i], best[i], best[i] / best[1] * 100))
 end
+for _, line in ipairs(skipped) do print(line) end

@@ -1,5 +1,6 @@
--- Undeclared events: with rfsm_checkevents loaded, a machine warns of each event that
--- no transition names, such as one that is misspelt.
+-- Undeclared events: with `checkevents` set, a machine warns of each event that no
+-- transition names, such as one that is misspelt. (require "rfsm_checkevents" sets it
+-- for every machine.)
 --
 --   (initial) --> off --e_push--> on --e_push--> off
 --
@@ -7,9 +8,11 @@
 -- and           print(table.concat(rfsm_checks.check(fsm), "\n"))
 
 local rfsm = require "rfsm"
-require "rfsm_checkevents"
+require "rfsm_checks"
 
 return rfsm.state {
+  checkevents = true,
+
   off = rfsm.state { entry = function() print("dark") end },
   on = rfsm.state { entry = function() print("bright") end },
   spare = rfsm.state {}, -- the static check finds that nothing leads here

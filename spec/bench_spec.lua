@@ -93,7 +93,21 @@ end)
 
 describe("bench/extensions.lua", function()
   it("has a row for each extension", function()
-    assert_lines({ "^the core alone +[%d.]+  100%.0 %%$", "^%+ rfsm_timeevent ",
-      "^%+ rfsm_checkevents ", "^status 0$" }, output_of("extensions.lua", QUICK))
+    local patterns = { "^the core alone +[%d.]+  100%.0 %%$" }
+    for name in ([[rfsm_timeevent rfsm_seqand rfsm_ext rfsm_await rfsm_preview
+      rfsm_checks rfsm_proto rfsm_rtt rfsmpp rfsm_marsh rfsm2json rfsm2plantuml rfsm2dot
+      rfsm2mermaid rfsm_emem rfsm_checkevents]]):gmatch("%S+") do
+      patterns[#patterns + 1] = "^%+ " .. name .. " +[%d.]+ +[%d.]+ %%$"
+      if name == "rfsm_emem" or name == "rfsm_checkevents" then
+        patterns[#patterns + 1] = "^%+ " .. name .. " off +[%d.]+ +[%d.]+ %%$"
+      end
+    end
+    patterns[#patterns + 1] = "^status 0$"
+    assert_lines(patterns, output_of("extensions.lua", QUICK))
+  end)
+
+  it("measures those that are named", function()
+    assert_lines({ "^the core alone ", "^%+ rfsm_emem off ", "^status 0$" },
+      output_of("extensions.lua 'rfsm_emem off'", QUICK))
   end)
 end)

@@ -38,6 +38,23 @@ describe("watch", function()
     }, warnings)
   end)
 
+  it("is asked for by the model, too", function()
+    local fsm, warnings = helper.init(chart { checkevents = true }), {}
+    fsm.warn = function(text) warnings[#warnings + 1] = text end
+    helper.post_and_run(fsm, "e_y")
+    assert.same({ "WARNING: undeclared event e_y received" }, warnings)
+  end)
+
+  it("is silent while warn is off", function()
+    local fsm, warnings = watched(chart())
+    local warn = fsm.warn
+    fsm.warn = false
+    helper.post_and_run(fsm, "e_y")
+    fsm.warn = warn
+    helper.post_and_run(fsm, "e_z")
+    assert.same({ "WARNING: undeclared event e_z received" }, warnings)
+  end)
+
   it("knows what the engine sends", function()
     local fsm, warnings = watched(chart())
     helper.post_and_run(fsm, "e_x")

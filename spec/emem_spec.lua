@@ -146,6 +146,23 @@ describe("emem", function()
     assert.equal(1, fsm.c.emem.e_x)
   end)
 
+  it("hangs no hook on a state that says false", function()
+    local model, is_hooked = chart(), false
+    rfsm.mapfsm(function(part) part.emem = false end, model, rfsm.is_state)
+    model.emem = nil
+    local add = rfsm.exit_hook_add
+    rfsm.exit_hook_add = function(fsm, part, f) -- luacheck: ignore 122
+      is_hooked = is_hooked or part ~= fsm
+      return add(fsm, part, f)
+    end
+    local fsm = helper.init(model)
+    rfsm.exit_hook_add = add -- luacheck: ignore 122
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_x")
+    assert.is_false(is_hooked)
+    assert.equal(1, fsm.emem.e_x)
+  end)
+
   it("is left out of a machine whose root says false", function()
     local model = chart()
     model.emem = false

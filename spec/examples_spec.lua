@@ -2,6 +2,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
+local timeevent = require "rfsm_timeevent"
 
 -- What is printed by running the chart and then by each further action: a string is an
 -- event to send before `run`, a function is called with the machine.
@@ -21,6 +22,75 @@ local function session(name, ...)
     end
   end)
 end
+
+local function content(name)
+  local file = assert(io.open(name))
+  local text = file:read("*a")
+  file:close()
+  return text
+end
+
+local function example_names()
+  local pipe, names = assert(io.popen("ls examples/*.lua")), {}
+  for line in pipe:lines() do names[#names + 1] = line:match("([^/]*)%.lua$") end
+  pipe:close()
+  return names
+end
+
+-- Runs `f` while `require(name)` gives `module`; returns what it returns.
+local function with_module(name, module, f)
+  local before = package.loaded[name]
+  package.loaded[name] = module
+  local ok, result = pcall(f)
+  package.loaded[name] = before
+  if not ok then error(result, 0) end
+  return result
+end
+
+-- What the luv host needs of luv, on a clock that jumps to the next timer.
+local function loop_on_a_false_clock()
+  local loop, timers, now, is_stopped = {}, {}, 0, false
+  local Timer = {}
+  Timer.__index = Timer
+
+  function Timer:start(after, again, f)
+    self.at, self.again, self.f = now + after, again, f
+  end
+
+  function Timer:stop() self.at = nil end
+
+  function loop.new_timer()
+    timers[#timers + 1] = setmetatable({}, Timer)
+    return timers[#timers]
+  end
+
+  function loop.hrtime() return now * 1000000 end
+
+  function loop.update_time() end
+
+  function loop.stop() is_stopped = true end
+
+  local function next_timer()
+    local found
+    for _, timer in ipairs(timers) do
+      if timer.at and (not found or timer.at < found.at) then found = timer end
+    end
+    return found
+  end
+
+  function loop.run()
+    while not is_stopped do
+      local timer = next_timer()
+      now = timer.at
+      timer.at = timer.again > 0 and now + timer.again or nil
+      timer.f()
+    end
+  end
+
+  return loop
+end
+
+local INFO = "INFO: created undeclared connector "
 
 describe("the example", function()
   it("hello_world prints at an exit and an entry", function()
@@ -140,5 +210,91 @@ describe("the example", function()
       "failure:  error executing entry of root.robot.working:  motor does not turn",
       "motor off", "brakes on", "brakes off", "motor turns", "motor off", "power cut",
     }, session("failure_recovery", repair, "e_repaired", "e_emergency"))
+  end)
+
+  it("await starts when all parts are ready, in any order, or when told so", function()
+    assert.same({ "booting", "ready", "booting", "ready" },
+      session("await", "e_camera", "e_arm", "e_base", "e_reboot", "e_arm", "e_force"))
+  end)
+
+  it("checks warns of the event that is misspelt", function()
+    local function listen(fsm) fsm.warn = print end
+    assert.same({ "dark", "bright", "WARNING: undeclared event e_pusch received" },
+      session("checks", listen, "e_push", "e_pusch"))
+  end)
+
+  it("checks has a state that nothing leads to", function()
+    assert.same({ "root.spare: unreachable, no path of transitions leads here" },
+      require("rfsm_checks").check(rfsm.load("examples/checks.lua")))
+  end)
+
+  it("emem locks the door after the third wrong code, and counts anew", function()
+    assert.same({ "closed", "locked", "closed", "open", "closed" },
+      session("emem", "e_wrong", "e_wrong", "e_wrong", "e_reset", "e_wrong", "e_right",
+        "e_close", "e_wrong", "e_wrong"))
+  end)
+
+  it("ext lands when a condition that it monitors holds", function()
+    local lines = helper.printed(function()
+      local fsm = helper.init(rfsm.load("examples/ext.lua"))
+      rfsm.step(fsm, 3)
+      _G.drone.volt = 10 -- luacheck: ignore 143
+      rfsm.run(fsm)
+      _G.drone.volt = 12 -- luacheck: ignore 143
+      rfsm.send_events(fsm, "e_repaired")
+      rfsm.step(fsm)
+    end)
+    assert.same({ "flying", "landing", "flying" }, lines)
+  end)
+
+  it("preview warms the gripper up while an object is near", function()
+    local function approach() _G.world.distance = 0.1 end -- luacheck: ignore 143
+    assert.same({ "searching", "gripper warms up", "grasping", "searching",
+      "gripper warms up", "gripper warms up", "gripper warms up" }, -- each iteration
+      session("preview", approach, "e_grasp", "e_release"))
+  end)
+
+  it("seqand moves both arms, and begins anew", function()
+    assert.same({
+      INFO .. "root.initial", INFO .. "root.initial", -- of the two arms
+      "right open", "left open", "right closed", "left closed", "right lets go",
+      "left lets go", "stopped", "right open", "left open",
+    }, session("seqand", "e_grasp", "e_stop", "e_start"))
+  end)
+
+  it("timeevent lights up in time", function()
+    local now = 0
+    timeevent.set_gettime_hook(function() return now, 0 end)
+    local function wait(seconds) return function() now = now + seconds end end
+    assert.same({
+      "do not walk", "please wait", "walk", "do not walk", "dark", "do not walk",
+      "dark",
+    }, session("timeevent", "e_button", wait(0.3), wait(1), wait(59), wait(3),
+      "e_fault"))
+  end)
+
+  it("luv_host sleeps until the next timer can fire", function()
+    local lines = with_module("luv", loop_on_a_false_clock(), function()
+      return helper.printed(function()
+        loadfile("examples/hosts/luv_host.lua")()
+      end)
+    end)
+    assert.same({
+      INFO .. "root.initial", INFO .. "root.lights.initial", "do not walk",
+      "please wait", "walk", "do not walk", "please wait", "walk", "do not walk",
+      "please wait", "walk", "woken 9 times",
+    }, lines)
+  end)
+
+  -- A name in quotes is a call of `session` or of `rfsm.load`.
+  it("has an entry here, each of them", function()
+    local text, missing = content("spec/examples_spec.lua"), {}
+    for _, name in ipairs(example_names()) do
+      if not (text:find('session("' .. name .. '"', 1, true)
+        or text:find("examples/" .. name .. ".lua", 1, true)) then
+        missing[#missing + 1] = name
+      end
+    end
+    assert.same({}, missing)
   end)
 end)

@@ -335,14 +335,15 @@ for _, name in ipairs { "pre_step_hook_add", "post_step_hook_add", "reset_hook_a
   end
 end
 local fsm = rfsm.init(rfsm.state {
-  warn = false, info = false, a = rfsm.state {}, b = rfsm.state {},
+  warn = false, info = false, emem = off, checkevents = off,
+  a = rfsm.state {}, b = rfsm.state {},
   rfsm.trans { src = "initial", tgt = "a" },
   rfsm.trans { src = "a", tgt = "b", events = { "e_x" } },
 })
 local fields = {}
 for _, obj in ipairs { fsm, fsm.a, fsm.b, fsm[2] } do
   for key in pairs(obj) do
-    if not known[key] then fields[#fields + 1] = tostring(key) end
+    if not known[key] and obj[key] then fields[#fields + 1] = tostring(key) end
   end
 end
 table.sort(fields)
@@ -363,30 +364,38 @@ for _, obj in ipairs { machine, machine.a, machine.b, machine[2] } do
 end
 ]]
 
-local function added_by(names)
-  return output_of(requires {} .. KNOWN .. requires(names) .. COUNT)
+-- `off`: the chart says that it does without the two that are for all.
+local function added_by(names, off)
+  local switch = off and "local off = false\n" or "local off = nil\n"
+  return output_of(requires {} .. KNOWN .. requires(names) .. switch .. COUNT)
 end
 
+local UNUSED = { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext", "rfsm_await",
+  "rfsm_preview", "rfsm_checks", "rfsm_proto", "rfsm_rtt", "rfsmpp", "rfsm_marsh",
+  "rfsm2json", "rfsm2plantuml", "rfsm2dot", "rfsm2mermaid" }
+
 describe("a chart that uses no extension", function()
-  for _, name in ipairs { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext", "rfsm_await",
-    "rfsm_preview", "rfsm_checks", "rfsm_proto", "rfsm_rtt" } do
+  for _, name in ipairs(UNUSED) do
     it("gets no hook and no field when " .. name .. " is loaded", function()
       assert.equal("|", added_by { name })
     end)
   end
 
   it("gets none when all of them are loaded", function()
-    assert.equal("|", added_by { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext",
-      "rfsm_await", "rfsm_preview", "rfsm_checks", "rfsm_proto", "rfsm_rtt" })
+    assert.equal("|", added_by(UNUSED))
   end)
 
   -- These two are for every machine: loading them is using them.
   it("gets what it counts with when rfsm_emem is loaded", function()
-    assert.equal("exit_hook_add exit_hook_add exit_hook_add pre_step_hook_add "
-      .. "reset_hook_add|emem emem emem", added_by { "rfsm_emem" })
+    assert.equal("pre_step_hook_add reset_hook_add exit_hook_add exit_hook_add "
+      .. "exit_hook_add|_emem emem emem emem", added_by { "rfsm_emem" })
   end)
 
   it("gets the check when rfsm_checkevents is loaded", function()
     assert.equal("pre_step_hook_add|_checks", added_by { "rfsm_checkevents" })
+  end)
+
+  it("gets neither when it says so", function()
+    assert.equal("|", added_by({ "rfsm_emem", "rfsm_checkevents" }, true))
   end)
 end)

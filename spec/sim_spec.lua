@@ -268,8 +268,16 @@ describe("an option", function()
 
   it("is asked for when there is no file", function()
     local _, complaints, status = sim("")
-    assert.matches("Usage: rfsm%-sim", complaints)
-    assert.is_true(status ~= 0)
+    assert.matches("^Usage: rfsm%-sim .*\nError: missing argument 'file'\n$",
+      complaints)
+    assert.equal(2, status)
+  end)
+
+  it("is asked for when an option is unknown", function()
+    local out, complaints, status = sim("--bogus " .. HELLO)
+    assert.matches("^Usage: rfsm%-sim .*\nError: unknown option '%-%-bogus'\n$",
+      complaints)
+    assert.same({ "", 2 }, { out, status })
   end)
 end)
 
