@@ -120,6 +120,7 @@ local rfsm_ext = require "rfsm_ext"
 local socket = require "socket"
 local rfsm_rtt = require "rfsm_rtt"
 require "rfsm_await"
+require "rfsm_checks"
 require "rfsm_emem"
 require "rfsm_preview"
 
@@ -319,6 +320,63 @@ for _, name in ipairs(ORDER) do
     end)
   end)
 end
+
+-- What the check for undeclared events knows is the structure of its machine: it lasts
+-- when states are left, and at reset, but is of no other machine.
+describe("rfsm_checks", function()
+  local function complaints_of(fsm)
+    local lines = {}
+    fsm.warn = function(text) lines[#lines + 1] = text end
+    helper.post_and_run(fsm, "e_new", "e_none", "e_other")
+    return lines
+  end
+
+  local function watched(model)
+    local fsm = helper.init(model)
+    rfsm.run(fsm)
+    return fsm
+  end
+
+  local function chart()
+    local model = around(state {}, { events = { "e_none" } })
+    model.checkevents = true
+    return model
+  end
+
+  local function merged(model)
+    local fsm = watched(model)
+    assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "out",
+      events = { "e_new" } }))
+    return fsm
+  end
+
+  local OTHER = "WARNING: undeclared event e_other received"
+  local NEW = "WARNING: undeclared event e_new received"
+
+  it("knows what was merged, also when states are left", function()
+    local fsm = merged(chart())
+    helper.post_and_run(fsm, "e_leave")
+    helper.post_and_run(fsm, "e_enter")
+    assert.same({ OTHER }, complaints_of(fsm))
+  end)
+
+  it("knows it after reset", function()
+    local fsm = merged(chart())
+    rfsm.reset(fsm)
+    assert.same({ OTHER }, complaints_of(fsm))
+  end)
+
+  it("shares nothing with a second instance of the model", function()
+    local model = chart()
+    local second = watched(model)
+    merged(model)
+    assert.same({ NEW, OTHER }, complaints_of(second))
+  end)
+
+  it("shares nothing with an instance made of the first", function()
+    assert.same({ NEW, OTHER }, complaints_of(watched(merged(chart()))))
+  end)
+end)
 
 -- No cost when unused ----------------------------------------------------------
 

@@ -41,6 +41,17 @@ describe("the oracle", function()
     end
   end)
 
+  -- In a process of its own: modules stay loaded.
+  it("agrees on 400 charts while all extensions are loaded", function()
+    local i = 0
+    while arg[i - 1] do i = i - 1 end
+    local pipe = assert(io.popen(("RFSM_FUZZ_WITH=all %s spec/support/fuzz.lua 400 %d "
+      .. "2>&1"):format(arg[i], seed)))
+    local output = pipe:read("*a")
+    pipe:close()
+    assert.equal("400 passed, 0 failed\n", output)
+  end)
+
   it("tells a core that drops an event", function()
     with_broken("send_events", keep_one_event, function()
       assert.is_table(find_difference(1))

@@ -535,6 +535,22 @@ describe("instances", function()
     assert.not_equal(first.par.substates.left, second.par.substates.left)
   end)
 
+  it("tell what init says of their subs, each by the printer of the sub", function()
+    local told = {}
+    local function talking(info)
+      return state { info = info, warn = false, s = state {},
+        trans { src = "initial", tgt = "s" } }
+    end
+    local model = rfsm.seqand {
+      silent = talking(false),
+      told = talking(function(text) told[#told + 1] = text end),
+    }
+    helper.init(model)
+    helper.init(model)
+    local text = "INFO: created undeclared connector root.initial"
+    assert.same({ text, text }, told)
+  end)
+
   it("mounted twice in one machine have subs of their own", function()
     local par = rfsm.seqand { left = sub({}, "left"), right = sub({}, "right") }
     local model = around(par)

@@ -1,12 +1,23 @@
 -- Compares core and oracle on random charts:  LUA spec/support/fuzz.lua N SEED
 --
--- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first: they must not
--- change a thing for charts that do not use them. A difference prints the seed, both
--- traces around it, and the chart shrunk to what is needed.
+-- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first, "all" every
+-- one there is: they must not change a thing for charts that do not use them, but for
+-- the warnings of rfsm_checkevents, which are left out. A difference prints the seed,
+-- both traces around it, and the chart shrunk to what is needed.
 
 package.path = "./?.lua;" .. package.path
 
-for name in (os.getenv("RFSM_FUZZ_WITH") or ""):gmatch("[%w_.]+") do require(name) end
+local function names_of_all()
+  package.loaded.rtt = require "spec.support.rtt"
+  local pipe = assert(io.popen("ls rfsm?*.lua"))
+  local names = pipe:read("*a"):gsub("%.lua", "")
+  pipe:close()
+  return names
+end
+
+local with = os.getenv("RFSM_FUZZ_WITH") or ""
+if with == "all" then with = names_of_all() end
+for name in with:gmatch("[%w_.]+") do require(name) end
 
 local charts = require "spec.support.charts"
 local runs = require "spec.support.runs"
