@@ -1049,7 +1049,7 @@ end
 -- What makes it fast: flags stand for all that is rarely there, so that a step
 -- asks for each once and not for every hook and printer.
 --
---   _is_traced     dbg is on, or a state has hooks: transitions run in full detail
+--   _is_traced     dbg is on: transitions run in full detail
 --   _is_hooked     there is a getevents, a pre or a post step hook
 --   _is_plain      none of these
 --   _is_unsettled  the iteration has more to do at its end: see `settle`
@@ -1154,7 +1154,7 @@ local NONE = {}
 -- Returns the list that getevents returns; an empty one when it fails.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
-  if not getevents then return NONE end
+  if not getevents or getevents == no_events then return NONE end
   local ok, events = pcall(getevents)
   if not ok then
     keep_failure(fsm, events)
@@ -1214,9 +1214,9 @@ local function run_state_hooks(fsm, state, hooks)
   end
 end
 
--- Has everything gone that makes transitions run in full detail?
+-- Has dbg been switched off? Then its flag goes, too.
 local function check_traced(fsm)
-  if fsm._has_state_hooks or fsm.dbg and fsm.dbg ~= silent then return end
+  if fsm.dbg and fsm.dbg ~= silent then return end
   rawset(fsm, "dbg", nil)
   fsm._is_traced, fsm._is_plain = false, not fsm._is_hooked
 end
@@ -1710,15 +1710,18 @@ end
 -- Take, straight: the same as run_in_detail while nothing is traced ...............
 --
 -- The segment as code without a loop, made once for each number of exits and entries.
--- It asks after each program whether a trace began, and then goes on in detail; the
--- notes in fsm._at are those of run_segment. It returns the effect, which had the
--- events table.
+-- It asks after each program whether a trace began, and goes on in detail then, as it
+-- does where a state has hooks. The notes in fsm._at are those of run_segment. It
+-- returns the effect, which had the events table.
 
 do
   -- an entry: the entry before it, or the last state that the exits reached.
   -- an entry: the entry before it, or the last state that the exits reached.
   local TEXT = {
-    exit = [[
+    exit_hooked = [[
+  if s$i._exit_hooks then return run_segment(fsm, tr, events, s$i, 0) end
+]],
+  exit = [[
   s$i._mode = "inactive"
   program = s$i.exit
   if program then
@@ -1741,7 +1744,13 @@ do
     if fsm._is_traced then return after_effect(fsm, tr) end
   end
 ]],
-    entry = [[
+    entry_hooked = [[
+  if entries[$i]._entry_hooks then
+    enter_down(fsm, tr, $i)
+    return effect
+  end
+]],
+  entry = [[
   local t$i = entries[$i]
   t$i._mode = "active"
   $p._actchild = t$i
@@ -1764,21 +1773,24 @@ do
 
   local function fill(text, values) return (text:gsub("%$(%l)", values)) end
 
-  -- The source for so many exits and entries, the last one a leaf or not.
-  local function segment_source(exits, entries, is_leaf_entered)
+  -- The source for so many exits and entries, the last one a leaf or not; in a machine
+  -- whose states have hooks it looks out for them.
+  local function segment_source(exits, entries, is_leaf_entered, has_hooks)
     local lines = { [[
-local after_exit, after_effect, after_entry = ...
+local run_segment, enter_down, after_exit, after_effect, after_entry = ...
 return function(fsm, tr, s1, events)
   local program
 ]] }
     local function write(text, values) lines[#lines + 1] = fill(text, values) end
     for i = 1, exits do
+      if has_hooks then write(TEXT.exit_hooked, { i = i }) end
       write(TEXT.exit, { i = i, n = i + 1 })
       if i == 1 then write(TEXT.leaf_left, {}) end
     end
     write(TEXT.effect, {})
     if entries > 0 then write("local entries = tr._entries\n", {}) end
     for i = 1, entries do
+      if has_hooks then write(TEXT.entry_hooked, { i = i }) end
       write(TEXT.entry, { i = i, p = i == 1 and "s" .. exits + 1 or "t" .. i - 1 })
     end
     if is_leaf_entered then write(TEXT.leaf_entered, { i = entries }) end
@@ -1811,13 +1823,16 @@ return function(fsm, tr, s1, events)
 
   -- Returns the function for segments of this shape; run_in_detail where Lua is built
   -- without a compiler, or they are too deep.
-  local function straight_segment(exits, entries, is_leaf_entered)
+  local function straight_segment(fsm, tr, exits)
+    local entries, is_leaf, has_hooks = #tr._entries, not tr._to_connector,
+      fsm._has_state_hooks
     if exits + entries > MAX_STATES or not loadstring then return run_in_detail end
-    local shape = (exits * 100 + entries) * 2 + (is_leaf_entered and 1 or 0)
+    local shape = (exits * 100 + entries) * 4 + (is_leaf and 2 or 0)
+      + (has_hooks and 1 or 0)
     if not straight[shape] then
-      local source = segment_source(exits, entries, is_leaf_entered)
-      straight[shape] = loadstring(source, "=rfsm segment")(after_exit, after_effect,
-        after_entry)
+      local source = segment_source(exits, entries, is_leaf, has_hooks)
+      straight[shape] = loadstring(source, "=rfsm segment")(run_segment, enter_down,
+        after_exit, after_effect, after_entry)
     end
     return straight[shape]
   end
@@ -1833,8 +1848,7 @@ return function(fsm, tr, s1, events)
   -- Runs a segment that starts at a composite: how many states it exits depends on the
   -- leaf.
   local function run_from_composite(fsm, tr, innermost, events)
-    local exits = count_up(innermost, tr._lca)
-    local run = straight_segment(exits, #tr._entries, not tr._to_connector)
+    local run = straight_segment(fsm, tr, count_up(innermost, tr._lca))
     return run(fsm, tr, innermost, events)
   end
 
@@ -1845,8 +1859,7 @@ return function(fsm, tr, s1, events)
     if is_state(src) and not src._is_leaf then
       tr._run = run_from_composite
     else
-      tr._run = straight_segment(count_up(innermost, tr._lca), #tr._entries,
-        not tr._to_connector)
+      tr._run = straight_segment(fsm, tr, count_up(innermost, tr._lca))
     end
     return tr._run(fsm, tr, innermost, events)
   end
@@ -2622,8 +2635,11 @@ do
     end
     local hooks = state[field] and copy_list(state[field]) or {}
     hooks[#hooks + 1] = hook
-    state[field], fsm._has_state_hooks = hooks, true
-    set_flag(fsm, "_is_traced")
+    state[field] = hooks
+    if fsm._has_state_hooks then return end
+    fsm._has_state_hooks = true
+    for i = 1, #fsm._transitions do fsm._transitions[i]._run = nil end
+    set_flag(fsm, "_is_traced") -- for the rest of a transition that is under way
   end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
