@@ -1715,8 +1715,10 @@ end
 -- returns the effect, which had the events table.
 
 do
-  -- an entry: the entry before it, or the last state that the exits reached.
-  -- an entry: the entry before it, or the last state that the exits reached.
+  -- $i counts from 1, $n is $i + 1; s1 is the innermost active state. $t is the state
+  -- to enter, $p its parent: the entry before it or the last state the exits reached.
+  -- What no user's function can see is left out: the lca without a child where an entry
+  -- follows at once.
   local TEXT = {
     exit_hooked = [[
   if s$i._exit_hooks then return run_segment(fsm, tr, events, s$i, 0) end
@@ -1730,28 +1732,43 @@ do
     if fsm._is_traced then return after_exit(fsm, tr, events, s$i) end
   end
   local s$n = s$i._parent
+]],
+  child_left = [[
   s$n._actchild = false
 ]],
-    leaf_left = [[
+    head = [[
+local run_segment, enter_down, after_exit, after_effect, after_entry = ...
+return function(fsm, tr, s1, events)
+  local program
+]],
+  tail = [[
+  return effect
+end
+]],
+  entries = [[
+  local entries = tr._entries
+]],
+  leaf_left = [[
   s1._doo_co = false
   fsm._act_leaf = false
 ]],
     effect = [[
   local effect = tr.effect
   if effect then
+    s$n._actchild = false
     fsm._at = tr
     effect(fsm, tr, "effect", events)
     if fsm._is_traced then return after_effect(fsm, tr) end
   end
 ]],
     entry_hooked = [[
-  if entries[$i]._entry_hooks then
+  if $t._entry_hooks then
     enter_down(fsm, tr, $i)
     return effect
   end
 ]],
   entry = [[
-  local t$i = entries[$i]
+  local t$i = $t
   t$i._mode = "active"
   $p._actchild = t$i
   program = t$i.entry
@@ -1771,31 +1788,45 @@ do
 ]],
   }
 
-  local function fill(text, values) return (text:gsub("%$(%l)", values)) end
+  local function write_exits(write, shape)
+    for i = 1, shape.exits do
+      if shape.has_hooks then write("exit_hooked", { i = i }) end
+      write("exit", { i = i, n = i + 1 })
+      if i == 1 then write("leaf_left") end
+      if i < shape.exits or shape.entries == 0 then
+        write("child_left", { n = i + 1 })
+      end
+    end
+  end
 
-  -- The source for so many exits and entries, the last one a leaf or not; in a machine
-  -- whose states have hooks it looks out for them.
-  local function segment_source(exits, entries, is_leaf_entered, has_hooks)
-    local lines = { [[
-local run_segment, enter_down, after_exit, after_effect, after_entry = ...
-return function(fsm, tr, s1, events)
-  local program
-]] }
-    local function write(text, values) lines[#lines + 1] = fill(text, values) end
-    for i = 1, exits do
-      if has_hooks then write(TEXT.exit_hooked, { i = i }) end
-      write(TEXT.exit, { i = i, n = i + 1 })
-      if i == 1 then write(TEXT.leaf_left, {}) end
+  local function write_entries(write, shape)
+    local last = shape.entries
+    if last > 1 then write("entries") end
+    for i = 1, last do
+      local state = last > 1 and "entries[" .. i .. "]" or "tr._entries[1]"
+      local values = {
+        i = i, t = i == last and shape.is_leaf and "tr.tgt" or state,
+        p = i == 1 and "s" .. shape.exits + 1 or "t" .. i - 1,
+      }
+      if shape.has_hooks then write("entry_hooked", values) end
+      write("entry", values)
     end
-    write(TEXT.effect, {})
-    if entries > 0 then write("local entries = tr._entries\n", {}) end
-    for i = 1, entries do
-      if has_hooks then write(TEXT.entry_hooked, { i = i }) end
-      write(TEXT.entry, { i = i, p = i == 1 and "s" .. exits + 1 or "t" .. i - 1 })
+    if shape.is_leaf then write("leaf_entered", { i = last }) end
+  end
+
+  -- The source for segments of one shape: how many exits and entries, whether they end
+  -- at a leaf, and whether states of the machine have hooks.
+  local function segment_source(shape)
+    local texts = {}
+    local function write(name, values)
+      texts[#texts + 1] = TEXT[name]:gsub("%$(%l)", values or {})
     end
-    if is_leaf_entered then write(TEXT.leaf_entered, { i = entries }) end
-    write("return effect\nend\n", {})
-    return concat(lines)
+    write("head")
+    write_exits(write, shape)
+    write("effect", { n = shape.exits + 1 })
+    write_entries(write, shape)
+    write("tail")
+    return concat(texts)
   end
 
   -- A program of a straight segment switched the trace on: the rest goes in detail.
@@ -1816,25 +1847,29 @@ return function(fsm, tr, s1, events)
     enter_down(fsm, tr, i + 1)
   end
 
-  -- How deep a segment may go to be made straight code.
+  -- How many states a segment may leave and enter to be made straight code.
   local MAX_STATES = 60
 
   local straight = {}
 
-  -- Returns the function for segments of this shape; run_in_detail where Lua is built
-  -- without a compiler, or they are too deep.
+  local function make_straight(number, shape)
+    local chunk = loadstring(segment_source(shape), "=rfsm segment")
+    straight[number] = chunk(run_segment, enter_down, after_exit, after_effect,
+      after_entry)
+    return straight[number]
+  end
+
+  -- Returns the function for segments of the shape of `tr` with so many exits; it is
+  -- run_in_detail for those too deep, and where Lua comes without its compiler.
   local function straight_segment(fsm, tr, exits)
     local entries, is_leaf, has_hooks = #tr._entries, not tr._to_connector,
       fsm._has_state_hooks
     if exits + entries > MAX_STATES or not loadstring then return run_in_detail end
-    local shape = (exits * 100 + entries) * 4 + (is_leaf and 2 or 0)
+    local number = (exits * 100 + entries) * 4 + (is_leaf and 2 or 0)
       + (has_hooks and 1 or 0)
-    if not straight[shape] then
-      local source = segment_source(exits, entries, is_leaf, has_hooks)
-      straight[shape] = loadstring(source, "=rfsm segment")(run_segment, enter_down,
-        after_exit, after_effect, after_entry)
-    end
-    return straight[shape]
+    return straight[number] or make_straight(number, {
+      exits = exits, entries = entries, is_leaf = is_leaf, has_hooks = has_hooks,
+    })
   end
 
   local function count_up(state, ancestor)
