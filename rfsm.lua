@@ -1966,7 +1966,11 @@ local function run_doo(fsm, leaf)
   if leaf._mode == "done" then return true end
   local co = leaf._doo_co
   if not co then return start_doo(fsm, leaf) end
-  return finish_cycle(fsm, leaf, resume(co, fsm, leaf, "doo"))
+  local ok, idle = resume(co, fsm, leaf, "doo")
+  if not ok or idle == ENDED or fsm._is_traced then
+    return finish_cycle(fsm, leaf, ok, idle)
+  end
+  return idle and true or false
 end
 
 -- Iterate ........................................................................
@@ -2080,7 +2084,8 @@ local function iterate_doo(fsm, leaf)
   else
     fsm._spare = events
   end
-  return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+  if not idle then return true, false end
+  return true, fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
 -- One iteration, whatever the machine is like. Returns nil when there is no way in;
@@ -2102,8 +2107,9 @@ end
 -- e_done that nothing waits for makes no difference: without another event there is a
 -- doo cycle in any case, now or in the next iteration.
 local function iterate_slowly(fsm, leaf, events, after_free)
-  if events[1] == leaf._ignored and events[2] == nil then events[1] = nil end
-  if events[1] == nil then return iterate_doo(fsm, leaf) end
+  local event = events[1]
+  if event == leaf._ignored and events[2] == nil then events[1], event = nil, nil end
+  if event == nil then return iterate_doo(fsm, leaf) end
   return iterate_fully(fsm, after_free)
 end
 
