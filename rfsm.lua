@@ -1581,11 +1581,20 @@ local function run_segment(fsm, tr, events, state, first)
   enter_down(fsm, tr, first)
 end
 
+-- The innermost state below `state` that has not been left to the end.
+local function innermost_in(state)
+  while state._actchild do state = state._actchild end
+  return state
+end
+
 -- A program of the segment failed: reports it, finishes what it belongs to, and returns
--- where to go on.
+-- where to go on. Where none has run it was an interrupt, which is for the caller.
 local function recover(fsm, tr, failure)
   local at = fsm._at
-  if at == tr then
+  if not at then
+    keep_failure(fsm, failure)
+    return innermost_in(tr._lca), 0
+  elseif at == tr then
     report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
     finish_effect(fsm, tr)
     return nil, 1
@@ -1614,7 +1623,7 @@ local function run_path(fsm, events, first, last, innermost)
   local path, is_kept = fsm._path, false
   for i = first, last do
     local tr = path[i]
-    fsm._segment = i
+    fsm._segment, fsm._at = i, false
     local run = fsm._is_traced and run_in_detail or tr._run
     local effect = run(fsm, tr, innermost or tr.src._parent, events)
     is_kept = is_kept or effect and may_keep[effect]
@@ -1642,6 +1651,7 @@ end
 -- Takes the first `last` segments of fsm._path. One protected call is enough where
 -- nothing fails.
 local function take_path(fsm, events, last, innermost)
+  fsm._segment, fsm._at = 1, false
   local ok, is_kept = pcall(run_path, fsm, events, 1, last, innermost)
   if not ok then return recover_path(fsm, events, last, is_kept) end
   if is_kept then keep_events(fsm) end
@@ -2127,6 +2137,7 @@ local function iterate(fsm, after_free)
   fsm._intq = fsm._spare
   fsm._spare = false
   fsm._curq = events
+  fsm._at = false
   if not choice._is_simple or choice.guard then
     local tr = choose_from(fsm, choice, events)
     if not tr then return iterate_free(fsm, leaf, events, after_free) end
@@ -2146,9 +2157,11 @@ local function iterate(fsm, after_free)
   return true, false
 end
 
--- Goes on after an iteration until `left` more were counted or the machine is idle.
-local function iterate_on(fsm, left, counted, idle)
+-- Iterates until `left` iterations were counted or the machine is idle; returns whether
+-- it is. nil says that its idle_hook is to be called, and then `left` of them remain.
+local function iterate_on(fsm, left, after_free)
   while true do
+    local counted, idle = iterate(fsm, after_free)
     if counted == nil then return false end
     if counted then
       left = left - 1
@@ -2156,10 +2169,32 @@ local function iterate_on(fsm, left, counted, idle)
     end
     if idle then
       if fsm._is_traced then hibernate(fsm) end
-      if not fsm.idle_hook then return true end
-      fsm.idle_hook(fsm)
+      if fsm.idle_hook then return nil, left end
+      return true
     end
-    counted, idle = iterate(fsm, not counted)
+    after_free = not counted
+  end
+end
+
+-- Something that is no user's function ended an iteration half-way, such as Control-C
+-- in a terminal: makes the machine fit for the next one.
+local function mend(fsm)
+  fsm._spare, fsm._is_kept, fsm._is_unsettled = {}, false, fsm._has_failure
+  if fsm._reset_wanted or not fsm._act_leaf then reset_now(fsm) end
+end
+
+-- Iterates as iterate_on does, in a protected call, because this may take long. The
+-- idle_hook is called outside of it, where it may yield on Lua 5.1 as well.
+local function iterate_long(fsm, left, after_free)
+  while true do
+    local ok, idle, rest = pcall(iterate_on, fsm, left, after_free)
+    if not ok then
+      if not fsm._spare then mend(fsm) end
+      error(idle, 0)
+    end
+    if idle ~= nil then return idle end
+    fsm.idle_hook(fsm)
+    left, after_free = rest, false
   end
 end
 
@@ -2432,9 +2467,10 @@ function rfsm.step(fsm, n)
   if not fsm._spare then
     error("rfsm.step: the machine is in the middle of a step", 2)
   end
+  if n ~= nil then return iterate_long(fsm, n > 1 and n or 1, false) end -- NaN: 1
   local counted, idle = iterate(fsm, false)
-  if counted and n == nil then return idle end -- without a loop: one trace of LuaJIT
-  return iterate_on(fsm, n and n > 1 and n or 1, counted, idle) -- NaN: 1
+  if counted then return idle end -- without a loop: LuaJIT makes one trace of it
+  return counted == false and iterate_long(fsm, 1, true)
 end
 
 --- Advance a machine until no event waits and no doo is busy.
@@ -2445,7 +2481,7 @@ function rfsm.run(fsm)
   if not fsm._spare then
     error("rfsm.run: the machine is in the middle of a step", 2)
   end
-  return iterate_on(fsm, huge, iterate(fsm, false))
+  return iterate_long(fsm, huge, false)
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
@@ -2607,8 +2643,7 @@ function rfsm.exit_state(fsm, state)
     error("rfsm.exit_state: state expected, " .. got(state), 2)
   end
   if state._mode == "inactive" then return end
-  local innermost = state
-  while innermost._actchild do innermost = innermost._actchild end
+  local innermost = innermost_in(state)
   while innermost ~= state do
     local parent = innermost._parent
     exit_one(fsm, innermost)

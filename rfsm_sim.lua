@@ -182,7 +182,7 @@ and what is not complete goes on in the next line. Control-D ends the simulator.
 local function commands_for(sim)
   local fsm = sim.fsm
   local commands = { fsm = fsm, rfsm = rfsm }
-  function commands.step(n) advance(sim, rfsm.step, n) end
+  function commands.step(n) advance(sim, rfsm.step, n or 1) end
   function commands.run() advance(sim, rfsm.run) end
   function commands.se(...)
     rfsm.send_events(fsm, ...)
@@ -190,7 +190,7 @@ local function commands_for(sim)
   end
   function commands.ses(...)
     rfsm.send_events(fsm, ...)
-    advance(sim, rfsm.step)
+    advance(sim, rfsm.step, 1)
   end
   function commands.ser(...)
     rfsm.send_events(fsm, ...)
