@@ -325,6 +325,7 @@ end
 ---@field warnings { place: string, text: string }[]
 ---@field created rfsm.Connector[] `initial` connectors that nobody declared
 ---@field transitions rfsm.Transition[] the new ones
+---@field completions table<rfsm.Transition, true> those among them with `e_done`
 ---@field nodes (rfsm.State|rfsm.Connector)[] the new ones, parents before children
 ---@field models (rfsm.State|rfsm.Connector)[] what each of the nodes was made of
 ---@field mounts table model node -> its last clone
@@ -450,7 +451,7 @@ end
 -- without holes, or one string.
 local function clone_events(build, tr, events)
   if events == nil then return nil end
-  if type(events) == "string" then return { events } end
+  if type(events) == "string" then events = { events } end
   if type(events) ~= "table" or getmetatable(events) ~= nil then
     return add(build.problems, place_of(tr) .. ".events",
       "list of events or a string expected, " .. got(events))
@@ -465,6 +466,8 @@ local function clone_events(build, tr, events)
     elseif event ~= event then
       add(build.problems, place_of(tr) .. ".events[" .. i .. "]",
         "an event cannot be NaN")
+    elseif event == "e_done" then
+      build.completions[tr] = true
     end
     list[i] = event
   end
@@ -500,13 +503,9 @@ local function check_plain_table(build, place, t)
   end
 end
 
--- A state that is now known to have children or not, transitions or not.
-local function check_members(build, state, model, is_composite, has_transition)
-  if is_composite and rawget(model, "doo") then
-    add(build.problems, state._fqn .. ".doo", "only a leaf state can have a doo")
-  end
-  if has_transition and not is_composite then
-    add(build.warnings, state._fqn, "a transition inside a leaf state")
+local function check_composite(build, composite)
+  if rawget(composite, "doo") then
+    add(build.problems, composite._fqn .. ".doo", "only a leaf state can have a doo")
   end
 end
 
@@ -569,7 +568,7 @@ do
 
   -- The model behind `value`: an initialised machine stands for what it was made of.
   function model_of(value)
-    return rawget(value, "_initialized") and rawget(value, "_model") or value
+    return value._initialized and value._model or value
   end
 
   -- Takes over a field of a transition other than src, tgt and events.
@@ -585,9 +584,13 @@ do
   end
 
   function clone_transition(build, model, parent, key)
-    local tr = setmetatable({
-      src = model.src, tgt = model.tgt, events = nil, _id = key, _parent = parent,
-    }, Transition)
+    local src, tgt, tr = model.src, model.tgt
+    if model.events == nil then
+      tr = { _id = key, _parent = parent, src = src, tgt = tgt }
+    else -- all at once, so that the table need not grow
+      tr = { _id = key, _parent = parent, src = src, tgt = tgt, events = false }
+    end
+    setmetatable(tr, Transition)
     if type(key) ~= "number" and type(key) ~= "string" then
       tr._id = text_of(key)
       add(build.problems, place_of(tr),
@@ -616,11 +619,10 @@ do
   end
 
   -- Makes the bare node; `clone_members` fills in its members when its turn comes.
-  function clone_node(build, value, parent, key)
-    local model = model_of(value)
-    local kind = kind_of(model)
-    if not is_usual_name(key) then check_name(build, parent, key, kind) end
-    local fqn = parent._fqn .. "." .. (type(key) == "string" and key or text_of(key))
+  function clone_node(build, kind, value, parent, key)
+    local model, is_usual = model_of(value), is_usual_name(key)
+    local fqn = parent._fqn .. "." .. (is_usual and key or text_of(key))
+    if not is_usual then check_name(build, parent, key, kind) end
     if is_mounted_above(build, model, parent) then
       return add(build.problems, fqn, "a state cannot contain itself")
     end
@@ -666,28 +668,34 @@ do
     local from_instance = rawget(model, "_fqn") ~= nil
     local has_transition, is_composite = false, false
     for key, value in pairs(model) do -- any order: what depends on it is sorted later
-      local kind = type(value) == "table" and KIND[getmetatable(value)]
+      local value_type = type(value)
+      local kind = value_type == "table" and KIND[getmetatable(value)]
       if from_instance and is_meta(key) then kind = false end
-      if type(value) == "function" and RESERVED[key] == "state" then
+      if value_type == "function" and RESERVED[key] == "state" then
         state[key] = value
       elseif kind == "transition" then
         state[key], has_transition = clone_transition(build, value, state, key), true
       elseif kind then
-        state[key], is_composite = clone_node(build, value, state, key), true
+        state[key], is_composite = clone_node(build, kind, value, state, key), true
       else
         clone_datum(build, state, model, key, value)
       end
     end
-    if is_composite then state._is_leaf = false end
-    check_members(build, state, model, is_composite, has_transition)
+    if is_composite then
+      state._is_leaf = false
+      check_composite(build, state)
+    elseif has_transition then
+      add(build.warnings, state._fqn, "a transition inside a leaf state")
+    end
   end
 
   -- Clones what hangs below the nodes from `first` on; the list grows as it is walked.
   function clone_below(build, first)
-    local i = first
-    while build.nodes[i] do
-      local clone = is_conn(build.nodes[i]) and clone_connector or clone_members
-      clone(build, build.nodes[i], build.models[i])
+    local nodes, models, i = build.nodes, build.models, first
+    while nodes[i] do
+      local clone = KIND[getmetatable(nodes[i])] == "state" and clone_members
+        or clone_connector
+      clone(build, nodes[i], models[i])
       i = i + 1
     end
   end
@@ -813,8 +821,8 @@ do
   -- the name of a sibling.
   function resolve_end(build, tr, field)
     local ref = tr[field]
-    local sibling = type(ref) == "string" and rawget(tr._parent, ref)
-    if is_node(sibling) and not is_meta(ref) then return sibling end
+    local sibling = tr._parent[ref]
+    if is_node(sibling) and sibling._id == ref then return sibling end
     local node, reason = find_end(build, tr, field)
     if not node then add(build.problems, place_of(tr), reason) end
     return node
@@ -823,7 +831,7 @@ end
 
 -- The node where a transition to `node` ends: a composite is entered at its `initial`.
 local function find_entrance(build, tr, node)
-  if not is_state(node) or node._is_leaf then return node end
+  if is_conn(node) then return node end
   local initial = rawget(node, "initial")
   if is_conn(initial) then return initial end
   if node ~= build.fsm then -- of the root that is a problem of its own
@@ -847,7 +855,6 @@ end
 
 local function expand_e_done(build, tr)
   local events, src = tr.events, tr.src
-  if type(events) ~= "table" then return end
   for i = 1, #events do
     if events[i] == "e_done" then
       events[i] = "e_done@" .. src._fqn
@@ -861,10 +868,10 @@ end
 
 local function resolve_transition(build, tr)
   local src, tgt = resolve_end(build, tr, "src"), resolve_end(build, tr, "tgt")
-  tgt = tgt and find_entrance(build, tr, tgt)
+  if tgt and not tgt._is_leaf then tgt = find_entrance(build, tr, tgt) end
   if not (src and tgt) then return end
   tr.src, tr.tgt = src, tgt
-  expand_e_done(build, tr)
+  if build.completions[tr] then expand_e_done(build, tr) end
 end
 
 local function resolve(build)
@@ -2242,8 +2249,8 @@ end
 
 local function new_build(fsm)
   return {
-    fsm = fsm, problems = {}, warnings = {}, created = {}, transitions = {}, nodes = {},
-    models = {}, mounts = {}, earlier = {}, copies = {},
+    fsm = fsm, problems = {}, warnings = {}, created = {}, transitions = {},
+    completions = {}, nodes = {}, models = {}, mounts = {}, earlier = {}, copies = {},
   }
 end
 
@@ -2779,7 +2786,8 @@ do
     if parent._is_leaf and parent.doo then
       add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
     end
-    parent[id], parent._is_leaf = clone_node(build, obj, parent, id), false
+    parent[id] = clone_node(build, kind_of(obj), obj, parent, id)
+    parent._is_leaf = false
     clone_below(build, 1)
     return parent[id], id
   end

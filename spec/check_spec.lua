@@ -112,6 +112,17 @@ describe("a reference", function()
   end)
 end)
 
+describe("an e_done", function()
+  it("of a transition that leads nowhere is not looked at", function()
+    local a = state {}
+    assert.same({ false, { "root.trans[2]: tgt 'b': no state or connector is named 'b' "
+      .. "in 'root' (there are 'a', 'initial')" }, {} }, { rfsm.verify_early(state {
+        a = a, trans { src = "initial", tgt = "a" },
+        trans { src = a, tgt = "b", events = { "e", "e_done" } },
+      }) })
+  end)
+end)
+
 describe("a node", function()
   it("called initial is a connector", function()
     assert.same({ "root.m.initial: connector expected, got state" },
