@@ -19,7 +19,7 @@ local type = type
 local floor, huge, min = math.floor, math.huge, math.min
 local find = string.find
 local concat, sort = table.concat, table.sort
-local create, resume = coroutine.create, coroutine.resume
+local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 
 local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
@@ -1270,14 +1270,15 @@ local function trace_checking(fsm, tr)
 end
 
 -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
-local function is_enabled(fsm, tr, events)
+-- `depth` counts the connectors on the way to it, if there are any.
+local function is_enabled(fsm, tr, events, depth)
   if fsm._is_traced then trace_checking(fsm, tr) end
   local guard = tr.guard
   if guard then
     local ok, answer = pcall(guard, tr, events)
     if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
   end
-  return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events)
+  return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events, depth)
 end
 
 local function warn_of_conflict(fsm, connector, ways)
@@ -1287,12 +1288,13 @@ end
 
 -- Chooses the way out of a connector: the first of `otrs` that is enabled. Further ones
 -- of the same priority are asked only to warn of a conflict.
-local function choose_way(fsm, connector, otrs, events)
+local function choose_way(fsm, connector, otrs, events, depth)
   local way, conflict = false, nil
   for i = 1, #otrs do
     local tr = otrs[i]
     if way and tr._pn ~= way._pn then break end
-    if (tr._is_open_to_all or matches(tr, events)) and is_enabled(fsm, tr, events) then
+    if (tr._is_open_to_all or matches(tr, events))
+      and is_enabled(fsm, tr, events, depth) then
       if way then
         conflict = conflict or { way }
         conflict[#conflict + 1] = tr
@@ -1304,15 +1306,30 @@ local function choose_way(fsm, connector, otrs, events)
   return way
 end
 
+-- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
+local MAX_DEPTH = 500
+
+-- The same on a stack of its own. A guard that yields there does not enable.
+local function choose_way_aside(fsm, connector, otrs, events)
+  local co = create(choose_way)
+  local ok, way = resume(co, fsm, connector, otrs, events, 1)
+  if not ok then error(way, 0) end
+  return status(co) == "dead" and way
+end
+
 -- Returns the way out of a connector, or false; it is chosen once a search. While it is
 -- being evaluated it counts as closed, so that cycles end.
-function evaluate_connector(fsm, connector, events)
+function evaluate_connector(fsm, connector, events, depth)
   if connector._search == fsm._search then return connector._way end
   connector._search, connector._way = fsm._search, false
   local otrs = connector._otrs
   if otrs then
     if not connector._by_event then compile_node(fsm, connector) end
-    connector._way = choose_way(fsm, connector, otrs, events)
+    if not depth or depth < MAX_DEPTH then
+      connector._way = choose_way(fsm, connector, otrs, events, (depth or 0) + 1)
+    else
+      connector._way = choose_way_aside(fsm, connector, otrs, events)
+    end
   end
   return connector._way
 end

@@ -23,6 +23,16 @@ describe("a machine", function()
     assert.equal("exit root" .. (".s"):rep(200), trace[1])
   end)
 
+  it("nests 3,000 levels deep, with a path from connector to connector", function()
+    local fsm = helper.init(nested(3000))
+    rfsm.run(fsm)
+    assert.equal(3001, #rfsm.get_active_conf(fsm))
+    assert.equal(3000, #rfsm.node_find_enabled(fsm, fsm.initial, { "e" }))
+    rfsm.reset(fsm)
+    fsm.initial._parent.s[1].guard = function() return false end
+    assert.is_false(rfsm.node_find_enabled(fsm, fsm.initial, { "e" }))
+  end)
+
   it("runs 10^6 doo cycles in one call without growing", function()
     local left = 1e6
     local fsm = helper.init(state {
