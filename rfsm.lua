@@ -1617,6 +1617,7 @@ local function recover(fsm, tr, failure)
   local at = fsm._at
   if not at then
     keep_failure(fsm, failure)
+    if not tr._entries then compile_path(tr) end
     return innermost_in(tr._lca), 0
   elseif at == tr then
     report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
