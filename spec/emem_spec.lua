@@ -29,6 +29,11 @@ local function started(model)
 end
 
 describe("emem", function()
+  it("is there in each machine initialised after the module was loaded", function()
+    assert.same({}, helper.init(state { emem = nil }).emem)
+    assert.same({}, helper.init(chart()).c.b.emem)
+  end)
+
   it("counts the events while a state is active", function()
     local fsm = started()
     helper.post_and_run(fsm, "e_x", "e_x", "e_y")

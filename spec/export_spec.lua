@@ -69,6 +69,20 @@ describe("actinfo2tab", function()
   end)
 end)
 
+describe("what wants an initialised fsm", function()
+  it("raises for anything else, and blames the caller", function()
+    for name, f in pairs({ -- any order: each stands alone
+      ["rfsm_marsh.actinfo2tab"] = marsh.actinfo2tab,
+      ["rfsm_marsh.jsontab"] = marsh.jsontab, ["rfsm2json.encode"] = rfsm2json.encode,
+    }) do
+      local ok, problem = pcall(function() return (f(state {})) end)
+      assert.is_false(ok)
+      assert.matches("export_spec.lua:%d+: " .. name .. ": initialised fsm expected",
+        problem)
+    end
+  end)
+end)
+
 describe("rfsm2json", function()
   it("gives the graph and what is active", function()
     local fsm = machine()
@@ -154,6 +168,16 @@ state "root" as root {
 }
 @enduml
 ]], rfsm2plantuml.encode(machine(), "T"))
+  end)
+
+  it("points at a connector that a transition goes to from outside", function()
+    local fsm = helper.init(state {
+      out = state {}, m = state { k = conn {}, x = state {},
+        trans { src = "initial", tgt = "x" }, trans { src = "k", tgt = "x" } },
+      trans { src = "initial", tgt = "out" },
+      trans { src = "out", tgt = ".m.k", events = { "e" } },
+    })
+    assert.matches("\n  root_out %-%-> root_m_k : e\n", rfsm2plantuml.encode(fsm))
   end)
 
   it("saves to a file", function()

@@ -32,6 +32,81 @@ local function machine()
   })
 end
 
+-- Stands in for the package ansicolors: what it would write, as <green bright>.
+local false_colours = {
+  noReset = function(text) return (text:gsub("%%{(.-)}", "<%1>")) end,
+}
+
+-- Runs f(rfsmpp) with an rfsmpp that has been loaded in other surroundings: with
+-- `colours` as the package ansicolors, on a terminal or not, with these variables.
+local function in_surroundings(colours, is_terminal, variables, f)
+  local loaded, getenv, global = package.loaded, os.getenv, rawget(_G, "rfsmpp")
+  local real, unistd = loaded.ansicolors, loaded["posix.unistd"]
+  local function restore()
+    loaded.ansicolors, loaded["posix.unistd"] = real, unistd
+    package.preload.ansicolors = nil
+    rawset(os, "getenv", getenv)
+    rawset(_G, "rfsmpp", global)
+  end
+  loaded.ansicolors = colours or nil
+  package.preload.ansicolors = function() error("not installed") end
+  loaded["posix.unistd"] = { isatty = function() return is_terminal and 1 or 0 end }
+  rawset(os, "getenv", function(name) return variables[name] end)
+  local ok, result = pcall(function() return f(dofile("rfsmpp.lua")) end)
+  restore()
+  if not ok then error(result, 0) end
+  return result
+end
+
+local TERMINAL = { TERM = "xterm" }
+
+local function line_of(pp) return pp.dbgcolorize("arm", "DOO", "root.a") end
+
+local PLAIN = "arm:\tDOO                  root.a"
+
+describe("colour", function()
+  it("is there on a terminal, with the package ansicolors", function()
+    assert.equal("<cyan bright>arm<reset>:\t<blue>DOO                 <reset> root.a",
+      in_surroundings(false_colours, true, TERMINAL, line_of))
+  end)
+
+  it("is missing without the package", function()
+    assert.equal(PLAIN, in_surroundings(nil, true, TERMINAL, line_of))
+  end)
+
+  it("is missing where the output is no terminal", function()
+    assert.equal(PLAIN, in_surroundings(false_colours, false, TERMINAL, line_of))
+  end)
+
+  it("is missing when NO_COLOR is set", function()
+    assert.equal(PLAIN, in_surroundings(false_colours, true,
+      { TERM = "xterm", NO_COLOR = "1" }, line_of))
+  end)
+
+  it("is missing on a terminal that has none", function()
+    local dumb = { TERM = "dumb" }
+    assert.equal(PLAIN, in_surroundings(false_colours, true, dumb, line_of))
+  end)
+
+  it("is there for a print function, whatever the output", function()
+    local plain = { NO_COLOR = "1" }
+    local colours = in_surroundings(false_colours, false, plain, function(pp)
+      local line
+      pp.gen_dbgcolor("arm", nil, nil, function(text) line = text end)("ERROR")
+      return line
+    end)
+    assert.equal("<cyan bright>arm<reset>:\t<red bright>ERROR               <reset>",
+      colours)
+  end)
+end)
+
+describe("dbgcolor", function()
+  it("prints the line that dbgcolorize makes", function()
+    local lines = helper.printed(function() rfsmpp.dbgcolor("arm", "DOO", "root.a") end)
+    assert.same({ rfsmpp.dbgcolorize("arm", "DOO", "root.a") }, lines)
+  end)
+end)
+
 describe("gen_dbgcolor", function()
   it("prints the name, the id in its colour and the arguments", function()
     local expected = {
@@ -55,6 +130,11 @@ describe("gen_dbgcolor", function()
 
   it("prints what ids names, and nothing else when defshow is false", function()
     assert.equal(1, #printed({ DOO = true }, false, "DOO", "EFFECT"))
+  end)
+
+  it("prints what ids does not mention when defshow is true", function()
+    assert.equal(2, #printed({ DOO = true }, true, "DOO", "EFFECT"))
+    assert.equal(1, #printed({ DOO = false }, true, "DOO", "EFFECT"))
   end)
 
   it("prints what ids does not forbid when defshow is absent", function()
@@ -103,6 +183,21 @@ describe("fsm2str", function()
   it("draws the states as a tree, sorted by name", function()
     local tree = rfsmpp.fsm2str(machine()):gsub("\27%[%d+m", "")
     assert.equal("root[CS]\n  a[CS]\n    x[LS]\n  b[LS]", tree)
+  end)
+
+  it("shows what is active, done and inactive by colour", function()
+    local fsm = machine()
+    local function tree()
+      return in_surroundings(false_colours, true, TERMINAL, function(pp)
+        return pp.fsm2str(fsm)
+      end)
+    end
+    rfsm.run(fsm)
+    assert.equal("<green>root<reset>[CS]\n  <green>a<reset>[CS]\n"
+      .. "    <yellow>x<reset>[LS]\n  <red>b<reset>[LS]", tree())
+    helper.post_and_run(fsm, "e")
+    assert.equal("<green>root<reset>[CS]\n  <red>a<reset>[CS]\n"
+      .. "    <red>x<reset>[LS]\n  <green bright>b<reset>[LS]", tree())
   end)
 
   it("draws one line for a state, whatever its name", function()
