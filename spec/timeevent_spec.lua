@@ -354,7 +354,7 @@ describe("a day of timers in milliseconds", function()
     assert.same({ 1020, 20000 }, now)
   end)
 
-  it("fires at each of 86,400,000 ms on time", function()
+  it("fires each of a thousand at its millisecond", function()
     -- 1,000 timers spread over the day, each found at its millisecond and not before
     local model = chart { "e_x" }
     for i = 1, 1000 do
