@@ -1041,7 +1041,6 @@ do
     end
     for i = 1, #several do sort(several[i], tried_before) end
     fsm._events = {}
-    make_ready(fsm)
   end
 end
 
@@ -2247,6 +2246,7 @@ end
 
 -- Sorts texts so that numbers in them count as numbers.
 local function sort_naturally(texts)
+  if texts[2] == nil then return texts end
   local keys = {}
   for i = 1, #texts do keys[texts[i]] = natural(texts[i]) end
   sort(texts, function(a, b) return keys[a] < keys[b] end)
@@ -2275,7 +2275,12 @@ end
 -- The root of a machine with all that a run needs, still without members.
 local function new_machine(model)
   local fsm = setmetatable({
-    _id = "root", _fqn = "root",
+    -- what a state has that is going to be active
+    _id = "root", _fqn = "root", entry = false, exit = false, doo = false,
+    _mode = "inactive", _actchild = false, _doo_co = false, _entry_hooks = false,
+    _exit_hooks = false, _is_leaf = true, _sources = false, _choices = State._choices,
+    _ignored = State._ignored, _done_event = "e_done@root", _by_event = false,
+    _by_any = false,
     -- fields of the model that may be absent
     idle_hook = false,
     -- the run
