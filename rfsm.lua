@@ -990,26 +990,28 @@ do
 
   local RUN_FIELDS = {
     "entry", "exit", "doo", "_mode", "_actchild", "_doo_co", "_entry_hooks",
-    "_exit_hooks", "_is_leaf", "_sources", "_choices", "_ignored", "_by_event",
-    "_by_any",
+    "_exit_hooks", "_is_leaf", "_choices", "_ignored", "_by_event", "_by_any",
+    "_sources", -- the last one: it tells that the others are there
   }
 
   -- Gives a state that is going to be active all that a run reads, false where there is
   -- nothing.
   local function make_ready(state)
     if rawget(state, "_sources") ~= nil then return end
+    state._done_event = state._is_leaf and "e_done@" .. state._fqn
     for i = 1, #RUN_FIELDS do
       local field = RUN_FIELDS[i]
       state[field] = state[field] or false
     end
-    state._done_event = state._is_leaf and "e_done@" .. state._fqn
   end
 
-  -- Lists what `tr` enters, when it is first taken.
+  -- Lists what `tr` enters, when it is first taken; `_entries` tells that it is done.
   function compile_path(tr)
-    tr._lca = find_lca(tr.src, tr.tgt)
-    tr._entries = entries_of(tr._lca, tr.tgt)
-    for i = 1, #tr._entries do make_ready(tr._entries[i]) end
+    local lca = find_lca(tr.src, tr.tgt)
+    local entries = entries_of(lca, tr.tgt)
+    for i = 1, #entries do make_ready(entries[i]) end
+    tr._lca = lca
+    tr._entries = entries
   end
 
   -- Undoes all of this: the structure has changed.
