@@ -1,4 +1,5 @@
 local helper = require "spec.helper"
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -12,7 +13,27 @@ local function nested(levels)
   return model
 end
 
+-- A ring of `size` leaves.
+local function ring(size)
+  local model = state { trans { src = "initial", tgt = "s1" } }
+  local function program() end
+  for i = 1, size do
+    model["s" .. i] = state { entry = program, exit = program }
+    model[i + 1] = trans {
+      src = "s" .. i, tgt = "s" .. i % size + 1, events = { "e_" .. i },
+    }
+  end
+  return model
+end
+
 describe("a machine", function()
+  it("keeps less than 2.5 times the memory of its model", function()
+    local model = ring(1000)
+    local ours = measure.bytes_kept(function() return helper.init(model) end, 2)
+    local copy = measure.bytes_kept(function() return ring(1000) end, 2)
+    assert.is_true(ours / copy < 2.5, ("%.2f times"):format(ours / copy))
+  end)
+
   it("nests 200 levels deep", function()
     local trace, fsm = helper.traced(nested(200))
     rfsm.run(fsm)
