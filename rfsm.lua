@@ -1054,15 +1054,16 @@ end
 -- of states and transitions go to `err`, those of printers, hooks and getevents are
 -- kept and raised when the iteration is over.
 --
--- What makes it fast: flags stand for all that is rarely there, so that a step
--- asks for each once and not for every hook and printer.
+-- What makes it fast: flags stand for all that is rarely there, so that a step asks for
+-- one of them and not for every hook and printer.
 --
 --   _is_traced     dbg is on: transitions run in full detail
---   _is_hooked     there is a getevents, a pre or a post step hook
+--   _is_fed        there is a getevents
+--   _is_hooked     there is a pre or a post step hook
 --   _is_plain      none of these
 --   _is_unsettled  the iteration has more to do at its end: see `settle`
 --
--- The fields behind the first two are absent from the machine while they are off (the
+-- The fields behind the first three are absent from the machine while they are off (the
 -- class has what they read as then), so that setting one of them passes through
 -- Machine.__newindex. They may be set too long, never too short.
 
@@ -1072,7 +1073,7 @@ local function no_events() end
 
 -- What the fields of a machine are while they are off, and the flag to set with them.
 local FLAG_OF = {
-  dbg = "_is_traced", getevents = "_is_hooked", pre_step_hook = "_is_hooked",
+  dbg = "_is_traced", getevents = "_is_fed", pre_step_hook = "_is_hooked",
   post_step_hook = "_is_hooked",
 }
 Machine.dbg, Machine.getevents = silent, no_events
@@ -1080,6 +1081,15 @@ Machine.pre_step_hook, Machine.post_step_hook = false, false
 
 local function set_flag(fsm, flag)
   fsm[flag], fsm._is_plain, fsm._is_unsettled = true, false, true
+end
+
+-- Nothing stands behind the flag any more.
+local function clear_flag(fsm, flag)
+  for field, its_flag in pairs(FLAG_OF) do -- any order: each stands alone
+    if its_flag == flag then rawset(fsm, field, nil) end
+  end
+  fsm[flag] = false
+  fsm._is_plain = not (fsm._is_traced or fsm._is_fed or fsm._is_hooked)
 end
 
 function Machine.__newindex(fsm, key, value)
@@ -1224,9 +1234,7 @@ end
 
 -- Has dbg been switched off? Then its flag goes, too.
 local function check_traced(fsm)
-  if fsm.dbg and fsm.dbg ~= silent then return end
-  rawset(fsm, "dbg", nil)
-  fsm._is_traced, fsm._is_plain = false, not fsm._is_hooked
+  if not fsm.dbg or fsm.dbg == silent then clear_flag(fsm, "_is_traced") end
 end
 
 -- Choose: which transition do the events enable? .................................
@@ -2059,7 +2067,7 @@ end
 
 -- The first iteration: nil when there is no way in, else true: it counts.
 local function iterate_first(fsm, events)
-  if fsm._is_hooked then collect(fsm, events) end
+  if fsm._is_fed then collect(fsm, events) end
   local collected = copy_list(events)
   if fsm._is_hooked then run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events) end
   if not enter_machine(fsm, events) then return refuse_entry(fsm, collected, events) end
@@ -2067,29 +2075,26 @@ local function iterate_first(fsm, events)
   return true, false
 end
 
--- Has a step hook or getevents gone that set the flag? Then it goes, too.
-local function check_hooked(fsm)
-  if fsm._pre_hooks ~= OWN_ONLY or fsm._post_hooks ~= OWN_ONLY or fsm.pre_step_hook
-    or fsm.post_step_hook or fsm.getevents and fsm.getevents ~= no_events then
-    return
-  end
-  rawset(fsm, "getevents", nil)
-  rawset(fsm, "pre_step_hook", nil)
-  rawset(fsm, "post_step_hook", nil)
-  fsm._is_hooked, fsm._is_plain = false, not fsm._is_traced
-end
-
--- Collects what getevents returns, and lets the pre step hooks change the events.
+-- Collects what getevents returns, and lets the pre step hooks change the events. A
+-- flag behind which nothing is left goes.
 local function gather(fsm, events)
-  collect(fsm, events)
+  if fsm._is_fed then
+    collect(fsm, events)
+    local getevents = fsm.getevents
+    if not getevents or getevents == no_events then clear_flag(fsm, "_is_fed") end
+  end
+  if not fsm._is_hooked then return end
   run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
-  check_hooked(fsm)
+  if fsm._pre_hooks == OWN_ONLY and fsm._post_hooks == OWN_ONLY
+    and not fsm.pre_step_hook and not fsm.post_step_hook then
+    clear_flag(fsm, "_is_hooked")
+  end
 end
 
 -- An iteration without a transition: a doo cycle. Returns whether it is idle.
 local function iterate_idly(fsm, leaf, is_eventless)
   local idle = run_doo(fsm, leaf)
-  if idle and is_eventless and fsm._is_hooked then poll(fsm) end
+  if idle and is_eventless and fsm._is_fed then poll(fsm) end
   return idle
 end
 
@@ -2115,7 +2120,7 @@ local function iterate_doo(fsm, leaf)
   fsm._curq = events
   local idle = run_doo(fsm, leaf)
   if fsm._is_unsettled then
-    if idle and fsm._is_hooked then poll(fsm) end
+    if idle and fsm._is_fed then poll(fsm) end
     settle(fsm, events)
   else
     fsm._spare = events
@@ -2131,7 +2136,7 @@ local function iterate_fully(fsm, after_free)
   local leaf, events = fsm._act_leaf, fsm._intq
   fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
   if not leaf then return iterate_first(fsm, events) end
-  if fsm._is_hooked then gather(fsm, events) end
+  if fsm._is_fed or fsm._is_hooked then gather(fsm, events) end
   local tr = choose(fsm, leaf, events)
   if not tr then return iterate_free(fsm, leaf, events, after_free) end
   take(fsm, tr, leaf, events)
@@ -2287,7 +2292,8 @@ local function new_machine(model)
     idle_hook = false,
     -- the run
     _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _spare = {},
-    _is_traced = false, _is_hooked = false, _is_plain = true, _is_unsettled = false,
+    _is_traced = false, _is_fed = false, _is_hooked = false, _is_plain = true,
+    _is_unsettled = false,
     _is_kept = false,
     _reset_wanted = false, _has_failure = false, _at = false, _segment = 0,
     _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
