@@ -2653,23 +2653,43 @@ function rfsm.map_from_to(fsm, f, from, to)
   for i = 1, #line do f(fsm, line[is_reversed and #line + 1 - i or i]) end
 end
 
---- Find the path that events would enable from one node, for tools; nothing is taken.
----@param fsm rfsm.Machine
----@param node rfsm.State|rfsm.Connector
----@param events any[]
----@return rfsm.Transition[]|false path its segments in order
-function rfsm.node_find_enabled(fsm, node, events)
-  check_machine(fsm, "node_find_enabled")
-  if not is_node(node) or rawget(node, "_fqn") == nil then
-    error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
+do
+  -- A guard or effect may ask what events would enable while a search or a path goes
+  -- on: takes away what that has noted in the machine, and begins a search.
+  local function set_search_aside(fsm)
+    local notes = { search = fsm._search, lists = fsm._lists, ways = {} }
+    for _, node in ipairs(fsm._nodes) do
+      if is_conn(node) then notes.ways[node] = { node._search, node._way } end
+    end
+    fsm._search, fsm._lists = fsm._search + 1, {}
+    return notes
   end
-  fsm._search = fsm._search + 1
-  local tr = find_from_node(fsm, node, events)
-  if fsm._spare then raise_failure(fsm) end
-  if not tr then return false end
-  local path = {}
-  note_path(path, tr)
-  return path
+
+  local function restore_search(fsm, notes)
+    fsm._search, fsm._lists = notes.search, notes.lists
+    for connector, noted in pairs(notes.ways) do -- any order: each stands alone
+      connector._search, connector._way = noted[1], noted[2]
+    end
+  end
+
+  --- Find the path that events would enable from one node, for tools; nothing is taken.
+  ---@param fsm rfsm.Machine
+  ---@param node rfsm.State|rfsm.Connector
+  ---@param events any[]
+  ---@return rfsm.Transition[]|false path its segments in order
+  function rfsm.node_find_enabled(fsm, node, events)
+    check_machine(fsm, "node_find_enabled")
+    if not is_node(node) or rawget(node, "_fqn") == nil then
+      error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
+    end
+    local notes = set_search_aside(fsm)
+    local tr = find_from_node(fsm, node, events)
+    local path = tr and {} or false
+    if tr then note_path(path, tr) end
+    restore_search(fsm, notes)
+    if fsm._spare then raise_failure(fsm) end
+    return path
+  end
 end
 
 --- Exit a state and the active states below it, the innermost first.
@@ -2786,6 +2806,12 @@ end
 -- Merge: a new element of a live machine --------------------------------------
 
 do
+  -- Is a leaf being left, or not entered yet? It may be any that is to be entered.
+  local function is_in_transition(fsm)
+    local leaf = fsm._act_leaf
+    return not fsm._spare and (not leaf or leaf._mode == "inactive")
+  end
+
   -- Why `obj` cannot become a member of `parent`; nil when it can.
   local function merge_obstacle(fsm, parent, obj, id)
     if not is_state(parent) or root_of(parent) ~= fsm then
@@ -2799,8 +2825,11 @@ do
     if id ~= nil and rawget(parent, id) ~= nil then
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
     end
-    if kind ~= "transition" and parent._is_leaf and parent._mode ~= "inactive" then
+    if kind == "transition" or not parent._is_leaf then return nil end
+    if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
+    elseif is_in_transition(fsm) then
+      return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
     end
   end
 

@@ -252,9 +252,57 @@ describe("node_find_enabled", function()
     assert.same({ "exit root.a", "effect root.k->root.b", "entry root.b" }, trace)
   end)
 
+  -- initial -> a --e_go--> k --> k1 --e_go--> b, and a guarded way k --> a
+  it("leaves the search alone that a guard asks from", function()
+    local is_asking = false
+    local trace, fsm = helper.traced(state {
+      a = state {}, k = conn {}, k1 = conn {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "k", events = { "e_go" } },
+      trans { src = "k", tgt = "k1" },
+      trans { src = "k", tgt = "a" },
+      trans { src = "k1", tgt = "b", events = { "e_go" } },
+    })
+    rfsm.run(fsm)
+    fsm[4].guard = function()
+      if not is_asking then
+        is_asking = true
+        rfsm.node_find_enabled(fsm, fsm.k, { "e_other" })
+      end
+      return false
+    end
+    helper.clear(trace)
+    helper.post_and_run(fsm, "e_go")
+    assert.equal("entry root.b", trace[#trace])
+  end)
+
   it("wants a node of a machine", function()
     local fsm = started()
     assert.error_matches(function() rfsm.node_find_enabled(fsm, state {}, {}) end,
       "rfsm.node_find_enabled: node of the fsm expected, got state", 1, true)
+  end)
+end)
+
+describe("fsm_merge from inside", function()
+  it("gives a leaf no children while a transition may enter it", function()
+    local fsm, reason = started()
+    fsm[2].effect = function(machine)
+      reason = select(2, rfsm.fsm_merge(machine, machine.b, state {}, "x"))
+    end
+    helper.post_and_run(fsm, "e")
+    assert.equal("rfsm.fsm_merge: 'root.b' is a leaf state, while a transition is "
+      .. "taken", reason)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("gives a leaf children from a guard", function()
+    local fsm, is_merged = started()
+    fsm[2].guard = function()
+      is_merged = rfsm.fsm_merge(fsm, fsm.b, rfsm.conn {}, "initial")
+      return false
+    end
+    helper.post_and_run(fsm, "e")
+    assert.is_true(is_merged)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
 end)
