@@ -4,7 +4,8 @@
 -- by a hand-written table, each through pcall, with no queue, hierarchy or hooks.
 -- Printed is the share of the limit's rate that the core reaches: median of the rounds,
 -- lowest and highest. The last column is the garbage of an event; of W6, how many times
--- the memory of the limit is kept.
+-- the memory of the limit is kept. Several workloads run in a process each: what LuaJIT
+-- compiled for one would change the next.
 
 package.path = "./?.lua;" .. package.path
 
@@ -41,14 +42,32 @@ local function memory_of(workload, subject, limit)
   return ("%.2f copies"):format(bytes / measure.bytes_kept(limit, 4))
 end
 
-local selected = measure.select(workloads, arg)
-print(("%s, %s, %d rounds"):format(rfsm._VERSION, measure.engine(), ROUNDS))
-print("workload   share of the limit (low .. high)      us/event        memory")
-for _, workload in ipairs(selected) do
+local function row_of(workload)
   local subject, limit = workload.make(rfsm)
   local shares, rates = compare(subject, limit)
   local middle = math.ceil(ROUNDS / 2)
-  print(("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
+  return ("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
     shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,
-    1e6 / rates[middle], memory_of(workload, subject, limit)))
+    1e6 / rates[middle], memory_of(workload, subject, limit))
+end
+
+-- Returns the row that this script prints for one workload in a process of its own.
+local function row_from_process(workload)
+  local lua = 0
+  while arg[lua - 1] do lua = lua - 1 end
+  local pipe = assert(io.popen(("%s %s '%s' 2>&1"):format(arg[lua], arg[0],
+    workload.name)))
+  local row = ""
+  for line in pipe:lines() do row = line end
+  pipe:close()
+  return row
+end
+
+local selected = measure.select(workloads, arg)
+local row = selected[2] and row_from_process or row_of
+print(("%s, %s, %d rounds"):format(rfsm._VERSION, measure.engine(), ROUNDS))
+print("workload   share of the limit (low .. high)      us/event        memory")
+for _, workload in ipairs(selected) do
+  print(row(workload))
+  io.stdout:flush()
 end
