@@ -1383,15 +1383,16 @@ local function is_candidate_enabled(fsm, tr, events)
     and is_enabled(fsm, tr, events)
 end
 
--- Returns the first enabled transition of a candidate list.
-local function find_in_list(fsm, list, events)
-  for i = 1, #list do
-    local tr = list[i]
-    if (not tr._has_predicate or matches_predicate(tr, events))
-      and is_enabled(fsm, tr, events) then
-      return tr
-    end
+-- Returns the first enabled transition of a candidate list, from number `i` on. It
+-- calls itself where a loop would keep LuaJIT from making one trace of a step.
+local function find_in_list(fsm, list, events, i)
+  local tr = list[i]
+  if not tr then return nil end
+  if (not tr._has_predicate or matches_predicate(tr, events))
+    and is_enabled(fsm, tr, events) then
+    return tr
   end
+  return find_in_list(fsm, list, events, i + 1)
 end
 
 -- Returns the first transition from `node` that is enabled, or nil; events may lead to
@@ -1400,7 +1401,7 @@ local function find_from_node(fsm, node, events)
   if not node._otrs then return nil end
   if not node._by_event then compile_node(fsm, node) end
   local count = find_lists(fsm, node, events)
-  if count == 1 then return find_in_list(fsm, fsm._lists[1], events) end
+  if count == 1 then return find_in_list(fsm, fsm._lists[1], events, 1) end
   local tr = next_candidate(fsm._lists, count, 0)
   while tr do
     if is_candidate_enabled(fsm, tr, events) then return tr end
@@ -1495,7 +1496,7 @@ end
 -- Returns the first candidate that is enabled, or nothing.
 local function choose_from(fsm, choice, events)
   fsm._search = fsm._search + 1
-  if not choice._is_simple then return find_in_list(fsm, choice, events) end
+  if not choice._is_simple then return find_in_list(fsm, choice, events, 1) end
   return is_enabled(fsm, choice, events) and choice
 end
 
@@ -1651,19 +1652,17 @@ local function run_in_detail(fsm, tr, innermost, events)
   run_segment(fsm, tr, events, innermost, 0)
 end
 
--- Runs the segments of fsm._path from number `first` to `last`; the first of them
--- leaves `innermost`. Returns whether an effect may have kept the events table.
-local function run_path(fsm, events, first, last, innermost)
-  local path, is_kept = fsm._path, false
-  for i = first, last do
-    local tr = path[i]
-    fsm._segment, fsm._at = i, false
-    local run = fsm._is_traced and run_in_detail or tr._run
-    local effect = run(fsm, tr, innermost or tr.src._parent, events)
-    is_kept = is_kept or effect and may_keep[effect]
-    innermost = nil
-  end
-  return is_kept
+-- Runs the segments of fsm._path from number `i` to `last`; the first of them leaves
+-- `innermost`. Returns whether an effect may have kept the events table. Like
+-- `find_in_list` it calls itself, for LuaJIT.
+local function run_path(fsm, events, i, last, innermost, is_kept)
+  if i > last then return is_kept end
+  local tr = fsm._path[i]
+  fsm._segment, fsm._at = i, false
+  local run = fsm._is_traced and run_in_detail or tr._run
+  local effect = run(fsm, tr, innermost or tr.src._parent, events)
+  is_kept = is_kept or effect and may_keep[effect]
+  return run_path(fsm, events, i + 1, last, nil, is_kept)
 end
 
 -- Goes on in the segment whose program failed, then with those after it.
@@ -1691,16 +1690,12 @@ local function take_path(fsm, events, last, innermost)
   if is_kept then keep_events(fsm) end
 end
 
--- Notes the segments from `tr` to a leaf in `path`, as the search chose them; returns
--- their number.
-local function note_path(path, tr)
-  local n = 1
-  path[1] = tr
-  while tr._to_connector do
-    tr, n = tr.tgt._way, n + 1
-    path[n] = tr
-  end
-  return n
+-- Notes the segments from `tr` to a leaf in `path`, from place `n` on, as the search
+-- chose them; returns the place of the last.
+local function note_path(path, tr, n)
+  path[n] = tr
+  if not tr._to_connector then return n end
+  return note_path(path, tr.tgt._way, n + 1)
 end
 
 local function trace_path(fsm, n)
@@ -1744,7 +1739,7 @@ local function enter_machine(fsm, events)
   if fsm.dbg ~= silent then trace_search(fsm, events) end
   local tr = find_from_node(fsm, fsm.initial, events)
   if not tr then return false end
-  local n = note_path(fsm._path, tr)
+  local n = note_path(fsm._path, tr, 1)
   trace_path(fsm, n)
   enter_root(fsm)
   take_path(fsm, events, n, nil)
@@ -1759,51 +1754,49 @@ end
 -- returns the effect, which had the events table.
 
 do
-  -- $i counts from 1, $n is $i + 1; s1 is the innermost active state. $t is the state
-  -- to enter, $p its parent: the entry before it or the last state the exits reached.
-  -- What no user's function can see is left out: the lca without a child where an entry
-  -- follows at once.
+  -- `state` is the innermost active state, then one after the other up to the lca. $i
+  -- counts the entries, $t is what to enter, $s the variable for it and $p the one that
+  -- holds its parent. What no user's function can see is left out: the lca without a
+  -- child where an entry follows at once.
   local TEXT = {
-    exit_hooked = [[
-  if s$i._exit_hooks then return run_segment(fsm, tr, events, s$i, 0) end
-]],
-  exit = [[
-  s$i._mode = "inactive"
-  program = s$i.exit
-  if program then
-    fsm._at = s$i
-    program(fsm, s$i, "exit")
-    if fsm._is_traced then return after_exit(fsm, tr, events, s$i) end
-  end
-  local s$n = s$i._parent
-]],
-  child_left = [[
-  s$n._actchild = false
-]],
     head = [[
 local run_segment, enter_down, after_exit, after_effect, after_entry = ...
-return function(fsm, tr, s1, events)
-  local program
+return function(fsm, tr, state, events)
+  local program, inner
 ]],
-  tail = [[
-  return effect
-end
+    exit_hooked = [[
+  if state._exit_hooks then return run_segment(fsm, tr, events, state, 0) end
 ]],
-  entries = [[
-  local entries = tr._entries
+    exit = [[
+  state._mode = "inactive"
+  program = state.exit
+  if program then
+    fsm._at = state
+    program(fsm, state, "exit")
+    if fsm._is_traced then return after_exit(fsm, tr, events, state) end
+  end
 ]],
-  leaf_left = [[
-  s1._doo_co = false
+    leaf_left = [[
+  state._doo_co = false
   fsm._act_leaf = false
+]],
+    go_up = [[
+  state = state._parent
+]],
+    child_left = [[
+  state._actchild = false
 ]],
     effect = [[
   local effect = tr.effect
   if effect then
-    s$n._actchild = false
+    state._actchild = false
     fsm._at = tr
     effect(fsm, tr, "effect", events)
     if fsm._is_traced then return after_effect(fsm, tr) end
   end
+]],
+    entries = [[
+  local entries = tr._entries
 ]],
     entry_hooked = [[
   if $t._entry_hooks then
@@ -1811,51 +1804,54 @@ end
     return effect
   end
 ]],
-  entry = [[
-  local t$i = $t
-  t$i._mode = "active"
-  $p._actchild = t$i
-  program = t$i.entry
+    entry = [[
+  $s = $t
+  $s._mode = "active"
+  $p._actchild = $s
+  program = $s.entry
   if program then
     fsm._at = $i
-    program(fsm, t$i, "entry")
+    program(fsm, $s, "entry")
     if fsm._is_traced then return after_entry(fsm, tr, $i) end
   end
 ]],
     leaf_entered = [[
-  fsm._act_leaf = t$i
-  if not t$i.doo then
+  fsm._act_leaf = $s
+  if not $s.doo then
     local queue = fsm._intq
-    t$i._mode = "done"
-    queue[#queue + 1] = t$i._done_event
+    $s._mode = "done"
+    queue[#queue + 1] = $s._done_event
   end
+]],
+    tail = [[
+  return effect
+end
 ]],
   }
 
   local function write_exits(write, shape)
     for i = 1, shape.exits do
-      if shape.has_hooks then write("exit_hooked", { i = i }) end
-      write("exit", { i = i, n = i + 1 })
+      if shape.has_hooks then write("exit_hooked") end
+      write("exit")
       if i == 1 then write("leaf_left") end
-      if i < shape.exits or shape.entries == 0 then
-        write("child_left", { n = i + 1 })
-      end
+      write("go_up")
+      if i < shape.exits or shape.entries == 0 then write("child_left") end
     end
   end
 
   local function write_entries(write, shape)
     local last = shape.entries
     if last > 1 then write("entries") end
+    local inner, outer = "inner", "state"
     for i = 1, last do
-      local state = last > 1 and "entries[" .. i .. "]" or "tr._entries[1]"
-      local values = {
-        i = i, t = i == last and shape.is_leaf and "tr.tgt" or state,
-        p = i == 1 and "s" .. shape.exits + 1 or "t" .. i - 1,
-      }
+      local is_leaf = i == last and shape.is_leaf
+      local tgt = last > 1 and "entries[" .. i .. "]" or "tr._entries[1]"
+      local values = { i = i, t = is_leaf and "tr.tgt" or tgt, s = inner, p = outer }
       if shape.has_hooks then write("entry_hooked", values) end
       write("entry", values)
+      if is_leaf then write("leaf_entered", values) end
+      inner, outer = outer, inner
     end
-    if shape.is_leaf then write("leaf_entered", { i = last }) end
   end
 
   -- The source for segments of one shape: how many exits and entries, whether they end
@@ -1867,7 +1863,7 @@ end
     end
     write("head")
     write_exits(write, shape)
-    write("effect", { n = shape.exits + 1 })
+    write("effect")
     write_entries(write, shape)
     write("tail")
     return concat(texts)
@@ -1892,7 +1888,7 @@ end
   end
 
   -- How many states a segment may leave and enter to be made straight code.
-  local MAX_STATES = 60
+  local MAX_STATES = 400
 
   local straight = {}
 
@@ -1909,7 +1905,7 @@ end
     local entries, is_leaf, has_hooks = #tr._entries, not tr._to_connector,
       fsm._has_state_hooks
     if exits + entries > MAX_STATES or not loadstring then return run_in_detail end
-    local number = (exits * 100 + entries) * 4 + (is_leaf and 2 or 0)
+    local number = (exits * 1000 + entries) * 4 + (is_leaf and 2 or 0)
       + (has_hooks and 1 or 0)
     return straight[number] or make_straight(number, {
       exits = exits, entries = entries, is_leaf = is_leaf, has_hooks = has_hooks,
@@ -1955,7 +1951,7 @@ end
 -- Takes `tr` from the active leaf.
 local function take(fsm, tr, leaf, events)
   if tr._to_connector or fsm._is_traced then
-    local n = note_path(fsm._path, tr)
+    local n = note_path(fsm._path, tr, 1)
     if fsm._is_traced then trace_path(fsm, n) end
     return take_path(fsm, events, n, leaf)
   end
@@ -2685,7 +2681,7 @@ do
     local notes = set_search_aside(fsm)
     local tr = find_from_node(fsm, node, events)
     local path = tr and {} or false
-    if tr then note_path(path, tr) end
+    if tr then note_path(path, tr, 1) end
     restore_search(fsm, notes)
     if fsm._spare then raise_failure(fsm) end
     return path
