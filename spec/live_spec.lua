@@ -306,3 +306,60 @@ describe("fsm_merge from inside", function()
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
 end)
+
+describe("an events table", function()
+  local kept
+
+  local function keep(events) kept[#kept + 1] = events end
+
+  -- initial -> a --e1--> k --> b --e2--> a, with `effect` everywhere
+  local function started_with(effect)
+    kept = {}
+    local fsm = helper.init(state {
+      err = false, a = state {}, b = state {}, k = conn {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "k", events = "e1" },
+      trans { src = "k", tgt = "b", effect = effect },
+      trans { src = "b", tgt = "a", events = "e2", effect = effect },
+    })
+    rfsm.run(fsm)
+    return fsm
+  end
+
+  local function kept_after_three(fsm)
+    for _, event in ipairs({ "e1", "e2", "e1" }) do
+      rfsm.send_events(fsm, event)
+      rfsm.run(fsm)
+    end
+    return kept
+  end
+
+  local EFFECTS = {
+    { "with four parameters", function(_, _, _, events) keep(events) end },
+    { "with any number", function(...) keep((select(4, ...))) end },
+    { "that is a table", setmetatable({}, {
+      __call = function(_, _, _, _, events) keep(events) end,
+    }) },
+    { "that fails", function(_, _, _, events)
+      keep(events)
+      error("on purpose")
+    end },
+  }
+  for _, effect in ipairs(EFFECTS) do
+    it("that was kept stays what it was: by an effect " .. effect[1], function()
+      assert.same({ { "e1" }, { "e2" }, { "e1" } },
+        kept_after_three(started_with(effect[2])))
+    end)
+  end
+
+  for _, hook in ipairs({ "pre_step_hook", "post_step_hook" }) do
+    it("that was kept stays what it was: by a " .. hook, function()
+      local fsm = started_with(nil)
+      fsm[hook] = function(_, events) if events[1] then keep(events) end end
+      local lists = kept_after_three(fsm)
+      assert.same({ "e1" }, lists[1])
+      assert.same({ "e_done@root.b" }, lists[2])
+      assert.same({ "e2" }, lists[3])
+    end)
+  end
+end)
