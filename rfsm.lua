@@ -1384,7 +1384,8 @@ local function is_candidate_enabled(fsm, tr, events)
 end
 
 -- Returns the first enabled transition of a candidate list, from number `i` on. It
--- calls itself where a loop would keep LuaJIT from making one trace of a step.
+-- calls itself where a loop would keep LuaJIT from making one trace of a step, and asks
+-- what is_candidate_enabled asks without calling it: hot.
 local function find_in_list(fsm, list, events, i)
   local tr = list[i]
   if not tr then return nil end
@@ -1955,6 +1956,7 @@ local function take(fsm, tr, leaf, events)
     if fsm._is_traced then trace_path(fsm, n) end
     return take_path(fsm, events, n, leaf)
   end
+  fsm._at = false
   finish_take(fsm, tr, events, pcall(tr._run, fsm, tr, leaf, events))
 end
 

@@ -8,7 +8,8 @@ local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
 local INTERRUPT = "interrupted!"
 
--- a.b.c --e_k--> k --> d.e (doo: one cycle, then done) --e_back--> a
+-- a.b.c --e_k--> k --> d.e (doo: one cycle, then done) --e_back--> a,
+-- d --e_straight--> a.b.c
 local function new_machine(programs)
   local function program() return programs and function() end or nil end
   local function busy(fields)
@@ -32,6 +33,7 @@ local function new_machine(programs)
     trans { src = "a.b.c", tgt = "k", events = "e_k", effect = program() },
     trans { src = "k", tgt = "d", guard = program(), effect = program() },
     trans { src = "d", tgt = "a", events = "e_back" },
+    trans { src = "d", tgt = "root.a.b.c", events = "e_straight" },
   }))
 end
 
@@ -69,6 +71,13 @@ end
 
 local function send_and_run(fsm)
   rfsm.send_events(fsm, "e_k")
+  rfsm.run(fsm)
+end
+
+-- The way back is one segment: it is taken without a path.
+local function send_and_go_back(fsm)
+  send_and_run(fsm)
+  rfsm.send_events(fsm, "e_straight")
   rfsm.run(fsm)
 end
 
@@ -111,6 +120,15 @@ describe("an interrupt of run", function()
     it("leaves the machine whole, on a path over a connector, " .. with, function()
       with_interpreter(function()
         assert.is_true(check_everywhere(programs, send_and_run, rfsm.run) > 100)
+      end)
+    end)
+
+    it("leaves the machine whole where it has a step hook, " .. with, function()
+      with_interpreter(function()
+        assert.is_true(check_everywhere(programs, send_and_go_back, function(fsm)
+          fsm.pre_step_hook = function() end
+          rfsm.run(fsm)
+        end) > 100)
       end)
     end)
 
