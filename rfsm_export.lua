@@ -75,6 +75,7 @@ local function reason(file, failure)
   if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
   text = text:gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
     :gsub("^failed to load chunk: ", ""):gsub("'=stdin'", "stdin")
+  text = text:gsub(":%s*$", "") -- a list followed, such as that of require
   if text:find(name_of(file), 1, true) then return text end
   return name_of(file) .. ": " .. text
 end
@@ -144,9 +145,26 @@ local function append(list, more, prefix)
   for _, text in ipairs(more) do list[#list + 1] = prefix .. text end
 end
 
+-- Returns the finding as `init` has put it, which sees the same of an e_done.
+local function as_init_tells(finding)
+  return (finding:gsub("^(.-): event 'e_done@(.-)' never comes.*",
+    "%1: 'e_done' never fires here, '%2' is no leaf state"))
+end
+
+-- Appends the findings of the static checks but those that `init` has told.
+local function append_untold(list, findings, prefix)
+  local is_told = {}
+  for _, text in ipairs(list) do is_told[text] = true end
+  for _, finding in ipairs(findings) do
+    if not is_told[prefix .. as_init_tells(finding)] then
+      list[#list + 1] = prefix .. finding
+    end
+  end
+end
+
 -- Appends what is dead or suspicious in a machine and in those inside its states.
 local function add_findings(findings, fsm, prefix)
-  append(findings, require("rfsm_checks").check(fsm), prefix)
+  append_untold(findings, require("rfsm_checks").check(fsm), prefix)
   rfsm.mapfsm(function(state)
     if type(state.substates) ~= "table" then return end
     for _, name in ipairs(names_of(state.substates)) do
@@ -250,6 +268,10 @@ local function new_parser(name, text, epilog)
   end
   parser:argument("files", "Lua files that return a chart; - is stdin"):args("+")
     :argname("FILE")
+  parser:flag("-v --version", "print the version and end"):action(function()
+    print(name .. " " .. rfsm._VERSION:match("%S+$"))
+    os.exit(0)
+  end)
   return parser
 end
 
@@ -337,7 +359,8 @@ end
 function rfsm_export.viz(argv)
   local name = "rfsm-viz"
   local parser = new_parser(name, "Draw charts.", "Pictures are laid out by Graphviz.")
-  parser:option("-T --format", "what to write; told by the name of the output, or dot")
+  parser:option("-T --format", concat(FORMATS, ", ")
+    .. "; without it the name of the output tells, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
   parser:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
   local options = parser:parse(argv)
@@ -370,6 +393,8 @@ local function check_readable(name, files)
     if file ~= "-" then
       local handle, problem = io.open(file)
       if not handle then fail(name, problem, 2) end
+      local text, why = handle:read(1) -- a directory opens, too
+      if not text and why then fail(name, file .. ": " .. why, 2) end
       handle:close()
     end
   end

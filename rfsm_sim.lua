@@ -86,6 +86,7 @@ end
 ---@field name string of the chart, for trace records
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field env table what typed code sees: the commands, then the globals
+---@field is_over boolean no more lines, please
 
 local function show_active(sim)
   local leaf = sim.fsm._act_leaf
@@ -128,7 +129,8 @@ end
 local function set_dbg(sim, level)
   if level == nil then level = true end
   if level ~= true and level ~= false and level ~= "full" then
-    error("dbg: false, true or 'full' expected, got " .. text_of(level), 0)
+    local what = type(level) == "string" and "string '%s'" or "%s"
+    error("dbg: false, true or 'full' expected, got " .. what:format(text_of(level)), 0)
   end
   local rfsmpp = find_rfsmpp()
   local gen_dbg = rfsmpp and rfsmpp.gen_dbgcolor or plain_dbg
@@ -174,9 +176,10 @@ showeq()     print the events that wait in the queue
 showfqn()    print the active state and its mode
 add_hook(f)  call f(fsm) after each advance
 help()       print this list
+quit()       end the simulator, as Control-D does
 
 'fsm' is the machine, 'rfsm' the library. Any Lua works: an expression prints its value,
-and what is not complete goes on in the next line. Control-D ends the simulator.]]
+and what is not complete goes on in the next line.]]
 
 -- Returns the commands for `sim`. None returns a value: the prompt would print it.
 local function commands_for(sim)
@@ -202,11 +205,13 @@ local function commands_for(sim)
   function commands.showfqn() show_active(sim) end
   function commands.add_hook(hook) add_hook(sim, hook) end
   function commands.help() print(HELP) end
+  function commands.quit() sim.is_over = true end
   return commands
 end
 
 local function new_session(fsm, file)
-  local sim = { fsm = fsm, name = file:gsub("^.*/", ""):gsub("%.lua$", ""), hooks = {} }
+  local name = file:gsub("^.*/", ""):gsub("%.lua$", "")
+  local sim = { fsm = fsm, name = name, hooks = {}, is_over = false }
   sim.env = setmetatable(commands_for(sim), { __index = _G, __newindex = _G })
   return sim
 end
@@ -335,7 +340,7 @@ end
 -- Reads and evaluates until the end of the input. Control-C drops what is typed.
 local function converse(sim, read)
   local text, problem = "", nil
-  while true do
+  while not sim.is_over do
     local line = read_line(read, text == "" and "> " or ">> ")
     if line == nil then break end
     if line then
@@ -349,9 +354,11 @@ end
 
 -- Public functions ------------------------------------------------------------
 
--- Runs the texts of -e up to the first that fails; returns whether all went well.
+-- Runs the texts of -e up to the first that fails, or quits; returns whether all went
+-- well.
 local function run_code(sim, texts)
   for _, text in ipairs(texts) do
+    if sim.is_over then break end
     local ok, problem = evaluate(sim, text, "=(command line)")
     if not ok then
       complain("rfsm-sim: " .. problem)
@@ -380,7 +387,7 @@ function rfsm_sim.main(options)
   end
   local sim, code = new_session(fsm, options.file), options.code or {}
   if not run_code(sim, code) then return 1 end
-  if code[1] and not options.is_interactive then return 0 end
+  if sim.is_over or code[1] and not options.is_interactive then return 0 end
   if not options.is_quiet then
     print("rFSM simulator v" .. rfsm_sim.VERSION
       .. ", type 'help()' to list available commands")

@@ -142,7 +142,7 @@ describe("a command", function()
   end)
 
   it("dbg says what it expects", function()
-    assert.equal("dbg: false, true or 'full' expected, got fool\n",
+    assert.equal("dbg: false, true or 'full' expected, got string 'fool'\n",
       complaint("dbg('fool')"))
   end)
 
@@ -161,9 +161,15 @@ describe("a command", function()
     assert.equal("add_hook: function expected, got number\n", complaint("add_hook(1)"))
   end)
 
+  it("quit ends the simulator after the line, or after -e", function()
+    assert.equal("1\n2\n", said("print(1)\nquit() print(2)\nprint(3)\n"))
+    local out, complaints, status = sim("-i -e 'quit()' -e 'print(1)' " .. HELLO, "2")
+    assert.same({ INFO, "", 0 }, { out, complaints, status })
+  end)
+
   it("help lists them all", function()
     local out = said("help()")
-    local names = "step run se ses ser dbg pp showeq showfqn add_hook help"
+    local names = "step run se ses ser dbg pp showeq showfqn add_hook help quit"
     for name in names:gmatch("%S+") do
       assert.matches("%f[%w]" .. name .. "%(", out)
     end

@@ -126,6 +126,7 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
       case("error('no bus', 0)", "FILE: no bus")
       case("error()", "FILE: failed without a message")
       case("error({})", "FILE: failed with a table")
+      case("require 'no.such'", "FILE:1: module 'no.such' not found")
       case("error(setmetatable({}, { __tostring = error }))", "FILE: table")
       case("rfsm.preproc[1] = function() error('no', 0) end return rfsm.state {}",
         "FILE: no")
@@ -155,6 +156,10 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
       assert.equal(0, status)
     end)
 
+    it("tells its version", function()
+      assert.equal(tool .. " 1.0.0\n", (run(tool .. " --version")))
+    end)
+
     it("runs by a symbolic link from anywhere", function()
       local link = folder .. "/" .. tool
       os.execute(("ln -sf \"$PWD/tools/%s\" '%s'"):format(tool, link))
@@ -181,6 +186,11 @@ describe("rfsm-viz", function()
     starts("-T svg", "<?xml")
     starts("-T png", "\137PNG\r\n")
     starts("-T pdf", "%PDF-1")
+  end)
+
+  it("lists its formats", function()
+    assert.is_truthy(run("rfsm-viz --help"):gsub("%s+", " "):find("-T FORMAT, "
+      .. "dot, svg, png, pdf, plantuml, mermaid", 1, true))
   end)
 
   it("tells the format by the name of the output", function()
@@ -285,6 +295,19 @@ FILE: warning: root.trans[2]: a transition has no field 'event' (did you mean 'e
 ]]):gsub("FILE", file)), 0)
   end)
 
+  it("tells once that a composite has no e_done", function()
+    local file = write_file("done.lua", [[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        a = rfsm.state { b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "b" } },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_done" } },
+      }
+    ]])
+    checks("'" .. file .. "'", file .. ": warning: root.trans[2]: 'e_done' never fires "
+      .. "here, 'root.a' is no leaf state\n", 0)
+  end)
+
   it("looks into the machines inside a state", function()
     local file = write_file("inside.lua", [[
       local rfsm = require "rfsm"
@@ -309,11 +332,12 @@ FILE: warning: root.par.left: root.trans[2]: a transition has no field 'event' (
   it("fails with status 2 when it cannot read a file", function()
     fails("rfsm-check examples/on_off.lua /nowhere/x.lua",
       "rfsm-check: /nowhere/x.lua: No such file or directory\n", 2)
+    fails("rfsm-check examples", "rfsm-check: examples: Is a directory\n", 2)
   end)
 
   it("tells how to use it, with status 2 when it was not", function()
     refuses("rfsm-check", "Error: missing argument 'files'")
-    refuses("rfsm-check -x y", "Did you mean one of these: '-h' '-q' '-s'?")
+    refuses("rfsm-check -x y", "Did you mean one of these: '-h' '-q' '-s' '-v'?")
     local out, _, status = run("rfsm-check --help")
     assert.matches("Usage: rfsm%-check", out)
     assert.equal(0, status)
