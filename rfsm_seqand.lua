@@ -65,8 +65,9 @@ local function check_order(state, problems)
   for i = 1, #order do
     local name, field = order[i], "order[" .. i .. "]"
     if type(name) ~= "string" or state.substates[name] == nil then
+      local names = concat(sorted_names(state.substates), "', '")
       add(problems, field, "name of a sub machine expected, " .. got(name)
-        .. " (there are '" .. concat(sorted_names(state.substates), "', '") .. "')")
+        .. " (there are " .. (names == "" and "none" or "'" .. names .. "'") .. ")")
     elseif seen[name] then
       add(problems, field, "'" .. name .. "' stands there twice")
     end
@@ -363,12 +364,13 @@ end
 -- Returns the state; nil and what is wrong with the fields.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
-  local state, subs = {}, setmetatable({}, Substates)
-  for key, value in pairs(fields) do -- any order: each stands alone
+  local state, subs, first = {}, setmetatable({}, Substates), nil
+  for key, value in pairs(fields) do -- any order: the least text counts
     local text = obstacle(key, value)
-    if text then return nil, text end
+    if text and (not first or text < first) then first = text end
     if is_state(value) then subs[key] = value else state[key] = value end
   end
+  if first then return nil, first end
   state.substates = subs
   state.seqand_entry, state.seqand_exit = state.entry, state.exit
   state.entry, state.doo, state.exit = enter_all, advance_all, leave_all

@@ -147,6 +147,8 @@ describe("a wrong sequential AND state", function()
     { "entry: cannot be a state", { entry = state {} } },
     { "k: cannot be a connector", { k = rfsm.conn {} } },
     { "a sub machine needs a name (name = ...)", { state {} } },
+    { "a sub machine needs a name (name = ...)", -- the least text
+      { state {}, doo = print, substates = {}, run = state {}, k = rfsm.conn {} } },
   }
   for _, case in ipairs(CASES) do
     it("is refused: " .. case[1], function()
@@ -158,6 +160,12 @@ describe("a wrong sequential AND state", function()
       assert.equal("rfsm.seqand: " .. case[1], message)
     end)
   end
+
+  it("is refused for an order without subs", function()
+    local _, text = pcall(function() return (rfsm.seqand { order = { "up" } }) end)
+    assert.matches(": rfsm%.seqand: order%[1%]: name of a sub machine expected, got "
+      .. "string 'up' %(there are none%)$", text)
+  end)
 
   it("with a sub that is wrong is a problem of the model, with its place", function()
     local broken = state { err = false, warn = false, info = false, a = state {},
