@@ -154,6 +154,38 @@ describe("an example", function()
   end
 end)
 
+-- The anchors of a document, as GitHub makes them of its headings.
+local function anchors(file)
+  local set = {}
+  for heading in ("\n" .. content(file)):gmatch("\n#+ ([^\n]*)") do
+    set[heading:lower():gsub("[^%w%- ]", ""):gsub(" ", "-")] = true
+  end
+  return set
+end
+
+-- Is there what a link in `file` leads to? Pages of the web are believed.
+local function leads_somewhere(file, link)
+  if link:find("^%a+:") then return true end
+  local path, anchor = link:match("^([^#]*)#?(.*)$")
+  local target = path == "" and file or (file:match("^.*/") or "") .. path
+  local handle = io.open(target)
+  if not handle then return false end
+  handle:close()
+  return anchor == "" or anchors(target)[anchor] == true
+end
+
+describe("a link", function()
+  for _, file in ipairs(files("*.md", "doc/*.md")) do
+    it("in " .. file .. " leads somewhere", function()
+      local dead = {}
+      for link in content(file):gmatch("%]%(([^)%s]+)%)") do
+        if not leads_somewhere(file, link) then dead[#dead + 1] = link end
+      end
+      assert.same({}, dead)
+    end)
+  end
+end)
+
 -- Runs a block; returns the lines that it printed.
 local function run_block(env, block, name)
   local lines = {}
