@@ -2,8 +2,8 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# Both install what they miss from Debian's packages when they may (root or sudo), and
-# otherwise say the one line to type.
+# sim, test and doc install what they miss from Debian's packages when they may (root or
+# sudo), and otherwise say the one line to type.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4
@@ -60,11 +60,13 @@ examples:               ## load and initialise every example, with LUA
 	@$(LUA) tools/try-examples.lua $(EXAMPLES)
 
 doc:                    ## HTML pages of the API in out/; warnings are errors
+	@tools/deps.sh doc
 	ldoc --fatalwarnings -q .
 
-deps:                   ## install what sim and test need
+deps:                   ## install what sim, test and doc need
 	@tools/deps.sh sim
 	@tools/deps.sh test
+	@tools/deps.sh doc
 
 install:                ## copy modules and tools below PREFIX, for each Lua
 	@set -e; for d in $(LUADIRS); do \

@@ -3,6 +3,7 @@
 #
 #   tools/deps.sh sim    what the simulator needs
 #   tools/deps.sh test   what the tests need
+#   tools/deps.sh doc    what the pages of the API need
 #   tools/deps.sh lua    prints the name of a Lua to run the tools with
 #
 # What is missing is installed from Debian's packages, when that may be done without
@@ -43,6 +44,11 @@ missing_for_test() {
   command -v dot >/dev/null 2>&1 || echo graphviz
 }
 
+# Prints the package that the pages of the API miss.
+missing_for_doc() {
+  command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
+}
+
 # Prints what to put before a command to run it as root; fails where that needs asking.
 as_root() {
   [ "$(id -u)" = 0 ] && return 0
@@ -72,11 +78,11 @@ install_packages() {
 
 case "${1:-}" in
   lua) any_lua ;;
-  sim | test)
+  sim | test | doc)
     packages=$(missing_for_"$1")
     # One word, one package.
     # shellcheck disable=SC2086
     [ -z "$packages" ] || install_packages $packages
     ;;
-  *) echo "usage: tools/deps.sh sim|test|lua" >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|test|doc|lua" >&2; exit 2 ;;
 esac

@@ -1,7 +1,7 @@
 -- A host: runs examples/timeevent.lua in luv's event loop, and sleeps exactly until the
 -- next timer can fire. Nothing is polled; between two timers the process is idle.
 --
---   lua examples/hosts/luv_host.lua [SECONDS]
+--   lua examples/hosts/luv_host.lua [SECONDS]     from the top of the checkout
 --
 -- A button is pressed once a second; the host ends after SECONDS (3).
 

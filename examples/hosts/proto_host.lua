@@ -1,7 +1,7 @@
 -- A host with a door for watchers: a lamp answers over UDP, and a subscriber, here in
 -- the same process, asks for its graph, follows it and pushes the button.
 --
---   lua examples/hosts/proto_host.lua
+--   lua examples/hosts/proto_host.lua             from the top of the checkout
 --
 -- It ends by itself. A host of yours opens the port and advances its machine; the
 -- subscriber would be another program.

@@ -2,7 +2,9 @@
 -- its port and reads from another what became of them.
 --
 --   rttlua examples/hosts/rtt_host.lua        on a robot
---   lua examples/hosts/rtt_host.lua           anywhere: with the stand-in of the specs
+--   lua examples/hosts/rtt_host.lua           with the stand-in of the specs
+--
+-- Both from the top of the checkout.
 
 package.path = "./?.lua;" .. package.path
 
