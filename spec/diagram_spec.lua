@@ -65,30 +65,17 @@ local function random_machines()
   end
 end
 
-local function write_file(text)
-  local file = os.tmpname()
-  local handle = assert(io.open(file, "wb"))
-  handle:write(text)
-  handle:close()
-  return file
-end
+local content, file_with = helper.content, helper.file_with
 
-local function read_file(file)
-  local handle = assert(io.open(file, "rb"))
-  local text = handle:read("*a")
-  handle:close()
-  os.remove(file)
-  return text
-end
+after_each(helper.remove_files)
 
 -- What Graphviz says to a text on stderr, and the picture.
 local function graphviz(text)
-  local file, log = write_file(text), os.tmpname()
+  local file, log = file_with(text), file_with("")
   local pipe = io.popen("dot -Tsvg '" .. file .. "' 2>'" .. log .. "'")
   local picture = pipe:read("*a")
   pipe:close()
-  os.remove(file)
-  return read_file(log), picture
+  return content(log), picture
 end
 
 describe("gen_event_text", function()
@@ -189,9 +176,9 @@ for _, language in ipairs(LANGUAGES) do
     end)
 
     it("saves to a file", function()
-      local file = os.tmpname()
+      local file = file_with("")
       exporter.save(lamp(), file, "T")
-      assert.equal(exporter.encode(lamp(), "T"), read_file(file))
+      assert.equal(exporter.encode(lamp(), "T"), content(file))
     end)
 
     it("says why it cannot save", function()

@@ -6,6 +6,8 @@ local rfsm2plantuml = require "rfsm2plantuml"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
+after_each(helper.remove_files)
+
 -- initial -> m{ initial -> x -> k } ; m.k -> b, x -e1,e2-> "a b"
 local function machine()
   return helper.init(state {
@@ -181,13 +183,9 @@ state "root" as root {
   end)
 
   it("saves to a file", function()
-    local file = os.tmpname()
+    local file = helper.file_with("")
     rfsm2plantuml.save(machine(), file)
-    local handle = assert(io.open(file))
-    local text = handle:read("*a")
-    handle:close()
-    os.remove(file)
-    assert.equal(rfsm2plantuml.encode(machine()), text)
+    assert.equal(rfsm2plantuml.encode(machine()), helper.content(file))
   end)
 end)
 

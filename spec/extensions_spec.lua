@@ -5,6 +5,8 @@ local rfsm = require "rfsm"
 
 local state, trans = rfsm.state, rfsm.trans
 
+after_each(helper.remove_files)
+
 -- Module, its other names.
 local NAMES = {
   { "rfsm_timeevent", "rfsm.timeevent" }, { "rfsm_seqand", "rfsm.seqand" },
@@ -26,14 +28,10 @@ end
 
 -- Runs a text with a fresh Lua; returns what it printed.
 local function output_of(text)
-  local name = os.tmpname()
-  local file = assert(io.open(name, "w"))
-  file:write(text)
-  file:close()
-  local pipe = assert(io.popen(interpreter() .. " " .. name .. " 2>&1"))
+  local pipe = assert(io.popen(interpreter() .. " " .. helper.file_with(text)
+    .. " 2>&1"))
   local output = pipe:read("*a")
   pipe:close()
-  os.remove(name)
   return (output:gsub("%s+$", ""))
 end
 

@@ -58,4 +58,33 @@ function helper.post_and_run(fsm, ...)
   return rfsm.run(fsm)
 end
 
+local made = {} -- names of files
+
+--- Returns the name of a new file with this text. A spec file that makes some says
+-- `after_each(helper.remove_files)`, so that none is left when a spec fails.
+function helper.file_with(text)
+  local name = os.tmpname()
+  made[#made + 1] = name
+  local file = assert(io.open(name, "wb"))
+  file:write(text)
+  file:close()
+  return name
+end
+
+--- Removes what `file_with` made.
+function helper.remove_files()
+  for i = #made, 1, -1 do
+    os.remove(made[i])
+    made[i] = nil
+  end
+end
+
+--- Returns what stands in a file.
+function helper.content(name)
+  local file = assert(io.open(name, "rb"))
+  local text = file:read("*a")
+  file:close()
+  return text
+end
+
 return helper

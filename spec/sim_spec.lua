@@ -1,29 +1,14 @@
 -- The simulator as a person meets it: the tool runs as a process of its own, under the
 -- Lua that runs this spec.
 
+local helper = require "spec.helper"
+
 local BANNER = "rFSM simulator v1.0.0, type 'help()' to list available commands\n"
 local INFO = "INFO: created undeclared connector root.initial\n"
 local HELLO = "examples/hello_world.lua"
 local LUA = arg[-1]
 
-local files = {}
-
--- Returns the name of a new file with this text, gone after the test.
-local function file_with(text)
-  local name = os.tmpname()
-  files[#files + 1] = name
-  local file = assert(io.open(name, "w"))
-  file:write(text)
-  file:close()
-  return name
-end
-
-local function content(name)
-  local file = assert(io.open(name))
-  local text = file:read("*a")
-  file:close()
-  return text
-end
+local content, file_with = helper.content, helper.file_with
 
 -- Runs a command line; returns what it wrote to stdout and stderr, and its status.
 local function run(command, input)
@@ -59,12 +44,7 @@ local AT_HELLO = "active: root.hello(done)\nqueue:  e_done@root.hello\n"
 local AT_END = "hello\nworld\nactive: root.world(done)\nqueue:  \n"
 local AT_WORLD = "active: root.world(done)\nqueue:  e_done@root.world\n"
 
-after_each(function()
-  for i = #files, 1, -1 do
-    os.remove(files[i])
-    files[i] = nil
-  end
-end)
+after_each(helper.remove_files)
 
 describe("the simulator", function()
   it("goes the way of hello, world", function()

@@ -67,26 +67,13 @@ function rtt_helper.pose(x, y)
   return var
 end
 
-local made = {} -- names of files
-
--- A file that holds `text`.
-function rtt_helper.file_with(text)
-  local name = os.tmpname()
-  made[#made + 1] = name
-  local file = assert(io.open(name, "w"))
-  file:write(text)
-  file:close()
-  return name
-end
+rtt_helper.file_with = helper.file_with
 
 -- Before each spec: a fresh process, and no file of the one before.
 function rtt_helper.reset()
   standin.reset()
   standin.add_type("Pose", { x = "double", y = "double" })
-  for i = #made, 1, -1 do
-    os.remove(made[i])
-    made[i] = nil
-  end
+  helper.remove_files()
 end
 
 -- The file of a chart, with more fields of the root:
