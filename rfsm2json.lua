@@ -21,7 +21,8 @@ local KEY_ORDER = {
 local function find_dkjson()
   local ok, dkjson = pcall(require, "dkjson")
   if ok then return dkjson end
-  error("rfsm2json: the package dkjson is missing (on Debian: lua-dkjson)", 0)
+  error("rfsm2json: the package dkjson is missing "
+    .. "(on Debian: apt-get install lua-dkjson)", 0)
 end
 
 --- Return a machine, with what is active in it, as JSON.

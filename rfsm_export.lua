@@ -73,7 +73,8 @@ local function reason(file, failure)
   local text = text_of(failure):match("[^\n]+") or ""
   if failure == nil or text == "" then text = "failed without a message" end
   if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
-  text = text:gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
+  text = text:gsub("^rfsm2json: ", "")
+    :gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
     :gsub("^failed to load chunk: ", ""):gsub("'=stdin'", "stdin")
   text = text:gsub(":%s*$", "") -- a list followed, such as that of require
   if text:find(name_of(file), 1, true) then return text end
@@ -259,7 +260,8 @@ end
 local function new_parser(name, text, epilog)
   local has_argparse, argparse = pcall(require, "argparse")
   if not has_argparse then
-    fail(name, "argparse is missing; please type: sudo apt-get install lua-argparse")
+    fail(name, "the package argparse is missing (on Debian: apt-get install "
+      .. "lua-argparse)")
   end
   local parser = argparse(name, text, epilog)
   function parser:error(problem)
@@ -299,7 +301,7 @@ end
 -- Returns the picture; nil and why there is none.
 local function render(format, text)
   if not runs("command -v dot >/dev/null 2>&1") then
-    return nil, "Graphviz is missing; please type: sudo apt-get install graphviz"
+    return nil, "Graphviz is missing (on Debian: apt-get install graphviz)"
   end
   local source, picture, log = os.tmpname(), os.tmpname(), os.tmpname()
   local ok, problem = rfsm_export.write(source, text)

@@ -317,7 +317,7 @@ describe("the tool", function()
     local _, complaints, status = run(("LUA_PATH='./?.lua' LUA_PATH_5_2='./?.lua' "
       .. "LUA_PATH_5_3='./?.lua' LUA_PATH_5_4='./?.lua' %s tools/rfsm-sim %s")
       :format(LUA, path))
-    assert.same({ "rfsm-sim: module 'argparse' not found, please install it (Debian: "
+    assert.same({ "rfsm-sim: the package argparse is missing (on Debian: "
       .. "apt-get install lua-argparse)\n", 1 }, { complaints, status })
   end)
 end)

@@ -172,6 +172,16 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
   end)
 end
 
+describe("rfsm2json", function()
+  it("says what to install when dkjson is missing", function()
+    local real = lua
+    lua = lua .. " -e 'package.preload.dkjson = function() error(0) end'"
+    fails("rfsm2json examples/on_off.lua", "rfsm2json: examples/on_off.lua: the package "
+      .. "dkjson is missing (on Debian: apt-get install lua-dkjson)\n")
+    lua = real
+  end)
+end)
+
 describe("rfsm-viz", function()
   local function starts(command, expected)
     local out, err, status = run("rfsm-viz examples/on_off.lua " .. command)
@@ -221,8 +231,8 @@ describe("rfsm-viz", function()
     local real = lua
     local path = io.popen("command -v '" .. lua .. "'"):read("*l")
     lua = "PATH='" .. folder .. "' " .. path
-    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm-viz: Graphviz is missing; "
-      .. "please type: sudo apt-get install graphviz\n")
+    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm-viz: Graphviz is missing "
+      .. "(on Debian: apt-get install graphviz)\n")
     lua = real
   end)
 
