@@ -413,6 +413,8 @@ function rfsm_export.check(argv)
   parser:flag("-s --strict", "a warning counts as a problem")
   local options = parser:parse(argv)
   check_readable(name, options.files)
+  require("rfsm_timeevent") -- so that their events are understood
+  require("rfsm_await")
   local all, status = {}, 0
   for _, file in ipairs(options.files) do
     local lines, problems, warnings = check_file(file)

@@ -1,4 +1,4 @@
--- The code of the cheatsheet, as it stands there, its slips mended: missing commas,
+-- The code of rFSM's cheatsheet as it stands there, its slips mended: missing commas,
 -- names swapped in `local state, trans, conn`, `entry` written twice, an `end` out of
 -- place. It uses the global `rfsm`, as charts in the wild do.
 

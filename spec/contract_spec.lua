@@ -1,5 +1,5 @@
--- Each FIX of the contract's sections 1 to 3, named after its rule. The texts of model
--- problems are in check_spec.lua.
+-- What a user may rely on where machines tend to go wrong, rule by rule. The texts of
+-- model problems are in check_spec.lua.
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"

@@ -176,8 +176,8 @@ describe("rfsm2json", function()
   it("says what to install when dkjson is missing", function()
     local real = lua
     lua = lua .. " -e 'package.preload.dkjson = function() error(0) end'"
-    fails("rfsm2json examples/on_off.lua", "rfsm2json: examples/on_off.lua: the package "
-      .. "dkjson is missing (on Debian: apt-get install lua-dkjson)\n")
+    fails("rfsm2json examples/on_off.lua", "rfsm2json: examples/on_off.lua: the "
+      .. "package dkjson is missing (on Debian: apt-get install lua-dkjson)\n")
     lua = real
   end)
 end)
@@ -303,6 +303,22 @@ examples/on_off.lua: ok
 FILE: warning: root.initial: each transition from here has events or a guard, 'root' cannot be entered while none of them is enabled
 FILE: warning: root.trans[2]: a transition has no field 'event' (did you mean 'events'?)
 ]]):gsub("FILE", file)), 0)
+  end)
+
+  it("knows time events and await, also when the host of a chart loads them", function()
+    local file = write_file("timed.lua", [[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_after(x)", "e_after(2)" } },
+        rfsm.trans { src = "b", tgt = "a", events = { "await()", "await(e_a)" } },
+      }
+    ]])
+    checks("'" .. file .. "'", (([[
+FILE: root.trans[2].events[1]: e_after: seconds expected, got 'e_after(x)' (e_after(0.5) would be right)
+FILE: root.trans[3].events[1]: await: a list of events expected, got 'await()' (await(e_a, e_b) would be right)
+]]):gsub("FILE", file)), 1)
   end)
 
   it("tells once that a composite has no e_done", function()
