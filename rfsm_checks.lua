@@ -91,9 +91,9 @@ end
 
 -- This runs in every iteration: one look for an event that is declared.
 local function check_events(fsm, events)
-  local own = fsm._checks
+  local known = fsm._checks.events
   for i = 1, #events do
-    if not own.events[events[i]] then warn_of_unknown(fsm, own, events[i]) end
+    if not known[events[i]] then warn_of_unknown(fsm, fsm._checks, events[i]) end
   end
 end
 

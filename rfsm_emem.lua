@@ -11,48 +11,118 @@
 
 local rfsm = require "rfsm"
 
-local error, pairs, rawget, rawset, setmetatable, type = error, pairs, rawget, rawset,
-  setmetatable, type
+local error, getmetatable, pairs, rawget, rawset = error, getmetatable, pairs, rawget,
+  rawset
+local setmetatable, type = setmetatable, type
 
 local rfsm_emem = {}
 
--- Events that are objects are forgotten with the object.
-local WEAK = { __mode = "k" }
+-- Keys: what to set to 0 in a table of counts ---------------------------------
+--
+-- `pairs` tells, but LuaJIT does not compile it. So the metatable of the counts lists
+-- the keys, and notes each new one, whoever writes it. Objects are never listed: the
+-- counts forget an event with its object. Where there are any, in a table that a user
+-- put there and in one that he gave a metatable, it is `pairs`.
 
--- Counts the events for each active state. This runs in every iteration, hence the
--- fields instead of the functions that read them.
-local function count(fsm, events)
-  if events[1] == nil or fsm._mode == "inactive" then return end
-  local n, state = #events, fsm
-  repeat
-    local emem = state.emem
-    if emem then
-      for i = 1, n do
-        local event = events[i]
-        local before = emem[event]
-        if before then
-          emem[event] = before + 1
-        elseif event == event then -- no NaN
-          emem[event] = 1
-        end
-      end
+--- The metatable of a table of counts; the keys are in its array part.
+---@class rfsm_emem.Keys
+---@field n integer|false how many are listed; false when an object is among the keys
+---@field limit integer how many may be, before those that are gone are sorted out
+
+local IS_LISTED = { string = true, number = true, boolean = true }
+
+local function list_keys(emem, keys)
+  local n, has_objects = 0, false
+  for key in pairs(emem) do -- any order: all of them
+    if IS_LISTED[type(key)] then
+      n = n + 1
+      keys[n] = key
+    else
+      has_objects = true
     end
-    state = state._actchild
-  until not state
+  end
+  keys.n, keys.limit = not has_objects and n, 2 * n + 4
 end
 
-local function forget(emem)
-  for event in pairs(emem) do emem[event] = 0 end -- any order: all of them
+-- Writes a key that is not in the counts.
+local function note(emem, key, value)
+  if key == nil or key ~= key then
+    error("table index is " .. (key == nil and "nil" or "NaN"), 2)
+  end
+  rawset(emem, key, value)
+  local keys = getmetatable(emem)
+  local n = keys.n
+  if not n then return end
+  if n == keys.limit or not IS_LISTED[type(key)] then return list_keys(emem, keys) end
+  keys.n, keys[n + 1] = n + 1, key
 end
 
-local function leave_state(_, state)
-  if state.emem then forget(state.emem) end
+local function new_keys()
+  return { __mode = "k", __newindex = note, n = 0, limit = 4 }
+end
+
+-- Run -------------------------------------------------------------------------
+
+local function count_first(emem, event)
+  if event == event then emem[event] = 1 end -- no NaN
+end
+
+-- Counts the events from the third on.
+local function count_rest(emem, events)
+  for i = 3, #events do
+    local event = events[i]
+    local before = emem[event]
+    if before then emem[event] = before + 1 else count_first(emem, event) end
+  end
+end
+
+-- Counts the events for `state` and the active states inside. Mostly there are one or
+-- two, one of them an e_done; loops would keep LuaJIT from compiling a step whole.
+local function count_in(state, events, first, second)
+  local emem = state.emem
+  if emem then
+    local before = emem[first]
+    if before then emem[first] = before + 1 else count_first(emem, first) end
+    if second ~= nil then
+      before = emem[second]
+      if before then emem[second] = before + 1 else count_first(emem, second) end
+      if events[3] ~= nil then count_rest(emem, events) end
+    end
+  end
+  state = state._actchild
+  if state then return count_in(state, events, first, second) end
+end
+
+-- This runs in every iteration, hence the fields instead of the functions that read
+-- them.
+local function count(fsm, events)
+  local first = events[1]
+  if first == nil or fsm._mode == "inactive" then return end
+  return count_in(fsm, events, first, events[2])
+end
+
+local function forget_unlisted(emem, keys)
+  for key in pairs(emem) do emem[key] = 0 end -- any order: all of them
+  if keys and getmetatable(emem) == keys then list_keys(emem, keys) end
+end
+
+local function forget(_, state)
+  local emem, keys = state.emem, state._emem_keys
+  if not emem then return end
+  local n = keys and getmetatable(emem) == keys and keys.n
+  if not n then return forget_unlisted(emem, keys) end
+  for i = 1, n do
+    local key = keys[i]
+    if emem[key] ~= nil then emem[key] = 0 end
+  end
 end
 
 local function reset(fsm)
-  leave_state(fsm, fsm)
-  rfsm.mapfsm(function(state) leave_state(fsm, state) end, fsm, rfsm.is_state)
+  forget(fsm, fsm)
+  rfsm.mapfsm(function(state) forget(fsm, state) end, fsm, rfsm.is_state)
 end
+
+-- Prepare ---------------------------------------------------------------------
 
 -- The first state that counts makes the machine do so.
 local function prepare_state(fsm, state)
@@ -62,8 +132,9 @@ local function prepare_state(fsm, state)
     rfsm.pre_step_hook_add(fsm, count)
     rfsm.reset_hook_add(fsm, reset)
   end
-  state.emem = setmetatable({}, WEAK)
-  rfsm.exit_hook_add(fsm, state, leave_state)
+  state._emem_keys = new_keys()
+  state.emem = setmetatable({}, state._emem_keys)
+  rfsm.exit_hook_add(fsm, state, forget)
 end
 
 local function prepare(fsm, merged)
@@ -78,12 +149,11 @@ rfsm.preproc[#rfsm.preproc + 1] = prepare
 --- Set the counts of a state to 0.
 ---@param state rfsm.State
 function rfsm_emem.emem_reset(state)
-  local emem = rfsm.is_state(state) and rawget(state, "emem")
-  if type(emem) ~= "table" then
+  if not rfsm.is_state(state) or type(state.emem) ~= "table" then
     error("rfsm_emem.emem_reset: state with an event memory expected, got "
       .. type(state), 2)
   end
-  forget(emem)
+  forget(nil, state)
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_emem", rfsm_emem) end

@@ -42,3 +42,42 @@ describe("an event", function()
     end
   end
 end)
+
+-- A machine that goes round a and b.
+local function circle(fields)
+  local model = rfsm.state {
+    warn = false, info = false, emem = false, checkevents = false,
+    a = rfsm.state {}, b = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "a" },
+    rfsm.trans { src = "a", tgt = "b", events = { "e_next" } },
+    rfsm.trans { src = "b", tgt = "a", events = { "e_next" } },
+  }
+  for name, value in pairs(fields) do model[name] = value end -- any order: a set
+  local fsm = assert(rfsm.init(model))
+  rfsm.run(fsm)
+  return measure.stepping(rfsm, fsm, "e_next")
+end
+
+local EXTENSIONS = { rfsm_emem = "emem", rfsm_checkevents = "checkevents" }
+
+-- What a step hook costs is the core's.
+local function nothing() end
+
+describe("an event with", function()
+  for module, field in pairs(EXTENSIONS) do -- any order: each stands alone
+    for _, mode in ipairs(jit and { "off", "on" } or { "on" }) do
+      it(("%s costs no more garbage than one with a hook that does nothing, JIT %s "
+        .. "#alloc"):format(module, mode), function()
+        require(module)
+        local hooked = with_jit(mode, function()
+          return bytes_grown(circle { pre_step_hook = nothing })
+        end)
+        local grown = with_jit(mode, function()
+          return bytes_grown(circle { [field] = true })
+        end)
+        assert.is_true(grown < hooked + 1000, grown .. " bytes in 1,000 events, "
+          .. hooked .. " with a hook")
+      end)
+    end
+  end
+end)

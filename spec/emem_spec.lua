@@ -101,10 +101,30 @@ describe("emem", function()
     assert.equal(1, seen)
   end)
 
+  it("counts all events of an iteration", function()
+    local fsm = started()
+    helper.post_and_run(fsm, "e_1", "e_2", "e_3", "e_2", "e_3", "e_3", "e_4")
+    local emem = fsm.c.a.emem
+    assert.equal("1 2 3 1", emem.e_1 .. " " .. emem.e_2 .. " " .. emem.e_3 .. " "
+      .. emem.e_4)
+  end)
+
   it("counts objects by identity", function()
     local fsm, event = started(), {}
     helper.post_and_run(fsm, event, {}, event)
     assert.equal(2, fsm.c.a.emem[event])
+  end)
+
+  it("forgets an event with its object", function()
+    local fsm = started()
+    helper.post_and_run(fsm, {})
+    helper.post_and_run(fsm) -- the events table of that iteration goes, too
+    collectgarbage()
+    local objects = 0
+    for key in pairs(fsm.c.a.emem) do
+      if type(key) == "table" then objects = objects + 1 end
+    end
+    assert.equal(0, objects)
   end)
 
   it("bears an event that is NaN", function()
@@ -172,6 +192,174 @@ describe("emem", function()
     local model = chart()
     model.emem = false
     assert.is_nil(started(model).c.emem)
+  end)
+end)
+
+local function wait()
+  while true do rfsm.yield(true) end
+end
+
+-- The chart, with a way back from b, and no e_done from the two.
+local function circle()
+  local model = chart()
+  model.c.a.doo, model.c.b.doo = wait, wait
+  model.c[3] = trans { src = "b", tgt = "a", events = { "e_next" } }
+  return model
+end
+
+-- A machine in state a, its counts there, and a function that has a left.
+local function counting()
+  local fsm = started(circle())
+  helper.post_and_run(fsm, "e_x")
+  return fsm, fsm.c.a.emem, function() helper.post_and_run(fsm, "e_next") end
+end
+
+describe("what a user writes into emem", function()
+  it("is counted on, and set to 0 on exit", function()
+    local fsm, emem, leave = counting()
+    emem.e_x, emem.e_mine, emem[1] = 5, "mine", 7
+    helper.post_and_run(fsm, "e_x")
+    assert.same({ e_x = 6, e_mine = "mine", [1] = 7 }, emem)
+    leave()
+    assert.same({ e_x = 0, e_mine = 0, [1] = 0, e_next = 0 }, emem)
+  end)
+
+  it("is set to 0 also where it was the first", function()
+    local fsm = started(circle())
+    local emem = fsm.c.a.emem
+    emem[fsm] = 1
+    helper.post_and_run(fsm, "e_next")
+    assert.same({ [fsm] = 0, e_next = 0 }, emem)
+  end)
+
+  it("does not come back when he takes it out", function()
+    local fsm, emem, leave = counting()
+    emem.e_x = nil
+    leave()
+    assert.same({ e_next = 0 }, emem)
+    helper.post_and_run(fsm, "e_next")
+    helper.post_and_run(fsm, "e_x")
+    assert.equal(1, emem.e_x)
+    leave()
+    assert.equal(0, emem.e_x)
+  end)
+
+  it("may be a table of his own", function()
+    local fsm, _, leave = counting()
+    local own = { e_x = 3 }
+    fsm.c.a.emem = own
+    helper.post_and_run(fsm, "e_x", "e_y")
+    assert.same({ e_x = 4, e_y = 1 }, own)
+    leave()
+    assert.same({ e_x = 0, e_y = 0, e_next = 0 }, own)
+  end)
+
+  it("may be a table of his own in a state that said false", function()
+    local model = circle()
+    model.c.emem = false
+    local fsm = started(model)
+    fsm.c.emem = {}
+    helper.post_and_run(fsm, "e_x")
+    assert.same({ e_x = 1 }, fsm.c.emem)
+    rfsm.reset(fsm)
+    assert.same({ e_x = 0 }, fsm.c.emem)
+  end)
+
+  it("may be nothing: the state counts no longer", function()
+    local fsm, emem, leave = counting()
+    fsm.c.a.emem = false
+    helper.post_and_run(fsm, "e_x")
+    leave()
+    assert.same({ e_x = 1 }, emem)
+  end)
+
+  it("may be a metatable, for a 0 in place of nil", function()
+    local fsm, emem, leave = counting()
+    setmetatable(emem, { __index = function() return 0 end })
+    helper.post_and_run(fsm, "e_y")
+    assert.equal("1 0", emem.e_y .. " " .. emem.e_none)
+    leave()
+    assert.equal("0 0", rawget(emem, "e_y") .. " " .. rawget(emem, "e_next"))
+  end)
+
+  it("blames his line for a key that cannot be one", function()
+    local _, emem = counting()
+    local _, text = pcall(function() emem[nil] = 1 end)
+    assert.matches("emem_spec.lua:%d+: .*index is nil", text)
+    _, text = pcall(function() emem[0 / 0] = 1 end)
+    assert.matches("emem_spec.lua:%d+: .*index is NaN", text)
+  end)
+end)
+
+describe("the list of what is counted", function()
+  it("does not grow when counts are taken out again and again", function()
+    local fsm, emem = counting()
+    for _ = 1, 100 do
+      emem.e_x, emem.e_y = nil, nil
+      helper.post_and_run(fsm, "e_x", "e_y")
+    end
+    assert.is_true(#getmetatable(emem) < 10)
+  end)
+
+  it("leaves out objects, and is whole again when they are gone", function()
+    local fsm, emem, leave = counting()
+    helper.post_and_run(fsm, {})
+    assert.is_false(getmetatable(emem).n)
+    helper.post_and_run(fsm, "e_y")
+    collectgarbage()
+    leave()
+    assert.equal(3, getmetatable(emem).n) -- e_x, e_y, e_next
+  end)
+end)
+
+-- The same with `pairs`: what emem is to be after a random life.
+local EVENTS = { "e_x", "e_y", "e_z", 1, true, {}, {} }
+
+local function note_events(expected, events)
+  for i = 1, #events do expected[events[i]] = (expected[events[i]] or 0) + 1 end
+end
+
+local function forget(expected)
+  for event in pairs(expected) do expected[event] = 0 end -- any order: all of them
+end
+
+local ACTIONS = {
+  function(fsm, expected, event)
+    helper.post_and_run(fsm, event)
+    note_events(expected, { event })
+  end,
+  function(fsm, expected, event)
+    local events = { event, "e_y", event, EVENTS[1] }
+    helper.post_and_run(fsm, event, "e_y", event, EVENTS[1])
+    note_events(expected, events)
+  end,
+  function(fsm, expected, event) fsm.c.a.emem[event], expected[event] = 3, 3 end,
+  function(fsm, expected, event) fsm.c.a.emem[event], expected[event] = nil, nil end,
+  function(fsm, expected)
+    rfsm_emem.emem_reset(fsm.c.a)
+    forget(expected)
+  end,
+  function(fsm, expected)
+    helper.post_and_run(fsm, "e_next")
+    helper.post_and_run(fsm, "e_next")
+    note_events(expected, { "e_next" })
+    forget(expected)
+  end,
+}
+
+describe("counts", function()
+  local seed = tonumber(os.getenv("SEED")) or 1
+  it(("are those of a table without a list, SEED=%d"):format(seed), function()
+    local fsm, expected, random = started(circle()), {}, seed
+    local function next_random(n)
+      random = (random * 16807) % 2147483647
+      return random % n + 1
+    end
+    for i = 1, 2000 do
+      local action = next_random(#ACTIONS)
+      ACTIONS[action](fsm, expected, EVENTS[next_random(#EVENTS)])
+      assert.same(expected, fsm.c.a.emem, ("after %d actions"):format(i))
+    end
   end)
 end)
 

@@ -444,7 +444,8 @@ describe("a chart that uses no extension", function()
   -- These two are for every machine: loading them is using them.
   it("gets what it counts with when rfsm_emem is loaded", function()
     assert.equal("pre_step_hook_add reset_hook_add exit_hook_add exit_hook_add "
-      .. "exit_hook_add|_emem emem emem emem", added_by { "rfsm_emem" })
+      .. "exit_hook_add|_emem _emem_keys _emem_keys _emem_keys "
+      .. "emem emem emem", added_by { "rfsm_emem" })
   end)
 
   it("gets the check when rfsm_checkevents is loaded", function()
