@@ -10,9 +10,8 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local getmetatable, print, rawget, rawset = getmetatable, print, rawget, rawset
-local setmetatable, tostring, type = setmetatable, tostring, type
+local error, ipairs, pcall, print = error, ipairs, pcall, print
+local rawget, rawset, tostring, type = rawget, rawset, tostring, type
 local sort = table.sort
 local is_conn, is_leaf, is_state, is_trans = rfsm.is_conn, rfsm.is_leaf, rfsm.is_state,
   rfsm.is_trans
@@ -255,12 +254,20 @@ end
 
 -- Public functions ------------------------------------------------------------
 
--- Makes a machine of a copy of the root that prints nothing.
+local PRINTERS = { "dbg", "info", "warn", "err" }
+
+-- Makes a machine that prints nothing. It is made of the model itself, whose root its
+-- transitions may name, and which may be a part of a machine.
 local function init_quietly(model)
-  local copy = {}
-  for key, value in pairs(model) do copy[key] = value end -- any order: each once
-  copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
-  return rfsm.init(setmetatable(copy, getmetatable(model)))
+  local own = {}
+  for i, name in ipairs(PRINTERS) do
+    own[i] = model[name]
+    if not rfsm.is_fsmobj(own[i]) then model[name] = false end -- else it is reported
+  end
+  local ok, fsm, problems = pcall(rfsm.init, model)
+  for i, name in ipairs(PRINTERS) do model[name] = own[i] end
+  if not ok then error(fsm, 0) end
+  return fsm, problems
 end
 
 -- Digits padded, so that trans[10] comes after trans[2].

@@ -36,7 +36,7 @@ local step, run = rfsm.step, rfsm.run
 local Substates = {}
 
 local function has_subs(state)
-  return getmetatable(rawget(state, "substates")) == Substates
+  return getmetatable(state.substates) == Substates
 end
 
 local function sorted_names(subs)

@@ -614,7 +614,7 @@ local function soonest_of(fsm, least)
   end
   local state = fsm
   while state do
-    local subs = rawget(state, "substates") -- those of a sequential AND state
+    local subs = state.substates -- those of a sequential AND state
     for _, sub in pairs(type(subs) == "table" and subs or {}) do -- any order: a minimum
       if rfsm.is_initialized_root(sub) then least = soonest_of(sub, least) end
     end

@@ -162,6 +162,35 @@ describe("check", function()
     assert.equal(1, #rfsm_checks.check(model))
     assert.same({}, said)
     assert.equal(say, model.warn)
+    assert.is_nil(rawget(model, "dbg"))
+  end)
+
+  it("leaves the model as it is when it cannot be initialised", function()
+    local model = chart()
+    local function fail() error("no machine today", 0) end
+    rfsm.preproc[#rfsm.preproc + 1] = fail
+    local ok, text = pcall(rfsm_checks.check, model)
+    table.remove(rfsm.preproc)
+    assert.is_false(ok)
+    assert.equal("no machine today", text)
+    assert.is_false(model.warn)
+    assert.is_nil(rawget(model, "dbg"))
+  end)
+
+  it("knows a model by which its transitions call the root", function()
+    local model = chart()
+    model[4] = trans { src = "b", tgt = model, events = { "e_again" } }
+    assert.same({}, rfsm_checks.check(model))
+  end)
+
+  it("tells of a state that is called like a printer", function()
+    assert.matches("^root%.info: ", findings_of { info = state {} }[1])
+  end)
+
+  it("takes a part of a machine, too", function()
+    local part = chart { c = state {} }
+    local fsm = helper.init(state { p = part, trans { src = "initial", tgt = "p" } })
+    assert.same(findings_of { c = state {} }, rfsm_checks.check(fsm.p))
   end)
 
   it("returns the problems of a model that is not valid", function()
