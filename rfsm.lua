@@ -36,10 +36,9 @@ local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 ---@field exit? fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
 ---@field doo? fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 local State = {
-  -- what a state is until its first entry
-  _mode = "inactive", _actchild = false, _doo_co = false, _done_event = false,
-  _entry_hooks = false, _exit_hooks = false, _sources = false, _is_leaf = true,
-  _by_event = false, _by_any = false,
+  -- what one in a plan is until it is entered, searched, given data
+  _is_leaf = true, _data = false, _done_event = false, _entry_hooks = false,
+  _exit_hooks = false, _sources = false, _by_event = false, _by_any = false,
 }
 State.__index = State
 
@@ -51,12 +50,12 @@ State.__index = State
 ---@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
 ---@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, events: any)
 ---@field pn? number priority among the transitions of a node, larger first (0)
-local Transition = {}
+local Transition = { _data = false }
 Transition.__index = Transition
 
 --- A point where transitions meet; never active.
 ---@class rfsm.Connector
-local Connector = { _search = 0, _way = false, _by_event = false, _by_any = false }
+local Connector = { _data = false, _by_event = false, _by_any = false }
 Connector.__index = Connector
 
 --- A model made ready to run by `rfsm.init`; the root state of its own tree.
@@ -72,12 +71,15 @@ Connector.__index = Connector
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration
 ---@field _curq any[] events of the running iteration
-local Machine = setmetatable({}, { __index = State })
-Machine.__index = Machine
+local Machine = {}
+
+-- The other elements of a machine; all four are defined in the section Machine.
+local LiveState, LiveTransition, LiveConnector = {}, {}, {}
 
 local KIND = {
-  [State] = "state", [Machine] = "state", [Transition] = "transition",
-  [Connector] = "connector",
+  [State] = "state", [Machine] = "state", [LiveState] = "state",
+  [Transition] = "transition", [LiveTransition] = "transition",
+  [Connector] = "connector", [LiveConnector] = "connector",
 }
 
 local function kind_of(value) return KIND[getmetatable(value)] end
@@ -88,7 +90,7 @@ local function define(class, name)
     if type(t) ~= "table" then
       error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
     end
-    return getmetatable(t) == Machine and t or setmetatable(t, class)
+    return rawget(t, "_def") and kind_of(t) and t or setmetatable(t, class)
   end
   function class.new(_, t) return (mark(t, 2)) end
   function class.type() return KIND[class] end
@@ -136,12 +138,12 @@ function rfsm.is_state(value) return KIND[getmetatable(value)] == "state" end
 --- Is `value` a transition?
 ---@param value any
 ---@return boolean
-function rfsm.is_trans(value) return getmetatable(value) == Transition end
+function rfsm.is_trans(value) return KIND[getmetatable(value)] == "transition" end
 
 --- Is `value` a connector?
 ---@param value any
 ---@return boolean
-function rfsm.is_conn(value) return getmetatable(value) == Connector end
+function rfsm.is_conn(value) return KIND[getmetatable(value)] == "connector" end
 
 --- Is `value` a state, a transition or a connector?
 ---@param value any
@@ -181,7 +183,7 @@ function rfsm.is_leaf(value) return is_state(value) and not has_nodes(value) end
 ---@param value any
 ---@return boolean
 function rfsm.is_root(value)
-  return is_state(value) and rawget(value, "_parent") == value
+  return getmetatable(value) == Machine
 end
 
 --- Is `value` a machine, the result of `rfsm.init`?
@@ -218,7 +220,7 @@ local function list_text(values)
 end
 
 local function end_text(node)
-  if is_node(node) then return rawget(node, "_fqn") or kind_of(node) end
+  if is_node(node) then return node._fqn or kind_of(node) end
   return text_of(node)
 end
 
@@ -234,6 +236,12 @@ function Transition.__tostring(tr)
     parts[#parts + 1] = "events='" .. list_text(events) .. "'"
   end
   return "T={ " .. concat(parts, ", ") .. " }"
+end
+
+local function reversed(list)
+  local n, other = #list, {}
+  for i = 1, n do other[i] = list[n + 1 - i] end
+  return other
 end
 
 -- Numbers before strings, each ascending: array part first, then names sorted.
@@ -262,6 +270,14 @@ local function copy_list(list)
   local copy = {}
   for i = 1, #list do copy[i] = list[i] end
   return copy
+end
+
+local function is_same_list(list, other)
+  if not other or #list ~= #other then return false end
+  for i = 1, #list do
+    if list[i] ~= other[i] then return false end
+  end
+  return true
 end
 
 local function append(list, more)
@@ -320,7 +336,7 @@ end
 
 --- What one `init` or `fsm_merge` works on.
 ---@class rfsm.Build
----@field fsm rfsm.Machine
+---@field root rfsm.State the root of the plan
 ---@field problems { place: string, text: string }[]
 ---@field warnings { place: string, text: string }[]
 ---@field created rfsm.Connector[] `initial` connectors that nobody declared
@@ -438,7 +454,7 @@ local function check_name(build, parent, key, kind)
       "the name of a %s must not be empty, contain '.' or '\\' or start with '_'", kind)
   end
   local owner = RESERVED[key]
-  if owner == "state" or owner == "root" and parent == build.fsm then
+  if owner == "state" or owner == "root" and parent == build.root then
     add(build.problems, place .. "." .. key,
       "a %s cannot have this name, it is a field of every %s", kind, owner)
   end
@@ -509,66 +525,50 @@ local function check_composite(build, composite)
   end
 end
 
-local function check_root(build, fsm, model)
+local function check_root(build, root, model)
   for i = 1, 4 do
-    check_callable(build, fsm, model, ROOT_FIELDS[i])
+    check_callable(build, root, model, ROOT_FIELDS[i])
     local name = PRINTERS[i]
     if type(model[name]) ~= "boolean" then
-      check_callable(build, fsm, model, name)
+      check_callable(build, root, model, name)
     end
   end
-  if not fsm._is_leaf and rawget(fsm, "initial") == nil then
+  if not root._is_leaf and rawget(root, "initial") == nil then
     add(build.problems, "root", "the root needs an initial transition "
       .. "(rfsm.trans{ src='initial', tgt=... })")
   end
 end
 
--- Clone: nodes per position, the user's plain tables copied, all else shared ---
+-- Clone: the definitions of a plan, one for each position of a node ------------
+--
+-- Functions, events and the user's data are those of the model; a machine gets copies
+-- of plain tables when it is made.
 
 local add_node, clone_below, clone_node, clone_transition, model_of
 
 do
-  -- Returns what stands for `value` in the copy; a plain table is filled in later.
-  local function copy_of(build, value, pending)
-    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-    local copy = build.copies[value]
-    if not copy then
-      copy = {}
-      build.copies[value] = copy
-      pending[#pending + 1] = value
-    end
-    return copy
-  end
-
-  -- Copies a plain table; a list of pending tables instead of recursion bears any
-  -- depth.
-  local function clone_data(build, value)
-    if type(value) ~= "table" then return value end
-    local pending = {}
-    local copy = copy_of(build, value, pending)
-    while pending[1] do
-      local source = pending[#pending]
-      pending[#pending] = nil
-      local target = build.copies[source]
-      for k, v in pairs(source) do -- any order: each pair stands alone
-        target[copy_of(build, k, pending)] = copy_of(build, v, pending)
-      end
-    end
-    return copy
-  end
-
   -- Remembers what a node was made of, so that the model can stand for it in src, tgt.
   function add_node(build, model, node)
     local n = #build.nodes + 1
+    node._index = n
     build.nodes[n], build.models[n] = node, model
     local earlier = build.mounts[model]
     if earlier then build.earlier[node] = earlier end
     build.mounts[model] = node
   end
 
-  -- The model behind `value`: an initialised machine stands for what it was made of.
+  -- The model behind `value`: a machine stands for what it was made of, a part of one
+  -- for its definition.
   function model_of(value)
-    return value._initialized and value._model or value
+    local def = rawget(value, "_def")
+    if not def then return value end
+    return getmetatable(value) == Machine and value._model or def
+  end
+
+  -- The user's data under `key` goes to each machine.
+  local function add_datum(def, key)
+    local data = def._data
+    if data then data[#data + 1] = key else def._data = { key } end
   end
 
   -- Takes over a field of a transition other than src, tgt and events.
@@ -576,19 +576,25 @@ do
     if key == "guard" or key == "effect" then
       tr[key] = value
       check_callable(build, tr, model, key)
+    elseif key == "pn" then
+      tr.pn = value
+      check_pn(build, tr, value)
     elseif not is_meta(key) or tr[key] == nil and model._parent == nil then
-      tr[key] = clone_data(build, value)
-      if key == "pn" then check_pn(build, tr, value) end
+      tr[key] = value
+      add_datum(tr, key)
       if key == "event" then warn_of_event(build, tr) end
     end
   end
 
   function clone_transition(build, model, parent, key)
-    local src, tgt, tr = model.src, model.tgt
+    model = model_of(model)
+    local n, src, tgt, tr = #build.transitions + 1, model.src, model.tgt
     if model.events == nil then
-      tr = { _id = key, _parent = parent, src = src, tgt = tgt }
+      tr = { _id = key, _parent = parent, _index = n, src = src, tgt = tgt }
     else -- all at once, so that the table need not grow
-      tr = { _id = key, _parent = parent, src = src, tgt = tgt, events = false }
+      tr = {
+        _id = key, _parent = parent, _index = n, src = src, tgt = tgt, events = false,
+      }
     end
     setmetatable(tr, Transition)
     if type(key) ~= "number" and type(key) ~= "string" then
@@ -602,7 +608,7 @@ do
         clone_field(build, tr, model, k, v)
       end
     end
-    build.transitions[#build.transitions + 1] = tr
+    build.transitions[n] = tr
     return tr
   end
 
@@ -626,35 +632,44 @@ do
     if is_mounted_above(build, model, parent) then
       return add(build.problems, fqn, "a state cannot contain itself")
     end
-    local node = setmetatable({ _id = key, _fqn = fqn, _parent = parent },
+    local node = setmetatable({ _id = key, _fqn = fqn, _parent = parent, _index = 0 },
       kind == "state" and State or Connector)
     add_node(build, model, node)
     return node
   end
 
-  -- Is `key` of `model` a mark of the engine that `node` does not take over?
-  local function is_mark(node, model, key)
+  -- The fields of the engine, in whatever a machine consists of.
+  local ENGINE = {}
+  for name in ("_act_leaf _actchild _curq _def _doo_co _fsm _initialized _intq _mode "
+    .. "_otrs"):gmatch("%S+") do
+    ENGINE[name] = true
+  end
+
+  -- Is `key` of `model` a mark of the engine that `def` does not take over?
+  local function is_mark(def, model, key)
     if not is_meta(key) then return false end
-    return node[key] ~= nil or key == "_otrs" or rawget(model, "_fqn") ~= nil
+    return def[key] ~= nil or ENGINE[key] or rawget(model, "_fqn") ~= nil
   end
 
   -- Takes over a member that is no element of the model: a program or the user's data.
-  local function clone_datum(build, node, model, key, value)
-    if is_mark(node, model, key) then return end
-    node[key] = clone_data(build, value)
-    if RESERVED[key] == "state" and is_state(node) then
-      check_callable(build, node, model, key)
+  local function clone_datum(build, def, model, key, value)
+    if is_mark(def, model, key) then return end
+    def[key] = value
+    if RESERVED[key] == "state" and is_state(def) then
+      check_callable(build, def, model, key)
+    else
+      add_datum(def, key)
     end
     if type(value) == "table" and getmetatable(value) == nil then
-      check_plain_table(build, node._fqn .. "." .. text_of(key), value)
+      check_plain_table(build, def._fqn .. "." .. text_of(key), value)
     end
   end
 
   local function clone_connector(build, connector, model)
-    local from_instance = rawget(model, "_fqn") ~= nil
+    local from_plan = rawget(model, "_fqn") ~= nil
     for key, value in pairs(model) do -- any order: each member stands alone
       local kind = kind_of(value)
-      if from_instance and is_meta(key) then kind = nil end
+      if from_plan and is_meta(key) then kind = nil end
       if kind then
         add(build.warnings, connector._fqn, "a connector holds no %s, '%s' is ignored",
           kind, text_of(key))
@@ -665,12 +680,12 @@ do
   end
 
   local function clone_members(build, state, model)
-    local from_instance = rawget(model, "_fqn") ~= nil
+    local from_plan = rawget(model, "_fqn") ~= nil
     local has_transition, is_composite = false, false
     for key, value in pairs(model) do -- any order: what depends on it is sorted later
       local value_type = type(value)
       local kind = value_type == "table" and KIND[getmetatable(value)]
-      if from_instance and is_meta(key) then kind = false end
+      if from_plan and is_meta(key) then kind = false end
       if value_type == "function" and RESERVED[key] == "state" then
         state[key] = value
       elseif kind == "transition" then
@@ -737,28 +752,28 @@ do
   end
 
   -- A name without a dot: in the composite of the transition, or the root itself.
-  local function find_local(fsm, composite, name)
+  local function find_local(root, composite, name)
     local node, reason = find_below(composite, { name })
-    if not node and name == "root" then return fsm end
+    if not node and name == "root" then return root end
     return node, reason
   end
 
   -- A path from the root; `root.` in front is optional, and a state may be named so.
-  local function find_absolute(fsm, path)
+  local function find_absolute(root, path)
     local parts = split(path)
-    if parts[1] ~= "root" then return find_below(fsm, parts) end
-    local node, reason = find_below(fsm, split(path:sub(6)))
+    if parts[1] ~= "root" then return find_below(root, parts) end
+    local node, reason = find_below(root, split(path:sub(6)))
     if node then return node end
-    return (find_below(fsm, parts)), reason
+    return (find_below(root, parts)), reason
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
   -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) others from the root.
-  local function find_named(fsm, composite, name)
+  local function find_named(root, composite, name)
     local relative = name:match("^%.%.?([^.].*)$")
     if relative then return find_below(composite, split(relative)) end
-    if not name:find(".", 1, true) then return find_local(fsm, composite, name) end
-    return find_absolute(fsm, name)
+    if not name:find(".", 1, true) then return find_local(root, composite, name) end
+    return find_absolute(root, name)
   end
 
   -- How many ancestors `node` shares with `composite`.
@@ -777,7 +792,8 @@ do
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, model)
-    if rawget(model, "_fqn") and root_of(model) == build.fsm then return model end
+    local def = rawget(model, "_def") -- merged, it may name a node of the machine
+    if def and root_of(def) == build.root then return def end
     local mount = build.mounts[model_of(model)]
     if not mount then return nil, "the table given is no part of this model" end
     local nearest, most, is_tie = nil, -1, false
@@ -801,7 +817,7 @@ do
     local ref = tr[field]
     local node, reason
     if type(ref) == "string" then
-      node, reason = find_named(build.fsm, tr._parent, ref)
+      node, reason = find_named(build.root, tr._parent, ref)
       if not node and field == "tgt" and ref == "internal" then
         reason = "internal transitions are not supported"
       end
@@ -834,7 +850,7 @@ local function find_entrance(build, tr, node)
   if is_conn(node) then return node end
   local initial = rawget(node, "initial")
   if is_conn(initial) then return initial end
-  if node ~= build.fsm then -- of the root that is a problem of its own
+  if node ~= build.root then -- of the root that is a problem of its own
     add(build.problems, place_of(tr), "tgt '%s': the composite has no initial "
       .. "transition (rfsm.trans{ src='initial', tgt=... })", node._fqn)
   end
@@ -845,11 +861,13 @@ local function create_initial(build, tr)
   if tr.src ~= "initial" then return end
   local composite = tr._parent
   if rawget(composite, "initial") ~= nil then return end
+  local n = #build.nodes + 1
   local connector = setmetatable({
     _id = "initial", _fqn = composite._fqn .. ".initial", _parent = composite,
+    _index = n,
   }, Connector)
   composite.initial, composite._is_leaf = connector, false
-  build.nodes[#build.nodes + 1] = connector
+  build.nodes[n], build.models[n] = connector, false
   build.created[#build.created + 1] = connector
 end
 
@@ -874,10 +892,11 @@ local function resolve_transition(build, tr)
   if build.completions[tr] then expand_e_done(build, tr) end
 end
 
-local function resolve(build)
+-- Resolves the transitions from number `first` on.
+local function resolve(build, first)
   local transitions = build.transitions
-  for i = 1, #transitions do create_initial(build, transitions[i]) end
-  for i = 1, #transitions do resolve_transition(build, transitions[i]) end
+  for i = first, #transitions do create_initial(build, transitions[i]) end
+  for i = first, #transitions do resolve_transition(build, transitions[i]) end
 end
 
 -- Compile: the structure becomes lists and indexes; no user function is stored ---
@@ -886,7 +905,7 @@ end
 -- searched, a transition taken, a state entered for the first time, so that what never
 -- runs takes neither time nor memory.
 
-local compile, compile_node, compile_path
+local compile, compile_node, compile_path, make_ready
 
 do
   local function depth_of(node)
@@ -936,9 +955,7 @@ do
       n = n + 1
       upwards[n], state = state, state._parent
     end
-    local entries = {}
-    for i = 1, n do entries[i] = upwards[n + 1 - i] end
-    return entries
+    return reversed(upwards)
   end
 
   local function has_predicate(events)
@@ -974,14 +991,14 @@ do
 
   -- Indexes the outgoing transitions of `node`: `_by_event[event]` holds the candidates
   -- in the order in which they are tried, `_by_any` those for an event without a list.
-  function compile_node(fsm, node)
+  function compile_node(plan, node)
     local otrs, by_event, by_any = node._otrs, {}, {}
     for rank = 1, #otrs do
       local tr = otrs[rank]
       compile_transition(tr)
       tr._rank = rank
       for i = 1, tr.events and #tr.events or 0 do
-        by_event[tr.events[i]], fsm._events[tr.events[i]] = {}, true
+        by_event[tr.events[i]], plan.events[tr.events[i]] = {}, true
       end
     end
     for rank = 1, #otrs do add_to_index(by_event, by_any, otrs[rank]) end
@@ -989,14 +1006,14 @@ do
   end
 
   local RUN_FIELDS = {
-    "entry", "exit", "doo", "_mode", "_actchild", "_doo_co", "_entry_hooks",
-    "_exit_hooks", "_is_leaf", "_choices", "_ignored", "_by_event", "_by_any",
+    "entry", "exit", "doo", "_entry_hooks", "_exit_hooks", "_is_leaf", "_choices",
+    "_ignored", "_by_event", "_by_any",
     "_sources", -- the last one: it tells that the others are there
   }
 
   -- Gives a state that is going to be active all that a run reads, false where there is
   -- nothing.
-  local function make_ready(state)
+  function make_ready(state)
     if rawget(state, "_sources") ~= nil then return end
     state._done_event = state._is_leaf and "e_done@" .. state._fqn
     for i = 1, #RUN_FIELDS do
@@ -1024,16 +1041,13 @@ do
   end
 
   -- Gives each node the list of the transitions that leave it, in order.
-  function compile(fsm)
-    local transitions, several = fsm._transitions, {}
-    if fsm._events then forget(fsm._nodes) end
+  function compile(plan)
+    local transitions, several = plan.transitions, {}
+    if plan.events then forget(plan.nodes) end
     for i = 1, #transitions do
       local tr = transitions[i]
-      local src, events = tr.src, tr.events
+      local src = tr.src
       local otrs = src._otrs
-      if type(events) == "string" then -- a preproc function may have left it so
-        tr.events = { events }
-      end
       if not otrs then
         src._otrs = { tr }
       else
@@ -1042,7 +1056,324 @@ do
       end
     end
     for i = 1, #several do sort(several[i], tried_before) end
-    fsm._events = {}
+    plan.events = {}
+  end
+end
+
+-- Machine: an instance of a plan ----------------------------------------------
+--
+-- A machine and its nodes and transitions hold what is their own: what they contain and
+-- the user's data. All else they read from their definition in the plan, `_def`, which
+-- all machines of the model share until one of them gets another program or event; that
+-- one has a plan of its own from then on. Mode, active child and coroutine of a state
+-- follow from where the machine stands:
+--
+--   _leaf     the active leaf; false: there is none, and _open is the innermost active
+--             composite, false before the first entry
+--   _is_done  the active leaf has done its work
+--   _doo      the coroutine of its doo
+--   _at       false: no iteration is under way. true: one is, and all of the above
+--             holds. Else the program of a transition that runs: -i for the exit of
+--             node i, the node that is entered, the transition's definition
+--
+-- In the engine `state`, `leaf`, `tr` are definitions. What a user's function gets is
+-- the machine's own, in fsm._nodes and fsm._transitions at the same index.
+
+-- The machines there are: one look tells for any value at all whether it is one.
+local machines = setmetatable({}, { __mode = "k" })
+
+local function silent() end
+
+local function no_events() end
+
+-- What the fields of a machine are while they are off, and the flag to set with them:
+-- see Run.
+local FLAG_OF = {
+  dbg = "_is_traced", getevents = "_is_fed", pre_step_hook = "_is_hooked",
+  post_step_hook = "_is_hooked",
+}
+local OFF = {
+  dbg = silent, getevents = no_events, pre_step_hook = false, post_step_hook = false,
+}
+
+local function set_flag(fsm, flag)
+  fsm[flag], fsm._is_plain, fsm._is_unsettled = true, false, true
+end
+
+-- Returns the innermost active state, and whether it is being left.
+local function innermost_of(fsm)
+  local at = fsm._at
+  if type(at) == "boolean" then return fsm._leaf or fsm._open, false end
+  if type(at) == "number" then return fsm._plan.nodes[-at], true end
+  return at._def or fsm._plan.nodes[at._lca._index], false
+end
+
+local own_plan, set_mode
+
+do
+  local PROGRAMS = { entry = true, exit = true, doo = true }
+
+  -- What is read from the definition, and what is worked out.
+  local STATE_FIELDS = { entry = true, exit = true, doo = true, _fqn = true, _id = true,
+    new = true, type = true }
+  local CONNECTOR_FIELDS = { _fqn = true, _id = true, new = true, type = true }
+  local TRANSITION_FIELDS = { guard = true, effect = true, pn = true, _id = true,
+    new = true, type = true }
+  local STATE, CONNECTOR, TRANSITION, ROOT = {}, {}, {}, {}
+
+  function STATE._parent(fsm, def) return fsm._nodes[def._parent._index] end
+
+  function STATE._otrs(fsm, def)
+    if not def._otrs or not fsm._plan.events then return nil end
+    local otrs = {}
+    for i = 1, #def._otrs do otrs[i] = fsm._transitions[def._otrs[i]._index] end
+    if machines[fsm] then rawset(fsm._nodes[def._index], "_otrs", otrs) end
+    return otrs
+  end
+
+  function STATE._mode(fsm, def)
+    local state, is_leaving = innermost_of(fsm)
+    if not state then return "inactive" end
+    if state == def then
+      if is_leaving then return "inactive" end
+      return fsm._is_done and state == fsm._leaf and type(fsm._at) == "boolean"
+        and "done" or "active"
+    end
+    while state._parent ~= state do
+      state = state._parent
+      if state == def then return "active" end
+    end
+    return "inactive"
+  end
+
+  function STATE._actchild(fsm, def)
+    local state = innermost_of(fsm)
+    while state and state._parent ~= state do
+      if state._parent == def then return fsm._nodes[state._index] end
+      state = state._parent
+    end
+    return false
+  end
+
+  function ROOT._act_leaf(fsm)
+    local at, leaf = fsm._at, fsm._leaf
+    if not leaf or type(at) ~= "boolean" and at ~= -leaf._index then return false end
+    return fsm._nodes[leaf._index]
+  end
+
+  function STATE._doo_co(fsm, def)
+    return fsm._leaf == def and ROOT._act_leaf(fsm) and fsm._doo
+  end
+
+  CONNECTOR._parent, CONNECTOR._otrs = STATE._parent, STATE._otrs
+  TRANSITION._parent = STATE._parent
+  function TRANSITION.src(fsm, def) return fsm._nodes[def.src._index] end
+  function TRANSITION.tgt(fsm, def) return fsm._nodes[def.tgt._index] end
+
+  -- A list of the machine's own, because it may be changed: see `note_events`.
+  function TRANSITION.events(fsm, def)
+    if not def.events then return nil end
+    local events = copy_list(def.events)
+    rawset(fsm._transitions[def._index], "events", events)
+    fsm._has_read_events = true
+    return events
+  end
+
+  for field, read in pairs(STATE) do ROOT[field] = read end -- any order: each alone
+
+  local function reader(readers, fields)
+    return function(element, key)
+      local read = readers[key]
+      if read then return read(element._fsm, element._def) end
+      return fields[key] and element._def[key] or nil
+    end
+  end
+
+  LiveState.__index = reader(STATE, STATE_FIELDS)
+  LiveConnector.__index = reader(CONNECTOR, CONNECTOR_FIELDS)
+  LiveTransition.__index = reader(TRANSITION, TRANSITION_FIELDS)
+  LiveTransition.__tostring = Transition.__tostring
+  local read_root = reader(ROOT, STATE_FIELDS)
+
+  function Machine.__index(fsm, key)
+    local off = OFF[key]
+    if off ~= nil then return off end
+    return read_root(fsm, key)
+  end
+
+  -- Fields of a definition that compiling made, or that are the plan's own.
+  local COMPILED = {
+    _otrs = true, _by_event = true, _by_any = true, _sources = true, _choices = true,
+    _ignored = true, _lca = true, _entries = true, _run = true, _plan = true,
+  }
+
+  local function copy_def(def, copies)
+    local copy = copies[def]
+    for key, value in pairs(def) do -- any order: each field stands alone
+      if not COMPILED[key] then copy[key] = copies[value] or value end
+    end
+    return setmetatable(copy, getmetatable(def))
+  end
+
+  local function copy_defs(defs, copies)
+    local list = {}
+    for i = 1, #defs do list[i] = copy_def(defs[i], copies) end
+    return list
+  end
+
+  local function copy_plan(plan)
+    local copies = {}
+    for i = 1, #plan.nodes do copies[plan.nodes[i]] = {} end
+    for i = 1, #plan.transitions do copies[plan.transitions[i]] = {} end
+    local copy = {
+      model = plan.model, nodes = copy_defs(plan.nodes, copies),
+      transitions = copy_defs(plan.transitions, copies),
+      warnings = plan.warnings, created = plan.created, events = false, is_own = true,
+    }
+    copy.root = copy.nodes[1]
+    copy.root._plan = copy
+    return copy
+  end
+
+  local function use_plan(fsm, plan)
+    fsm._plan = plan
+    for i, node in ipairs(fsm._nodes) do node._def = plan.nodes[i] end
+    for i, tr in ipairs(fsm._transitions) do tr._def = plan.transitions[i] end
+    fsm._leaf = fsm._leaf and plan.nodes[fsm._leaf._index]
+    fsm._open = fsm._open and plan.nodes[fsm._open._index]
+  end
+
+  -- Gives the machine a plan that it shares with no other.
+  function own_plan(fsm)
+    local plan = fsm._plan
+    if plan.is_own then return plan end
+    local copy = copy_plan(plan)
+    if plan.events then compile(copy) end
+    use_plan(fsm, copy)
+    return copy
+  end
+
+  -- The rest of a transition that is under way goes in detail, where each program is
+  -- looked up.
+  local function change(element, key, value)
+    local fsm = element._fsm
+    own_plan(fsm)
+    if value == nil then value = false end
+    element._def[key] = value
+    if fsm._at then set_flag(fsm, "_is_traced") end
+  end
+
+  function LiveState.__newindex(state, key, value)
+    if PROGRAMS[key] then return change(state, key, value) end
+    if key == "_mode" then return set_mode(state, value) end
+    if not STATE[key] then rawset(state, key, value) end
+  end
+
+  function LiveConnector.__newindex(connector, key, value)
+    if not CONNECTOR[key] then rawset(connector, key, value) end
+  end
+
+  function LiveTransition.__newindex(tr, key, value)
+    if key == "guard" or key == "effect" or key == "pn" then
+      return change(tr, key, value)
+    elseif key == "src" or key == "tgt" then
+      return change(tr, key, value._def)
+    elseif key == "events" then
+      tr._fsm._has_read_events = true
+    end
+    rawset(tr, key, value)
+  end
+
+  function Machine.__newindex(fsm, key, value)
+    if PROGRAMS[key] then return change(fsm, key, value) end
+    if key == "_mode" then return set_mode(fsm, value) end
+    if key == "_act_leaf" and value then return set_mode(value, "active") end
+    if ROOT[key] then return end
+    rawset(fsm, key, value)
+    if FLAG_OF[key] then set_flag(fsm, FLAG_OF[key]) end
+  end
+
+  -- Moves the machine to where `state` has that mode; no program runs.
+  function set_mode(state, mode)
+    local fsm, def = state._fsm, state._def
+    if mode == "inactive" then
+      if state._mode == "inactive" then return end
+      fsm._leaf, fsm._doo = false, false
+      fsm._open = def._parent ~= def and def._parent
+    elseif def._is_leaf then
+      if fsm._leaf ~= def then fsm._doo = false end
+      make_ready(def)
+      fsm._leaf, fsm._open, fsm._is_done = def, false, mode == "done"
+    elseif state._mode == "inactive" then
+      fsm._leaf, fsm._open, fsm._doo = false, def, false
+    end
+  end
+end
+
+local clone_data
+
+do
+  -- Returns what stands for `value` in the copy; a plain table is filled in later.
+  local function copy_of(copies, value, pending)
+    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+    local copy = copies[value]
+    if not copy then
+      copy = {}
+      copies[value] = copy
+      pending[#pending + 1] = value
+    end
+    return copy
+  end
+
+  -- Copies a plain table; a list of pending tables instead of recursion bears any
+  -- depth.
+  function clone_data(copies, value)
+    if type(value) ~= "table" then return value end
+    local pending = {}
+    local copy = copy_of(copies, value, pending)
+    while pending[1] do
+      local source = pending[#pending]
+      pending[#pending] = nil
+      local target = copies[source]
+      for k, v in pairs(source) do -- any order: each pair stands alone
+        target[copy_of(copies, k, pending)] = copy_of(copies, v, pending)
+      end
+    end
+    return copy
+  end
+end
+
+-- Gives `element` the user's data in its definition.
+local function hand_out(element, def, copies)
+  local data = def._data
+  for i = 1, #data do
+    local key = data[i]
+    if not is_meta(key) or rawget(element, key) == nil then
+      rawset(element, key, clone_data(copies, def[key]))
+    end
+  end
+end
+
+-- Makes the nodes and transitions of the machine from the given numbers on.
+local function make_elements(fsm, first_node, first_transition)
+  local plan, nodes, transitions, copies = fsm._plan, fsm._nodes, fsm._transitions, {}
+  for i = first_node, #plan.nodes do
+    local def = plan.nodes[i]
+    local node = nodes[i] -- the machine itself
+    if not node then
+      local class = getmetatable(def) == State and LiveState or LiveConnector
+      node = setmetatable({ _def = def, _fsm = fsm }, class)
+      nodes[i] = node
+      rawset(nodes[def._parent._index], def._id, node)
+    end
+    if def._data then hand_out(node, def, copies) end
+  end
+  for i = first_transition, #plan.transitions do
+    local def = plan.transitions[i]
+    local tr = setmetatable({ _def = def, _fsm = fsm }, LiveTransition)
+    transitions[i] = tr
+    rawset(nodes[def._parent._index], def._id, tr)
+    if def._data then hand_out(tr, def, copies) end
   end
 end
 
@@ -1063,25 +1394,9 @@ end
 --   _is_plain      none of these
 --   _is_unsettled  the iteration has more to do at its end: see `settle`
 --
--- The fields behind the first three are absent from the machine while they are off (the
--- class has what they read as then), so that setting one of them passes through
+-- The fields behind the first three are absent from the machine while they are off (OFF
+-- has what they read as then), so that setting one of them passes through
 -- Machine.__newindex. They may be set too long, never too short.
-
-local function silent() end
-
-local function no_events() end
-
--- What the fields of a machine are while they are off, and the flag to set with them.
-local FLAG_OF = {
-  dbg = "_is_traced", getevents = "_is_fed", pre_step_hook = "_is_hooked",
-  post_step_hook = "_is_hooked",
-}
-Machine.dbg, Machine.getevents = silent, no_events
-Machine.pre_step_hook, Machine.post_step_hook = false, false
-
-local function set_flag(fsm, flag)
-  fsm[flag], fsm._is_plain, fsm._is_unsettled = true, false, true
-end
 
 -- Nothing stands behind the flag any more.
 local function clear_flag(fsm, flag)
@@ -1090,11 +1405,6 @@ local function clear_flag(fsm, flag)
   end
   fsm[flag] = false
   fsm._is_plain = not (fsm._is_traced or fsm._is_fed or fsm._is_hooked)
-end
-
-function Machine.__newindex(fsm, key, value)
-  rawset(fsm, key, value)
-  if FLAG_OF[key] then set_flag(fsm, FLAG_OF[key]) end
 end
 
 -- Prints any values, tab separated: to stderr where there is one, or with the `print`
@@ -1225,9 +1535,9 @@ local function run_hooks(fsm, hooks, slot, events)
 end
 
 -- What an extension wants done when a state is entered or left.
-local function run_state_hooks(fsm, state, hooks)
+local function run_state_hooks(fsm, node, hooks)
   for i = 1, #hooks do
-    local ok, failure = pcall(hooks[i], fsm, state)
+    local ok, failure = pcall(hooks[i], fsm, node)
     if not ok then keep_failure(fsm, failure) end
   end
 end
@@ -1284,7 +1594,7 @@ local function is_enabled(fsm, tr, events, depth)
   if fsm._is_traced then trace_checking(fsm, tr) end
   local guard = tr.guard
   if guard then
-    local ok, answer = pcall(guard, tr, events)
+    local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
     if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
   end
   return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events, depth)
@@ -1329,18 +1639,15 @@ end
 -- Returns the way out of a connector, or false; it is chosen once a search. While it is
 -- being evaluated it counts as closed, so that cycles end.
 function evaluate_connector(fsm, connector, events, depth)
-  if connector._search == fsm._search then return connector._way end
-  connector._search, connector._way = fsm._search, false
-  local otrs = connector._otrs
-  if otrs then
-    if not connector._by_event then compile_node(fsm, connector) end
-    if not depth or depth < MAX_DEPTH then
-      connector._way = choose_way(fsm, connector, otrs, events, (depth or 0) + 1)
-    else
-      connector._way = choose_way_aside(fsm, connector, otrs, events)
-    end
-  end
-  return connector._way
+  local searched, ways, otrs = fsm._searched, fsm._ways, connector._otrs
+  if searched[connector] == fsm._search then return ways[connector] end
+  searched[connector], ways[connector] = fsm._search, false
+  if not otrs then return false end
+  if not connector._by_event then compile_node(fsm._plan, connector) end
+  local choose = depth and depth >= MAX_DEPTH and choose_way_aside or choose_way
+  local way = choose(fsm, connector, otrs, events, (depth or 0) + 1)
+  ways[connector] = way
+  return way
 end
 
 -- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
@@ -1400,7 +1707,7 @@ end
 -- several lists.
 local function find_from_node(fsm, node, events)
   if not node._otrs then return nil end
-  if not node._by_event then compile_node(fsm, node) end
+  if not node._by_event then compile_node(fsm._plan, node) end
   local count = find_lists(fsm, node, events)
   if count == 1 then return find_in_list(fsm, fsm._lists[1], events, 1) end
   local tr = next_candidate(fsm._lists, count, 0)
@@ -1424,7 +1731,7 @@ local function sources_of(leaf)
   local sources = {}
   for i = 1, n do
     local source = upwards[n + 1 - i]
-    if not source._by_event then compile_node(state, source) end
+    if not source._by_event then compile_node(state._plan, source) end
     sources[i] = source
   end
   leaf._sources = sources
@@ -1489,7 +1796,7 @@ local function find_choice(fsm, leaf, event)
   local choices = leaf._choices
   if choices[event] ~= nil then return choices[event] end
   local key = event
-  if not fsm._events[event] then key = OTHER end
+  if not fsm._plan.events[event] then key = OTHER end
   if choices[key] == nil then choices[key] = choice_of(leaf, key) end
   return choices[key]
 end
@@ -1534,22 +1841,26 @@ end
 
 -- What follows when the exit of `state` has run.
 local function finish_exit(fsm, state)
-  if state._exit_hooks then run_state_hooks(fsm, state, state._exit_hooks) end
-  state._parent._actchild, state._doo_co, fsm._act_leaf = false, false, false
+  local node = fsm._nodes[state._index]
+  local hooks = node._def._exit_hooks
+  if hooks then run_state_hooks(fsm, node, hooks) end
+  if state == fsm._leaf then fsm._doo = false end
+  fsm._at = node._parent
   if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
 end
 
 -- A leaf has done its work.
 local function complete(fsm, leaf)
-  leaf._mode = "done"
+  fsm._is_done = true
   post(fsm, leaf._done_event)
 end
 
 -- What follows when the entry of `state` has run.
 local function finish_entry(fsm, state)
   if state._is_leaf then
-    fsm._act_leaf = state
-    if not state.doo then complete(fsm, state) end
+    local leaf = fsm._plan.nodes[state._index]
+    fsm._leaf, fsm._is_done, fsm._at = leaf, false, true
+    if not leaf.doo then complete(fsm, leaf) end
   end
   if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
 end
@@ -1561,12 +1872,14 @@ local function finish_effect(fsm, tr)
   trace(fsm, "TRANS_ENTER", tostring(tr))
 end
 
--- Exits from `state` up to the lca of `tr`.
+-- Exits from `state` up to the lca of `tr`. The machine may have got a plan of its own
+-- in the meantime: only positions in it tell.
 local function exit_up(fsm, tr, state)
-  while state ~= tr._lca do
-    fsm._at, state._mode = state, "inactive"
-    local exit = state.exit
-    if exit then exit(fsm, state, "exit") end
+  while state._index ~= tr._lca._index do
+    local node = fsm._nodes[state._index]
+    fsm._at = -state._index
+    local exit = node.exit
+    if exit then exit(fsm, node, "exit") end
     finish_exit(fsm, state)
     state = state._parent
   end
@@ -1577,10 +1890,12 @@ local function enter_down(fsm, tr, first)
   local entries = tr._entries
   for i = first, #entries do
     local state = entries[i]
-    fsm._at, state._mode, state._parent._actchild = i, "active", state
-    if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
-    local entry = state.entry
-    if entry then entry(fsm, state, "entry") end
+    local node = fsm._nodes[state._index]
+    fsm._at = node
+    local hooks = node._def._entry_hooks
+    if hooks then run_state_hooks(fsm, node, hooks) end
+    local entry = node.entry
+    if entry then entry(fsm, node, "entry") end
     finish_entry(fsm, state)
   end
 end
@@ -1599,16 +1914,16 @@ end })
 
 -- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
 -- stands for all of it, 1 for all of (c). It runs in a protected call, and fsm._at says
--- what is running: a state that is left, the transition, the number of an entry. What
--- follows a program (the functions finish_*) does not raise.
+-- what is running. What follows a program (the functions finish_*) does not raise.
 local function run_segment(fsm, tr, events, state, first)
   if first == 0 then
     exit_up(fsm, tr, state)
-    local effect = tr.effect
+    fsm._at = tr
+    local own = fsm._transitions[tr._index]
+    local effect = own.effect
     if effect then
-      fsm._at = tr
       keep_events(fsm)
-      effect(fsm, tr, "effect", events)
+      effect(fsm, own, "effect", events)
     end
     finish_effect(fsm, tr)
     first = 1
@@ -1616,60 +1931,68 @@ local function run_segment(fsm, tr, events, state, first)
   enter_down(fsm, tr, first)
 end
 
--- The innermost state below `state` that has not been left to the end.
-local function innermost_in(state)
-  while state._actchild do state = state._actchild end
-  return state
+-- Which of the entries of `tr` is `state`?
+local function number_of(tr, state)
+  local entries = tr._entries
+  for i = 1, #entries do
+    if entries[i]._index == state._index then return i end
+  end
+end
+
+-- Where segment `tr` starts, the innermost active state.
+local function start_of(fsm, tr)
+  return fsm._segment == 1 and fsm._leaf or tr.src._parent
 end
 
 -- A program of the segment failed: reports it, finishes what it belongs to, and returns
--- where to go on. Where none has run it was an interrupt, which is for the caller.
+-- where to go on. Where none was running it was an interrupt, which is for the caller.
 local function recover(fsm, tr, failure)
   local at = fsm._at
-  if not at then
-    keep_failure(fsm, failure)
-    if not tr._entries then compile_path(tr) end
-    return innermost_in(tr._lca), 0
-  elseif at == tr then
+  if at == tr then
     report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
     finish_effect(fsm, tr)
     return nil, 1
+  elseif type(at) == "number" then
+    local state = fsm._plan.nodes[-at]
+    report_program(fsm, "EXIT", "exit", state._fqn, failure)
+    finish_exit(fsm, state)
+    return state._parent, 0
   end
-  if type(at) == "number" then
-    local state = tr._entries[at]
+  local state = at ~= true and at._def
+  local i = state and number_of(tr, state)
+  if i then
     report_program(fsm, "ENTRY", "entry", state._fqn, failure)
     finish_entry(fsm, state)
-    return nil, at + 1
+    return nil, i + 1
   end
-  report_program(fsm, "EXIT", "exit", at._fqn, failure)
-  finish_exit(fsm, at)
-  return at._parent, 0
+  keep_failure(fsm, failure)
+  if not tr._entries then compile_path(tr) end
+  return state or start_of(fsm, tr), 0
 end
 
--- One segment from the `innermost` active state.
-local function run_in_detail(fsm, tr, innermost, events)
+-- One segment in detail; returns the effect.
+local function run_in_detail(fsm, tr, events)
   if not tr._entries then compile_path(tr) end
   if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
-  run_segment(fsm, tr, events, innermost, 0)
+  run_segment(fsm, tr, events, start_of(fsm, tr), 0)
 end
 
--- Runs the segments of fsm._path from number `i` to `last`; the first of them leaves
--- `innermost`. Returns whether an effect may have kept the events table. Like
--- `find_in_list` it calls itself, for LuaJIT.
-local function run_path(fsm, events, i, last, innermost, is_kept)
+-- Runs the segments of fsm._path from number `i` to `last`. Returns whether an effect
+-- may have kept the events table. Like `find_in_list` it calls itself, for LuaJIT.
+local function run_path(fsm, events, i, last, is_kept)
   if i > last then return is_kept end
   local tr = fsm._path[i]
-  fsm._segment, fsm._at = i, false
+  fsm._segment, fsm._at = i, true
   local run = fsm._is_traced and run_in_detail or tr._run
-  local effect = run(fsm, tr, innermost or tr.src._parent, events)
+  local effect = run(fsm, tr, events)
   is_kept = is_kept or effect and may_keep[effect]
-  return run_path(fsm, events, i + 1, last, nil, is_kept)
+  return run_path(fsm, events, i + 1, last, is_kept)
 end
 
 -- Goes on in the segment whose program failed, then with those after it.
 local function resume_path(fsm, events, last, state, first)
   run_segment(fsm, fsm._path[fsm._segment], events, state, first)
-  return run_path(fsm, events, fsm._segment + 1, last, nil)
+  return run_path(fsm, events, fsm._segment + 1, last)
 end
 
 -- Recovers until the path is at its end.
@@ -1684,19 +2007,19 @@ end
 
 -- Takes the first `last` segments of fsm._path. One protected call is enough where
 -- nothing fails.
-local function take_path(fsm, events, last, innermost)
-  fsm._segment, fsm._at = 1, false
-  local ok, is_kept = pcall(run_path, fsm, events, 1, last, innermost)
+local function take_path(fsm, events, last)
+  fsm._segment, fsm._at = 1, true
+  local ok, is_kept = pcall(run_path, fsm, events, 1, last)
   if not ok then return recover_path(fsm, events, last, is_kept) end
   if is_kept then keep_events(fsm) end
 end
 
 -- Notes the segments from `tr` to a leaf in `path`, from place `n` on, as the search
 -- chose them; returns the place of the last.
-local function note_path(path, tr, n)
+local function note_path(fsm, path, tr, n)
   path[n] = tr
   if not tr._to_connector then return n end
-  return note_path(path, tr.tgt._way, n + 1)
+  return note_path(fsm, path, fsm._ways[tr.tgt], n + 1)
 end
 
 local function trace_path(fsm, n)
@@ -1709,10 +2032,11 @@ end
 
 -- Exits one state outside of a transition.
 local function exit_one(fsm, state)
-  state._mode = "inactive"
-  local exit = state.exit
+  local node = fsm._nodes[state._index]
+  fsm._at = -state._index
+  local exit = node.exit
   if exit then
-    local ok, failure = pcall(exit, fsm, state, "exit")
+    local ok, failure = pcall(exit, fsm, node, "exit")
     if not ok then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
   end
   finish_exit(fsm, state)
@@ -1720,226 +2044,37 @@ end
 
 -- Enters the root.
 local function enter_root(fsm)
-  fsm._mode = "active"
-  if fsm._entry_hooks then run_state_hooks(fsm, fsm, fsm._entry_hooks) end
+  local root = fsm._def
+  fsm._at, fsm._open = fsm, false
+  if root._entry_hooks then run_state_hooks(fsm, fsm, root._entry_hooks) end
   local entry = fsm.entry
   if entry then
     local ok, failure = pcall(entry, fsm, fsm, "entry")
     if not ok then report_program(fsm, "ENTRY", "entry", fsm._fqn, failure) end
   end
-  finish_entry(fsm, fsm)
+  finish_entry(fsm, root)
 end
 
 -- First entry: the root, then the path from its `initial`; false when none is enabled.
 local function enter_machine(fsm, events)
-  if fsm._is_leaf then
+  local root = fsm._def
+  if root._is_leaf then
+    make_ready(root)
     enter_root(fsm)
     return true
   end
   fsm._search = fsm._search + 1
   if fsm.dbg ~= silent then trace_search(fsm, events) end
-  local tr = find_from_node(fsm, fsm.initial, events)
+  local tr = find_from_node(fsm, root.initial, events)
   if not tr then return false end
-  local n = note_path(fsm._path, tr, 1)
+  local n = note_path(fsm, fsm._path, tr, 1)
   trace_path(fsm, n)
   enter_root(fsm)
-  take_path(fsm, events, n, nil)
+  take_path(fsm, events, n)
   return true
 end
 
--- Take, straight: the same as run_in_detail while nothing is traced ...............
---
--- The segment as code without a loop, made once for each number of exits and entries.
--- It asks after each program whether a trace began, and goes on in detail then, as it
--- does where a state has hooks. The notes in fsm._at are those of run_segment. It
--- returns the effect, which had the events table.
-
-do
-  -- `state` is the innermost active state, then one after the other up to the lca. $i
-  -- counts the entries, $t is what to enter, $s the variable for it and $p the one that
-  -- holds its parent. What no user's function can see is left out: the lca without a
-  -- child where an entry follows at once.
-  local TEXT = {
-    head = [[
-local run_segment, enter_down, after_exit, after_effect, after_entry = ...
-return function(fsm, tr, state, events)
-  local program, inner
-]],
-    exit_hooked = [[
-  if state._exit_hooks then return run_segment(fsm, tr, events, state, 0) end
-]],
-    exit = [[
-  state._mode = "inactive"
-  program = state.exit
-  if program then
-    fsm._at = state
-    program(fsm, state, "exit")
-    if fsm._is_traced then return after_exit(fsm, tr, events, state) end
-  end
-]],
-    leaf_left = [[
-  state._doo_co = false
-  fsm._act_leaf = false
-]],
-    go_up = [[
-  state = state._parent
-]],
-    child_left = [[
-  state._actchild = false
-]],
-    effect = [[
-  local effect = tr.effect
-  if effect then
-    state._actchild = false
-    fsm._at = tr
-    effect(fsm, tr, "effect", events)
-    if fsm._is_traced then return after_effect(fsm, tr) end
-  end
-]],
-    entries = [[
-  local entries = tr._entries
-]],
-    entry_hooked = [[
-  if $t._entry_hooks then
-    enter_down(fsm, tr, $i)
-    return effect
-  end
-]],
-    entry = [[
-  $s = $t
-  $s._mode = "active"
-  $p._actchild = $s
-  program = $s.entry
-  if program then
-    fsm._at = $i
-    program(fsm, $s, "entry")
-    if fsm._is_traced then return after_entry(fsm, tr, $i) end
-  end
-]],
-    leaf_entered = [[
-  fsm._act_leaf = $s
-  if not $s.doo then
-    local queue = fsm._intq
-    $s._mode = "done"
-    queue[#queue + 1] = $s._done_event
-  end
-]],
-    tail = [[
-  return effect
-end
-]],
-  }
-
-  local function write_exits(write, shape)
-    for i = 1, shape.exits do
-      if shape.has_hooks then write("exit_hooked") end
-      write("exit")
-      if i == 1 then write("leaf_left") end
-      write("go_up")
-      if i < shape.exits or shape.entries == 0 then write("child_left") end
-    end
-  end
-
-  local function write_entries(write, shape)
-    local last = shape.entries
-    if last > 1 then write("entries") end
-    local inner, outer = "inner", "state"
-    for i = 1, last do
-      local is_leaf = i == last and shape.is_leaf
-      local tgt = last > 1 and "entries[" .. i .. "]" or "tr._entries[1]"
-      local values = { i = i, t = is_leaf and "tr.tgt" or tgt, s = inner, p = outer }
-      if shape.has_hooks then write("entry_hooked", values) end
-      write("entry", values)
-      if is_leaf then write("leaf_entered", values) end
-      inner, outer = outer, inner
-    end
-  end
-
-  -- The source for segments of one shape: how many exits and entries, whether they end
-  -- at a leaf, and whether states of the machine have hooks.
-  local function segment_source(shape)
-    local texts = {}
-    local function write(name, values)
-      texts[#texts + 1] = TEXT[name]:gsub("%$(%l)", values or {})
-    end
-    write("head")
-    write_exits(write, shape)
-    write("effect")
-    write_entries(write, shape)
-    write("tail")
-    return concat(texts)
-  end
-
-  -- A program of a straight segment switched the trace on: the rest goes in detail.
-  local function after_exit(fsm, tr, events, state)
-    finish_exit(fsm, state)
-    run_segment(fsm, tr, events, state._parent, 0)
-  end
-
-  local function after_effect(fsm, tr)
-    keep_events(fsm)
-    finish_effect(fsm, tr)
-    enter_down(fsm, tr, 1)
-  end
-
-  local function after_entry(fsm, tr, i)
-    keep_events(fsm)
-    finish_entry(fsm, tr._entries[i])
-    enter_down(fsm, tr, i + 1)
-  end
-
-  -- How many states a segment may leave and enter to be made straight code.
-  local MAX_STATES = 400
-
-  local straight = {}
-
-  local function make_straight(number, shape)
-    local chunk = loadstring(segment_source(shape), "=rfsm segment")
-    straight[number] = chunk(run_segment, enter_down, after_exit, after_effect,
-      after_entry)
-    return straight[number]
-  end
-
-  -- Returns the function for segments of the shape of `tr` with so many exits; it is
-  -- run_in_detail for those too deep, and where Lua comes without its compiler.
-  local function straight_segment(fsm, tr, exits)
-    local entries, is_leaf, has_hooks = #tr._entries, not tr._to_connector,
-      fsm._has_state_hooks
-    if exits + entries > MAX_STATES or not loadstring then return run_in_detail end
-    local number = (exits * 1000 + entries) * 4 + (is_leaf and 2 or 0)
-      + (has_hooks and 1 or 0)
-    return straight[number] or make_straight(number, {
-      exits = exits, entries = entries, is_leaf = is_leaf, has_hooks = has_hooks,
-    })
-  end
-
-  local function count_up(state, ancestor)
-    local n = 0
-    while state ~= ancestor do
-      state, n = state._parent, n + 1
-    end
-    return n
-  end
-
-  -- Runs a segment that starts at a composite: how many states it exits depends on the
-  -- leaf.
-  local function run_from_composite(fsm, tr, innermost, events)
-    local run = straight_segment(fsm, tr, count_up(innermost, tr._lca))
-    return run(fsm, tr, innermost, events)
-  end
-
-  -- Until the first time.
-  function Transition._run(fsm, tr, innermost, events)
-    local src = tr.src
-    if not tr._entries then compile_path(tr) end
-    if is_state(src) and not src._is_leaf then
-      tr._run = run_from_composite
-    else
-      tr._run = straight_segment(fsm, tr, count_up(innermost, tr._lca))
-    end
-    return tr._run(fsm, tr, innermost, events)
-  end
-end
+Transition._run = run_in_detail
 
 -- What follows the protected call of a straight segment.
 local function finish_take(fsm, tr, events, ok, effect)
@@ -1950,287 +2085,293 @@ local function finish_take(fsm, tr, events, ok, effect)
 end
 
 -- Takes `tr` from the active leaf.
-local function take(fsm, tr, leaf, events)
+local function take(fsm, tr, events)
   if tr._to_connector or fsm._is_traced then
-    local n = note_path(fsm._path, tr, 1)
+    local n = note_path(fsm, fsm._path, tr, 1)
     if fsm._is_traced then trace_path(fsm, n) end
-    return take_path(fsm, events, n, leaf)
+    return take_path(fsm, events, n)
   end
-  fsm._at = false
-  finish_take(fsm, tr, events, pcall(tr._run, fsm, tr, leaf, events))
+  fsm._segment = 1
+  finish_take(fsm, tr, events, pcall(tr._run, fsm, tr, events))
 end
 
 -- Doo ............................................................................
 
--- What a doo's coroutine returns at its end, before what the doo returned.
-local ENDED = {}
+local run_doo
 
-local function doo_body(doo, fsm, leaf) return ENDED, doo(fsm, leaf, "doo") end
+do
+  -- What a doo's coroutine returns at its end, before what the doo returned.
+  local ENDED = {}
 
-local function trace_doo(fsm, leaf, outcome)
-  if fsm.dbg ~= silent then trace(fsm, "DOO", leaf._fqn, outcome) end
-end
+  local function doo_body(doo, fsm, node) return ENDED, doo(fsm, node, "doo") end
 
-local function fail_doo(fsm, leaf, failure)
-  leaf._doo_co, leaf._mode = false, "done"
-  report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
-    failure)
-  trace_doo(fsm, leaf, "failed")
-  return true
-end
-
--- What follows a cycle of the doo; true when it is idle or done.
-local function finish_cycle(fsm, leaf, ok, idle)
-  if not ok then return fail_doo(fsm, leaf, idle) end
-  if idle ~= ENDED then
-    if fsm._is_traced then trace_doo(fsm, leaf, idle and "idle" or "active") end
-    return idle and true or false
+  local function trace_doo(fsm, leaf, outcome)
+    if fsm.dbg ~= silent then trace(fsm, "DOO", leaf._fqn, outcome) end
   end
-  leaf._doo_co = false
-  complete(fsm, leaf)
-  trace_doo(fsm, leaf, "done")
-  return true
-end
 
--- The first cycle: a coroutine is made.
-local function start_doo(fsm, leaf)
-  if not leaf.doo then
-    complete(fsm, leaf)
+  local function fail_doo(fsm, leaf, failure)
+    fsm._doo, fsm._is_done = false, true
+    report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
+      failure)
+    trace_doo(fsm, leaf, "failed")
     return true
   end
-  local co = create(doo_body)
-  leaf._doo_co = co
-  return finish_cycle(fsm, leaf, resume(co, leaf.doo, fsm, leaf))
-end
 
--- One cycle of the active leaf's doo; true when it is idle or done.
-local function run_doo(fsm, leaf)
-  if leaf._mode == "done" then return true end
-  local co = leaf._doo_co
-  if not co then return start_doo(fsm, leaf) end
-  local ok, idle = resume(co, fsm, leaf, "doo")
-  if not ok or idle == ENDED or fsm._is_traced then
-    return finish_cycle(fsm, leaf, ok, idle)
+  -- What follows a cycle of the doo; true when it is idle or done.
+  local function finish_cycle(fsm, leaf, ok, idle)
+    if not ok then return fail_doo(fsm, leaf, idle) end
+    if idle ~= ENDED then
+      if fsm._is_traced then trace_doo(fsm, leaf, idle and "idle" or "active") end
+      return idle and true or false
+    end
+    fsm._doo = false
+    complete(fsm, leaf)
+    trace_doo(fsm, leaf, "done")
+    return true
   end
-  return idle and true or false
+
+  -- The first cycle: a coroutine is made.
+  local function start_doo(fsm, leaf)
+    local doo = fsm._nodes[leaf._index].doo
+    if not doo then
+      complete(fsm, leaf)
+      return true
+    end
+    local co = create(doo_body)
+    fsm._doo = co
+    return finish_cycle(fsm, leaf, resume(co, doo, fsm, fsm._nodes[leaf._index]))
+  end
+
+  -- One cycle of the active leaf's doo; true when it is idle or done.
+  function run_doo(fsm, leaf)
+    if fsm._is_done then return true end
+    local co = fsm._doo
+    if not co then return start_doo(fsm, leaf) end
+    local ok, idle = resume(co, fsm, fsm._nodes[leaf._index], "doo")
+    if not ok or idle == ENDED or fsm._is_traced then
+      return finish_cycle(fsm, leaf, ok, idle)
+    end
+    return idle and true or false
+  end
 end
 
 -- Iterate ........................................................................
 
 local function reset_now(fsm)
-  local state = fsm
-  while state do
-    local child = state._actchild
-    state._mode, state._actchild, state._doo_co = "inactive", false, false
-    state = child
-  end
-  fsm._act_leaf, fsm._reset_wanted, fsm._intq = false, false, { "e_init_fsm" }
+  fsm._leaf, fsm._open, fsm._is_done, fsm._doo = false, false, false, false
+  if fsm._at then fsm._at = true end
+  fsm._reset_wanted, fsm._intq = false, { "e_init_fsm" }
   run_hooks(fsm, fsm._reset_hooks, nil, nil)
 end
 
--- No way in: the queue becomes again what it was, and what came meanwhile follows.
-local function refuse_entry(fsm, collected, events)
-  append(collected, fsm._intq)
-  fsm._intq, fsm._curq, fsm._spare = collected, {}, {}
-  report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-    .. "events: " .. list_text(events))
-  if fsm._reset_wanted then reset_now(fsm) end
-  raise_failure(fsm)
-end
+local iterate, iterate_long
 
--- Empties an events table, and makes it the spare for the queue.
-local function recycle(fsm, events)
-  if events[3] ~= nil then
-    for i = #events, 3, -1 do events[i] = nil end
+do
+  -- No way in: the queue becomes again what it was, and what came meanwhile follows.
+  local function refuse_entry(fsm, collected, events)
+    append(collected, fsm._intq)
+    fsm._intq, fsm._curq, fsm._at = collected, {}, false
+    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+      .. "events: " .. list_text(events))
+    if fsm._reset_wanted then reset_now(fsm) end
+    raise_failure(fsm)
   end
-  if events[2] ~= nil then events[2] = nil end
-  if events[1] ~= nil then events[1] = nil end
-  fsm._spare = events
-end
 
--- At last the events table becomes the spare for the queue, emptied; one that a user's
--- function has seen, and may have kept, is left to it.
-local function settle(fsm, events)
-  if not fsm._is_unsettled and not fsm._is_hooked then return recycle(fsm, events) end
-  if fsm._reset_wanted then reset_now(fsm) end
-  if fsm._is_hooked then run_hooks(fsm, fsm._post_hooks, "post_step_hook", events) end
-  if fsm._is_kept then
-    fsm._spare, fsm._is_kept = {}, false
-  else
-    recycle(fsm, events)
+  -- Empties an events table.
+  local function empty(events)
+    if events[3] ~= nil then
+      for i = #events, 3, -1 do events[i] = nil end
+    end
+    if events[2] ~= nil then events[2] = nil end
+    if events[1] ~= nil then events[1] = nil end
   end
-  fsm._is_unsettled = false
-  raise_failure(fsm)
-end
 
--- The first iteration: nil when there is no way in, else true: it counts.
-local function iterate_first(fsm, events)
-  if fsm._is_fed then collect(fsm, events) end
-  local collected = copy_list(events)
-  if fsm._is_hooked then run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events) end
-  if not enter_machine(fsm, events) then return refuse_entry(fsm, collected, events) end
-  settle(fsm, events)
-  return true, false
-end
-
--- Collects what getevents returns, and lets the pre step hooks change the events. A
--- flag behind which nothing is left goes.
-local function gather(fsm, events)
-  if fsm._is_fed then
-    collect(fsm, events)
-    local getevents = fsm.getevents
-    if not getevents or getevents == no_events then clear_flag(fsm, "_is_fed") end
+  -- The end of an iteration. The events table is emptied and will be the next queue;
+  -- one that a user's function has seen, and may have kept, is left to it.
+  local function settle(fsm, events)
+    if not fsm._is_unsettled and not fsm._is_hooked then
+      empty(events)
+      fsm._at = false
+      return
+    end
+    if fsm._reset_wanted then reset_now(fsm) end
+    if fsm._is_hooked then run_hooks(fsm, fsm._post_hooks, "post_step_hook", events) end
+    if fsm._is_kept then
+      fsm._curq, fsm._is_kept = {}, false
+    else
+      empty(events)
+    end
+    fsm._is_unsettled, fsm._at = false, false
+    raise_failure(fsm)
   end
-  if not fsm._is_hooked then return end
-  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
-  if fsm._pre_hooks == OWN_ONLY and fsm._post_hooks == OWN_ONLY
-    and not fsm.pre_step_hook and not fsm.post_step_hook then
-    clear_flag(fsm, "_is_hooked")
-  end
-end
 
--- An iteration without a transition: a doo cycle. Returns whether it is idle.
-local function iterate_idly(fsm, leaf, is_eventless)
-  local idle = run_doo(fsm, leaf)
-  if idle and is_eventless and fsm._is_fed then poll(fsm) end
-  return idle
-end
-
-local function hibernate(fsm)
-  trace(fsm, "HIBERNATING", fsm._act_leaf and fsm._act_leaf._fqn)
-  raise_failure(fsm)
-end
-
--- What ends an iteration in which nothing was enabled: a doo cycle when there was no
--- event, or the iteration before did not count. Returns what `iterate` returns.
-local function iterate_free(fsm, leaf, events, after_free)
-  local is_eventless, idle = events[1] == nil, false
-  local counted = is_eventless or after_free
-  if counted then idle = iterate_idly(fsm, leaf, is_eventless) end
-  settle(fsm, events)
-  return counted, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
-end
-
--- The same for a plain machine without events: there is nothing to collect or empty.
-local function iterate_doo(fsm, leaf)
-  local events = fsm._spare
-  fsm._spare = false
-  fsm._curq = events
-  local idle = run_doo(fsm, leaf)
-  if fsm._is_unsettled then
-    if idle and fsm._is_fed then poll(fsm) end
-    settle(fsm, events)
-  else
-    fsm._spare = events
-  end
-  if not idle then return true, false end
-  return true, fsm._intq[1] == nil and fsm._act_leaf ~= false
-end
-
--- One iteration, whatever the machine is like. Returns nil when there is no way in;
--- else whether it counts as a step, and if its doo cycle was idle. `after_free`: the
--- iteration before did not count. While it is under way fsm._spare is false.
-local function iterate_fully(fsm, after_free)
-  local leaf, events = fsm._act_leaf, fsm._intq
-  fsm._intq, fsm._spare, fsm._curq = fsm._spare, false, events
-  if not leaf then return iterate_first(fsm, events) end
-  if fsm._is_fed or fsm._is_hooked then gather(fsm, events) end
-  local tr = choose(fsm, leaf, events)
-  if not tr then return iterate_free(fsm, leaf, events, after_free) end
-  take(fsm, tr, leaf, events)
-  settle(fsm, events)
-  return true, false
-end
-
--- One iteration of a plain machine when no event, or more than one, leads somewhere. An
--- e_done that nothing waits for makes no difference: without another event there is a
--- doo cycle in any case, now or in the next iteration.
-local function iterate_slowly(fsm, leaf, events, after_free)
-  local event = events[1]
-  if event == leaf._ignored and events[2] == nil then events[1], event = nil, nil end
-  if event == nil then return iterate_doo(fsm, leaf) end
-  return iterate_fully(fsm, after_free)
-end
-
--- One iteration: as iterate_fully says; in one go where the machine is plain and one
--- event, apart from an e_done that nothing waits for, leads somewhere.
-local function iterate(fsm, after_free)
-  local leaf, events = fsm._act_leaf, fsm._intq
-  if not fsm._is_plain or not leaf then return iterate_fully(fsm, after_free) end
-  local at = 1
-  if events[1] == leaf._ignored then at = 2 end
-  local choice = leaf._choices[events[at]]
-  if not choice or events[at + 1] ~= nil then
-    return iterate_slowly(fsm, leaf, events, after_free)
-  end
-  fsm._intq = fsm._spare
-  fsm._spare = false
-  fsm._curq = events
-  fsm._at = false
-  if not choice._is_simple or choice.guard then
-    local tr = choose_from(fsm, choice, events)
-    if not tr then return iterate_free(fsm, leaf, events, after_free) end
-    take(fsm, tr, leaf, events)
+  -- The first iteration: nil when there is no way in, else true: it counts.
+  local function iterate_first(fsm, events)
+    if fsm._is_fed then collect(fsm, events) end
+    local collected = copy_list(events)
+    if fsm._is_hooked then run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events) end
+    if not enter_machine(fsm, events) then
+      return refuse_entry(fsm, collected, events)
+    end
     settle(fsm, events)
     return true, false
   end
-  local ok, effect = pcall(choice._run, fsm, choice, leaf, events)
-  if not ok or effect then finish_take(fsm, choice, events, ok, effect) end
-  if fsm._is_unsettled then
+
+  -- Collects what getevents returns, and lets the pre step hooks change the events. A
+  -- flag behind which nothing is left goes.
+  local function gather(fsm, events)
+    if fsm._is_fed then
+      collect(fsm, events)
+      local getevents = fsm.getevents
+      if not getevents or getevents == no_events then clear_flag(fsm, "_is_fed") end
+    end
+    if not fsm._is_hooked then return end
+    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+    if fsm._pre_hooks == OWN_ONLY and fsm._post_hooks == OWN_ONLY
+      and not fsm.pre_step_hook and not fsm.post_step_hook then
+      clear_flag(fsm, "_is_hooked")
+    end
+  end
+
+  -- An iteration without a transition: a doo cycle. Returns whether it is idle.
+  local function iterate_idly(fsm, leaf, is_eventless)
+    local idle = run_doo(fsm, leaf)
+    if idle and is_eventless and fsm._is_fed then poll(fsm) end
+    return idle
+  end
+
+  local function hibernate(fsm)
+    trace(fsm, "HIBERNATING", fsm._leaf and fsm._leaf._fqn)
+    raise_failure(fsm)
+  end
+
+  -- What ends an iteration in which nothing was enabled: a doo cycle when there was no
+  -- event, or the iteration before did not count. Returns what `iterate` returns.
+  local function iterate_free(fsm, leaf, events, after_free)
+    local is_eventless, idle = events[1] == nil, false
+    local counted = is_eventless or after_free
+    if counted then idle = iterate_idly(fsm, leaf, is_eventless) end
     settle(fsm, events)
-  else
-    events[at] = nil
-    events[1] = nil
-    fsm._spare = events
+    return counted, idle and fsm._intq[1] == nil and fsm._leaf ~= false
   end
-  return true, false
-end
 
--- Iterates until `left` iterations were counted or the machine is idle; returns whether
--- it is. nil says that its idle_hook is to be called, and then `left` of them remain.
-local function iterate_on(fsm, left, after_free)
-  while true do
-    local counted, idle = iterate(fsm, after_free)
-    if counted == nil then return false end
-    if counted then
-      left = left - 1
-      if left < 1 then return idle end
+  -- The same for a plain machine without events: there is nothing to collect or empty.
+  local function iterate_doo(fsm, leaf)
+    fsm._at = true
+    local idle = run_doo(fsm, leaf)
+    if fsm._is_unsettled then
+      if idle and fsm._is_fed then poll(fsm) end
+      settle(fsm, fsm._curq)
+    else
+      fsm._at = false
     end
-    if idle then
-      if fsm._is_traced then hibernate(fsm) end
-      if fsm.idle_hook then return nil, left end
-      return true
-    end
-    after_free = not counted
+    if not idle then return true, false end
+    return true, fsm._intq[1] == nil and fsm._leaf ~= false
   end
-end
 
--- Something that is no user's function ended an iteration half-way, such as Control-C
--- in a terminal: makes the machine fit for the next one.
-local function mend(fsm)
-  fsm._spare, fsm._is_kept, fsm._is_unsettled = {}, false, fsm._has_failure
-  if fsm._reset_wanted or not fsm._act_leaf then reset_now(fsm) end
-end
+  -- One iteration, whatever the machine is like. Returns nil when there is no way in;
+  -- else whether it counts as a step, and if its doo cycle was idle. `after_free`: the
+  -- iteration before did not count.
+  local function iterate_fully(fsm, after_free)
+    local leaf, events = fsm._leaf, fsm._intq
+    fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
+    if not leaf then return iterate_first(fsm, events) end
+    if fsm._is_fed or fsm._is_hooked then gather(fsm, events) end
+    local tr = choose(fsm, leaf, events)
+    if not tr then return iterate_free(fsm, leaf, events, after_free) end
+    take(fsm, tr, events)
+    settle(fsm, events)
+    return true, false
+  end
 
--- Iterates as iterate_on does, in a protected call, because this may take long. The
--- idle_hook is called outside of it, where it may yield on Lua 5.1 as well.
-local function iterate_long(fsm, left, after_free)
-  while true do
-    local ok, idle, rest = pcall(iterate_on, fsm, left, after_free)
-    if not ok then
-      if not fsm._spare then mend(fsm) end
-      error(idle, 0)
+  -- One iteration of a plain machine when no event, or more than one, leads somewhere.
+  -- An e_done that nothing waits for makes no difference: without another event there
+  -- is a doo cycle in any case, now or in the next iteration.
+  local function iterate_slowly(fsm, leaf, events, after_free)
+    local event = events[1]
+    if event == leaf._ignored and events[2] == nil then events[1], event = nil, nil end
+    if event == nil then return iterate_doo(fsm, leaf) end
+    return iterate_fully(fsm, after_free)
+  end
+
+  -- One iteration: as iterate_fully says; in one go where the machine is plain and one
+  -- event, apart from an e_done that nothing waits for, leads somewhere.
+  function iterate(fsm, after_free)
+    local leaf, events = fsm._leaf, fsm._intq
+    if not fsm._is_plain or not leaf then return iterate_fully(fsm, after_free) end
+    local at = 1
+    if events[1] == leaf._ignored then at = 2 end
+    local choice = leaf._choices[events[at]]
+    if not choice or events[at + 1] ~= nil then
+      return iterate_slowly(fsm, leaf, events, after_free)
     end
-    if idle ~= nil then return idle end
-    fsm.idle_hook(fsm)
-    left, after_free = rest, false
+    fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
+    if not choice._is_simple or choice.guard then
+      local tr = choose_from(fsm, choice, events)
+      if not tr then return iterate_free(fsm, leaf, events, after_free) end
+      take(fsm, tr, events)
+      settle(fsm, events)
+      return true, false
+    end
+    fsm._segment = 1
+    local ok, effect = pcall(choice._run, fsm, choice, events)
+    if not ok or effect then finish_take(fsm, choice, events, ok, effect) end
+    if fsm._is_unsettled then
+      settle(fsm, events)
+    else
+      events[at] = nil
+      events[1] = nil
+      fsm._at = false
+    end
+    return true, false
+  end
+
+  -- Iterates until `left` iterations were counted or the machine is idle; returns
+  -- whether it is. nil says that its idle_hook is to be called, and then `left` of them
+  -- remain.
+  local function iterate_on(fsm, left, after_free)
+    while true do
+      local counted, idle = iterate(fsm, after_free)
+      if counted == nil then return false end
+      if counted then
+        left = left - 1
+        if left < 1 then return idle end
+      end
+      if idle then
+        if fsm._is_traced then hibernate(fsm) end
+        if fsm.idle_hook then return nil, left end
+        return true
+      end
+      after_free = not counted
+    end
+  end
+
+  -- Something that is no user's function ended an iteration half-way, such as Control-C
+  -- in a terminal: makes the machine fit for the next one.
+  local function mend(fsm)
+    local is_lost = fsm._at ~= true or not fsm._leaf
+    fsm._curq, fsm._is_kept, fsm._is_unsettled = {}, false, fsm._has_failure
+    fsm._at = false
+    if fsm._reset_wanted or is_lost then reset_now(fsm) end
+  end
+
+  -- Iterates as iterate_on does, in a protected call, because this may take long. The
+  -- idle_hook is called outside of it, where it may yield on Lua 5.1 as well.
+  function iterate_long(fsm, left, after_free)
+    while true do
+      local ok, idle, rest = pcall(iterate_on, fsm, left, after_free)
+      if not ok then
+        if fsm._at then mend(fsm) end
+        error(idle, 0)
+      end
+      if idle ~= nil then return idle end
+      fsm.idle_hook(fsm)
+      left, after_free = rest, false
+    end
   end
 end
 
 -- Public functions ------------------------------------------------------------
-
--- The machines there are: one look tells for any value at all whether it is one.
-local machines = setmetatable({}, { __mode = "k" })
 
 -- Blames the caller of the public function for something that is no machine.
 local function check_machine(fsm, name)
@@ -2270,50 +2411,61 @@ local function summary(name, problems)
     #problems == 1 and "" or "s", concat(problems, "\n  "))
 end
 
-local function new_build(fsm)
+-- `plan` is what there is already; a new one has nothing.
+local function new_build(plan)
   return {
-    fsm = fsm, problems = {}, warnings = {}, created = {}, transitions = {},
-    completions = {}, nodes = {}, models = {}, mounts = {}, earlier = {}, copies = {},
+    root = plan.root, problems = {}, warnings = {}, created = {}, completions = {},
+    transitions = plan.transitions, nodes = plan.nodes, models = {}, mounts = {},
+    earlier = {},
   }
 end
 
--- The root of a machine with all that a run needs, still without members.
-local function new_machine(model)
-  local fsm = setmetatable({
-    -- what a state has that is going to be active
-    _id = "root", _fqn = "root", entry = false, exit = false, doo = false,
-    _mode = "inactive", _actchild = false, _doo_co = false, _entry_hooks = false,
-    _exit_hooks = false, _is_leaf = true, _sources = false, _choices = State._choices,
-    _ignored = State._ignored, _done_event = "e_done@root", _by_event = false,
-    _by_any = false,
-    -- fields of the model that may be absent
-    idle_hook = false,
-    -- the run
-    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _spare = {},
-    _is_traced = false, _is_fed = false, _is_hooked = false, _is_plain = true,
-    _is_unsettled = false,
-    _is_kept = false,
-    _reset_wanted = false, _has_failure = false, _at = false, _segment = 0,
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
-    _has_state_hooks = false, _search = 0, _lists = {}, _path = {},
-    -- the structure
-    _initialized = false, _model = model, _nodes = false, _transitions = false,
-    _events = false,
-  }, State)
-  fsm._parent = fsm
-  return fsm
+-- Check, clone, resolve: all that can be said of a model without running anything.
+local function build_plan(model)
+  model = model_of(model)
+  local root = setmetatable({ _id = "root", _fqn = "root" }, State)
+  root._parent = root
+  local build = new_build { root = root, nodes = {}, transitions = {} }
+  add_node(build, model, root)
+  clone_below(build, 1)
+  resolve(build, 1)
+  check_root(build, root, model)
+  return build, model
 end
 
--- Check, clone, resolve: all that can be said of a model without running anything.
-local function build_machine(model)
-  model = model_of(model)
-  local fsm = new_machine(model)
-  local build = new_build(fsm)
-  add_node(build, model, fsm)
-  clone_below(build, 1)
-  resolve(build)
-  check_root(build, fsm, model)
-  return build
+-- What machines of a model share.
+local function new_plan(build, model)
+  local plan = {
+    model = model, root = build.root, nodes = build.nodes,
+    transitions = build.transitions, warnings = build.warnings,
+    created = build.created, events = false, is_own = true,
+  }
+  plan.root._plan = plan
+  return plan
+end
+
+-- A machine with all that a run needs, inactive.
+local function new_machine(plan)
+  local fsm = {
+    -- fields of the model that may be absent
+    idle_hook = false,
+    -- where it stands
+    _leaf = false, _open = false, _is_done = false, _doo = false, _at = false,
+    -- the run
+    _intq = { "e_init_fsm" }, _curq = {},
+    _is_traced = false, _is_fed = false, _is_hooked = false, _is_plain = true,
+    _is_unsettled = false, _is_kept = false, _reset_wanted = false,
+    _has_failure = false, _segment = 0,
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
+    _has_state_hooks = false, _search = 0, _searched = {}, _ways = {}, _lists = {},
+    _path = {},
+    -- the structure
+    _initialized = false, _has_read_events = false, _model = plan.model, _plan = plan,
+    _def = plan.root, _fsm = false, _nodes = false, _transitions = {},
+  }
+  fsm._fsm, fsm._nodes = fsm, { fsm }
+  make_elements(fsm, 1, 1)
+  return setmetatable(fsm, Machine)
 end
 
 -- Printers become functions, also the wrong ones, which are reported.
@@ -2321,17 +2473,16 @@ local function prepare_printers(fsm)
   for i = 1, 4 do
     local name = PRINTERS[i]
     local printer = printer_of(fsm, name)
-    fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
+    rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
   end
 end
 
 -- From now on it is noticed when one of the fields is set that flags stand for.
 local function watch_fields(fsm)
-  setmetatable(fsm, Machine)
   for field in pairs(FLAG_OF) do -- any order: each stands alone
     local value = rawget(fsm, field)
     rawset(fsm, field, nil)
-    if value and value ~= Machine[field] then fsm[field] = value end
+    if value and value ~= OFF[field] then fsm[field] = value end
   end
 end
 
@@ -2348,29 +2499,31 @@ local function check_initial(build, connector)
     connector._parent._fqn)
 end
 
-local function warn_after_compile(build)
-  local fsm, nodes = build.fsm, build.nodes
-  for i = 1, #nodes do
+-- Warns of what the build found, and of the `initial` connectors from node `first` on.
+local function warn_after_compile(fsm, build, first)
+  local nodes = fsm._plan.nodes
+  for i = first, #nodes do
     if nodes[i]._id == "initial" then check_initial(build, nodes[i]) end
   end
   local warnings = lines_of(build.warnings)
   for i = 1, #warnings do report(fsm, "warn", "WARNING: " .. warnings[i]) end
 end
 
-local function tell_created(build)
-  local fsm, names = build.fsm, {}
+local function tell_created(fsm, created)
+  local names = {}
   if fsm.info == silent then return end
-  for i, connector in ipairs(build.created) do names[i] = connector._fqn end
+  for i, connector in ipairs(created) do names[i] = connector._fqn end
   for _, name in ipairs(sort_naturally(names)) do
     report(fsm, "info", "INFO: created undeclared connector " .. name)
   end
 end
 
--- Warns of those among `nodes` that nothing leaves.
-local function warn_of_dead_ends(fsm, nodes)
-  local dead = {}
-  for i = 1, #nodes do
-    if nodes[i] ~= fsm and not nodes[i]._otrs then dead[#dead + 1] = nodes[i]._fqn end
+-- Warns of the nodes, from number `first` on, that nothing leaves.
+local function warn_of_dead_ends(fsm, first)
+  local nodes, dead = fsm._plan.nodes, {}
+  for i = first, #nodes do
+    local node = nodes[i]
+    if node ~= fsm._def and not node._otrs then dead[#dead + 1] = node._fqn end
   end
   if not dead[1] then return true end
   for _, name in ipairs(sort_naturally(dead)) do
@@ -2400,13 +2553,29 @@ local function preprocess(fsm, merged)
   return sort_naturally(problems)
 end
 
--- Compiles, and says what deserves a word.
-local function finish(build)
-  local fsm = build.fsm
-  compile(fsm)
+-- A preproc function may have changed events in place or set others.
+local function note_events(fsm)
+  if not fsm._has_read_events then return end
+  for i = 1, #fsm._transitions do
+    local tr = fsm._transitions[i]
+    local events = rawget(tr, "events")
+    if type(events) == "string" then events = { events } end
+    if events and not is_same_list(events, tr._def.events) then
+      own_plan(fsm)
+      tr._def.events = events
+    end
+    rawset(tr, "events", nil)
+  end
+  fsm._has_read_events = false
+end
+
+-- Compiles, and says what deserves a word of the nodes from number `first` on.
+local function finish(fsm, build, first)
+  note_events(fsm)
+  compile(fsm._plan)
   if fsm.warn == silent then return end
-  warn_after_compile(build)
-  warn_of_dead_ends(fsm, build.nodes)
+  warn_after_compile(fsm, build, first)
+  warn_of_dead_ends(fsm, first)
 end
 
 --- Check a model and make a machine of it.
@@ -2423,15 +2592,14 @@ function rfsm.init(model)
   if not is_state(model) then
     error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
   end
-  local build = build_machine(model)
-  local fsm = build.fsm
+  local build, source = build_plan(model)
+  local fsm = new_machine(new_plan(build, source))
   prepare_printers(fsm)
   local problems = lines_of(build.problems)
   if not problems[1] then
-    fsm._nodes, fsm._transitions = build.nodes, build.transitions
     fsm._initialized = true
     watch_fields(fsm)
-    tell_created(build)
+    tell_created(fsm, build.created)
     problems = preprocess(fsm)
   end
   if problems[1] then
@@ -2440,7 +2608,7 @@ function rfsm.init(model)
     raise_failure(fsm)
     return false, problems
   end
-  finish(build)
+  finish(fsm, build, 1)
   machines[fsm] = true
   raise_failure(fsm)
   return fsm
@@ -2455,7 +2623,7 @@ function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
-  local build = build_machine(model)
+  local build = build_plan(model)
   return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
 end
 
@@ -2464,7 +2632,7 @@ end
 ---@return boolean is_clean true when there is none
 function rfsm.check_no_otrs(fsm)
   check_machine(fsm, "check_no_otrs")
-  return warn_of_dead_ends(fsm, fsm._nodes)
+  return warn_of_dead_ends(fsm, 1)
 end
 
 --- Send events to a machine; they wait in the queue until the next iteration, in order.
@@ -2484,7 +2652,7 @@ function rfsm.send_events(fsm, event, ...)
     return
   end
   post_all(fsm, event, ...)
-  if fsm._spare then raise_failure(fsm) end
+  if not fsm._at then raise_failure(fsm) end
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
@@ -2500,7 +2668,7 @@ function rfsm.step(fsm, n)
   if n ~= nil and type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  if not fsm._spare then
+  if fsm._at then
     error("rfsm.step: the machine is in the middle of a step", 2)
   end
   if n ~= nil then return iterate_long(fsm, n > 1 and n or 1, false) end -- NaN: 1
@@ -2514,7 +2682,7 @@ end
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "run") end
-  if not fsm._spare then
+  if fsm._at then
     error("rfsm.run: the machine is in the middle of a step", 2)
   end
   return iterate_long(fsm, huge, false)
@@ -2527,7 +2695,7 @@ end
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
   check_machine(fsm, "reset")
-  if not fsm._spare then
+  if fsm._at then
     fsm._reset_wanted, fsm._is_unsettled = true, true
     return
   end
@@ -2541,7 +2709,7 @@ end
 function rfsm.check_events(fsm)
   check_machine(fsm, "check_events")
   poll(fsm)
-  if fsm._spare then raise_failure(fsm) end
+  if not fsm._at then raise_failure(fsm) end
   return #fsm._intq
 end
 
@@ -2550,7 +2718,8 @@ end
 ---@return string|false fqn false when no leaf is active
 function rfsm.get_actleaf_fqn(fsm)
   check_machine(fsm, "get_actleaf_fqn")
-  return fsm._act_leaf and fsm._act_leaf._fqn
+  local leaf = fsm._act_leaf
+  return leaf and leaf._fqn
 end
 
 --- Return the names of the active states, from the root to the leaf.
@@ -2558,37 +2727,45 @@ end
 ---@return string[] configuration empty when the machine is inactive
 function rfsm.get_active_conf(fsm)
   check_machine(fsm, "get_active_conf")
-  local configuration = {}
-  local state = fsm._mode ~= "inactive" and fsm
-  while state do
-    configuration[#configuration + 1] = state._fqn
-    state = state._actchild
+  local names, n = {}, 0
+  local state, is_leaving = innermost_of(fsm)
+  while state and not (is_leaving and state._parent == state) do
+    n = n + 1
+    names[n] = state._fqn
+    state = state._parent ~= state and state._parent
   end
-  return configuration
+  return reversed(names)
 end
 
 --- Return the mode of a state.
 ---@param state rfsm.State
 ---@return "active"|"inactive"|"done" mode
 function rfsm.get_sta_mode(state)
-  return is_state(state) and state._mode or "inactive"
+  return is_state(state) and rawget(state, "_fsm") and state._mode or "inactive"
 end
 
 --- Set the mode of a state, for tools.
----@param state rfsm.State
+--
+-- The machine stands then where the state has that mode; no program runs.
+--
+---@param state rfsm.State a state of a machine
 ---@param mode "active"|"inactive"|"done"
 function rfsm.set_sta_mode(state, mode)
-  if not is_state(state) then
-    error("rfsm.set_sta_mode: state expected, " .. got(state), 2)
+  if not is_state(state) or not rawget(state, "_fsm") then
+    error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
   end
-  state._mode = mode
+  if mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
+    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode),
+      2)
+  end
+  set_mode(state, mode)
 end
 
 --- Return the active child of a composite.
 ---@param state rfsm.State
 ---@return rfsm.State|false child
 function rfsm.actchild_get(state)
-  return is_state(state) and state._actchild or false
+  return is_state(state) and rawget(state, "_fsm") and state._actchild or false
 end
 
 --- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
@@ -2655,19 +2832,17 @@ do
   -- A guard or effect may ask what events would enable while a search or a path goes
   -- on: takes away what that has noted in the machine, and begins a search.
   local function set_search_aside(fsm)
-    local notes = { search = fsm._search, lists = fsm._lists, ways = {} }
-    for _, node in ipairs(fsm._nodes) do
-      if is_conn(node) then notes.ways[node] = { node._search, node._way } end
-    end
-    fsm._search, fsm._lists = fsm._search + 1, {}
+    local notes = {
+      search = fsm._search, lists = fsm._lists, ways = fsm._ways,
+      searched = fsm._searched,
+    }
+    fsm._search, fsm._lists, fsm._ways, fsm._searched = fsm._search + 1, {}, {}, {}
     return notes
   end
 
   local function restore_search(fsm, notes)
     fsm._search, fsm._lists = notes.search, notes.lists
-    for connector, noted in pairs(notes.ways) do -- any order: each stands alone
-      connector._search, connector._way = noted[1], noted[2]
-    end
+    fsm._ways, fsm._searched = notes.ways, notes.searched
   end
 
   --- Find the path that events would enable from one node, for tools; nothing is taken.
@@ -2677,15 +2852,16 @@ do
   ---@return rfsm.Transition[]|false path its segments in order
   function rfsm.node_find_enabled(fsm, node, events)
     check_machine(fsm, "node_find_enabled")
-    if not is_node(node) or rawget(node, "_fqn") == nil then
+    if not is_node(node) or rawget(node, "_fsm") ~= fsm then
       error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
     end
     local notes = set_search_aside(fsm)
-    local tr = find_from_node(fsm, node, events)
+    local tr = find_from_node(fsm, node._def, events)
     local path = tr and {} or false
-    if tr then note_path(path, tr, 1) end
+    local n = tr and note_path(fsm, path, tr, 1) or 0
+    for i = 1, n do path[i] = fsm._transitions[path[i]._index] end
     restore_search(fsm, notes)
-    if fsm._spare then raise_failure(fsm) end
+    if not fsm._at then raise_failure(fsm) end
     return path
   end
 end
@@ -2695,18 +2871,18 @@ end
 ---@param state rfsm.State
 function rfsm.exit_state(fsm, state)
   check_machine(fsm, "exit_state")
-  if not is_state(state) then
-    error("rfsm.exit_state: state expected, " .. got(state), 2)
+  if not is_state(state) or rawget(state, "_fsm") ~= fsm then
+    error("rfsm.exit_state: state of the fsm expected, " .. got(state), 2)
   end
   if state._mode == "inactive" then return end
-  local innermost = innermost_in(state)
-  while innermost ~= state do
-    local parent = innermost._parent
-    exit_one(fsm, innermost)
-    innermost = parent
+  local at, def, inner = fsm._at, state._def, innermost_of(fsm)
+  while inner ~= def do
+    exit_one(fsm, inner)
+    inner = inner._parent
   end
-  exit_one(fsm, state)
-  if fsm._spare then raise_failure(fsm) end
+  exit_one(fsm, def)
+  fsm._leaf, fsm._open, fsm._at = false, def._parent ~= def and def._parent, at
+  if not fsm._at then raise_failure(fsm) end
 end
 
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed.
@@ -2759,18 +2935,16 @@ do
   end
 
   local function add_state_hook(fsm, name, field, state, hook)
-    if not is_state(state) or rawget(state, "_fqn") == nil then
+    if not is_state(state) or rawget(state, "_fsm") ~= fsm then
       error("rfsm." .. name .. ": state of the fsm expected, " .. got(state), 3)
     end
     if not is_callable(hook) then
       error("rfsm." .. name .. ": function expected, " .. got(hook), 3)
     end
-    local hooks = state[field] and copy_list(state[field]) or {}
+    own_plan(fsm)
+    local hooks = state._def[field] and copy_list(state._def[field]) or {}
     hooks[#hooks + 1] = hook
-    state[field] = hooks
-    if fsm._has_state_hooks then return end
-    fsm._has_state_hooks = true
-    for i = 1, #fsm._transitions do fsm._transitions[i]._run = nil end
+    state._def[field] = hooks
     set_flag(fsm, "_is_traced") -- for the rest of a transition that is under way
   end
 
@@ -2806,13 +2980,12 @@ end
 do
   -- Is a leaf being left, or not entered yet? It may be any that is to be entered.
   local function is_in_transition(fsm)
-    local leaf = fsm._act_leaf
-    return not fsm._spare and (not leaf or leaf._mode == "inactive")
+    return fsm._at and not (fsm._at == true and fsm._leaf)
   end
 
   -- Why `obj` cannot become a member of `parent`; nil when it can.
   local function merge_obstacle(fsm, parent, obj, id)
-    if not is_state(parent) or root_of(parent) ~= fsm then
+    if not is_state(parent) or rawget(parent, "_fsm") ~= fsm then
       return "parent: a state of the fsm expected, " .. got(parent)
     end
     local kind = kind_of(obj)
@@ -2820,10 +2993,10 @@ do
     if id == nil and kind ~= "transition" then
       return "a " .. kind .. " needs a name"
     end
-    if id ~= nil and rawget(parent, id) ~= nil then
+    if id ~= nil and (rawget(parent, id) or rawget(parent._def, id)) ~= nil then
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
     end
-    if kind == "transition" or not parent._is_leaf then return nil end
+    if kind == "transition" or not parent._def._is_leaf then return nil end
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
     elseif is_in_transition(fsm) then
@@ -2831,38 +3004,50 @@ do
     end
   end
 
-  -- Clones `obj` into its place; returns the clone and its key.
+  -- Clones `obj` into its place in the plan, the state `parent`.
   local function attach(build, parent, obj, id)
     if is_trans(obj) then
-      local key = id or #parent + 1
       if parent._is_leaf then
         add(build.warnings, parent._fqn, "a transition inside a leaf state")
       end
-      parent[key] = clone_transition(build, obj, parent, key)
-      return parent[key], key
+      parent[id] = clone_transition(build, obj, parent, id)
+      return
     end
     if parent._is_leaf and parent.doo then
       add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
     end
+    local first = #build.nodes + 1
     parent[id] = clone_node(build, kind_of(obj), obj, parent, id)
     parent._is_leaf = false
-    clone_below(build, 1)
-    return parent[id], id
+    clone_below(build, first)
   end
 
   -- Transitions to a leaf that has become a composite end at its `initial` now.
   local function find_new_entrances(build, parent)
     local entrances = {}
-    for _, tr in ipairs(build.fsm._transitions) do
+    for _, tr in ipairs(build.transitions) do
       if tr.tgt == parent then entrances[tr] = find_entrance(build, tr, parent) end
     end
     return entrances
   end
 
-  local function undo_merge(build, parent, key)
-    parent[key] = nil
-    for _, connector in ipairs(build.created) do connector._parent.initial = nil end
-    parent._is_leaf = not has_nodes(parent)
+  local function truncate(list, first)
+    for i = #list, first, -1 do list[i] = nil end
+  end
+
+  -- Takes out again what stands in plan and machine from the given numbers on.
+  local function undo_merge(fsm, build, parent, id, first_node, first_transition)
+    rawset(parent, id, nil)
+    parent._def[id] = nil
+    for _, connector in ipairs(build.created) do
+      connector._parent.initial = nil
+      rawset(fsm._nodes[connector._parent._index], "initial", nil)
+    end
+    parent._def._is_leaf = not has_nodes(parent._def)
+    truncate(build.nodes, first_node)
+    truncate(build.transitions, first_transition)
+    truncate(fsm._nodes, first_node)
+    truncate(fsm._transitions, first_transition)
   end
 
   --- Add a state, connector or transition to a live machine.
@@ -2880,24 +3065,28 @@ do
     check_machine(fsm, "fsm_merge")
     local obstacle = merge_obstacle(fsm, parent, obj, id)
     if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
-    local build = new_build(fsm)
-    local merged, key = attach(build, parent, obj, id)
-    resolve(build)
-    local entrances = find_new_entrances(build, parent)
+    if id == nil then id = #parent + 1 end
+    local plan = own_plan(fsm)
+    local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
+    local build = new_build(plan)
+    attach(build, parent._def, obj, id)
+    resolve(build, first_transition)
+    local entrances = find_new_entrances(build, parent._def)
     local problems = lines_of(build.problems)
-    if not problems[1] then problems = preprocess(fsm, merged) end
+    if not problems[1] then
+      make_elements(fsm, first_node, first_transition)
+      problems = preprocess(fsm, parent[id])
+    end
     if problems[1] then
-      undo_merge(build, parent, key)
+      undo_merge(fsm, build, parent, id, first_node, first_transition)
       return false, summary("rfsm.fsm_merge", problems)
     end
     for tr, entrance in pairs(entrances) do -- any order: each once
       tr.tgt = entrance
     end
-    append(fsm._nodes, build.nodes)
-    append(fsm._transitions, build.transitions)
-    tell_created(build)
-    finish(build)
-    if fsm._spare then raise_failure(fsm) end
+    tell_created(fsm, build.created)
+    finish(fsm, build, first_node)
+    if not fsm._at then raise_failure(fsm) end
     return true
   end
 end
