@@ -343,7 +343,7 @@ end
 ---@field transitions rfsm.Transition[] the new ones
 ---@field completions table<rfsm.Transition, true> those among them with `e_done`
 ---@field nodes (rfsm.State|rfsm.Connector)[] the new ones, parents before children
----@field models (rfsm.State|rfsm.Connector)[] what each of the nodes was made of
+---@field sources table what nodes and transitions were made of, see `is_current`
 ---@field mounts table model node -> its last clone
 ---@field earlier table clone -> the one before it of the same model node
 ---@field copies table plain table of the user -> its copy
@@ -551,7 +551,7 @@ do
   function add_node(build, model, node)
     local n = #build.nodes + 1
     node._index = n
-    build.nodes[n], build.models[n] = node, model
+    build.nodes[n], build.sources.nodes[n] = node, model
     local earlier = build.mounts[model]
     if earlier then build.earlier[node] = earlier end
     build.mounts[model] = node
@@ -603,12 +603,17 @@ do
         "the key of a transition is a position or a name")
     end
     tr.events = clone_events(build, tr, model.events)
+    local count = 0
     for k, v in pairs(model) do -- any order: each field stands alone
+      count = count + 1
       if k ~= "src" and k ~= "tgt" and k ~= "events" then
         clone_field(build, tr, model, k, v)
       end
     end
     build.transitions[n] = tr
+    local sources = build.sources
+    sources.transitions[n], sources.fields[n] = model, count
+    sources.src[n], sources.tgt[n] = src, tgt
     return tr
   end
 
@@ -666,9 +671,10 @@ do
   end
 
   local function clone_connector(build, connector, model)
-    local from_plan = rawget(model, "_fqn") ~= nil
+    local from_plan, count = rawget(model, "_fqn") ~= nil, 0
     for key, value in pairs(model) do -- any order: each member stands alone
       local kind = kind_of(value)
+      count = count + 1
       if from_plan and is_meta(key) then kind = nil end
       if kind then
         add(build.warnings, connector._fqn, "a connector holds no %s, '%s' is ignored",
@@ -677,12 +683,14 @@ do
         clone_datum(build, connector, model, key, value)
       end
     end
+    build.sources.members[connector._index] = count
   end
 
   local function clone_members(build, state, model)
-    local from_plan = rawget(model, "_fqn") ~= nil
+    local from_plan, count = rawget(model, "_fqn") ~= nil, 0
     local has_transition, is_composite = false, false
     for key, value in pairs(model) do -- any order: what depends on it is sorted later
+      count = count + 1
       local value_type = type(value)
       local kind = value_type == "table" and KIND[getmetatable(value)]
       if from_plan and is_meta(key) then kind = false end
@@ -696,6 +704,7 @@ do
         clone_datum(build, state, model, key, value)
       end
     end
+    build.sources.members[state._index] = count
     if is_composite then
       state._is_leaf = false
       check_composite(build, state)
@@ -706,7 +715,7 @@ do
 
   -- Clones what hangs below the nodes from `first` on; the list grows as it is walked.
   function clone_below(build, first)
-    local nodes, models, i = build.nodes, build.models, first
+    local nodes, models, i = build.nodes, build.sources.nodes, first
     while nodes[i] do
       local clone = KIND[getmetatable(nodes[i])] == "state" and clone_members
         or clone_connector
@@ -867,7 +876,7 @@ local function create_initial(build, tr)
     _index = n,
   }, Connector)
   composite.initial, composite._is_leaf = connector, false
-  build.nodes[n], build.models[n] = connector, false
+  build.nodes[n], build.sources.nodes[n] = connector, false
   build.created[#build.created + 1] = connector
 end
 
@@ -1079,6 +1088,9 @@ end
 -- In the engine `state`, `leaf`, `tr` are definitions. What a user's function gets is
 -- the machine's own, in fsm._nodes and fsm._transitions at the same index.
 
+-- The plans of models, kept by their machines.
+local plans = setmetatable({}, { __mode = "kv" })
+
 -- The machines there are: one look tells for any value at all whether it is one.
 local machines = setmetatable({}, { __mode = "k" })
 
@@ -1124,10 +1136,10 @@ do
   function STATE._parent(fsm, def) return fsm._nodes[def._parent._index] end
 
   function STATE._otrs(fsm, def)
-    if not def._otrs or not fsm._plan.events then return nil end
+    if not def._otrs or not machines[fsm] then return nil end
     local otrs = {}
     for i = 1, #def._otrs do otrs[i] = fsm._transitions[def._otrs[i]._index] end
-    if machines[fsm] then rawset(fsm._nodes[def._index], "_otrs", otrs) end
+    rawset(fsm._nodes[def._index], "_otrs", otrs)
     return otrs
   end
 
@@ -1247,8 +1259,12 @@ do
   function own_plan(fsm)
     local plan = fsm._plan
     if plan.is_own then return plan end
+    if plan.users == 1 then -- there has never been another
+      plan.is_own, plan.sources, plans[plan.model] = true, false, nil
+      return plan
+    end
     local copy = copy_plan(plan)
-    if plan.events then compile(copy) end
+    if machines[fsm] then compile(copy) end
     use_plan(fsm, copy)
     return copy
   end
@@ -1549,292 +1565,296 @@ end
 
 -- Choose: which transition do the events enable? .................................
 
--- Is one of `events` in tr.events, or accepted by a predicate there?
-local function matches_predicate(tr, events)
-  for i = 1, #tr.events do
-    local wanted = tr.events[i]
-    for j = 1, #events do
-      local event = events[j]
-      if wanted == event then return true end
-      if type(wanted) == "function" then
-        local ok, answer = pcall(wanted, event)
-        if ok and answer then return true end
+local choose, choose_from, find_from_node, trace_search
+
+do
+  -- Is one of `events` in tr.events, or accepted by a predicate there?
+  local function matches_predicate(tr, events)
+    for i = 1, #tr.events do
+      local wanted = tr.events[i]
+      for j = 1, #events do
+        local event = events[j]
+        if wanted == event then return true end
+        if type(wanted) == "function" then
+          local ok, answer = pcall(wanted, event)
+          if ok and answer then return true end
+        end
       end
     end
+    return false
   end
-  return false
-end
 
-local function matches(tr, events)
-  if tr._has_predicate then return matches_predicate(tr, events) end
-  local wanted = tr.events
-  for i = 1, #wanted do
-    for j = 1, #events do
-      if wanted[i] == events[j] then return true end
-    end
-  end
-  return false
-end
-
--- The guard of `tr` said no, or failed, which does not enable either.
-local function refuse(fsm, tr, ok, failure)
-  if not ok then report_program(fsm, "GUARD", "guard", tostring(tr), failure) end
-  return false
-end
-
-local evaluate_connector
-
-local function trace_checking(fsm, tr)
-  if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
-end
-
--- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
--- `depth` counts the connectors on the way to it, if there are any.
-local function is_enabled(fsm, tr, events, depth)
-  if fsm._is_traced then trace_checking(fsm, tr) end
-  local guard = tr.guard
-  if guard then
-    local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
-    if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
-  end
-  return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events, depth)
-end
-
-local function warn_of_conflict(fsm, connector, ways)
-  report(fsm, "warn", "conflicting transitions from src " .. connector._fqn .. " to")
-  for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt._fqn) end
-end
-
--- Chooses the way out of a connector: the first of `otrs` that is enabled. Further ones
--- of the same priority are asked only to warn of a conflict.
-local function choose_way(fsm, connector, otrs, events, depth)
-  local way, conflict = false, nil
-  for i = 1, #otrs do
-    local tr = otrs[i]
-    if way and tr._pn ~= way._pn then break end
-    if (tr._is_open_to_all or matches(tr, events))
-      and is_enabled(fsm, tr, events, depth) then
-      if way then
-        conflict = conflict or { way }
-        conflict[#conflict + 1] = tr
-      end
-      way = way or tr
-    end
-  end
-  if conflict then warn_of_conflict(fsm, connector, conflict) end
-  return way
-end
-
--- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
-local MAX_DEPTH = 500
-
--- The same on a stack of its own. A guard that yields there does not enable.
-local function choose_way_aside(fsm, connector, otrs, events)
-  local co = create(choose_way)
-  local ok, way = resume(co, fsm, connector, otrs, events, 1)
-  if not ok then error(way, 0) end
-  return status(co) == "dead" and way
-end
-
--- Returns the way out of a connector, or false; it is chosen once a search. While it is
--- being evaluated it counts as closed, so that cycles end.
-function evaluate_connector(fsm, connector, events, depth)
-  local searched, ways, otrs = fsm._searched, fsm._ways, connector._otrs
-  if searched[connector] == fsm._search then return ways[connector] end
-  searched[connector], ways[connector] = fsm._search, false
-  if not otrs then return false end
-  if not connector._by_event then compile_node(fsm._plan, connector) end
-  local choose = depth and depth >= MAX_DEPTH and choose_way_aside or choose_way
-  local way = choose(fsm, connector, otrs, events, (depth or 0) + 1)
-  ways[connector] = way
-  return way
-end
-
--- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
-local function find_lists(fsm, node, events)
-  local by_event, by_any, lists = node._by_event, node._by_any, fsm._lists
-  local count = 0
-  for i = 1, #events do
-    local list = by_event[events[i]] or by_any
-    if list then
-      local is_known = false
-      for j = 1, count do is_known = is_known or lists[j] == list end
-      if not is_known then
-        count = count + 1
-        lists[count] = list
+  local function matches(tr, events)
+    if tr._has_predicate then return matches_predicate(tr, events) end
+    local wanted = tr.events
+    for i = 1, #wanted do
+      for j = 1, #events do
+        if wanted[i] == events[j] then return true end
       end
     end
+    return false
   end
-  return count
-end
 
--- Returns the first of the candidates in `lists` that is tried after `rank`.
-local function next_candidate(lists, count, rank)
-  local nearest = nil
-  for i = 1, count do
-    local list = lists[i]
-    for j = 1, #list do
-      local tr = list[j]
-      if tr._rank > rank then
-        if not nearest or tr._rank < nearest._rank then nearest = tr end
-        break
+  -- The guard of `tr` said no, or failed, which does not enable either.
+  local function refuse(fsm, tr, ok, failure)
+    if not ok then report_program(fsm, "GUARD", "guard", tostring(tr), failure) end
+    return false
+  end
+
+  local evaluate_connector
+
+  local function trace_checking(fsm, tr)
+    if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
+  end
+
+  -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
+  -- `depth` counts the connectors on the way to it, if there are any.
+  local function is_enabled(fsm, tr, events, depth)
+    if fsm._is_traced then trace_checking(fsm, tr) end
+    local guard = tr.guard
+    if guard then
+      local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
+      if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
+    end
+    return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events, depth)
+  end
+
+  local function warn_of_conflict(fsm, connector, ways)
+    report(fsm, "warn", "conflicting transitions from src " .. connector._fqn .. " to")
+    for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt._fqn) end
+  end
+
+  -- Chooses the way out of a connector: the first of `otrs` that is enabled. Further ones
+  -- of the same priority are asked only to warn of a conflict.
+  local function choose_way(fsm, connector, otrs, events, depth)
+    local way, conflict = false, nil
+    for i = 1, #otrs do
+      local tr = otrs[i]
+      if way and tr._pn ~= way._pn then break end
+      if (tr._is_open_to_all or matches(tr, events))
+        and is_enabled(fsm, tr, events, depth) then
+        if way then
+          conflict = conflict or { way }
+          conflict[#conflict + 1] = tr
+        end
+        way = way or tr
       end
     end
+    if conflict then warn_of_conflict(fsm, connector, conflict) end
+    return way
   end
-  return nearest
-end
 
--- May `tr`, whose list an event led to, be taken?
-local function is_candidate_enabled(fsm, tr, events)
-  return (not tr._has_predicate or matches_predicate(tr, events))
-    and is_enabled(fsm, tr, events)
-end
+  -- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
+  local MAX_DEPTH = 500
 
--- Returns the first enabled transition of a candidate list, from number `i` on. It
--- calls itself where a loop would keep LuaJIT from making one trace of a step, and asks
--- what is_candidate_enabled asks without calling it: hot.
-local function find_in_list(fsm, list, events, i)
-  local tr = list[i]
-  if not tr then return nil end
-  if (not tr._has_predicate or matches_predicate(tr, events))
-    and is_enabled(fsm, tr, events) then
-    return tr
+  -- The same on a stack of its own. A guard that yields there does not enable.
+  local function choose_way_aside(fsm, connector, otrs, events)
+    local co = create(choose_way)
+    local ok, way = resume(co, fsm, connector, otrs, events, 1)
+    if not ok then error(way, 0) end
+    return status(co) == "dead" and way
   end
-  return find_in_list(fsm, list, events, i + 1)
-end
 
--- Returns the first transition from `node` that is enabled, or nil; events may lead to
--- several lists.
-local function find_from_node(fsm, node, events)
-  if not node._otrs then return nil end
-  if not node._by_event then compile_node(fsm._plan, node) end
-  local count = find_lists(fsm, node, events)
-  if count == 1 then return find_in_list(fsm, fsm._lists[1], events, 1) end
-  local tr = next_candidate(fsm._lists, count, 0)
-  while tr do
-    if is_candidate_enabled(fsm, tr, events) then return tr end
-    tr = next_candidate(fsm._lists, count, tr._rank)
+  -- Returns the way out of a connector, or false; it is chosen once a search. While it is
+  -- being evaluated it counts as closed, so that cycles end.
+  function evaluate_connector(fsm, connector, events, depth)
+    local searched, ways, otrs = fsm._searched, fsm._ways, connector._otrs
+    if searched[connector] == fsm._search then return ways[connector] end
+    searched[connector], ways[connector] = fsm._search, false
+    if not otrs then return false end
+    if not connector._by_event then compile_node(fsm._plan, connector) end
+    local choose = depth and depth >= MAX_DEPTH and choose_way_aside or choose_way
+    local way = choose(fsm, connector, otrs, events, (depth or 0) + 1)
+    ways[connector] = way
+    return way
   end
-end
 
--- The states from the root to `leaf` that have transitions of their own.
-local function sources_of(leaf)
-  local upwards, n, state = {}, 0, leaf
-  while true do
-    if state._otrs then
-      n = n + 1
-      upwards[n] = state
+  -- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
+  local function find_lists(fsm, node, events)
+    local by_event, by_any, lists = node._by_event, node._by_any, fsm._lists
+    local count = 0
+    for i = 1, #events do
+      local list = by_event[events[i]] or by_any
+      if list then
+        local is_known = false
+        for j = 1, count do is_known = is_known or lists[j] == list end
+        if not is_known then
+          count = count + 1
+          lists[count] = list
+        end
+      end
     end
-    if state._parent == state then break end
-    state = state._parent
+    return count
   end
-  local sources = {}
-  for i = 1, n do
-    local source = upwards[n + 1 - i]
-    if not source._by_event then compile_node(state._plan, source) end
-    sources[i] = source
+
+  -- Returns the first of the candidates in `lists` that is tried after `rank`.
+  local function next_candidate(lists, count, rank)
+    local nearest = nil
+    for i = 1, count do
+      local list = lists[i]
+      for j = 1, #list do
+        local tr = list[j]
+        if tr._rank > rank then
+          if not nearest or tr._rank < nearest._rank then nearest = tr end
+          break
+        end
+      end
+    end
+    return nearest
   end
-  leaf._sources = sources
-  return sources
-end
 
-local function trace_search(fsm, events)
-  trace(fsm, "TRANSITION", "events: " .. list_text(events))
-end
-
--- From the root down to the active leaf, node by node; an outer transition wins.
-local function find_transition(fsm, leaf, events)
-  fsm._search = fsm._search + 1
-  if fsm.dbg ~= silent then trace_search(fsm, events) end
-  local sources = leaf._sources or sources_of(leaf)
-  for i = 1, #sources do
-    local tr = find_from_node(fsm, sources[i], events)
-    if tr then return tr end
+  -- May `tr`, whose list an event led to, be taken?
+  local function is_candidate_enabled(fsm, tr, events)
+    return (not tr._has_predicate or matches_predicate(tr, events))
+      and is_enabled(fsm, tr, events)
   end
-end
 
--- leaf._choices[event] holds what the event leads to while the leaf is active, noted
--- when it first came: false for nothing, a transition that stands alone and goes
--- straight to a leaf, or a list of candidates, those of all sources. Only events that
--- the machine knows are noted; all others have one answer, at [OTHER].
-local OTHER, NO_CHOICES = {}, {}
-State._choices, State._ignored = NO_CHOICES, OTHER
+  -- Returns the first enabled transition of a candidate list, from number `i` on. It
+  -- calls itself where a loop would keep LuaJIT from making one trace of a step, and asks
+  -- what is_candidate_enabled asks without calling it: hot.
+  local function find_in_list(fsm, list, events, i)
+    local tr = list[i]
+    if not tr then return nil end
+    if (not tr._has_predicate or matches_predicate(tr, events))
+      and is_enabled(fsm, tr, events) then
+      return tr
+    end
+    return find_in_list(fsm, list, events, i + 1)
+  end
 
-local function candidates_of(sources, event)
-  local candidates, is_shared = false, true
-  for i = 1, #sources do
-    local list = sources[i]._by_event[event] or sources[i]._by_any
-    if list and not candidates then
-      candidates = list
-    elseif list then
-      candidates = is_shared and copy_list(candidates) or candidates
-      is_shared = false
-      append(candidates, list)
+  -- Returns the first transition from `node` that is enabled, or nil; events may lead to
+  -- several lists.
+  function find_from_node(fsm, node, events)
+    if not node._otrs then return nil end
+    if not node._by_event then compile_node(fsm._plan, node) end
+    local count = find_lists(fsm, node, events)
+    if count == 1 then return find_in_list(fsm, fsm._lists[1], events, 1) end
+    local tr = next_candidate(fsm._lists, count, 0)
+    while tr do
+      if is_candidate_enabled(fsm, tr, events) then return tr end
+      tr = next_candidate(fsm._lists, count, tr._rank)
     end
   end
-  return candidates
-end
 
-local function choice_of(leaf, event)
-  local candidates = candidates_of(leaf._sources or sources_of(leaf), event)
-  if not candidates or candidates[2] or not candidates[1]._is_simple then
+  -- The states from the root to `leaf` that have transitions of their own.
+  local function sources_of(leaf)
+    local upwards, n, state = {}, 0, leaf
+    while true do
+      if state._otrs then
+        n = n + 1
+        upwards[n] = state
+      end
+      if state._parent == state then break end
+      state = state._parent
+    end
+    local sources = {}
+    for i = 1, n do
+      local source = upwards[n + 1 - i]
+      if not source._by_event then compile_node(state._plan, source) end
+      sources[i] = source
+    end
+    leaf._sources = sources
+    return sources
+  end
+
+  function trace_search(fsm, events)
+    trace(fsm, "TRANSITION", "events: " .. list_text(events))
+  end
+
+  -- From the root down to the active leaf, node by node; an outer transition wins.
+  local function find_transition(fsm, leaf, events)
+    fsm._search = fsm._search + 1
+    if fsm.dbg ~= silent then trace_search(fsm, events) end
+    local sources = leaf._sources or sources_of(leaf)
+    for i = 1, #sources do
+      local tr = find_from_node(fsm, sources[i], events)
+      if tr then return tr end
+    end
+  end
+
+  -- leaf._choices[event] holds what the event leads to while the leaf is active, noted
+  -- when it first came: false for nothing, a transition that stands alone and goes
+  -- straight to a leaf, or a list of candidates, those of all sources. Only events that
+  -- the machine knows are noted; all others have one answer, at [OTHER].
+  local OTHER, NO_CHOICES = {}, {}
+  State._choices, State._ignored = NO_CHOICES, OTHER
+
+  local function candidates_of(sources, event)
+    local candidates, is_shared = false, true
+    for i = 1, #sources do
+      local list = sources[i]._by_event[event] or sources[i]._by_any
+      if list and not candidates then
+        candidates = list
+      elseif list then
+        candidates = is_shared and copy_list(candidates) or candidates
+        is_shared = false
+        append(candidates, list)
+      end
+    end
     return candidates
   end
-  return candidates[1]
-end
 
--- leaf._ignored is its e_done if that leads nowhere, as it mostly does.
-local function start_choices(leaf)
-  local done_event = leaf._done_event
-  local choice = choice_of(leaf, done_event)
-  leaf._choices = { [done_event] = choice }
-  leaf._ignored = not choice and done_event or OTHER
-end
-
-local function find_choice(fsm, leaf, event)
-  if leaf._choices == NO_CHOICES then start_choices(leaf) end
-  local choices = leaf._choices
-  if choices[event] ~= nil then return choices[event] end
-  local key = event
-  if not fsm._plan.events[event] then key = OTHER end
-  if choices[key] == nil then choices[key] = choice_of(leaf, key) end
-  return choices[key]
-end
-
--- Returns the first candidate that is enabled, or nothing.
-local function choose_from(fsm, choice, events)
-  fsm._search = fsm._search + 1
-  if not choice._is_simple then return find_in_list(fsm, choice, events, 1) end
-  return is_enabled(fsm, choice, events) and choice
-end
-
--- Returns what several events lead to.
-local function choose_among(fsm, leaf, events)
-  local choice = false
-  for i = 1, #events do
-    local found = find_choice(fsm, leaf, events[i])
-    if found and found ~= choice then
-      if choice then return find_transition(fsm, leaf, events) end
-      choice = found
+  local function choice_of(leaf, event)
+    local candidates = candidates_of(leaf._sources or sources_of(leaf), event)
+    if not candidates or candidates[2] or not candidates[1]._is_simple then
+      return candidates
     end
+    return candidates[1]
   end
-  return choice and choose_from(fsm, choice, events)
-end
 
--- Returns the transition to take, or nothing.
-local function choose(fsm, leaf, events)
-  if fsm._is_traced then
-    check_traced(fsm)
-    return events[1] ~= nil and find_transition(fsm, leaf, events)
+  -- leaf._ignored is its e_done if that leads nowhere, as it mostly does.
+  local function start_choices(leaf)
+    local done_event = leaf._done_event
+    local choice = choice_of(leaf, done_event)
+    leaf._choices = { [done_event] = choice }
+    leaf._ignored = not choice and done_event or OTHER
   end
-  local at = 1
-  if events[1] == leaf._ignored then at = 2 end
-  local event = events[at]
-  if event == nil then return nil end
-  if events[at + 1] ~= nil then return choose_among(fsm, leaf, events) end
-  local choice = leaf._choices[event]
-  if choice == nil then choice = find_choice(fsm, leaf, event) end
-  return choice and choose_from(fsm, choice, events)
+
+  local function find_choice(fsm, leaf, event)
+    if leaf._choices == NO_CHOICES then start_choices(leaf) end
+    local choices = leaf._choices
+    if choices[event] ~= nil then return choices[event] end
+    local key = event
+    if not fsm._plan.events[event] then key = OTHER end
+    if choices[key] == nil then choices[key] = choice_of(leaf, key) end
+    return choices[key]
+  end
+
+  -- Returns the first candidate that is enabled, or nothing.
+  function choose_from(fsm, choice, events)
+    fsm._search = fsm._search + 1
+    if not choice._is_simple then return find_in_list(fsm, choice, events, 1) end
+    return is_enabled(fsm, choice, events) and choice
+  end
+
+  -- Returns what several events lead to.
+  local function choose_among(fsm, leaf, events)
+    local choice = false
+    for i = 1, #events do
+      local found = find_choice(fsm, leaf, events[i])
+      if found and found ~= choice then
+        if choice then return find_transition(fsm, leaf, events) end
+        choice = found
+      end
+    end
+    return choice and choose_from(fsm, choice, events)
+  end
+
+  -- Returns the transition to take, or nothing.
+  function choose(fsm, leaf, events)
+    if fsm._is_traced then
+      check_traced(fsm)
+      return events[1] ~= nil and find_transition(fsm, leaf, events)
+    end
+    local at = 1
+    if events[1] == leaf._ignored then at = 2 end
+    local event = events[at]
+    if event == nil then return nil end
+    if events[at + 1] ~= nil then return choose_among(fsm, leaf, events) end
+    local choice = leaf._choices[event]
+    if choice == nil then choice = find_choice(fsm, leaf, event) end
+    return choice and choose_from(fsm, choice, events)
+  end
 end
 
 -- Take: exit, effect, entry, in full detail ......................................
@@ -2415,14 +2435,15 @@ end
 local function new_build(plan)
   return {
     root = plan.root, problems = {}, warnings = {}, created = {}, completions = {},
-    transitions = plan.transitions, nodes = plan.nodes, models = {}, mounts = {},
-    earlier = {},
+    transitions = plan.transitions, nodes = plan.nodes, mounts = {}, earlier = {},
+    sources = {
+      nodes = {}, members = {}, transitions = {}, fields = {}, src = {}, tgt = {},
+    },
   }
 end
 
 -- Check, clone, resolve: all that can be said of a model without running anything.
 local function build_plan(model)
-  model = model_of(model)
   local root = setmetatable({ _id = "root", _fqn = "root" }, State)
   root._parent = root
   local build = new_build { root = root, nodes = {}, transitions = {} }
@@ -2430,7 +2451,7 @@ local function build_plan(model)
   clone_below(build, 1)
   resolve(build, 1)
   check_root(build, root, model)
-  return build, model
+  return build
 end
 
 -- What machines of a model share.
@@ -2438,10 +2459,90 @@ local function new_plan(build, model)
   local plan = {
     model = model, root = build.root, nodes = build.nodes,
     transitions = build.transitions, warnings = build.warnings,
-    created = build.created, events = false, is_own = true,
+    created = build.created, events = false, is_own = false, users = 0,
+    sources = build.sources,
   }
   plan.root._plan = plan
+  if not build.problems[1] then plans[model] = plan end
   return plan
+end
+
+local is_current
+
+do
+  -- Is `value` in the model still what `member` was made of?
+  local function is_same_member(sources, value, member)
+    if type(value) ~= "table" then return value == member end
+    local kind = KIND[getmetatable(value)]
+    if not kind then return value == member end
+    if kind_of(member) ~= kind then return false end
+    local list = kind == "transition" and sources.transitions or sources.nodes
+    return list[member._index] == model_of(value)
+  end
+
+  local function is_same_node(sources, model, node)
+    local count = 0
+    for key, value in pairs(model) do -- any order: all must be the same
+      count = count + 1
+      if not is_same_member(sources, value, node[key]) then return false end
+    end
+    return count == sources.members[node._index]
+  end
+
+  local function is_same_event(tr, event, compiled)
+    return event == compiled or event == "e_done" and compiled == "e_done@" .. tr.src._fqn
+  end
+
+  local function are_same_events(tr, events)
+    local compiled = tr.events
+    if type(events) ~= "table" then
+      return compiled and #compiled == 1 and is_same_event(tr, events, compiled[1])
+    end
+    local count = 0
+    for _ in pairs(events) do count = count + 1 end -- any order: only counted
+    if not compiled or count ~= #compiled then return false end
+    for i = 1, count do
+      if not is_same_event(tr, events[i], compiled[i]) then return false end
+    end
+    return true
+  end
+
+  local function is_same_transition(sources, model, tr)
+    local i, count = tr._index, 0
+    if model.src ~= sources.src[i] or model.tgt ~= sources.tgt[i] then return false end
+    for key, value in pairs(model) do -- any order: all must be the same
+      count = count + 1
+      if key == "events" then
+        if not are_same_events(tr, value) then return false end
+      elseif key ~= "src" and key ~= "tgt" and tr[key] ~= value then
+        return false
+      end
+    end
+    return count == sources.fields[i]
+  end
+
+  -- Is the model still what the plan was made of?
+  function is_current(plan)
+    local sources = plan.sources
+    for i, node in ipairs(plan.nodes) do
+      local model = sources.nodes[i]
+      if model and not is_same_node(sources, model, node) then return false end
+    end
+    for i, tr in ipairs(plan.transitions) do
+      local model = sources.transitions[i]
+      if not is_same_transition(sources, model, tr) then return false end
+    end
+    return true
+  end
+end
+
+-- Returns the plan of a model, and the problems of a model that can have none.
+local function plan_of(model)
+  model = model_of(model)
+  local plan = plans[model]
+  if plan and is_current(plan) then return plan, {} end
+  local build = build_plan(model)
+  return new_plan(build, model), build.problems
 end
 
 -- A machine with all that a run needs, inactive.
@@ -2463,7 +2564,7 @@ local function new_machine(plan)
     _initialized = false, _has_read_events = false, _model = plan.model, _plan = plan,
     _def = plan.root, _fsm = false, _nodes = false, _transitions = {},
   }
-  fsm._fsm, fsm._nodes = fsm, { fsm }
+  fsm._fsm, fsm._nodes, plan.users = fsm, { fsm }, plan.users + 1
   make_elements(fsm, 1, 1)
   return setmetatable(fsm, Machine)
 end
@@ -2487,26 +2588,26 @@ local function watch_fields(fsm)
 end
 
 -- The conditions under which a composite can be left without a way in.
-local function check_initial(build, connector)
+local function check_initial(warnings, connector)
   local otrs = connector._otrs
   if not otrs or not is_conn(connector) then return end
   for i = 1, #otrs do
     local events = otrs[i].events
     if not otrs[i].guard and (events == nil or #events == 0) then return end
   end
-  add(build.warnings, connector._fqn, "each transition from here has events or a "
+  add(warnings, connector._fqn, "each transition from here has events or a "
     .. "guard, '%s' cannot be entered while none of them is enabled",
     connector._parent._fqn)
 end
 
--- Warns of what the build found, and of the `initial` connectors from node `first` on.
-local function warn_after_compile(fsm, build, first)
-  local nodes = fsm._plan.nodes
+-- Warns of what was found, and of the `initial` connectors from node `first` on.
+local function warn_after_compile(fsm, warnings, first)
+  local nodes, all = fsm._plan.nodes, copy_list(warnings)
   for i = first, #nodes do
-    if nodes[i]._id == "initial" then check_initial(build, nodes[i]) end
+    if nodes[i]._id == "initial" then check_initial(all, nodes[i]) end
   end
-  local warnings = lines_of(build.warnings)
-  for i = 1, #warnings do report(fsm, "warn", "WARNING: " .. warnings[i]) end
+  local lines = lines_of(all)
+  for i = 1, #lines do report(fsm, "warn", "WARNING: " .. lines[i]) end
 end
 
 local function tell_created(fsm, created)
@@ -2570,11 +2671,12 @@ local function note_events(fsm)
 end
 
 -- Compiles, and says what deserves a word of the nodes from number `first` on.
-local function finish(fsm, build, first)
+local function finish(fsm, warnings, first)
   note_events(fsm)
-  compile(fsm._plan)
+  local plan = fsm._plan
+  if plan.is_own or not plan.events then compile(plan) end
   if fsm.warn == silent then return end
-  warn_after_compile(fsm, build, first)
+  warn_after_compile(fsm, warnings, first)
   warn_of_dead_ends(fsm, first)
 end
 
@@ -2592,14 +2694,14 @@ function rfsm.init(model)
   if not is_state(model) then
     error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
   end
-  local build, source = build_plan(model)
-  local fsm = new_machine(new_plan(build, source))
+  local plan, found = plan_of(model)
+  local fsm = new_machine(plan)
   prepare_printers(fsm)
-  local problems = lines_of(build.problems)
+  local problems = lines_of(found)
   if not problems[1] then
     fsm._initialized = true
     watch_fields(fsm)
-    tell_created(fsm, build.created)
+    tell_created(fsm, plan.created)
     problems = preprocess(fsm)
   end
   if problems[1] then
@@ -2608,7 +2710,7 @@ function rfsm.init(model)
     raise_failure(fsm)
     return false, problems
   end
-  finish(fsm, build, 1)
+  finish(fsm, plan.warnings, 1)
   machines[fsm] = true
   raise_failure(fsm)
   return fsm
@@ -2623,7 +2725,7 @@ function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
-  local build = build_plan(model)
+  local build = build_plan(model_of(model))
   return not build.problems[1], lines_of(build.problems), lines_of(build.warnings)
 end
 
@@ -2983,6 +3085,11 @@ do
     return fsm._at and not (fsm._at == true and fsm._leaf)
   end
 
+  -- Has `parent` a member under that key? A program is one.
+  local function is_taken(parent, id)
+    return id ~= nil and (rawget(parent, id) or rawget(parent._def, id)) ~= nil
+  end
+
   -- Why `obj` cannot become a member of `parent`; nil when it can.
   local function merge_obstacle(fsm, parent, obj, id)
     if not is_state(parent) or rawget(parent, "_fsm") ~= fsm then
@@ -2993,7 +3100,7 @@ do
     if id == nil and kind ~= "transition" then
       return "a " .. kind .. " needs a name"
     end
-    if id ~= nil and (rawget(parent, id) or rawget(parent._def, id)) ~= nil then
+    if is_taken(parent, id) then
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
     end
     if kind == "transition" or not parent._def._is_leaf then return nil end
@@ -3085,7 +3192,7 @@ do
       tr.tgt = entrance
     end
     tell_created(fsm, build.created)
-    finish(fsm, build, first_node)
+    finish(fsm, build.warnings, first_node)
     if not fsm._at then raise_failure(fsm) end
     return true
   end
