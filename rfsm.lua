@@ -161,9 +161,13 @@ end
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
 local is_trans, is_conn = rfsm.is_trans, rfsm.is_conn
 
+-- Where the members of a state are listed: one of a machine has its own for those that
+-- were asked for.
+local function members_of(state) return rawget(state, "_def") or state end
+
 -- Any order will do: one node decides.
-local function has_nodes(t)
-  for key, value in pairs(t) do
+local function has_nodes(state)
+  for key, value in pairs(members_of(state)) do
     if is_node(value) and not is_meta(key) then return true end
   end
   return false
@@ -565,10 +569,13 @@ do
     return getmetatable(value) == Machine and value._model or def
   end
 
-  -- The user's data under `key` goes to each machine.
-  local function add_datum(def, key)
+  -- The user's data under `key` goes to each machine; a plain table is copied at once.
+  local function add_datum(build, def, key, value)
     local data = def._data
     if data then data[#data + 1] = key else def._data = { key } end
+    if type(value) == "table" and getmetatable(value) == nil then
+      build.with_tables[#build.with_tables + 1] = def
+    end
   end
 
   -- Takes over a field of a transition other than src, tgt and events.
@@ -581,7 +588,7 @@ do
       check_pn(build, tr, value)
     elseif not is_meta(key) or tr[key] == nil and model._parent == nil then
       tr[key] = value
-      add_datum(tr, key)
+      add_datum(build, tr, key, value)
       if key == "event" then warn_of_event(build, tr) end
     end
   end
@@ -663,7 +670,7 @@ do
     if RESERVED[key] == "state" and is_state(def) then
       check_callable(build, def, model, key)
     else
-      add_datum(def, key)
+      add_datum(build, def, key, value)
     end
     if type(value) == "table" and getmetatable(value) == nil then
       check_plain_table(build, def._fqn .. "." .. text_of(key), value)
@@ -1120,6 +1127,12 @@ local function innermost_of(fsm)
   return at._def or fsm._plan.nodes[at._lca._index], false
 end
 
+-- Returns the machine's own node or transition.
+local function live_of(fsm, def)
+  local is_transition = getmetatable(def) == Transition
+  return (is_transition and fsm._transitions or fsm._nodes)[def._index]
+end
+
 local own_plan, set_mode
 
 do
@@ -1193,6 +1206,13 @@ do
 
   for field, read in pairs(STATE) do ROOT[field] = read end -- any order: each alone
 
+  -- Returns the node or transition that the state contains under `key`.
+  local function read_member(state, key)
+    local member = rawget(state._def, key)
+    if not kind_of(member) or is_meta(key) then return nil end
+    return live_of(state._fsm, member)
+  end
+
   local function reader(readers, fields)
     return function(element, key)
       local read = readers[key]
@@ -1201,16 +1221,19 @@ do
     end
   end
 
-  LiveState.__index = reader(STATE, STATE_FIELDS)
   LiveConnector.__index = reader(CONNECTOR, CONNECTOR_FIELDS)
   LiveTransition.__index = reader(TRANSITION, TRANSITION_FIELDS)
   LiveTransition.__tostring = Transition.__tostring
-  local read_root = reader(ROOT, STATE_FIELDS)
+  local read_state, read_root = reader(STATE, STATE_FIELDS), reader(ROOT, STATE_FIELDS)
+
+  function LiveState.__index(state, key)
+    return read_member(state, key) or read_state(state, key)
+  end
 
   function Machine.__index(fsm, key)
     local off = OFF[key]
     if off ~= nil then return off end
-    return read_root(fsm, key)
+    return read_member(fsm, key) or read_root(fsm, key)
   end
 
   -- Fields of a definition that compiling made, or that are the plan's own.
@@ -1249,8 +1272,14 @@ do
 
   local function use_plan(fsm, plan)
     fsm._plan = plan
-    for i, node in ipairs(fsm._nodes) do node._def = plan.nodes[i] end
-    for i, tr in ipairs(fsm._transitions) do tr._def = plan.transitions[i] end
+    for i, def in ipairs(plan.nodes) do
+      local node = rawget(fsm._nodes, i)
+      if node then node._def = def end
+    end
+    for i, def in ipairs(plan.transitions) do
+      local tr = rawget(fsm._transitions, i)
+      if tr then tr._def = def end
+    end
     fsm._leaf = fsm._leaf and plan.nodes[fsm._leaf._index]
     fsm._open = fsm._open and plan.nodes[fsm._open._index]
   end
@@ -1359,38 +1388,55 @@ do
   end
 end
 
+-- The nodes and transitions of a machine come into being when they are first asked for.
+
 -- Gives `element` the user's data in its definition.
-local function hand_out(element, def, copies)
+local function hand_out(fsm, element, def)
   local data = def._data
-  for i = 1, #data do
+  for i = 1, data and #data or 0 do
     local key = data[i]
     if not is_meta(key) or rawget(element, key) == nil then
-      rawset(element, key, clone_data(copies, def[key]))
+      rawset(element, key, clone_data(fsm._copies, def[key]))
     end
   end
 end
 
--- Makes the nodes and transitions of the machine from the given numbers on.
-local function make_elements(fsm, first_node, first_transition)
-  local plan, nodes, transitions, copies = fsm._plan, fsm._nodes, fsm._transitions, {}
-  for i = first_node, #plan.nodes do
-    local def = plan.nodes[i]
-    local node = nodes[i] -- the machine itself
-    if not node then
-      local class = getmetatable(def) == State and LiveState or LiveConnector
-      node = setmetatable({ _def = def, _fsm = fsm }, class)
-      nodes[i] = node
-      rawset(nodes[def._parent._index], def._id, node)
-    end
-    if def._data then hand_out(node, def, copies) end
+local function make_element(fsm, def, class)
+  local element = setmetatable({ _def = def, _fsm = fsm }, class)
+  hand_out(fsm, element, def)
+  return element
+end
+
+-- The metatables of the lists; the machine itself is its node 1, and transition 0.
+local NODES, TRANSITIONS = {}, {}
+
+function NODES.__index(nodes, i)
+  local fsm = nodes[1]
+  local def = fsm._plan.nodes[i]
+  if not def then return nil end
+  local class = getmetatable(def) == State and LiveState or LiveConnector
+  local node = make_element(fsm, def, class)
+  nodes[i] = node
+  return node
+end
+
+function TRANSITIONS.__index(transitions, i)
+  local fsm = transitions[0]
+  local def = fsm._plan.transitions[i]
+  if not def then return nil end
+  local tr = make_element(fsm, def, LiveTransition)
+  transitions[i] = tr
+  return tr
+end
+
+-- Makes those elements that copy tables of the model, which may change later.
+local function copy_tables(fsm, with_tables)
+  fsm._copies = {}
+  for i = 1, #with_tables do
+    local def = with_tables[i]
+    if def == fsm._def then hand_out(fsm, fsm, def) else live_of(fsm, def) end
   end
-  for i = first_transition, #plan.transitions do
-    local def = plan.transitions[i]
-    local tr = setmetatable({ _def = def, _fsm = fsm }, LiveTransition)
-    transitions[i] = tr
-    rawset(nodes[def._parent._index], def._id, tr)
-    if def._data then hand_out(tr, def, copies) end
-  end
+  fsm._copies = false
 end
 
 -- Run: collect events, choose, take, doo --------------------------------------
@@ -1624,8 +1670,8 @@ do
     for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt._fqn) end
   end
 
-  -- Chooses the way out of a connector: the first of `otrs` that is enabled. Further ones
-  -- of the same priority are asked only to warn of a conflict.
+  -- Chooses the way out of a connector: the first of `otrs` that is enabled. Further
+  -- ones of the same priority are asked only to warn of a conflict.
   local function choose_way(fsm, connector, otrs, events, depth)
     local way, conflict = false, nil
     for i = 1, #otrs do
@@ -1655,18 +1701,20 @@ do
     return status(co) == "dead" and way
   end
 
-  -- Returns the way out of a connector, or false; it is chosen once a search. While it is
-  -- being evaluated it counts as closed, so that cycles end.
+  -- Returns the way out of a connector, or false; it is chosen once a search. While it
+  -- is being evaluated it counts as closed, so that cycles end.
   function evaluate_connector(fsm, connector, events, depth)
     local searched, ways, otrs = fsm._searched, fsm._ways, connector._otrs
     if searched[connector] == fsm._search then return ways[connector] end
     searched[connector], ways[connector] = fsm._search, false
     if not otrs then return false end
     if not connector._by_event then compile_node(fsm._plan, connector) end
-    local choose = depth and depth >= MAX_DEPTH and choose_way_aside or choose_way
-    local way = choose(fsm, connector, otrs, events, (depth or 0) + 1)
-    ways[connector] = way
-    return way
+    if not depth or depth < MAX_DEPTH then
+      ways[connector] = choose_way(fsm, connector, otrs, events, (depth or 0) + 1)
+    else
+      ways[connector] = choose_way_aside(fsm, connector, otrs, events)
+    end
+    return ways[connector]
   end
 
   -- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
@@ -1710,8 +1758,8 @@ do
   end
 
   -- Returns the first enabled transition of a candidate list, from number `i` on. It
-  -- calls itself where a loop would keep LuaJIT from making one trace of a step, and asks
-  -- what is_candidate_enabled asks without calling it: hot.
+  -- calls itself where a loop would keep LuaJIT from making one trace of a step, and
+  -- asks what is_candidate_enabled asks without calling it: hot.
   local function find_in_list(fsm, list, events, i)
     local tr = list[i]
     if not tr then return nil end
@@ -1722,8 +1770,8 @@ do
     return find_in_list(fsm, list, events, i + 1)
   end
 
-  -- Returns the first transition from `node` that is enabled, or nil; events may lead to
-  -- several lists.
+  -- Returns the first transition from `node` that is enabled, or nil; events may lead
+  -- to several lists.
   function find_from_node(fsm, node, events)
     if not node._otrs then return nil end
     if not node._by_event then compile_node(fsm._plan, node) end
@@ -2436,6 +2484,7 @@ local function new_build(plan)
   return {
     root = plan.root, problems = {}, warnings = {}, created = {}, completions = {},
     transitions = plan.transitions, nodes = plan.nodes, mounts = {}, earlier = {},
+    with_tables = {},
     sources = {
       nodes = {}, members = {}, transitions = {}, fields = {}, src = {}, tgt = {},
     },
@@ -2459,9 +2508,10 @@ local function new_plan(build, model)
   local plan = {
     model = model, root = build.root, nodes = build.nodes,
     transitions = build.transitions, warnings = build.warnings,
-    created = build.created, events = false, is_own = false, users = 0,
-    sources = build.sources,
+    created = build.created, with_tables = build.with_tables, sources = build.sources,
+    events = false, is_own = false, users = 0,
   }
+  append(plan.with_tables, { build.root })
   plan.root._plan = plan
   if not build.problems[1] then plans[model] = plan end
   return plan
@@ -2490,7 +2540,8 @@ do
   end
 
   local function is_same_event(tr, event, compiled)
-    return event == compiled or event == "e_done" and compiled == "e_done@" .. tr.src._fqn
+    return event == compiled
+      or event == "e_done" and compiled == "e_done@" .. tr.src._fqn
   end
 
   local function are_same_events(tr, events)
@@ -2562,10 +2613,13 @@ local function new_machine(plan)
     _path = {},
     -- the structure
     _initialized = false, _has_read_events = false, _model = plan.model, _plan = plan,
-    _def = plan.root, _fsm = false, _nodes = false, _transitions = {},
+    _def = plan.root, _fsm = false, _nodes = false, _transitions = false,
+    _copies = false,
   }
-  fsm._fsm, fsm._nodes, plan.users = fsm, { fsm }, plan.users + 1
-  make_elements(fsm, 1, 1)
+  fsm._fsm, plan.users = fsm, plan.users + 1
+  fsm._nodes = setmetatable({ fsm }, NODES)
+  fsm._transitions = setmetatable({ [0] = fsm }, TRANSITIONS)
+  copy_tables(fsm, plan.with_tables)
   return setmetatable(fsm, Machine)
 end
 
@@ -2657,15 +2711,15 @@ end
 -- A preproc function may have changed events in place or set others.
 local function note_events(fsm)
   if not fsm._has_read_events then return end
-  for i = 1, #fsm._transitions do
-    local tr = fsm._transitions[i]
-    local events = rawget(tr, "events")
+  for i = 1, #fsm._plan.transitions do
+    local tr = rawget(fsm._transitions, i)
+    local events = tr and rawget(tr, "events")
     if type(events) == "string" then events = { events } end
     if events and not is_same_list(events, tr._def.events) then
       own_plan(fsm)
       tr._def.events = events
     end
-    rawset(tr, "events", nil)
+    if tr then rawset(tr, "events", nil) end
   end
   fsm._has_read_events = false
 end
@@ -2886,7 +2940,7 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   local results = {}
   local function map_members(state, levels)
     if levels < 1 then return end
-    local keys, n = sorted_keys(state, rfsm.is_fsmobj)
+    local keys, n = sorted_keys(members_of(state), rfsm.is_fsmobj)
     for i = 1, n do
       local obj = state[keys[i]]
       if pred(obj) then results[#results + 1] = f(obj, state, keys[i]) end
@@ -3138,23 +3192,19 @@ do
     return entrances
   end
 
-  local function truncate(list, first)
-    for i = #list, first, -1 do list[i] = nil end
+  -- Forgets what stands in the list of the plan, and in that of the machine, from
+  -- number `first` on.
+  local function truncate(defs, own, first)
+    for i = #defs, first, -1 do defs[i], own[i] = nil, nil end
   end
 
   -- Takes out again what stands in plan and machine from the given numbers on.
   local function undo_merge(fsm, build, parent, id, first_node, first_transition)
-    rawset(parent, id, nil)
     parent._def[id] = nil
-    for _, connector in ipairs(build.created) do
-      connector._parent.initial = nil
-      rawset(fsm._nodes[connector._parent._index], "initial", nil)
-    end
+    for _, connector in ipairs(build.created) do connector._parent.initial = nil end
     parent._def._is_leaf = not has_nodes(parent._def)
-    truncate(build.nodes, first_node)
-    truncate(build.transitions, first_transition)
-    truncate(fsm._nodes, first_node)
-    truncate(fsm._transitions, first_transition)
+    truncate(build.nodes, fsm._nodes, first_node)
+    truncate(build.transitions, fsm._transitions, first_transition)
   end
 
   --- Add a state, connector or transition to a live machine.
@@ -3172,7 +3222,7 @@ do
     check_machine(fsm, "fsm_merge")
     local obstacle = merge_obstacle(fsm, parent, obj, id)
     if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
-    if id == nil then id = #parent + 1 end
+    if id == nil then id = #parent._def + 1 end
     local plan = own_plan(fsm)
     local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
     local build = new_build(plan)
@@ -3181,7 +3231,7 @@ do
     local entrances = find_new_entrances(build, parent._def)
     local problems = lines_of(build.problems)
     if not problems[1] then
-      make_elements(fsm, first_node, first_transition)
+      copy_tables(fsm, build.with_tables)
       problems = preprocess(fsm, parent[id])
     end
     if problems[1] then
