@@ -20,6 +20,7 @@ local floor, huge, min = math.floor, math.huge, math.min
 local find = string.find
 local concat, sort = table.concat, table.sort
 local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 
 local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
@@ -921,7 +922,7 @@ end
 -- searched, a transition taken, a state entered for the first time, so that what never
 -- runs takes neither time nor memory.
 
-local compile, compile_node, compile_path, make_ready
+local compile, compile_node, compile_path, forget_segments, make_ready
 
 do
   local function depth_of(node)
@@ -1056,6 +1057,11 @@ do
     end
   end
 
+  -- A program has been replaced: the functions of transitions hold the old one.
+  function forget_segments(plan)
+    for i = 1, #plan.transitions do plan.transitions[i]._run = Transition._run end
+  end
+
   -- Gives each node the list of the transitions that leave it, in order.
   function compile(plan)
     local transitions, several = plan.transitions, {}
@@ -1089,8 +1095,9 @@ end
 --   _is_done  the active leaf has done its work
 --   _doo      the coroutine of its doo
 --   _at       false: no iteration is under way. true: one is, and all of the above
---             holds. Else the program of a transition that runs: -i for the exit of
---             node i, the node that is entered, the transition's definition
+--             holds. Else a note of the program of a transition that runs: -i for the
+--             exit of node i, i for the entry of node i, i + 0.5 for the effect while
+--             node i stays active; i + 0.25 between two exits
 --
 -- In the engine `state`, `leaf`, `tr` are definitions. What a user's function gets is
 -- the machine's own, in fsm._nodes and fsm._transitions at the same index.
@@ -1123,9 +1130,20 @@ end
 local function innermost_of(fsm)
   local at = fsm._at
   if type(at) == "boolean" then return fsm._leaf or fsm._open, false end
-  if type(at) == "number" then return fsm._plan.nodes[-at], true end
-  return at._def or fsm._plan.nodes[at._lca._index], false
+  return fsm._plan.nodes[floor(at < 0 and -at or at)], at < 0
 end
+
+-- The rest of a transition that is under way goes in detail, where each program is
+-- looked up and traced: while the field is gone, the next note in it ends the call.
+local function go_in_detail(fsm)
+  local at = fsm._at
+  set_flag(fsm, "_is_traced")
+  fsm._was_at = at
+  if type(at) == "number" then rawset(fsm, "_at", nil) end
+end
+
+-- What such a call ends with.
+local IN_DETAIL = {}
 
 -- Returns the machine's own node or transition.
 local function live_of(fsm, def)
@@ -1182,7 +1200,7 @@ do
 
   function ROOT._act_leaf(fsm)
     local at, leaf = fsm._at, fsm._leaf
-    if not leaf or type(at) ~= "boolean" and at ~= -leaf._index then return false end
+    if not leaf or at ~= -leaf._index and type(at) ~= "boolean" then return false end
     return fsm._nodes[leaf._index]
   end
 
@@ -1233,13 +1251,15 @@ do
   function Machine.__index(fsm, key)
     local off = OFF[key]
     if off ~= nil then return off end
+    if key == "_at" then return fsm._was_at end
     return read_member(fsm, key) or read_root(fsm, key)
   end
 
   -- Fields of a definition that compiling made, or that are the plan's own.
   local COMPILED = {
     _otrs = true, _by_event = true, _by_any = true, _sources = true, _choices = true,
-    _ignored = true, _lca = true, _entries = true, _run = true, _plan = true,
+    _ignored = true, _lca = true, _entries = true, _run = true, _runs = true,
+    _plan = true,
   }
 
   local function copy_def(def, copies)
@@ -1298,14 +1318,13 @@ do
     return copy
   end
 
-  -- The rest of a transition that is under way goes in detail, where each program is
-  -- looked up.
   local function change(element, key, value)
     local fsm = element._fsm
     own_plan(fsm)
     if value == nil then value = false end
     element._def[key] = value
-    if fsm._at then set_flag(fsm, "_is_traced") end
+    forget_segments(fsm._plan)
+    if fsm._at then go_in_detail(fsm) end
   end
 
   function LiveState.__newindex(state, key, value)
@@ -1334,7 +1353,12 @@ do
     if key == "_mode" then return set_mode(fsm, value) end
     if key == "_act_leaf" and value then return set_mode(value, "active") end
     if ROOT[key] then return end
+    if key == "_at" then
+      rawset(fsm, "_at", fsm._was_at)
+      error(IN_DETAIL, 0)
+    end
     rawset(fsm, key, value)
+    if key == "dbg" then return go_in_detail(fsm) end
     if FLAG_OF[key] then set_flag(fsm, FLAG_OF[key]) end
   end
 
@@ -1913,7 +1937,7 @@ local function finish_exit(fsm, state)
   local hooks = node._def._exit_hooks
   if hooks then run_state_hooks(fsm, node, hooks) end
   if state == fsm._leaf then fsm._doo = false end
-  fsm._at = node._parent
+  rawset(fsm, "_at", state._parent._index + 0.25)
   if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
 end
 
@@ -1927,7 +1951,8 @@ end
 local function finish_entry(fsm, state)
   if state._is_leaf then
     local leaf = fsm._plan.nodes[state._index]
-    fsm._leaf, fsm._is_done, fsm._at = leaf, false, true
+    fsm._leaf, fsm._is_done = leaf, false
+    rawset(fsm, "_at", true)
     if not leaf.doo then complete(fsm, leaf) end
   end
   if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
@@ -1940,14 +1965,20 @@ local function finish_effect(fsm, tr)
   trace(fsm, "TRANS_ENTER", tostring(tr))
 end
 
+-- Runs a program of a transition. The note before it says what runs, the one after it
+-- ends the protected call when the program changed what the rest of it looks like.
+local function run_program(fsm, at, program, node, what, events)
+  fsm._at = at
+  if program then program(fsm, node, what, events) end
+  fsm._at = at
+end
+
 -- Exits from `state` up to the lca of `tr`. The machine may have got a plan of its own
 -- in the meantime: only positions in it tell.
 local function exit_up(fsm, tr, state)
   while state._index ~= tr._lca._index do
     local node = fsm._nodes[state._index]
-    fsm._at = -state._index
-    local exit = node.exit
-    if exit then exit(fsm, node, "exit") end
+    run_program(fsm, -state._index, node.exit, node, "exit")
     finish_exit(fsm, state)
     state = state._parent
   end
@@ -1959,11 +1990,10 @@ local function enter_down(fsm, tr, first)
   for i = first, #entries do
     local state = entries[i]
     local node = fsm._nodes[state._index]
-    fsm._at = node
     local hooks = node._def._entry_hooks
+    fsm._at = state._index
     if hooks then run_state_hooks(fsm, node, hooks) end
-    local entry = node.entry
-    if entry then entry(fsm, node, "entry") end
+    run_program(fsm, state._index, node.entry, node, "entry")
     finish_entry(fsm, state)
   end
 end
@@ -1986,13 +2016,9 @@ end })
 local function run_segment(fsm, tr, events, state, first)
   if first == 0 then
     exit_up(fsm, tr, state)
-    fsm._at = tr
     local own = fsm._transitions[tr._index]
-    local effect = own.effect
-    if effect then
-      keep_events(fsm)
-      effect(fsm, own, "effect", events)
-    end
+    if own.effect then keep_events(fsm) end
+    run_program(fsm, tr._lca._index + 0.5, own.effect, own, "effect", events)
     finish_effect(fsm, tr)
     first = 1
   end
@@ -2012,33 +2038,40 @@ local function start_of(fsm, tr)
   return fsm._segment == 1 and fsm._leaf or tr.src._parent
 end
 
--- A program of the segment failed: reports it, finishes what it belongs to, and returns
--- where to go on. Where none was running it was an interrupt, which is for the caller.
-local function recover(fsm, tr, failure)
-  local at = fsm._at
-  if at == tr then
-    report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
-    finish_effect(fsm, tr)
-    return nil, 1
-  elseif type(at) == "number" then
-    local state = fsm._plan.nodes[-at]
-    report_program(fsm, "EXIT", "exit", state._fqn, failure)
-    finish_exit(fsm, state)
-    return state._parent, 0
-  end
-  local state = at ~= true and at._def
-  local i = state and number_of(tr, state)
-  if i then
-    report_program(fsm, "ENTRY", "entry", state._fqn, failure)
-    finish_entry(fsm, state)
-    return nil, i + 1
-  end
-  keep_failure(fsm, failure)
+-- Where the exits of a segment go on, or begin, after an interrupt.
+local function innermost_in(fsm, tr)
+  if fsm._at ~= true then return (innermost_of(fsm)) end
   if not tr._entries then compile_path(tr) end
-  return state or start_of(fsm, tr), 0
+  return start_of(fsm, tr)
 end
 
--- One segment in detail; returns the effect.
+-- A program of the segment failed: reports it, finishes what it belongs to, and returns
+-- where to go on. So it is when the rest is to go in detail, but nothing failed. Where
+-- no program was running it was an interrupt, which is for the caller.
+local function recover(fsm, tr, failure)
+  local at, state = fsm._at, innermost_of(fsm)
+  local phase, has_failed = type(at) == "number" and at % 1, failure ~= IN_DETAIL
+  rawset(fsm, "_at", at)
+  if phase == 0.5 then
+    if has_failed then
+      report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
+    end
+    finish_effect(fsm, tr)
+    return nil, 1
+  elseif phase == 0 and at < 0 then
+    if has_failed then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
+    finish_exit(fsm, state)
+    return state._parent, 0
+  elseif phase == 0 then
+    if has_failed then report_program(fsm, "ENTRY", "entry", state._fqn, failure) end
+    finish_entry(fsm, state)
+    return nil, number_of(tr, state) + 1
+  end
+  keep_failure(fsm, failure)
+  return innermost_in(fsm, tr), 0
+end
+
+-- One segment in detail.
 local function run_in_detail(fsm, tr, events)
   if not tr._entries then compile_path(tr) end
   if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
@@ -2052,8 +2085,7 @@ local function run_path(fsm, events, i, last, is_kept)
   local tr = fsm._path[i]
   fsm._segment, fsm._at = i, true
   local run = fsm._is_traced and run_in_detail or tr._run
-  local effect = run(fsm, tr, events)
-  is_kept = is_kept or effect and may_keep[effect]
+  is_kept = run(fsm, tr, events) or is_kept
   return run_path(fsm, events, i + 1, last, is_kept)
 end
 
@@ -2076,10 +2108,13 @@ end
 -- Takes the first `last` segments of fsm._path. One protected call is enough where
 -- nothing fails.
 local function take_path(fsm, events, last)
-  fsm._segment, fsm._at = 1, true
   local ok, is_kept = pcall(run_path, fsm, events, 1, last)
-  if not ok then return recover_path(fsm, events, last, is_kept) end
-  if is_kept then keep_events(fsm) end
+  if not ok then
+    recover_path(fsm, events, last, is_kept)
+  elseif is_kept then
+    keep_events(fsm)
+  end
+  fsm._segment, fsm._at = 1, true
 end
 
 -- Notes the segments from `tr` to a leaf in `path`, from place `n` on, as the search
@@ -2098,28 +2133,29 @@ local function trace_path(fsm, n)
   trace(fsm, "EXEC_PATH", concat(names, " -> "))
 end
 
+-- Runs a program outside of a transition.
+local function run_alone(fsm, at, program, node, what)
+  rawset(fsm, "_at", at)
+  local ok, failure = pcall(program or silent, fsm, node, what)
+  rawset(fsm, "_at", at)
+  if not ok then
+    report_program(fsm, what:upper(), what, node._fqn, failure)
+  end
+end
+
 -- Exits one state outside of a transition.
 local function exit_one(fsm, state)
   local node = fsm._nodes[state._index]
-  fsm._at = -state._index
-  local exit = node.exit
-  if exit then
-    local ok, failure = pcall(exit, fsm, node, "exit")
-    if not ok then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
-  end
+  run_alone(fsm, -state._index, node.exit, node, "exit")
   finish_exit(fsm, state)
 end
 
 -- Enters the root.
 local function enter_root(fsm)
   local root = fsm._def
-  fsm._at, fsm._open = fsm, false
+  fsm._at, fsm._open = root._index, false
   if root._entry_hooks then run_state_hooks(fsm, fsm, root._entry_hooks) end
-  local entry = fsm.entry
-  if entry then
-    local ok, failure = pcall(entry, fsm, fsm, "entry")
-    if not ok then report_program(fsm, "ENTRY", "entry", fsm._fqn, failure) end
-  end
+  run_alone(fsm, root._index, fsm.entry, fsm, "entry")
   finish_entry(fsm, root)
 end
 
@@ -2142,14 +2178,209 @@ local function enter_machine(fsm, events)
   return true
 end
 
-Transition._run = run_in_detail
+-- Take, straight: the same as run_in_detail while nothing is traced ...............
+--
+-- A segment becomes a function without a loop, made when it is first taken: one call
+-- after the other, each with a note in fsm._at, and nothing for a state without
+-- programs. Its text depends on the kinds of the steps alone and is compiled once for
+-- each list of them; programs and positions are upvalues. That programs may be replaced
+-- at any time costs nothing here: `change` forgets these functions. For the segment that is
+-- under way it removes fsm._at (see `go_in_detail`), so that the next note ends the
+-- protected call, and `recover` goes on in detail.
+
+do
+  -- One line for each letter of a shape; $n counts them.
+  local TEXT = {
+    head = [[
+local stop, run_state_hooks, leaf, done_event%s = ...
+return function(fsm, tr, events)
+  local nodes = fsm._nodes
+]],
+    exit = [[
+  fsm._at = -i$n
+  f$n(fsm, nodes[i$n], "exit")
+]],
+    exit_hooks = [[
+  fsm._at = -i$n
+  run_state_hooks(fsm, nodes[i$n], f$n)
+]],
+    drop_doo = [[
+  fsm._doo = false
+]],
+    note = [[
+  fsm._at = i$n
+]],
+    effect = [[
+  f$n(fsm, fsm._transitions[i$n], "effect", events)
+]],
+    entry = [[
+  fsm._at = i$n
+  f$n(fsm, nodes[i$n], "entry")
+]],
+    entry_hooks = [[
+  fsm._at = i$n
+  run_state_hooks(fsm, nodes[i$n], f$n)
+]],
+    check = [[
+  if fsm._is_traced then stop() end
+]],
+    enter_leaf = [[
+  fsm._leaf = leaf
+  fsm._is_done = false
+]],
+    complete_leaf = [[
+  local queue = fsm._intq
+  fsm._leaf = leaf
+  fsm._is_done = true
+  queue[#queue + 1] = done_event
+]],
+    keep = [[
+  return true
+]],
+    tail = [[
+end
+]],
+  }
+
+  -- So many programs in one function: Lua 5.1 allows 60 upvalues.
+  local MAX_CALLS = 20
+
+  -- The function that a list of steps makes: { kind, program, index }, ...
+  local makers = {}
+
+  local function make_text(steps)
+    local texts, names = { "" }, {}
+    for n = 1, #steps do
+      if steps[n].index then names[#names + 1] = (", f%d, i%d"):format(n, n) end
+      texts[n + 1] = TEXT[steps[n].kind]:gsub("%$n", n)
+    end
+    texts[1] = TEXT.head:format(concat(names))
+    texts[#texts + 1] = TEXT.tail
+    return concat(texts)
+  end
+
+  local function shape_of(steps)
+    local kinds = {}
+    for n = 1, #steps do kinds[n] = steps[n].kind end
+    return concat(kinds, " ")
+  end
+
+  local function stop() error(IN_DETAIL, 0) end
+
+  local function make_piece(steps, leaf)
+    local shape = shape_of(steps)
+    local maker = makers[shape]
+    if not maker then
+      maker = loadstring(make_text(steps), "=rfsm segment")
+      makers[shape] = maker
+    end
+    local bound, n = {}, 0
+    for i = 1, #steps do
+      if steps[i].index then
+        bound[n + 1], bound[n + 2] = steps[i].program, steps[i].index
+        n = n + 2
+      end
+    end
+    return maker(stop, run_state_hooks, leaf, leaf and leaf._done_event,
+      unpack(bound, 1, n))
+  end
+
+  local function chain(first, second)
+    return function(fsm, tr, events)
+      first(fsm, tr, events)
+      return second(fsm, tr, events)
+    end
+  end
+
+  local function add_step(steps, kind, program, index)
+    if program == false or program == nil then return end
+    steps[#steps + 1] = { kind = kind, program = program, index = index }
+  end
+
+  local function add_exits(steps, tr, innermost)
+    local state = innermost
+    while state._index ~= tr._lca._index do
+      add_step(steps, "exit", state.exit, state._index)
+      add_step(steps, "exit_hooks", state._exit_hooks, state._index)
+      if state._is_leaf then add_step(steps, "drop_doo", state.doo) end
+      state = state._parent
+    end
+  end
+
+  local function add_entries(steps, tr)
+    local entries = tr._entries
+    for i = 1, #entries do
+      local state = entries[i]
+      add_step(steps, "entry_hooks", state._entry_hooks, state._index)
+      add_step(steps, "entry", state.entry, state._index)
+    end
+  end
+
+  -- The steps of the segment `tr` from the `innermost` active state.
+  local function steps_of(tr, innermost)
+    local steps, leaf = {}, not tr._to_connector and tr.tgt
+    add_exits(steps, tr, innermost)
+    add_step(steps, "note", tr.effect, tr._lca._index + 0.5)
+    add_step(steps, "effect", tr.effect, tr._index)
+    add_entries(steps, tr)
+    if steps[1] then steps[#steps + 1] = { kind = "check" } end
+    if leaf then
+      steps[#steps + 1] = { kind = leaf.doo and "enter_leaf" or "complete_leaf" }
+    end
+    if tr.effect and may_keep[tr.effect] then steps[#steps + 1] = { kind = "keep" } end
+    return steps, leaf
+  end
+
+  local function slice(list, first, last)
+    local part = {}
+    for i = first, min(last, #list) do part[#part + 1] = list[i] end
+    return part
+  end
+
+  -- Returns the function for the segment `tr` from the `innermost` active state; where
+  -- Lua comes without its compiler that is run_in_detail.
+  local function straight_segment(tr, innermost)
+    if not loadstring then return run_in_detail end
+    local steps, leaf = steps_of(tr, innermost)
+    local run, piece
+    for i = 1, #steps, MAX_CALLS do
+      piece = make_piece(slice(steps, i, i + MAX_CALLS - 1), leaf)
+      run = run and chain(run, piece) or piece
+    end
+    return run or silent
+  end
+
+  -- A segment that starts at a composite: what it exits depends on the leaf.
+  local function run_from_composite(fsm, tr, events)
+    local leaf = fsm._leaf
+    local run = tr._runs[leaf]
+    if not run then
+      run = straight_segment(tr, leaf)
+      tr._runs[leaf] = run
+    end
+    return run(fsm, tr, events)
+  end
+
+  -- Until the first time.
+  function Transition._run(fsm, tr, events)
+    local src = tr.src
+    if not tr._entries then compile_path(tr) end
+    if is_conn(src) then
+      tr._run = straight_segment(tr, src._parent)
+    elseif src._is_leaf then
+      tr._run = straight_segment(tr, src)
+    else
+      tr._run, tr._runs = run_from_composite, {}
+    end
+    return tr._run(fsm, tr, events)
+  end
+end
 
 -- What follows the protected call of a straight segment.
-local function finish_take(fsm, tr, events, ok, effect)
-  if ok and effect and may_keep[effect] then return keep_events(fsm) end
-  if ok then return end
-  fsm._path[1], fsm._segment = tr, 1
-  recover_path(fsm, events, 1, effect)
+local function finish_take(fsm, tr, events, ok, failure)
+  if ok then return keep_events(fsm) end
+  fsm._path[1] = tr
+  recover_path(fsm, events, 1, failure)
 end
 
 -- Takes `tr` from the active leaf.
@@ -2159,8 +2390,9 @@ local function take(fsm, tr, events)
     if fsm._is_traced then trace_path(fsm, n) end
     return take_path(fsm, events, n)
   end
-  fsm._segment = 1
-  finish_take(fsm, tr, events, pcall(tr._run, fsm, tr, events))
+  local ok, is_kept = pcall(tr._run, fsm, tr, events)
+  if not ok or is_kept then finish_take(fsm, tr, events, ok, is_kept) end
+  fsm._at = true
 end
 
 -- Doo ............................................................................
@@ -2381,10 +2613,10 @@ do
       settle(fsm, events)
       return true, false
     end
-    fsm._segment = 1
-    local ok, effect = pcall(choice._run, fsm, choice, events)
-    if not ok or effect then finish_take(fsm, choice, events, ok, effect) end
+    local ok, is_kept = pcall(choice._run, fsm, choice, events)
+    if not ok or is_kept then finish_take(fsm, choice, events, ok, is_kept) end
     if fsm._is_unsettled then
+      fsm._at = true
       settle(fsm, events)
     else
       events[at] = nil
@@ -2419,7 +2651,7 @@ do
   local function mend(fsm)
     local is_lost = fsm._at ~= true or not fsm._leaf
     fsm._curq, fsm._is_kept, fsm._is_unsettled = {}, false, fsm._has_failure
-    fsm._at = false
+    fsm._at, fsm._segment = false, 1
     if fsm._reset_wanted or is_lost then reset_now(fsm) end
   end
 
@@ -2607,9 +2839,9 @@ local function new_machine(plan)
     _intq = { "e_init_fsm" }, _curq = {},
     _is_traced = false, _is_fed = false, _is_hooked = false, _is_plain = true,
     _is_unsettled = false, _is_kept = false, _reset_wanted = false,
-    _has_failure = false, _segment = 0,
+    _has_failure = false, _segment = 1,
     _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
-    _has_state_hooks = false, _search = 0, _searched = {}, _ways = {}, _lists = {},
+    _was_at = false, _search = 0, _searched = {}, _ways = {}, _lists = {},
     _path = {},
     -- the structure
     _initialized = false, _has_read_events = false, _model = plan.model, _plan = plan,
@@ -3037,7 +3269,8 @@ function rfsm.exit_state(fsm, state)
     inner = inner._parent
   end
   exit_one(fsm, def)
-  fsm._leaf, fsm._open, fsm._at = false, def._parent ~= def and def._parent, at
+  fsm._leaf, fsm._open = false, def._parent ~= def and def._parent
+  rawset(fsm, "_at", at)
   if not fsm._at then raise_failure(fsm) end
 end
 
@@ -3101,7 +3334,8 @@ do
     local hooks = state._def[field] and copy_list(state._def[field]) or {}
     hooks[#hooks + 1] = hook
     state._def[field] = hooks
-    set_flag(fsm, "_is_traced") -- for the rest of a transition that is under way
+    forget_segments(fsm._plan)
+    if fsm._at then go_in_detail(fsm) end
   end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
