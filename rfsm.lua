@@ -922,7 +922,7 @@ end
 -- searched, a transition taken, a state entered for the first time, so that what never
 -- runs takes neither time nor memory.
 
-local compile, compile_node, compile_path, forget_segments, make_ready
+local compile, compile_node, compile_path, make_ready
 
 do
   local function depth_of(node)
@@ -1048,18 +1048,13 @@ do
     tr._entries = entries
   end
 
-  -- Undoes all of this: the structure has changed.
+  -- Undoes all of this: the structure or a program has changed.
   local function forget(nodes)
     for i = 1, #nodes do
       local node = nodes[i]
       node._otrs, node._by_event, node._by_any = nil, nil, nil
       node._sources, node._choices, node._ignored = nil, nil, nil
     end
-  end
-
-  -- A program has been replaced: the functions of transitions hold the old one.
-  function forget_segments(plan)
-    for i = 1, #plan.transitions do plan.transitions[i]._run = Transition._run end
   end
 
   -- Gives each node the list of the transitions that leave it, in order.
@@ -1320,10 +1315,10 @@ do
 
   local function change(element, key, value)
     local fsm = element._fsm
-    own_plan(fsm)
+    local plan = own_plan(fsm)
     if value == nil then value = false end
     element._def[key] = value
-    forget_segments(fsm._plan)
+    if machines[fsm] then compile(plan) end
     if fsm._at then go_in_detail(fsm) end
   end
 
@@ -1694,6 +1689,12 @@ do
     for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt._fqn) end
   end
 
+  local function add_conflict(conflict, way, tr)
+    conflict = conflict or { way }
+    conflict[#conflict + 1] = tr
+    return conflict
+  end
+
   -- Chooses the way out of a connector: the first of `otrs` that is enabled. Further
   -- ones of the same priority are asked only to warn of a conflict.
   local function choose_way(fsm, connector, otrs, events, depth)
@@ -1703,10 +1704,7 @@ do
       if way and tr._pn ~= way._pn then break end
       if (tr._is_open_to_all or matches(tr, events))
         and is_enabled(fsm, tr, events, depth) then
-        if way then
-          conflict = conflict or { way }
-          conflict[#conflict + 1] = tr
-        end
+        if way then conflict = add_conflict(conflict, way, tr) end
         way = way or tr
       end
     end
@@ -1781,16 +1779,10 @@ do
       and is_enabled(fsm, tr, events)
   end
 
-  -- Returns the first enabled transition of a candidate list, from number `i` on. It
-  -- calls itself where a loop would keep LuaJIT from making one trace of a step, and
-  -- asks what is_candidate_enabled asks without calling it: hot.
+  -- Returns the first enabled transition of a candidate list, from number `i` on.
   local function find_in_list(fsm, list, events, i)
     local tr = list[i]
-    if not tr then return nil end
-    if (not tr._has_predicate or matches_predicate(tr, events))
-      and is_enabled(fsm, tr, events) then
-      return tr
-    end
+    if not tr or is_candidate_enabled(fsm, tr, events) then return tr end
     return find_in_list(fsm, list, events, i + 1)
   end
 
@@ -1866,36 +1858,152 @@ do
     return candidates
   end
 
-  local function choice_of(leaf, event)
-    local candidates = candidates_of(leaf._sources or sources_of(leaf), event)
-    if not candidates or candidates[2] or not candidates[1]._is_simple then
-      return candidates
+  -- Search, straight: a list of candidates becomes a function that asks one guard after
+  -- the other, as is_candidate_enabled and choose_way would, without a loop or a call of
+  -- its own. In its text t, g, i stand for a transition, its guard and its number, c for
+  -- a connector, w for the way out of it; the text is compiled once for each shape.
+  local straight_search
+
+  do
+    local HEAD = [[
+local pcall, refuse, trace_checking, matches, add_conflict, warn_of_conflict%s = ...
+return function(fsm, events)
+  local transitions, ways = fsm._transitions, fsm._ways
+]]
+
+    -- So many values in one function (Lua 5.1 allows 60 upvalues), so many connectors
+    -- behind each other.
+    local MAX_VALUES, MAX_NESTED = 50, 12
+
+    local function write(text, line, ...)
+      text.lines[#text.lines + 1] = line:format(...)
     end
-    return candidates[1]
+
+    local function bind(text, name, value)
+      local n = #text.names + 1
+      text.names[n], text.values[n] = ", " .. name, value
+    end
+
+    local write_connector
+
+    -- What follows when transition number n is enabled: the search ends, or at a
+    -- connector (a level above 0) the way is noted.
+    local function write_found(text, n, level)
+      if level == 0 then return write(text, "return t%d", n) end
+      write(text, "if w%d then x%d = add_conflict(x%d, w%d, t%d) else w%d = t%d end",
+        level, level, level, level, n, level, n)
+    end
+
+    -- `first` is the first transition of the connector: further ones of its priority are
+    -- asked only to warn of a conflict, others when there is no way yet.
+    local function write_transition(text, tr, level, first)
+      local n = text.count + 1
+      text.count = n
+      bind(text, "t" .. n, tr)
+      local condition = "true"
+      if first and tr._pn ~= first._pn then
+        condition = ("(not w%d or w%d._pn == t%d._pn)"):format(level, level, n)
+      end
+      if not tr._is_open_to_all and (first or tr._has_predicate) then
+        condition = ("%s and matches(t%d, events)"):format(condition, n)
+      end
+      write(text, "if %s then", condition)
+      write(text, "if fsm._is_traced then trace_checking(fsm, t%d) end", n)
+      if tr.guard then
+        bind(text, "g" .. n, tr.guard)
+        bind(text, "i" .. n, tr._index)
+        write(text, "local ok, answer = pcall(g%d, transitions[i%d], events)", n, n)
+        write(text, "if not ok then refuse(fsm, t%d, ok, answer)", n)
+        write(text, "elseif answer ~= false then")
+      end
+      if tr._to_connector then
+        write_connector(text, tr.tgt, level + 1)
+        write(text, "if w%d then", level + 1)
+      end
+      write_found(text, n, level)
+      write(text, "end%s%s", tr._to_connector and " end" or "", tr.guard and " end" or "")
+    end
+
+    -- The way out of a connector, in w<level>. One that is reached a second time, which
+    -- is to be evaluated only once, is not for straight text.
+    function write_connector(text, connector, level)
+      if text[connector] or level > MAX_NESTED or #text.values > MAX_VALUES then
+        text.is_too_much = true
+        return
+      end
+      local otrs, c = connector._otrs or NONE, text.count + 1
+      if otrs[1] and not connector._by_event then compile_node(text.plan, connector) end
+      text[connector], text.count = true, c
+      bind(text, "c" .. c, connector)
+      write(text, "local w%d, x%d = false, nil", level, level)
+      for i = 1, #otrs do write_transition(text, otrs[i], level, otrs[1]) end
+      write(text, "if x%d then warn_of_conflict(fsm, c%d, x%d) end", level, c, level)
+      write(text, "ways[c%d] = w%d", c, level)
+    end
+
+    local makers = {}
+
+    local function make(text)
+      local source = HEAD:format(concat(text.names)) .. concat(text.lines, "\n")
+        .. "\nend\n"
+      local maker = makers[source]
+      if not maker then
+        maker = loadstring(source, "=rfsm search")
+        makers[source] = maker
+      end
+      return maker(pcall, refuse, trace_checking, matches, add_conflict,
+        warn_of_conflict, unpack(text.values))
+    end
+
+    -- Returns a function that returns the first of `candidates` that is enabled, or
+    -- nothing.
+    function straight_search(plan, candidates)
+      local text = {
+        plan = plan, lines = {}, names = {}, values = {}, count = 0, is_too_much = false,
+      }
+      for i = 1, loadstring and #candidates or 0 do
+        write_transition(text, candidates[i], 0)
+        if #text.values > MAX_VALUES or text.is_too_much then break end
+      end
+      if loadstring and not text.is_too_much and #text.values <= MAX_VALUES then
+        return make(text)
+      end
+      return function(fsm, events)
+        fsm._search = fsm._search + 1
+        return find_in_list(fsm, candidates, events, 1)
+      end
+    end
+  end
+
+  local function choice_of(plan, leaf, event)
+    local candidates = candidates_of(leaf._sources or sources_of(leaf), event)
+    if not candidates then return false end
+    if not candidates[2] and candidates[1]._is_simple then return candidates[1] end
+    candidates._search = candidates._search or straight_search(plan, candidates)
+    return candidates
   end
 
   -- leaf._ignored is its e_done if that leads nowhere, as it mostly does.
-  local function start_choices(leaf)
+  local function start_choices(plan, leaf)
     local done_event = leaf._done_event
-    local choice = choice_of(leaf, done_event)
+    local choice = choice_of(plan, leaf, done_event)
     leaf._choices = { [done_event] = choice }
     leaf._ignored = not choice and done_event or OTHER
   end
 
   local function find_choice(fsm, leaf, event)
-    if leaf._choices == NO_CHOICES then start_choices(leaf) end
+    if leaf._choices == NO_CHOICES then start_choices(fsm._plan, leaf) end
     local choices = leaf._choices
     if choices[event] ~= nil then return choices[event] end
     local key = event
     if not fsm._plan.events[event] then key = OTHER end
-    if choices[key] == nil then choices[key] = choice_of(leaf, key) end
+    if choices[key] == nil then choices[key] = choice_of(fsm._plan, leaf, key) end
     return choices[key]
   end
 
   -- Returns the first candidate that is enabled, or nothing.
   function choose_from(fsm, choice, events)
-    fsm._search = fsm._search + 1
-    if not choice._is_simple then return find_in_list(fsm, choice, events, 1) end
+    if choice._search then return choice._search(fsm, events) end
     return is_enabled(fsm, choice, events) and choice
   end
 
@@ -2035,7 +2143,7 @@ end
 
 -- Where segment `tr` starts, the innermost active state.
 local function start_of(fsm, tr)
-  return fsm._segment == 1 and fsm._leaf or tr.src._parent
+  return is_conn(tr.src) and tr.src._parent or fsm._leaf
 end
 
 -- Where the exits of a segment go on, or begin, after an interrupt.
@@ -2078,58 +2186,61 @@ local function run_in_detail(fsm, tr, events)
   run_segment(fsm, tr, events, start_of(fsm, tr), 0)
 end
 
--- Runs the segments of fsm._path from number `i` to `last`. Returns whether an effect
--- may have kept the events table. Like `find_in_list` it calls itself, for LuaJIT.
-local function run_path(fsm, events, i, last, is_kept)
-  if i > last then return is_kept end
-  local tr = fsm._path[i]
-  fsm._segment, fsm._at = i, true
+-- Runs segment `tr` and those that the search chose after it. Returns whether an effect
+-- may have kept the events table. It calls itself where a loop would keep LuaJIT from
+-- making one trace of a step.
+local function run_path(fsm, tr, events, is_kept)
+  fsm._segment, fsm._at = tr, true
   local run = fsm._is_traced and run_in_detail or tr._run
   is_kept = run(fsm, tr, events) or is_kept
-  return run_path(fsm, events, i + 1, last, is_kept)
+  if not tr._to_connector then return is_kept end
+  return run_path(fsm, fsm._ways[tr.tgt], events, is_kept)
 end
 
 -- Goes on in the segment whose program failed, then with those after it.
-local function resume_path(fsm, events, last, state, first)
-  run_segment(fsm, fsm._path[fsm._segment], events, state, first)
-  return run_path(fsm, events, fsm._segment + 1, last)
+local function resume_path(fsm, tr, events, state, first)
+  run_segment(fsm, tr, events, state, first)
+  if tr._to_connector then run_path(fsm, fsm._ways[tr.tgt], events) end
 end
 
 -- Recovers until the path is at its end.
-local function recover_path(fsm, events, last, failure)
+local function recover_path(fsm, events, failure)
   local ok
   keep_events(fsm)
   repeat
-    local state, first = recover(fsm, fsm._path[fsm._segment], failure)
-    ok, failure = pcall(resume_path, fsm, events, last, state, first)
+    local tr = fsm._segment
+    local state, first = recover(fsm, tr, failure)
+    ok, failure = pcall(resume_path, fsm, tr, events, state, first)
   until ok
 end
 
--- Takes the first `last` segments of fsm._path. One protected call is enough where
--- nothing fails.
-local function take_path(fsm, events, last)
-  local ok, is_kept = pcall(run_path, fsm, events, 1, last)
+-- Takes the path that starts with `tr`. One protected call is enough where nothing
+-- fails.
+local function take_path(fsm, tr, events)
+  fsm._segment = tr
+  local ok, is_kept = pcall(run_path, fsm, tr, events)
   if not ok then
-    recover_path(fsm, events, last, is_kept)
+    recover_path(fsm, events, is_kept)
   elseif is_kept then
     keep_events(fsm)
   end
-  fsm._segment, fsm._at = 1, true
+  fsm._at = true
 end
 
--- Notes the segments from `tr` to a leaf in `path`, from place `n` on, as the search
--- chose them; returns the place of the last.
-local function note_path(fsm, path, tr, n)
-  path[n] = tr
-  if not tr._to_connector then return n end
-  return note_path(fsm, path, fsm._ways[tr.tgt], n + 1)
+-- Returns the segments from `tr` to a leaf, as the search chose them.
+local function path_from(fsm, tr)
+  local path = { tr }
+  while tr._to_connector do
+    tr = fsm._ways[tr.tgt]
+    path[#path + 1] = tr
+  end
+  return path
 end
 
-local function trace_path(fsm, n)
+local function trace_path(fsm, tr)
   if fsm.dbg == silent then return end
-  local path = fsm._path
-  local names = { path[1].src._fqn }
-  for i = 1, n do names[i + 1] = path[i].tgt._fqn end
+  local path, names = path_from(fsm, tr), { tr.src._fqn }
+  for i = 1, #path do names[i + 1] = path[i].tgt._fqn end
   trace(fsm, "EXEC_PATH", concat(names, " -> "))
 end
 
@@ -2171,10 +2282,9 @@ local function enter_machine(fsm, events)
   if fsm.dbg ~= silent then trace_search(fsm, events) end
   local tr = find_from_node(fsm, root.initial, events)
   if not tr then return false end
-  local n = note_path(fsm, fsm._path, tr, 1)
-  trace_path(fsm, n)
+  trace_path(fsm, tr)
   enter_root(fsm)
-  take_path(fsm, events, n)
+  take_path(fsm, tr, events)
   return true
 end
 
@@ -2379,16 +2489,15 @@ end
 -- What follows the protected call of a straight segment.
 local function finish_take(fsm, tr, events, ok, failure)
   if ok then return keep_events(fsm) end
-  fsm._path[1] = tr
-  recover_path(fsm, events, 1, failure)
+  fsm._segment = tr
+  recover_path(fsm, events, failure)
 end
 
 -- Takes `tr` from the active leaf.
 local function take(fsm, tr, events)
   if tr._to_connector or fsm._is_traced then
-    local n = note_path(fsm, fsm._path, tr, 1)
-    if fsm._is_traced then trace_path(fsm, n) end
-    return take_path(fsm, events, n)
+    if fsm._is_traced then trace_path(fsm, tr) end
+    return take_path(fsm, tr, events)
   end
   local ok, is_kept = pcall(tr._run, fsm, tr, events)
   if not ok or is_kept then finish_take(fsm, tr, events, ok, is_kept) end
@@ -2651,7 +2760,7 @@ do
   local function mend(fsm)
     local is_lost = fsm._at ~= true or not fsm._leaf
     fsm._curq, fsm._is_kept, fsm._is_unsettled = {}, false, fsm._has_failure
-    fsm._at, fsm._segment = false, 1
+    fsm._at = false
     if fsm._reset_wanted or is_lost then reset_now(fsm) end
   end
 
@@ -2839,10 +2948,9 @@ local function new_machine(plan)
     _intq = { "e_init_fsm" }, _curq = {},
     _is_traced = false, _is_fed = false, _is_hooked = false, _is_plain = true,
     _is_unsettled = false, _is_kept = false, _reset_wanted = false,
-    _has_failure = false, _segment = 1,
+    _has_failure = false, _segment = false,
     _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
     _was_at = false, _search = 0, _searched = {}, _ways = {}, _lists = {},
-    _path = {},
     -- the structure
     _initialized = false, _has_read_events = false, _model = plan.model, _plan = plan,
     _def = plan.root, _fsm = false, _nodes = false, _transitions = false,
@@ -3245,12 +3353,11 @@ do
     end
     local notes = set_search_aside(fsm)
     local tr = find_from_node(fsm, node._def, events)
-    local path = tr and {} or false
-    local n = tr and note_path(fsm, path, tr, 1) or 0
-    for i = 1, n do path[i] = fsm._transitions[path[i]._index] end
+    local path = tr and path_from(fsm, tr)
+    for i = 1, path and #path or 0 do path[i] = live_of(fsm, path[i]) end
     restore_search(fsm, notes)
     if not fsm._at then raise_failure(fsm) end
-    return path
+    return path or false
   end
 end
 
@@ -3334,7 +3441,7 @@ do
     local hooks = state._def[field] and copy_list(state._def[field]) or {}
     hooks[#hooks + 1] = hook
     state._def[field] = hooks
-    forget_segments(fsm._plan)
+    if machines[fsm] then compile(fsm._plan) end
     if fsm._at then go_in_detail(fsm) end
   end
 
