@@ -990,6 +990,7 @@ do
     tr._is_open_to_all = events == nil or #events == 0
     tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
     tr._is_simple = not tr._has_predicate and not tr._to_connector
+    tr._is_quick = tr._is_simple and not tr.guard
     tr._lca, tr._entries, tr._run = false, false, Transition._run
   end
 
@@ -2107,16 +2108,40 @@ local function enter_down(fsm, tr, first)
 end
 
 -- May an effect keep the events table? Not if it has fewer than the four parameters
--- with which it is called; Lua 5.1 cannot tell. The answers are noted, each says
--- something about a function alone.
-local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+-- with which it is called. The answers are noted, each says something about a function
+-- alone.
+local may_keep
 
-local may_keep = setmetatable({}, { __mode = "k", __index = function(notes, effect)
-  local info = getinfo and type(effect) == "function" and getinfo(effect, "u") or {}
-  local answer = info.isvararg ~= false or not info.nparams or info.nparams > 3
-  notes[effect] = answer
-  return answer
-end })
+do
+  local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+  local dump = rawget(string, "dump")
+
+  -- Lua 5.1 does not tell how many parameters a function has, but its binary form does:
+  -- in the header of 12 bytes the sizes of int and size_t are at 8 and 9, little endian
+  -- at 7; then come the name of the source with its length, two ints, the number of
+  -- upvalues, that of parameters, and a byte that is not 0 for a vararg function.
+  local function count_parameters(f)
+    local ok, code = pcall(dump, f)
+    if not ok or code:sub(1, 5) ~= "\27Lua\81" or code:byte(7) ~= 1 then return end
+    local at, length = 13, 0
+    for i = code:byte(9) - 1, 0, -1 do length = length * 256 + code:byte(at + i) end
+    at = at + code:byte(9) + length + 2 * code:byte(8) + 1
+    return code:byte(at), code:byte(at + 1) ~= 0
+  end
+
+  local function find_answer(effect)
+    if type(effect) ~= "function" then return true end
+    local info = getinfo and getinfo(effect, "u") or {}
+    local count, is_vararg = info.nparams, info.isvararg
+    if not count then count, is_vararg = count_parameters(effect) end
+    return not count or is_vararg or count > 3
+  end
+
+  may_keep = setmetatable({}, { __mode = "k", __index = function(notes, effect)
+    notes[effect] = find_answer(effect)
+    return notes[effect]
+  end })
+end
 
 -- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
 -- stands for all of it, 1 for all of (c). It runs in a protected call, and fsm._at says
@@ -2186,45 +2211,39 @@ local function run_in_detail(fsm, tr, events)
   run_segment(fsm, tr, events, start_of(fsm, tr), 0)
 end
 
--- Runs segment `tr` and those that the search chose after it. Returns whether an effect
--- may have kept the events table. It calls itself where a loop would keep LuaJIT from
--- making one trace of a step.
-local function run_path(fsm, tr, events, is_kept)
+-- Runs segment `tr` and those that the search chose after it. It calls itself where a
+-- loop would keep LuaJIT from making one trace of a step.
+local function run_path(fsm, tr, events)
   fsm._segment, fsm._at = tr, true
-  local run = fsm._is_traced and run_in_detail or tr._run
-  is_kept = run(fsm, tr, events) or is_kept
-  if not tr._to_connector then return is_kept end
-  return run_path(fsm, fsm._ways[tr.tgt], events, is_kept)
+  tr._run(fsm, tr, events)
+  if not tr._to_connector then return end
+  return run_path(fsm, fsm._ways[tr.tgt], events)
+end
+
+local function run_path_in_detail(fsm, tr, events)
+  fsm._segment, fsm._at = tr, true
+  run_in_detail(fsm, tr, events)
+  if not tr._to_connector then return end
+  return run_path_in_detail(fsm, fsm._ways[tr.tgt], events)
 end
 
 -- Goes on in the segment whose program failed, then with those after it.
 local function resume_path(fsm, tr, events, state, first)
   run_segment(fsm, tr, events, state, first)
-  if tr._to_connector then run_path(fsm, fsm._ways[tr.tgt], events) end
+  local run_rest = fsm._is_traced and run_path_in_detail or run_path
+  if tr._to_connector then run_rest(fsm, fsm._ways[tr.tgt], events) end
 end
 
--- Recovers until the path is at its end.
-local function recover_path(fsm, events, failure)
+-- Recovers from the failure in segment `tr`, until the path is at its end.
+local function recover_path(fsm, tr, events, failure)
   local ok
   keep_events(fsm)
+  fsm._segment = tr
   repeat
-    local tr = fsm._segment
+    tr = fsm._segment
     local state, first = recover(fsm, tr, failure)
     ok, failure = pcall(resume_path, fsm, tr, events, state, first)
   until ok
-end
-
--- Takes the path that starts with `tr`. One protected call is enough where nothing
--- fails.
-local function take_path(fsm, tr, events)
-  fsm._segment = tr
-  local ok, is_kept = pcall(run_path, fsm, tr, events)
-  if not ok then
-    recover_path(fsm, events, is_kept)
-  elseif is_kept then
-    keep_events(fsm)
-  end
-  fsm._at = true
 end
 
 -- Returns the segments from `tr` to a leaf, as the search chose them.
@@ -2242,6 +2261,21 @@ local function trace_path(fsm, tr)
   local path, names = path_from(fsm, tr), { tr.src._fqn }
   for i = 1, #path do names[i + 1] = path[i].tgt._fqn end
   trace(fsm, "EXEC_PATH", concat(names, " -> "))
+end
+
+-- Runs the path that starts with `tr`. One protected call is enough where nothing fails.
+local function run_protected(fsm, tr, events)
+  fsm._segment = tr
+  local run = fsm._is_traced and run_path_in_detail or run_path
+  local ok, failure = pcall(run, fsm, tr, events)
+  if not ok then recover_path(fsm, fsm._segment, events, failure) end
+  fsm._at = true
+end
+
+-- Takes the path from the active leaf.
+local function take_path(fsm, tr, events)
+  if fsm._is_traced then trace_path(fsm, tr) end
+  run_protected(fsm, tr, events)
 end
 
 -- Runs a program outside of a transition.
@@ -2284,7 +2318,7 @@ local function enter_machine(fsm, events)
   if not tr then return false end
   trace_path(fsm, tr)
   enter_root(fsm)
-  take_path(fsm, tr, events)
+  run_protected(fsm, tr, events)
   return true
 end
 
@@ -2345,7 +2379,8 @@ return function(fsm, tr, events)
   queue[#queue + 1] = done_event
 ]],
     keep = [[
-  return true
+  fsm._is_kept = true
+  fsm._is_unsettled = true
 ]],
     tail = [[
 end
@@ -2398,7 +2433,7 @@ end
   local function chain(first, second)
     return function(fsm, tr, events)
       first(fsm, tr, events)
-      return second(fsm, tr, events)
+      second(fsm, tr, events)
     end
   end
 
@@ -2430,6 +2465,7 @@ end
   local function steps_of(tr, innermost)
     local steps, leaf = {}, not tr._to_connector and tr.tgt
     add_exits(steps, tr, innermost)
+    add_step(steps, "keep", tr.effect and may_keep[tr.effect])
     add_step(steps, "note", tr.effect, tr._lca._index + 0.5)
     add_step(steps, "effect", tr.effect, tr._index)
     add_entries(steps, tr)
@@ -2437,7 +2473,6 @@ end
     if leaf then
       steps[#steps + 1] = { kind = leaf.doo and "enter_leaf" or "complete_leaf" }
     end
-    if tr.effect and may_keep[tr.effect] then steps[#steps + 1] = { kind = "keep" } end
     return steps, leaf
   end
 
@@ -2468,7 +2503,7 @@ end
       run = straight_segment(tr, leaf)
       tr._runs[leaf] = run
     end
-    return run(fsm, tr, events)
+    run(fsm, tr, events)
   end
 
   -- Until the first time.
@@ -2482,26 +2517,8 @@ end
     else
       tr._run, tr._runs = run_from_composite, {}
     end
-    return tr._run(fsm, tr, events)
+    tr._run(fsm, tr, events)
   end
-end
-
--- What follows the protected call of a straight segment.
-local function finish_take(fsm, tr, events, ok, failure)
-  if ok then return keep_events(fsm) end
-  fsm._segment = tr
-  recover_path(fsm, events, failure)
-end
-
--- Takes `tr` from the active leaf.
-local function take(fsm, tr, events)
-  if tr._to_connector or fsm._is_traced then
-    if fsm._is_traced then trace_path(fsm, tr) end
-    return take_path(fsm, tr, events)
-  end
-  local ok, is_kept = pcall(tr._run, fsm, tr, events)
-  if not ok or is_kept then finish_take(fsm, tr, events, ok, is_kept) end
-  fsm._at = true
 end
 
 -- Doo ............................................................................
@@ -2688,7 +2705,7 @@ do
     if fsm._is_fed or fsm._is_hooked then gather(fsm, events) end
     local tr = choose(fsm, leaf, events)
     if not tr then return iterate_free(fsm, leaf, events, after_free) end
-    take(fsm, tr, events)
+    take_path(fsm, tr, events)
     settle(fsm, events)
     return true, false
   end
@@ -2699,8 +2716,9 @@ do
   local function iterate_slowly(fsm, leaf, events, after_free)
     local event = events[1]
     if event == leaf._ignored and events[2] == nil then events[1], event = nil, nil end
-    if event == nil then return iterate_doo(fsm, leaf) end
-    return iterate_fully(fsm, after_free)
+    if event ~= nil then return iterate_fully(fsm, after_free) end
+    if fsm._is_done then return true, true end
+    return iterate_doo(fsm, leaf)
   end
 
   -- One iteration: as iterate_fully says; in one go where the machine is plain and one
@@ -2715,15 +2733,17 @@ do
       return iterate_slowly(fsm, leaf, events, after_free)
     end
     fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
-    if not choice._is_simple or choice.guard then
-      local tr = choose_from(fsm, choice, events)
+    local tr = choice
+    if not choice._is_quick then
+      tr = choose_from(fsm, choice, events)
       if not tr then return iterate_free(fsm, leaf, events, after_free) end
-      take(fsm, tr, events)
-      settle(fsm, events)
-      return true, false
     end
-    local ok, is_kept = pcall(choice._run, fsm, choice, events)
-    if not ok or is_kept then finish_take(fsm, choice, events, ok, is_kept) end
+    if tr._to_connector or fsm._is_traced then
+      take_path(fsm, tr, events)
+    else
+      local ok, failure = pcall(tr._run, fsm, tr, events)
+      if not ok then recover_path(fsm, tr, events, failure) end
+    end
     if fsm._is_unsettled then
       fsm._at = true
       settle(fsm, events)
