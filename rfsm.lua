@@ -1074,7 +1074,7 @@ do
       end
     end
     for i = 1, #several do sort(several[i], tried_before) end
-    plan.events = {}
+    plan.events, plan.is_stale = {}, false
   end
 end
 
@@ -1098,8 +1098,9 @@ end
 -- In the engine `state`, `leaf`, `tr` are definitions. What a user's function gets is
 -- the machine's own, in fsm._nodes and fsm._transitions at the same index.
 
--- The plans of models, kept by their machines.
-local plans = setmetatable({}, { __mode = "kv" })
+-- The plans of models, kept by their machines; the latest one in any case, for programs
+-- that drop each machine before they make the next.
+local plans, latest = setmetatable({}, { __mode = "kv" }), { plan = false }
 
 -- The machines there are: one look tells for any value at all whether it is one.
 local machines = setmetatable({}, { __mode = "k" })
@@ -1306,21 +1307,22 @@ do
     if plan.is_own then return plan end
     if plan.users == 1 then -- there has never been another
       plan.is_own, plan.sources, plans[plan.model] = true, false, nil
+      if latest.plan == plan then latest.plan = false end
       return plan
     end
     local copy = copy_plan(plan)
-    if machines[fsm] then compile(copy) end
     use_plan(fsm, copy)
+    if machines[fsm] then compile(copy) end
     return copy
   end
 
+  -- A program is replaced: what was compiled is made anew before the next iteration.
   local function change(element, key, value)
     local fsm = element._fsm
-    local plan = own_plan(fsm)
+    own_plan(fsm).is_stale = true
     if value == nil then value = false end
     element._def[key] = value
-    if machines[fsm] then compile(plan) end
-    if fsm._at then go_in_detail(fsm) end
+    go_in_detail(fsm)
   end
 
   function LiveState.__newindex(state, key, value)
@@ -1604,12 +1606,48 @@ local OWN_ONLY = { OWN }
 -- The events table was handed to a function that may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
 
+-- How many parameters a function has, a great many where it is not known: one that has
+-- none for the events table cannot keep it. It is noted, and says something about the
+-- function alone.
+local parameters_of
+
+do
+  local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+  local dump = rawget(string, "dump")
+
+  -- Lua 5.1 does not tell, but the binary form of a function does: in the header of 12
+  -- bytes the sizes of int and size_t are at 8 and 9, a 1 at 7 is for little endian;
+  -- then come the name of the source with its length, two ints, the number of upvalues,
+  -- that of parameters, and a byte that is not 0 for a vararg function.
+  local function read_dump(f)
+    local ok, code = pcall(dump, f)
+    if not ok or code:sub(1, 5) ~= "\27Lua\81" or code:byte(7) ~= 1 then return end
+    local at, length = 13, 0
+    for i = code:byte(9) - 1, 0, -1 do length = length * 256 + code:byte(at + i) end
+    at = at + code:byte(9) + length + 2 * code:byte(8) + 1
+    return code:byte(at), code:byte(at + 1) ~= 0
+  end
+
+  local function count_parameters(f)
+    if type(f) ~= "function" then return huge end
+    local info = getinfo and getinfo(f, "u") or {}
+    local count, is_vararg = info.nparams, info.isvararg
+    if not count then count, is_vararg = read_dump(f) end
+    return is_vararg and huge or count or huge
+  end
+
+  parameters_of = setmetatable({}, { __mode = "k", __index = function(notes, f)
+    notes[f] = count_parameters(f)
+    return notes[f]
+  end })
+end
+
 local function run_hooks(fsm, hooks, slot, events)
   for i = 1, #hooks do
     local hook = hooks[i]
-    if hook == OWN then hook = fsm[slot] end
+    if hook == OWN then hook = rawget(fsm, slot) end
     if hook then
-      keep_events(fsm)
+      if parameters_of[hook] > 1 then keep_events(fsm) end
       local ok, failure = pcall(hook, fsm, events)
       if not ok then keep_failure(fsm, failure) end
     end
@@ -1624,8 +1662,9 @@ local function run_state_hooks(fsm, node, hooks)
   end
 end
 
--- Has dbg been switched off? Then its flag goes, too.
+-- Compiles what has changed. Has dbg been switched off? Then its flag goes, too.
 local function check_traced(fsm)
+  if fsm._plan.is_stale then compile(fsm._plan) end
   if not fsm.dbg or fsm.dbg == silent then clear_flag(fsm, "_is_traced") end
 end
 
@@ -1860,9 +1899,10 @@ do
   end
 
   -- Search, straight: a list of candidates becomes a function that asks one guard after
-  -- the other, as is_candidate_enabled and choose_way would, without a loop or a call of
-  -- its own. In its text t, g, i stand for a transition, its guard and its number, c for
-  -- a connector, w for the way out of it; the text is compiled once for each shape.
+  -- the other, as is_candidate_enabled and choose_way would, without a loop or a call
+  -- of its own. In its text t, g, i stand for a transition, its guard, its number; c, w
+  -- and x for a connector, the way out of it, those in conflict. The text is compiled
+  -- once for each shape, and holds no name of the model.
   local straight_search
 
   do
@@ -1895,8 +1935,8 @@ return function(fsm, events)
         level, level, level, level, n, level, n)
     end
 
-    -- `first` is the first transition of the connector: further ones of its priority are
-    -- asked only to warn of a conflict, others when there is no way yet.
+    -- `first` is the first transition of the connector: further ones of its priority
+    -- are asked only to warn of a conflict, others when there is no way yet.
     local function write_transition(text, tr, level, first)
       local n = text.count + 1
       text.count = n
@@ -1922,7 +1962,9 @@ return function(fsm, events)
         write(text, "if w%d then", level + 1)
       end
       write_found(text, n, level)
-      write(text, "end%s%s", tr._to_connector and " end" or "", tr.guard and " end" or "")
+      if tr._to_connector then write(text, "end") end
+      if tr.guard then write(text, "end") end
+      write(text, "end")
     end
 
     -- The way out of a connector, in w<level>. One that is reached a second time, which
@@ -1933,7 +1975,9 @@ return function(fsm, events)
         return
       end
       local otrs, c = connector._otrs or NONE, text.count + 1
-      if otrs[1] and not connector._by_event then compile_node(text.plan, connector) end
+      if otrs[1] and not connector._by_event then
+        compile_node(text.plan, connector)
+      end
       text[connector], text.count = true, c
       bind(text, "c" .. c, connector)
       write(text, "local w%d, x%d = false, nil", level, level)
@@ -1960,7 +2004,7 @@ return function(fsm, events)
     -- nothing.
     function straight_search(plan, candidates)
       local text = {
-        plan = plan, lines = {}, names = {}, values = {}, count = 0, is_too_much = false,
+        plan = plan, lines = {}, names = {}, values = {}, count = 0,
       }
       for i = 1, loadstring and #candidates or 0 do
         write_transition(text, candidates[i], 0)
@@ -2004,6 +2048,7 @@ return function(fsm, events)
 
   -- Returns the first candidate that is enabled, or nothing.
   function choose_from(fsm, choice, events)
+    if choice._is_quick then return choice end
     if choice._search then return choice._search(fsm, events) end
     return is_enabled(fsm, choice, events) and choice
   end
@@ -2024,7 +2069,6 @@ return function(fsm, events)
   -- Returns the transition to take, or nothing.
   function choose(fsm, leaf, events)
     if fsm._is_traced then
-      check_traced(fsm)
       return events[1] ~= nil and find_transition(fsm, leaf, events)
     end
     local at = 1
@@ -2105,42 +2149,6 @@ local function enter_down(fsm, tr, first)
     run_program(fsm, state._index, node.entry, node, "entry")
     finish_entry(fsm, state)
   end
-end
-
--- May an effect keep the events table? Not if it has fewer than the four parameters
--- with which it is called. The answers are noted, each says something about a function
--- alone.
-local may_keep
-
-do
-  local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
-  local dump = rawget(string, "dump")
-
-  -- Lua 5.1 does not tell how many parameters a function has, but its binary form does:
-  -- in the header of 12 bytes the sizes of int and size_t are at 8 and 9, little endian
-  -- at 7; then come the name of the source with its length, two ints, the number of
-  -- upvalues, that of parameters, and a byte that is not 0 for a vararg function.
-  local function count_parameters(f)
-    local ok, code = pcall(dump, f)
-    if not ok or code:sub(1, 5) ~= "\27Lua\81" or code:byte(7) ~= 1 then return end
-    local at, length = 13, 0
-    for i = code:byte(9) - 1, 0, -1 do length = length * 256 + code:byte(at + i) end
-    at = at + code:byte(9) + length + 2 * code:byte(8) + 1
-    return code:byte(at), code:byte(at + 1) ~= 0
-  end
-
-  local function find_answer(effect)
-    if type(effect) ~= "function" then return true end
-    local info = getinfo and getinfo(effect, "u") or {}
-    local count, is_vararg = info.nparams, info.isvararg
-    if not count then count, is_vararg = count_parameters(effect) end
-    return not count or is_vararg or count > 3
-  end
-
-  may_keep = setmetatable({}, { __mode = "k", __index = function(notes, effect)
-    notes[effect] = find_answer(effect)
-    return notes[effect]
-  end })
 end
 
 -- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
@@ -2263,7 +2271,7 @@ local function trace_path(fsm, tr)
   trace(fsm, "EXEC_PATH", concat(names, " -> "))
 end
 
--- Runs the path that starts with `tr`. One protected call is enough where nothing fails.
+-- Runs the path that starts with `tr`. One protected call will do if nothing fails.
 local function run_protected(fsm, tr, events)
   fsm._segment = tr
   local run = fsm._is_traced and run_path_in_detail or run_path
@@ -2328,12 +2336,12 @@ end
 -- after the other, each with a note in fsm._at, and nothing for a state without
 -- programs. Its text depends on the kinds of the steps alone and is compiled once for
 -- each list of them; programs and positions are upvalues. That programs may be replaced
--- at any time costs nothing here: `change` forgets these functions. For the segment that is
--- under way it removes fsm._at (see `go_in_detail`), so that the next note ends the
+-- at any time costs nothing here: the functions are made anew then, and for the segment
+-- that is under way `go_in_detail` removes fsm._at, so that the next note ends the
 -- protected call, and `recover` goes on in detail.
 
 do
-  -- One line for each letter of a shape; $n counts them.
+  -- The text of each kind of step; $n counts them.
   local TEXT = {
     head = [[
 local stop, run_state_hooks, leaf, done_event%s = ...
@@ -2465,7 +2473,7 @@ end
   local function steps_of(tr, innermost)
     local steps, leaf = {}, not tr._to_connector and tr.tgt
     add_exits(steps, tr, innermost)
-    add_step(steps, "keep", tr.effect and may_keep[tr.effect])
+    add_step(steps, "keep", tr.effect and parameters_of[tr.effect] > 3)
     add_step(steps, "note", tr.effect, tr._lca._index + 0.5)
     add_step(steps, "effect", tr.effect, tr._index)
     add_entries(steps, tr)
@@ -2699,6 +2707,7 @@ do
   -- else whether it counts as a step, and if its doo cycle was idle. `after_free`: the
   -- iteration before did not count.
   local function iterate_fully(fsm, after_free)
+    if fsm._is_traced then check_traced(fsm) end
     local leaf, events = fsm._leaf, fsm._intq
     fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
     if not leaf then return iterate_first(fsm, events) end
@@ -2874,7 +2883,7 @@ local function new_plan(build, model)
   }
   append(plan.with_tables, { build.root })
   plan.root._plan = plan
-  if not build.problems[1] then plans[model] = plan end
+  if not build.problems[1] then plans[model], latest.plan = plan, plan end
   return plan
 end
 
@@ -3161,7 +3170,7 @@ end
 ---@param ... any more of them
 function rfsm.send_events(fsm, event, ...)
   if not machines[fsm] then check_machine(fsm, "send_events") end
-  if fsm._is_plain and event ~= nil then
+  if not fsm._is_traced and event ~= nil then
     local queue = fsm._intq
     queue[#queue + 1] = event
     if select("#", ...) > 0 then post_all(fsm, ...) end
@@ -3371,6 +3380,7 @@ do
     if not is_node(node) or rawget(node, "_fsm") ~= fsm then
       error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
     end
+    if fsm._plan.is_stale then compile(fsm._plan) end
     local notes = set_search_aside(fsm)
     local tr = find_from_node(fsm, node._def, events)
     local path = tr and path_from(fsm, tr)
@@ -3457,12 +3467,11 @@ do
     if not is_callable(hook) then
       error("rfsm." .. name .. ": function expected, " .. got(hook), 3)
     end
-    own_plan(fsm)
+    own_plan(fsm).is_stale = true
     local hooks = state._def[field] and copy_list(state._def[field]) or {}
     hooks[#hooks + 1] = hook
     state._def[field] = hooks
-    if machines[fsm] then compile(fsm._plan) end
-    if fsm._at then go_in_detail(fsm) end
+    go_in_detail(fsm)
   end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.

@@ -43,7 +43,8 @@ local function tell(fsm, name)
 end
 
 -- Appends the events of what is complete; tells of what has just become so.
-local function raise_complete(fsm, events)
+local function raise_complete(fsm)
+  local events = fsm._curq
   local n = #events
   if n == 0 or rfsm.get_sta_mode(fsm) == "inactive" then return end
   local state = fsm

@@ -89,8 +89,8 @@ local function warn_of_unknown(fsm, own, event)
 end
 
 -- This runs in every iteration: one look for an event that is declared.
-local function check_events(fsm, events)
-  local known = fsm._checks.events
+local function check_events(fsm)
+  local events, known = fsm._curq, fsm._checks.events
   for i = 1, #events do
     if not known[events[i]] then warn_of_unknown(fsm, fsm._checks, events[i]) end
   end

@@ -14,6 +14,7 @@ local rfsm = require "rfsm"
 local error, getmetatable, pairs, rawget, rawset = error, getmetatable, pairs, rawget,
   rawset
 local setmetatable, type = setmetatable, type
+local insert = table.insert
 
 local rfsm_emem = {}
 
@@ -76,9 +77,23 @@ local function count_rest(emem, events)
   end
 end
 
--- Counts the events for `state` and the active states inside. Mostly there are one or
--- two, one of them an e_done; loops would keep LuaJIT from compiling a step whole.
-local function count_in(state, events, first, second)
+-- The states from the root to `leaf`, noted in it.
+local function line_of(leaf)
+  local line, state = {}, leaf
+  while state do
+    insert(line, 1, state)
+    state = state._parent ~= state and state._parent
+  end
+  leaf._emem_line = line
+  return line
+end
+
+-- Counts the events for the states of `line` from number `i` on. Mostly there are one
+-- or two events, one of them an e_done; loops would keep LuaJIT from compiling a step
+-- whole.
+local function count_in(line, i, events, first, second)
+  local state = line[i]
+  if not state then return end
   local emem = state.emem
   if emem then
     local before = emem[first]
@@ -89,16 +104,16 @@ local function count_in(state, events, first, second)
       if events[3] ~= nil then count_rest(emem, events) end
     end
   end
-  state = state._actchild
-  if state then return count_in(state, events, first, second) end
+  return count_in(line, i + 1, events, first, second)
 end
 
 -- This runs in every iteration, hence the fields instead of the functions that read
 -- them.
-local function count(fsm, events)
+local function count(fsm)
+  local events, leaf = fsm._curq, fsm._act_leaf
   local first = events[1]
-  if first == nil or fsm._mode == "inactive" then return end
-  return count_in(fsm, events, first, events[2])
+  if first == nil or not leaf then return end
+  return count_in(leaf._emem_line or line_of(leaf), 1, events, first, events[2])
 end
 
 local function forget_unlisted(emem, keys)

@@ -209,8 +209,8 @@ local function note_exit(_, state) leave_subs(state._seqand) end
 
 -- Ends an iteration: the events that made no state leave go to the subs of the active
 -- one, unless its doo has handed them on.
-local function end_iteration(fsm, events)
-  local state = fsm._act_leaf
+local function end_iteration(fsm)
+  local state, events = fsm._act_leaf, fsm._curq
   local crew = state and state._seqand
   if crew then
     if not crew.is_entering and not crew.is_forwarded then forward(crew, events) end

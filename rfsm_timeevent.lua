@@ -404,8 +404,8 @@ local function expire(fsm, heap, is_relative, events)
   end
 end
 
-local function raise_expired(fsm, events)
-  local own = fsm._timeevent
+local function raise_expired(fsm)
+  local own, events = fsm._timeevent, fsm._curq
   if arm_waiting(fsm, own) then expire(fsm, own.relative, true, events) end
   expire(fsm, own.absolute, false, events)
   raise_failure(own)

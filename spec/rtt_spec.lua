@@ -435,13 +435,13 @@ describe("gen_write_fqn", function()
   end)
 
   it("makes no Variable after the first, and no garbage #alloc", function()
-    -- the hook alone: for a machine with hooks the core makes a list in each step
-    local hook, fsm = rfsm_rtt.gen_write_fqn(out), started(chart())
+    local fsm = hooked()
+    rfsm.run(fsm)
     local function there_and_back()
-      fsm._act_leaf = fsm.b
-      hook(fsm)
-      fsm._act_leaf = fsm.a
-      hook(fsm)
+      rfsm.send_events(fsm, "e_go")
+      rfsm.step(fsm)
+      rfsm.send_events(fsm, "e_back")
+      rfsm.step(fsm)
     end
     there_and_back()
     assert.equal(0, counting_variables(there_and_back))
