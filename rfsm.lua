@@ -49,7 +49,7 @@ State.__index = State
 ---@field tgt string|rfsm.State|rfsm.Connector target; a node after init
 ---@field events? any[]|string any one of them triggers; none: any event does
 ---@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
----@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, events: any)
+---@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, list: any[])
 ---@field pn? number priority among the transitions of a node, larger first (0)
 local Transition = { _data = false }
 Transition.__index = Transition
@@ -372,7 +372,7 @@ local function is_callable(value)
   return type(class) == "table" and rawget(class, "__call") ~= nil
 end
 
-local suggestion
+local suggestion, misspelt_field
 
 do
   -- How many letters to insert, drop or replace to make `b` of `a`.
@@ -391,6 +391,34 @@ do
     return row[#b]
   end
 
+  -- What other libraries call the fields.
+  local ALIAS = {
+    enter = "entry", on_entry = "entry", onentry = "entry", on_enter = "entry",
+    on_exit = "exit", onexit = "exit", leave = "exit", ["do"] = "doo", during = "doo",
+    activity = "doo", condition = "guard", cond = "guard", action = "effect",
+    from = "src", source = "src", to = "tgt", target = "tgt", priority = "pn",
+  }
+
+  -- Are the two the same but for one letter, two letters in reverse, or their case?
+  local function is_near(a, b)
+    a, b = a:lower(), b:lower()
+    local distance = edit_distance(a, b)
+    if distance ~= 2 or #a ~= #b then return distance < 2 end
+    for i = 1, #a - 1 do
+      if a:sub(1, i - 1) .. a:sub(i + 1, i + 1) .. a:sub(i, i) .. a:sub(i + 2) == b then
+        return true
+      end
+    end
+    return false
+  end
+
+  -- Returns which of `fields` somebody may have meant who wrote `key`.
+  function misspelt_field(key, fields)
+    for i = 1, #fields do
+      if ALIAS[key] == fields[i] or is_near(key, fields[i]) then return fields[i] end
+    end
+  end
+
   -- Returns the nearest of `names`; nil when none is near.
   local function find_nearest(name, names)
     local nearest, least = nil, min(#name, floor(#name / 3) + 2)
@@ -405,8 +433,9 @@ do
   end
 
   -- What to say after an unknown name: the nearest right one, or all if they are few.
+  -- `initial` is right where it does not exist yet.
   function suggestion(name, names)
-    local nearest = find_nearest(name, names)
+    local nearest = find_nearest(name, names) or find_nearest(name, { "initial" })
     if nearest then return " (did you mean '" .. nearest .. "'?)" end
     if #names == 0 or #names > 6 then return "" end
     local verb = #names == 1 and "is" or "are"
@@ -501,10 +530,19 @@ local function check_pn(build, tr, pn)
   end
 end
 
-local function warn_of_event(build, tr)
-  if tr.events == nil then
-    add(build.warnings, place_of(tr),
-      "a transition has no field 'event' (did you mean 'events'?)")
+local PROGRAM_FIELDS = {
+  state = { "entry", "exit", "doo" }, transition = { "guard", "effect" },
+}
+
+-- Warns of a field that looks like one of the library's in other words.
+local function warn_of_field(build, owner, model, key, value)
+  local kind = kind_of(owner)
+  local meant = is_callable(value) and PROGRAM_FIELDS[kind]
+    and misspelt_field(key, PROGRAM_FIELDS[kind])
+  if kind == "transition" and key == "event" then meant = "events" end
+  if meant and rawget(model, meant) == nil then
+    add(build.warnings, place_of(owner), "a %s has no field '%s' (did you mean '%s'?)",
+      kind, key, meant)
   end
 end
 
@@ -533,9 +571,10 @@ end
 local function check_root(build, root, model)
   for i = 1, 4 do
     check_callable(build, root, model, ROOT_FIELDS[i])
-    local name = PRINTERS[i]
-    if type(model[name]) ~= "boolean" then
-      check_callable(build, root, model, name)
+    local name, printer = PRINTERS[i], model[PRINTERS[i]]
+    if printer ~= nil and type(printer) ~= "boolean" and not is_callable(printer) then
+      add(build.problems, "root." .. name, "function, true or false expected, "
+        .. got(printer))
     end
   end
   if not root._is_leaf and rawget(root, "initial") == nil then
@@ -590,7 +629,7 @@ do
     elseif not is_meta(key) or tr[key] == nil and model._parent == nil then
       tr[key] = value
       add_datum(build, tr, key, value)
-      if key == "event" then warn_of_event(build, tr) end
+      if type(key) == "string" then warn_of_field(build, tr, model, key, value) end
     end
   end
 
@@ -672,6 +711,7 @@ do
       check_callable(build, def, model, key)
     else
       add_datum(build, def, key, value)
+      if type(key) == "string" then warn_of_field(build, def, model, key, value) end
     end
     if type(value) == "table" and getmetatable(value) == nil then
       check_plain_table(build, def._fqn .. "." .. text_of(key), value)
@@ -757,8 +797,9 @@ do
       local child = not is_meta(name) and rawget(node, name) or nil
       if not is_node(child) then
         if child ~= nil then
-          return nil, ("'%s.%s' is no state or connector but a %s"):format(node._fqn,
-            name, kind_of(child) or type(child))
+          local kind = kind_of(child) or type(child)
+          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(node._fqn,
+            name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'"):format(name,
           node._fqn) .. suggestion(name, (sorted_keys(node, is_node)))
@@ -768,11 +809,28 @@ do
     return node
   end
 
+  -- Names without a dot are looked for in one composite only: tells where else there is
+  -- such a node.
+  local function elsewhere(build, composite, name)
+    local names = {}
+    for _, node in ipairs(build.nodes) do
+      if node._id == name and composite[name] == nil then
+        names[#names + 1] = node._fqn
+      end
+    end
+    sort(names)
+    return names[1]
+  end
+
   -- A name without a dot: in the composite of the transition, or the root itself.
-  local function find_local(root, composite, name)
+  local function find_local(build, composite, name)
     local node, reason = find_below(composite, { name })
-    if not node and name == "root" then return root end
-    return node, reason
+    if node then return node end
+    if name == "root" then return build.root end
+    local other = elsewhere(build, composite, name)
+    if not other then return nil, reason end
+    return nil, ("no state or connector is named '%s' in '%s' (did you mean '%s'?)")
+      :format(name, composite._fqn, other)
   end
 
   -- A path from the root; `root.` in front is optional, and a state may be named so.
@@ -786,11 +844,11 @@ do
 
   -- Returns the node that a name in a transition of `composite` refers to:
   -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) others from the root.
-  local function find_named(root, composite, name)
+  local function find_named(build, composite, name)
     local relative = name:match("^%.%.?([^.].*)$")
     if relative then return find_below(composite, split(relative)) end
-    if not name:find(".", 1, true) then return find_local(root, composite, name) end
-    return find_absolute(root, name)
+    if not name:find(".", 1, true) then return find_local(build, composite, name) end
+    return find_absolute(build.root, name)
   end
 
   -- How many ancestors `node` shares with `composite`.
@@ -829,12 +887,23 @@ do
     return nearest
   end
 
+  -- Somebody may have written `from` or `to`.
+  local function alias_used(tr, field)
+    local data = tr._data or {}
+    for i = 1, #data do
+      if type(data[i]) == "string" and misspelt_field(data[i], { field }) then
+        return (" (there is '%s', did you mean '%s'?)"):format(data[i], field)
+      end
+    end
+    return ""
+  end
+
   -- Returns the node that src or tgt of a transition means; nil and a reason when none.
   local function find_end(build, tr, field)
     local ref = tr[field]
     local node, reason
     if type(ref) == "string" then
-      node, reason = find_named(build.root, tr._parent, ref)
+      node, reason = find_named(build, tr._parent, ref)
       if not node and field == "tgt" and ref == "internal" then
         reason = "internal transitions are not supported"
       end
@@ -844,6 +913,7 @@ do
       reason = reason and field .. ": " .. reason
     elseif ref == nil then
       reason = field .. " is missing, the name of a state or connector expected"
+        .. alias_used(tr, field)
     else
       reason = field .. ": name of a state or connector expected, " .. got(ref)
     end
@@ -1316,7 +1386,14 @@ do
     return copy
   end
 
-  -- A program is replaced: what was compiled is made anew before the next iteration.
+  -- Blames who assigns to a field of a live machine what cannot be called.
+  local function check_new(key, value, expected)
+    if not value or is_callable(value) or value == true and key == "dbg" then return end
+    error(("%s: %s expected, %s"):format(key, expected, got(value)), 3)
+  end
+
+  -- A field of a definition is replaced: what was compiled is made anew before the next
+  -- iteration.
   local function change(element, key, value)
     local fsm = element._fsm
     own_plan(fsm).is_stale = true
@@ -1326,7 +1403,10 @@ do
   end
 
   function LiveState.__newindex(state, key, value)
-    if PROGRAMS[key] then return change(state, key, value) end
+    if PROGRAMS[key] then
+      check_new(key, value, "function")
+      return change(state, key, value)
+    end
     if key == "_mode" then return set_mode(state, value) end
     if not STATE[key] then rawset(state, key, value) end
   end
@@ -1336,7 +1416,10 @@ do
   end
 
   function LiveTransition.__newindex(tr, key, value)
-    if key == "guard" or key == "effect" or key == "pn" then
+    if key == "guard" or key == "effect" then
+      check_new(key, value, "function")
+      return change(tr, key, value)
+    elseif key == "pn" then
       return change(tr, key, value)
     elseif key == "src" or key == "tgt" then
       return change(tr, key, value._def)
@@ -1347,17 +1430,24 @@ do
   end
 
   function Machine.__newindex(fsm, key, value)
-    if PROGRAMS[key] then return change(fsm, key, value) end
-    if key == "_mode" then return set_mode(fsm, value) end
-    if key == "_act_leaf" and value then return set_mode(value, "active") end
-    if ROOT[key] then return end
     if key == "_at" then
       rawset(fsm, "_at", fsm._was_at)
       error(IN_DETAIL, 0)
+    elseif PROGRAMS[key] then
+      check_new(key, value, "function")
+      return change(fsm, key, value)
+    elseif key == "_mode" then
+      return set_mode(fsm, value)
+    elseif key == "_act_leaf" and value then
+      return set_mode(value, "active")
+    end
+    if ROOT[key] then return end
+    if FLAG_OF[key] then
+      check_new(key, value, key == "dbg" and "function, true or false" or "function")
+      set_flag(fsm, FLAG_OF[key])
     end
     rawset(fsm, key, value)
-    if key == "dbg" then return go_in_detail(fsm) end
-    if FLAG_OF[key] then set_flag(fsm, FLAG_OF[key]) end
+    if key == "dbg" then go_in_detail(fsm) end
   end
 
   -- Moves the machine to where `state` has that mode; no program runs.
@@ -1533,7 +1623,12 @@ local function raise_failure(fsm)
 end
 
 local function report(fsm, name, ...)
-  local ok, failure = pcall(printer_of(fsm, name), ...)
+  local printer = printer_of(fsm, name)
+  if not is_callable(printer) then
+    return keep_failure(fsm, ("rfsm: %s: function, true or false expected, %s"):format(
+      name, got(printer)))
+  end
+  local ok, failure = pcall(printer, ...)
   if not ok then keep_failure(fsm, failure) end
 end
 
@@ -1568,7 +1663,9 @@ local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then return NONE end
   local ok, events = pcall(getevents)
-  if not ok then
+  if not is_callable(getevents) then
+    keep_failure(fsm, "rfsm.step: getevents: function expected, " .. got(getevents))
+  elseif not ok then
     keep_failure(fsm, events)
   elseif type(events) == "table" then
     return events
@@ -1642,6 +1739,10 @@ do
   end })
 end
 
+local function not_a_hook(slot, hook)
+  return ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
+end
+
 local function run_hooks(fsm, hooks, slot, events)
   for i = 1, #hooks do
     local hook = hooks[i]
@@ -1649,6 +1750,7 @@ local function run_hooks(fsm, hooks, slot, events)
     if hook then
       if parameters_of[hook] > 1 then keep_events(fsm) end
       local ok, failure = pcall(hook, fsm, events)
+      if not ok and not is_callable(hook) then failure = not_a_hook(slot, hook) end
       if not ok then keep_failure(fsm, failure) end
     end
   end
@@ -1708,15 +1810,17 @@ do
 
   local evaluate_connector
 
+  -- Returns the guard as it is now: an earlier one may have replaced it.
   local function trace_checking(fsm, tr)
     if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
+    return fsm._transitions[tr._index].guard or silent
   end
 
   -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
   -- `depth` counts the connectors on the way to it, if there are any.
   local function is_enabled(fsm, tr, events, depth)
-    if fsm._is_traced then trace_checking(fsm, tr) end
     local guard = tr.guard
+    if fsm._is_traced then guard = trace_checking(fsm, tr) end
     if guard then
       local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
       if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
@@ -1949,11 +2053,12 @@ return function(fsm, events)
         condition = ("%s and matches(t%d, events)"):format(condition, n)
       end
       write(text, "if %s then", condition)
-      write(text, "if fsm._is_traced then trace_checking(fsm, t%d) end", n)
+      write(text, "local guard = %s", tr.guard and "g" .. n or "nil")
+      write(text, "if fsm._is_traced then guard = trace_checking(fsm, t%d) end", n)
       if tr.guard then
         bind(text, "g" .. n, tr.guard)
         bind(text, "i" .. n, tr._index)
-        write(text, "local ok, answer = pcall(g%d, transitions[i%d], events)", n, n)
+        write(text, "local ok, answer = pcall(guard, transitions[i%d], events)", n)
         write(text, "if not ok then refuse(fsm, t%d, ok, answer)", n)
         write(text, "elseif answer ~= false then")
       end
@@ -2103,7 +2208,8 @@ end
 -- What follows when the entry of `state` has run.
 local function finish_entry(fsm, state)
   if state._is_leaf then
-    local leaf = fsm._plan.nodes[state._index]
+    local leaf = fsm._plan.nodes[state._index] -- of a plan that may be new
+    make_ready(leaf)
     fsm._leaf, fsm._is_done = leaf, false
     rawset(fsm, "_at", true)
     if not leaf.doo then complete(fsm, leaf) end
@@ -2803,6 +2909,9 @@ do
         error(idle, 0)
       end
       if idle ~= nil then return idle end
+      if not is_callable(fsm.idle_hook) then
+        error("rfsm.step: idle_hook: function expected, " .. got(fsm.idle_hook), 0)
+      end
       fsm.idle_hook(fsm)
       left, after_free = rest, false
     end
@@ -2812,15 +2921,16 @@ end
 -- Public functions ------------------------------------------------------------
 
 -- Blames the caller of the public function for something that is no machine.
-local function check_machine(fsm, name)
+local function check_machine(fsm, name, level)
   if type(fsm) == "table" and rawget(fsm, "_initialized") then return end
   local hint = is_state(fsm) and " (rfsm.init makes one of a state)" or ""
-  error("rfsm." .. name .. ": initialised fsm expected, " .. got(fsm) .. hint, 3)
+  error("rfsm." .. name .. ": initialised fsm expected, " .. got(fsm) .. hint,
+    level or 3)
 end
 
-local function check_function(f, name)
+local function check_function(f, name, level)
   if is_callable(f) then return end
-  error("rfsm." .. name .. ": function expected, " .. got(f), 3)
+  error("rfsm." .. name .. ": function expected, " .. got(f), level or 3)
 end
 
 -- Digits padded, so that trans[10] comes after trans[2].
@@ -3443,21 +3553,13 @@ do
     return is_found
   end
 
-  -- Defines rfsm.<name>_add and rfsm.<name>_rm for the list `field`.
-  local function define_hook(name, field, slot)
-    rfsm[name .. "_add"] = function(fsm, hook, place)
-      check_machine(fsm, name .. "_add")
-      check_function(hook, name .. "_add")
-      if place ~= nil and place ~= "before" and place ~= "after" then
-        error("rfsm." .. name .. "_add: 'before' or 'after' expected, "
-          .. got(place), 2)
-      end
-      hook_add(fsm, field, hook, place)
+  local function add_listed(fsm, name, field, hook, place)
+    check_machine(fsm, name, 4)
+    check_function(hook, name, 4)
+    if place ~= nil and place ~= "before" and place ~= "after" then
+      error("rfsm." .. name .. ": 'before' or 'after' expected, " .. got(place), 3)
     end
-    rfsm[name .. "_rm"] = function(fsm, hook)
-      check_machine(fsm, name .. "_rm")
-      return hook_rm(fsm, field, slot, hook)
-    end
+    hook_add(fsm, field, hook, place)
   end
 
   local function add_state_hook(fsm, name, field, state, hook)
@@ -3496,9 +3598,60 @@ do
     add_state_hook(fsm, "exit_hook_add", "_exit_hooks", state, hook)
   end
 
-  define_hook("pre_step_hook", "_pre_hooks", "pre_step_hook")
-  define_hook("post_step_hook", "_post_hooks", "post_step_hook")
-  define_hook("reset_hook", "_reset_hooks", nil)
+  --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
+  --
+  -- It may change the list of events. The machine's own `pre_step_hook` is among the
+  -- hooks, and stays replaceable.
+  --
+  ---@param fsm rfsm.Machine
+  ---@param hook fun(fsm: rfsm.Machine, events: any[])
+  ---@param place? "before"|"after" the hooks that are there; default "after"
+  function rfsm.pre_step_hook_add(fsm, hook, place)
+    add_listed(fsm, "pre_step_hook_add", "_pre_hooks", hook, place)
+  end
+
+  --- Take a pre step hook away.
+  ---@param fsm rfsm.Machine
+  ---@param hook function
+  ---@return boolean was_there
+  function rfsm.pre_step_hook_rm(fsm, hook)
+    check_machine(fsm, "pre_step_hook_rm")
+    return hook_rm(fsm, "_pre_hooks", "pre_step_hook", hook)
+  end
+
+  --- Have `hook(fsm, events)` called at the end of each iteration.
+  ---@param fsm rfsm.Machine
+  ---@param hook fun(fsm: rfsm.Machine, events: any[])
+  ---@param place? "before"|"after" the hooks that are there; default "after"
+  function rfsm.post_step_hook_add(fsm, hook, place)
+    add_listed(fsm, "post_step_hook_add", "_post_hooks", hook, place)
+  end
+
+  --- Take a post step hook away.
+  ---@param fsm rfsm.Machine
+  ---@param hook function
+  ---@return boolean was_there
+  function rfsm.post_step_hook_rm(fsm, hook)
+    check_machine(fsm, "post_step_hook_rm")
+    return hook_rm(fsm, "_post_hooks", "post_step_hook", hook)
+  end
+
+  --- Have `hook(fsm)` called when the machine is reset: for what an extension keeps.
+  ---@param fsm rfsm.Machine
+  ---@param hook fun(fsm: rfsm.Machine)
+  ---@param place? "before"|"after" the hooks that are there; default "after"
+  function rfsm.reset_hook_add(fsm, hook, place)
+    add_listed(fsm, "reset_hook_add", "_reset_hooks", hook, place)
+  end
+
+  --- Take a reset hook away.
+  ---@param fsm rfsm.Machine
+  ---@param hook function
+  ---@return boolean was_there
+  function rfsm.reset_hook_rm(fsm, hook)
+    check_machine(fsm, "reset_hook_rm")
+    return hook_rm(fsm, "_reset_hooks", nil, hook)
+  end
 end
 
 -- Merge: a new element of a live machine --------------------------------------

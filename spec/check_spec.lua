@@ -74,7 +74,8 @@ describe("a reference", function()
 
   it("is reported when it leads to something that is no node", function()
     assert.same({
-      "root.trans[2]: tgt 'data': 'root.data' is no state or connector but a table",
+      "root.trans[2]: tgt 'data': 'root.data' is no state or connector but a table"
+        .. " (did you mean rfsm.state{...}?)",
     }, problems_of(chart { data = {}, [2] = trans { src = "a", tgt = "data" } }))
   end)
 
@@ -213,7 +214,7 @@ describe("a program", function()
 
   it("is a function: getevents, hooks and printers of the root", function()
     assert.same({
-      "root.dbg: function expected, got string 'yes'",
+      "root.dbg: function, true or false expected, got string 'yes'",
       "root.getevents: function expected, got number 1",
       "root.idle_hook: function expected, got number 2",
       "root.post_step_hook: function expected, got number 4",

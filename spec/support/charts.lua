@@ -212,6 +212,7 @@ local function random_action(chart, random)
   if chart.is_tame then return false end
   if random:chance(8) then return { "reset" } end
   if random:chance(12) then return { "trace", random:chance(60) } end
+  if random:chance(12) then return { "replace", random:below(100) } end
   local second = random:chance(30) and random:pick(EVENTS) or nil
   return { "send", random:pick(EVENTS), second }
 end
@@ -319,6 +320,7 @@ function charts.generate(seed)
   local random = new_random(seed)
   local chart = { seed = seed, names = {}, nodes = {}, transitions = {}, programs = {} }
   chart.is_tame, chart.traced = random:chance(20), random:chance(33)
+  chart.has_twin = random:chance(30)
   add_node(chart, nil, "root", "state")
   if random:chance(98) then add_children(chart, random, "root", 1) end
   if not chart.nodes.root.is_leaf then

@@ -30,6 +30,9 @@ local function perform(world, action, list)
   if what == "reset" then world.reset() end
   if what == "trace" then world.switch_trace(action[2]) end
   if what == "send" then world.send(action[2], action[3]) end
+  if what == "replace" and world.ids[1] then
+    world.replace(world.ids[action[2] % #world.ids + 1])
+  end
   if what == "append" then list[#list + 1] = action[2] end
   if what == "clear" then
     for i = #list, 1, -1 do list[i] = nil end
@@ -52,7 +55,29 @@ local function run_doo(world, fqn)
   end
 end
 
-local function new_world(chart) return { chart = chart, trace = {}, counts = {} } end
+-- The programs that a tool may replace.
+local function replaceable(chart)
+  local ids = {}
+  local function add(id) if chart.programs[id] then ids[#ids + 1] = id end end
+  for _, fqn in ipairs(chart.names) do
+    if chart.nodes[fqn].entry then add("entry " .. fqn) end
+    if chart.nodes[fqn].exit then add("exit " .. fqn) end
+  end
+  for _, tr in ipairs(chart.transitions) do
+    if tr.guard then add("guard " .. tr.index) end
+    if tr.effect then add("effect " .. tr.index) end
+  end
+  return ids
+end
+
+-- world.versions[id] says how often a program was replaced; each version notes its own.
+local function new_world(chart)
+  return {
+    chart = chart, trace = {}, counts = {}, versions = {}, ids = replaceable(chart),
+  }
+end
+
+local function version_of(world, id) return world.versions[id] or 0 end
 
 -- Notes the modes that a program sees.
 local function note_modes(world)
@@ -102,8 +127,9 @@ end
 
 local function program_of(world, what, fqn)
   local id = what .. " " .. fqn
+  local version = version_of(world, id)
   return program(world, id, function(fsm, state, kind)
-    note(world, kind, state._fqn, "leaf", leaf_name(fsm))
+    note(world, kind, state._fqn, "leaf", leaf_name(fsm), version)
     note_modes(world)
     return act(world, id)
   end)
@@ -111,16 +137,18 @@ end
 
 local function guard_of(world, index)
   local id = "guard " .. index
+  local version = version_of(world, id)
   return program(world, id, function(_, events)
-    note(world, "guard", index, events)
+    note(world, "guard", index, events, version)
     return act(world, id)
   end)
 end
 
 local function effect_of(world, index)
   local id = "effect " .. index
+  local version = version_of(world, id)
   return program(world, id, function(_, _, kind, events)
-    note(world, kind, index, events)
+    note(world, kind, index, events, version)
     note_modes(world)
     act(world, id)
   end)
@@ -190,6 +218,23 @@ local function core_modes(world, fsm)
   end)
 end
 
+-- Replaces program `id` of the machine, which has the next version.
+local function replace(world, fsm, id)
+  local what, owner = id:match("^(%l+) (.+)$")
+  world.versions[id] = version_of(world, id) + 1
+  local index = tonumber(owner)
+  if not index then
+    node_of(fsm, owner)[what] = program_of(world, what, owner)
+    return
+  end
+  for _, tr in ipairs(world.chart.transitions) do
+    if tr.index == index then
+      local make = what == "guard" and guard_of or effect_of
+      node_of(fsm, tr.owner)[tr.key][what] = make(world, index)
+    end
+  end
+end
+
 -- node.hooks says how many hooks extensions have hung on entry and exit of a state.
 local function add_state_hooks(world, fsm)
   for _, fqn in ipairs(world.chart.names) do
@@ -220,7 +265,7 @@ end
 local function oracle_state_calls(world, calls)
   for _, what in ipairs({ "entry", "exit" }) do
     calls[what] = function(fqn, leaf)
-      note(world, what, fqn, "leaf", leaf)
+      note(world, what, fqn, "leaf", leaf, version_of(world, what .. " " .. fqn))
       note_modes(world)
       return act(world, what .. " " .. fqn)
     end
@@ -238,11 +283,11 @@ local function oracle_calls(world)
     text = transition_text,
     doo = function(fqn) return run_doo(world, fqn) end,
     guard = function(tr, events)
-      note(world, "guard", tr.index, events)
+      note(world, "guard", tr.index, events, version_of(world, "guard " .. tr.index))
       return act(world, "guard " .. tr.index)
     end,
     effect = function(tr, events)
-      note(world, "effect", tr.index, events)
+      note(world, "effect", tr.index, events, version_of(world, "effect " .. tr.index))
       note_modes(world)
       act(world, "effect " .. tr.index)
     end,
@@ -282,18 +327,20 @@ function runs.on_core(chart)
   local model = runs.model_of(world)
   local warn = model.warn
   model.warn = false
+  local twin = chart.has_twin and rfsm.init(model)
   local fsm, problems = rfsm.init(model)
   if not fsm then return nil, problems end
   fsm.warn = but_undeclared(warn)
   add_state_hooks(world, fsm)
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
+  world.replace = function(id) replace(world, fsm, id) end
   world.switch_trace = function(on) fsm.dbg = on and outside(world, "dbg") end
   local nodes = {}
   for _, fqn in ipairs(chart.names) do nodes[fqn] = node_of(fsm, fqn) end
   world.mode_of = function(fqn) return rfsm.get_sta_mode(nodes[fqn]) end
   return drive(world, {
-    send = world.send, reset = world.reset,
+    send = world.send, reset = world.reset, twin = twin,
     step = function(n) return rfsm.step(fsm, n) end,
     run = function() return rfsm.run(fsm) end,
     active = function() return core_active(fsm) end,
@@ -309,6 +356,7 @@ function runs.on_oracle(chart)
   local machine = reference.new(chart, calls)
   world.send = function(...) reference.send(machine, ...) end
   world.reset = function() reference.reset(machine) end
+  world.replace = function(id) world.versions[id] = version_of(world, id) + 1 end
   world.switch_trace = function(on) calls.dbg = on and outside(world, "dbg") end
   world.mode_of = function(fqn) return machine.mode[fqn] or "inactive" end
   return drive(world, {
