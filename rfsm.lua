@@ -399,17 +399,16 @@ do
     from = "src", source = "src", to = "tgt", target = "tgt", priority = "pn",
   }
 
-  -- Are the two the same but for one letter, two letters in reverse, or their case?
+  -- Are the two the same but for their case, one letter too many or too few, or two in
+  -- reverse? One in place of another makes too many words of their own: exit, edit.
   local function is_near(a, b)
     a, b = a:lower(), b:lower()
-    local distance = edit_distance(a, b)
-    if distance ~= 2 or #a ~= #b then return distance < 2 end
+    if #a ~= #b then return edit_distance(a, b) == 1 end
     for i = 1, #a - 1 do
-      if a:sub(1, i - 1) .. a:sub(i + 1, i + 1) .. a:sub(i, i) .. a:sub(i + 2) == b then
-        return true
-      end
+      local first, second = a:sub(i, i), a:sub(i + 1, i + 1)
+      if a:sub(1, i - 1) .. second .. first .. a:sub(i + 2) == b then return true end
     end
-    return false
+    return a == b
   end
 
   -- Returns which of `fields` somebody may have meant who wrote `key`.

@@ -72,6 +72,31 @@ describe("a reference", function()
     }, of { src = "a", tgt = "zzzzzz" })
   end)
 
+  it("is reported with the place of a node of that name elsewhere", function()
+    local m = state { x = state {}, trans(to_a), trans { src = "x", tgt = "b" } }
+    m[1] = trans { src = "initial", tgt = "x" }
+    assert.same({
+      "root.m.trans[2]: tgt 'b': no state or connector is named 'b' in 'root.m' "
+        .. "(did you mean 'root.b'?)",
+    }, problems_of(chart { b = state {}, m = m }))
+  end)
+
+  it("is reported when initial is misspelt", function()
+    assert.same({
+      "root.trans[2]: src 'intial': no state or connector is named 'intial' in 'root' "
+        .. "(did you mean 'initial'?)",
+    }, of { src = "intial", tgt = "a" })
+  end)
+
+  it("is reported when it stands under another name", function()
+    assert.same({
+      "root.trans[2]: src is missing, the name of a state or connector expected (there "
+        .. "is 'from', did you mean 'src'?)",
+      "root.trans[2]: tgt is missing, the name of a state or connector expected (there "
+        .. "is 'to', did you mean 'tgt'?)",
+    }, of { from = "a", to = "b" })
+  end)
+
   it("is reported when it leads to something that is no node", function()
     assert.same({
       "root.trans[2]: tgt 'data': 'root.data' is no state or connector but a table"
@@ -464,5 +489,35 @@ describe("verify_early", function()
     assert.same({
       "root.trans[2]: a transition has no field 'event' (did you mean 'events'?)",
     }, warnings)
+  end)
+end)
+
+describe("a field in other words", function()
+  local function field(owner, name, meant)
+    return ("WARNING: %s: a %s has no field '%s' (did you mean '%s'?)"):format(owner,
+      owner:find("trans", 1, true) and "transition" or "state", name, meant)
+  end
+
+  for name, meant in pairs { enter = "entry", Exit = "exit", ["do"] = "doo",
+    on_entry = "entry", eixt = "exit" } do -- any order: each stands alone
+    it("is warned of in a state: " .. name, function()
+      assert.same({ field("root.b", name, meant) },
+        warnings_of(chart { b = state { [name] = noop } }))
+    end)
+  end
+
+  for name, meant in pairs { gaurd = "guard", condition = "guard",
+    efect = "effect" } do -- any order: each stands alone
+    it("is warned of in a transition: " .. name, function()
+      assert.same({ field("root.trans[2]", name, meant) }, warnings_of(chart {
+        [2] = trans { src = "a", tgt = "a", events = { "e" }, [name] = noop },
+      }))
+    end)
+  end
+
+  it("is the user's when the right one is there, or it holds no function", function()
+    assert.same({}, warnings_of(chart {
+      b = state { entry = noop, enter = noop, exec = noop, edit = noop, exits = 1 },
+    }))
   end)
 end)

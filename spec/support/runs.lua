@@ -77,7 +77,9 @@ local function new_world(chart)
   }
 end
 
-local function version_of(world, id) return world.versions[id] or 0 end
+local function version_of(world, id)
+  return world.versions and world.versions[id] or 0
+end
 
 -- Notes the modes that a program sees.
 local function note_modes(world)
