@@ -2095,11 +2095,8 @@ return function(fsm, events)
     local function make(text)
       local source = HEAD:format(concat(text.names)) .. concat(text.lines, "\n")
         .. "\nend\n"
-      local maker = makers[source]
-      if not maker then
-        maker = loadstring(source, "=rfsm search")
-        makers[source] = maker
-      end
+      local maker = makers[source] or loadstring(source, "=rfsm search")
+      makers[source] = maker
       return maker(pcall, refuse, trace_checking, matches, add_conflict,
         warn_of_conflict, unpack(text.values))
     end
@@ -2188,14 +2185,23 @@ end
 
 -- Take: exit, effect, entry, in full detail ......................................
 
+-- Notes in fsm._at, in detail, where that is not to end the protected call: before a
+-- program and after it, since it may have asked for that.
+local function note(fsm, at) rawset(fsm, "_at", at) end
+
+-- What follows when exit and hooks of `state` have run.
+local function finish_hooked_exit(fsm, state)
+  if state._is_leaf then fsm._doo = false end
+  note(fsm, state._parent._index + 0.25)
+  if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
+end
+
 -- What follows when the exit of `state` has run.
 local function finish_exit(fsm, state)
   local node = fsm._nodes[state._index]
   local hooks = node._def._exit_hooks
   if hooks then run_state_hooks(fsm, node, hooks) end
-  if state == fsm._leaf then fsm._doo = false end
-  rawset(fsm, "_at", state._parent._index + 0.25)
-  if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
+  finish_hooked_exit(fsm, state)
 end
 
 -- A leaf has done its work.
@@ -2206,11 +2212,12 @@ end
 
 -- What follows when the entry of `state` has run.
 local function finish_entry(fsm, state)
+  note(fsm, state._index)
   if state._is_leaf then
     local leaf = fsm._plan.nodes[state._index] -- of a plan that may be new
     make_ready(leaf)
     fsm._leaf, fsm._is_done = leaf, false
-    rawset(fsm, "_at", true)
+    note(fsm, true)
     if not leaf.doo then complete(fsm, leaf) end
   end
   if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
@@ -2218,17 +2225,10 @@ end
 
 -- What follows when the effect of `tr` has run, or there is none.
 local function finish_effect(fsm, tr)
+  note(fsm, tr._lca._index + 0.5)
   if fsm.dbg == silent then return end
   trace(fsm, "EFFECT", tostring(tr))
   trace(fsm, "TRANS_ENTER", tostring(tr))
-end
-
--- Runs a program of a transition. The note before it says what runs, the one after it
--- ends the protected call when the program changed what the rest of it looks like.
-local function run_program(fsm, at, program, node, what, events)
-  fsm._at = at
-  if program then program(fsm, node, what, events) end
-  fsm._at = at
 end
 
 -- Exits from `state` up to the lca of `tr`. The machine may have got a plan of its own
@@ -2236,22 +2236,25 @@ end
 local function exit_up(fsm, tr, state)
   while state._index ~= tr._lca._index do
     local node = fsm._nodes[state._index]
-    run_program(fsm, -state._index, node.exit, node, "exit")
+    local exit = node.exit
+    note(fsm, -state._index)
+    if exit then exit(fsm, node, "exit") end
     finish_exit(fsm, state)
     state = state._parent
   end
 end
 
--- Enters the states of `tr`, beginning with number `first`.
-local function enter_down(fsm, tr, first)
+-- Enters the states of `tr`, beginning with number `first`, whose hooks may have run.
+local function enter_down(fsm, tr, first, is_hooked)
   local entries = tr._entries
   for i = first, #entries do
     local state = entries[i]
     local node = fsm._nodes[state._index]
-    local hooks = node._def._entry_hooks
-    fsm._at = state._index
+    local hooks = not (is_hooked and i == first) and node._def._entry_hooks
+    note(fsm, state._index)
     if hooks then run_state_hooks(fsm, node, hooks) end
-    run_program(fsm, state._index, node.entry, node, "entry")
+    local entry = node.entry
+    if entry then entry(fsm, node, "entry") end
     finish_entry(fsm, state)
   end
 end
@@ -2263,8 +2266,12 @@ local function run_segment(fsm, tr, events, state, first)
   if first == 0 then
     exit_up(fsm, tr, state)
     local own = fsm._transitions[tr._index]
-    if own.effect then keep_events(fsm) end
-    run_program(fsm, tr._lca._index + 0.5, own.effect, own, "effect", events)
+    local effect = own.effect
+    note(fsm, tr._lca._index + 0.5)
+    if effect then
+      keep_events(fsm)
+      effect(fsm, own, "effect", events)
+    end
     finish_effect(fsm, tr)
     first = 1
   end
@@ -2297,7 +2304,7 @@ end
 local function recover(fsm, tr, failure)
   local at, state = fsm._at, innermost_of(fsm)
   local phase, has_failed = type(at) == "number" and at % 1, failure ~= IN_DETAIL
-  rawset(fsm, "_at", at)
+  note(fsm, at)
   if phase == 0.5 then
     if has_failed then
       report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
@@ -2334,7 +2341,8 @@ local function run_path(fsm, tr, events)
 end
 
 local function run_path_in_detail(fsm, tr, events)
-  fsm._segment, fsm._at = tr, true
+  fsm._segment = tr
+  note(fsm, true)
   run_in_detail(fsm, tr, events)
   if not tr._to_connector then return end
   return run_path_in_detail(fsm, fsm._ways[tr.tgt], events)
@@ -2382,7 +2390,7 @@ local function run_protected(fsm, tr, events)
   local run = fsm._is_traced and run_path_in_detail or run_path
   local ok, failure = pcall(run, fsm, tr, events)
   if not ok then recover_path(fsm, fsm._segment, events, failure) end
-  fsm._at = true
+  note(fsm, true)
 end
 
 -- Takes the path from the active leaf.
@@ -2393,9 +2401,8 @@ end
 
 -- Runs a program outside of a transition.
 local function run_alone(fsm, at, program, node, what)
-  rawset(fsm, "_at", at)
+  note(fsm, at)
   local ok, failure = pcall(program or silent, fsm, node, what)
-  rawset(fsm, "_at", at)
   if not ok then
     report_program(fsm, what:upper(), what, node._fqn, failure)
   end
@@ -2411,7 +2418,8 @@ end
 -- Enters the root.
 local function enter_root(fsm)
   local root = fsm._def
-  fsm._at, fsm._open = root._index, false
+  fsm._open = false
+  note(fsm, root._index)
   if root._entry_hooks then run_state_hooks(fsm, fsm, root._entry_hooks) end
   run_alone(fsm, root._index, fsm.entry, fsm, "entry")
   finish_entry(fsm, root)
@@ -2449,7 +2457,7 @@ do
   -- The text of each kind of step; $n counts them.
   local TEXT = {
     head = [[
-local stop, run_state_hooks, leaf, done_event%s = ...
+local stop, run_state_hooks, exit_hooked, enter_hooked, leaf, done_event%s = ...
 return function(fsm, tr, events)
   local nodes = fsm._nodes
 ]],
@@ -2460,6 +2468,7 @@ return function(fsm, tr, events)
     exit_hooks = [[
   fsm._at = -i$n
   run_state_hooks(fsm, nodes[i$n], f$n)
+  if fsm._is_traced then return exit_hooked(fsm, tr, events, i$n) end
 ]],
     drop_doo = [[
   fsm._doo = false
@@ -2477,6 +2486,7 @@ return function(fsm, tr, events)
     entry_hooks = [[
   fsm._at = i$n
   run_state_hooks(fsm, nodes[i$n], f$n)
+  if fsm._is_traced then return enter_hooked(fsm, tr, i$n) end
 ]],
     check = [[
   if fsm._is_traced then stop() end
@@ -2503,9 +2513,10 @@ end
   -- So many programs in one function: Lua 5.1 allows 60 upvalues.
   local MAX_CALLS = 20
 
-  -- The function that a list of steps makes: { kind, program, index }, ...
+  -- The functions that texts are compiled to.
   local makers = {}
 
+  -- `steps` are { kind, program, index }, ...
   local function make_text(steps)
     local texts, names = { "" }, {}
     for n = 1, #steps do
@@ -2517,21 +2528,26 @@ end
     return concat(texts)
   end
 
-  local function shape_of(steps)
-    local kinds = {}
-    for n = 1, #steps do kinds[n] = steps[n].kind end
-    return concat(kinds, " ")
-  end
-
   local function stop() error(IN_DETAIL, 0) end
 
+  -- A hook has changed what comes after it, so that goes in detail. Returns true: the
+  -- segment is at its end.
+  local function exit_hooked(fsm, tr, events, index)
+    local state = fsm._plan.nodes[index]
+    finish_hooked_exit(fsm, state)
+    run_segment(fsm, tr, events, state._parent, 0)
+    return true
+  end
+
+  local function enter_hooked(fsm, tr, index)
+    enter_down(fsm, tr, number_of(tr, fsm._plan.nodes[index]), true)
+    return true
+  end
+
   local function make_piece(steps, leaf)
-    local shape = shape_of(steps)
-    local maker = makers[shape]
-    if not maker then
-      maker = loadstring(make_text(steps), "=rfsm segment")
-      makers[shape] = maker
-    end
+    local text = make_text(steps)
+    local maker = makers[text] or loadstring(text, "=rfsm segment")
+    makers[text] = maker
     local bound, n = {}, 0
     for i = 1, #steps do
       if steps[i].index then
@@ -2539,14 +2555,13 @@ end
         n = n + 2
       end
     end
-    return maker(stop, run_state_hooks, leaf, leaf and leaf._done_event,
-      unpack(bound, 1, n))
+    return maker(stop, run_state_hooks, exit_hooked, enter_hooked, leaf,
+      leaf and leaf._done_event, unpack(bound, 1, n))
   end
 
   local function chain(first, second)
     return function(fsm, tr, events)
-      first(fsm, tr, events)
-      second(fsm, tr, events)
+      return first(fsm, tr, events) or second(fsm, tr, events)
     end
   end
 

@@ -281,6 +281,11 @@ local function add_state_programs(chart, random)
       if node.entry then add_program(chart, random, "entry " .. fqn) end
       if node.exit then add_program(chart, random, "exit " .. fqn) end
       if node.doo then add_doo(chart, random, "doo " .. fqn) end
+      if random:chance(10) then
+        node.hooks = 1
+        add_program(chart, random, "entry_hook 1 " .. fqn)
+        add_program(chart, random, "exit_hook 1 " .. fqn)
+      end
     end
   end
 end
