@@ -137,6 +137,22 @@ describe("FIX connectors:", function()
     assert.equal("root.b", leaf)
   end)
 
+  it("the same of two that come into question after a closed one", function()
+    local said = {}
+    local fsm = started {
+      warn = false, k = conn {}, b = state {}, c = state {}, d = state {},
+      trans { src = "a", tgt = "k", events = "e" },
+      trans { src = "k", tgt = "b", pn = 1, guard = function() return false end },
+      trans { src = "k", tgt = "c" }, trans { src = "k", tgt = "d" },
+    }
+    fsm.warn = function(text) said[#said + 1] = text end
+    helper.post_and_run(fsm, "e")
+    assert.same({
+      "conflicting transitions from src root.k to", "\troot.c", "\troot.d",
+    }, said)
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+  end)
+
   it("no warning if the pns differ", function()
     assert.same({}, (conflicts(1)))
   end)
@@ -150,6 +166,21 @@ describe("FIX connectors:", function()
     }
     helper.post_and_run(fsm, "e")
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("a guard that yields enables nothing, however far away it is", function()
+    local members = { err = false, b = state {}, trans { src = "a", tgt = "k1" } }
+    for i = 1, 600 do
+      members["k" .. i] = conn {}
+      members[#members + 1] = trans {
+        src = "k" .. i, tgt = i < 600 and "k" .. i + 1 or "b",
+        guard = i == 600 and function() return rfsm.yield(true) end or nil,
+      }
+    end
+    local fsm = started(members)
+    local co = coroutine.wrap(function() return helper.post_and_run(fsm, "e") end)
+    co()
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
 
   it("each connector is evaluated at most once a step", function()
@@ -281,6 +312,42 @@ describe("FIX queue:", function()
     rfsm.run(fsm)
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
+end)
+
+describe("an entry that is refused", function()
+  it("leaves a machine as new when a guard resets it", function()
+    local fsm
+    fsm = helper.init(state {
+      err = false, a = state {},
+      trans { src = "initial", tgt = "a", guard = function()
+        rfsm.reset(fsm)
+        return false
+      end },
+    })
+    rfsm.send_events(fsm, "e")
+    assert.is_false(rfsm.step(fsm))
+    assert.same({ "e_init_fsm" }, fsm._intq)
+  end)
+
+  for _, hook in ipairs({ false, function() end }) do
+    local kind = hook and "with a hook" or "plain"
+    it("ends a run after a doo that exits its state: " .. kind, function()
+      local fsm = helper.init(state {
+        err = false, post_step_hook = hook or nil,
+        a = state {
+          doo = function(fsm, self)
+            rfsm.yield(true)
+            rfsm.exit_state(fsm, self)
+            rfsm.yield(true)
+          end,
+        },
+        trans { src = "initial", tgt = "a" },
+      })
+      rfsm.run(fsm)
+      assert.is_false(rfsm.run(fsm))
+      assert.same({ "root" }, rfsm.get_active_conf(fsm))
+    end)
+  end
 end)
 
 describe("FIX step:", function()

@@ -51,6 +51,70 @@ describe("a live machine", function()
     assert.equal("done", rfsm.get_sta_mode(fsm.a))
   end)
 
+  it("sends e_done, without an error, when it loses a doo before its start", function()
+    local said = {}
+    local fsm = started {
+      b = state {}, a = state { doo = function() end },
+      err = function(...) said[#said + 1] = table.concat({ ... }, " ") end,
+    }
+    helper.post_and_run(fsm, "e")
+    rfsm.send_events(fsm, "e")
+    rfsm.step(fsm)
+    fsm.a.doo = nil
+    rfsm.step(fsm)
+    assert.same({ "e_done@root.a" }, fsm._intq)
+    assert.same({}, said)
+  end)
+
+  it("tries its transitions by a new pn", function()
+    local fsm = started { c = state {}, [4] = trans { src = "a", tgt = "c" } }
+    fsm[4].pn = 1
+    helper.post_and_run(fsm, "e")
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("T={ src='root.a', tgt='root.c', pn=1 }", tostring(fsm[4]))
+  end)
+
+  it("prints its trace from when dbg is true", function()
+    local fsm = started()
+    fsm.dbg = true
+    local lines = helper.printed(function() helper.post_and_run(fsm, "e") end)
+    assert.equal("RAISED e", (lines[1]:gsub("\t", " ")))
+    assert.equal("HIBERNATING root.b", (lines[#lines]:gsub("\t", " ")))
+  end)
+
+  it("traces in full when its getevents is taken away", function()
+    local records, fsm = {}, started()
+    fsm.getevents = function() return {} end
+    fsm.dbg = function(id) records[#records + 1] = id end
+    rfsm.run(fsm)
+    fsm.getevents = nil
+    rfsm.run(fsm)
+    helper.clear(records)
+    helper.post_and_run(fsm, "e")
+    assert.same({ "RAISED", "TRANSITION", "CHECKING", "EXEC_PATH", "TRANS_EXIT",
+      "STATE_EXIT", "EFFECT", "TRANS_ENTER", "RAISED", "STATE_ENTER", "TRANSITION",
+      "HIBERNATING" }, records)
+  end)
+
+  it("shows a new leaf as the active one when its trace tells of it", function()
+    local seen, fsm = {}, started()
+    fsm.dbg = function(id)
+      if id == "STATE_ENTER" then seen[#seen + 1] = rfsm.get_actleaf_fqn(fsm) end
+    end
+    helper.post_and_run(fsm, "e")
+    assert.same({ "root.b" }, seen)
+  end)
+
+  it("asks a getevents that a doo sets as soon as that is idle", function()
+    local fsm = started { a = state { doo = function(fsm)
+      fsm.getevents = function() return { "e_other" } end
+    end } }
+    rfsm.reset(fsm)
+    fsm.getevents = nil
+    rfsm.step(fsm, 2)
+    assert.same({ "e_done@root.a", "e_other" }, fsm._intq)
+  end)
+
   it("asks a new getevents", function()
     local fsm, asked = started(), 0
     fsm.getevents = function()
@@ -107,12 +171,47 @@ describe("the trace", function()
   end)
 end)
 
+describe("a new pn", function()
+  it("counts at once for those who ask what is enabled", function()
+    local fsm = started { c = state {}, [4] = trans { src = "a", tgt = "c" } }
+    assert.same({ fsm[2] }, rfsm.node_find_enabled(fsm, fsm.a, { "e" }))
+    fsm[4].pn = 1
+    assert.same({ fsm[4] }, rfsm.node_find_enabled(fsm, fsm.a, { "e" }))
+  end)
+end)
+
 describe("a step hook", function()
   it("sees the events and may change them", function()
     local fsm = started()
     rfsm.pre_step_hook_add(fsm, function(_, events) events[1] = "e" end)
     rfsm.step(fsm)
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("that an effect sets runs at the end of the same iteration", function()
+    local trace, fsm = {}, started()
+    fsm[2].effect = function()
+      fsm.post_step_hook = function(_, events)
+        trace[#trace + 1] = texts_of(events)
+        trace[#trace + 1] = rfsm.get_actleaf_fqn(fsm)
+      end
+    end
+    rfsm.step(fsm) -- which notices the new effect
+    rfsm.send_events(fsm, "e")
+    rfsm.step(fsm)
+    assert.same({ { "e" }, "root.b" }, trace)
+  end)
+
+  it("sees the leaf where a path with a connector ended", function()
+    local seen = {}
+    local fsm = started { c = state {}, k = conn {},
+      [4] = trans { src = "a", tgt = "k", events = "e_k" },
+      [5] = trans { src = "k", tgt = "c" },
+    }
+    fsm.post_step_hook = function() seen[#seen + 1] = rfsm.get_actleaf_fqn(fsm) end
+    rfsm.send_events(fsm, "e_k")
+    rfsm.step(fsm)
+    assert.same({ "root.c" }, seen)
   end)
 
   it("runs before or after those that are there", function()
@@ -307,6 +406,123 @@ describe("fsm_merge from inside", function()
   end)
 end)
 
+describe("a state hook", function()
+  it("runs at once, after those that are there", function()
+    local trace, fsm = {}, started()
+    helper.post_and_run(fsm, "e")
+    helper.post_and_run(fsm, "e")
+    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "one"))
+    helper.post_and_run(fsm, "e")
+    fsm[3].effect = function()
+      rfsm.entry_hook_add(fsm, fsm.a, noting(trace, "now"))
+    end
+    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "two"))
+    helper.post_and_run(fsm, "e")
+    helper.post_and_run(fsm, "e")
+    assert.same({ "one", "now", "one", "two" }, trace)
+  end)
+
+  it("may change programs after an exit that failed", function()
+    local trace, fsm = {}, started { err = false }
+    fsm.a.exit = error
+    rfsm.exit_hook_add(fsm, fsm.a, function() fsm.b.entry = noting(trace, "new") end)
+    helper.post_and_run(fsm, "e")
+    assert.same({ "new" }, trace)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
+describe("a merge into a live machine", function()
+  it("that is refused leaves a leaf a leaf", function()
+    local fsm = started()
+    assert.is_false((rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" })))
+    assert.is_nil(fsm.b.initial)
+    assert.is_true(rfsm.is_leaf(fsm.b))
+    helper.post_and_run(fsm, "e")
+    assert.equal("done", rfsm.get_sta_mode(fsm.b))
+  end)
+
+  it("that is refused leaves no trace in the next one", function()
+    local fsm, is_refused = started(), true
+    table.insert(rfsm.preproc, function(_, merged)
+      return is_refused and { merged._fqn .. ": refused" } or nil
+    end)
+    local ok, reason = rfsm.fsm_merge(fsm, fsm, state {}, "d")
+    is_refused = false
+    local is_merged = rfsm.fsm_merge(fsm, fsm, conn {}, "k")
+    table.remove(rfsm.preproc)
+    assert.is_false(ok)
+    assert.equal("rfsm.fsm_merge: the model has 1 problem\n  root.d: refused", reason)
+    assert.is_true(is_merged)
+    assert.is_nil(fsm.d)
+    assert.equal("root.k", fsm.k._fqn)
+    assert.is_true(rfsm.is_conn(fsm.k))
+  end)
+
+  it("makes a composite of a leaf that transitions lead to", function()
+    local fsm = started()
+    assert.is_true(rfsm.fsm_merge(fsm, fsm.b, conn {}, "initial"))
+    assert.is_true(rfsm.fsm_merge(fsm, fsm.b, state {}, "x"))
+    assert.is_true(rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" }))
+    assert.equal(fsm.b.initial, fsm[2].tgt)
+    helper.post_and_run(fsm, "e")
+    assert.equal("root.b.x", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("copies plain tables at once", function()
+    local fsm, d = started(), state { data = { 1 } }
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, d, "d"))
+    d.data[1] = 2
+    assert.same({ 1 }, fsm.d.data)
+  end)
+
+  it("takes no name of a field that the machine was given", function()
+    local fsm = started()
+    fsm.d = 5
+    local ok, reason = rfsm.fsm_merge(fsm, fsm, state {}, "d")
+    assert.is_false(ok)
+    assert.equal("rfsm.fsm_merge: 'root' has a member 'd' already", reason)
+  end)
+
+  it("warns of what is new alone", function()
+    local said, fsm = {}, started { dead = state {} }
+    fsm.warn = function(text) said[#said + 1] = text end
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, state {}, "d"))
+    assert.same({ "WARNING: no outgoing transitions from node 'root.d'" }, said)
+  end)
+
+  it("gives a leaf no children while the machine is being entered", function()
+    local fsm, ok, reason
+    fsm = helper.init(state {
+      a = state {},
+      trans { src = "initial", tgt = "a", guard = function()
+        ok, reason = rfsm.fsm_merge(fsm, fsm.a, conn {}, "initial")
+      end },
+    })
+    rfsm.run(fsm)
+    assert.is_false(ok)
+    assert.equal("rfsm.fsm_merge: 'root.a' is a leaf state, while a transition is "
+      .. "taken", reason)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
+describe("an e_done that nothing waited for", function()
+  it("does not come again later, where something waits for it", function()
+    local fsm = started {
+      [4] = trans { src = "b", tgt = "b", events = "e_x" },
+      [5] = trans { src = "b", tgt = "a", events = "e_done@root.a" },
+    }
+    rfsm.reset(fsm)
+    rfsm.step(fsm)
+    assert.same({ "e_done@root.a" }, fsm._intq)
+    helper.post_and_run(fsm, "e")
+    helper.post_and_run(fsm, "e_x")
+    helper.post_and_run(fsm, "e_x")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
 describe("an events table", function()
   local kept
 
@@ -345,10 +561,25 @@ describe("an events table", function()
       error("on purpose")
     end },
   }
+  it("that was kept stays what it was: by a coroutine", function()
+    local effect = coroutine.wrap(function(...)
+      keep((select(4, ...)))
+      while true do keep((select(4, coroutine.yield()))) end
+    end)
+    assert.same({ { "e1" }, { "e2" }, { "e1" } },
+      kept_after_three(started_with(effect)))
+  end)
+
   for _, effect in ipairs(EFFECTS) do
     it("that was kept stays what it was: by an effect " .. effect[1], function()
       assert.same({ { "e1" }, { "e2" }, { "e1" } },
         kept_after_three(started_with(effect[2])))
+    end)
+
+    it("that was kept stays what it was, traced: by an effect " .. effect[1], function()
+      local fsm = started_with(effect[2])
+      fsm.dbg = function() end
+      assert.same({ { "e1" }, { "e2" }, { "e1" } }, kept_after_three(fsm))
     end)
   end
 

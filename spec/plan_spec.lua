@@ -205,6 +205,74 @@ describe("machines of one model", function()
     assert.same(ROUND, round(machines[3], trace))
   end)
 
+  it("may be changed by a preproc function after the first has run", function()
+    local trace = {}
+    local model = new_chart(trace)
+    local one = rfsm.init(model)
+    rfsm.run(one)
+    assert.same(ROUND, round(one, trace))
+    table.insert(rfsm.preproc, function(fsm)
+      fsm.c.x.entry = noting(trace, "new")
+      fsm[2].events = "e_done@root.a"
+    end)
+    local other = rfsm.init(model)
+    table.remove(rfsm.preproc)
+    helper.clear(trace)
+    rfsm.run(other)
+    assert.same({ "entry a", "guard", "exit a", "effect", "entry c", "new" }, trace)
+    assert.same(ROUND, round(one, trace))
+  end)
+
+  it("show a preproc function the same", function()
+    local model, lists = new_chart({}), {}
+    table.insert(rfsm.preproc, function(fsm)
+      lists[#lists + 1] = fsm.a._otrs or "none"
+    end)
+    local one = rfsm.init(model)
+    rfsm.run(one)
+    rfsm.init(model)
+    table.remove(rfsm.preproc)
+    assert.same({ "none", "none" }, lists)
+  end)
+
+  it("tell what leaves a node as soon as one is changed", function()
+    local one = two_machines()
+    one.a.exit = nil
+    assert.same({ one[2] }, one.a._otrs)
+  end)
+
+  it("stand where a tool put them when one is changed", function()
+    local one = two_machines()
+    rfsm.set_sta_mode(one.c, "active")
+    one.a.exit = nil
+    assert.same({ "root", "root.c" }, rfsm.get_active_conf(one))
+    assert.equal("active", rfsm.get_sta_mode(one.c))
+  end)
+
+  it("start each doo, also when the exit before it changes one of them", function()
+    for _, dbg in ipairs({ false, function() end }) do
+      local trace = {}
+      local function doo(name)
+        return function()
+          while true do
+            trace[#trace + 1] = name
+            rfsm.yield(true)
+          end
+        end
+      end
+      local model = new_chart(trace)
+      model.a.doo, model.c.x.doo = doo "doo a", doo "doo x"
+      local one, other = rfsm.init(model), rfsm.init(model)
+      one.dbg = dbg
+      one.a.exit = function(fsm) fsm.c.exit = noting(trace, "new") end
+      rfsm.run(other)
+      rfsm.run(one)
+      helper.clear(trace)
+      helper.post_and_run(one, "e_b")
+      assert.same({ "guard", "effect", "entry c", "entry x", "doo x" }, trace)
+    end
+  end)
+
   it("are made of what the model is when they are", function()
     local trace = {}
     local function change(model, path, key, value)
@@ -221,14 +289,17 @@ describe("machines of one model", function()
       { "", 5, trans { src = "a", tgt = "c", events = { "e_b" }, pn = 1 } },
       { "2", "pn", 3 }, { "", "k", state { entry = noting(trace, "k") } },
       { "c", "doo", noting(trace, "doo") }, { "", "data", { 3 } },
+      { "2", "effect", nil }, { "a", "n", nil }, { "", "n", nil },
+      { "", "d", { "a table" } }, { "c", "x", "no state" },
     }
     for _, edit in ipairs(changes) do
       local model = new_chart(trace)
+      model.err = false
       local old = rfsm.init(model)
       change(model, edit[1], edit[2], edit[3])
       local plain = new_chart(trace)
       change(plain, edit[1], edit[2], edit[3])
-      model.err, plain.err = false, false
+      plain.err = false
       local function behaviour(chart)
         local fsm = rfsm.init(chart)
         if not fsm then return "refused" end
@@ -277,8 +348,12 @@ describe("the parts of a machine", function()
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_b")
     fsm.c._actchild, fsm.c._parent = false, fsm.a
+    fsm._parent, fsm._actchild, fsm.k._parent = fsm.a, fsm.a, fsm.a
     assert.equal(fsm.c.x, fsm.c._actchild)
     assert.equal(fsm, fsm.c._parent)
+    assert.equal(fsm, fsm._parent)
+    assert.equal(fsm.c, fsm._actchild)
+    assert.equal(fsm, fsm.k._parent)
   end)
 
   it("may be put into a mode without a program, for tools", function()
@@ -297,6 +372,91 @@ describe("the parts of a machine", function()
     rfsm.set_sta_mode(fsm.c.x, "active")
     helper.post_and_run(fsm, "e_a")
     assert.same({ "exit x", "exit c", "entry a" }, trace)
+  end)
+
+  it("stay where they are in a mode that they have", function()
+    local fsm = rfsm.init(new_chart({}))
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_b")
+    rfsm.set_sta_mode(fsm.a, "inactive")
+    rfsm.set_sta_mode(fsm.c, "active")
+    assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("are active, not done, when what was in them is inactive", function()
+    local fsm = rfsm.init(new_chart({}))
+    rfsm.run(fsm)
+    assert.equal("done", rfsm.get_sta_mode(fsm.a))
+    rfsm.set_sta_mode(fsm.a, "inactive")
+    assert.equal("active", rfsm.get_sta_mode(fsm))
+    rfsm.set_sta_mode(fsm, "inactive")
+    assert.same({}, rfsm.get_active_conf(fsm))
+    assert.equal("inactive", rfsm.get_sta_mode(fsm))
+  end)
+
+  it("are none of them active after reset, wherever the machine stood", function()
+    local fsm = rfsm.init(new_chart({}))
+    rfsm.run(fsm)
+    rfsm.exit_state(fsm, fsm.a)
+    assert.same({ "root" }, rfsm.get_active_conf(fsm))
+    rfsm.reset(fsm)
+    assert.same({}, rfsm.get_active_conf(fsm))
+  end)
+
+  it("complete in a mode that was set before they were ever entered", function()
+    local fsm = helper.init(state {
+      a = state {}, b = state {}, c = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "b", tgt = "c", events = { "e_done" } },
+    })
+    rfsm.set_sta_mode(fsm.b, "active")
+    rfsm.step(fsm)
+    assert.same({ "e_done@root.b" }, fsm._intq)
+    rfsm.run(fsm)
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("run a doo on, or anew, as the mode that was set wants it", function()
+    local starts = {}
+    local function start(_, self)
+      starts[#starts + 1] = self._id
+      while true do rfsm.yield(true) end
+    end
+    local fsm = helper.init(state {
+      a = state { doo = start }, b = state { doo = start },
+      trans { src = "initial", tgt = "a" },
+    })
+    rfsm.run(fsm)
+    rfsm.set_sta_mode(fsm.a, "active")
+    rfsm.run(fsm)
+    assert.same({ "a" }, starts)
+    rfsm.set_sta_mode(fsm.b, "active")
+    rfsm.run(fsm)
+    assert.same({ "a", "b" }, starts)
+    rfsm.set_sta_mode(fsm.b, "inactive")
+    helper.post_and_run(fsm, "e_init_fsm")
+    assert.same({ "a", "b", "a" }, starts)
+  end)
+
+  it("have the coroutine of a doo while it is not at its end", function()
+    for _, ending in ipairs({ function() end, error }) do
+      local fsm = helper.init(state {
+        err = false, b = state {},
+        a = state {
+          doo = function()
+            rfsm.yield(true)
+            ending()
+          end,
+        },
+        trans { src = "initial", tgt = "a" },
+      })
+      assert.is_false(fsm.a._doo_co)
+      rfsm.step(fsm, 2)
+      assert.equal("thread", type(fsm.a._doo_co))
+      assert.is_false(fsm.b._doo_co)
+      rfsm.step(fsm)
+      assert.is_false(fsm.a._doo_co)
+    end
   end)
 
   it("take no mode that is none", function()
@@ -325,5 +485,89 @@ describe("the parts of a machine", function()
       refusal(fsm, "getevents", {}))
     assert.equal("dbg: function, true or false expected, got string 'full'",
       refusal(fsm, "dbg", "full"))
+  end)
+end)
+
+describe("a transition through many states", function()
+  -- The names of the states in `outer`, one in another, and the innermost of them.
+  local function nest(outer, name, depth)
+    local names = {}
+    for i = 1, depth do
+      local inner = state {}
+      names[i] = name .. i
+      outer[names[i]] = inner
+      outer[1] = trans { src = "initial", tgt = names[i] }
+      outer = inner
+    end
+    return names
+  end
+
+  it("runs all of their programs in order, and a new one at once", function()
+    local a, b = state {}, state {}
+    local in_a, in_b = nest(a, "a", 25), nest(b, "b", 25)
+    local trace, fsm = helper.traced(state {
+      a = a, b = b, trans { src = "initial", tgt = "a" },
+      trans {
+        src = "a", tgt = "b." .. table.concat(in_b, "."), events = { "e" },
+      },
+    })
+    rfsm.run(fsm)
+    fsm.a.exit = function(_, self)
+      trace[#trace + 1] = "exit " .. self._fqn
+      fsm.b.b1.entry = nil
+    end
+    helper.clear(trace)
+    local expected = {}
+    local function expect(program, root, names, last)
+      local name = root .. "." .. table.concat(names, ".", 1, last)
+      expected[#expected + 1] = program .. " " .. (last > 0 and name or root)
+    end
+    for last = #in_a, 0, -1 do expect("exit", "root.a", in_a, last) end
+    expected[#expected + 1] = "effect root.a->" .. fsm[2].tgt._fqn
+    for last = 0, #in_b do
+      if last ~= 1 then expect("entry", "root.b", in_b, last) end
+    end
+    helper.post_and_run(fsm, "e")
+    assert.same(expected, trace)
+  end)
+end)
+
+describe("events", function()
+  it("have many transitions tried in order until a guard enables one", function()
+    local asked = {}
+    local model = state {
+      a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
+    }
+    for i = 2, 61 do
+      model[i] = trans {
+        src = "a", tgt = "b", events = { "e" },
+        guard = function()
+          asked[#asked + 1] = i
+          return i == 60
+        end,
+      }
+    end
+    local fsm = helper.init(model)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.equal(59, #asked)
+    assert.equal(60, asked[59])
+  end)
+
+  it("that nobody waits for are forgotten", function()
+    local fsm = helper.init(new_chart({}))
+    rfsm.run(fsm)
+    local events = setmetatable({}, { __mode = "k" })
+    for i = 1, 20 do
+      local event = {}
+      events[event] = i
+      helper.post_and_run(fsm, event)
+    end
+    collectgarbage()
+    collectgarbage()
+    local count = 0
+    for _ in pairs(events) do count = count + 1 end -- any order: only counted
+    assert.is_true(count <= 1, count .. " of 20 are left")
   end)
 end)
