@@ -2866,13 +2866,14 @@ do
     if not choice._is_quick then
       tr = choose_from(fsm, choice, events)
       if not tr then return iterate_free(fsm, leaf, events, after_free) end
+      if tr._to_connector or fsm._is_traced then
+        take_path(fsm, tr, events)
+        settle(fsm, events)
+        return true, false
+      end
     end
-    if tr._to_connector or fsm._is_traced then
-      take_path(fsm, tr, events)
-    else
-      local ok, failure = pcall(tr._run, fsm, tr, events)
-      if not ok then recover_path(fsm, tr, events, failure) end
-    end
+    local ok, failure = pcall(tr._run, fsm, tr, events)
+    if not ok then recover_path(fsm, tr, events, failure) end
     if fsm._is_unsettled then
       fsm._at = true
       settle(fsm, events)
@@ -3314,13 +3315,15 @@ end
 ---@return boolean idle true when there is nothing left to do
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "step") end
-  if n ~= nil and type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 2)
-  end
   if fsm._at then
     error("rfsm.step: the machine is in the middle of a step", 2)
   end
-  if n ~= nil then return iterate_long(fsm, n > 1 and n or 1, false) end -- NaN: 1
+  if n ~= nil then
+    if type(n) ~= "number" then
+      error("rfsm.step: number of steps expected, " .. got(n), 2)
+    end
+    return iterate_long(fsm, n > 1 and n or 1, false) -- NaN: 1
+  end
   local counted, idle = iterate(fsm, false)
   if counted then return idle end -- without a loop: LuaJIT makes one trace of it
   return counted == false and iterate_long(fsm, 1, true)

@@ -38,7 +38,7 @@ local function memory_of(workload, subject, limit)
   if not workload.name:find("^W6") then
     return ("%.1f"):format(measure.bytes_grown(subject, 1000) / 1000)
   end
-  local bytes = measure.bytes_kept(subject, 4)
+  local bytes = measure.bytes_kept(subject, 20)
   return ("%.2f copies"):format(bytes / measure.bytes_kept(limit, 4))
 end
 
@@ -46,7 +46,7 @@ local function row_of(workload)
   local subject, limit = workload.make(rfsm)
   local shares, rates = compare(subject, limit)
   local middle = math.ceil(ROUNDS / 2)
-  return ("%-13s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
+  return ("%-19s %6.1f %%   (%.1f .. %.1f)%20.3f %12s"):format(workload.name,
     shares[middle] * 100, shares[1] * 100, shares[ROUNDS] * 100,
     1e6 / rates[middle], memory_of(workload, subject, limit))
 end
@@ -66,7 +66,7 @@ end
 local selected = measure.select(workloads, arg)
 local row = selected[2] and row_from_process or row_of
 print(("%s, %s, %d rounds"):format(rfsm._VERSION, measure.engine(), ROUNDS))
-print("workload   share of the limit (low .. high)      us/event        memory")
+print("workload         share of the limit (low .. high)      us/event        memory")
 for _, workload in ipairs(selected) do
   print(row(workload))
   io.stdout:flush()

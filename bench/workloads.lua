@@ -228,12 +228,28 @@ local function making(make, model)
   end
 end
 
+-- `init` of a model that had none before: it has changed since the last time.
+local function making_first(init, model)
+  return making(function()
+    model.turn = (model.turn or 0) + 1
+    return init(model)
+  end)
+end
+
 for _, size in ipairs({ 20, 1000, 10000 }) do
   for _, shape in ipairs({ "flat", "tree", "deep" }) do
     add(("W6 %s %d"):format(shape, size), function(rfsm)
       local model = big_model(rfsm, size, shape)
-      local init = rfsm.init
-      return making(init, model), making(deep_copy, model)
+      return making(rfsm.init, model), making(deep_copy, model)
+    end)
+  end
+end
+
+for _, size in ipairs({ 20, 1000 }) do
+  for _, shape in ipairs({ "flat", "tree", "deep" }) do
+    add(("W6 %s %d first"):format(shape, size), function(rfsm)
+      local model = big_model(rfsm, size, shape)
+      return making_first(rfsm.init, model), making(deep_copy, model)
     end)
   end
 end

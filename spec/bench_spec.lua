@@ -42,7 +42,9 @@ describe("bench/run.lua", function()
     assert.same({ "bench/run.lua: nothing is named 'W0' here (there is 'W1', 'W1r', "
       .. "'W2', 'W3', 'W4', 'W5', 'W6 flat 20', 'W6 tree 20', 'W6 deep 20', "
       .. "'W6 flat 1000', 'W6 tree 1000', 'W6 deep 1000', 'W6 flat 10000', "
-      .. "'W6 tree 10000', 'W6 deep 10000', 'W7')", "status 1" },
+      .. "'W6 tree 10000', 'W6 deep 10000', 'W6 flat 20 first', 'W6 tree 20 first', "
+      .. "'W6 deep 20 first', 'W6 flat 1000 first', 'W6 tree 1000 first', "
+      .. "'W6 deep 1000 first', 'W7')", "status 1" },
       output_of("run.lua W0"))
   end)
 
