@@ -38,8 +38,9 @@ local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 ---@field doo? fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 local State = {
   -- what one in a plan is until it is entered, searched, given data
-  _is_leaf = true, _data = false, _done_event = false, _entry_hooks = false,
-  _exit_hooks = false, _sources = false, _by_event = false, _by_any = false,
+  _is_leaf = true, _data = false, _meta = false, _done_event = false,
+  _entry_hooks = false, _exit_hooks = false, _sources = false, _by_event = false,
+  _by_any = false,
 }
 State.__index = State
 
@@ -51,12 +52,12 @@ State.__index = State
 ---@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
 ---@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, list: any[])
 ---@field pn? number priority among the transitions of a node, larger first (0)
-local Transition = { _data = false }
+local Transition = { _data = false, _meta = false }
 Transition.__index = Transition
 
 --- A point where transitions meet; never active.
 ---@class rfsm.Connector
-local Connector = { _data = false, _by_event = false, _by_any = false }
+local Connector = { _data = false, _meta = false, _by_event = false, _by_any = false }
 Connector.__index = Connector
 
 --- A model made ready to run by `rfsm.init`; the root state of its own tree.
@@ -83,7 +84,20 @@ local KIND = {
   [Connector] = "connector", [LiveConnector] = "connector",
 }
 
+local LIVE = {
+  [Machine] = true, [LiveState] = true, [LiveTransition] = true,
+  [LiveConnector] = true,
+}
+
 local function kind_of(value) return KIND[getmetatable(value)] end
+
+-- Is `value` a machine or part of one?
+local function is_live(value) return LIVE[getmetatable(value)] == true end
+
+-- Is it a state of that machine?
+local function is_state_of(fsm, value)
+  return is_live(value) and KIND[getmetatable(value)] == "state" and value._fsm == fsm
+end
 
 -- Gives `class` its constructor, callable as X{...}, X:new{...} and instance:new{...}.
 local function define(class, name)
@@ -91,7 +105,7 @@ local function define(class, name)
     if type(t) ~= "table" then
       error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
     end
-    return rawget(t, "_def") and kind_of(t) and t or setmetatable(t, class)
+    return is_live(t) and t or setmetatable(t, class)
   end
   function class.new(_, t) return (mark(t, 2)) end
   function class.type() return KIND[class] end
@@ -164,7 +178,7 @@ local is_trans, is_conn = rfsm.is_trans, rfsm.is_conn
 
 -- Where the members of a state are listed: one of a machine has its own for those that
 -- were asked for.
-local function members_of(state) return rawget(state, "_def") or state end
+local function members_of(state) return is_live(state) and state._def or state end
 
 -- Any order will do: one node decides.
 local function has_nodes(state)
@@ -603,18 +617,35 @@ do
   -- The model behind `value`: a machine stands for what it was made of, a part of one
   -- for its definition.
   function model_of(value)
-    local def = rawget(value, "_def")
-    if not def then return value end
-    return getmetatable(value) == Machine and value._model or def
+    if not is_live(value) then return value end
+    return getmetatable(value) == Machine and value._model or value._def
   end
 
   -- The user's data under `key` goes to each machine; a plain table is copied at once.
   local function add_datum(build, def, key, value)
     local data = def._data
     if data then data[#data + 1] = key else def._data = { key } end
+    if is_meta(key) then -- apart from what the engine keeps there
+      def._meta = def._meta or {}
+      def._meta[key] = value
+    else
+      def[key] = value
+    end
     if type(value) == "table" and getmetatable(value) == nil then
       build.with_tables[#build.with_tables + 1] = def
     end
+  end
+
+  -- The fields of the engine, in whatever a machine consists of.
+  local ENGINE = {}
+  for name in ("_act_leaf _actchild _curq _def _doo_co _fqn _fsm _id _initialized "
+    .. "_intq _mode _otrs _parent"):gmatch("%S+") do
+    ENGINE[name] = true
+  end
+
+  -- Is `key` of `model` a mark of the engine? All are, in a definition.
+  local function is_mark(model, key)
+    return is_meta(key) and (ENGINE[key] or rawget(model, "_index") ~= nil)
   end
 
   -- Takes over a field of a transition other than src, tgt and events.
@@ -625,8 +656,7 @@ do
     elseif key == "pn" then
       tr.pn = value
       check_pn(build, tr, value)
-    elseif not is_meta(key) or tr[key] == nil and model._parent == nil then
-      tr[key] = value
+    elseif not is_mark(model, key) then
       add_datum(build, tr, key, value)
       if type(key) == "string" then warn_of_field(build, tr, model, key, value) end
     end
@@ -647,6 +677,10 @@ do
       tr._id = text_of(key)
       add(build.problems, place_of(tr),
         "the key of a transition is a position or a name")
+    elseif is_meta(key) or RESERVED[key] == "state" then
+      add(build.problems, place_of(tr), RESERVED[key]
+        and "a transition cannot have this name, it is a field of every state"
+        or "the name of a transition must not start with '_'")
     end
     tr.events = clone_events(build, tr, model.events)
     local count = 0
@@ -689,24 +723,11 @@ do
     return node
   end
 
-  -- The fields of the engine, in whatever a machine consists of.
-  local ENGINE = {}
-  for name in ("_act_leaf _actchild _curq _def _doo_co _fsm _initialized _intq _mode "
-    .. "_otrs"):gmatch("%S+") do
-    ENGINE[name] = true
-  end
-
-  -- Is `key` of `model` a mark of the engine that `def` does not take over?
-  local function is_mark(def, model, key)
-    if not is_meta(key) then return false end
-    return def[key] ~= nil or ENGINE[key] or rawget(model, "_fqn") ~= nil
-  end
-
   -- Takes over a member that is no element of the model: a program or the user's data.
   local function clone_datum(build, def, model, key, value)
-    if is_mark(def, model, key) then return end
-    def[key] = value
+    if is_mark(model, key) then return end
     if RESERVED[key] == "state" and is_state(def) then
+      def[key] = value
       check_callable(build, def, model, key)
     else
       add_datum(build, def, key, value)
@@ -744,7 +765,9 @@ do
       if value_type == "function" and RESERVED[key] == "state" then
         state[key] = value
       elseif kind == "transition" then
-        state[key], has_transition = clone_transition(build, value, state, key), true
+        local tr = clone_transition(build, value, state, key)
+        has_transition = true
+        if not is_meta(key) then state[key] = tr end
       elseif kind then
         state[key], is_composite = clone_node(build, kind, value, state, key), true
       else
@@ -866,7 +889,7 @@ do
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, model)
-    local def = rawget(model, "_def") -- merged, it may name a node of the machine
+    local def = is_live(model) and model._def -- merged, it may name a live node
     if def and root_of(def) == build.root then return def end
     local mount = build.mounts[model_of(model)]
     if not mount then return nil, "the table given is no part of this model" end
@@ -985,7 +1008,7 @@ local function resolve(build, first)
   for i = first, #transitions do resolve_transition(build, transitions[i]) end
 end
 
--- Compile: the structure becomes lists and indexes; no user function is stored ---
+-- Compile: the structure becomes lists and indexes -----------------------------
 --
 -- At init that is only which transitions leave a node. The rest is made when a node is
 -- searched, a transition taken, a state entered for the first time, so that what never
@@ -1051,7 +1074,7 @@ do
     return false
   end
 
-  -- All fields that come ever, so that a run adds none: LuaJIT likes that.
+  -- The fields that a run reads, all at once: LuaJIT likes that.
   local function compile_transition(tr)
     local events = tr.events
     tr.guard, tr.effect, tr._pn = tr.guard or false, tr.effect or false, tr.pn or 0
@@ -1060,7 +1083,8 @@ do
     tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
     tr._is_simple = not tr._has_predicate and not tr._to_connector
     tr._is_quick = tr._is_simple and not tr.guard
-    tr._lca, tr._entries, tr._run = false, false, Transition._run
+    tr._lca, tr._entries = tr._lca or false, tr._entries or false -- it may be under way
+    tr._run = Transition._run
   end
 
   -- Adds `tr` to the list of each event that may trigger it.
@@ -1232,11 +1256,16 @@ do
 
   function STATE._parent(fsm, def) return fsm._nodes[def._parent._index] end
 
+  -- Nil as long as preproc functions may change it. A list is made once, until the plan
+  -- is compiled anew and has other lists.
   function STATE._otrs(fsm, def)
+    if fsm._plan.is_stale and machines[fsm] then compile(fsm._plan) end
     if not def._otrs or not machines[fsm] then return nil end
-    local otrs = {}
-    for i = 1, #def._otrs do otrs[i] = fsm._transitions[def._otrs[i]._index] end
-    rawset(fsm._nodes[def._index], "_otrs", otrs)
+    local lists = fsm._otrs_of or setmetatable({}, { __mode = "k" })
+    local otrs = lists[def._otrs] or {}
+    for i = 1, #def._otrs do otrs[i] = live_of(fsm, def._otrs[i]) end
+    lists[def._otrs] = otrs
+    fsm._otrs_of = lists
     return otrs
   end
 
@@ -1279,12 +1308,12 @@ do
   function TRANSITION.src(fsm, def) return fsm._nodes[def.src._index] end
   function TRANSITION.tgt(fsm, def) return fsm._nodes[def.tgt._index] end
 
-  -- A list of the machine's own, because it may be changed: see `note_events`.
+  -- A list of its own each time; one that a preproc function gets is noted, because it
+  -- may be changed: see `note_events`.
   function TRANSITION.events(fsm, def)
     if not def.events then return nil end
     local events = copy_list(def.events)
-    rawset(fsm._transitions[def._index], "events", events)
-    fsm._has_read_events = true
+    if fsm._is_preparing then rawset(fsm._transitions[def._index], "events", events) end
     return events
   end
 
@@ -1414,18 +1443,50 @@ do
     if not CONNECTOR[key] then rawset(connector, key, value) end
   end
 
-  function LiveTransition.__newindex(tr, key, value)
-    if key == "guard" or key == "effect" then
-      check_new(key, value, "function")
-      return change(tr, key, value)
-    elseif key == "pn" then
-      return change(tr, key, value)
-    elseif key == "src" or key == "tgt" then
-      return change(tr, key, value._def)
-    elseif key == "events" then
-      tr._fsm._has_read_events = true
+  -- How fields of a transition are set.
+  local SET = {}
+
+  function SET.guard(tr, key, value)
+    check_new(key, value, "function")
+    change(tr, key, value)
+  end
+
+  SET.effect = SET.guard
+
+  function SET.pn(tr, key, value)
+    if value ~= nil and (type(value) ~= "number" or value ~= value) then
+      error("pn: number expected, " .. got(value), 3)
     end
-    rawset(tr, key, value)
+    change(tr, key, value)
+  end
+
+  function SET.tgt(tr, key, value)
+    if not (is_live(value) and is_node(value) and value._fsm == tr._fsm) then
+      error(key .. ": node of the fsm expected, " .. got(value), 3)
+    end
+    own_plan(tr._fsm)
+    tr._def._lca, tr._def._entries = false, false
+    change(tr, key, key == "tgt" and rawget(value._def, "initial") or value._def)
+  end
+
+  SET.src = SET.tgt
+
+  -- The list is noted while preproc functions are at work, and counts at once later.
+  function SET.events(tr, key, value)
+    local events = type(value) == "string" and { value } or value or {}
+    if type(events) ~= "table" then
+      error("events: list of events or a string expected, " .. got(value), 3)
+    end
+    if tr._fsm._is_preparing then
+      rawset(tr, key, events)
+    else
+      change(tr, key, copy_list(events))
+    end
+  end
+
+  function LiveTransition.__newindex(tr, key, value)
+    local set = SET[key] or rawset
+    set(tr, key, value)
   end
 
   function Machine.__newindex(fsm, key, value)
@@ -1437,7 +1498,7 @@ do
       return change(fsm, key, value)
     elseif key == "_mode" then
       return set_mode(fsm, value)
-    elseif key == "_act_leaf" and value then
+    elseif key == "_act_leaf" and is_live(value) and value._fsm == fsm then
       return set_mode(value, "active")
     end
     if ROOT[key] then return end
@@ -1506,8 +1567,10 @@ local function hand_out(fsm, element, def)
   local data = def._data
   for i = 1, data and #data or 0 do
     local key = data[i]
-    if not is_meta(key) or rawget(element, key) == nil then
+    if not is_meta(key) then
       rawset(element, key, clone_data(fsm._copies, def[key]))
+    elseif rawget(element, key) == nil then
+      rawset(element, key, clone_data(fsm._copies, def._meta[key]))
     end
   end
 end
@@ -1553,8 +1616,8 @@ end
 -- Run: collect events, choose, take, doo --------------------------------------
 --
 -- What holds here: between two iterations exactly one leaf is active, or none before
--- the first entry. Functions are read from their tables at each use, because tools
--- replace them on a live machine. No error of a user's function passes through: those
+-- the first entry. Tools replace functions on a live machine: the next use sees the new
+-- one. No error of a user's function passes through: those
 -- of states and transitions go to `err`, those of printers, hooks and getevents are
 -- kept and raised when the iteration is over.
 --
@@ -1815,15 +1878,17 @@ do
     return fsm._transitions[tr._index].guard or silent
   end
 
+  local function may_pass(fsm, tr, guard, events)
+    local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
+    return ok and answer ~= false or refuse(fsm, tr, ok, answer)
+  end
+
   -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
   -- `depth` counts the connectors on the way to it, if there are any.
   local function is_enabled(fsm, tr, events, depth)
     local guard = tr.guard
     if fsm._is_traced then guard = trace_checking(fsm, tr) end
-    if guard then
-      local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
-      if not ok or answer == false then return refuse(fsm, tr, ok, answer) end
-    end
+    if guard and not may_pass(fsm, tr, guard, events) then return false end
     return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events, depth)
   end
 
@@ -2010,7 +2075,8 @@ do
 
   do
     local HEAD = [[
-local pcall, refuse, trace_checking, matches, add_conflict, warn_of_conflict%s = ...
+local pcall, silent, may_pass, refuse, trace_checking, matches, add_conflict,
+  warn_of_conflict%s = ...
 return function(fsm, events)
   local transitions, ways = fsm._transitions, fsm._ways
 ]]
@@ -2052,9 +2118,11 @@ return function(fsm, events)
         condition = ("%s and matches(t%d, events)"):format(condition, n)
       end
       write(text, "if %s then", condition)
-      write(text, "local guard = %s", tr.guard and "g" .. n or "nil")
+      write(text, "local guard = %s", tr.guard and "g" .. n or "silent")
       write(text, "if fsm._is_traced then guard = trace_checking(fsm, t%d) end", n)
-      if tr.guard then
+      if not tr.guard then
+        write(text, "if guard == silent or may_pass(fsm, t%d, guard, events) then", n)
+      else
         bind(text, "g" .. n, tr.guard)
         bind(text, "i" .. n, tr._index)
         write(text, "local ok, answer = pcall(guard, transitions[i%d], events)", n)
@@ -2066,9 +2134,7 @@ return function(fsm, events)
         write(text, "if w%d then", level + 1)
       end
       write_found(text, n, level)
-      if tr._to_connector then write(text, "end") end
-      if tr.guard then write(text, "end") end
-      write(text, "end")
+      write(text, tr._to_connector and "end end end" or "end end")
     end
 
     -- The way out of a connector, in w<level>. One that is reached a second time, which
@@ -2097,8 +2163,8 @@ return function(fsm, events)
         .. "\nend\n"
       local maker = makers[source] or loadstring(source, "=rfsm search")
       makers[source] = maker
-      return maker(pcall, refuse, trace_checking, matches, add_conflict,
-        warn_of_conflict, unpack(text.values))
+      return maker(pcall, silent, may_pass, refuse, trace_checking, matches,
+        add_conflict, warn_of_conflict, unpack(text.values))
     end
 
     -- Returns a function that returns the first of `candidates` that is enabled, or
@@ -2286,9 +2352,10 @@ local function number_of(tr, state)
   end
 end
 
--- Where segment `tr` starts, the innermost active state.
+-- Where segment `tr` starts, the innermost active state: nothing is left when a hook
+-- has made the leaf inactive.
 local function start_of(fsm, tr)
-  return is_conn(tr.src) and tr.src._parent or fsm._leaf
+  return is_conn(tr.src) and tr.src._parent or fsm._leaf or tr._lca
 end
 
 -- Where the exits of a segment go on, or begin, after an interrupt.
@@ -2357,11 +2424,12 @@ end
 
 -- Recovers from the failure in segment `tr`, until the path is at its end.
 local function recover_path(fsm, tr, events, failure)
-  local ok
+  local ok, at
   keep_events(fsm)
   fsm._segment = tr
   repeat
-    tr = fsm._segment
+    if fsm._segment == tr and fsm._at == at then error(failure, 0) end -- no progress
+    tr, at = fsm._segment, fsm._at
     local state, first = recover(fsm, tr, failure)
     ok, failure = pcall(resume_path, fsm, tr, events, state, first)
   until ok
@@ -2575,7 +2643,9 @@ end
     while state._index ~= tr._lca._index do
       add_step(steps, "exit", state.exit, state._index)
       add_step(steps, "exit_hooks", state._exit_hooks, state._index)
-      if state._is_leaf then add_step(steps, "drop_doo", state.doo) end
+      local may_have_doo = state._is_leaf
+        and (state.doo or root_of(state)._plan.is_own)
+      add_step(steps, "drop_doo", may_have_doo)
       state = state._parent
     end
   end
@@ -2591,7 +2661,7 @@ end
 
   -- The steps of the segment `tr` from the `innermost` active state.
   local function steps_of(tr, innermost)
-    local steps, leaf = {}, not tr._to_connector and tr.tgt
+    local steps, leaf = {}, tr._entries[1] and not tr._to_connector and tr.tgt
     add_exits(steps, tr, innermost)
     add_step(steps, "keep", tr.effect and parameters_of[tr.effect] > 3)
     add_step(steps, "note", tr.effect, tr._lca._index + 0.5)
@@ -2741,7 +2811,7 @@ do
   end
 
   -- The end of an iteration. The events table is emptied and will be the next queue;
-  -- one that a user's function has seen, and may have kept, is left to it.
+  -- one that a hook or an effect has seen, and may have kept, is left to it.
   local function settle(fsm, events)
     if not fsm._is_unsettled and not fsm._is_hooked then
       empty(events)
@@ -2831,7 +2901,10 @@ do
     local leaf, events = fsm._leaf, fsm._intq
     fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
     if not leaf then return iterate_first(fsm, events) end
-    if fsm._is_fed or fsm._is_hooked then gather(fsm, events) end
+    if fsm._is_fed or fsm._is_hooked then
+      gather(fsm, events)
+      leaf = fsm._leaf or leaf -- of a plan that may be new
+    end
     local tr = choose(fsm, leaf, events)
     if not tr then return iterate_free(fsm, leaf, events, after_free) end
     take_path(fsm, tr, events)
@@ -3006,7 +3079,7 @@ local function new_plan(build, model)
     created = build.created, with_tables = build.with_tables, sources = build.sources,
     events = false, is_own = false, users = 0,
   }
-  append(plan.with_tables, { build.root })
+  append(plan.with_tables, { build.root }) -- whose data a machine has from the start
   plan.root._plan = plan
   if not build.problems[1] then plans[model], latest.plan = plan, plan end
   return plan
@@ -3029,7 +3102,8 @@ do
     local count = 0
     for key, value in pairs(model) do -- any order: all must be the same
       count = count + 1
-      if not is_same_member(sources, value, node[key]) then return false end
+      local members = is_meta(key) and (node._meta or NONE) or node
+      if not is_same_member(sources, value, members[key]) then return false end
     end
     return count == sources.members[node._index]
   end
@@ -3060,8 +3134,9 @@ do
       count = count + 1
       if key == "events" then
         if not are_same_events(tr, value) then return false end
-      elseif key ~= "src" and key ~= "tgt" and tr[key] ~= value then
-        return false
+      elseif key ~= "src" and key ~= "tgt" then
+        local fields = is_meta(key) and (tr._meta or NONE) or tr
+        if fields[key] ~= value then return false end
       end
     end
     return count == sources.fields[i]
@@ -3106,8 +3181,9 @@ local function new_machine(plan)
     _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
     _was_at = false, _search = 0, _searched = {}, _ways = {}, _lists = {},
     -- the structure
-    _initialized = false, _has_read_events = false, _model = plan.model, _plan = plan,
-    _def = plan.root, _fsm = false, _nodes = false, _transitions = false,
+    _initialized = false, _is_preparing = false, _model = plan.model, _plan = plan,
+    _otrs_of = false, _def = plan.root, _fsm = false, _nodes = false,
+    _transitions = false,
     _copies = false,
   }
   fsm._fsm, plan.users = fsm, plan.users + 1
@@ -3190,21 +3266,8 @@ end
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
--- Runs the preproc functions; returns the problems they found.
-local function preprocess(fsm, merged)
-  local problems = {}
-  for i = 1, #rfsm.preproc do
-    local found = rfsm.preproc[i](fsm, merged)
-    for j = 1, type(found) == "table" and #found or 0 do
-      problems[#problems + 1] = found[j]
-    end
-  end
-  return sort_naturally(problems)
-end
-
 -- A preproc function may have changed events in place or set others.
 local function note_events(fsm)
-  if not fsm._has_read_events then return end
   for i = 1, #fsm._plan.transitions do
     local tr = rawget(fsm._transitions, i)
     local events = tr and rawget(tr, "events")
@@ -3215,12 +3278,25 @@ local function note_events(fsm)
     end
     if tr then rawset(tr, "events", nil) end
   end
-  fsm._has_read_events = false
+end
+
+-- Runs the preproc functions; returns the problems they found.
+local function preprocess(fsm, merged)
+  local problems = {}
+  fsm._is_preparing = true
+  for i = 1, #rfsm.preproc do
+    local found = rfsm.preproc[i](fsm, merged)
+    for j = 1, type(found) == "table" and #found or 0 do
+      problems[#problems + 1] = found[j]
+    end
+  end
+  fsm._is_preparing = false
+  if rfsm.preproc[1] then note_events(fsm) end
+  return sort_naturally(problems)
 end
 
 -- Compiles, and says what deserves a word of the nodes from number `first` on.
 local function finish(fsm, warnings, first)
-  note_events(fsm)
   local plan = fsm._plan
   if plan.is_own or not plan.events then compile(plan) end
   if fsm.warn == silent then return end
@@ -3381,7 +3457,8 @@ function rfsm.get_active_conf(fsm)
   check_machine(fsm, "get_active_conf")
   local names, n = {}, 0
   local state, is_leaving = innermost_of(fsm)
-  while state and not (is_leaving and state._parent == state) do
+  if is_leaving and state._parent == state then return {} end
+  while state do
     n = n + 1
     names[n] = state._fqn
     state = state._parent ~= state and state._parent
@@ -3393,7 +3470,7 @@ end
 ---@param state rfsm.State
 ---@return "active"|"inactive"|"done" mode
 function rfsm.get_sta_mode(state)
-  return is_state(state) and rawget(state, "_fsm") and state._mode or "inactive"
+  return is_live(state) and state._mode or "inactive"
 end
 
 --- Set the mode of a state, for tools.
@@ -3403,7 +3480,7 @@ end
 ---@param state rfsm.State a state of a machine
 ---@param mode "active"|"inactive"|"done"
 function rfsm.set_sta_mode(state, mode)
-  if not is_state(state) or not rawget(state, "_fsm") then
+  if not is_live(state) or not is_state(state) then
     error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
   end
   if mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
@@ -3417,7 +3494,7 @@ end
 ---@param state rfsm.State
 ---@return rfsm.State|false child
 function rfsm.actchild_get(state)
-  return is_state(state) and rawget(state, "_fsm") and state._actchild or false
+  return is_live(state) and state._actchild or false
 end
 
 --- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
@@ -3504,8 +3581,11 @@ do
   ---@return rfsm.Transition[]|false path its segments in order
   function rfsm.node_find_enabled(fsm, node, events)
     check_machine(fsm, "node_find_enabled")
-    if not is_node(node) or rawget(node, "_fsm") ~= fsm then
+    if not (is_live(node) and is_node(node) and node._fsm == fsm) then
       error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
+    end
+    if type(events) ~= "table" then
+      error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
     end
     if fsm._plan.is_stale then compile(fsm._plan) end
     local notes = set_search_aside(fsm)
@@ -3523,16 +3603,17 @@ end
 ---@param state rfsm.State
 function rfsm.exit_state(fsm, state)
   check_machine(fsm, "exit_state")
-  if not is_state(state) or rawget(state, "_fsm") ~= fsm then
+  if not is_state_of(fsm, state) then
     error("rfsm.exit_state: state of the fsm expected, " .. got(state), 2)
   end
   if state._mode == "inactive" then return end
   local at, def, inner = fsm._at, state._def, innermost_of(fsm)
-  while inner ~= def do
+  while inner._index ~= def._index do
     exit_one(fsm, inner)
     inner = inner._parent
   end
   exit_one(fsm, def)
+  def = state._def -- of a plan that may be new
   fsm._leaf, fsm._open = false, def._parent ~= def and def._parent
   rawset(fsm, "_at", at)
   if not fsm._at then raise_failure(fsm) end
@@ -3580,7 +3661,7 @@ do
   end
 
   local function add_state_hook(fsm, name, field, state, hook)
-    if not is_state(state) or rawget(state, "_fsm") ~= fsm then
+    if not is_state_of(fsm, state) then
       error("rfsm." .. name .. ": state of the fsm expected, " .. got(state), 3)
     end
     if not is_callable(hook) then
@@ -3684,18 +3765,33 @@ do
     return id ~= nil and (rawget(parent, id) or rawget(parent._def, id)) ~= nil
   end
 
+  local function name_obstacle(parent, kind, id)
+    if id == nil and kind ~= "transition" then
+      return "a " .. kind .. " needs a name"
+    elseif id ~= id then
+      return "a name expected, got NaN"
+    elseif is_taken(parent, id) then
+      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
+    end
+  end
+
+  -- Is `state` the state `other`, or inside of it?
+  local function is_inside(state, other)
+    while state ~= other and state._parent ~= state do state = state._parent end
+    return state == other
+  end
+
   -- Why `obj` cannot become a member of `parent`; nil when it can.
   local function merge_obstacle(fsm, parent, obj, id)
-    if not is_state(parent) or rawget(parent, "_fsm") ~= fsm then
+    if not is_state_of(fsm, parent) then
       return "parent: a state of the fsm expected, " .. got(parent)
     end
     local kind = kind_of(obj)
     if not kind then return "state, transition or connector expected, " .. got(obj) end
-    if id == nil and kind ~= "transition" then
-      return "a " .. kind .. " needs a name"
-    end
-    if is_taken(parent, id) then
-      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
+    local obstacle = name_obstacle(parent, kind, id)
+    if obstacle then return obstacle end
+    if is_live(obj) and is_inside(parent, obj) then
+      return ("'%s' cannot contain itself"):format(obj._fqn)
     end
     if kind == "transition" or not parent._def._is_leaf then return nil end
     if parent._mode ~= "inactive" then
@@ -3764,6 +3860,7 @@ do
     if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
     if id == nil then id = #parent._def + 1 end
     local plan = own_plan(fsm)
+    go_in_detail(fsm)
     local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
     local build = new_build(plan)
     attach(build, parent._def, obj, id)
@@ -3779,7 +3876,7 @@ do
       return false, summary("rfsm.fsm_merge", problems)
     end
     for tr, entrance in pairs(entrances) do -- any order: each once
-      tr.tgt = entrance
+      tr.tgt, tr._lca, tr._entries = entrance, false, false
     end
     tell_created(fsm, build.created)
     finish(fsm, build.warnings, first_node)

@@ -521,3 +521,13 @@ describe("a field in other words", function()
     }))
   end)
 end)
+
+describe("the name of a transition", function()
+  it("is none of the engine's, and no field of a state", function()
+    local tr = { src = "root.a", tgt = "root.a", events = { "e" } }
+    assert.same({
+      "root._parent: the name of a transition must not start with '_'",
+      "root.a.exit: a transition cannot have this name, it is a field of every state",
+    }, problems_of(chart { _parent = trans(tr), a = state { exit = trans(tr) } }))
+  end)
+end)

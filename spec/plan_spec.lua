@@ -571,3 +571,214 @@ describe("events", function()
     assert.is_true(count <= 1, count .. " of 20 are left")
   end)
 end)
+
+-- initial -> a --e_b--> b, with more members.
+local function flat(members)
+  local model = {
+    info = false, warn = false, a = state {}, b = state {}, c = state {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e_b" } },
+  }
+  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+  return state(model)
+end
+
+-- The second machine of a model, at rest.
+local function second(model)
+  rfsm.init(model)
+  local fsm = rfsm.init(model)
+  rfsm.run(fsm)
+  return fsm
+end
+
+describe("a machine that shares a plan", function()
+  it("leaves a doo behind that was taken away while it was busy", function()
+    local trace = {}
+    local fsm = second(flat {
+      a = state { doo = function()
+        while true do
+          trace[#trace + 1] = "doo a"
+          rfsm.yield(true)
+        end
+      end },
+      b = state { doo = noting(trace, "doo b") },
+    })
+    fsm.a.doo = nil
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "doo a", "doo b" }, trace)
+    assert.equal("done", rfsm.get_sta_mode(fsm.b))
+  end)
+
+  local function merge(fsm)
+    if not fsm.is_ready or fsm.is_merged then return end
+    fsm.is_merged = true
+    assert(rfsm.fsm_merge(fsm, fsm, trans { src = "b", tgt = "c", events = { "e_c" } }))
+  end
+
+  local MERGE = {
+    entry = { b = state { entry = merge } }, exit = { a = state { exit = merge } },
+    effect = { [2] = trans {
+      src = "a", tgt = "b", events = { "e_b" }, effect = merge,
+    } },
+    ["post step hook"] = { post_step_hook = merge },
+    ["pre step hook"] = { pre_step_hook = merge },
+  }
+
+  for where, members in pairs(MERGE) do -- any order: each stands alone
+    it("is merged into by its own program, the place: " .. where, function()
+      local fsm = second(flat(members))
+      fsm.is_ready = true
+      helper.post_and_run(fsm, "e_b")
+      assert.same({ "root", "root.b" }, rfsm.get_active_conf(fsm))
+      assert.equal("done", rfsm.get_sta_mode(fsm.b))
+      helper.post_and_run(fsm, "e_c")
+      assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    end)
+  end
+
+  it("takes another target", function()
+    local fsm = second(flat())
+    fsm[2].tgt = fsm.c
+    helper.post_and_run(fsm, "e_b")
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    local ok, problem = pcall(function() fsm[2].tgt = "b" end)
+    assert.is_false(ok)
+    assert.equal("tgt: node of the fsm expected, got string 'b'",
+      (problem:gsub("^[^:]*:%d+: ", "")))
+  end)
+
+  it("goes on with a transition whose program asks what others would do", function()
+    local trace = {}
+    local fsm = second(flat())
+    fsm[2].effect = function()
+      fsm.b.entry = noting(trace, "new entry")
+      rfsm.node_find_enabled(fsm, fsm.a, { "e_b" })
+    end
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "new entry" }, trace)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("names the root while a leaf is left", function()
+    local conf
+    local fsm = second(flat { a = state { exit = function(fsm)
+      conf = rfsm.get_active_conf(fsm)
+    end } })
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "root", "root.a" }, conf)
+  end)
+
+  it("goes on when a step hook makes its leaf inactive", function()
+    for _, dbg in ipairs { false, function() end } do
+      local fsm = second(flat())
+      fsm.dbg = dbg
+      fsm.pre_step_hook = function()
+        fsm.pre_step_hook = nil
+        rfsm.set_sta_mode(fsm.a, "inactive")
+      end
+      helper.post_and_run(fsm, "e_b")
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    end
+  end)
+
+  it("lists what leaves a node as it is now", function()
+    local fsm = second(flat())
+    assert.equal(1, #fsm.a._otrs)
+    assert.equal(fsm.a._otrs, fsm.a._otrs)
+    rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "c", events = { "e_c" }, pn = 1 })
+    assert.same({ fsm[3], fsm[2] }, fsm.a._otrs)
+    fsm[2].pn = 2
+    assert.same({ fsm[2], fsm[3] }, fsm.a._otrs)
+  end)
+
+  it("takes other events at once", function()
+    local fsm = second(flat())
+    fsm[2].events = "e_z"
+    assert.same({ "e_z" }, fsm[2].events)
+    helper.post_and_run(fsm, "e_b")
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+    helper.post_and_run(fsm, "e_z")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("asks a guard that an earlier one has set", function()
+    local trace = {}
+    local fsm = second(flat {
+      [3] = trans { src = "a", tgt = "c", events = { "e_b" } },
+    })
+    fsm[2].guard = function()
+      trace[#trace + 1] = "guard"
+      fsm[3].guard = function()
+        trace[#trace + 1] = "new guard"
+        return false
+      end
+      return false
+    end
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "guard", "new guard" }, trace)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("counts a transition without events that preproc made one", function()
+    local function open(fsm) fsm[2].events = nil end
+    table.insert(rfsm.preproc, open)
+    local fsm = second(flat())
+    table.remove(rfsm.preproc)
+    helper.post_and_run(fsm, "anything")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("T={ src='root.a', tgt='root.b' }", tostring(fsm[2]))
+  end)
+
+  it("runs a hook of a state once when it replaces a program", function()
+    local trace = {}
+    local fsm = second(flat {
+      a = state { exit = noting(trace, "exit a") },
+      b = state { entry = noting(trace, "entry b") },
+    })
+    local function hook(name)
+      return function()
+        trace[#trace + 1] = name
+        fsm.b.entry = noting(trace, "new entry b")
+      end
+    end
+    rfsm.exit_hook_add(fsm, fsm.a, hook "exit hook")
+    rfsm.entry_hook_add(fsm, fsm.b, hook "entry hook")
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "exit a", "exit hook", "entry hook", "new entry b" }, trace)
+  end)
+
+  it("keeps the user's data whatever its name is", function()
+    local fsm = second(flat {
+      a = state { _def = 1, _fsm = 2, _leaf = 3, _choices = { 4 }, _mine = 5 },
+      [2] = trans {
+        src = "a", tgt = "b", events = { "e_b" }, _entries = { 1 }, _run = 6, _lca = 7,
+      },
+      _at = 8, _intq = 9,
+    })
+    helper.post_and_run(fsm, "e_b")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.same({ 3, { 4 }, 5 }, { fsm.a._leaf, fsm.a._choices, fsm.a._mine })
+    assert.same({ { 1 }, 6, 7 }, { fsm[2]._entries, fsm[2]._run, fsm[2]._lca })
+  end)
+end)
+
+describe("fsm_merge", function()
+  local function reason(...)
+    local fsm = second(flat { m = state {
+      x = state {}, trans { src = "initial", tgt = "x" },
+    } })
+    return (select(2, rfsm.fsm_merge(fsm, ...)))
+  end
+
+  it("puts no state into itself", function()
+    local fsm = second(flat { m = state {
+      x = state {}, trans { src = "initial", tgt = "x" },
+    } })
+    assert.equal("rfsm.fsm_merge: 'root.m' cannot contain itself",
+      select(2, rfsm.fsm_merge(fsm, fsm.m, fsm.m, "y")))
+    assert.equal("rfsm.fsm_merge: a name expected, got NaN",
+      select(2, rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "b" }, 0 / 0)))
+    assert.equal("rfsm.fsm_merge: parent: a state of the fsm expected, got state",
+      reason(state {}, state {}, "z"))
+  end)
+end)
