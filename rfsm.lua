@@ -2391,20 +2391,12 @@ local function recover(fsm, tr, failure)
   return innermost_in(fsm, tr), 0
 end
 
--- One segment in detail.
+-- One segment in detail. Returns whether the rest of the path is to go so, too.
 local function run_in_detail(fsm, tr, events)
   if not tr._entries then compile_path(tr) end
   if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
   run_segment(fsm, tr, events, start_of(fsm, tr), 0)
-end
-
--- Runs segment `tr` and those that the search chose after it. It calls itself where a
--- loop would keep LuaJIT from making one trace of a step.
-local function run_path(fsm, tr, events)
-  fsm._segment, fsm._at = tr, true
-  tr._run(fsm, tr, events)
-  if not tr._to_connector then return end
-  return run_path(fsm, fsm._ways[tr.tgt], events)
+  return fsm._is_traced
 end
 
 local function run_path_in_detail(fsm, tr, events)
@@ -2413,6 +2405,17 @@ local function run_path_in_detail(fsm, tr, events)
   run_in_detail(fsm, tr, events)
   if not tr._to_connector then return end
   return run_path_in_detail(fsm, fsm._ways[tr.tgt], events)
+end
+
+-- Runs segment `tr` and those that the search chose after it. It calls itself where a
+-- loop would keep LuaJIT from making one trace of a step.
+local function run_path(fsm, tr, events)
+  fsm._segment, fsm._at = tr, true
+  local is_in_detail = tr._run(fsm, tr, events)
+  if not tr._to_connector then return end
+  local way = fsm._ways[tr.tgt]
+  if is_in_detail then return run_path_in_detail(fsm, way, events) end
+  return run_path(fsm, way, events)
 end
 
 -- Goes on in the segment whose program failed, then with those after it.
@@ -2599,7 +2602,7 @@ end
   local function stop() error(IN_DETAIL, 0) end
 
   -- A hook has changed what comes after it, so that goes in detail. Returns true: the
-  -- segment is at its end.
+  -- segment is at its end, and the rest of the path is to go so, too.
   local function exit_hooked(fsm, tr, events, index)
     local state = fsm._plan.nodes[index]
     finish_hooked_exit(fsm, state)
@@ -2701,7 +2704,7 @@ end
       run = straight_segment(tr, leaf)
       tr._runs[leaf] = run
     end
-    run(fsm, tr, events)
+    return run(fsm, tr, events)
   end
 
   -- Until the first time.
@@ -2715,7 +2718,7 @@ end
     else
       tr._run, tr._runs = run_from_composite, {}
     end
-    tr._run(fsm, tr, events)
+    return tr._run(fsm, tr, events)
   end
 end
 
