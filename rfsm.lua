@@ -6,8 +6,8 @@
 -- `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
--- resolve, compile, run, public functions. "F" is a fully qualified name ("root.a.b"),
--- an "iteration" one turn of the loop inside `step`.
+-- resolve, compile, machine, run, public functions. "F" is a fully qualified name
+-- ("root.a.b"), an "iteration" one turn of the loop inside `step`.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -359,13 +359,13 @@ end
 ---@field problems { place: string, text: string }[]
 ---@field warnings { place: string, text: string }[]
 ---@field created rfsm.Connector[] `initial` connectors that nobody declared
----@field transitions rfsm.Transition[] the new ones
----@field completions table<rfsm.Transition, true> those among them with `e_done`
----@field nodes (rfsm.State|rfsm.Connector)[] the new ones, parents before children
+---@field transitions rfsm.Transition[] those of the plan, the new ones at the end
+---@field completions table<rfsm.Transition, true> the new ones with `e_done`
+---@field nodes (rfsm.State|rfsm.Connector)[] those of the plan, parents before children
 ---@field sources table what nodes and transitions were made of, see `is_current`
+---@field with_tables table[] the new ones with plain tables of the user
 ---@field mounts table model node -> its last clone
 ---@field earlier table clone -> the one before it of the same model node
----@field copies table plain table of the user -> its copy
 
 local function add(list, place, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
@@ -1173,11 +1173,11 @@ end
 
 -- Machine: an instance of a plan ----------------------------------------------
 --
--- A machine and its nodes and transitions hold what is their own: what they contain and
--- the user's data. All else they read from their definition in the plan, `_def`, which
--- all machines of the model share until one of them gets another program or event; that
--- one has a plan of its own from then on. Mode, active child and coroutine of a state
--- follow from where the machine stands:
+-- A machine and its nodes and transitions hold only the user's data. All else they
+-- read from their definition in the plan, `_def`; all machines of the model share it
+-- until one of them gets another program or event, which has a plan of its own from
+-- then on. Mode, active child and coroutine of a state follow from where the machine
+-- stands:
 --
 --   _leaf     the active leaf; false: there is none, and _open is the innermost active
 --             composite, false before the first entry
@@ -1617,14 +1617,14 @@ end
 --
 -- What holds here: between two iterations exactly one leaf is active, or none before
 -- the first entry. Tools replace functions on a live machine: the next use sees the new
--- one. No error of a user's function passes through: those
--- of states and transitions go to `err`, those of printers, hooks and getevents are
--- kept and raised when the iteration is over.
+-- one. No error of a user's function passes through: those of states and transitions go
+-- to `err`, those of printers, hooks and getevents are kept and raised when the
+-- iteration is over.
 --
 -- What makes it fast: flags stand for all that is rarely there, so that a step asks for
 -- one of them and not for every hook and printer.
 --
---   _is_traced     dbg is on: transitions run in full detail
+--   _is_traced     dbg is on, or a program was replaced: transitions run in full detail
 --   _is_fed        there is a getevents
 --   _is_hooked     there is a pre or a post step hook
 --   _is_plain      none of these
@@ -3075,6 +3075,15 @@ local function build_plan(model)
 end
 
 -- What machines of a model share.
+---@class rfsm.Plan
+---@field model rfsm.State what it was made of
+---@field root rfsm.State
+---@field nodes (rfsm.State|rfsm.Connector)[] the root first
+---@field transitions rfsm.Transition[]
+---@field events table<any, true>|false those that transitions name; false: not compiled
+---@field is_own boolean one machine has it for itself
+---@field is_stale? boolean something has changed that was compiled
+---@field users integer how many machines were made of it
 local function new_plan(build, model)
   local plan = {
     model = model, root = build.root, nodes = build.nodes,

@@ -747,6 +747,22 @@ describe("a machine that shares a plan", function()
     assert.same({ "exit a", "exit hook", "entry hook", "new entry b" }, trace)
   end)
 
+  it("is traced from where a hook of a state switches dbg on", function()
+    local trace = {}
+    local fsm = second(flat {
+      m = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      [2] = trans { src = "a", tgt = "m", events = { "e_b" } },
+    })
+    rfsm.entry_hook_add(fsm, fsm.m, function()
+      fsm.dbg = function(id, what)
+        if id:find("STATE", 1, true) then trace[#trace + 1] = id .. " " .. what end
+      end
+    end)
+    rfsm.send_events(fsm, "e_b")
+    rfsm.step(fsm)
+    assert.same({ "STATE_ENTER root.m", "STATE_ENTER root.m.x" }, trace)
+  end)
+
   it("keeps the user's data whatever its name is", function()
     local fsm = second(flat {
       a = state { _def = 1, _fsm = 2, _leaf = 3, _choices = { 4 }, _mine = 5 },
