@@ -1458,6 +1458,7 @@ do
       error("pn: number expected, " .. got(value), 3)
     end
     change(tr, key, value)
+    tr._def.pn = value
   end
 
   function SET.tgt(tr, key, value)

@@ -719,6 +719,32 @@ describe("a machine that shares a plan", function()
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
 
+  it("leaves others their events when preproc changes its own", function()
+    local model = flat()
+    local one = second(model)
+    local function rename(fsm) fsm[2].events[1] = "e_other" end
+    table.insert(rfsm.preproc, rename)
+    local other = rfsm.init(model)
+    table.remove(rfsm.preproc)
+    rfsm.run(other)
+    for _, fsm in ipairs { one, other } do helper.post_and_run(fsm, "e_b") end
+    assert.equal("root.b", rfsm.get_actleaf_fqn(one))
+    assert.equal("root.a", rfsm.get_actleaf_fqn(other))
+    helper.post_and_run(other, "e_other")
+    assert.equal("root.b", rfsm.get_actleaf_fqn(other))
+  end)
+
+  it("has no priority after it was taken away", function()
+    local fsm = second(flat { [2] = trans {
+      src = "a", tgt = "b", events = { "e_b" }, pn = 2,
+    } })
+    fsm[2].pn = nil
+    local checked = {}
+    fsm.dbg = function(id, what) if id == "CHECKING" then checked[1] = what end end
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "T={ src='root.a', tgt='root.b', events='e_b' }" }, checked)
+  end)
+
   it("counts a transition without events that preproc made one", function()
     local function open(fsm) fsm[2].events = nil end
     table.insert(rfsm.preproc, open)
