@@ -176,8 +176,7 @@ end
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
 local is_trans, is_conn = rfsm.is_trans, rfsm.is_conn
 
--- Where the members of a state are listed: one of a machine has its own for those that
--- were asked for.
+-- Where the members of a state are listed: for one of a machine in its definition.
 local function members_of(state) return is_live(state) and state._def or state end
 
 -- Any order will do: one node decides.
@@ -1261,11 +1260,12 @@ do
   function STATE._otrs(fsm, def)
     if fsm._plan.is_stale and machines[fsm] then compile(fsm._plan) end
     if not def._otrs or not machines[fsm] then return nil end
-    local lists = fsm._otrs_of or setmetatable({}, { __mode = "k" })
-    local otrs = lists[def._otrs] or {}
+    fsm._otrs_of = fsm._otrs_of or setmetatable({}, { __mode = "k" })
+    local otrs = fsm._otrs_of[def._otrs]
+    if otrs then return otrs end
+    otrs = {}
     for i = 1, #def._otrs do otrs[i] = live_of(fsm, def._otrs[i]) end
-    lists[def._otrs] = otrs
-    fsm._otrs_of = lists
+    fsm._otrs_of[def._otrs] = otrs
     return otrs
   end
 
@@ -2501,7 +2501,6 @@ end
 local function enter_machine(fsm, events)
   local root = fsm._def
   if root._is_leaf then
-    make_ready(root)
     enter_root(fsm)
     return true
   end
@@ -2787,7 +2786,6 @@ end
 
 local function reset_now(fsm)
   fsm._leaf, fsm._open, fsm._is_done, fsm._doo = false, false, false, false
-  if fsm._at then fsm._at = true end
   fsm._reset_wanted, fsm._intq = false, { "e_init_fsm" }
   run_hooks(fsm, fsm._reset_hooks, nil, nil)
 end
