@@ -1,27 +1,26 @@
 --- Statecharts in pure Lua: load, check, compile and run a model.
 --
 -- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
--- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its place, and makes
+-- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and makes
 -- an independent machine of it; `rfsm.step` and `rfsm.run` advance the machine, and
 -- `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
--- resolve, compile, machine, run, public functions. "F" is a fully qualified name
--- ("root.a.b"), an "iteration" one turn of the loop inside `step`.
+-- resolve, compile, machine, run, public functions, merge. An FQN is a fully qualified
+-- name ("root.a.b"); an iteration is one turn of the loop inside `step`.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
 
 local error, getmetatable, ipairs, loadfile = error, getmetatable, ipairs, loadfile
-local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
-local require, select, setmetatable, tostring = require, select, setmetatable, tostring
-local type = type
-local floor, huge, min = math.floor, math.huge, math.min
-local find = string.find
+local next, pairs, pcall, rawequal, rawget = next, pairs, pcall, rawequal, rawget
+local rawset, require, select, setmetatable = rawset, require, select, setmetatable
+local tostring, type = tostring, type
+local huge = math.huge
 local concat, sort = table.concat, table.sort
 local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
+local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 
@@ -36,13 +35,9 @@ local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 ---@field entry? fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
 ---@field exit? fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
 ---@field doo? fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
-local State = {
-  -- what one in a plan is until it is entered, searched, given data
-  _is_leaf = true, _data = false, _meta = false, _done_event = false,
-  _entry_hooks = false, _exit_hooks = false, _sources = false, _by_event = false,
-  _by_any = false,
-}
-State.__index = State
+---@field final? boolean a leaf that is meant to be the end
+---@field [string|integer] any
+local State = { rfsm = "state" }
 
 --- An edge from one state or connector to another.
 ---@class rfsm.Transition
@@ -52,13 +47,12 @@ State.__index = State
 ---@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
 ---@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, list: any[])
 ---@field pn? number priority among the transitions of a node, larger first (0)
-local Transition = { _data = false, _meta = false }
-Transition.__index = Transition
+---@field _fsm rfsm.Machine the machine, after init
+local Transition = { rfsm = "transition" }
 
 --- A point where transitions meet; never active.
 ---@class rfsm.Connector
-local Connector = { _data = false, _meta = false, _by_event = false, _by_any = false }
-Connector.__index = Connector
+local Connector = { rfsm = "connector" }
 
 --- A model made ready to run by `rfsm.init`; the root state of its own tree.
 ---@class rfsm.Machine : rfsm.State
@@ -73,48 +67,65 @@ Connector.__index = Connector
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration
 ---@field _curq any[] events of the running iteration
-local Machine = {}
+local Machine = { rfsm = "state" }
 
--- The other elements of a machine; all four are defined in the section Machine.
-local LiveState, LiveTransition, LiveConnector = {}, {}, {}
+local KINDS = { state = "state", transition = "transition", connector = "connector" }
 
-local KIND = {
-  [State] = "state", [Machine] = "state", [LiveState] = "state",
-  [Transition] = "transition", [LiveTransition] = "transition",
-  [Connector] = "connector", [LiveConnector] = "connector",
-}
-
-local LIVE = {
-  [Machine] = true, [LiveState] = true, [LiveTransition] = true,
-  [LiveConnector] = true,
-}
-
-local function kind_of(value) return KIND[getmetatable(value)] end
-
--- Is `value` a machine or part of one?
-local function is_live(value) return LIVE[getmetatable(value)] == true end
-
--- Is it a state of that machine?
-local function is_state_of(fsm, value)
-  return is_live(value) and KIND[getmetatable(value)] == "state" and value._fsm == fsm
+-- Returns the kind of a model element, nil for anything else. A table of somebody
+-- else's counts if its metatable has a true `rfsm` and its method `type` names a kind.
+local function kind_of(value)
+  local class = getmetatable(value)
+  local mark = type(class) == "table" and rawget(class, "rfsm")
+  if not mark then return nil end
+  if KINDS[mark] then return mark end
+  local ok, kind = pcall(function() return KINDS[value:type()] end)
+  return ok and kind or nil
 end
 
--- Gives `class` its constructor, callable as X{...}, X:new{...} and instance:new{...}.
+-- Where the tables of a model were made: table -> "file:line".
+local made_at = setmetatable({}, { __mode = "k" })
+
+local this_file = getinfo and getinfo(1, "S").short_src
+local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
+
+-- Notes the line that called a constructor, `level` functions up. A tail call has left
+-- no line; then the level is another's.
+local function note_caller(t, level)
+  if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
+  local caller = getinfo(level + 1, "Sl")
+  if not caller or caller.currentline < 1 or caller.short_src == this_file then return end
+  made_at[t] = caller.short_src .. ":" .. caller.currentline
+end
+
+-- A metatable for elements that inherit from `base`, a state or transition.
+local function heir_class(base)
+  local class = getmetatable(base)
+  return {
+    rfsm = class.rfsm, type = class.type, new = class.new, __index = base,
+    __tostring = class.__tostring,
+  }
+end
+
+-- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from base.
 local function define(class, name)
-  local function mark(t, level)
+  local function mark(base, t, level)
     if type(t) ~= "table" then
       error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
     end
-    return is_live(t) and t or setmetatable(t, class)
+    if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
+    note_caller(t, level + 1)
+    return setmetatable(t, base == class and class or heir_class(base))
   end
-  function class.new(_, t) return (mark(t, 2)) end
-  function class.type() return KIND[class] end
-  return setmetatable(class, { __call = function(_, t) return (mark(t, 2)) end })
+  class.__index = class
+  function class.new(base, t) return (mark(base, t, 2)) end
+  function class.type() return class.rfsm end
+  return setmetatable(class, { __call = function(_, t) return (mark(class, t, 2)) end })
 end
 
 --- Mark a table as a state.
 --
 -- `sista`, `csta`, `simple_state` and `composite_state` are the same function.
+-- `base:new{...}` makes a state that inherits callbacks and data from the state `base`.
 --
 -- @usage
 --    local on = rfsm.state { entry = function() lamp(true) end }
@@ -143,22 +154,22 @@ rfsm.connector = rfsm.conn
 --- Is `key` one of the engine's own (a leading underscore)?
 ---@param key any
 ---@return boolean
-function rfsm.is_meta(key) return type(key) == "string" and key:sub(1, 1) == "_" end
+function rfsm.is_meta(key) return type(key) == "string" and key:byte() == 95 end
 
 --- Is `value` a state?
 ---@param value any
 ---@return boolean
-function rfsm.is_state(value) return KIND[getmetatable(value)] == "state" end
+function rfsm.is_state(value) return kind_of(value) == "state" end
 
 --- Is `value` a transition?
 ---@param value any
 ---@return boolean
-function rfsm.is_trans(value) return KIND[getmetatable(value)] == "transition" end
+function rfsm.is_trans(value) return kind_of(value) == "transition" end
 
 --- Is `value` a connector?
 ---@param value any
 ---@return boolean
-function rfsm.is_conn(value) return KIND[getmetatable(value)] == "connector" end
+function rfsm.is_conn(value) return kind_of(value) == "connector" end
 
 --- Is `value` a state, a transition or a connector?
 ---@param value any
@@ -169,20 +180,16 @@ function rfsm.is_fsmobj(value) return kind_of(value) ~= nil end
 ---@param value any
 ---@return boolean
 function rfsm.is_node(value)
-  local kind = KIND[getmetatable(value)]
+  local kind = kind_of(value)
   return kind == "state" or kind == "connector"
 end
 
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
 local is_trans, is_conn = rfsm.is_trans, rfsm.is_conn
 
--- Where the members of a state are listed: for one of a machine in its definition.
-local function members_of(state) return is_live(state) and state._def or state end
-
--- Any order will do: one node decides.
 local function has_nodes(state)
-  for key, value in pairs(members_of(state)) do
-    if is_node(value) and not is_meta(key) then return true end
+  for key, value in pairs(state) do -- any order: one node decides
+    if not is_meta(key) and is_node(value) then return true end
   end
   return false
 end
@@ -200,9 +207,7 @@ function rfsm.is_leaf(value) return is_state(value) and not has_nodes(value) end
 --- Is `value` the root of a machine?
 ---@param value any
 ---@return boolean
-function rfsm.is_root(value)
-  return getmetatable(value) == Machine
-end
+function rfsm.is_root(value) return getmetatable(value) == Machine end
 
 --- Is `value` a machine, the result of `rfsm.init`?
 ---@param value any
@@ -216,20 +221,34 @@ end
 ---@return boolean
 function rfsm.is_nr_node(value) return is_node(value) and not rfsm.is_root(value) end
 
---- Tell the kind of a model element in one or two letters.
+--- Return the kind of a model element in one or two letters.
 ---@param value any
 ---@return "CS"|"LS"|"TR"|"c"|nil letters composite, leaf, transition, connector
 function rfsm.fsmobj_tochar(value)
-  if is_state(value) then return has_nodes(value) and "CS" or "LS" end
-  return is_trans(value) and "TR" or is_conn(value) and "c" or nil
+  local kind = kind_of(value)
+  if kind == "state" then return has_nodes(value) and "CS" or "LS" end
+  return kind == "transition" and "TR" or kind == "connector" and "c" or nil
 end
 
--- Returns `value` as text: numbers alike on every Lua, and no error for any value.
-local function text_of(value)
+--- Can `value` be called?
+---@param value any
+---@return boolean
+function rfsm.is_callable(value)
+  if type(value) == "function" then return true end
+  local class = getmetatable(value)
+  return type(class) == "table" and rawget(class, "__call") ~= nil
+end
+
+--- Return any value as text: numbers alike on every Lua, and no error for any value.
+---@param value any
+---@return string
+function rfsm.text_of(value)
   if type(value) == "number" then return ("%.14g"):format(value) end
   local ok, text = pcall(tostring, value)
   return ok and type(text) == "string" and text or type(value)
 end
+
+local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
 local function list_text(values)
   local texts = {}
@@ -238,28 +257,18 @@ local function list_text(values)
 end
 
 local function end_text(node)
-  if is_node(node) then return node._fqn or kind_of(node) end
-  return text_of(node)
+  return is_node(node) and (node._fqn or kind_of(node)) or text_of(node)
 end
 
--- T={ src='a', tgt='b', pn=3, events='x, y' }, with F after init.
+-- T={ src='a', tgt='b', pn=3, events='x, y' }, with FQNs after init.
 function Transition.__tostring(tr)
-  local parts = {
-    "src='" .. end_text(tr.src) .. "'", "tgt='" .. end_text(tr.tgt) .. "'",
-  }
-  local pn, events = tr.pn, tr.events
-  if pn ~= nil then parts[#parts + 1] = "pn=" .. text_of(pn) end
-  if type(events) == "string" then events = { events } end
+  local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
+  local events = type(tr.events) == "string" and { tr.events } or tr.events
+  if tr.pn then text = text .. ", pn=" .. text_of(tr.pn) end
   if type(events) == "table" and events[1] ~= nil then
-    parts[#parts + 1] = "events='" .. list_text(events) .. "'"
+    text = text .. ", events='" .. list_text(events) .. "'"
   end
-  return "T={ " .. concat(parts, ", ") .. " }"
-end
-
-local function reversed(list)
-  local n, other = #list, {}
-  for i = 1, n do other[i] = list[n + 1 - i] end
-  return other
+  return text .. " }"
 end
 
 -- Numbers before strings, each ascending: array part first, then names sorted.
@@ -271,38 +280,36 @@ end
 
 -- Returns the keys under which `t` holds what `pred` accepts, in `key_before` order.
 local function sorted_keys(t, pred)
-  local keys, n = {}, 0
+  local keys = {}
   for key, value in pairs(t) do
     local key_type = type(key)
     if (key_type == "number" or key_type == "string") and not is_meta(key)
       and pred(value) then
-      n = n + 1
-      keys[n] = key
+      keys[#keys + 1] = key
     end
   end
   sort(keys, key_before)
-  return keys, n
-end
-
-local function copy_list(list)
-  local copy = {}
-  for i = 1, #list do copy[i] = list[i] end
-  return copy
-end
-
-local function is_same_list(list, other)
-  if not other or #list ~= #other then return false end
-  for i = 1, #list do
-    if list[i] ~= other[i] then return false end
-  end
-  return true
+  return keys
 end
 
 local function append(list, more)
   for i = 1, #more do list[#list + 1] = more[i] end
+  return list
 end
 
 -- Load ------------------------------------------------------------------------
+
+-- Runs a chunk of a chart and returns its state.
+local function run_chunk(chunk, file, where)
+  local model = chunk(file)
+  if is_state(model) then
+    made_at[model] = made_at[model] or file and file .. ":1"
+    return model
+  end
+  local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
+    or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
+  error(where .. " found." .. hint, 0)
+end
 
 --- Load a model from a file that returns it.
 --
@@ -320,11 +327,7 @@ function rfsm.load(file)
   end
   local chunk, problem = loadfile(file)
   if not chunk then error("rfsm.load: " .. problem, 0) end
-  local model = chunk(file)
-  if not is_state(model) then
-    error("rfsm.load: no valid rfsm in file '" .. file .. "' found.", 0)
-  end
-  return model
+  return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
 end
 
 --- Load a model from a text that returns it.
@@ -339,36 +342,77 @@ function rfsm.load_str(text, chunkname)
   end
   local chunk, problem = loadstring(text, chunkname)
   if not chunk then error("rfsm.load_str: failed to load chunk: " .. problem, 0) end
-  local model = chunk()
-  if not is_state(model) then
-    local name = chunkname or "string"
-    error("rfsm.load_str: no valid rfsm in '" .. name .. "' found.", 0)
-  end
-  return model
+  return run_chunk(chunk, nil, "rfsm.load_str: no valid rfsm in '"
+    .. (chunkname or "string") .. "'")
 end
 
--- Check: every mistake in the model, each with its place ----------------------
+-- Check: every mistake in the model, each with its location --------------------
 --
 -- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
--- never raises. They come in the order of the walk; `init` sorts them by place.
+-- never raises. They come in the order of the walk; `init` sorts them by location.
 
---- What one `init` or `fsm_merge` works on.
+--- What one `init` or `fsm_merge` works on. A plan is what machines of a model share.
 ---@class rfsm.Build
----@field root rfsm.State the root of the plan
----@field problems { place: string, text: string }[]
----@field warnings { place: string, text: string }[]
----@field created rfsm.Connector[] `initial` connectors that nobody declared
----@field transitions rfsm.Transition[] those of the plan, the new ones at the end
----@field completions table<rfsm.Transition, true> the new ones with `e_done`
----@field nodes (rfsm.State|rfsm.Connector)[] those of the plan, parents before children
----@field sources table what nodes and transitions were made of, see `is_current`
----@field with_tables table[] the new ones with plain tables of the user
----@field mounts table model node -> its last clone
----@field earlier table clone -> the one before it of the same model node
+---@field plan rfsm.Plan what is being built
+---@field problems { at: string, file?: string, text: string }[]
+---@field warnings { at: string, file?: string, text: string }[]
+---@field created rfsm.Def[] `initial` connectors that nobody declared
+---@field mounts table<table, rfsm.Def[]> model node -> its clones
 
-local function add(list, place, text, ...)
+--- The definition of a node or transition: what is known of it before anything runs.
+--
+-- The machines of a model share it. In a machine the element's own table holds what is
+-- the machine's own, and inherits the rest from `proto`.
+--
+---@class rfsm.Def
+---@field kind "state"|"transition"|"connector"
+---@field index integer its position among the nodes or transitions of the plan
+---@field id string|integer
+---@field parent rfsm.Def the composite in which it stands; the root is its own
+---@field model table what it was made of
+---@field data any[] the user's data: key, value, key, value ...
+---@field proto table metatable of the elements, and what they inherit
+---@field fqn string of a node
+---@field is_leaf boolean of a state
+---@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
+---@field src rfsm.Def of a transition, as `tgt`, `events`, `pn`
+
+-- Returns a module that may be missing, nil then.
+local function find_module(name)
+  if not require then return nil end
+  local ok, module = pcall(require, name)
+  if ok then return module end
+  if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
+    error(module, 0)
+  end
+end
+
+-- Returns what rfsm/advice.lua has to say on a topic, nothing where it is missing.
+local is_advised = true
+
+local function advise(topic, ...)
+  local advice = find_module("rfsm.advice")
+  is_advised = advice ~= nil and is_advised
+  return advice and advice[topic](...) or ""
+end
+
+-- Where an element stands in the model: an FQN, or root.trans[2] (a -> b), with `field`.
+local function place_of(def, field)
+  local suffix = field and "." .. field or ""
+  if def.kind ~= "transition" then return def.fqn .. suffix end
+  local key, model, arrow = def.id, def.model, ""
+  if type(model.src) == "string" and type(model.tgt) == "string" then
+    arrow = (" (%s -> %s)"):format(model.src, model.tgt)
+  end
+  if type(key) == "number" then
+    return ("%s.trans[%s]%s%s"):format(def.parent.fqn, text_of(key), suffix, arrow)
+  end
+  return def.parent.fqn .. "." .. text_of(key) .. suffix .. arrow
+end
+
+local function add(list, def, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
-  list[#list + 1] = { place = place, text = text }
+  list[#list + 1] = { at = place_of(def, field), file = made_at[def.model], text = text }
 end
 
 -- Describes a value that is not what was expected.
@@ -379,1153 +423,668 @@ local function got(value)
   return "got " .. kind
 end
 
-local function is_callable(value)
-  if type(value) == "function" then return true end
-  local class = getmetatable(value)
-  return type(class) == "table" and rawget(class, "__call") ~= nil
-end
-
-local suggestion, misspelt_field
-
-do
-  -- How many letters to insert, drop or replace to make `b` of `a`.
-  local function edit_distance(a, b)
-    local row = {}
-    for j = 0, #b do row[j] = j end
-    for i = 1, #a do
-      local diagonal = row[0]
-      row[0] = i
-      for j = 1, #b do
-        local cost = a:byte(i) == b:byte(j) and diagonal or diagonal + 1
-        diagonal = row[j]
-        row[j] = min(cost, diagonal + 1, row[j - 1] + 1)
-      end
-    end
-    return row[#b]
-  end
-
-  -- What other libraries call the fields.
-  local ALIAS = {
-    enter = "entry", on_entry = "entry", onentry = "entry", on_enter = "entry",
-    on_exit = "exit", onexit = "exit", leave = "exit", ["do"] = "doo", during = "doo",
-    activity = "doo", condition = "guard", cond = "guard", action = "effect",
-    from = "src", source = "src", to = "tgt", target = "tgt", priority = "pn",
-  }
-
-  -- Are the two the same but for their case, one letter too many or too few, or two in
-  -- reverse? One in place of another makes too many words of their own: exit, edit.
-  local function is_near(a, b)
-    a, b = a:lower(), b:lower()
-    if #a ~= #b then return edit_distance(a, b) == 1 end
-    for i = 1, #a - 1 do
-      local first, second = a:sub(i, i), a:sub(i + 1, i + 1)
-      if a:sub(1, i - 1) .. second .. first .. a:sub(i + 2) == b then return true end
-    end
-    return a == b
-  end
-
-  -- Returns which of `fields` somebody may have meant who wrote `key`.
-  function misspelt_field(key, fields)
-    for i = 1, #fields do
-      if ALIAS[key] == fields[i] or is_near(key, fields[i]) then return fields[i] end
-    end
-  end
-
-  -- Returns the nearest of `names`; nil when none is near.
-  local function find_nearest(name, names)
-    local nearest, least = nil, min(#name, floor(#name / 3) + 2)
-    for i = 1, #names do
-      local candidate = names[i]
-      if type(candidate) == "string" then
-        local distance = edit_distance(name:lower(), candidate:lower())
-        if distance < least then nearest, least = candidate, distance end
-      end
-    end
-    return nearest
-  end
-
-  -- What to say after an unknown name: the nearest right one, or all if they are few.
-  -- `initial` is right where it does not exist yet.
-  function suggestion(name, names)
-    local nearest = find_nearest(name, names) or find_nearest(name, { "initial" })
-    if nearest then return " (did you mean '" .. nearest .. "'?)" end
-    if #names == 0 or #names > 6 then return "" end
-    local verb = #names == 1 and "is" or "are"
-    return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
-  end
-end
-
--- The F of a node; of a transition where it stands: F.trans[2], or F.key if it has a
--- name.
-local function place_of(owner)
-  if is_node(owner) then return owner._fqn end
-  local key = owner._id
-  if type(key) == "number" then
-    return owner._parent._fqn .. ".trans[" .. text_of(key) .. "]"
-  end
-  return owner._parent._fqn .. "." .. key
-end
-
--- `model` is what `owner` is made of; one of an instance has false for what is absent.
-local function check_callable(build, owner, model, field)
-  local value = rawget(model, field)
-  if value == nil or type(value) == "function" then return end
-  if value == false and rawget(model, "_parent") then return end
-  if not is_callable(value) and not is_node(value) then
-    add(build.problems, place_of(owner) .. "." .. field, "function expected, "
-      .. got(value))
-  end
-end
-
-local RESERVED = { entry = "state", exit = "state", doo = "state" }
-local ROOT_FIELDS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
+local CALLBACKS = {
+  state = { entry = true, exit = true, doo = true }, connector = {},
+  transition = { guard = true, effect = true },
+}
+local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
-for i = 1, 4 do RESERVED[ROOT_FIELDS[i]], RESERVED[PRINTERS[i]] = "root", "root" end
+local ROOT_FIELDS = {}
+for i = 1, 4 do ROOT_FIELDS[HOOKS[i]], ROOT_FIELDS[PRINTERS[i]] = true, true end
 
--- A name like most, about which there is no more to say.
-local function is_usual_name(key)
-  return type(key) == "string" and find(key, "^[^_.\\][^.\\]*$") ~= nil
-    and not RESERVED[key] and key ~= "initial"
+-- The engine's own fields that anybody may read: never taken for the user's data.
+local API_FIELDS = {}
+for name in ("_act_leaf _actchild _curq _doo_co _fqn _fsm _id _initialized _intq _mode "
+  .. "_otrs _parent"):gmatch("%S+") do
+  API_FIELDS[name] = true
+end
+
+local function check_callable(build, def, field, value)
+  if value and not is_callable(value) then
+    add(build.problems, def, field, "function expected, " .. got(value))
+  end
 end
 
 -- A node needs a name that a reference can spell and that is no field of its parent.
-local function check_name(build, parent, key, kind)
-  local place = parent._fqn
-  if type(key) ~= "string" then
-    return add(build.problems, place .. ".trans[" .. text_of(key) .. "]",
-      "a %s needs a name (name = ...)", kind)
-  end
-  if key == "" or key:find("[.\\]") or is_meta(key) then
-    add(build.problems, place .. "." .. key,
-      "the name of a %s must not be empty, contain '.' or '\\' or start with '_'", kind)
-  end
-  local owner = RESERVED[key]
-  if owner == "state" or owner == "root" and parent == build.root then
-    add(build.problems, place .. "." .. key,
-      "a %s cannot have this name, it is a field of every %s", kind, owner)
-  end
-  if key == "initial" and kind ~= "connector" then
-    add(build.problems, place .. ".initial", "connector expected, got %s", kind)
+local function check_name(build, def)
+  local name, parent = def.id, def.parent
+  if type(name) ~= "string" then
+    add(build.problems, def, nil, "a %s needs a name (name = ...)", def.kind)
+  elseif name == "" or name:find("[.\\]") or is_meta(name) then
+    add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' or "
+      .. "'\\' or start with '_'", def.kind)
+  elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
+    add(build.problems, def, nil, "a %s cannot have this name, it is a field of every %s",
+      def.kind, CALLBACKS.state[name] and "state" or "root")
+  elseif name == "initial" and def.kind ~= "connector" then
+    add(build.problems, def, nil, "connector expected, got %s", def.kind)
   end
 end
 
 -- Returns the events of a transition as a list of its own: a list of anything but NaN
--- without holes, or one string.
-local function clone_events(build, tr, events)
-  if events == nil then return nil end
+-- without holes, or one string. False when there are none.
+local function check_events(build, def, events)
+  if not events then return false end
   if type(events) == "string" then events = { events } end
   if type(events) ~= "table" or getmetatable(events) ~= nil then
-    return add(build.problems, place_of(tr) .. ".events",
-      "list of events or a string expected, " .. got(events))
+    add(build.problems, def, "events", "list of events or a string expected, "
+      .. got(events))
+    return false
   end
-  local list, count = { events[1] }, 0
+  local list, count = {}, 0
   for _ in pairs(events) do count = count + 1 end -- any order: only counted
   for i = 1, count do
     local event = events[i]
     if event == nil then
-      return add(build.problems, place_of(tr) .. ".events",
-        "list of events expected, got a table with holes or keys")
+      add(build.problems, def, "events", "list of events expected, got a table with "
+        .. "holes or keys")
+      return false
     elseif event ~= event then
-      add(build.problems, place_of(tr) .. ".events[" .. i .. "]",
-        "an event cannot be NaN")
-    elseif event == "e_done" then
-      build.completions[tr] = true
+      add(build.problems, def, "events[" .. i .. "]", "an event cannot be NaN")
     end
     list[i] = event
   end
-  return list
-end
-
-local function check_pn(build, tr, pn)
-  if type(pn) ~= "number" or pn ~= pn then
-    add(build.problems, place_of(tr) .. ".pn", "number expected, " .. got(pn))
-  end
-end
-
-local PROGRAM_FIELDS = {
-  state = { "entry", "exit", "doo" }, transition = { "guard", "effect" },
-}
-
--- Warns of a field that looks like one of the library's in other words.
-local function warn_of_field(build, owner, model, key, value)
-  local kind = kind_of(owner)
-  local meant = is_callable(value) and PROGRAM_FIELDS[kind]
-    and misspelt_field(key, PROGRAM_FIELDS[kind])
-  if kind == "transition" and key == "event" then meant = "events" end
-  if meant and rawget(model, meant) == nil then
-    add(build.warnings, place_of(owner), "a %s has no field '%s' (did you mean '%s'?)",
-      kind, key, meant)
-  end
+  return count > 0 and list
 end
 
 -- Warns of a plain table that looks like a state or transition somebody forgot to mark.
-local function check_plain_table(build, place, t)
-  if rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil then
-    add(build.warnings, place, "a plain table with 'src' and 'tgt' is ignored (did you "
-      .. "mean rfsm.trans{...}?)")
-    return
-  end
+local function check_plain_table(build, def, key, t)
+  local form = rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil and "trans"
   for _, value in pairs(t) do -- any order: one element decides
-    if is_node(value) or is_trans(value) then
-      add(build.warnings, place, "a plain table that contains a %s is ignored (did you "
-        .. "mean rfsm.state{...}?)", kind_of(value))
-      return
-    end
+    if not form and (is_node(value) or is_trans(value)) then form = "state" end
+  end
+  if not form then return end
+  add(build.warnings, def, text_of(key), "a plain table that %s is ignored (did you mean "
+    .. "rfsm.%s{...}?)", form == "trans" and "has 'src' and 'tgt'"
+    or "contains states or transitions", form)
+end
+
+-- Warns of a field that looks like one of the library's in other words.
+local function check_unknown_field(build, def, key, value)
+  if type(key) ~= "string" or is_meta(key) then return end
+  if def.kind ~= "transition" and not is_callable(value) then return end
+  local meant = def.kind == "transition" and key == "event" and "events"
+    or advise("field_meant", def.kind, key)
+  if meant ~= "" and def.model[meant] == nil then
+    add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)", def.kind,
+      key, meant)
   end
 end
 
-local function check_composite(build, composite)
-  if rawget(composite, "doo") then
-    add(build.problems, composite._fqn .. ".doo", "only a leaf state can have a doo")
-  end
-end
-
-local function check_root(build, root, model)
+local function check_root(build, root)
+  local model = root.model
   for i = 1, 4 do
-    check_callable(build, root, model, ROOT_FIELDS[i])
-    local name, printer = PRINTERS[i], model[PRINTERS[i]]
-    if printer ~= nil and type(printer) ~= "boolean" and not is_callable(printer) then
-      add(build.problems, "root." .. name, "function, true or false expected, "
+    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
+    local printer = model[PRINTERS[i]]
+    if printer and printer ~= true and not is_callable(printer) then
+      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
         .. got(printer))
     end
   end
-  if not root._is_leaf and rawget(root, "initial") == nil then
-    add(build.problems, "root", "the root needs an initial transition "
+  if not root.is_leaf and not root.members.initial then
+    add(build.problems, root, nil, "the root needs an initial transition "
       .. "(rfsm.trans{ src='initial', tgt=... })")
   end
 end
 
--- Clone: the definitions of a plan, one for each position of a node ------------
---
--- Functions, events and the user's data are those of the model; a machine gets copies
--- of plain tables when it is made.
+-- Clone: a definition for each position of a node -------------------------------
 
-local add_node, clone_below, clone_node, clone_transition, model_of
+-- Returns the model behind a machine or a part of one; anything else is its own model.
+local function model_of(value)
+  local class = getmetatable(value)
+  if class == Machine then return value._plan.model end
+  local def = type(class) == "table" and rawget(class, "%def")
+  return def and def.model or value
+end
+
+local clone_below, new_node, new_transition
 
 do
-  -- Remembers what a node was made of, so that the model can stand for it in src, tgt.
-  function add_node(build, model, node)
-    local n = #build.nodes + 1
-    node._index = n
-    build.nodes[n], build.sources.nodes[n] = node, model
-    local earlier = build.mounts[model]
-    if earlier then build.earlier[node] = earlier end
-    build.mounts[model] = node
-  end
-
-  -- The model behind `value`: a machine stands for what it was made of, a part of one
-  -- for its definition.
-  function model_of(value)
-    if not is_live(value) then return value end
-    return getmetatable(value) == Machine and value._model or value._def
-  end
-
-  -- The user's data under `key` goes to each machine; a plain table is copied at once.
-  local function add_datum(build, def, key, value)
-    local data = def._data
-    if data then data[#data + 1] = key else def._data = { key } end
-    if is_meta(key) then -- apart from what the engine keeps there
-      def._meta = def._meta or {}
-      def._meta[key] = value
-    else
-      def[key] = value
+  -- Returns the fields of a model element; those of an heir with what it inherits, which
+  -- is callbacks and data, no nodes and transitions.
+  local function fields_of(model)
+    local class = getmetatable(model)
+    local base = class.__index
+    if KINDS[class.rfsm] and base == class or not kind_of(base) then return model end
+    local fields = {}
+    for key, value in pairs(fields_of(base)) do -- any order: each stands alone
+      if not kind_of(value) then fields[key] = value end
     end
-    if type(value) == "table" and getmetatable(value) == nil then
-      build.with_tables[#build.with_tables + 1] = def
-    end
+    for key, value in pairs(model) do fields[key] = value end -- any order: as above
+    return fields
   end
 
-  -- The fields of the engine, in whatever a machine consists of.
-  local ENGINE = {}
-  for name in ("_act_leaf _actchild _curq _def _doo_co _fqn _fsm _id _initialized "
-    .. "_intq _mode _otrs _parent"):gmatch("%S+") do
-    ENGINE[name] = true
+  local function new_def(list, kind, model, parent, key)
+    local def = {
+      kind = kind, index = #list + 1, id = key, parent = parent, model = model,
+      data = {}, proto = false,
+    }
+    list[def.index] = def
+    return def
   end
 
-  -- Is `key` of `model` a mark of the engine? All are, in a definition.
-  local function is_mark(model, key)
-    return is_meta(key) and (ENGINE[key] or rawget(model, "_index") ~= nil)
+  -- Makes the bare node; `clone_below` fills it in when its turn comes.
+  function new_node(build, kind, model, parent, key)
+    local def = new_def(build.plan.nodes, kind, model_of(model), parent or false, key)
+    def.fqn = parent and parent.fqn .. "." .. text_of(key) or key
+    def.depth = parent and parent.depth + 1 or 0
+    def.parent = parent or def
+    def.is_leaf, def.otrs, def.members = kind == "state", {}, {}
+    local mounts = build.mounts[def.model] or {}
+    mounts[#mounts + 1], build.mounts[def.model] = def, mounts
+    if parent then
+      parent.members[key], parent.is_leaf = def, false
+      check_name(build, def)
+    end
+    return def
   end
 
-  -- Takes over a field of a transition other than src, tgt and events.
-  local function clone_field(build, tr, model, key, value)
-    if key == "guard" or key == "effect" then
-      tr[key] = value
-      check_callable(build, tr, model, key)
-    elseif key == "pn" then
-      tr.pn = value
-      check_pn(build, tr, value)
-    elseif not is_mark(model, key) then
-      add_datum(build, tr, key, value)
-      if type(key) == "string" then warn_of_field(build, tr, model, key, value) end
-    end
-  end
-
-  function clone_transition(build, model, parent, key)
-    model = model_of(model)
-    local n, src, tgt, tr = #build.transitions + 1, model.src, model.tgt
-    if model.events == nil then
-      tr = { _id = key, _parent = parent, _index = n, src = src, tgt = tgt }
-    else -- all at once, so that the table need not grow
-      tr = {
-        _id = key, _parent = parent, _index = n, src = src, tgt = tgt, events = false,
-      }
-    end
-    setmetatable(tr, Transition)
-    if type(key) ~= "number" and type(key) ~= "string" then
-      tr._id = text_of(key)
-      add(build.problems, place_of(tr),
-        "the key of a transition is a position or a name")
-    elseif is_meta(key) or RESERVED[key] == "state" then
-      add(build.problems, place_of(tr), RESERVED[key]
-        and "a transition cannot have this name, it is a field of every state"
-        or "the name of a transition must not start with '_'")
-    end
-    tr.events = clone_events(build, tr, model.events)
-    local count = 0
-    for k, v in pairs(model) do -- any order: each field stands alone
-      count = count + 1
-      if k ~= "src" and k ~= "tgt" and k ~= "events" then
-        clone_field(build, tr, model, k, v)
-      end
-    end
-    build.transitions[n] = tr
-    local sources = build.sources
-    sources.transitions[n], sources.fields[n] = model, count
-    sources.src[n], sources.tgt[n] = src, tgt
-    return tr
-  end
-
-  -- True when `model` is already open above `parent`: the walk would never end.
-  local function is_mounted_above(build, model, parent)
-    local mount = build.mounts[model]
-    while mount do
-      local state = parent
-      while state ~= mount and state._parent ~= state do state = state._parent end
-      if state == mount then return true end
-      mount = build.earlier[mount]
+  -- True when the model of `def` is already open above it: the walk would never end.
+  local function is_inside_itself(def)
+    local above = def
+    while above.parent ~= above do
+      above = above.parent
+      if above.model == def.model then return true end
     end
     return false
   end
 
-  -- Makes the bare node; `clone_members` fills in its members when its turn comes.
-  function clone_node(build, kind, value, parent, key)
-    local model, is_usual = model_of(value), is_usual_name(key)
-    local fqn = parent._fqn .. "." .. (is_usual and key or text_of(key))
-    if not is_usual then check_name(build, parent, key, kind) end
-    if is_mounted_above(build, model, parent) then
-      return add(build.problems, fqn, "a state cannot contain itself")
-    end
-    local node = setmetatable({ _id = key, _fqn = fqn, _parent = parent, _index = 0 },
-      kind == "state" and State or Connector)
-    add_node(build, model, node)
-    return node
-  end
-
-  -- Takes over a member that is no element of the model: a program or the user's data.
-  local function clone_datum(build, def, model, key, value)
-    if is_mark(model, key) then return end
-    if RESERVED[key] == "state" and is_state(def) then
+  -- Takes over a field that is no element of the model: a callback or the user's data.
+  local function clone_field(build, def, key, value)
+    local data = def.data
+    if CALLBACKS[def.kind][key] then
+      check_callable(build, def, key, value)
       def[key] = value
-      check_callable(build, def, model, key)
-    else
-      add_datum(build, def, key, value)
-      if type(key) == "string" then warn_of_field(build, def, model, key, value) end
-    end
-    if type(value) == "table" and getmetatable(value) == nil then
-      check_plain_table(build, def._fqn .. "." .. text_of(key), value)
+    elseif not API_FIELDS[key] then
+      data[#data + 1], data[#data + 2] = key, value
+      if def.parent == def and ROOT_FIELDS[key] then return end
+      check_unknown_field(build, def, key, value)
+      if type(value) == "table" and getmetatable(value) == nil then
+        check_plain_table(build, def, key, value)
+      end
     end
   end
 
-  local function clone_connector(build, connector, model)
-    local from_plan, count = rawget(model, "_fqn") ~= nil, 0
-    for key, value in pairs(model) do -- any order: each member stands alone
+  local OWN_FIELDS = { src = true, tgt = true, events = true, pn = true }
+
+  function new_transition(build, model, parent, key)
+    local def = new_def(build.plan.transitions, "transition", model_of(model), parent, key)
+    model = def.model
+    if type(key) ~= "number" and type(key) ~= "string" then
+      add(build.problems, def, nil, "the key of a transition is a position or a name")
+    elseif is_meta(key) then
+      add(build.problems, def, nil, "the name of a transition must not start with '_'")
+    elseif CALLBACKS.state[key] then
+      add(build.problems, def, nil, "a transition cannot have this name, it is a field "
+        .. "of every state")
+    end
+    for field, value in pairs(fields_of(model)) do -- any order: each stands alone
+      if not OWN_FIELDS[field] then clone_field(build, def, field, value) end
+    end
+    def.src, def.tgt, def.pn = model.src, model.tgt, model.pn or nil
+    def.events = check_events(build, def, model.events)
+    if def.pn and (type(def.pn) ~= "number" or def.pn ~= def.pn) then
+      add(build.problems, def, "pn", "number expected, " .. got(def.pn))
+      def.pn = nil
+    end
+    parent.members[key] = def
+    return def
+  end
+
+  local function clone_connector(build, def)
+    for key, value in pairs(fields_of(def.model)) do -- any order: each stands alone
       local kind = kind_of(value)
-      count = count + 1
-      if from_plan and is_meta(key) then kind = nil end
       if kind then
-        add(build.warnings, connector._fqn, "a connector holds no %s, '%s' is ignored",
-          kind, text_of(key))
+        add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
+          text_of(key))
       else
-        clone_datum(build, connector, model, key, value)
+        clone_field(build, def, key, value)
       end
     end
-    build.sources.members[connector._index] = count
   end
 
-  local function clone_members(build, state, model)
-    local from_plan, count = rawget(model, "_fqn") ~= nil, 0
-    local has_transition, is_composite = false, false
-    for key, value in pairs(model) do -- any order: what depends on it is sorted later
-      count = count + 1
-      local value_type = type(value)
-      local kind = value_type == "table" and KIND[getmetatable(value)]
-      if from_plan and is_meta(key) then kind = false end
-      if value_type == "function" and RESERVED[key] == "state" then
-        state[key] = value
+  local function clone_state(build, def)
+    local has_transition = false
+    for key, value in pairs(fields_of(def.model)) do -- any order: what matters is sorted
+      local kind = kind_of(value)
+      if not kind then
+        clone_field(build, def, key, value)
       elseif kind == "transition" then
-        local tr = clone_transition(build, value, state, key)
+        new_transition(build, value, def, key)
         has_transition = true
-        if not is_meta(key) then state[key] = tr end
-      elseif kind then
-        state[key], is_composite = clone_node(build, kind, value, state, key), true
       else
-        clone_datum(build, state, model, key, value)
+        new_node(build, kind, value, def, key)
       end
     end
-    build.sources.members[state._index] = count
-    if is_composite then
-      state._is_leaf = false
-      check_composite(build, state)
-    elseif has_transition then
-      add(build.warnings, state._fqn, "a transition inside a leaf state")
+    if def.is_leaf and has_transition then
+      add(build.warnings, def, nil, "a transition inside a leaf state")
+    elseif def.doo and not def.is_leaf then
+      add(build.problems, def, "doo", "only a leaf state can have a doo")
     end
   end
 
-  -- Clones what hangs below the nodes from `first` on; the list grows as it is walked.
+  -- Fills in the nodes from number `first` on; the list grows as it is walked.
   function clone_below(build, first)
-    local nodes, models, i = build.nodes, build.sources.nodes, first
+    local nodes, i = build.plan.nodes, first
     while nodes[i] do
-      local clone = KIND[getmetatable(nodes[i])] == "state" and clone_members
-        or clone_connector
-      clone(build, nodes[i], models[i])
+      if is_inside_itself(nodes[i]) then
+        add(build.problems, nodes[i], nil, "a state cannot contain itself")
+      elseif nodes[i].kind == "state" then
+        clone_state(build, nodes[i])
+      else
+        clone_connector(build, nodes[i])
+      end
       i = i + 1
     end
   end
 end
 
--- Resolve: names become nodes, `e_done` gets the name of its source -----------
+-- Resolve: names become nodes, `e_done` gets the name of its source -------------
 
-local function root_of(node)
-  while node._parent ~= node do node = node._parent end
-  return node
-end
-
-local resolve_end
+local resolve
 
 do
-  -- Splits "a.b" into { "a", "b" }; an empty part stays, and leads nowhere.
-  local function split(path)
-    local parts = {}
-    for part in (path .. "."):gmatch("([^.]*)%.") do parts[#parts + 1] = part end
-    return parts
+  local function node_names(def)
+    return sorted_keys(def.members, function(member) return member.kind ~= "transition" end)
   end
 
-  -- Walks from `node` down the names of `parts`; nil and a reason when one fails.
-  local function find_below(node, parts)
-    for i = 1, #parts do
-      local name = parts[i]
-      local child = not is_meta(name) and rawget(node, name) or nil
-      if not is_node(child) then
-        if child ~= nil then
-          local kind = kind_of(child) or type(child)
-          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(node._fqn,
-            name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
+  -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
+  local function find_below(def, path)
+    for name in (path .. "."):gmatch("([^.]*)%.") do
+      local child = def.members[name]
+      if not child or child.kind == "transition" then
+        local value = def.model[name]
+        if value ~= nil and not is_meta(name) then
+          local kind = kind_of(value) or type(value)
+          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(def.fqn, name,
+            kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
-        return nil, ("no state or connector is named '%s' in '%s'"):format(name,
-          node._fqn) .. suggestion(name, (sorted_keys(node, is_node)))
+        return nil, ("no state or connector is named '%s' in '%s'"):format(name, def.fqn)
+          .. advise("nearest_name", name, node_names(def))
       end
-      node = child
+      def = child
     end
-    return node
-  end
-
-  -- Names without a dot are looked for in one composite only: tells where else there is
-  -- such a node.
-  local function elsewhere(build, composite, name)
-    local names = {}
-    for _, node in ipairs(build.nodes) do
-      if node._id == name and composite[name] == nil then
-        names[#names + 1] = node._fqn
-      end
-    end
-    sort(names)
-    return names[1]
+    return def
   end
 
   -- A name without a dot: in the composite of the transition, or the root itself.
   local function find_local(build, composite, name)
-    local node, reason = find_below(composite, { name })
-    if node then return node end
-    if name == "root" then return build.root end
-    local other = elsewhere(build, composite, name)
-    if not other then return nil, reason end
+    local def, reason = find_below(composite, name)
+    if def or name == "root" then return def or build.plan.nodes[1] end
+    local elsewhere = {}
+    for _, other in ipairs(build.plan.nodes) do
+      if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
+    end
+    sort(elsewhere)
+    if not elsewhere[1] or composite.model[name] ~= nil then return nil, reason end
     return nil, ("no state or connector is named '%s' in '%s' (did you mean '%s'?)")
-      :format(name, composite._fqn, other)
-  end
-
-  -- A path from the root; `root.` in front is optional, and a state may be named so.
-  local function find_absolute(root, path)
-    local parts = split(path)
-    if parts[1] ~= "root" then return find_below(root, parts) end
-    local node, reason = find_below(root, split(path:sub(6)))
-    if node then return node end
-    return (find_below(root, parts)), reason
+      :format(name, composite.fqn, elsewhere[1])
   end
 
   -- Returns the node that a name in a transition of `composite` refers to:
-  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) others from the root.
+  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) others from the root,
+  -- where `root.` in front is optional, and a state may be named so.
   local function find_named(build, composite, name)
     local relative = name:match("^%.%.?([^.].*)$")
-    if relative then return find_below(composite, split(relative)) end
+    if relative then return find_below(composite, relative) end
     if not name:find(".", 1, true) then return find_local(build, composite, name) end
-    return find_absolute(build.root, name)
+    local root = build.plan.nodes[1]
+    if name:sub(1, 5) ~= "root." then return find_below(root, name) end
+    local def, reason = find_below(root, name:sub(6))
+    return def or root.members.root and find_below(root, name), reason
   end
 
-  -- How many ancestors `node` shares with `composite`.
-  local function shared_depth(composite, node)
-    local above, depth = {}, 0
-    while composite._parent ~= composite do
-      above[composite] = true
-      composite = composite._parent
-    end
-    while node._parent ~= node do
-      if above[node] then depth = depth + 1 end
-      node = node._parent
-    end
-    return depth
+  -- How many ancestors two nodes share.
+  local function shared_depth(a, b)
+    while a.depth > b.depth do a = a.parent end
+    while b.depth > a.depth do b = b.parent end
+    while a ~= b do a, b = a.parent, b.parent end
+    return a.depth
   end
 
   -- A node table of the model may be mounted more than once: the nearest clone counts.
-  local function find_mounted(build, composite, model)
-    local def = is_live(model) and model._def -- merged, it may name a live node
-    if def and root_of(def) == build.root then return def end
-    local mount = build.mounts[model_of(model)]
-    if not mount then return nil, "the table given is no part of this model" end
+  local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
-    while mount do
+    local live = getmetatable(ref)["%def"]
+    if live and build.plan.nodes[live.index] == live then return live end
+    for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
       local depth = shared_depth(composite, mount)
-      if depth > most then
-        nearest, most, is_tie = mount, depth, false
-      elseif depth == most then
-        is_tie = true
-      end
-      mount = build.earlier[mount]
+      if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
     end
-    if is_tie then
-      return nil, "the table given stands in several places, use a name"
-    end
+    if not nearest then return nil, "the table given is no part of this model" end
+    if is_tie then return nil, "the table given stands in several places, use a name" end
     return nearest
   end
 
-  -- Somebody may have written `from` or `to`.
-  local function alias_used(tr, field)
-    local data = tr._data or {}
-    for i = 1, #data do
-      if type(data[i]) == "string" and misspelt_field(data[i], { field }) then
-        return (" (there is '%s', did you mean '%s'?)"):format(data[i], field)
-      end
-    end
-    return ""
-  end
-
   -- Returns the node that src or tgt of a transition means; nil and a reason when none.
-  local function find_end(build, tr, field)
-    local ref = tr[field]
-    local node, reason
+  local function find_end(build, def, field)
+    local ref, node, reason = def[field], nil, nil
     if type(ref) == "string" then
-      node, reason = find_named(build, tr._parent, ref)
-      if not node and field == "tgt" and ref == "internal" then
-        reason = "internal transitions are not supported"
-      end
-      reason = reason and ("%s '%s': %s"):format(field, ref, reason)
+      node, reason = find_named(build, def.parent, ref)
+      return node, reason and ("%s '%s': %s"):format(field, ref, reason)
     elseif is_node(ref) then
-      node, reason = find_mounted(build, tr._parent, ref)
-      reason = reason and field .. ": " .. reason
+      node, reason = find_mounted(build, def.parent, ref)
+      return node, reason and field .. ": " .. reason
     elseif ref == nil then
-      reason = field .. " is missing, the name of a state or connector expected"
-        .. alias_used(tr, field)
-    else
-      reason = field .. ": name of a state or connector expected, " .. got(ref)
+      return nil, field .. " is missing, the name of a state or connector expected"
+        .. advise("other_word", def.model, field)
     end
-    return node, reason
+    return nil, field .. ": name of a state or connector expected, " .. got(ref)
   end
 
-  -- Resolves src or tgt of `tr`; returns nil when a problem was reported. Mostly it is
-  -- the name of a sibling.
-  function resolve_end(build, tr, field)
-    local ref = tr[field]
-    local sibling = tr._parent[ref]
-    if is_node(sibling) and sibling._id == ref then return sibling end
-    local node, reason = find_end(build, tr, field)
-    if not node then add(build.problems, place_of(tr), reason) end
-    return node
+  -- An undeclared `initial` comes into being where a transition starts from it.
+  local function create_initial(build, def)
+    local composite = def.parent
+    if def.src ~= "initial" or composite.members.initial or composite.is_leaf then return end
+    local connector = new_node(build, "connector", Connector {}, composite, "initial")
+    build.created[#build.created + 1] = connector
   end
-end
 
--- The node where a transition to `node` ends: a composite is entered at its `initial`.
-local function find_entrance(build, tr, node)
-  if is_conn(node) then return node end
-  local initial = rawget(node, "initial")
-  if is_conn(initial) then return initial end
-  if node ~= build.root then -- of the root that is a problem of its own
-    add(build.problems, place_of(tr), "tgt '%s': the composite has no initial "
-      .. "transition (rfsm.trans{ src='initial', tgt=... })", node._fqn)
+  -- A composite is entered at its `initial`.
+  local function find_entrance(build, def, node)
+    if node.kind == "connector" or node.is_leaf then return node end
+    local initial = node.members.initial
+    if initial and initial.kind == "connector" then return initial end
+    if node.parent == node then return nil end -- a problem of the root's own
+    add(build.problems, def, nil, "tgt '%s': the composite has no initial transition "
+      .. "(rfsm.trans{ src='initial', tgt=... })", node.fqn)
   end
-end
 
--- An undeclared `initial` comes into being where a transition starts from it.
-local function create_initial(build, tr)
-  if tr.src ~= "initial" then return end
-  local composite = tr._parent
-  if rawget(composite, "initial") ~= nil then return end
-  local n = #build.nodes + 1
-  local connector = setmetatable({
-    _id = "initial", _fqn = composite._fqn .. ".initial", _parent = composite,
-    _index = n,
-  }, Connector)
-  composite.initial, composite._is_leaf = connector, false
-  build.nodes[n], build.sources.nodes[n] = connector, false
-  build.created[#build.created + 1] = connector
-end
+  local function resolve_e_done(build, def)
+    local events, src = def.events or {}, def.src
+    for i = 1, #events do
+      if events[i] == "e_done" then
+        events[i] = "e_done@" .. src.fqn
+        if not src.is_leaf then
+          add(build.warnings, def, nil, "'e_done' never fires here, '%s' is no leaf state",
+            src.fqn)
+        end
+      end
+    end
+  end
 
-local function expand_e_done(build, tr)
-  local events, src = tr.events, tr.src
-  for i = 1, #events do
-    if events[i] == "e_done" then
-      events[i] = "e_done@" .. src._fqn
-      if not src._is_leaf then
-        add(build.warnings, place_of(tr),
-          "'e_done' never fires here, '%s' is no leaf state", src._fqn)
+  local function resolve_transition(build, def)
+    local src, src_reason = find_end(build, def, "src")
+    local is_internal = def.tgt == "internal" and not def.parent.members.internal
+    local tgt, tgt_reason = src, nil
+    if not is_internal then tgt, tgt_reason = find_end(build, def, "tgt") end
+    local list = def.parent.is_leaf and build.warnings or build.problems
+    if src_reason then add(list, def, nil, src_reason) end
+    if tgt_reason then add(list, def, nil, tgt_reason) end
+    tgt = is_internal and src or tgt and find_entrance(build, def, tgt)
+    if not (src and tgt) then
+      def.is_void = true
+      return
+    end
+    def.src, def.tgt, def.is_internal = src, tgt, is_internal
+    resolve_e_done(build, def)
+  end
+
+  -- Resolves the transitions from number `first` on. One inside a leaf whose references
+  -- lead nowhere is dropped.
+  function resolve(build, first)
+    local transitions, kept = build.plan.transitions, first - 1
+    for i = first, #transitions do create_initial(build, transitions[i]) end
+    for i = first, #transitions do
+      local def = transitions[i]
+      resolve_transition(build, def)
+      transitions[i] = nil
+      if not def.is_void then
+        kept = kept + 1
+        transitions[kept], def.index = def, kept
       end
     end
   end
 end
 
-local function resolve_transition(build, tr)
-  local src, tgt = resolve_end(build, tr, "src"), resolve_end(build, tr, "tgt")
-  if tgt and not tgt._is_leaf then tgt = find_entrance(build, tr, tgt) end
-  if not (src and tgt) then return end
-  tr.src, tr.tgt = src, tgt
-  if build.completions[tr] then expand_e_done(build, tr) end
-end
-
--- Resolves the transitions from number `first` on.
-local function resolve(build, first)
-  local transitions = build.transitions
-  for i = first, #transitions do create_initial(build, transitions[i]) end
-  for i = first, #transitions do resolve_transition(build, transitions[i]) end
-end
-
--- Compile: the structure becomes lists and indexes -----------------------------
+-- Compile: the structure becomes lists, shared by all machines of the model ------
 --
--- At init that is only which transitions leave a node. The rest is made when a node is
--- searched, a transition taken, a state entered for the first time, so that what never
--- runs takes neither time nor memory.
+-- At init that is only which transitions leave a node. The rest is made when a leaf is
+-- searched, a transition taken for the first time, so that what never runs takes
+-- neither time nor memory. Callbacks are not compiled: each is read where it is called.
 
-local compile, compile_node, compile_path, make_ready
+--- What machines of a model share.
+---@class rfsm.Plan
+---@field model rfsm.State what it was made of
+---@field nodes rfsm.Def[] parents before children, the root first
+---@field transitions rfsm.Def[]
+---@field events table<any, true> those that transitions name
+---@field trail table|false see `is_current`; a plan that one machine has alone has none
+
+local NONE = {}
+
+local compile, compile_transition, run_segment, run_warily, sources_of
 
 do
-  local function depth_of(node)
-    local depth = 0
-    while node._parent ~= node do
-      node, depth = node._parent, depth + 1
-    end
-    return depth
-  end
-
   -- The order in which the transitions of a node are tried: larger pn first, then the
   -- one declared further out, then position in its table, then name.
   local function tried_before(a, b)
     local a_pn, b_pn = a.pn or 0, b.pn or 0
     if a_pn ~= b_pn then return a_pn > b_pn end
-    local a_parent, b_parent = a._parent, b._parent
-    if a_parent ~= b_parent then
-      local a_depth, b_depth = depth_of(a_parent), depth_of(b_parent)
-      if a_depth ~= b_depth then return a_depth < b_depth end
-      return a_parent._fqn < b_parent._fqn
-    end
-    return key_before(a._id, b._id)
+    if a.parent.depth ~= b.parent.depth then return a.parent.depth < b.parent.depth end
+    if a.parent ~= b.parent then return a.parent.fqn < b.parent.fqn end
+    return key_before(a.id, b.id)
   end
 
-  -- The nearest common proper ancestor of both ends: what it contains is left and
-  -- entered, itself it stays active. The root stays active also under a transition of
-  -- its own.
+  local CLASSES = { state = State, transition = Transition, connector = Connector }
+
+  -- Makes the metatable of the elements: what is absent from them is looked up here.
+  local function make_proto(def)
+    local class = CLASSES[def.kind]
+    local proto = {
+      rfsm = def.kind, type = class.type, new = class.new, __tostring = class.__tostring,
+      ["%def"] = def, _id = def.id, _fqn = def.fqn, events = def.events or nil,
+      pn = def.pn, _is_internal = def.is_internal or nil,
+    }
+    for callback in pairs(CALLBACKS[def.kind]) do -- any order: each stands alone
+      proto[callback] = def[callback] or nil
+    end
+    proto.__index, def.proto = proto, proto
+    if def.is_leaf then
+      def.done_event, def.choices, def.quick = "e_done@" .. def.fqn, NONE, NONE
+    end
+  end
+
+  -- Gives each node the list of the transitions that leave it, in order, and forgets
+  -- what was made of another structure.
+  function compile(plan)
+    local nodes, transitions, events = plan.nodes, plan.transitions, {}
+    for i = 1, #nodes do
+      nodes[i].otrs = {}
+      make_proto(nodes[i])
+    end
+    for i = 1, #transitions do
+      local def = transitions[i]
+      local otrs = def.src.otrs
+      otrs[#otrs + 1] = def
+      for j = 1, def.events and #def.events or 0 do events[def.events[j]] = true end
+      make_proto(def)
+    end
+    for i = 1, #nodes do
+      if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
+    end
+    plan.events = events
+    return plan
+  end
+
+  -- The nearest ancestor of both ends that stays active: what it contains is left and
+  -- entered. The root stays active also under a transition of its own.
   local function find_lca(src, tgt)
-    local a, b = src._parent, tgt._parent
-    if a == b then return a end
-    local a_depth, b_depth = depth_of(a), depth_of(b)
+    local a, b = src.parent, tgt.parent
     while a ~= b do
-      if a_depth >= b_depth then
-        a, a_depth = a._parent, a_depth - 1
-      else
-        b, b_depth = b._parent, b_depth - 1
-      end
+      if a.depth >= b.depth then a = a.parent else b = b.parent end
     end
     return a
   end
 
-  -- The states between `lca` and `tgt`, outermost first, with `tgt` if it is a state.
-  local function entries_of(lca, tgt)
-    local upwards, n = {}, 0
-    local state = is_state(tgt) and tgt or tgt._parent
-    while state ~= lca do
-      n = n + 1
-      upwards[n], state = state, state._parent
-    end
-    return reversed(upwards)
-  end
-
   local function has_predicate(events)
-    for i = 1, #events do
+    for i = 1, events and #events or 0 do
       if type(events[i]) == "function" then return true end
     end
     return false
   end
 
-  -- The fields that a run reads, all at once: LuaJIT likes that.
-  local function compile_transition(tr)
-    local events = tr.events
-    tr.guard, tr.effect, tr._pn = tr.guard or false, tr.effect or false, tr.pn or 0
-    tr._to_connector = is_conn(tr.tgt)
-    tr._is_open_to_all = events == nil or #events == 0
-    tr._has_predicate = not tr._is_open_to_all and has_predicate(events)
-    tr._is_simple = not tr._has_predicate and not tr._to_connector
-    tr._is_quick = tr._is_simple and not tr.guard
-    tr._lca, tr._entries = tr._lca or false, tr._entries or false -- it may be under way
-    tr._run = Transition._run
+  -- Lists what a transition enters, outermost first.
+  function compile_transition(def)
+    local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
+    local state, n = tgt.kind == "state" and tgt or tgt.parent, 0
+    if def.is_internal then lca, state = tgt, tgt end
+    n = state.depth - lca.depth
+    while state ~= lca do
+      entries[n], state, n = state, state.parent, n - 1
+    end
+    def.connector, def.tgt_index = tgt.kind == "connector" and tgt, tgt.index
+    def.has_predicate, def.lca, def.entries = has_predicate(def.events), lca, entries
+    def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
+    return def
   end
 
-  -- Adds `tr` to the list of each event that may trigger it.
-  local function add_to_index(by_event, by_any, tr)
-    if tr._is_open_to_all or tr._has_predicate then
-      for _, list in pairs(by_event) do list[#list + 1] = tr end -- any order: each once
-      by_any[#by_any + 1] = tr
-      return
-    end
-    for i = 1, #tr.events do
-      local list = by_event[tr.events[i]]
-      if list[#list] ~= tr then list[#list + 1] = tr end
-    end
-  end
-
-  -- Indexes the outgoing transitions of `node`: `_by_event[event]` holds the candidates
-  -- in the order in which they are tried, `_by_any` those for an event without a list.
-  function compile_node(plan, node)
-    local otrs, by_event, by_any = node._otrs, {}, {}
-    for rank = 1, #otrs do
-      local tr = otrs[rank]
-      compile_transition(tr)
-      tr._rank = rank
-      for i = 1, tr.events and #tr.events or 0 do
-        by_event[tr.events[i]], plan.events[tr.events[i]] = {}, true
-      end
-    end
-    for rank = 1, #otrs do add_to_index(by_event, by_any, otrs[rank]) end
-    node._by_event, node._by_any = by_event, by_any[1] and by_any or false
-  end
-
-  local RUN_FIELDS = {
-    "entry", "exit", "doo", "_entry_hooks", "_exit_hooks", "_is_leaf", "_choices",
-    "_ignored", "_by_event", "_by_any",
-    "_sources", -- the last one: it tells that the others are there
-  }
-
-  -- Gives a state that is going to be active all that a run reads, false where there is
-  -- nothing.
-  function make_ready(state)
-    if rawget(state, "_sources") ~= nil then return end
-    state._done_event = state._is_leaf and "e_done@" .. state._fqn
-    for i = 1, #RUN_FIELDS do
-      local field = RUN_FIELDS[i]
-      state[field] = state[field] or false
-    end
-  end
-
-  -- Lists what `tr` enters, when it is first taken; `_entries` tells that it is done.
-  function compile_path(tr)
-    local lca = find_lca(tr.src, tr.tgt)
-    local entries = entries_of(lca, tr.tgt)
-    for i = 1, #entries do make_ready(entries[i]) end
-    tr._lca = lca
-    tr._entries = entries
-  end
-
-  -- Undoes all of this: the structure or a program has changed.
-  local function forget(nodes)
-    for i = 1, #nodes do
-      local node = nodes[i]
-      node._otrs, node._by_event, node._by_any = nil, nil, nil
-      node._sources, node._choices, node._ignored = nil, nil, nil
-    end
-  end
-
-  -- Gives each node the list of the transitions that leave it, in order.
-  function compile(plan)
-    local transitions, several = plan.transitions, {}
-    if plan.events then forget(plan.nodes) end
-    for i = 1, #transitions do
-      local tr = transitions[i]
-      local src = tr.src
-      local otrs = src._otrs
-      if not otrs then
-        src._otrs = { tr }
-      else
-        if not otrs[2] then several[#several + 1] = otrs end
-        otrs[#otrs + 1] = tr
-      end
-    end
-    for i = 1, #several do sort(several[i], tried_before) end
-    plan.events, plan.is_stale = {}, false
+  -- The states from the root to `leaf` that have transitions of their own.
+  function sources_of(leaf)
+    if leaf.sources then return leaf.sources end
+    local sources = leaf.parent == leaf and {} or append({}, sources_of(leaf.parent))
+    if leaf.otrs[1] then sources[#sources + 1] = leaf end
+    leaf.sources = sources
+    return sources
   end
 end
 
--- Machine: an instance of a plan ----------------------------------------------
---
--- A machine and its nodes and transitions hold only the user's data. All else they
--- read from their definition in the plan, `_def`; all machines of the model share it
--- until one of them gets another program or event, which has a plan of its own from
--- then on. Mode, active child and coroutine of a state follow from where the machine
--- stands:
---
---   _leaf     the active leaf; false: there is none, and _open is the innermost active
---             composite, false before the first entry
---   _is_done  the active leaf has done its work
---   _doo      the coroutine of its doo
---   _at       false: no iteration is under way. true: one is, and all of the above
---             holds. Else a note of the program of a transition that runs: -i for the
---             exit of node i, i for the entry of node i, i + 0.5 for the effect while
---             node i stays active; i + 0.25 between two exits
---
--- In the engine `state`, `leaf`, `tr` are definitions. What a user's function gets is
--- the machine's own, in fsm._nodes and fsm._transitions at the same index.
+-- Returns a plan like this one, for changes: its definitions are new ones.
+local function copy_plan(plan)
+  local copies, copy = {}, { model = plan.model, nodes = {}, transitions = {}, trail = false }
+  for _, list in ipairs({ "nodes", "transitions" }) do
+    for i, def in ipairs(plan[list]) do
+      copies[def] = {}
+      copy[list][i] = copies[def]
+    end
+  end
+  local STRUCTURE = {
+    "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
+    "tgt", "events", "pn", "is_internal", "entry", "exit", "doo", "guard", "effect",
+  }
+  for def, new in pairs(copies) do -- any order: each stands alone
+    for _, field in ipairs(STRUCTURE) do new[field] = copies[def[field]] or def[field] end
+    if def.members then
+      new.members = {}
+      for key, member in pairs(def.members) do new.members[key] = copies[member] end
+    end
+  end
+  return copy
+end
 
 -- The plans of models, kept by their machines; the latest one in any case, for programs
 -- that drop each machine before they make the next.
-local plans, latest = setmetatable({}, { __mode = "kv" }), { plan = false }
+local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
 
--- The machines there are: one look tells for any value at all whether it is one.
-local machines = setmetatable({}, { __mode = "k" })
+local make_trail, is_current
+
+do
+  -- Calls f(t) for each table of the model that a plan was made of.
+  local function each_table(plan, f)
+    local function visit(model)
+      f(model)
+      local base = getmetatable(model).__index
+      if base ~= getmetatable(model) and kind_of(base) then visit(base) end
+    end
+    for _, def in ipairs(plan.nodes) do visit(def.model) end
+    for _, def in ipairs(plan.transitions) do
+      visit(def.model)
+      if type(def.model.events) == "table" then f(def.model.events) end
+    end
+  end
+
+  -- Notes a model, table by table, as the walk of `next` finds it: numbers stand for keys
+  -- and values, so that no value is ever compared with another by `==`. A 0 ends a table.
+  function make_trail(plan)
+    local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
+    local function id_of(value)
+      if value ~= value then return 0 end -- NaN: never the same
+      if not ids[value] then n, ids[value] = n + 1, n + 1 end
+      return ids[value]
+    end
+    each_table(plan, function(t)
+      tables[#tables + 1] = t
+      for key, value in next, t do
+        trail[#trail + 1], trail[#trail + 2] = id_of(key), id_of(value)
+        if type(value) == "table" and not getmetatable(value) then
+          plain[#plain + 1] = value
+        end
+      end
+      trail[#trail + 1] = 0
+    end)
+    return { ids = ids, tables = tables, trail = trail, plain = plain }
+  end
+
+  -- Is the model still what the plan was made of?
+  function is_current(plan)
+    local noted = plan.trail
+    local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
+    for i = 1, #tables do
+      for key, value in next, tables[i] do
+        if ids[key] ~= trail[at] or ids[value] ~= trail[at + 1] then return false end
+        at = at + 2
+      end
+      if trail[at] ~= 0 then return false end
+      at = at + 1
+    end
+    for i = 1, #noted.plain do
+      if getmetatable(noted.plain[i]) then return false end -- it has become an element
+    end
+    return true
+  end
+end
+
+-- Machine: an instance of a plan ------------------------------------------------
+--
+-- A machine is a tree of plain tables: children by name, transitions by position or
+-- name, `_parent`, `_otrs`, `_mode` and the user's data are raw. Callbacks, `_fqn`, `_id`,
+-- `events`, `pn` are inherited from the definition; assigning one shadows it.
+--
+-- Where a machine stands is noted in it, and nowhere else: `_mode` of each state,
+-- `_actchild` of each active composite, `_act_leaf`. While it runs:
+--
+--   _segment  false: no step is under way. A transition: that segment is being taken.
+--             true: something else is, a search or a doo
+--   _from     while a segment leaves states: the state from which it started
 
 local function silent() end
 
-local function no_events() end
+local function no_events() return {} end
 
--- What the fields of a machine are while they are off, and the flag to set with them:
--- see Run.
+local OFF = { dbg = silent, getevents = no_events }
+
+-- The flags that stand for what a plain machine lacks.
 local FLAG_OF = {
   dbg = "_is_traced", getevents = "_is_fed", pre_step_hook = "_is_hooked",
   post_step_hook = "_is_hooked",
 }
-local OFF = {
-  dbg = silent, getevents = no_events, pre_step_hook = false, post_step_hook = false,
-}
 
-local function set_flag(fsm, flag)
-  fsm[flag], fsm._is_plain, fsm._is_unsettled = true, false, true
+-- The machines there are: one look tells for any value at all whether it is one.
+local machines = setmetatable({}, { __mode = "k" })
+
+local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
+
+-- A machine is plain again when nothing stands behind any flag and a leaf is active.
+local function check_plain(fsm)
+  fsm._is_plain = fsm._act_leaf and not (fsm._is_traced or fsm._is_fed or fsm._is_hooked
+    or fsm._has_state_hooks)
 end
 
--- Returns the innermost active state, and whether it is being left.
-local function innermost_of(fsm)
-  local at = fsm._at
-  if type(at) == "boolean" then return fsm._leaf or fsm._open, false end
-  return fsm._plan.nodes[floor(at < 0 and -at or at)], at < 0
-end
+Machine.type, Machine.new = State.type, State.new
+Machine.__index = setmetatable(OFF, { __index = Machine })
 
--- The rest of a transition that is under way goes in detail, where each program is
--- looked up and traced: while the field is gone, the next note in it ends the call.
-local function go_in_detail(fsm)
-  local at = fsm._at
-  set_flag(fsm, "_is_traced")
-  fsm._was_at = at
-  if type(at) == "number" then rawset(fsm, "_at", nil) end
-end
-
--- What such a call ends with.
-local IN_DETAIL = {}
-
--- Returns the machine's own node or transition.
-local function live_of(fsm, def)
-  local is_transition = getmetatable(def) == Transition
-  return (is_transition and fsm._transitions or fsm._nodes)[def._index]
-end
-
-local own_plan, set_mode
-
-do
-  local PROGRAMS = { entry = true, exit = true, doo = true }
-
-  -- What is read from the definition, and what is worked out.
-  local STATE_FIELDS = { entry = true, exit = true, doo = true, _fqn = true, _id = true,
-    new = true, type = true }
-  local CONNECTOR_FIELDS = { _fqn = true, _id = true, new = true, type = true }
-  local TRANSITION_FIELDS = { guard = true, effect = true, pn = true, _id = true,
-    new = true, type = true }
-  local STATE, CONNECTOR, TRANSITION, ROOT = {}, {}, {}, {}
-
-  function STATE._parent(fsm, def) return fsm._nodes[def._parent._index] end
-
-  -- Nil as long as preproc functions may change it. A list is made once, until the plan
-  -- is compiled anew and has other lists.
-  function STATE._otrs(fsm, def)
-    if fsm._plan.is_stale and machines[fsm] then compile(fsm._plan) end
-    if not def._otrs or not machines[fsm] then return nil end
-    fsm._otrs_of = fsm._otrs_of or setmetatable({}, { __mode = "k" })
-    local otrs = fsm._otrs_of[def._otrs]
-    if otrs then return otrs end
-    otrs = {}
-    for i = 1, #def._otrs do otrs[i] = live_of(fsm, def._otrs[i]) end
-    fsm._otrs_of[def._otrs] = otrs
-    return otrs
-  end
-
-  function STATE._mode(fsm, def)
-    local state, is_leaving = innermost_of(fsm)
-    if not state then return "inactive" end
-    if state == def then
-      if is_leaving then return "inactive" end
-      return fsm._is_done and state == fsm._leaf and type(fsm._at) == "boolean"
-        and "done" or "active"
+-- Sees to it that setting a printer, a hook or getevents is noticed: they are absent from
+-- the machine while they are off.
+function Machine.__newindex(fsm, key, value)
+  local flag = FLAG_OF[key]
+  if flag and value then
+    if not is_callable(value) and not (key == "dbg" and value == true) then
+      error(("%s: function%s expected, %s"):format(key,
+        key == "dbg" and ", true or false" or "", got(value)), 2)
     end
-    while state._parent ~= state do
-      state = state._parent
-      if state == def then return "active" end
-    end
-    return "inactive"
+    set_flag(fsm, flag)
   end
-
-  function STATE._actchild(fsm, def)
-    local state = innermost_of(fsm)
-    while state and state._parent ~= state do
-      if state._parent == def then return fsm._nodes[state._index] end
-      state = state._parent
-    end
-    return false
-  end
-
-  function ROOT._act_leaf(fsm)
-    local at, leaf = fsm._at, fsm._leaf
-    if not leaf or at ~= -leaf._index and type(at) ~= "boolean" then return false end
-    return fsm._nodes[leaf._index]
-  end
-
-  function STATE._doo_co(fsm, def)
-    return fsm._leaf == def and ROOT._act_leaf(fsm) and fsm._doo
-  end
-
-  CONNECTOR._parent, CONNECTOR._otrs = STATE._parent, STATE._otrs
-  TRANSITION._parent = STATE._parent
-  function TRANSITION.src(fsm, def) return fsm._nodes[def.src._index] end
-  function TRANSITION.tgt(fsm, def) return fsm._nodes[def.tgt._index] end
-
-  -- A list of its own each time; one that a preproc function gets is noted, because it
-  -- may be changed: see `note_events`.
-  function TRANSITION.events(fsm, def)
-    if not def.events then return nil end
-    local events = copy_list(def.events)
-    if fsm._is_preparing then rawset(fsm._transitions[def._index], "events", events) end
-    return events
-  end
-
-  for field, read in pairs(STATE) do ROOT[field] = read end -- any order: each alone
-
-  -- Returns the node or transition that the state contains under `key`.
-  local function read_member(state, key)
-    local member = rawget(state._def, key)
-    if not kind_of(member) or is_meta(key) then return nil end
-    return live_of(state._fsm, member)
-  end
-
-  local function reader(readers, fields)
-    return function(element, key)
-      local read = readers[key]
-      if read then return read(element._fsm, element._def) end
-      return fields[key] and element._def[key] or nil
-    end
-  end
-
-  LiveConnector.__index = reader(CONNECTOR, CONNECTOR_FIELDS)
-  LiveTransition.__index = reader(TRANSITION, TRANSITION_FIELDS)
-  LiveTransition.__tostring = Transition.__tostring
-  local read_state, read_root = reader(STATE, STATE_FIELDS), reader(ROOT, STATE_FIELDS)
-
-  function LiveState.__index(state, key)
-    return read_member(state, key) or read_state(state, key)
-  end
-
-  function Machine.__index(fsm, key)
-    local off = OFF[key]
-    if off ~= nil then return off end
-    if key == "_at" then return fsm._was_at end
-    return read_member(fsm, key) or read_root(fsm, key)
-  end
-
-  -- Fields of a definition that compiling made, or that are the plan's own.
-  local COMPILED = {
-    _otrs = true, _by_event = true, _by_any = true, _sources = true, _choices = true,
-    _ignored = true, _lca = true, _entries = true, _run = true, _runs = true,
-    _plan = true,
-  }
-
-  local function copy_def(def, copies)
-    local copy = copies[def]
-    for key, value in pairs(def) do -- any order: each field stands alone
-      if not COMPILED[key] then copy[key] = copies[value] or value end
-    end
-    return setmetatable(copy, getmetatable(def))
-  end
-
-  local function copy_defs(defs, copies)
-    local list = {}
-    for i = 1, #defs do list[i] = copy_def(defs[i], copies) end
-    return list
-  end
-
-  local function copy_plan(plan)
-    local copies = {}
-    for i = 1, #plan.nodes do copies[plan.nodes[i]] = {} end
-    for i = 1, #plan.transitions do copies[plan.transitions[i]] = {} end
-    local copy = {
-      model = plan.model, nodes = copy_defs(plan.nodes, copies),
-      transitions = copy_defs(plan.transitions, copies),
-      warnings = plan.warnings, created = plan.created, events = false, is_own = true,
-    }
-    copy.root = copy.nodes[1]
-    copy.root._plan = copy
-    return copy
-  end
-
-  local function use_plan(fsm, plan)
-    fsm._plan = plan
-    for i, def in ipairs(plan.nodes) do
-      local node = rawget(fsm._nodes, i)
-      if node then node._def = def end
-    end
-    for i, def in ipairs(plan.transitions) do
-      local tr = rawget(fsm._transitions, i)
-      if tr then tr._def = def end
-    end
-    fsm._leaf = fsm._leaf and plan.nodes[fsm._leaf._index]
-    fsm._open = fsm._open and plan.nodes[fsm._open._index]
-  end
-
-  -- Gives the machine a plan that it shares with no other.
-  function own_plan(fsm)
-    local plan = fsm._plan
-    if plan.is_own then return plan end
-    if plan.users == 1 then -- there has never been another
-      plan.is_own, plan.sources, plans[plan.model] = true, false, nil
-      if latest.plan == plan then latest.plan = false end
-      return plan
-    end
-    local copy = copy_plan(plan)
-    use_plan(fsm, copy)
-    if machines[fsm] then compile(copy) end
-    return copy
-  end
-
-  -- Blames who assigns to a field of a live machine what cannot be called.
-  local function check_new(key, value, expected)
-    if not value or is_callable(value) or value == true and key == "dbg" then return end
-    error(("%s: %s expected, %s"):format(key, expected, got(value)), 3)
-  end
-
-  -- A field of a definition is replaced: what was compiled is made anew before the next
-  -- iteration.
-  local function change(element, key, value)
-    local fsm = element._fsm
-    own_plan(fsm).is_stale = true
-    if value == nil then value = false end
-    element._def[key] = value
-    go_in_detail(fsm)
-  end
-
-  function LiveState.__newindex(state, key, value)
-    if PROGRAMS[key] then
-      check_new(key, value, "function")
-      return change(state, key, value)
-    end
-    if key == "_mode" then return set_mode(state, value) end
-    if not STATE[key] then rawset(state, key, value) end
-  end
-
-  function LiveConnector.__newindex(connector, key, value)
-    if not CONNECTOR[key] then rawset(connector, key, value) end
-  end
-
-  -- How fields of a transition are set.
-  local SET = {}
-
-  function SET.guard(tr, key, value)
-    check_new(key, value, "function")
-    change(tr, key, value)
-  end
-
-  SET.effect = SET.guard
-
-  function SET.pn(tr, key, value)
-    if value ~= nil and (type(value) ~= "number" or value ~= value) then
-      error("pn: number expected, " .. got(value), 3)
-    end
-    change(tr, key, value)
-    tr._def.pn = value
-  end
-
-  function SET.tgt(tr, key, value)
-    if not (is_live(value) and is_node(value) and value._fsm == tr._fsm) then
-      error(key .. ": node of the fsm expected, " .. got(value), 3)
-    end
-    own_plan(tr._fsm)
-    tr._def._lca, tr._def._entries = false, false
-    change(tr, key, key == "tgt" and rawget(value._def, "initial") or value._def)
-  end
-
-  SET.src = SET.tgt
-
-  -- The list is noted while preproc functions are at work, and counts at once later.
-  function SET.events(tr, key, value)
-    local events = type(value) == "string" and { value } or value or {}
-    if type(events) ~= "table" then
-      error("events: list of events or a string expected, " .. got(value), 3)
-    end
-    if tr._fsm._is_preparing then
-      rawset(tr, key, events)
-    else
-      change(tr, key, copy_list(events))
-    end
-  end
-
-  function LiveTransition.__newindex(tr, key, value)
-    local set = SET[key] or rawset
-    set(tr, key, value)
-  end
-
-  function Machine.__newindex(fsm, key, value)
-    if key == "_at" then
-      rawset(fsm, "_at", fsm._was_at)
-      error(IN_DETAIL, 0)
-    elseif PROGRAMS[key] then
-      check_new(key, value, "function")
-      return change(fsm, key, value)
-    elseif key == "_mode" then
-      return set_mode(fsm, value)
-    elseif key == "_act_leaf" and is_live(value) and value._fsm == fsm then
-      return set_mode(value, "active")
-    end
-    if ROOT[key] then return end
-    if FLAG_OF[key] then
-      check_new(key, value, key == "dbg" and "function, true or false" or "function")
-      set_flag(fsm, FLAG_OF[key])
-    end
-    rawset(fsm, key, value)
-    if key == "dbg" then go_in_detail(fsm) end
-  end
-
-  -- Moves the machine to where `state` has that mode; no program runs.
-  function set_mode(state, mode)
-    local fsm, def = state._fsm, state._def
-    if mode == "inactive" then
-      if state._mode == "inactive" then return end
-      fsm._leaf, fsm._doo = false, false
-      fsm._open = def._parent ~= def and def._parent
-    elseif def._is_leaf then
-      if fsm._leaf ~= def then fsm._doo = false end
-      make_ready(def)
-      fsm._leaf, fsm._open, fsm._is_done = def, false, mode == "done"
-    elseif state._mode == "inactive" then
-      fsm._leaf, fsm._open, fsm._doo = false, def, false
-    end
-  end
+  if value or not flag then rawset(fsm, key, value) end
 end
 
 local clone_data
@@ -1534,115 +1093,85 @@ do
   -- Returns what stands for `value` in the copy; a plain table is filled in later.
   local function copy_of(copies, value, pending)
     if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-    local copy = copies[value]
-    if not copy then
-      copy = {}
-      copies[value] = copy
-      pending[#pending + 1] = value
+    if not copies[value] then
+      copies[value], pending[#pending + 1] = {}, value
     end
-    return copy
+    return copies[value]
   end
 
-  -- Copies a plain table; a list of pending tables instead of recursion bears any
-  -- depth.
+  -- Copies a plain table; a list of pending tables instead of recursion bears any depth.
   function clone_data(copies, value)
-    if type(value) ~= "table" then return value end
     local pending = {}
     local copy = copy_of(copies, value, pending)
     while pending[1] do
       local source = pending[#pending]
       pending[#pending] = nil
-      local target = copies[source]
       for k, v in pairs(source) do -- any order: each pair stands alone
-        target[copy_of(copies, k, pending)] = copy_of(copies, v, pending)
+        copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
       end
     end
     return copy
   end
 end
 
--- The nodes and transitions of a machine come into being when they are first asked for.
-
--- Gives `element` the user's data in its definition.
-local function hand_out(fsm, element, def)
-  local data = def._data
-  for i = 1, data and #data or 0 do
-    local key = data[i]
-    if not is_meta(key) then
-      rawset(element, key, clone_data(fsm._copies, def[key]))
-    elseif rawget(element, key) == nil then
-      rawset(element, key, clone_data(fsm._copies, def._meta[key]))
-    end
+-- Gives an element the user's data; a machine keeps its own fields.
+local function give_data(element, def, copies)
+  local data = def.data
+  for i = 1, #data, 2 do
+    local key, value = data[i], data[i + 1]
+    if type(value) == "table" then value = clone_data(copies, value) end
+    if element[key] == nil then element[key] = value end
   end
 end
 
-local function make_element(fsm, def, class)
-  local element = setmetatable({ _def = def, _fsm = fsm }, class)
-  hand_out(fsm, element, def)
-  return element
-end
-
--- The metatables of the lists; the machine itself is its node 1, and transition 0.
-local NODES, TRANSITIONS = {}, {}
-
-function NODES.__index(nodes, i)
-  local fsm = nodes[1]
-  local def = fsm._plan.nodes[i]
-  if not def then return nil end
-  local class = getmetatable(def) == State and LiveState or LiveConnector
-  local node = make_element(fsm, def, class)
-  nodes[i] = node
-  return node
-end
-
-function TRANSITIONS.__index(transitions, i)
-  local fsm = transitions[0]
-  local def = fsm._plan.transitions[i]
-  if not def then return nil end
-  local tr = make_element(fsm, def, LiveTransition)
-  transitions[i] = tr
-  return tr
-end
-
--- Makes those elements that copy tables of the model, which may change later.
-local function copy_tables(fsm, with_tables)
-  fsm._copies = {}
-  for i = 1, #with_tables do
-    local def = with_tables[i]
-    if def == fsm._def then hand_out(fsm, fsm, def) else live_of(fsm, def) end
+-- Makes the elements of the definitions from the given numbers on.
+local function make_elements(fsm, plan, first_node, first_transition)
+  local nodes, transitions, copies = fsm._nodes, fsm._transitions, {}
+  if first_node == 2 then give_data(fsm, plan.nodes[1], copies) end
+  for i = first_node, #plan.nodes do
+    local def = plan.nodes[i]
+    local parent = nodes[def.parent.index]
+    local node = def.kind == "state"
+      and { _parent = parent, _mode = "inactive", _otrs = false }
+      or { _parent = parent, _otrs = false }
+    if def.data[1] ~= nil then give_data(node, def, copies) end
+    nodes[i] = setmetatable(node, def.proto)
+    rawset(parent, def.id, node)
   end
-  fsm._copies = false
-end
-
--- Run: collect events, choose, take, doo --------------------------------------
---
--- What holds here: between two iterations exactly one leaf is active, or none before
--- the first entry. Tools replace functions on a live machine: the next use sees the new
--- one. No error of a user's function passes through: those of states and transitions go
--- to `err`, those of printers, hooks and getevents are kept and raised when the
--- iteration is over.
---
--- What makes it fast: flags stand for all that is rarely there, so that a step asks for
--- one of them and not for every hook and printer.
---
---   _is_traced     dbg is on, or a program was replaced: transitions run in full detail
---   _is_fed        there is a getevents
---   _is_hooked     there is a pre or a post step hook
---   _is_plain      none of these
---   _is_unsettled  the iteration has more to do at its end: see `settle`
---
--- The fields behind the first three are absent from the machine while they are off (OFF
--- has what they read as then), so that setting one of them passes through
--- Machine.__newindex. They may be set too long, never too short.
-
--- Nothing stands behind the flag any more.
-local function clear_flag(fsm, flag)
-  for field, its_flag in pairs(FLAG_OF) do -- any order: each stands alone
-    if its_flag == flag then rawset(fsm, field, nil) end
+  for i = first_transition, #plan.transitions do
+    local def = plan.transitions[i]
+    local parent = nodes[def.parent.index]
+    local tr = {
+      src = nodes[def.src.index], tgt = nodes[def.tgt.index], _parent = parent, _fsm = fsm,
+    }
+    if def.data[1] ~= nil then give_data(tr, def, copies) end
+    transitions[i] = setmetatable(tr, def.proto)
+    rawset(parent, def.id, tr)
   end
-  fsm[flag] = false
-  fsm._is_plain = not (fsm._is_traced or fsm._is_fed or fsm._is_hooked)
+  return fsm
 end
+
+-- Lists in each node the transitions that leave it.
+local function list_otrs(fsm, plan)
+  local transitions, nodes = fsm._transitions, fsm._nodes
+  for i = 1, #plan.nodes do
+    local otrs = plan.nodes[i].otrs
+    local list = { otrs[1] and transitions[otrs[1].index] }
+    for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
+    nodes[i]._otrs = list
+  end
+end
+
+-- Run: collect events, choose, take, doo ----------------------------------------
+--
+-- What holds here: between two iterations exactly one leaf is active, or none before the
+-- first entry. No error of a state's or transition's callback passes through: it goes to
+-- `err`. Hooks and getevents are called when the machine is consistent, so theirs reach
+-- the caller at once; those of printers are kept until the iteration is over.
+--
+-- Most machines are plain: no dbg, getevents or hook. `_is_plain` says so, and a step
+-- asks for it instead of for each of them. The other flags say what is there; they may
+-- be set too long, never too short.
 
 -- Prints any values, tab separated: to stderr where there is one, or with the `print`
 -- of the moment.
@@ -1672,11 +1201,18 @@ local function printer_of(fsm, name)
   return printer == true and to_stdout or printer or silent
 end
 
--- Keeps the first error of the surroundings until the iteration is over.
-local function keep_failure(fsm, failure)
+--- Keep an error until the iteration is over, for extensions; the first one counts.
+--
+-- `step` raises it then. Between two steps it is raised by the next one.
+--
+---@param fsm rfsm.Machine
+---@param failure any
+function rfsm.keep_failure(fsm, failure)
   if fsm._has_failure then return end
   fsm._has_failure, fsm._failure, fsm._is_unsettled = true, failure, true
 end
+
+local keep_failure = rfsm.keep_failure
 
 local function raise_failure(fsm)
   if not fsm._has_failure then return end
@@ -1685,7 +1221,14 @@ local function raise_failure(fsm)
   error(failure, 0)
 end
 
-local function report(fsm, name, ...)
+--- Hand a record to one of a machine's printers, for extensions.
+--
+-- An error of the printer is kept until the iteration is over.
+--
+---@param fsm rfsm.Machine
+---@param name "dbg"|"info"|"warn"|"err"
+---@param ... any
+function rfsm.report(fsm, name, ...)
   local printer = printer_of(fsm, name)
   if not is_callable(printer) then
     return keep_failure(fsm, ("rfsm: %s: function, true or false expected, %s"):format(
@@ -1695,158 +1238,119 @@ local function report(fsm, name, ...)
   if not ok then keep_failure(fsm, failure) end
 end
 
--- A program of a state or transition failed.
-local function report_program(fsm, id, program, owner, failure)
-  report(fsm, "err", id, "error executing " .. program .. " of " .. owner .. ": ",
-    failure)
-end
+local report = rfsm.report
 
 local function trace(fsm, ...)
-  if fsm.dbg then report(fsm, "dbg", ...) end
+  local dbg = fsm.dbg
+  if dbg and dbg ~= silent then return report(fsm, "dbg", ...) end
+  fsm.dbg, fsm._is_traced = nil, false
 end
 
--- Adds an event to the queue.
-local function post(fsm, event)
-  local queue = fsm._intq
-  queue[#queue + 1] = event
-  if fsm._is_traced then trace(fsm, "RAISED", event) end
+-- A callback of a state or transition failed.
+local function report_callback(fsm, callback, owner, failure)
+  report(fsm, "err", callback:upper(),
+    "error executing " .. callback .. " of " .. owner .. ": ", failure)
 end
 
-local function post_all(fsm, ...)
-  for i = 1, select("#", ...) do
-    local event = select(i, ...)
-    if event ~= nil then post(fsm, event) end
-  end
+-- The straight code of rfsm/straight.lua; false where it is missing, nil before it was
+-- asked for.
+local straight
+
+-- May a function that is called with `n` arguments keep the last one, the events?
+local function may_keep(f, n)
+  return not straight or straight.parameters_of[f] >= n
 end
-
-local NONE = {}
-
--- Returns the list that getevents returns; an empty one when it fails.
-local function ask_getevents(fsm)
-  local getevents = fsm.getevents
-  if not getevents or getevents == no_events then return NONE end
-  local ok, events = pcall(getevents)
-  if not is_callable(getevents) then
-    keep_failure(fsm, "rfsm.step: getevents: function expected, " .. got(getevents))
-  elseif not ok then
-    keep_failure(fsm, events)
-  elseif type(events) == "table" then
-    return events
-  elseif events ~= nil then
-    keep_failure(fsm, "rfsm.step: getevents: list of events expected, " .. got(events))
-  end
-  return NONE
-end
-
--- Puts what getevents returns into the queue.
-local function poll(fsm)
-  local events = ask_getevents(fsm)
-  for i = 1, #events do
-    if events[i] ~= nil then post(fsm, events[i]) end
-  end
-end
-
--- Appends what getevents returns to the events of the iteration.
-local function collect(fsm, list)
-  local events, n = ask_getevents(fsm), #list
-  for i = 1, #events do
-    local event = events[i]
-    if event ~= nil then
-      n = n + 1
-      list[n] = event
-      if fsm._is_traced then trace(fsm, "RAISED", event) end
-    end
-  end
-end
-
--- Hooks: a list in which OWN stands for the model's own hook, the field `slot`.
-local OWN = {}
-local OWN_ONLY = { OWN }
 
 -- The events table was handed to a function that may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
 
--- How many parameters a function has, a great many where it is not known: one that has
--- none for the events table cannot keep it. It is noted, and says something about the
--- function alone.
-local parameters_of
-
-do
-  local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
-  local dump = rawget(string, "dump")
-
-  -- Lua 5.1 does not tell, but the binary form of a function does: in the header of 12
-  -- bytes the sizes of int and size_t are at 8 and 9, a 1 at 7 is for little endian;
-  -- then come the name of the source with its length, two ints, the number of upvalues,
-  -- that of parameters, and a byte that is not 0 for a vararg function.
-  local function read_dump(f)
-    local ok, code = pcall(dump, f)
-    if not ok or code:sub(1, 5) ~= "\27Lua\81" or code:byte(7) ~= 1 then return end
-    local at, length = 13, 0
-    for i = code:byte(9) - 1, 0, -1 do length = length * 256 + code:byte(at + i) end
-    at = at + code:byte(9) + length + 2 * code:byte(8) + 1
-    return code:byte(at), code:byte(at + 1) ~= 0
-  end
-
-  local function count_parameters(f)
-    if type(f) ~= "function" then return huge end
-    local info = getinfo and getinfo(f, "u") or {}
-    local count, is_vararg = info.nparams, info.isvararg
-    if not count then count, is_vararg = read_dump(f) end
-    return is_vararg and huge or count or huge
-  end
-
-  parameters_of = setmetatable({}, { __mode = "k", __index = function(notes, f)
-    notes[f] = count_parameters(f)
-    return notes[f]
-  end })
+local function empty(events)
+  for i = #events, 1, -1 do events[i] = nil end
 end
 
-local function not_a_hook(slot, hook)
-  return ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
+-- Events of an iteration that was cut short come first in the queue again.
+local function put_back(fsm)
+  local events = fsm._curq
+  if events[1] == nil then return end
+  if not rawequal(events, fsm._intq) then append(events, fsm._intq) end
+  fsm._intq = events
+  fsm._curq = {}
 end
+
+-- Returns the list that getevents returns; nil when it is off.
+local function ask_getevents(fsm)
+  local getevents = fsm.getevents
+  if not getevents or getevents == no_events then
+    fsm.getevents, fsm._is_fed = nil, false
+    return nil
+  elseif not is_callable(getevents) then
+    error("rfsm.step: getevents: function expected, " .. got(getevents), 0)
+  end
+  local events = getevents()
+  if events == nil or type(events) == "table" then return events end
+  error("rfsm.step: getevents: list of events expected, " .. got(events), 0)
+end
+
+-- Appends what getevents returns to a list.
+local function collect(fsm, list)
+  local events = ask_getevents(fsm)
+  for i = 1, events and #events or 0 do
+    if events[i] ~= nil then list[#list + 1] = events[i] end
+  end
+end
+
+-- Stands in the list of hooks for the model's own one, the field `slot`.
+local function OWN() end
+
+local OWN_ONLY = { OWN }
 
 local function run_hooks(fsm, hooks, slot, events)
   for i = 1, #hooks do
     local hook = hooks[i]
-    if hook == OWN then hook = rawget(fsm, slot) end
+    if hook == OWN then hook = fsm[slot] end
     if hook then
-      if parameters_of[hook] > 1 then keep_events(fsm) end
-      local ok, failure = pcall(hook, fsm, events)
-      if not ok and not is_callable(hook) then failure = not_a_hook(slot, hook) end
-      if not ok then keep_failure(fsm, failure) end
+      if type(hook) ~= "function" and not is_callable(hook) then
+        error(("rfsm.step: %s: function expected, %s"):format(slot, got(hook)), 0)
+      end
+      if may_keep(hook, 2) then keep_events(fsm) end
+      hook(fsm, events)
     end
   end
 end
 
--- What an extension wants done when a state is entered or left.
-local function run_state_hooks(fsm, node, hooks)
-  for i = 1, #hooks do
-    local ok, failure = pcall(hooks[i], fsm, node)
+-- Calls what extensions want done when a state is entered or left.
+local function run_state_hooks(fsm, state, hooks)
+  for i = 1, hooks and #hooks or 0 do
+    local ok, failure = pcall(hooks[i], fsm, state)
     if not ok then keep_failure(fsm, failure) end
   end
 end
 
--- Compiles what has changed. Has dbg been switched off? Then its flag goes, too.
-local function check_traced(fsm)
-  if fsm._plan.is_stale then compile(fsm._plan) end
-  if not fsm.dbg or fsm.dbg == silent then clear_flag(fsm, "_is_traced") end
+-- Returns the innermost active state.
+local function innermost(fsm)
+  local state = fsm
+  while state._actchild do state = state._actchild end
+  return state
 end
 
 -- Choose: which transition do the events enable? .................................
 
-local choose, choose_from, find_from_node, trace_search
+local choose, find_enabled, find_listed, find_transition, matches, path_text
+local warn_of_conflict
 
 do
-  -- Is one of `events` in tr.events, or accepted by a predicate there?
-  local function matches_predicate(tr, events)
-    for i = 1, #tr.events do
-      local wanted = tr.events[i]
+  local find_way, retarget
+
+  -- Is one of `events` among those of the transition, or accepted by a predicate there?
+  function matches(def, events)
+    local wanted = def.events
+    if not wanted then return true end
+    for i = 1, #wanted do
+      local is_predicate = type(wanted[i]) == "function"
       for j = 1, #events do
-        local event = events[j]
-        if wanted == event then return true end
-        if type(wanted) == "function" then
-          local ok, answer = pcall(wanted, event)
+        if rawequal(wanted[i], events[j]) then return true end
+        if is_predicate then
+          local ok, answer = pcall(wanted[i], events[j])
           if ok and answer then return true end
         end
       end
@@ -1854,68 +1358,76 @@ do
     return false
   end
 
-  local function matches(tr, events)
-    if tr._has_predicate then return matches_predicate(tr, events) end
-    local wanted = tr.events
-    for i = 1, #wanted do
-      for j = 1, #events do
-        if wanted[i] == events[j] then return true end
-      end
-    end
+  -- Does the guard let the transition pass? One that fails does not.
+  local function allows(fsm, tr, guard, events)
+    if may_keep(guard, 2) then keep_events(fsm) end
+    local ok, answer = pcall(guard, tr, events)
+    if ok then return answer ~= false end
+    report_callback(fsm, "guard", tostring(tr), answer)
     return false
   end
 
-  -- The guard of `tr` said no, or failed, which does not enable either.
-  local function refuse(fsm, tr, ok, failure)
-    if not ok then report_program(fsm, "GUARD", "guard", tostring(tr), failure) end
-    return false
+  -- Is the path through `def` open that leads to `tgt`? Returns the definition of its
+  -- first segment, which is another one where a machine has changed the target.
+  local function enabled_with(fsm, def, tgt, events, depth)
+    if not rawequal(tgt, fsm._nodes[def.tgt.index]) then def = retarget(fsm, def, tgt) end
+    if def and def.connector == nil then compile_transition(def) end
+    local connector = def and def.connector
+    if connector and not find_way(fsm, connector, events, depth) then return nil end
+    return def
   end
 
-  local evaluate_connector
-
-  -- Returns the guard as it is now: an earlier one may have replaced it.
-  local function trace_checking(fsm, tr)
-    if fsm.dbg ~= silent then trace(fsm, "CHECKING", tostring(tr)) end
-    return fsm._transitions[tr._index].guard or silent
-  end
-
-  local function may_pass(fsm, tr, guard, events)
-    local ok, answer = pcall(guard, fsm._transitions[tr._index], events)
-    return ok and answer ~= false or refuse(fsm, tr, ok, answer)
-  end
-
-  -- Is the segment `tr` enabled, and all behind it up to a leaf? Its events match.
-  -- `depth` counts the connectors on the way to it, if there are any.
-  local function is_enabled(fsm, tr, events, depth)
+  -- Is the transition enabled, with all behind it up to a leaf? Its events match.
+  -- Returns its definition. `depth` counts the connectors on the way to it.
+  local function enabled(fsm, def, events, depth)
+    local tr = fsm._transitions[def.index]
     local guard = tr.guard
-    if fsm._is_traced then guard = trace_checking(fsm, tr) end
-    if guard and not may_pass(fsm, tr, guard, events) then return false end
-    return not tr._to_connector or evaluate_connector(fsm, tr.tgt, events, depth)
+    if guard and not allows(fsm, tr, guard, events) then return nil end
+    return enabled_with(fsm, def, tr.tgt, events, depth)
   end
 
-  local function warn_of_conflict(fsm, connector, ways)
-    report(fsm, "warn", "conflicting transitions from src " .. connector._fqn .. " to")
-    for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt._fqn) end
+  -- A transition of the machine has got another target: returns its definition with that
+  -- target, nil when it is none.
+  function retarget(fsm, def, tgt)
+    local node = is_node(tgt) and getmetatable(tgt)["%def"]
+    if tgt == fsm then node = fsm._plan.nodes[1] end
+    if not node or not rawequal(fsm._nodes[node.index], tgt) then
+      report(fsm, "err", "ERROR: tgt of " .. end_text(fsm._transitions[def.index].src)
+        .. ": node of the fsm expected, " .. got(tgt))
+      return nil
+    end
+    if node.kind == "state" and not node.is_leaf then node = node.members.initial end
+    if not node then return nil end
+    def.variants = def.variants or {}
+    local variant = def.variants[node]
+    if not variant then
+      variant = {}
+      for key, value in pairs(def) do variant[key] = value end -- any order: a copy
+      variant.tgt, variant.is_internal, variant.run = node, false, run_warily
+      variant.variants, variant.runs = nil, nil
+      def.variants[node] = compile_transition(variant)
+    end
+    return variant
   end
 
-  local function add_conflict(conflict, way, tr)
-    conflict = conflict or { way }
-    conflict[#conflict + 1] = tr
-    return conflict
+  function warn_of_conflict(fsm, connector, ways)
+    report(fsm, "warn", "conflicting transitions from src " .. connector.fqn .. " to")
+    for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt.fqn) end
   end
 
-  -- Chooses the way out of a connector: the first of `otrs` that is enabled. Further
+  -- The way out of a connector: the first of its transitions that is enabled. Further
   -- ones of the same priority are asked only to warn of a conflict.
-  local function choose_way(fsm, connector, otrs, events, depth)
+  local function choose_way(fsm, connector, events, depth)
     local way, conflict = false, nil
-    for i = 1, #otrs do
-      local tr = otrs[i]
-      if way and tr._pn ~= way._pn then break end
-      if (tr._is_open_to_all or matches(tr, events))
-        and is_enabled(fsm, tr, events, depth) then
-        if way then conflict = add_conflict(conflict, way, tr) end
-        way = way or tr
+    for i = 1, #connector.otrs do
+      local def = connector.otrs[i]
+      if way and (def.pn or 0) ~= (way.pn or 0) then break end
+      local found = matches(def, events) and enabled(fsm, def, events, depth + 1)
+      if found and way then
+        conflict = conflict or { way }
+        conflict[#conflict + 1] = found
       end
+      way = way or found or false
     end
     if conflict then warn_of_conflict(fsm, connector, conflict) end
     return way
@@ -1925,801 +1437,441 @@ do
   local MAX_DEPTH = 500
 
   -- The same on a stack of its own. A guard that yields there does not enable.
-  local function choose_way_aside(fsm, connector, otrs, events)
+  local function choose_way_aside(fsm, connector, events)
     local co = create(choose_way)
-    local ok, way = resume(co, fsm, connector, otrs, events, 1)
+    local ok, way = resume(co, fsm, connector, events, 1)
     if not ok then error(way, 0) end
     return status(co) == "dead" and way
   end
 
   -- Returns the way out of a connector, or false; it is chosen once a search. While it
   -- is being evaluated it counts as closed, so that cycles end.
-  function evaluate_connector(fsm, connector, events, depth)
-    local searched, ways, otrs = fsm._searched, fsm._ways, connector._otrs
+  function find_way(fsm, connector, events, depth)
+    local searched, ways = fsm._searched, fsm._ways
     if searched[connector] == fsm._search then return ways[connector] end
     searched[connector], ways[connector] = fsm._search, false
-    if not otrs then return false end
-    if not connector._by_event then compile_node(fsm._plan, connector) end
-    if not depth or depth < MAX_DEPTH then
-      ways[connector] = choose_way(fsm, connector, otrs, events, (depth or 0) + 1)
-    else
-      ways[connector] = choose_way_aside(fsm, connector, otrs, events)
-    end
+    local choose_here = depth < MAX_DEPTH and choose_way or choose_way_aside
+    ways[connector] = choose_here(fsm, connector, events, depth)
     return ways[connector]
   end
 
-  -- Collects in fsm._lists the distinct candidate lists of `node` for `events`.
-  local function find_lists(fsm, node, events)
-    local by_event, by_any, lists = node._by_event, node._by_any, fsm._lists
-    local count = 0
-    for i = 1, #events do
-      local list = by_event[events[i]] or by_any
-      if list then
-        local is_known = false
-        for j = 1, count do is_known = is_known or lists[j] == list end
-        if not is_known then
-          count = count + 1
-          lists[count] = list
-        end
-      end
+  -- Returns the first transition from a node that is enabled, or nil.
+  function find_transition(fsm, node, events)
+    for i = 1, #node.otrs do
+      local def = node.otrs[i]
+      local found = matches(def, events) and enabled(fsm, def, events, 0)
+      if found then return found end
     end
-    return count
-  end
-
-  -- Returns the first of the candidates in `lists` that is tried after `rank`.
-  local function next_candidate(lists, count, rank)
-    local nearest = nil
-    for i = 1, count do
-      local list = lists[i]
-      for j = 1, #list do
-        local tr = list[j]
-        if tr._rank > rank then
-          if not nearest or tr._rank < nearest._rank then nearest = tr end
-          break
-        end
-      end
-    end
-    return nearest
-  end
-
-  -- May `tr`, whose list an event led to, be taken?
-  local function is_candidate_enabled(fsm, tr, events)
-    return (not tr._has_predicate or matches_predicate(tr, events))
-      and is_enabled(fsm, tr, events)
-  end
-
-  -- Returns the first enabled transition of a candidate list, from number `i` on.
-  local function find_in_list(fsm, list, events, i)
-    local tr = list[i]
-    if not tr or is_candidate_enabled(fsm, tr, events) then return tr end
-    return find_in_list(fsm, list, events, i + 1)
-  end
-
-  -- Returns the first transition from `node` that is enabled, or nil; events may lead
-  -- to several lists.
-  function find_from_node(fsm, node, events)
-    if not node._otrs then return nil end
-    if not node._by_event then compile_node(fsm._plan, node) end
-    local count = find_lists(fsm, node, events)
-    if count == 1 then return find_in_list(fsm, fsm._lists[1], events, 1) end
-    local tr = next_candidate(fsm._lists, count, 0)
-    while tr do
-      if is_candidate_enabled(fsm, tr, events) then return tr end
-      tr = next_candidate(fsm._lists, count, tr._rank)
-    end
-  end
-
-  -- The states from the root to `leaf` that have transitions of their own.
-  local function sources_of(leaf)
-    local upwards, n, state = {}, 0, leaf
-    while true do
-      if state._otrs then
-        n = n + 1
-        upwards[n] = state
-      end
-      if state._parent == state then break end
-      state = state._parent
-    end
-    local sources = {}
-    for i = 1, n do
-      local source = upwards[n + 1 - i]
-      if not source._by_event then compile_node(state._plan, source) end
-      sources[i] = source
-    end
-    leaf._sources = sources
-    return sources
-  end
-
-  function trace_search(fsm, events)
-    trace(fsm, "TRANSITION", "events: " .. list_text(events))
   end
 
   -- From the root down to the active leaf, node by node; an outer transition wins.
-  local function find_transition(fsm, leaf, events)
+  local function search(fsm, leaf, events)
+    local sources = sources_of(leaf)
     fsm._search = fsm._search + 1
-    if fsm.dbg ~= silent then trace_search(fsm, events) end
-    local sources = leaf._sources or sources_of(leaf)
     for i = 1, #sources do
-      local tr = find_from_node(fsm, sources[i], events)
-      if tr then return tr end
+      local def = find_transition(fsm, sources[i], events)
+      if def then return def end
     end
   end
 
-  -- leaf._choices[event] holds what the event leads to while the leaf is active, noted
-  -- when it first came: false for nothing, a transition that stands alone and goes
-  -- straight to a leaf, or a list of candidates, those of all sources. Only events that
-  -- the machine knows are noted; all others have one answer, at [OTHER].
-  local OTHER, NO_CHOICES = {}, {}
-  State._choices, State._ignored = NO_CHOICES, OTHER
-
-  local function candidates_of(sources, event)
-    local candidates, is_shared = false, true
-    for i = 1, #sources do
-      local list = sources[i]._by_event[event] or sources[i]._by_any
-      if list and not candidates then
-        candidates = list
-      elseif list then
-        candidates = is_shared and copy_list(candidates) or candidates
-        is_shared = false
-        append(candidates, list)
-      end
+  -- The same, told to dbg.
+  local function search_traced(fsm, leaf, events)
+    local line, state = {}, leaf
+    repeat
+      line[state.depth], state = state, state.parent
+    until line[state.depth]
+    fsm._search = fsm._search + 1
+    trace(fsm, "TRANSITION", "searching transitions for events: " .. list_text(events))
+    for depth = 0, leaf.depth do
+      trace(fsm, "CHECKING", "depth:", depth, "for transitions from " .. line[depth].fqn)
+      local def = find_transition(fsm, line[depth], events)
+      if def then return def end
     end
-    return candidates
+    trace(fsm, "TRANSITION", "no enabled paths found")
   end
 
-  -- Search, straight: a list of candidates becomes a function that asks one guard after
-  -- the other, as is_candidate_enabled and choose_way would, without a loop or a call
-  -- of its own. In its text t, g, i stand for a transition, its guard, its number; c, w
-  -- and x for a connector, the way out of it, those in conflict. The text is compiled
-  -- once for each shape, and holds no name of the model.
-  local straight_search
-
-  do
-    local HEAD = [[
-local pcall, silent, may_pass, refuse, trace_checking, matches, add_conflict,
-  warn_of_conflict%s = ...
-return function(fsm, events)
-  local transitions, ways = fsm._transitions, fsm._ways
-]]
-
-    -- So many values in one function (Lua 5.1 allows 60 upvalues), so many connectors
-    -- behind each other.
-    local MAX_VALUES, MAX_NESTED = 50, 12
-
-    local function write(text, line, ...)
-      text.lines[#text.lines + 1] = line:format(...)
-    end
-
-    local function bind(text, name, value)
-      local n = #text.names + 1
-      text.names[n], text.values[n] = ", " .. name, value
-    end
-
-    local write_connector
-
-    -- What follows when transition number n is enabled: the search ends, or at a
-    -- connector (a level above 0) the way is noted.
-    local function write_found(text, n, level)
-      if level == 0 then return write(text, "return t%d", n) end
-      write(text, "if w%d then x%d = add_conflict(x%d, w%d, t%d) else w%d = t%d end",
-        level, level, level, level, n, level, n)
-    end
-
-    -- `first` is the first transition of the connector: further ones of its priority
-    -- are asked only to warn of a conflict, others when there is no way yet.
-    local function write_transition(text, tr, level, first)
-      local n = text.count + 1
-      text.count = n
-      bind(text, "t" .. n, tr)
-      local condition = "true"
-      if first and tr._pn ~= first._pn then
-        condition = ("(not w%d or w%d._pn == t%d._pn)"):format(level, level, n)
-      end
-      if not tr._is_open_to_all and (first or tr._has_predicate) then
-        condition = ("%s and matches(t%d, events)"):format(condition, n)
-      end
-      write(text, "if %s then", condition)
-      write(text, "local guard = %s", tr.guard and "g" .. n or "silent")
-      write(text, "if fsm._is_traced then guard = trace_checking(fsm, t%d) end", n)
-      if not tr.guard then
-        write(text, "if guard == silent or may_pass(fsm, t%d, guard, events) then", n)
-      else
-        bind(text, "g" .. n, tr.guard)
-        bind(text, "i" .. n, tr._index)
-        write(text, "local ok, answer = pcall(guard, transitions[i%d], events)", n)
-        write(text, "if not ok then refuse(fsm, t%d, ok, answer)", n)
-        write(text, "elseif answer ~= false then")
-      end
-      if tr._to_connector then
-        write_connector(text, tr.tgt, level + 1)
-        write(text, "if w%d then", level + 1)
-      end
-      write_found(text, n, level)
-      write(text, tr._to_connector and "end end end" or "end end")
-    end
-
-    -- The way out of a connector, in w<level>. One that is reached a second time, which
-    -- is to be evaluated only once, is not for straight text.
-    function write_connector(text, connector, level)
-      if text[connector] or level > MAX_NESTED or #text.values > MAX_VALUES then
-        text.is_too_much = true
-        return
-      end
-      local otrs, c = connector._otrs or NONE, text.count + 1
-      if otrs[1] and not connector._by_event then
-        compile_node(text.plan, connector)
-      end
-      text[connector], text.count = true, c
-      bind(text, "c" .. c, connector)
-      write(text, "local w%d, x%d = false, nil", level, level)
-      for i = 1, #otrs do write_transition(text, otrs[i], level, otrs[1]) end
-      write(text, "if x%d then warn_of_conflict(fsm, c%d, x%d) end", level, c, level)
-      write(text, "ways[c%d] = w%d", c, level)
-    end
-
-    local makers = {}
-
-    local function make(text)
-      local source = HEAD:format(concat(text.names)) .. concat(text.lines, "\n")
-        .. "\nend\n"
-      local maker = makers[source] or loadstring(source, "=rfsm search")
-      makers[source] = maker
-      return maker(pcall, silent, may_pass, refuse, trace_checking, matches,
-        add_conflict, warn_of_conflict, unpack(text.values))
-    end
-
-    -- Returns a function that returns the first of `candidates` that is enabled, or
-    -- nothing.
-    function straight_search(plan, candidates)
-      local text = {
-        plan = plan, lines = {}, names = {}, values = {}, count = 0,
-      }
-      for i = 1, loadstring and #candidates or 0 do
-        write_transition(text, candidates[i], 0)
-        if #text.values > MAX_VALUES or text.is_too_much then break end
-      end
-      if loadstring and not text.is_too_much and #text.values <= MAX_VALUES then
-        return make(text)
-      end
-      return function(fsm, events)
-        fsm._search = fsm._search + 1
-        return find_in_list(fsm, candidates, events, 1)
-      end
-    end
-  end
-
-  local function choice_of(plan, leaf, event)
-    local candidates = candidates_of(leaf._sources or sources_of(leaf), event)
-    if not candidates then return false end
-    if not candidates[2] and candidates[1]._is_simple then return candidates[1] end
-    candidates._search = candidates._search or straight_search(plan, candidates)
-    return candidates
-  end
-
-  -- leaf._ignored is its e_done if that leads nowhere, as it mostly does.
-  local function start_choices(plan, leaf)
-    local done_event = leaf._done_event
-    local choice = choice_of(plan, leaf, done_event)
-    leaf._choices = { [done_event] = choice }
-    leaf._ignored = not choice and done_event or OTHER
-  end
-
-  local function find_choice(fsm, leaf, event)
-    if leaf._choices == NO_CHOICES then start_choices(fsm._plan, leaf) end
-    local choices = leaf._choices
-    if choices[event] ~= nil then return choices[event] end
-    local key = event
-    if not fsm._plan.events[event] then key = OTHER end
-    if choices[key] == nil then choices[key] = choice_of(fsm._plan, leaf, key) end
-    return choices[key]
-  end
-
-  -- Returns the first candidate that is enabled, or nothing.
-  function choose_from(fsm, choice, events)
-    if choice._is_quick then return choice end
-    if choice._search then return choice._search(fsm, events) end
-    return is_enabled(fsm, choice, events) and choice
-  end
-
-  -- Returns what several events lead to.
-  local function choose_among(fsm, leaf, events)
-    local choice = false
+  -- May one event alone trigger it?
+  local function is_candidate(def, event)
+    local events = def.events
+    if not events or def.has_predicate then return true end
     for i = 1, #events do
-      local found = find_choice(fsm, leaf, events[i])
-      if found and found ~= choice then
-        if choice then return find_transition(fsm, leaf, events) end
-        choice = found
+      if rawequal(events[i], event) then return true end
+    end
+    return false
+  end
+
+  -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
+  -- order, and is noted when the event first comes. leaf.quick[event] is the only one on
+  -- the list, if it needs no search. Events that the machine does not know have one
+  -- choice, at [OTHER].
+  local OTHER = {}
+
+  local function note_choice(leaf, event)
+    local candidates, sources = {}, sources_of(leaf)
+    for i = 1, #sources do
+      for j = 1, #sources[i].otrs do
+        local def = sources[i].otrs[j]
+        if def.connector == nil then compile_transition(def) end
+        if is_candidate(def, event) then candidates[#candidates + 1] = def end
       end
     end
-    return choice and choose_from(fsm, choice, events)
-  end
-
-  -- Returns the transition to take, or nothing.
-  function choose(fsm, leaf, events)
-    if fsm._is_traced then
-      return events[1] ~= nil and find_transition(fsm, leaf, events)
+    local first = candidates[1]
+    leaf.choices[event] = candidates
+    if event ~= OTHER and first and not (candidates[2] or first.connector
+      or first.has_predicate) then
+      leaf.quick[event] = first
     end
-    local at = 1
-    if events[1] == leaf._ignored then at = 2 end
-    local event = events[at]
-    if event == nil then return nil end
-    if events[at + 1] ~= nil then return choose_among(fsm, leaf, events) end
-    local choice = leaf._choices[event]
-    if choice == nil then choice = find_choice(fsm, leaf, event) end
-    return choice and choose_from(fsm, choice, events)
+    return candidates
+  end
+
+  -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
+  -- mostly does; NaN is no event.
+  local function prepare_leaf(leaf)
+    leaf.choices, leaf.quick = {}, {}
+    leaf.ignored = not note_choice(leaf, leaf.done_event)[1] and leaf.done_event or 0 / 0
+  end
+
+  local function choice_of(fsm, leaf, event)
+    if leaf.choices == NONE then prepare_leaf(leaf) end
+    local choice = leaf.choices[event]
+    if choice then return choice end
+    if not fsm._plan.events[event] then event = OTHER end
+    return leaf.choices[event] or note_choice(leaf, event)
+  end
+
+  -- Returns the first candidate that is enabled.
+  function find_listed(fsm, candidates, events)
+    fsm._search = fsm._search + 1
+    for i = 1, #candidates do
+      local def = candidates[i]
+      local found = (not def.has_predicate or matches(def, events))
+        and enabled(fsm, def, events, 0)
+      if found then return found end
+    end
+  end
+
+  -- The same by straight code, where there is some. A guard may have merged something
+  -- into the machine: then it is searched again.
+  function find_enabled(fsm, candidates, events)
+    local plan, find = fsm._plan, candidates.search
+    if not find and straight then
+      find = straight.search(candidates) or find_listed
+      candidates.search = find
+    end
+    local def = (find or find_listed)(fsm, candidates, events)
+    if fsm._plan ~= plan then return choose(fsm, events) end
+    return def
+  end
+
+  -- Returns the transition that the events enable while `leaf` is active, or nil.
+  function choose(fsm, events)
+    if events[1] == nil then return nil end
+    local leaf = fsm._act_leaf["%def"]
+    local find, plan, found = fsm._is_traced and search_traced, fsm._plan, nil
+    for i = 1, find and 0 or #events do
+      local candidates = choice_of(fsm, leaf, events[i])
+      if candidates[1] and candidates ~= found then
+        if found then find = search end
+        found = candidates
+      end
+    end
+    if not find then return found and find_enabled(fsm, found, events) end
+    local def = find(fsm, leaf, events)
+    if fsm._plan ~= plan then return choose(fsm, events) end
+    return def
+  end
+
+  -- root.a[LS]->root.k[c]->root.b[LS]
+  function path_text(fsm, def)
+    local texts = { def.src.fqn, "[", rfsm.fsmobj_tochar(fsm._nodes[def.src.index]), "]" }
+    while def do
+      append(texts, {
+        "->", def.tgt.fqn, "[", rfsm.fsmobj_tochar(fsm._nodes[def.tgt.index]), "]",
+      })
+      def = def.connector and fsm._ways[def.connector]
+    end
+    return concat(texts)
   end
 end
 
--- Take: exit, effect, entry, in full detail ......................................
-
--- Notes in fsm._at, in detail, where that is not to end the protected call: before a
--- program and after it, since it may have asked for that.
-local function note(fsm, at) rawset(fsm, "_at", at) end
-
--- What follows when exit and hooks of `state` have run.
-local function finish_hooked_exit(fsm, state)
-  if state._is_leaf then fsm._doo = false end
-  note(fsm, state._parent._index + 0.25)
-  if fsm.dbg ~= silent then trace(fsm, "STATE_EXIT", state._fqn) end
-end
+-- Take: leave, effect, enter ......................................................
+--
+-- One protected call runs a whole path. When a callback in it fails, or an interrupt
+-- strikes, where the machine stands says how far it came, and the rest is run from
+-- there: see `resume_segment`.
 
 -- What follows when the exit of `state` has run.
-local function finish_exit(fsm, state)
-  local node = fsm._nodes[state._index]
-  local hooks = node._def._exit_hooks
-  if hooks then run_state_hooks(fsm, node, hooks) end
-  finish_hooked_exit(fsm, state)
+local function finish_exit(fsm, state, hooks)
+  if hooks then run_state_hooks(fsm, state, hooks) end
+  if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
+  if state._doo_co then state._doo_co = nil end
+  if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
 end
 
 -- A leaf has done its work.
 local function complete(fsm, leaf)
-  fsm._is_done = true
-  post(fsm, leaf._done_event)
+  local queue, event = fsm._intq, leaf["%def"].done_event
+  leaf._mode = "done"
+  if fsm._is_traced then trace(fsm, "RAISED", event) end
+  queue[#queue + 1] = event
 end
 
 -- What follows when the entry of `state` has run.
-local function finish_entry(fsm, state)
-  note(fsm, state._index)
-  if state._is_leaf then
-    local leaf = fsm._plan.nodes[state._index] -- of a plan that may be new
-    make_ready(leaf)
-    fsm._leaf, fsm._is_done = leaf, false
-    note(fsm, true)
-    if not leaf.doo then complete(fsm, leaf) end
+local function finish_entry(fsm, state, def)
+  if def.is_leaf then
+    fsm._act_leaf = state
+    if not state.doo then complete(fsm, state) end
   end
-  if fsm.dbg ~= silent then trace(fsm, "STATE_ENTER", state._fqn) end
+  if fsm._is_traced then trace(fsm, "STATE_ENTER", state._fqn) end
 end
 
--- What follows when the effect of `tr` has run, or there is none.
-local function finish_effect(fsm, tr)
-  note(fsm, tr._lca._index + 0.5)
-  if fsm.dbg == silent then return end
-  trace(fsm, "EFFECT", tostring(tr))
-  trace(fsm, "TRANS_ENTER", tostring(tr))
+local function leave(fsm, state)
+  local exit, parent = state.exit, state._parent
+  state._mode, parent._actchild = "inactive", nil
+  if exit then exit(fsm, state, "exit") end
+  finish_exit(fsm, state, state._exit_hooks)
 end
 
--- Exits from `state` up to the lca of `tr`. The machine may have got a plan of its own
--- in the meantime: only positions in it tell.
-local function exit_up(fsm, tr, state)
-  while state._index ~= tr._lca._index do
-    local node = fsm._nodes[state._index]
-    local exit = node.exit
-    note(fsm, -state._index)
-    if exit then exit(fsm, node, "exit") end
-    finish_exit(fsm, state)
-    state = state._parent
+local function enter(fsm, state, def)
+  local entry = nil
+  state._mode, state._parent._actchild = "active", state
+  if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
+  entry = state.entry
+  if entry then entry(fsm, state, "entry") end
+  finish_entry(fsm, state, def)
+end
+
+local function trace_exits(fsm, def)
+  local outermost = def.src
+  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+    outermost = outermost.parent
   end
+  trace(fsm, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+    def.lca.fqn)
 end
 
--- Enters the states of `tr`, beginning with number `first`, whose hooks may have run.
-local function enter_down(fsm, tr, first, is_hooked)
-  local entries = tr._entries
-  for i = first, #entries do
-    local state = entries[i]
-    local node = fsm._nodes[state._index]
-    local hooks = not (is_hooked and i == first) and node._def._entry_hooks
-    note(fsm, state._index)
-    if hooks then run_state_hooks(fsm, node, hooks) end
-    local entry = node.entry
-    if entry then entry(fsm, node, "entry") end
-    finish_entry(fsm, state)
+local function trace_entries(fsm, def)
+  local names, node = {}, def.tgt
+  while node ~= def.lca do
+    names[#names + 1], node = node.fqn, node.parent
   end
+  trace(fsm, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", concat(names, " > "))
 end
 
--- (a) Exits from `state` on, (b) the effect, (c) the entries from number `first` on; 0
--- stands for all of it, 1 for all of (c). It runs in a protected call, and fsm._at says
--- what is running. What follows a program (the functions finish_*) does not raise.
-local function run_segment(fsm, tr, events, state, first)
+local function run_effect(fsm, def)
+  local tr = fsm._transitions[def.index]
+  if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
+  local effect = tr.effect
+  if not effect then return end
+  if may_keep(effect, 4) then keep_events(fsm) end
+  effect(fsm, tr, "effect", fsm._curq)
+end
+
+-- The parts of the segment `def`: (a) leaves the states from `state` up to the lca, (b)
+-- runs the effect, (c) enters the states from number `first` on. 0 stands for all of it.
+local function run_parts(fsm, def, state, first)
+  local nodes = fsm._nodes
+  local lca = nodes[def.lca.index]
   if first == 0 then
-    exit_up(fsm, tr, state)
-    local own = fsm._transitions[tr._index]
-    local effect = own.effect
-    note(fsm, tr._lca._index + 0.5)
-    if effect then
-      keep_events(fsm)
-      effect(fsm, own, "effect", events)
+    while state ~= lca do
+      leave(fsm, state)
+      state = state._parent
     end
-    finish_effect(fsm, tr)
+    fsm._from = false
+    run_effect(fsm, def)
     first = 1
   end
-  enter_down(fsm, tr, first)
-end
-
--- Which of the entries of `tr` is `state`?
-local function number_of(tr, state)
-  local entries = tr._entries
-  for i = 1, #entries do
-    if entries[i]._index == state._index then return i end
+  if first == 1 and fsm._is_traced then trace_entries(fsm, def) end
+  for i = first, #def.entries do
+    enter(fsm, nodes[def.entries[i].index], def.entries[i])
   end
 end
 
--- Where segment `tr` starts, the innermost active state: nothing is left when a hook
--- has made the leaf inactive.
-local function start_of(fsm, tr)
-  return is_conn(tr.src) and tr.src._parent or fsm._leaf or tr._lca
+-- Takes the segment that the machine has noted, beginning at the state `from`.
+function run_segment(fsm, from)
+  local def = fsm._segment
+  if fsm._is_traced then trace_exits(fsm, def) end
+  if def.is_internal then from = fsm._nodes[def.lca.index] end
+  run_parts(fsm, def, from, 0)
 end
 
--- Where the exits of a segment go on, or begin, after an interrupt.
-local function innermost_in(fsm, tr)
-  if fsm._at ~= true then return (innermost_of(fsm)) end
-  if not tr._entries then compile_path(tr) end
-  return start_of(fsm, tr)
+-- Takes the segment `def` from the active state `from`, then those that the search chose
+-- behind it. It calls itself where a loop would keep LuaJIT from making one trace of it.
+-- `run` names the way: "run", "run_hooked" or "run_traced".
+local function run_path(fsm, def, from, run)
+  fsm._segment = def
+  fsm._from = from
+  def[run](fsm, from, fsm._transitions[def.index])
+  local connector = def.connector
+  if not connector then return end
+  if fsm._is_traced then run = "run_traced" end
+  return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index], run)
 end
 
--- A program of the segment failed: reports it, finishes what it belongs to, and returns
--- where to go on. So it is when the rest is to go in detail, but nothing failed. Where
--- no program was running it was an interrupt, which is for the caller.
-local function recover(fsm, tr, failure)
-  local at, state = fsm._at, innermost_of(fsm)
-  local phase, has_failed = type(at) == "number" and at % 1, failure ~= IN_DETAIL
-  note(fsm, at)
-  if phase == 0.5 then
-    if has_failed then
-      report_program(fsm, "EFFECT", "effect", tostring(tr), failure)
-    end
-    finish_effect(fsm, tr)
-    return nil, 1
-  elseif phase == 0 and at < 0 then
-    if has_failed then report_program(fsm, "EXIT", "exit", state._fqn, failure) end
-    finish_exit(fsm, state)
-    return state._parent, 0
-  elseif phase == 0 then
-    if has_failed then report_program(fsm, "ENTRY", "entry", state._fqn, failure) end
-    finish_entry(fsm, state)
-    return nil, number_of(tr, state) + 1
+-- The number of a node among definitions, which may be those of an older plan.
+local function number_of(node, defs)
+  for i = 1, #defs do
+    if defs[i].index == node["%def"].index then return i end
   end
-  keep_failure(fsm, failure)
-  return innermost_in(fsm, tr), 0
 end
 
--- One segment in detail. Returns whether the rest of the path is to go so, too.
-local function run_in_detail(fsm, tr, events)
-  if not tr._entries then compile_path(tr) end
-  if fsm.dbg ~= silent then trace(fsm, "TRANS_EXIT", tostring(tr)) end
-  run_segment(fsm, tr, events, start_of(fsm, tr), 0)
-  return fsm._is_traced
+-- Returns what was going on when the segment `def` ended early: the callback, its state,
+-- and the number of the entry. Nothing when the segment is complete.
+local function find_callback(fsm, def)
+  local inner, state = innermost(fsm), fsm._from
+  if state and not def.is_internal then
+    if state == inner then return "begin", state end
+    while state._parent ~= inner and state ~= fsm do state = state._parent end
+    return state ~= fsm and "exit" or nil, state
+  elseif def.is_internal or inner == fsm._nodes[def.lca.index] then
+    return "effect", inner
+  end
+  local number = number_of(inner, def.entries)
+  return number and not fsm._act_leaf and "entry" or nil, inner, number
 end
 
-local function run_path_in_detail(fsm, tr, events)
-  fsm._segment = tr
-  note(fsm, true)
-  run_in_detail(fsm, tr, events)
-  if not tr._to_connector then return end
-  return run_path_in_detail(fsm, fsm._ways[tr.tgt], events)
+-- Did an interrupt such as Control-C raise the error, rather than the callback that was
+-- being called? Then it names a line of the engine.
+local function is_interrupt(callback, failure)
+  if not callback then return true end
+  return is_callable(callback) and type(failure) == "string" and this_file ~= nil
+    and (failure:sub(1, #this_file + 1) == this_file .. ":"
+      or failure:sub(1, 13) == "rfsm segment:")
 end
 
--- Runs segment `tr` and those that the search chose after it. It calls itself where a
--- loop would keep LuaJIT from making one trace of a step.
-local function run_path(fsm, tr, events)
-  fsm._segment, fsm._at = tr, true
-  local is_in_detail = tr._run(fsm, tr, events)
-  if not tr._to_connector then return end
-  local way = fsm._ways[tr.tgt]
-  if is_in_detail then return run_path_in_detail(fsm, way, events) end
-  return run_path(fsm, way, events)
+-- An interrupt is for the caller; the callback that it struck is called again.
+local function redo(fsm, def, what, state, number)
+  if what == "exit" then
+    state._mode, state._parent._actchild = "active", state
+  elseif what == nil then -- the segment is complete but for this
+    local leaf = fsm._act_leaf
+    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
+    return
+  end
+  return run_parts(fsm, def, state, number or 0)
 end
 
--- Goes on in the segment whose program failed, then with those after it.
-local function resume_path(fsm, tr, events, state, first)
-  run_segment(fsm, tr, events, state, first)
-  local run_rest = fsm._is_traced and run_path_in_detail or run_path
-  if tr._to_connector then run_rest(fsm, fsm._ways[tr.tgt], events) end
+-- Runs the rest of the segment that is under way, after the callback that was called
+-- last; that one may have failed.
+local function resume_segment(fsm, has_failed, failure)
+  local def = fsm._segment
+  local what, state, number = find_callback(fsm, def)
+  local owner = what == "effect" and fsm._transitions[def.index] or state
+  if not what or what == "begin" or has_failed and is_interrupt(owner[what], failure) then
+    if has_failed then keep_failure(fsm, failure) end
+    return redo(fsm, def, what, state, number)
+  end
+  if has_failed then
+    report_callback(fsm, what, what == "effect" and tostring(owner) or state._fqn, failure)
+  end
+  if what == "exit" then
+    state._mode = "inactive"
+    finish_exit(fsm, state, state._exit_hooks)
+    return run_parts(fsm, def, state._parent, 0)
+  elseif what == "entry" then
+    finish_entry(fsm, state, def.entries[number])
+  end
+  return run_parts(fsm, def, state, (number or 0) + 1)
 end
 
--- Recovers from the failure in segment `tr`, until the path is at its end.
-local function recover_path(fsm, tr, events, failure)
-  local ok, at
+local function resume_path(fsm, has_failed, failure)
+  resume_segment(fsm, has_failed, failure)
+  local connector = fsm._segment.connector
+  if not connector then return end
+  return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
+    "run_traced")
+end
+
+-- Goes on after a failure until the path is at its end.
+local function recover(fsm, has_failed, failure)
+  local ok
   keep_events(fsm)
-  fsm._segment = tr
   repeat
-    if fsm._segment == tr and fsm._at == at then error(failure, 0) end -- no progress
-    tr, at = fsm._segment, fsm._at
-    local state, first = recover(fsm, tr, failure)
-    ok, failure = pcall(resume_path, fsm, tr, events, state, first)
+    ok, failure = pcall(resume_path, fsm, has_failed, failure)
+    has_failed = true
   until ok
 end
 
--- Returns the segments from `tr` to a leaf, as the search chose them.
-local function path_from(fsm, tr)
-  local path = { tr }
-  while tr._to_connector do
-    tr = fsm._ways[tr.tgt]
-    path[#path + 1] = tr
+-- Takes the path that starts with `def` in the active state `from`.
+local function take(fsm, def, from)
+  local run = fsm._has_state_hooks and "run_hooked" or "run"
+  if fsm._is_traced then
+    trace(fsm, "EXEC_PATH", path_text(fsm, def))
+    run = "run_traced"
+  elseif from._actchild or from._mode == "inactive" then
+    run = "run_traced" -- a guard has moved the machine
   end
-  return path
+  local ok, failure = pcall(run_path, fsm, def, from, run)
+  if not ok then recover(fsm, true, failure) end
 end
 
-local function trace_path(fsm, tr)
-  if fsm.dbg == silent then return end
-  local path, names = path_from(fsm, tr), { tr.src._fqn }
-  for i = 1, #path do names[i + 1] = path[i].tgt._fqn end
-  trace(fsm, "EXEC_PATH", concat(names, " -> "))
+-- What straight code is made with.
+local PARTS = {
+  run_segment = run_segment, keep_events = keep_events, run_state_hooks = run_state_hooks,
+  report_callback = report_callback, compile_transition = compile_transition,
+  matches = matches, find_listed = find_listed, warn_of_conflict = warn_of_conflict,
+}
+
+-- Goes on in detail after the callback that was called last.
+function PARTS.resume(fsm) return resume_segment(fsm, false) end
+
+-- Goes on in detail after the exit and the hooks of `state`.
+function PARTS.finish_leaving(fsm, state)
+  finish_exit(fsm, state, nil)
+  return run_parts(fsm, fsm._segment, state._parent, 0)
 end
 
--- Runs the path that starts with `tr`. One protected call will do if nothing fails.
-local function run_protected(fsm, tr, events)
-  fsm._segment = tr
-  local run = fsm._is_traced and run_path_in_detail or run_path
-  local ok, failure = pcall(run, fsm, tr, events)
-  if not ok then recover_path(fsm, fsm._segment, events, failure) end
-  note(fsm, true)
-end
-
--- Takes the path from the active leaf.
-local function take_path(fsm, tr, events)
-  if fsm._is_traced then trace_path(fsm, tr) end
-  run_protected(fsm, tr, events)
-end
-
--- Runs a program outside of a transition.
-local function run_alone(fsm, at, program, node, what)
-  note(fsm, at)
-  local ok, failure = pcall(program or silent, fsm, node, what)
-  if not ok then
-    report_program(fsm, what:upper(), what, node._fqn, failure)
+-- Returns the straight code, if there is any.
+local function straight_code()
+  if straight == nil then
+    local make = loadstring and find_module("rfsm.straight")
+    straight = make and make(PARTS) or false
   end
+  return straight
 end
 
--- Exits one state outside of a transition.
-local function exit_one(fsm, state)
-  local node = fsm._nodes[state._index]
-  run_alone(fsm, -state._index, node.exit, node, "exit")
-  finish_exit(fsm, state)
+-- Until a transition has been taken a few times it runs without straight code.
+local USES = 3
+
+function run_warily(fsm, from)
+  local def = fsm._segment
+  def.uses = (def.uses or 0) + 1
+  if def.uses >= USES then
+    local code = straight_code()
+    def.run = code and code.segment(def, false) or run_segment
+    def.run_hooked = code and code.segment(def, true) or run_segment
+  end
+  return run_segment(fsm, from)
 end
 
--- Enters the root.
+-- Calls a callback outside of a transition.
+local function call_alone(fsm, state, what)
+  local callback = state[what]
+  if not callback then return end
+  local ok, failure = pcall(callback, fsm, state, what)
+  if not ok then report_callback(fsm, what, state._fqn, failure) end
+end
+
 local function enter_root(fsm)
-  local root = fsm._def
-  fsm._open = false
-  note(fsm, root._index)
-  if root._entry_hooks then run_state_hooks(fsm, fsm, root._entry_hooks) end
-  run_alone(fsm, root._index, fsm.entry, fsm, "entry")
-  finish_entry(fsm, root)
+  fsm._mode = "active"
+  if fsm._entry_hooks then run_state_hooks(fsm, fsm, fsm._entry_hooks) end
+  call_alone(fsm, fsm, "entry")
+  finish_entry(fsm, fsm, fsm._plan.nodes[1])
 end
 
 -- First entry: the root, then the path from its `initial`; false when none is enabled.
 local function enter_machine(fsm, events)
-  local root = fsm._def
-  if root._is_leaf then
+  local root = fsm._plan.nodes[1]
+  if root.is_leaf then
     enter_root(fsm)
     return true
   end
   fsm._search = fsm._search + 1
-  if fsm.dbg ~= silent then trace_search(fsm, events) end
-  local tr = find_from_node(fsm, root.initial, events)
-  if not tr then return false end
-  trace_path(fsm, tr)
+  local def = find_transition(fsm, root.members.initial, events)
+  if not def then return false end
   enter_root(fsm)
-  run_protected(fsm, tr, events)
+  take(fsm, def, fsm)
   return true
-end
-
--- Take, straight: the same as run_in_detail while nothing is traced ...............
---
--- A segment becomes a function without a loop, made when it is first taken: one call
--- after the other, each with a note in fsm._at, and nothing for a state without
--- programs. Its text depends on the kinds of the steps alone and is compiled once for
--- each list of them; programs and positions are upvalues. That programs may be replaced
--- at any time costs nothing here: the functions are made anew then, and for the segment
--- that is under way `go_in_detail` removes fsm._at, so that the next note ends the
--- protected call, and `recover` goes on in detail.
-
-do
-  -- The text of each kind of step; $n counts them.
-  local TEXT = {
-    head = [[
-local stop, run_state_hooks, exit_hooked, enter_hooked, leaf, done_event%s = ...
-return function(fsm, tr, events)
-  local nodes = fsm._nodes
-]],
-    exit = [[
-  fsm._at = -i$n
-  f$n(fsm, nodes[i$n], "exit")
-]],
-    exit_hooks = [[
-  fsm._at = -i$n
-  run_state_hooks(fsm, nodes[i$n], f$n)
-  if fsm._is_traced then return exit_hooked(fsm, tr, events, i$n) end
-]],
-    drop_doo = [[
-  fsm._doo = false
-]],
-    note = [[
-  fsm._at = i$n
-]],
-    effect = [[
-  f$n(fsm, fsm._transitions[i$n], "effect", events)
-]],
-    entry = [[
-  fsm._at = i$n
-  f$n(fsm, nodes[i$n], "entry")
-]],
-    entry_hooks = [[
-  fsm._at = i$n
-  run_state_hooks(fsm, nodes[i$n], f$n)
-  if fsm._is_traced then return enter_hooked(fsm, tr, i$n) end
-]],
-    check = [[
-  if fsm._is_traced then stop() end
-]],
-    enter_leaf = [[
-  fsm._leaf = leaf
-  fsm._is_done = false
-]],
-    complete_leaf = [[
-  local queue = fsm._intq
-  fsm._leaf = leaf
-  fsm._is_done = true
-  queue[#queue + 1] = done_event
-]],
-    keep = [[
-  fsm._is_kept = true
-  fsm._is_unsettled = true
-]],
-    tail = [[
-end
-]],
-  }
-
-  -- So many programs in one function: Lua 5.1 allows 60 upvalues.
-  local MAX_CALLS = 20
-
-  -- The functions that texts are compiled to.
-  local makers = {}
-
-  -- `steps` are { kind, program, index }, ...
-  local function make_text(steps)
-    local texts, names = { "" }, {}
-    for n = 1, #steps do
-      if steps[n].index then names[#names + 1] = (", f%d, i%d"):format(n, n) end
-      texts[n + 1] = TEXT[steps[n].kind]:gsub("%$n", n)
-    end
-    texts[1] = TEXT.head:format(concat(names))
-    texts[#texts + 1] = TEXT.tail
-    return concat(texts)
-  end
-
-  local function stop() error(IN_DETAIL, 0) end
-
-  -- A hook has changed what comes after it, so that goes in detail. Returns true: the
-  -- segment is at its end, and the rest of the path is to go so, too.
-  local function exit_hooked(fsm, tr, events, index)
-    local state = fsm._plan.nodes[index]
-    finish_hooked_exit(fsm, state)
-    run_segment(fsm, tr, events, state._parent, 0)
-    return true
-  end
-
-  local function enter_hooked(fsm, tr, index)
-    enter_down(fsm, tr, number_of(tr, fsm._plan.nodes[index]), true)
-    return true
-  end
-
-  local function make_piece(steps, leaf)
-    local text = make_text(steps)
-    local maker = makers[text] or loadstring(text, "=rfsm segment")
-    makers[text] = maker
-    local bound, n = {}, 0
-    for i = 1, #steps do
-      if steps[i].index then
-        bound[n + 1], bound[n + 2] = steps[i].program, steps[i].index
-        n = n + 2
-      end
-    end
-    return maker(stop, run_state_hooks, exit_hooked, enter_hooked, leaf,
-      leaf and leaf._done_event, unpack(bound, 1, n))
-  end
-
-  local function chain(first, second)
-    return function(fsm, tr, events)
-      return first(fsm, tr, events) or second(fsm, tr, events)
-    end
-  end
-
-  local function add_step(steps, kind, program, index)
-    if program == false or program == nil then return end
-    steps[#steps + 1] = { kind = kind, program = program, index = index }
-  end
-
-  local function add_exits(steps, tr, innermost)
-    local state = innermost
-    while state._index ~= tr._lca._index do
-      add_step(steps, "exit", state.exit, state._index)
-      add_step(steps, "exit_hooks", state._exit_hooks, state._index)
-      local may_have_doo = state._is_leaf
-        and (state.doo or root_of(state)._plan.is_own)
-      add_step(steps, "drop_doo", may_have_doo)
-      state = state._parent
-    end
-  end
-
-  local function add_entries(steps, tr)
-    local entries = tr._entries
-    for i = 1, #entries do
-      local state = entries[i]
-      add_step(steps, "entry_hooks", state._entry_hooks, state._index)
-      add_step(steps, "entry", state.entry, state._index)
-    end
-  end
-
-  -- The steps of the segment `tr` from the `innermost` active state.
-  local function steps_of(tr, innermost)
-    local steps, leaf = {}, tr._entries[1] and not tr._to_connector and tr.tgt
-    add_exits(steps, tr, innermost)
-    add_step(steps, "keep", tr.effect and parameters_of[tr.effect] > 3)
-    add_step(steps, "note", tr.effect, tr._lca._index + 0.5)
-    add_step(steps, "effect", tr.effect, tr._index)
-    add_entries(steps, tr)
-    if steps[1] then steps[#steps + 1] = { kind = "check" } end
-    if leaf then
-      steps[#steps + 1] = { kind = leaf.doo and "enter_leaf" or "complete_leaf" }
-    end
-    return steps, leaf
-  end
-
-  local function slice(list, first, last)
-    local part = {}
-    for i = first, min(last, #list) do part[#part + 1] = list[i] end
-    return part
-  end
-
-  -- Returns the function for the segment `tr` from the `innermost` active state; where
-  -- Lua comes without its compiler that is run_in_detail.
-  local function straight_segment(tr, innermost)
-    if not loadstring then return run_in_detail end
-    local steps, leaf = steps_of(tr, innermost)
-    local run, piece
-    for i = 1, #steps, MAX_CALLS do
-      piece = make_piece(slice(steps, i, i + MAX_CALLS - 1), leaf)
-      run = run and chain(run, piece) or piece
-    end
-    return run or silent
-  end
-
-  -- A segment that starts at a composite: what it exits depends on the leaf.
-  local function run_from_composite(fsm, tr, events)
-    local leaf = fsm._leaf
-    local run = tr._runs[leaf]
-    if not run then
-      run = straight_segment(tr, leaf)
-      tr._runs[leaf] = run
-    end
-    return run(fsm, tr, events)
-  end
-
-  -- Until the first time.
-  function Transition._run(fsm, tr, events)
-    local src = tr.src
-    if not tr._entries then compile_path(tr) end
-    if is_conn(src) then
-      tr._run = straight_segment(tr, src._parent)
-    elseif src._is_leaf then
-      tr._run = straight_segment(tr, src)
-    else
-      tr._run, tr._runs = run_from_composite, {}
-    end
-    return tr._run(fsm, tr, events)
-  end
 end
 
 -- Doo ............................................................................
@@ -2727,300 +1879,336 @@ end
 local run_doo
 
 do
-  -- What a doo's coroutine returns at its end, before what the doo returned.
-  local ENDED = {}
+  -- Comes back from a doo's coroutine at its end, before what the doo returned.
+  local function ENDED() end
 
-  local function doo_body(doo, fsm, node) return ENDED, doo(fsm, node, "doo") end
-
-  local function trace_doo(fsm, leaf, outcome)
-    if fsm.dbg ~= silent then trace(fsm, "DOO", leaf._fqn, outcome) end
-  end
+  local function doo_body(doo, fsm, state) return ENDED, doo(fsm, state, "doo") end
 
   local function fail_doo(fsm, leaf, failure)
-    fsm._doo, fsm._is_done = false, true
+    leaf._doo_co, leaf._mode = nil, "done"
     report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
       failure)
-    trace_doo(fsm, leaf, "failed")
+    return true
+  end
+
+  -- What follows when the doo ended.
+  local function end_doo(fsm, leaf)
+    leaf._doo_co = nil
+    complete(fsm, leaf)
+    if fsm._is_traced then
+      trace(fsm, "DOO", "removing completed coroutine of " .. leaf._fqn .. " doo")
+    end
     return true
   end
 
   -- What follows a cycle of the doo; true when it is idle or done.
   local function finish_cycle(fsm, leaf, ok, idle)
+    fsm._segment = false
     if not ok then return fail_doo(fsm, leaf, idle) end
-    if idle ~= ENDED then
-      if fsm._is_traced then trace_doo(fsm, leaf, idle and "idle" or "active") end
-      return idle and true or false
-    end
-    fsm._doo = false
-    complete(fsm, leaf)
-    trace_doo(fsm, leaf, "done")
-    return true
+    if idle == ENDED then return end_doo(fsm, leaf) end
+    return idle and true or false
   end
 
   -- The first cycle: a coroutine is made.
   local function start_doo(fsm, leaf)
-    local doo = fsm._nodes[leaf._index].doo
+    local doo = leaf.doo
     if not doo then
       complete(fsm, leaf)
       return true
     end
-    local co = create(doo_body)
-    fsm._doo = co
-    return finish_cycle(fsm, leaf, resume(co, doo, fsm, fsm._nodes[leaf._index]))
+    if fsm._is_traced then
+      trace(fsm, "DOO", "created coroutine for " .. leaf._fqn .. " doo")
+    end
+    leaf._doo_co, fsm._segment = create(doo_body), true
+    return finish_cycle(fsm, leaf, resume(leaf._doo_co, doo, fsm, leaf))
   end
 
   -- One cycle of the active leaf's doo; true when it is idle or done.
   function run_doo(fsm, leaf)
-    if fsm._is_done then return true end
-    local co = fsm._doo
+    if leaf._mode == "done" then return true end
+    local co = leaf._doo_co
     if not co then return start_doo(fsm, leaf) end
-    local ok, idle = resume(co, fsm, fsm._nodes[leaf._index], "doo")
-    if not ok or idle == ENDED or fsm._is_traced then
-      return finish_cycle(fsm, leaf, ok, idle)
-    end
+    fsm._segment = true
+    local ok, idle = resume(co, fsm, leaf, "doo")
+    if not ok or idle == ENDED then return finish_cycle(fsm, leaf, ok, idle) end
+    fsm._segment = false
     return idle and true or false
   end
 end
 
 -- Iterate ........................................................................
 
-local function reset_now(fsm)
-  fsm._leaf, fsm._open, fsm._is_done, fsm._doo = false, false, false, false
-  fsm._reset_wanted, fsm._intq = false, { "e_init_fsm" }
-  run_hooks(fsm, fsm._reset_hooks, nil, nil)
+local function set_inactive(fsm)
+  for _, node in ipairs(fsm._nodes) do
+    if node._mode then
+      node._mode, node._doo_co = "inactive", nil
+      rawset(node, "_actchild", nil)
+    end
+  end
+  fsm._act_leaf, fsm._is_plain = false, false
 end
 
-local iterate, iterate_long
+local function reset_now(fsm)
+  set_inactive(fsm)
+  fsm._segment, fsm._from, fsm._reset_wanted = false, false, false
+  fsm._intq, fsm._curq = { "e_init_fsm" }, {}
+  run_hooks(fsm, fsm._reset_hooks)
+end
+
+local is_stepping, iterate, mend
 
 do
-  -- No way in: the queue becomes again what it was, and what came meanwhile follows.
-  local function refuse_entry(fsm, collected, events)
-    append(collected, fsm._intq)
-    fsm._intq, fsm._curq, fsm._at = collected, {}, false
-    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-      .. "events: " .. list_text(events))
-    if fsm._reset_wanted then reset_now(fsm) end
-    raise_failure(fsm)
-  end
+  -- The note while hooks and getevents are called. If one raises the note stays; without
+  -- `debug` nobody could tell then that no step is under way.
+  local MAY_RAISE = getinfo ~= nil
 
-  -- Empties an events table.
-  local function empty(events)
-    if events[3] ~= nil then
-      for i = #events, 3, -1 do events[i] = nil end
-    end
-    if events[2] ~= nil then events[2] = nil end
-    if events[1] ~= nil then events[1] = nil end
-  end
-
-  -- The end of an iteration. The events table is emptied and will be the next queue;
-  -- one that a hook or an effect has seen, and may have kept, is left to it.
+  -- The end of an iteration in which something was kept, failed, or asked for. The
+  -- events table is emptied and will be the next queue; one that a function may have
+  -- kept is left to it.
   local function settle(fsm, events)
-    if not fsm._is_unsettled and not fsm._is_hooked then
-      empty(events)
-      fsm._at = false
-      return
-    end
+    if fsm._is_kept then fsm._curq = {} else empty(events) end
+    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
     if fsm._reset_wanted then reset_now(fsm) end
-    if fsm._is_hooked then run_hooks(fsm, fsm._post_hooks, "post_step_hook", events) end
-    if fsm._is_kept then
-      fsm._curq, fsm._is_kept = {}, false
-    else
+    if fsm._has_failure then raise_failure(fsm) end
+  end
+
+  -- The same where there are step hooks: they get the events of the iteration.
+  local function settle_hooked(fsm, events)
+    fsm._curq = fsm._spare or {}
+    fsm._segment, fsm._spare = MAY_RAISE, false
+    if fsm._reset_wanted then reset_now(fsm) end
+    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
+    fsm._segment = false
+    if not fsm._is_kept then
       empty(events)
+      fsm._spare = events
     end
-    fsm._is_unsettled, fsm._at = false, false
-    raise_failure(fsm)
+    fsm._is_kept, fsm._is_unsettled = false, false
+    if fsm._has_failure then raise_failure(fsm) end
   end
 
-  -- The first iteration: nil when there is no way in, else true: it counts.
-  local function iterate_first(fsm, events)
+  -- The events of the iteration: what is queued, then what getevents returns, then what
+  -- the hooks have made of it.
+  local function gather(fsm)
+    put_back(fsm)
+    local events, spare = fsm._intq, fsm._curq
+    fsm._curq = events
+    fsm._intq = spare
     if fsm._is_fed then collect(fsm, events) end
-    local collected = copy_list(events)
-    if fsm._is_hooked then run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events) end
-    if not enter_machine(fsm, events) then
-      return refuse_entry(fsm, collected, events)
-    end
-    settle(fsm, events)
-    return true, false
-  end
-
-  -- Collects what getevents returns, and lets the pre step hooks change the events. A
-  -- flag behind which nothing is left goes.
-  local function gather(fsm, events)
-    if fsm._is_fed then
-      collect(fsm, events)
-      local getevents = fsm.getevents
-      if not getevents or getevents == no_events then clear_flag(fsm, "_is_fed") end
-    end
-    if not fsm._is_hooked then return end
-    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+    if not fsm._is_hooked then return events end
     if fsm._pre_hooks == OWN_ONLY and fsm._post_hooks == OWN_ONLY
       and not fsm.pre_step_hook and not fsm.post_step_hook then
-      clear_flag(fsm, "_is_hooked")
+      fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
+    else
+      run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
     end
+    return fsm._curq
   end
 
-  -- An iteration without a transition: a doo cycle. Returns whether it is idle.
-  local function iterate_idly(fsm, leaf, is_eventless)
-    local idle = run_doo(fsm, leaf)
-    if idle and is_eventless and fsm._is_fed then poll(fsm) end
-    return idle
-  end
-
-  local function hibernate(fsm)
-    trace(fsm, "HIBERNATING", fsm._leaf and fsm._leaf._fqn)
+  -- No way in: the queue is kept.
+  local function refuse_entry(fsm, events)
+    local text = list_text(events)
+    fsm._segment = false
+    put_back(fsm)
+    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+      .. "events: " .. text)
+    if fsm._reset_wanted then reset_now(fsm) end
     raise_failure(fsm)
   end
 
-  -- What ends an iteration in which nothing was enabled: a doo cycle when there was no
-  -- event, or the iteration before did not count. Returns what `iterate` returns.
-  local function iterate_free(fsm, leaf, events, after_free)
+  -- What follows a search: the transition is taken. There is none: a doo cycle is run, if
+  -- there was no event or the iteration before did not count. Returns as `iterate`.
+  local function react(fsm, def, leaf, events, after_free)
+    if def and not rawequal(fsm._act_leaf, leaf) then -- a guard has moved the machine
+      leaf = innermost(fsm)
+      if fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
+    end
+    if def then
+      take(fsm, def, leaf)
+      return true, false
+    end
     local is_eventless, idle = events[1] == nil, false
-    local counted = is_eventless or after_free
-    if counted then idle = iterate_idly(fsm, leaf, is_eventless) end
-    settle(fsm, events)
-    return counted, idle and fsm._intq[1] == nil and fsm._leaf ~= false
+    if not (is_eventless or after_free) then return false, false end
+    idle = run_doo(fsm, leaf)
+    fsm._segment = MAY_RAISE
+    if idle and is_eventless and fsm._is_fed then collect(fsm, fsm._intq) end
+    return true, idle
   end
 
-  -- The same for a plain machine without events: there is nothing to collect or empty.
-  local function iterate_doo(fsm, leaf)
-    fsm._at = true
-    local idle = run_doo(fsm, leaf)
-    if fsm._is_unsettled then
-      if idle and fsm._is_fed then poll(fsm) end
-      settle(fsm, fsm._curq)
-    else
-      fsm._at = false
-    end
-    if not idle then return true, false end
-    return true, fsm._intq[1] == nil and fsm._leaf ~= false
+  local function is_idle(fsm, idle)
+    return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- One iteration, whatever the machine is like. Returns nil when there is no way in;
-  -- else whether it counts as a step, and if its doo cycle was idle. `after_free`: the
-  -- iteration before did not count.
+  -- One iteration of a machine that is not plain, or of any machine in full.
   local function iterate_fully(fsm, after_free)
-    if fsm._is_traced then check_traced(fsm) end
-    local leaf, events = fsm._leaf, fsm._intq
-    fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
-    if not leaf then return iterate_first(fsm, events) end
-    if fsm._is_fed or fsm._is_hooked then
-      gather(fsm, events)
-      leaf = fsm._leaf or leaf -- of a plan that may be new
+    fsm._segment = MAY_RAISE
+    local events = gather(fsm)
+    local leaf, counted, idle = fsm._act_leaf, true, false
+    fsm._segment = true
+    if leaf then
+      counted, idle = react(fsm, choose(fsm, events), leaf, events, after_free)
+    elseif not enter_machine(fsm, events) then
+      return refuse_entry(fsm, events)
     end
-    local tr = choose(fsm, leaf, events)
-    if not tr then return iterate_free(fsm, leaf, events, after_free) end
-    take_path(fsm, tr, events)
-    settle(fsm, events)
-    return true, false
+    local finish = fsm._is_hooked and settle_hooked or settle
+    finish(fsm, events)
+    check_plain(fsm)
+    return counted, is_idle(fsm, idle)
   end
 
-  -- One iteration of a plain machine when no event, or more than one, leads somewhere.
-  -- An e_done that nothing waits for makes no difference: without another event there
-  -- is a doo cycle in any case, now or in the next iteration.
-  local function iterate_slowly(fsm, leaf, events, after_free)
-    local event = events[1]
-    if event == leaf._ignored and events[2] == nil then events[1], event = nil, nil end
-    if event ~= nil then return iterate_fully(fsm, after_free) end
-    if fsm._is_done then return true, true end
-    return iterate_doo(fsm, leaf)
+  -- A plain machine without events but an e_done that nothing waits for, which makes no
+  -- difference: there is a doo cycle in any case, now or in the next iteration.
+  local function iterate_doo(fsm, leaf, events)
+    if events[1] ~= nil then events[1] = nil end
+    if leaf._mode == "done" and not fsm._is_unsettled then return true, true end
+    local idle = run_doo(fsm, leaf)
+    if idle and fsm._is_fed then collect(fsm, fsm._intq) end
+    if fsm._is_unsettled then settle(fsm, fsm._curq) end
+    return true, is_idle(fsm, idle)
   end
 
-  -- One iteration: as iterate_fully says; in one go where the machine is plain and one
-  -- event, apart from an e_done that nothing waits for, leads somewhere.
+  -- One iteration. Returns nil when there is no way in; else whether it counts as a
+  -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
+  --
+  -- What is written out here is the usual case: the machine is plain, and there is one
+  -- event, apart from an e_done that nothing waits for.
   function iterate(fsm, after_free)
-    local leaf, events = fsm._leaf, fsm._intq
-    if not fsm._is_plain or not leaf then return iterate_fully(fsm, after_free) end
-    local at = 1
-    if events[1] == leaf._ignored then at = 2 end
-    local choice = leaf._choices[events[at]]
-    if not choice or events[at + 1] ~= nil then
-      return iterate_slowly(fsm, leaf, events, after_free)
-    end
-    fsm._intq, fsm._curq, fsm._at = fsm._curq, events, true
-    local tr = choice
-    if not choice._is_quick then
-      tr = choose_from(fsm, choice, events)
-      if not tr then return iterate_free(fsm, leaf, events, after_free) end
-      if tr._to_connector or fsm._is_traced then
-        take_path(fsm, tr, events)
+    if not fsm._is_plain then return iterate_fully(fsm, after_free) end
+    local leaf, events = fsm._act_leaf, fsm._intq
+    local leaf_def, event, next_event = leaf["%def"], events[1], events[2]
+    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
+    if event == nil then return iterate_doo(fsm, leaf, events) end
+    if next_event ~= nil then return iterate_fully(fsm, after_free) end
+    local def, spare = leaf_def.quick[event], fsm._curq
+    local tr = def and fsm._transitions[def.index]
+    if not def or tr.guard or tr.tgt ~= fsm._nodes[def.tgt_index] then
+      local choice = leaf_def.choices[event]
+      if not (choice and choice.search) then return iterate_fully(fsm, after_free) end
+      fsm._segment = true
+      fsm._curq = events
+      fsm._intq = spare
+      def = choice.search(fsm, choice, events)
+      if not def or def.connector or not fsm._is_plain then
+        if leaf["%def"] ~= leaf_def then def = choose(fsm, events) end -- a merge
+        local counted, idle = react(fsm, def, leaf, events, after_free)
         settle(fsm, events)
-        return true, false
+        return counted, is_idle(fsm, idle)
       end
+      tr = fsm._transitions[def.index]
+      fsm._segment = def
+      fsm._from = leaf
+    else
+      fsm._segment = def
+      fsm._from = leaf
+      fsm._curq = events
+      fsm._intq = spare
     end
-    local ok, failure = pcall(tr._run, fsm, tr, events)
-    if not ok then recover_path(fsm, tr, events, failure) end
+    local ok, failure = pcall(def.run, fsm, leaf, tr)
+    if not ok then recover(fsm, true, failure) end
     if fsm._is_unsettled then
-      fsm._at = true
       settle(fsm, events)
     else
-      events[at] = nil
+      events[2] = nil
       events[1] = nil
-      fsm._at = false
+      fsm._segment = false
     end
     return true, false
   end
 
-  -- Iterates until `left` iterations were counted or the machine is idle; returns
-  -- whether it is. nil says that its idle_hook is to be called, and then `left` of them
-  -- remain.
-  local function iterate_on(fsm, left, after_free)
-    while true do
-      local counted, idle = iterate(fsm, after_free)
-      if counted == nil then return false end
-      if counted then
-        left = left - 1
-        if left < 1 then return idle end
-      end
-      if idle then
-        if fsm._is_traced then hibernate(fsm) end
-        if fsm.idle_hook then return nil, left end
+  local getlocal = getinfo and rawget(_G, "debug").getlocal
+
+  -- Is a step of this machine under way on this stack, or in its doo?
+  function is_stepping(fsm)
+    local co = fsm._act_leaf and fsm._act_leaf._doo_co
+    if co and (status(co) == "running" or status(co) == "normal") then return true end
+    if not getinfo then return fsm._segment ~= false end
+    local level, info = 3, getinfo(3, "f")
+    while info do
+      local f = info.func
+      if (f == iterate or f == iterate_fully)
+        and rawequal(select(2, getlocal(level, 1)), fsm) then
         return true
       end
-      after_free = not counted
+      level = level + 1
+      info = getinfo(level, "f")
     end
+    return false
   end
 
-  -- Something that is no user's function ended an iteration half-way, such as Control-C
-  -- in a terminal: makes the machine fit for the next one.
-  local function mend(fsm)
-    local is_lost = fsm._at ~= true or not fsm._leaf
-    fsm._curq, fsm._is_kept, fsm._is_unsettled = {}, false, fsm._has_failure
-    fsm._at = false
-    if fsm._reset_wanted or is_lost then reset_now(fsm) end
-  end
-
-  -- Iterates as iterate_on does, in a protected call, because this may take long. The
-  -- idle_hook is called outside of it, where it may yield on Lua 5.1 as well.
-  function iterate_long(fsm, left, after_free)
-    while true do
-      local ok, idle, rest = pcall(iterate_on, fsm, left, after_free)
-      if not ok then
-        if fsm._at then mend(fsm) end
-        error(idle, 0)
-      end
-      if idle ~= nil then return idle end
-      if not is_callable(fsm.idle_hook) then
-        error("rfsm.step: idle_hook: function expected, " .. got(fsm.idle_hook), 0)
-      end
-      fsm.idle_hook(fsm)
-      left, after_free = rest, false
+  -- A step was cut short by a hook that raised, by an interrupt outside of the protected
+  -- call, or because its coroutine was dropped: finishes it. False when it goes on.
+  function mend(fsm)
+    local def = fsm._segment
+    if is_stepping(fsm) then return false end
+    if rawequal(fsm._curq, fsm._intq) then -- nothing has begun
+      fsm._curq = {}
+    elseif def ~= true and not (fsm._act_leaf and fsm._curq[1] == nil) then
+      recover(fsm, false)
+      fsm._curq = {}
     end
+    fsm._segment = false
+    put_back(fsm)
+    return true
   end
 end
 
--- Public functions ------------------------------------------------------------
-
--- Blames the caller of the public function for something that is no machine.
-local function check_machine(fsm, name, level)
-  if type(fsm) == "table" and rawget(fsm, "_initialized") then return end
-  local hint = is_state(fsm) and " (rfsm.init makes one of a state)" or ""
-  error("rfsm." .. name .. ": initialised fsm expected, " .. got(fsm) .. hint,
-    level or 3)
+local function hibernate(fsm)
+  if not fsm._is_traced then return true end
+  trace(fsm, "HIBERNATING",
+    "no events, no idle_hook, no doos or doo idle, halting engines")
+  raise_failure(fsm)
+  return true
 end
 
-local function check_function(f, name, level)
+-- Goes on until `left` iterations were counted or the machine is idle; returns whether it
+-- is. `counted` and `idle` are what the iteration before returned.
+local function advance(fsm, left, counted, idle)
+  while counted ~= nil do
+    if counted then
+      left = left - 1
+      if not (left >= 1) then return idle end -- NaN, too
+    end
+    if idle then
+      local idle_hook = fsm.idle_hook
+      if not idle_hook then return hibernate(fsm) end
+      if not is_callable(idle_hook) then
+        error("rfsm.step: idle_hook: function expected, " .. got(idle_hook), 0)
+      end
+      idle_hook(fsm)
+    end
+    counted, idle = iterate(fsm, not counted)
+  end
+  return false
+end
+
+-- Public functions --------------------------------------------------------------
+
+--- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
+---@param fsm any
+---@param where string the public function, such as "rfsm.step"
+---@param level? integer whom to blame: 3, the default, for the caller's caller
+function rfsm.check_machine(fsm, where, level)
+  if machines[fsm] or getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+    return
+  end
+  local hint = is_state(fsm) and (rawget(fsm, "_initialized")
+    and " of another copy of rfsm" or " (rfsm.init makes one of a state)") or ""
+  error(where .. ": initialised fsm expected, " .. got(fsm) .. hint, level or 3)
+end
+
+local check_machine = rfsm.check_machine
+
+local function check_function(f, where, level)
   if is_callable(f) then return end
-  error("rfsm." .. name .. ": function expected, " .. got(f), level or 3)
+  error(where .. ": function expected, " .. got(f), level or 3)
+end
+
+-- Is `value` a node of that machine? A live state, if `kind` says so.
+local function is_node_of(fsm, value, kind)
+  local value_kind = kind_of(value)
+  local def = value_kind and value["%def"]
+  return type(def) == "table" and (not kind or value_kind == kind)
+    and rawequal(fsm._nodes[def.index], value)
 end
 
 -- Digits padded, so that trans[10] comes after trans[2].
@@ -3028,324 +2216,284 @@ local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
--- Sorts texts so that numbers in them count as numbers.
-local function sort_naturally(texts)
-  if texts[2] == nil then return texts end
-  local keys = {}
-  for i = 1, #texts do keys[texts[i]] = natural(texts[i]) end
-  sort(texts, function(a, b) return keys[a] < keys[b] end)
-  return texts
-end
-
--- Turns { place, text } into lines, sorted by place.
+-- Turns { at, file, text } into lines "file: at: text", sorted by location.
 local function lines_of(list)
-  local lines = {}
-  for i = 1, #list do lines[i] = list[i].place .. ": " .. list[i].text end
-  return sort_naturally(lines)
+  local keys, lines = {}, {}
+  for i = 1, #list do
+    local line = list[i].at .. ": " .. list[i].text
+    lines[i] = (list[i].file and list[i].file .. ": " or "") .. line
+    keys[lines[i]] = natural(line)
+  end
+  sort(lines, function(a, b) return keys[a] < keys[b] end)
+  return lines
 end
 
-local function summary(name, problems)
-  return ("%s: the model has %d problem%s\n  %s"):format(name, #problems,
-    #problems == 1 and "" or "s", concat(problems, "\n  "))
+local function summary(where, problems)
+  local hint = is_advised and "" or "\n  (no hints: rfsm/advice.lua is not installed)"
+  is_advised = true
+  return ("%s: the model has %d problem%s\n  %s%s"):format(where, #problems,
+    #problems == 1 and "" or "s", concat(problems, "\n  "), hint)
 end
 
--- `plan` is what there is already; a new one has nothing.
+--- Return where an element stands: "chart.lua:7: root.trans[2] (off -> on)".
+--
+-- The file and line are those of its constructor, left out where they are not known.
+--
+---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
+---@return string location
+function rfsm.location_of(obj)
+  local def = obj["%def"]
+  local file = made_at[def.model]
+  return (file and file .. ": " or "") .. place_of(def)
+end
+
 local function new_build(plan)
-  return {
-    root = plan.root, problems = {}, warnings = {}, created = {}, completions = {},
-    transitions = plan.transitions, nodes = plan.nodes, mounts = {}, earlier = {},
-    with_tables = {},
-    sources = {
-      nodes = {}, members = {}, transitions = {}, fields = {}, src = {}, tgt = {},
-    },
-  }
+  return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
 end
 
 -- Check, clone, resolve: all that can be said of a model without running anything.
 local function build_plan(model)
-  local root = setmetatable({ _id = "root", _fqn = "root" }, State)
-  root._parent = root
-  local build = new_build { root = root, nodes = {}, transitions = {} }
-  add_node(build, model, root)
+  local build = new_build { model = model, nodes = {}, transitions = {}, trail = false }
+  local root = new_node(build, "state", model, nil, "root")
   clone_below(build, 1)
   resolve(build, 1)
-  check_root(build, root, model)
+  check_root(build, root)
   return build
 end
 
--- What machines of a model share.
----@class rfsm.Plan
----@field model rfsm.State what it was made of
----@field root rfsm.State
----@field nodes (rfsm.State|rfsm.Connector)[] the root first
----@field transitions rfsm.Transition[]
----@field events table<any, true>|false those that transitions name; false: not compiled
----@field is_own boolean one machine has it for itself
----@field is_stale? boolean something has changed that was compiled
----@field users integer how many machines were made of it
-local function new_plan(build, model)
-  local plan = {
-    model = model, root = build.root, nodes = build.nodes,
-    transitions = build.transitions, warnings = build.warnings,
-    created = build.created, with_tables = build.with_tables, sources = build.sources,
-    events = false, is_own = false, users = 0,
-  }
-  append(plan.with_tables, { build.root }) -- whose data a machine has from the start
-  plan.root._plan = plan
-  if not build.problems[1] then plans[model], latest.plan = plan, plan end
+-- Returns the plan of a model; nil and the problems of a model that can have none.
+local function plan_of(model)
+  local plan = plans[model]
+  if plan and is_current(plan) then return plan end
+  local build = build_plan(model)
+  if build.problems[1] then return nil, lines_of(build.problems) end
+  plan = compile(build.plan)
+  plan.trail = make_trail(plan)
+  plan.warnings, plan.created = build.warnings, build.created
+  plans[model], latest_plan = plan, plan
   return plan
 end
 
-local is_current
-
-do
-  -- Is `value` in the model still what `member` was made of?
-  local function is_same_member(sources, value, member)
-    if type(value) ~= "table" then return value == member end
-    local kind = KIND[getmetatable(value)]
-    if not kind then return value == member end
-    if kind_of(member) ~= kind then return false end
-    local list = kind == "transition" and sources.transitions or sources.nodes
-    return list[member._index] == model_of(value)
-  end
-
-  local function is_same_node(sources, model, node)
-    local count = 0
-    for key, value in pairs(model) do -- any order: all must be the same
-      count = count + 1
-      local members = is_meta(key) and (node._meta or NONE) or node
-      if not is_same_member(sources, value, members[key]) then return false end
-    end
-    return count == sources.members[node._index]
-  end
-
-  local function is_same_event(tr, event, compiled)
-    return event == compiled
-      or event == "e_done" and compiled == "e_done@" .. tr.src._fqn
-  end
-
-  local function are_same_events(tr, events)
-    local compiled = tr.events
-    if type(events) ~= "table" then
-      return compiled and #compiled == 1 and is_same_event(tr, events, compiled[1])
-    end
-    local count = 0
-    for _ in pairs(events) do count = count + 1 end -- any order: only counted
-    if not compiled or count ~= #compiled then return false end
-    for i = 1, count do
-      if not is_same_event(tr, events[i], compiled[i]) then return false end
-    end
-    return true
-  end
-
-  local function is_same_transition(sources, model, tr)
-    local i, count = tr._index, 0
-    if model.src ~= sources.src[i] or model.tgt ~= sources.tgt[i] then return false end
-    for key, value in pairs(model) do -- any order: all must be the same
-      count = count + 1
-      if key == "events" then
-        if not are_same_events(tr, value) then return false end
-      elseif key ~= "src" and key ~= "tgt" then
-        local fields = is_meta(key) and (tr._meta or NONE) or tr
-        if fields[key] ~= value then return false end
-      end
-    end
-    return count == sources.fields[i]
-  end
-
-  -- Is the model still what the plan was made of?
-  function is_current(plan)
-    local sources = plan.sources
-    for i, node in ipairs(plan.nodes) do
-      local model = sources.nodes[i]
-      if model and not is_same_node(sources, model, node) then return false end
-    end
-    for i, tr in ipairs(plan.transitions) do
-      local model = sources.transitions[i]
-      if not is_same_transition(sources, model, tr) then return false end
-    end
-    return true
-  end
-end
-
--- Returns the plan of a model, and the problems of a model that can have none.
-local function plan_of(model)
-  model = model_of(model)
-  local plan = plans[model]
-  if plan and is_current(plan) then return plan, {} end
-  local build = build_plan(model)
-  return new_plan(build, model), build.problems
-end
-
--- A machine with all that a run needs, inactive.
+-- The fields of a machine that are its own from the start.
 local function new_machine(plan)
   local fsm = {
-    -- fields of the model that may be absent
-    idle_hook = false,
-    -- where it stands
-    _leaf = false, _open = false, _is_done = false, _doo = false, _at = false,
-    -- the run
-    _intq = { "e_init_fsm" }, _curq = {},
-    _is_traced = false, _is_fed = false, _is_hooked = false, _is_plain = true,
-    _is_unsettled = false, _is_kept = false, _reset_wanted = false,
-    _has_failure = false, _segment = false,
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
-    _was_at = false, _search = 0, _searched = {}, _ways = {}, _lists = {},
+    _id = "root", _fqn = "root", _parent = false, _mode = "inactive", _otrs = false,
+    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
-    _initialized = false, _is_preparing = false, _model = plan.model, _plan = plan,
-    _otrs_of = false, _def = plan.root, _fsm = false, _nodes = false,
-    _transitions = false,
-    _copies = false,
+    _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
+    -- the run
+    _segment = false, _from = false, _is_plain = false, _is_traced = false,
+    _is_fed = false, _is_hooked = false, _has_state_hooks = false,
+    _is_unsettled = false, _is_kept = false, _reset_wanted = false, _has_failure = false,
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {}, _spare = false,
+    -- the search
+    _search = 0, _searched = {}, _ways = {},
   }
-  fsm._fsm, plan.users = fsm, plan.users + 1
-  fsm._nodes = setmetatable({ fsm }, NODES)
-  fsm._transitions = setmetatable({ [0] = fsm }, TRANSITIONS)
-  copy_tables(fsm, plan.with_tables)
-  return setmetatable(fsm, Machine)
+  local root = plan.nodes[1]
+  fsm["%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
+  fsm.entry, fsm.exit, fsm.doo = root.entry or nil, root.exit or nil, root.doo or nil
+  return make_elements(fsm, plan, 2, 1)
 end
 
--- Printers become functions, also the wrong ones, which are reported.
-local function prepare_printers(fsm)
-  for i = 1, 4 do
+-- Printers become functions, also the wrong ones, which are reported; what is off is
+-- absent, so that setting it is noticed.
+local function prepare_fields(fsm)
+  for i = 2, 4 do
     local name = PRINTERS[i]
     local printer = printer_of(fsm, name)
-    rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
+    fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
-end
-
--- From now on it is noticed when one of the fields is set that flags stand for.
-local function watch_fields(fsm)
+  setmetatable(fsm, Machine)
   for field in pairs(FLAG_OF) do -- any order: each stands alone
     local value = rawget(fsm, field)
     rawset(fsm, field, nil)
-    if value and value ~= OFF[field] then fsm[field] = value end
+    if value then fsm[field] = value end
   end
+  return fsm
 end
 
--- The conditions under which a composite can be left without a way in.
-local function check_initial(warnings, connector)
-  local otrs = connector._otrs
-  if not otrs or not is_conn(connector) then return end
-  for i = 1, #otrs do
-    local events = otrs[i].events
-    if not otrs[i].guard and (events == nil or #events == 0) then return end
-  end
-  add(warnings, connector._fqn, "each transition from here has events or a "
-    .. "guard, '%s' cannot be entered while none of them is enabled",
-    connector._parent._fqn)
+-- Prints the lines of a list, which are noted by location.
+local function report_lines(fsm, name, prefix, list)
+  if fsm[name] == silent then return end
+  local lines = lines_of(list)
+  for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
 end
 
--- Warns of what was found, and of the `initial` connectors from node `first` on.
-local function warn_after_compile(fsm, warnings, first)
-  local nodes, all = fsm._plan.nodes, copy_list(warnings)
-  for i = first, #nodes do
-    if nodes[i]._id == "initial" then check_initial(all, nodes[i]) end
+-- Warns of a composite that cannot be entered under some conditions, of events that no
+-- extension knows, of nodes that nothing leaves.
+local function report_findings(fsm, first_node, first_transition)
+  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
+  for i = first_node, #plan.nodes do
+    local def = plan.nodes[i]
+    local is_conditional = def.id == "initial" and def.otrs[1] ~= nil
+    for _, tr in ipairs(def.otrs) do
+      is_conditional = is_conditional and (tr.events or tr.guard) and true
+    end
+    if is_conditional then
+      add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
+        .. "be entered while none of them is enabled", def.parent.fqn)
+    end
   end
-  local lines = lines_of(all)
-  for i = 1, #lines do report(fsm, "warn", "WARNING: " .. lines[i]) end
+  for i = first_transition, #plan.transitions do
+    local def = plan.transitions[i]
+    for _, event in ipairs(def.events or {}) do
+      local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
+      if word then
+        add(found, def, "events", "no loaded extension knows '%s'%s", event,
+          advise("module_of", word))
+      end
+    end
+  end
+  report_lines(fsm, "warn", "WARNING: ", found)
 end
 
-local function tell_created(fsm, created)
-  local names = {}
-  if fsm.info == silent then return end
-  for i, connector in ipairs(created) do names[i] = connector._fqn end
-  for _, name in ipairs(sort_naturally(names)) do
-    report(fsm, "info", "INFO: created undeclared connector " .. name)
-  end
+local function has_exit(def)
+  return def.otrs[1] or def.model.final or def.parent == def
 end
 
 -- Warns of the nodes, from number `first` on, that nothing leaves.
-local function warn_of_dead_ends(fsm, first)
-  local nodes, dead = fsm._plan.nodes, {}
-  for i = first, #nodes do
-    local node = nodes[i]
-    if node ~= fsm._def and not node._otrs then dead[#dead + 1] = node._fqn end
+local function report_dead_ends(fsm, first)
+  local dead = {}
+  for i = first, #fsm._plan.nodes do
+    local def = fsm._plan.nodes[i]
+    if not has_exit(def) then dead[#dead + 1] = def.fqn end
   end
-  if not dead[1] then return true end
-  for _, name in ipairs(sort_naturally(dead)) do
-    report(fsm, "warn", "WARNING: no outgoing transitions from node '" .. name .. "'")
+  sort(dead, function(a, b) return natural(a) < natural(b) end)
+  for _, fqn in ipairs(dead) do
+    report(fsm, "warn", "WARNING: no outgoing transitions from node '" .. fqn .. "'")
   end
-  return false
+  return dead[1] == nil
+end
+
+local function report_created(fsm, created)
+  local names = {}
+  for i, def in ipairs(created) do names[i] = def.fqn end
+  sort(names, function(a, b) return natural(a) < natural(b) end)
+  for _, name in ipairs(names) do
+    report(fsm, "info", "INFO: created undeclared connector " .. name)
+  end
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
 --
 -- They run after names are resolved and before events are indexed, and may change
--- events, guards, entries. `rfsm.fsm_merge` calls them again with what it added. A list
--- of texts "place: what is wrong" that one returns counts among the model's problems.
+-- `events`, `pn`, `src`, `tgt` and callbacks. `rfsm.fsm_merge` calls them again with what
+-- it added. A list of texts "place: what is wrong" that one returns counts among the
+-- model's problems.
 --
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
 
--- A preproc function may have changed events in place or set others.
-local function note_events(fsm)
-  for i = 1, #fsm._plan.transitions do
-    local tr = rawget(fsm._transitions, i)
-    local events = tr and rawget(tr, "events")
+local preprocess, use_plan
+
+do
+  -- Each transition gets a list of events of its own, which a preproc function may change.
+  local function hand_out_events(fsm)
+    for i, tr in ipairs(fsm._transitions) do
+      local events = fsm._plan.transitions[i].events
+      tr.events = rawget(tr, "events") or events and append({}, events) or {}
+    end
+  end
+
+  local function is_same_list(list, other)
+    if #list ~= #other then return false end
+    for i = 1, #list do
+      if not rawequal(list[i], other[i]) then return false end
+    end
+    return true
+  end
+
+  -- Returns what differs in a transition from its definition; nil when nothing does.
+  local function change_of(fsm, tr, def)
+    local events, nodes = tr.events or {}, fsm._nodes
     if type(events) == "string" then events = { events } end
-    if events and not is_same_list(events, tr._def.events) then
-      own_plan(fsm)
-      tr._def.events = events
+    if is_same_list(events, def.events or {}) and tr.pn == def.pn
+      and tr.src == nodes[def.src.index] and tr.tgt == nodes[def.tgt.index] then
+      return nil
     end
-    if tr then rawset(tr, "events", nil) end
+    return { events = events[1] ~= nil and events or false, pn = tr.pn,
+      src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+  end
+
+  -- The machine gets a plan of its own, in which its transitions are as they are now.
+  local function take_changes(fsm)
+    local changes, plan, is_changed = {}, fsm._plan, false
+    for i, tr in ipairs(fsm._transitions) do
+      changes[i] = change_of(fsm, tr, plan.transitions[i]) or false
+      is_changed = is_changed or changes[i] ~= false
+      tr.events = nil
+    end
+    if not is_changed then return end
+    local own = copy_plan(plan)
+    for i, change in ipairs(changes) do
+      local def = own.transitions[i]
+      if change then
+        def.events, def.pn = change.events, change.pn
+        def.src, def.tgt = own.nodes[change.src], own.nodes[change.tgt]
+      end
+    end
+    own.warnings, own.created = plan.warnings, plan.created
+    use_plan(fsm, compile(own))
+  end
+
+  -- Runs the preproc functions; returns the problems they found. When one of them merges
+  -- something into the machine, those before it are called for that, the others are still
+  -- to come.
+  function preprocess(fsm, merged)
+    local problems, outer = {}, fsm._preparing
+    local last = outer and outer - 1 or #rfsm.preproc
+    if last < 1 then return problems end
+    hand_out_events(fsm)
+    for i = 1, last do
+      fsm._preparing = i
+      local found = rfsm.preproc[i](fsm, merged)
+      append(problems, type(found) == "table" and found or {})
+    end
+    fsm._preparing = outer
+    if not outer then take_changes(fsm) end
+    sort(problems, function(a, b) return natural(a) < natural(b) end)
+    return problems
   end
 end
 
--- Runs the preproc functions; returns the problems they found.
-local function preprocess(fsm, merged)
-  local problems = {}
-  fsm._is_preparing = true
-  for i = 1, #rfsm.preproc do
-    local found = rfsm.preproc[i](fsm, merged)
-    for j = 1, type(found) == "table" and #found or 0 do
-      problems[#problems + 1] = found[j]
-    end
-  end
-  fsm._is_preparing = false
-  if rfsm.preproc[1] then note_events(fsm) end
-  return sort_naturally(problems)
-end
-
--- Compiles, and says what deserves a word of the nodes from number `first` on.
-local function finish(fsm, warnings, first)
-  local plan = fsm._plan
-  if plan.is_own or not plan.events then compile(plan) end
-  if fsm.warn == silent then return end
-  warn_after_compile(fsm, warnings, first)
-  warn_of_dead_ends(fsm, first)
+-- A model that is wrong: hands the problems to `err`.
+local function refuse_model(model, fsm, problems)
+  fsm = fsm or { err = model.err }
+  report(fsm, "err", summary("rfsm.init", problems))
+  raise_failure(fsm)
+  return false, problems
 end
 
 --- Check a model and make a machine of it.
 --
 -- The model is not touched and may be used again. All its problems are handed to `err`
--- in one text, sorted by place.
+-- in one text, sorted by location.
 --
 -- @raise when `model` is no state
 ---@param model rfsm.State a root state, or a machine for a fresh one of the same model
 ---@return rfsm.Machine|false fsm false when the model has problems
----@return string[]? problems each "place: what is wrong"
+---@return string[]? problems each "file:line: place: what is wrong"
 ---@nodiscard
 function rfsm.init(model)
   if not is_state(model) then
     error("invalid fsm model passed to rfsm.init: state expected, " .. got(model), 2)
   end
-  local plan, found = plan_of(model)
-  local fsm = new_machine(plan)
-  prepare_printers(fsm)
-  local problems = lines_of(found)
-  if not problems[1] then
-    fsm._initialized = true
-    watch_fields(fsm)
-    tell_created(fsm, plan.created)
-    problems = preprocess(fsm)
-  end
+  model = model_of(model)
+  local plan, problems = plan_of(model)
+  if not plan then return refuse_model(model, nil, problems) end
+  local fsm = prepare_fields(new_machine(plan))
+  fsm._initialized = true
+  report_created(fsm, plan.created)
+  list_otrs(fsm, plan)
+  problems = preprocess(fsm)
   if problems[1] then
     fsm._initialized = false
-    report(fsm, "err", summary("rfsm.init", problems))
-    raise_failure(fsm)
-    return false, problems
+    return refuse_model(model, fsm, problems)
   end
-  finish(fsm, plan.warnings, 1)
+  if fsm.warn ~= silent then
+    report_findings(fsm, 1, 1)
+    report_dead_ends(fsm, 1)
+  end
   machines[fsm] = true
   raise_failure(fsm)
   return fsm
@@ -3354,7 +2502,7 @@ end
 --- Check a model without making a machine of it.
 ---@param model rfsm.State
 ---@return boolean is_valid
----@return string[] problems each "place: what is wrong"
+---@return string[] problems each "file:line: place: what is wrong"
 ---@return string[] warnings
 function rfsm.verify_early(model)
   if not is_state(model) then
@@ -3368,8 +2516,15 @@ end
 ---@param fsm rfsm.Machine
 ---@return boolean is_clean true when there is none
 function rfsm.check_no_otrs(fsm)
-  check_machine(fsm, "check_no_otrs")
-  return warn_of_dead_ends(fsm, 1)
+  check_machine(fsm, "rfsm.check_no_otrs")
+  return report_dead_ends(fsm, 1)
+end
+
+local function queue_more(queue, ...)
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    if event ~= nil then queue[#queue + 1] = event end
+  end
 end
 
 --- Send events to a machine; they wait in the queue until the next iteration, in order.
@@ -3381,74 +2536,75 @@ end
 ---@param event? any anything; nil is skipped
 ---@param ... any more of them
 function rfsm.send_events(fsm, event, ...)
-  if not machines[fsm] then check_machine(fsm, "send_events") end
-  if not fsm._is_traced and event ~= nil then
-    local queue = fsm._intq
-    queue[#queue + 1] = event
-    if select("#", ...) > 0 then post_all(fsm, ...) end
-    return
-  end
-  post_all(fsm, event, ...)
-  if not fsm._at then raise_failure(fsm) end
+  if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
+  if fsm._is_traced then trace(fsm, "RAISED", event, ...) end
+  local queue = fsm._intq
+  if event ~= nil then queue[#queue + 1] = event end
+  if select("#", ...) > 0 then return queue_more(queue, ...) end
+end
+
+-- Blames the caller for advancing a machine that is being advanced.
+local function check_between_steps(fsm, where)
+  if mend(fsm) then return end
+  error(where .. ": the machine is in the middle of a step", 3)
 end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
 -- Returns earlier when it is idle. Errors of states and transitions go to `err`; an
--- error of a printer, a step hook or getevents is raised when the iteration is over.
+-- error of a step hook or getevents reaches the caller at once, that of a printer when
+-- the iteration is over.
 --
 ---@param fsm rfsm.Machine
 ---@param n? number at least 1, default 1
 ---@return boolean idle true when there is nothing left to do
 function rfsm.step(fsm, n)
-  if not machines[fsm] then check_machine(fsm, "step") end
-  if fsm._at then
-    error("rfsm.step: the machine is in the middle of a step", 2)
+  if not machines[fsm] then check_machine(fsm, "rfsm.step") end
+  if fsm._segment then check_between_steps(fsm, "rfsm.step") end
+  if n == nil then
+    local counted, idle = iterate(fsm, false)
+    if counted then return idle end -- without a loop: LuaJIT makes one trace of it
+    return advance(fsm, 1, counted, idle)
+  elseif type(n) ~= "number" then
+    error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  if n ~= nil then
-    if type(n) ~= "number" then
-      error("rfsm.step: number of steps expected, " .. got(n), 2)
-    end
-    return iterate_long(fsm, n > 1 and n or 1, false) -- NaN: 1
-  end
-  local counted, idle = iterate(fsm, false)
-  if counted then return idle end -- without a loop: LuaJIT makes one trace of it
-  return counted == false and iterate_long(fsm, 1, true)
+  return advance(fsm, n, iterate(fsm, false))
 end
 
 --- Advance a machine until no event waits and no doo is busy.
 ---@param fsm rfsm.Machine
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
-  if not machines[fsm] then check_machine(fsm, "run") end
-  if fsm._at then
-    error("rfsm.run: the machine is in the middle of a step", 2)
-  end
-  return iterate_long(fsm, huge, false)
+  if not machines[fsm] then check_machine(fsm, "rfsm.run") end
+  if fsm._segment then check_between_steps(fsm, "rfsm.run") end
+  local counted, idle = iterate(fsm, false) -- the usual two without a loop: one trace
+  if counted and not idle then counted, idle = iterate(fsm, false) end
+  if idle and fsm._is_plain and not fsm.idle_hook then return true end
+  return advance(fsm, huge, counted, idle)
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
 --
 -- Called by one of the machine's own functions it takes effect when the iteration ends.
+-- It revives a machine whose step was cut short.
 --
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
-  check_machine(fsm, "reset")
-  if fsm._at then
+  check_machine(fsm, "rfsm.reset")
+  if is_stepping(fsm) then
     fsm._reset_wanted, fsm._is_unsettled = true, true
     return
   end
   reset_now(fsm)
-  raise_failure(fsm)
+  fsm._is_kept, fsm._is_unsettled = false, fsm._has_failure
 end
 
 --- Move what getevents returns to the queue.
 ---@param fsm rfsm.Machine
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
-  check_machine(fsm, "check_events")
-  poll(fsm)
-  if not fsm._at then raise_failure(fsm) end
+  check_machine(fsm, "rfsm.check_events")
+  if fsm._is_fed then collect(fsm, fsm._intq) end
   return #fsm._intq
 end
 
@@ -3456,84 +2612,65 @@ end
 ---@param fsm rfsm.Machine
 ---@return string|false fqn false when no leaf is active
 function rfsm.get_actleaf_fqn(fsm)
-  check_machine(fsm, "get_actleaf_fqn")
-  local leaf = fsm._act_leaf
-  return leaf and leaf._fqn
+  check_machine(fsm, "rfsm.get_actleaf_fqn")
+  return fsm._act_leaf and fsm._act_leaf._fqn
 end
 
 --- Return the names of the active states, from the root to the leaf.
 ---@param fsm rfsm.Machine
 ---@return string[] configuration empty when the machine is inactive
 function rfsm.get_active_conf(fsm)
-  check_machine(fsm, "get_active_conf")
-  local names, n = {}, 0
-  local state, is_leaving = innermost_of(fsm)
-  if is_leaving and state._parent == state then return {} end
+  check_machine(fsm, "rfsm.get_active_conf")
+  local names, state = {}, fsm._mode ~= "inactive" and fsm
   while state do
-    n = n + 1
-    names[n] = state._fqn
-    state = state._parent ~= state and state._parent
+    names[#names + 1], state = state._fqn, state._actchild
   end
-  return reversed(names)
+  return names
 end
 
 --- Return the mode of a state.
 ---@param state rfsm.State
 ---@return "active"|"inactive"|"done" mode
 function rfsm.get_sta_mode(state)
-  return is_live(state) and state._mode or "inactive"
-end
-
---- Set the mode of a state, for tools.
---
--- The machine stands then where the state has that mode; no program runs.
---
----@param state rfsm.State a state of a machine
----@param mode "active"|"inactive"|"done"
-function rfsm.set_sta_mode(state, mode)
-  if not is_live(state) or not is_state(state) then
-    error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
-  end
-  if mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
-    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode),
-      2)
-  end
-  set_mode(state, mode)
+  return type(state) == "table" and state._mode or "inactive"
 end
 
 --- Return the active child of a composite.
 ---@param state rfsm.State
----@return rfsm.State|false child
+---@return rfsm.State? child nil when there is none
 function rfsm.actchild_get(state)
-  return is_live(state) and state._actchild or false
+  return type(state) == "table" and state._actchild or nil
 end
 
 --- Call `f(obj, parent, name)` for each element below `fsm` that `pred` accepts.
 --
--- Parents before children; the array part first, then names sorted.
+-- Parents before children; the array part first, then names sorted. A machine itself
+-- comes first, as `f(fsm, fsm, "root")`.
 --
 ---@param f fun(obj: table, parent: rfsm.State, name: string|integer): any
----@param fsm rfsm.State a machine or a model
+---@param fsm table a machine, a model, or any table of elements
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@param depth? integer how many levels, default all
 ---@return any[] results what f returned, in order, without nils
 function rfsm.mapfsm(f, fsm, pred, depth)
-  check_function(f, "mapfsm")
-  if not is_state(fsm) then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
+  check_function(f, "rfsm.mapfsm")
+  if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
   pred = pred or rfsm.is_fsmobj
   local results = {}
   local function map_members(state, levels)
     if levels < 1 then return end
-    local keys, n = sorted_keys(members_of(state), rfsm.is_fsmobj)
-    for i = 1, n do
-      local obj = state[keys[i]]
-      if pred(obj) then results[#results + 1] = f(obj, state, keys[i]) end
+    for _, key in ipairs(sorted_keys(state, rfsm.is_fsmobj)) do
+      local obj = state[key]
+      if pred(obj) then results[#results + 1] = f(obj, state, key) end
       if is_state(obj) then map_members(obj, levels - 1) end
     end
   end
+  if rfsm.is_root(fsm) and pred(fsm) then results[1] = f(fsm, fsm, "root") end
   map_members(fsm, depth or huge)
   return results
 end
+
+-- Tools: they look at a machine or move it; no part of a run ......................
 
 -- Returns the states from `inner` up to its ancestor `outer`; nil when that is none.
 local function line_up(inner, outer)
@@ -3549,106 +2686,140 @@ end
 --- Call `f(fsm, state)` for each state on the line between two, both included.
 -- @raise when neither is an ancestor of the other
 ---@param fsm rfsm.Machine
----@param f fun(fsm: rfsm.Machine, state: rfsm.State)
+---@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
 ---@param from rfsm.State where to begin
 ---@param to rfsm.State an ancestor or descendant of `from`
+---@return any[] results what f returned, in order, without nils
 function rfsm.map_from_to(fsm, f, from, to)
-  check_machine(fsm, "map_from_to")
-  check_function(f, "map_from_to")
-  if not (is_node(from) and is_node(to)) then
-    error("rfsm.map_from_to: two states expected, " .. got(from) .. " and "
+  check_machine(fsm, "rfsm.map_from_to")
+  check_function(f, "rfsm.map_from_to")
+  if not (is_node_of(fsm, from) and is_node_of(fsm, to)) then
+    error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
       .. got(to), 2)
   end
-  local line, is_reversed = line_up(from, to), false
-  if not line then line, is_reversed = line_up(to, from), true end
+  local line, results = line_up(from, to), {}
   if not line then
-    error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
-      to._fqn), 2)
+    local upwards = line_up(to, from)
+    if not upwards then
+      error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
+        to._fqn), 2)
+    end
+    line = {}
+    for i = #upwards, 1, -1 do line[#line + 1] = upwards[i] end
   end
-  for i = 1, #line do f(fsm, line[is_reversed and #line + 1 - i or i]) end
+  for i = 1, #line do results[#results + 1] = f(fsm, line[i]) end
+  return results
 end
 
-do
-  -- A guard or effect may ask what events would enable while a search or a path goes
-  -- on: takes away what that has noted in the machine, and begins a search.
-  local function set_search_aside(fsm)
-    local notes = {
-      search = fsm._search, lists = fsm._lists, ways = fsm._ways,
-      searched = fsm._searched,
-    }
-    fsm._search, fsm._lists, fsm._ways, fsm._searched = fsm._search + 1, {}, {}, {}
-    return notes
+--- Find the path that events would enable from one node; nothing is taken.
+--
+-- A path is { node, nextl }: `nextl` lists the way on as { trans, next }, and is false at
+-- the leaf where the path ends.
+--
+---@param fsm rfsm.Machine
+---@param node rfsm.State|rfsm.Connector
+---@param events any[]
+---@return table|false path false when there is none
+function rfsm.node_find_enabled(fsm, node, events)
+  check_machine(fsm, "rfsm.node_find_enabled")
+  if not is_node_of(fsm, node) then
+    error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
   end
-
-  local function restore_search(fsm, notes)
-    fsm._search, fsm._lists = notes.search, notes.lists
-    fsm._ways, fsm._searched = notes.ways, notes.searched
+  if type(events) ~= "table" then
+    error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-
-  --- Find the path that events would enable from one node, for tools; nothing is taken.
-  ---@param fsm rfsm.Machine
-  ---@param node rfsm.State|rfsm.Connector
-  ---@param events any[]
-  ---@return rfsm.Transition[]|false path its segments in order
-  function rfsm.node_find_enabled(fsm, node, events)
-    check_machine(fsm, "node_find_enabled")
-    if not (is_live(node) and is_node(node) and node._fsm == fsm) then
-      error("rfsm.node_find_enabled: node of the fsm expected, " .. got(node), 2)
-    end
-    if type(events) ~= "table" then
-      error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
-    end
-    if fsm._plan.is_stale then compile(fsm._plan) end
-    local notes = set_search_aside(fsm)
-    local tr = find_from_node(fsm, node._def, events)
-    local path = tr and path_from(fsm, tr)
-    for i = 1, path and #path or 0 do path[i] = live_of(fsm, path[i]) end
-    restore_search(fsm, notes)
-    if not fsm._at then raise_failure(fsm) end
-    return path or false
+  -- a guard or effect may ask while another search or path goes on
+  local number, searched, ways = fsm._search, fsm._searched, fsm._ways
+  fsm._search, fsm._searched, fsm._ways = number + 1, {}, {}
+  local def = find_transition(fsm, node["%def"], events)
+  local path = def and { node = node, nextl = false } or false
+  local at = path
+  while def do
+    local tail = { node = fsm._nodes[def.tgt.index], nextl = false }
+    at.nextl = { { trans = fsm._transitions[def.index], next = tail } }
+    at, def = tail, def.connector and fsm._ways[def.connector]
   end
+  fsm._search, fsm._searched, fsm._ways = number, searched, ways
+  return path
 end
 
 --- Exit a state and the active states below it, the innermost first.
 ---@param fsm rfsm.Machine
 ---@param state rfsm.State
 function rfsm.exit_state(fsm, state)
-  check_machine(fsm, "exit_state")
-  if not is_state_of(fsm, state) then
+  check_machine(fsm, "rfsm.exit_state")
+  if not is_node_of(fsm, state, "state") then
     error("rfsm.exit_state: state of the fsm expected, " .. got(state), 2)
   end
   if state._mode == "inactive" then return end
-  local at, def, inner = fsm._at, state._def, innermost_of(fsm)
-  while inner._index ~= def._index do
-    exit_one(fsm, inner)
+  local inner = state
+  fsm._is_plain = false
+  while inner._actchild do inner = inner._actchild end
+  while inner._mode ~= "inactive" do
+    inner._mode = "inactive"
+    rawset(inner._parent, "_actchild", nil)
+    call_alone(fsm, inner, "exit")
+    finish_exit(fsm, inner, inner._exit_hooks)
+    if inner == state then break end
     inner = inner._parent
   end
-  exit_one(fsm, def)
-  def = state._def -- of a plan that may be new
-  fsm._leaf, fsm._open = false, def._parent ~= def and def._parent
-  rawset(fsm, "_at", at)
-  if not fsm._at then raise_failure(fsm) end
 end
 
--- Hooks: lists that are replaced, never changed: a run over one is not disturbed.
+--- Set the mode of a state.
+--
+-- The machine stands then where the state has that mode; no callback runs.
+--
+---@param state rfsm.State a state of a machine
+---@param mode "active"|"inactive"|"done"
+---@return string mode
+function rfsm.set_sta_mode(state, mode)
+  local def = is_state(state) and state["%def"]
+  if type(def) ~= "table" then
+    error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
+  end
+  if mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
+    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode), 2)
+  end
+  local fsm = state
+  while fsm._parent ~= fsm do fsm = fsm._parent end
+  if (mode == "inactive") == (state._mode == "inactive") and not def.is_leaf then
+    return mode
+  end
+  local co = mode ~= "inactive" and state._doo_co
+  set_inactive(fsm)
+  state._doo_co = co or nil
+  fsm._act_leaf = mode ~= "inactive" and def.is_leaf and state
+  if mode ~= "inactive" then state._mode = mode end
+  if mode == "inactive" and state == fsm then return mode end
+  while state ~= fsm do
+    local parent = state._parent
+    parent._mode = "active"
+    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
+    state = parent
+  end
+  return mode
+end
+
+-- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
-  local function hook_add(fsm, field, hook, place)
-    local hooks = copy_list(fsm[field])
-    if place == "before" then
-      for i = #hooks, 1, -1 do hooks[i + 1] = hooks[i] end
-      hooks[1] = hook
-    else
-      hooks[#hooks + 1] = hook
+  local function hook_add(fsm, where, field, hook, place)
+    check_machine(fsm, where, 4)
+    check_function(hook, where, 4)
+    if place ~= nil and place ~= "before" and place ~= "after" then
+      error(where .. ": 'before' or 'after' expected, " .. got(place), 3)
     end
+    local hooks = append(place == "before" and { hook } or {}, fsm[field])
+    if place ~= "before" then hooks[#hooks + 1] = hook end
     fsm[field] = hooks
     if field ~= "_reset_hooks" then set_flag(fsm, "_is_hooked") end
   end
 
-  local function hook_rm(fsm, field, slot, hook)
+  local function hook_rm(fsm, where, field, slot, hook)
+    check_machine(fsm, where, 4)
     local hooks, is_found = {}, false
     for _, other in ipairs(fsm[field]) do
-      if other == hook and not is_found then
+      if rawequal(other, hook) and not is_found then
         is_found = true
       else
         hooks[#hooks + 1] = other
@@ -3656,33 +2827,20 @@ do
     end
     if is_found then
       fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
-    elseif slot and hook ~= nil and fsm[slot] == hook then
-      fsm[slot], is_found = false, true
+    elseif slot and hook ~= nil and rawequal(fsm[slot], hook) then
+      fsm[slot], is_found = nil, true
     end
     return is_found
   end
 
-  local function add_listed(fsm, name, field, hook, place)
-    check_machine(fsm, name, 4)
-    check_function(hook, name, 4)
-    if place ~= nil and place ~= "before" and place ~= "after" then
-      error("rfsm." .. name .. ": 'before' or 'after' expected, " .. got(place), 3)
+  local function add_state_hook(fsm, where, field, state, hook)
+    check_machine(fsm, where, 4)
+    check_function(hook, where, 4)
+    if not is_node_of(fsm, state, "state") then
+      error(where .. ": state of the fsm expected, " .. got(state), 3)
     end
-    hook_add(fsm, field, hook, place)
-  end
-
-  local function add_state_hook(fsm, name, field, state, hook)
-    if not is_state_of(fsm, state) then
-      error("rfsm." .. name .. ": state of the fsm expected, " .. got(state), 3)
-    end
-    if not is_callable(hook) then
-      error("rfsm." .. name .. ": function expected, " .. got(hook), 3)
-    end
-    own_plan(fsm).is_stale = true
-    local hooks = state._def[field] and copy_list(state._def[field]) or {}
-    hooks[#hooks + 1] = hook
-    state._def[field] = hooks
-    go_in_detail(fsm)
+    state[field] = append(append({}, state[field] or {}), { hook })
+    set_flag(fsm, "_has_state_hooks")
   end
 
   --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
@@ -3694,8 +2852,7 @@ do
   ---@param state rfsm.State
   ---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
   function rfsm.entry_hook_add(fsm, state, hook)
-    check_machine(fsm, "entry_hook_add")
-    add_state_hook(fsm, "entry_hook_add", "_entry_hooks", state, hook)
+    add_state_hook(fsm, "rfsm.entry_hook_add", "_entry_hooks", state, hook)
   end
 
   --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
@@ -3703,8 +2860,7 @@ do
   ---@param state rfsm.State
   ---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
   function rfsm.exit_hook_add(fsm, state, hook)
-    check_machine(fsm, "exit_hook_add")
-    add_state_hook(fsm, "exit_hook_add", "_exit_hooks", state, hook)
+    add_state_hook(fsm, "rfsm.exit_hook_add", "_exit_hooks", state, hook)
   end
 
   --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
@@ -3716,7 +2872,7 @@ do
   ---@param hook fun(fsm: rfsm.Machine, events: any[])
   ---@param place? "before"|"after" the hooks that are there; default "after"
   function rfsm.pre_step_hook_add(fsm, hook, place)
-    add_listed(fsm, "pre_step_hook_add", "_pre_hooks", hook, place)
+    hook_add(fsm, "rfsm.pre_step_hook_add", "_pre_hooks", hook, place)
   end
 
   --- Take a pre step hook away.
@@ -3724,8 +2880,7 @@ do
   ---@param hook function
   ---@return boolean was_there
   function rfsm.pre_step_hook_rm(fsm, hook)
-    check_machine(fsm, "pre_step_hook_rm")
-    return hook_rm(fsm, "_pre_hooks", "pre_step_hook", hook)
+    return hook_rm(fsm, "rfsm.pre_step_hook_rm", "_pre_hooks", "pre_step_hook", hook)
   end
 
   --- Have `hook(fsm, events)` called at the end of each iteration.
@@ -3733,7 +2888,7 @@ do
   ---@param hook fun(fsm: rfsm.Machine, events: any[])
   ---@param place? "before"|"after" the hooks that are there; default "after"
   function rfsm.post_step_hook_add(fsm, hook, place)
-    add_listed(fsm, "post_step_hook_add", "_post_hooks", hook, place)
+    hook_add(fsm, "rfsm.post_step_hook_add", "_post_hooks", hook, place)
   end
 
   --- Take a post step hook away.
@@ -3741,8 +2896,7 @@ do
   ---@param hook function
   ---@return boolean was_there
   function rfsm.post_step_hook_rm(fsm, hook)
-    check_machine(fsm, "post_step_hook_rm")
-    return hook_rm(fsm, "_post_hooks", "post_step_hook", hook)
+    return hook_rm(fsm, "rfsm.post_step_hook_rm", "_post_hooks", "post_step_hook", hook)
   end
 
   --- Have `hook(fsm)` called when the machine is reset: for what an extension keeps.
@@ -3750,7 +2904,7 @@ do
   ---@param hook fun(fsm: rfsm.Machine)
   ---@param place? "before"|"after" the hooks that are there; default "after"
   function rfsm.reset_hook_add(fsm, hook, place)
-    add_listed(fsm, "reset_hook_add", "_reset_hooks", hook, place)
+    hook_add(fsm, "rfsm.reset_hook_add", "_reset_hooks", hook, place)
   end
 
   --- Take a reset hook away.
@@ -3758,34 +2912,21 @@ do
   ---@param hook function
   ---@return boolean was_there
   function rfsm.reset_hook_rm(fsm, hook)
-    check_machine(fsm, "reset_hook_rm")
-    return hook_rm(fsm, "_reset_hooks", nil, hook)
+    return hook_rm(fsm, "rfsm.reset_hook_rm", "_reset_hooks", nil, hook)
   end
 end
 
--- Merge: a new element of a live machine --------------------------------------
+-- Merge: a new element of a live machine ------------------------------------------
+
+-- Makes a machine use another plan, in which its elements have the same positions.
+function use_plan(fsm, plan)
+  fsm._plan, fsm["%def"] = plan, plan.nodes[1]
+  for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
+  for i, tr in ipairs(fsm._transitions) do setmetatable(tr, plan.transitions[i].proto) end
+  list_otrs(fsm, plan)
+end
 
 do
-  -- Is a leaf being left, or not entered yet? It may be any that is to be entered.
-  local function is_in_transition(fsm)
-    return fsm._at and not (fsm._at == true and fsm._leaf)
-  end
-
-  -- Has `parent` a member under that key? A program is one.
-  local function is_taken(parent, id)
-    return id ~= nil and (rawget(parent, id) or rawget(parent._def, id)) ~= nil
-  end
-
-  local function name_obstacle(parent, kind, id)
-    if id == nil and kind ~= "transition" then
-      return "a " .. kind .. " needs a name"
-    elseif id ~= id then
-      return "a name expected, got NaN"
-    elseif is_taken(parent, id) then
-      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
-    end
-  end
-
   -- Is `state` the state `other`, or inside of it?
   local function is_inside(state, other)
     while state ~= other and state._parent ~= state do state = state._parent end
@@ -3794,70 +2935,101 @@ do
 
   -- Why `obj` cannot become a member of `parent`; nil when it can.
   local function merge_obstacle(fsm, parent, obj, id)
-    if not is_state_of(fsm, parent) then
-      return "parent: a state of the fsm expected, " .. got(parent)
-    end
     local kind = kind_of(obj)
-    if not kind then return "state, transition or connector expected, " .. got(obj) end
-    local obstacle = name_obstacle(parent, kind, id)
-    if obstacle then return obstacle end
-    if is_live(obj) and is_inside(parent, obj) then
+    if not is_node_of(fsm, parent, "state") then
+      return "parent: a state of the fsm expected, " .. got(parent)
+    elseif not kind then
+      return "state, transition or connector expected, " .. got(obj)
+    elseif id == nil and kind ~= "transition" then
+      return "a " .. kind .. " needs a name"
+    elseif id ~= id then
+      return "a name expected, got NaN"
+    elseif id ~= nil and (rawget(parent, id) ~= nil or parent["%def"][id] and
+      CALLBACKS.state[id]) then
+      return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
+    elseif rawget(obj, "_parent") and is_inside(parent, obj) then
       return ("'%s' cannot contain itself"):format(obj._fqn)
-    end
-    if kind == "transition" or not parent._def._is_leaf then return nil end
-    if parent._mode ~= "inactive" then
+    elseif kind == "transition" or not parent["%def"].is_leaf then
+      return nil
+    elseif parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
-    elseif is_in_transition(fsm) then
+    elseif type(fsm._segment) == "table" or fsm._segment and not fsm._act_leaf then
       return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
     end
   end
 
-  -- Clones `obj` into its place in the plan, the state `parent`.
-  local function attach(build, parent, obj, id)
+  -- Adds `obj` to a plan, as a member of `parent`.
+  local function build_merge(plan, parent, obj, id)
+    local build, first = new_build(plan), #plan.transitions + 1
+    for _, def in ipairs(plan.nodes) do
+      build.mounts[def.model] = append(build.mounts[def.model] or {}, { def })
+    end
     if is_trans(obj) then
-      if parent._is_leaf then
-        add(build.warnings, parent._fqn, "a transition inside a leaf state")
+      new_transition(build, obj, parent, id)
+      if parent.is_leaf then
+        add(build.warnings, parent, nil, "a transition inside a leaf state")
       end
-      parent[id] = clone_transition(build, obj, parent, id)
-      return
+    else
+      local node = new_node(build, kind_of(obj), obj, parent, id)
+      clone_below(build, node.index)
+      if parent.doo then
+        add(build.problems, parent, "doo", "only a leaf state can have a doo")
+      end
     end
-    if parent._is_leaf and parent.doo then
-      add(build.problems, parent._fqn .. ".doo", "only a leaf state can have a doo")
-    end
-    local first = #build.nodes + 1
-    parent[id] = clone_node(build, kind_of(obj), obj, parent, id)
-    parent._is_leaf = false
-    clone_below(build, first)
+    resolve(build, first)
+    plan.warnings, plan.created = build.warnings, build.created
+    return build
   end
 
   -- Transitions to a leaf that has become a composite end at its `initial` now.
-  local function find_new_entrances(build, parent)
-    local entrances = {}
-    for _, tr in ipairs(build.transitions) do
-      if tr.tgt == parent then entrances[tr] = find_entrance(build, tr, parent) end
+  local function move_targets(build, parent, first)
+    local moved = {}
+    if parent.is_leaf then return moved end
+    for i = 1, first - 1 do
+      local def = build.plan.transitions[i]
+      if def.tgt == parent and not def.is_internal then
+        local initial = parent.members.initial
+        if not initial then
+          add(build.problems, def, nil, "tgt '%s': the composite has no initial "
+            .. "transition (rfsm.trans{ src='initial', tgt=... })", parent.fqn)
+        end
+        moved[i], def.tgt = true, initial
+      end
     end
-    return entrances
+    return moved
   end
 
-  -- Forgets what stands in the list of the plan, and in that of the machine, from
-  -- number `first` on.
-  local function truncate(defs, own, first)
-    for i = #defs, first, -1 do defs[i], own[i] = nil, nil end
+  local function truncate(fsm, list, first)
+    for i = #list, first, -1 do
+      local element = list[i]
+      if rawequal(rawget(element._parent, element["%def"].id), element) then
+        rawset(element._parent, element["%def"].id, nil)
+      end
+      list[i] = nil
+    end
   end
 
-  -- Takes out again what stands in plan and machine from the given numbers on.
-  local function undo_merge(fsm, build, parent, id, first_node, first_transition)
-    parent._def[id] = nil
-    for _, connector in ipairs(build.created) do connector._parent.initial = nil end
-    parent._def._is_leaf = not has_nodes(parent._def)
-    truncate(build.nodes, fsm._nodes, first_node)
-    truncate(build.transitions, fsm._transitions, first_transition)
+  -- The machine is again as it was with the plan `plan`.
+  local function undo_merge(fsm, plan, moved)
+    truncate(fsm, fsm._transitions, #plan.transitions + 1)
+    truncate(fsm, fsm._nodes, #plan.nodes + 1)
+    for i = 1, #plan.transitions do
+      if moved[i] then
+        fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
+      end
+    end
+    use_plan(fsm, plan)
+  end
+
+  local function refuse(fsm, reason)
+    report(fsm, "err", reason)
+      return false, reason
   end
 
   --- Add a state, connector or transition to a live machine.
   --
   -- From the next iteration on the machine behaves as if it had been there at `init`.
-  -- Nothing changes when it cannot be added.
+  -- When it cannot be added `err` is told why, and nothing has changed.
   --
   ---@param fsm rfsm.Machine
   ---@param parent rfsm.State the state of the machine that gets it
@@ -3866,55 +3038,45 @@ do
   ---@return boolean is_merged
   ---@return string? reason why not
   function rfsm.fsm_merge(fsm, parent, obj, id)
-    check_machine(fsm, "fsm_merge")
+    check_machine(fsm, "rfsm.fsm_merge")
     local obstacle = merge_obstacle(fsm, parent, obj, id)
-    if obstacle then return false, "rfsm.fsm_merge: " .. obstacle end
-    if id == nil then id = #parent._def + 1 end
-    local plan = own_plan(fsm)
-    go_in_detail(fsm)
+    if obstacle then return refuse(fsm, "rfsm.fsm_merge: " .. obstacle) end
+    if id == nil then id = #parent + 1 end
+    local old, plan = fsm._plan, copy_plan(fsm._plan)
     local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
-    local build = new_build(plan)
-    attach(build, parent._def, obj, id)
-    resolve(build, first_transition)
-    local entrances = find_new_entrances(build, parent._def)
+    local parent_def = plan.nodes[parent["%def"].index]
+    local build = build_merge(plan, parent_def, obj, id)
+    local moved = move_targets(build, parent_def, first_transition)
     local problems = lines_of(build.problems)
-    if not problems[1] then
-      copy_tables(fsm, build.with_tables)
-      problems = preprocess(fsm, parent[id])
+    if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
+    compile(plan)
+    make_elements(fsm, plan, first_node, first_transition)
+    for i in pairs(moved) do -- any order: each stands alone
+      fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
     end
-    if problems[1] then
-      undo_merge(fsm, build, parent, id, first_node, first_transition)
-      return false, summary("rfsm.fsm_merge", problems)
+    use_plan(fsm, plan)
+    local ok, found = pcall(preprocess, fsm, parent[id])
+    if not ok then found = { "a preproc function failed: " .. text_of(found) } end
+    if found[1] then
+      undo_merge(fsm, old, moved)
+      return refuse(fsm, summary("rfsm.fsm_merge", found))
     end
-    for tr, entrance in pairs(entrances) do -- any order: each once
-      tr.tgt, tr._lca, tr._entries = entrance, false, false
-    end
-    tell_created(fsm, build.created)
-    finish(fsm, build.warnings, first_node)
-    if not fsm._at then raise_failure(fsm) end
-    return true
+    report_created(fsm, build.created)
+    report_findings(fsm, first_node, first_transition)
+    report_dead_ends(fsm, first_node)
+      return true
   end
 end
 
--- A field that the core lacks is looked for in a module rfsm_<field>, once.
+-- A field that the core lacks: rfsm.seqand and rfsm.pp are modules of their own.
 
-local missing = {}
+local LAZY = { seqand = "rfsm_seqand", pp = "rfsmpp" }
 
-local function find_extension(_, field)
-  if type(field) ~= "string" or missing[field] then return nil end
-  local name = "rfsm_" .. field
-  local ok, extension = pcall(require, name)
-  if ok then
-    rawset(rfsm, field, extension)
-    return extension
-  end
-  if not tostring(extension):find("module '" .. name .. "' not found", 1, true) then
-    error(extension, 0)
-  end
-  missing[field] = true
-end
-
-setmetatable(rfsm, { __index = find_extension })
+setmetatable(rfsm, { __index = function(_, field)
+  local module = LAZY[field] and find_module(LAZY[field])
+  rfsm[field] = module
+  return module
+end })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 

@@ -84,8 +84,8 @@ local function program_failed(machine, id, what, owner, problem)
 end
 
 local function raise(machine, event)
-  machine.queue[#machine.queue + 1] = event
   dbg(machine, "RAISED", event)
+  machine.queue[#machine.queue + 1] = event
 end
 
 local function text_of(values)
@@ -106,7 +106,7 @@ end
 
 -- Events are a set: it is enough that one of them is wanted.
 local function matches(tr, events)
-  if not tr.events or #tr.events == 0 then return #events > 0 end
+  if not tr.events or #tr.events == 0 then return true end
   for _, wanted in ipairs(tr.events) do
     for _, event in ipairs(events) do
       if is_wanted(wanted, event) then return true end
@@ -128,7 +128,6 @@ local find_path
 -- A path through `tr`: the segment, then what follows behind a connector. nil: closed.
 local function path_through(machine, tr, events, seen)
   if not matches(tr, events) then return nil end
-  dbg(machine, "CHECKING", machine.calls.text(tr))
   if not guard_allows(machine, tr, events) then return nil end
   if machine.chart.nodes[tr.tgt].kind == "state" then return { tr } end
   local rest = find_path(machine, tr.tgt, events, seen)
@@ -159,16 +158,28 @@ function find_path(machine, connector, events, seen)
   return seen[connector]
 end
 
--- States from the root down; the first open path wins, without a look at others.
-local function find_enabled(machine, states, events)
-  dbg(machine, "TRANSITION", "events: " .. text_of(events))
-  local seen = {}
-  for _, fqn in ipairs(states) do
-    for _, tr in ipairs(outgoing(machine, fqn)) do
-      local path = path_through(machine, tr, events, seen)
-      if path then return path end
-    end
+-- The first open path from a node.
+local function find_from(machine, fqn, events, seen)
+  for _, tr in ipairs(outgoing(machine, fqn)) do
+    local path = path_through(machine, tr, events, seen)
+    if path then return path end
   end
+end
+
+-- States from the root down; the first open path wins, without a look at others. A search
+-- is traced if dbg is on when it begins.
+local function find_enabled(machine, states, events)
+  local seen, is_traced = {}, machine.calls.dbg and true
+  local function record(...)
+    if is_traced then dbg(machine, ...) end
+  end
+  record("TRANSITION", "searching transitions for events: " .. text_of(events))
+  for depth, fqn in ipairs(states) do
+    record("CHECKING", "depth:", depth - 1, "for transitions from " .. fqn)
+    local path = find_from(machine, fqn, events, seen)
+    if path then return path end
+  end
+  record("TRANSITION", "no enabled paths found")
 end
 
 -- The active states, from the root to the leaf.
@@ -223,33 +234,53 @@ local function enter(machine, fqn)
   dbg(machine, "STATE_ENTER", fqn)
 end
 
+-- The outermost state that holds the source but not all of what stays active.
+local function outermost_left(machine, tr, top)
+  local fqn = tr.src
+  while machine.chart.nodes[fqn].parent and machine.chart.nodes[fqn].parent ~= top do
+    fqn = machine.chart.nodes[fqn].parent
+  end
+  return fqn
+end
+
+local function run_effect(machine, tr, text, events)
+  dbg(machine, "EFFECT", text)
+  if not tr.effect then return end
+  local ok, problem = pcall(machine.calls.effect, tr, events)
+  if not ok then program_failed(machine, "EFFECT", "effect", text, problem) end
+end
+
 -- Exits from `innermost` up to the common ancestor, effect, entries down to the target.
 local function take_segment(machine, tr, innermost, events)
   local top = common_ancestor(machine, tr)
-  local text = machine.calls.text(tr)
-  dbg(machine, "TRANS_EXIT", text)
+  dbg(machine, "TRANS_EXIT", "exiting all up to (including):",
+    outermost_left(machine, tr, top), ", lca:", top)
   local fqn = innermost
   while fqn ~= top do
     exit(machine, fqn)
     fqn = machine.chart.nodes[fqn].parent
   end
-  if tr.effect then
-    local ok, problem = pcall(machine.calls.effect, tr, events)
-    if not ok then program_failed(machine, "EFFECT", "effect", text, problem) end
+  run_effect(machine, tr, machine.calls.text(tr), events)
+  local below, upwards = {}, { tr.tgt }
+  for _, state in ipairs(ancestors(machine, tr.tgt)) do upwards[#upwards + 1] = state end
+  for _, node in ipairs(upwards) do
+    if is_in(ancestors(machine, node), top) then below[#below + 1] = node end
   end
-  dbg(machine, "EFFECT", text)
-  dbg(machine, "TRANS_ENTER", text)
-  local below = ancestors(machine, tr.tgt)
+  dbg(machine, "TRANS_ENTER", "lca: " .. top, "down_path: ", table.concat(below, " > "))
   for i = #below, 1, -1 do
-    if is_in(ancestors(machine, below[i]), top) then enter(machine, below[i]) end
+    if machine.chart.nodes[below[i]].kind == "state" then enter(machine, below[i]) end
   end
-  if machine.chart.nodes[tr.tgt].kind == "state" then enter(machine, tr.tgt) end
+end
+
+local function kind_text(machine, fqn)
+  local node = machine.chart.nodes[fqn]
+  return node.kind == "connector" and "[c]" or node.is_leaf and "[LS]" or "[CS]"
 end
 
 local function trace_path(machine, path)
-  local names = { path[1].src }
-  for _, tr in ipairs(path) do names[#names + 1] = tr.tgt end
-  dbg(machine, "EXEC_PATH", table.concat(names, " -> "))
+  local names = { path[1].src .. kind_text(machine, path[1].src) }
+  for _, tr in ipairs(path) do names[#names + 1] = tr.tgt .. kind_text(machine, tr.tgt) end
+  dbg(machine, "EXEC_PATH", table.concat(names, "->"))
 end
 
 -- The first segment starts at the leaf, each further one in the connector's parent.
@@ -274,10 +305,10 @@ local function first_entry(machine, events)
     enter(machine, "root")
     return true
   end
-  local path = find_enabled(machine, { "root.initial" }, events)
+  local path = find_from(machine, "root.initial", events, {})
   if not path then return false end
-  trace_path(machine, path)
   enter(machine, "root")
+  trace_path(machine, path)
   take_path(machine, path, events)
   return true
 end
@@ -289,7 +320,6 @@ local function doo_failed(machine, fqn, problem)
   machine.coroutine[fqn] = nil
   protected(machine, machine.calls.err, "DOO",
     "doo program of state '" .. fqn .. "' failed: ", problem)
-  dbg(machine, "DOO", fqn, "failed")
   return true
 end
 
@@ -298,17 +328,19 @@ local function doo_cycle(machine)
   local fqn = machine.leaf
   if machine.mode[fqn] == "done" then return true end
   local co = machine.coroutine[fqn]
-    or coroutine.create(function(...) return machine.calls.doo(...) end)
-  machine.coroutine[fqn] = co
+  if not co then
+    dbg(machine, "DOO", "created coroutine for " .. fqn .. " doo")
+    co = coroutine.create(function(...) return machine.calls.doo(...) end)
+    machine.coroutine[fqn] = co
+  end
   local ok, idle = coroutine.resume(co, fqn)
   if not ok then return doo_failed(machine, fqn, idle) end
   if coroutine.status(co) == "dead" then
     machine.coroutine[fqn] = nil
     done(machine, fqn)
-    dbg(machine, "DOO", fqn, "done")
+    dbg(machine, "DOO", "removing completed coroutine of " .. fqn .. " doo")
     return true
   end
-  dbg(machine, "DOO", fqn, idle and "idle" or "active")
   return not not idle
 end
 
@@ -321,40 +353,54 @@ local function reset_now(machine)
   machine.queue = { "e_init_fsm" }
 end
 
--- Appends what getevents says to `list`.
+-- Appends what getevents returns to `list`. An error of it reaches the caller at once.
 local function ask_getevents(machine, list)
-  local new = machine.calls.getevents and protected(machine, machine.calls.getevents)
-  for _, event in ipairs(new or {}) do
+  for _, event in ipairs(machine.calls.getevents and machine.calls.getevents() or {}) do
     list[#list + 1] = event
-    dbg(machine, "RAISED", event)
   end
 end
 
+-- Calls a hook, whose error reaches the caller at once as well.
 local function run_hook(machine, name, events)
-  if machine.calls[name] then protected(machine, machine.calls[name], events) end
+  if machine.calls[name] then machine.calls[name](events) end
 end
 
--- No way in: the queue is kept, as it was before the hooks, and goes on with what came.
-local function refuse(machine, before, events)
-  for _, event in ipairs(machine.queue) do before[#before + 1] = event end
-  machine.queue = before
+-- The events of an iteration that did not take place come first in the queue again.
+local function put_back(machine, events)
+  for _, event in ipairs(machine.queue) do events[#events + 1] = event end
+  machine.queue = events
+end
+
+local function refuse(machine, events)
+  local text = text_of(events)
+  put_back(machine, events)
   protected(machine, machine.calls.err, "ERROR: cannot enter: no enabled path from "
-    .. "'root.initial' on events: " .. text_of(events))
+    .. "'root.initial' on events: " .. text)
   if machine.reset_wanted then reset_now(machine) end
+end
+
+-- The events of an iteration: the queue, what getevents returns, what the hook makes of
+-- them. Nothing is lost when one of these fails.
+local function gather(machine)
+  if machine.reset_wanted then reset_now(machine) end
+  local events = machine.queue
+  machine.queue = {}
+  local ok, failure = pcall(function()
+    ask_getevents(machine, events)
+    run_hook(machine, "pre_hook", events)
+  end)
+  if ok then return events end
+  put_back(machine, events)
+  error(failure, 0)
 end
 
 -- One iteration. Returns "refused", or "free" / "counted" and whether it is idle.
 local function iterate(machine, after_free)
-  local events = machine.queue
-  machine.queue = {}
-  ask_getevents(machine, events)
-  local before = {}
-  for i, event in ipairs(events) do before[i] = event end
-  run_hook(machine, "pre_hook", events)
+  local events = gather(machine)
   local result, idle = "counted", false
-  if machine.mode.root == "inactive" then
+  if not machine.leaf then
     if not first_entry(machine, events) then
-      refuse(machine, before, events)
+      refuse(machine, events)
       return "refused", false
     end
   elseif #events == 0 then
@@ -371,7 +417,7 @@ local function iterate(machine, after_free)
   return result, idle and #machine.queue == 0
 end
 
--- What printers, hooks and getevents raised reaches the caller when all is consistent.
+-- What printers raised reaches the caller when all is consistent.
 local function raise_failure(machine)
   if not machine.failed then return end
   local failure = machine.failure
@@ -384,17 +430,21 @@ function reference.step(machine, n)
   local left, after_free = math.max(1, math.floor(n or 1)), false
   while true do
     machine.stepping = true
-    local result, idle = iterate(machine, after_free)
+    local ok, result, idle = pcall(iterate, machine, after_free)
     machine.stepping = false
+    if not ok then error(result, 0) end
     raise_failure(machine)
     if result == "refused" then return false end
     if result == "counted" then left = left - 1 end
     if left == 0 then return idle end
     after_free = result == "free"
     if idle then
-      dbg(machine, "HIBERNATING", machine.leaf)
-      raise_failure(machine)
-      if not machine.calls.idle_hook then return true end
+      if not machine.calls.idle_hook then
+        dbg(machine, "HIBERNATING",
+          "no events, no idle_hook, no doos or doo idle, halting engines")
+        raise_failure(machine)
+        return true
+      end
       machine.calls.idle_hook()
     end
   end
@@ -402,11 +452,11 @@ end
 
 --- Send events; nil is no event.
 function reference.send(machine, ...)
+  dbg(machine, "RAISED", ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
-    if event ~= nil then raise(machine, event) end
+    if event ~= nil then machine.queue[#machine.queue + 1] = event end
   end
-  if not machine.stepping then raise_failure(machine) end
 end
 
 --- Back to the start; from inside a callback when the iteration is over.

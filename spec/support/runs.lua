@@ -214,6 +214,14 @@ local function node_of(fsm, fqn)
   return node
 end
 
+-- The events that wait; those of an iteration that a hook ended come first.
+local function waiting_in(fsm)
+  local events = {}
+  for _, event in ipairs(fsm._curq) do events[#events + 1] = event end
+  for _, event in ipairs(fsm._intq) do events[#events + 1] = event end
+  return events
+end
+
 local function core_modes(world, fsm)
   return modes_of(world.chart, function(fqn)
     return rfsm.get_sta_mode(node_of(fsm, fqn))
@@ -346,7 +354,7 @@ function runs.on_core(chart)
     step = function(n) return rfsm.step(fsm, n) end,
     run = function() return rfsm.run(fsm) end,
     active = function() return core_active(fsm) end,
-    queue = function() return fsm._intq end,
+    queue = function() return waiting_in(fsm) end,
     modes = function() return core_modes(world, fsm) end,
   })
 end
