@@ -3896,25 +3896,38 @@ do
   end
 end
 
--- A field that the core lacks is looked for in a module rfsm_<field>, once.
+-- Names -----------------------------------------------------------------------
 
-local missing = {}
+-- Fields that are modules of their own, loaded on first use. Loading them changes no
+-- machine.
+local FIELDS = { seqand = "rfsm_seqand", pp = "rfsmpp" }
 
-local function find_extension(_, field)
-  if type(field) ~= "string" or missing[field] then return nil end
-  local name = "rfsm_" .. field
-  local ok, extension = pcall(require, name)
-  if ok then
-    rawset(rfsm, field, extension)
-    return extension
-  end
-  if not tostring(extension):find("module '" .. name .. "' not found", 1, true) then
-    error(extension, 0)
-  end
-  missing[field] = true
+local function load_field(_, name)
+  local module = FIELDS[name] and require and require(FIELDS[name])
+  if module then rawset(rfsm, name, module) end
+  return module
 end
 
-setmetatable(rfsm, { __index = find_extension })
+setmetatable(rfsm, { __index = load_field })
+
+-- Finds the older names of modules. They are files in compat/ beside this file, in a
+-- checkout; an installation has them beside the modules.
+local function find_old_name(name)
+  if not find(name, "^rfsm") then return nil end
+  local file = "compat/" .. name:gsub("%.", "/") .. ".lua"
+  for folder in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
+    local chunk = loadfile(folder .. file)
+    if chunk then return chunk, folder .. file end
+  end
+end
+
+local package = rawget(_G, "package") or {} -- a sandbox may have none
+local searchers = package.searchers or package.loaders
+if searchers and loadfile and not searchers.rfsm then
+  searchers.rfsm = find_old_name -- marks the list: one searcher is enough
+  searchers[#searchers + 1] = find_old_name
+end
+if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
