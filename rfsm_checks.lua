@@ -1,9 +1,9 @@
 --- Checks: events that nobody declared, and what is dead or suspicious in a model.
 --
--- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` has a
--- machine warn of each event that none of its transitions names, and so does
--- `checkevents = true` in the root of a model; `rfsm_checkevents` (also known as
--- `rfsm.checkevents`) does so for all machines initialised afterwards.
+-- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` lets a
+-- machine warn of each event that none of its transitions names. So does
+-- `checkevents = true` in the root of a model. `rfsm_checks.watch_all` does it for all
+-- machines initialised afterwards, and so does `require "rfsm.checkevents"`.
 --
 -- @module rfsm_checks
 -- @license BSD-3-Clause
@@ -107,9 +107,12 @@ local function watch(fsm)
   rfsm.pre_step_hook_add(fsm, check_events)
 end
 
--- `checkevents = true` in the root asks for it; what was merged may declare more.
+local watches_all = false
+
+-- The field `checkevents` in the root decides for one machine. A merge may declare more.
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
-  if not merged and fsm.checkevents == true then watch(fsm) end
+  local is_wanted = fsm.checkevents == true or watches_all and fsm.checkevents ~= false
+  if not merged and is_wanted then watch(fsm) end
   if merged and fsm._checks then forget_known(fsm._checks) end
 end
 
@@ -309,6 +312,22 @@ function rfsm_checks.watch(fsm)
   watch(fsm)
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_checks", rfsm_checks) end
+local function set_global(name)
+  if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, name, rfsm_checks) end
+end
+
+--- Let all machines initialised from now on warn of undeclared events.
+--
+-- `checkevents = false` in the root of a model excludes its machines. Requiring
+-- `rfsm.checkevents` or `rfsm_checkevents` calls this function.
+--
+---@return table rfsm_checks this module, which is what these names give
+function rfsm_checks.watch_all()
+  watches_all = true
+  set_global("rfsm_checkevents")
+  return rfsm_checks
+end
+
+set_global("rfsm_checks")
 
 return rfsm_checks

@@ -7,7 +7,7 @@
 -- luacheck: globals drone
 
 local rfsm = require "rfsm"
-local rfsm_ext = require "rfsm_ext"
+local rfsm_ext = require "rfsm.monitor"
 
 drone = { volt = 12, celsius = 40 } -- global, so that you can change it
 

@@ -1,8 +1,8 @@
--- The monitor state, and the names of rfsm_ext.
+-- The monitor state.
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-local rfsm_ext = require "rfsm_ext"
+local rfsm_ext = require "rfsm.monitor"
 
 local state, trans = rfsm.state, rfsm.trans
 
@@ -92,12 +92,12 @@ describe("gen_monitor_state", function()
       local _, text = pcall(function() return (rfsm_ext.gen_monitor_state(case[2])) end)
       local place, message = text:match("^(.-:%d+): (.*)$")
       assert.matches("ext_spec.lua", place)
-      assert.equal("rfsm_ext.gen_monitor_state: " .. case[1], message)
+      assert.equal("rfsm.monitor.gen_monitor_state: " .. case[1], message)
     end)
   end
 end)
 
-describe("rfsm_ext", function()
+describe("rfsm.monitor", function()
   it("has seqand, which is that of the core", function()
     assert.equal(rfsm.seqand, rfsm_ext.seqand)
   end)

@@ -1,1 +1,1 @@
-return require("rfsm_ext")
+return require("rfsm.monitor")

@@ -1,1 +1,1 @@
-return require("rfsm2json")
+return require("rfsm.json")

@@ -17,7 +17,7 @@ if not has_socket or not has_json then
 end
 
 local rfsm = require "rfsm"
-local rfsm_proto = require "rfsm_proto"
+local rfsm_proto = require "rfsm.proto"
 
 -- The host ---------------------------------------------------------------------
 

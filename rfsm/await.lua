@@ -5,7 +5,7 @@
 -- over any number of steps. From then on it comes along with any other event, until the
 -- source is left.
 --
--- @module rfsm_await
+-- @module rfsm.await
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -19,7 +19,7 @@ local rfsm_await = {}
 -- Run: note what is received ---------------------------------------------------
 
 --- One await of a state; the list of them is its field `_await`.
----@class rfsm_await.Await
+---@class rfsm.await.Await
 ---@field name string the event that comes when all were received
 ---@field wanted table<string, boolean> the events to wait for
 ---@field received table<string, boolean> those that came

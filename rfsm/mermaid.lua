@@ -3,16 +3,16 @@
 -- The root has no frame: Mermaid draws the better the less is nested. Arrows that begin
 -- at the root begin at a box of that name.
 --
--- @module rfsm2mermaid
+-- @module rfsm.mermaid
 -- @license BSD-3-Clause
 
 require "rfsm"
-local diagram = require "rfsm_diagram"
+local diagram = require "rfsm.diagram"
 
 local ipairs, rawget, rawset = ipairs, rawget, rawset
 local concat = table.concat
 
-local rfsm2mermaid = {}
+local mermaid = {}
 
 -- Text ------------------------------------------------------------------------
 
@@ -112,8 +112,8 @@ end
 ---@param title? string
 ---@return string mermaid
 ---@nodiscard
-function rfsm2mermaid.encode(fsm, title)
-  local chart = diagram.read(fsm, "rfsm2mermaid.encode", title)
+function mermaid.encode(fsm, title)
+  local chart = diagram.read(fsm, "rfsm.mermaid.encode", title)
   return draw(chart)
 end
 
@@ -122,11 +122,11 @@ end
 ---@param fsm rfsm.Machine
 ---@param file string
 ---@param title? string
-function rfsm2mermaid.save(fsm, file, title)
-  local chart = diagram.read(fsm, "rfsm2mermaid.save", title)
-  diagram.save("rfsm2mermaid.save", file, draw(chart))
+function mermaid.save(fsm, file, title)
+  local chart = diagram.read(fsm, "rfsm.mermaid.save", title)
+  diagram.save("rfsm.mermaid.save", file, draw(chart))
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2mermaid", rfsm2mermaid) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2mermaid", mermaid) end
 
-return rfsm2mermaid
+return mermaid

@@ -5,7 +5,7 @@
 -- where it returns a true value, `prepare(fsm)` of the target is called, if there is
 -- one.
 --
--- @module rfsm_preview
+-- @module rfsm.preview
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"

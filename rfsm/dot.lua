@@ -4,16 +4,16 @@
 -- or ends at its border: Graphviz wants it between two nodes, and cuts it off at the
 -- clusters named by `ltail` and `lhead`.
 --
--- @module rfsm2dot
+-- @module rfsm.dot
 -- @license BSD-3-Clause
 
 require "rfsm"
-local diagram = require "rfsm_diagram"
+local diagram = require "rfsm.diagram"
 
 local ipairs, rawget, rawset = ipairs, rawget, rawset
 local concat = table.concat
 
-local rfsm2dot = {}
+local dot = {}
 
 local HEAD = [=[
   compound=true
@@ -125,8 +125,8 @@ end
 ---@param title? string
 ---@return string dot
 ---@nodiscard
-function rfsm2dot.encode(fsm, title)
-  local chart = diagram.read(fsm, "rfsm2dot.encode", title)
+function dot.encode(fsm, title)
+  local chart = diagram.read(fsm, "rfsm.dot.encode", title)
   return draw(chart)
 end
 
@@ -135,11 +135,11 @@ end
 ---@param fsm rfsm.Machine
 ---@param file string
 ---@param title? string
-function rfsm2dot.save(fsm, file, title)
-  local chart = diagram.read(fsm, "rfsm2dot.save", title)
-  diagram.save("rfsm2dot.save", file, draw(chart))
+function dot.save(fsm, file, title)
+  local chart = diagram.read(fsm, "rfsm.dot.save", title)
+  diagram.save("rfsm.dot.save", file, draw(chart))
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2dot", rfsm2dot) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2dot", dot) end
 
-return rfsm2dot
+return dot

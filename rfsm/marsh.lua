@@ -3,7 +3,7 @@
 -- All lists are in a fixed order: nodes sorted by name, transitions as `rfsm.mapfsm`
 -- meets them.
 --
--- @module rfsm_marsh
+-- @module rfsm.marsh
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -14,10 +14,10 @@ local tonumber, tostring, type = tonumber, tostring, type
 local math_type = rawget(math, "type")
 local concat = table.concat
 
-local rfsm_marsh = {}
+local marsh = {}
 
 --- A transition as a plain table.
----@class rfsm_marsh.Transition
+---@class rfsm.marsh.Transition
 ---@field type "transition"
 ---@field src string F
 ---@field tgt string F; a composite stands as its `initial`
@@ -27,15 +27,15 @@ local rfsm_marsh = {}
 ---@field effect? true likewise
 
 --- A node as a plain table; only a composite has the two lists.
----@class rfsm_marsh.Node
+---@class rfsm.marsh.Node
 ---@field id string
 ---@field type "state"|"connector"
----@field transitions? rfsm_marsh.Transition[]
----@field subnodes? rfsm_marsh.Node[]
+---@field transitions? rfsm.marsh.Transition[]
+---@field subnodes? rfsm.marsh.Node[]
 
 local function check_machine(fsm, name)
   if rfsm.is_initialized_root(fsm) then return end
-  error("rfsm_marsh." .. name .. ": initialised fsm expected, got " .. type(fsm), 3)
+  error("rfsm.marsh." .. name .. ": initialised fsm expected, got " .. type(fsm), 3)
 end
 
 local function transition_table(tr)
@@ -68,9 +68,9 @@ end
 -- @raise when `fsm` was not initialised
 ---@param fsm rfsm.Machine
 ---@param has_programs? boolean tell also which transitions have a guard, an effect
----@return rfsm_marsh.Node root
+---@return rfsm.marsh.Node root
 ---@nodiscard
-function rfsm_marsh.model2tab(fsm, has_programs)
+function marsh.model2tab(fsm, has_programs)
   check_machine(fsm, "model2tab")
   return node_table(fsm, has_programs and transition_with_programs or transition_table)
 end
@@ -82,7 +82,7 @@ end
 ---@return string|false mode
 ---@return false path
 ---@nodiscard
-function rfsm_marsh.actinfo2tab(fsm)
+function marsh.actinfo2tab(fsm)
   check_machine(fsm, "actinfo2tab")
   local leaf = fsm._act_leaf
   if not leaf then return false, false, false end
@@ -109,7 +109,7 @@ end
 --
 ---@return fun(event: any): string text_of
 ---@nodiscard
-function rfsm_marsh.gen_event_text()
+function marsh.gen_event_text()
   local texts, counts = {}, {}
   return function(event)
     local text = texts[event] or text_without_address(event)
@@ -141,7 +141,7 @@ end
 ---@param text string
 ---@return string
 ---@nodiscard
-function rfsm_marsh.utf8(text)
+function marsh.utf8(text)
   if not text:find("[\128-\255]") then return text end
   local parts, i = {}, 1
   while i <= #text do
@@ -174,14 +174,14 @@ local function plain_event(event, text_of)
   local kind = type(event)
   if kind == "boolean" then return event end
   if kind == "number" then return plain_number(event) end
-  return rfsm_marsh.utf8(text_of(event))
+  return marsh.utf8(text_of(event))
 end
 
 -- Marks a list, so that an empty one is no object.
 local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
 
 local function plain_transition(tr, text_of)
-  tr.src, tr.tgt = rfsm_marsh.utf8(tr.src), rfsm_marsh.utf8(tr.tgt)
+  tr.src, tr.tgt = marsh.utf8(tr.src), marsh.utf8(tr.tgt)
   tr.pn = tr.pn and plain_number(tr.pn)
   for i = 1, #tr.events do tr.events[i] = plain_event(tr.events[i], text_of) end
   as_array(tr.events)
@@ -189,7 +189,7 @@ end
 
 -- Makes a node of what dkjson can write without losing or adding anything.
 local function plain_node(node, text_of)
-  node.id = rfsm_marsh.utf8(node.id)
+  node.id = marsh.utf8(node.id)
   if not node.subnodes then return node end
   for _, tr in ipairs(as_array(node.transitions)) do plain_transition(tr, text_of) end
   for _, subnode in ipairs(as_array(node.subnodes)) do plain_node(subnode, text_of) end
@@ -203,13 +203,13 @@ end
 --
 -- @raise when `fsm` was not initialised
 ---@param fsm rfsm.Machine
----@return rfsm_marsh.Node root
+---@return rfsm.marsh.Node root
 ---@nodiscard
-function rfsm_marsh.jsontab(fsm)
+function marsh.jsontab(fsm)
   check_machine(fsm, "jsontab")
-  return plain_node(node_table(fsm, transition_table), rfsm_marsh.gen_event_text())
+  return plain_node(node_table(fsm, transition_table), marsh.gen_event_text())
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_marsh", rfsm_marsh) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_marsh", marsh) end
 
-return rfsm_marsh
+return marsh

@@ -9,7 +9,7 @@
 -- nothing in the steady state. The module loads without RTT; only what needs it asks
 -- for it.
 --
--- @module rfsm_rtt
+-- @module rfsm.rtt
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -189,7 +189,7 @@ end
 ---@return fun(): any[] getevents
 ---@nodiscard
 function rfsm_rtt.gen_read_events(...)
-  return (gen_reader("rfsm_rtt.gen_read_events", nil, ...))
+  return (gen_reader("rfsm.rtt.gen_read_events", nil, ...))
 end
 
 --- Make a getevents that reads all new samples of input ports of type string.
@@ -198,7 +198,7 @@ end
 ---@return fun(): string[] getevents
 ---@nodiscard
 function rfsm_rtt.gen_read_str_events(...)
-  return (gen_reader("rfsm_rtt.gen_read_str_events", "string", ...))
+  return (gen_reader("rfsm.rtt.gen_read_str_events", "string", ...))
 end
 
 -- Returns why a port of type `kind` cannot take an event; nil if it can.
@@ -218,7 +218,7 @@ local function check_events(kind, n, ...)
   for i = 1, n do
     local problem = event_problem(kind, (select(i, ...)))
     if problem then
-      error(("rfsm_rtt.raise_event: event %d: %s"):format(i, problem), 3)
+      error(("rfsm.rtt.raise_event: event %d: %s"):format(i, problem), 3)
     end
   end
 end
@@ -238,7 +238,7 @@ end
 ---@return fun(...: any) raise_event
 ---@nodiscard
 function rfsm_rtt.gen_raise_event(port, fsm)
-  local where = "rfsm_rtt.gen_raise_event: "
+  local where = "rfsm.rtt.gen_raise_event: "
   local problem = port_problem(port, "write")
   if problem then error(where .. problem, 2) end
   if fsm ~= nil and not rfsm.is_initialized_root(fsm) then
@@ -293,12 +293,12 @@ end
 ---@nodiscard
 function rfsm_rtt.gen_write_fqn(port)
   local problem = port_problem(port, "write", "string")
-  if problem then error("rfsm_rtt.gen_write_fqn: " .. problem, 2) end
+  if problem then error("rfsm.rtt.gen_write_fqn: " .. problem, 2) end
   local write, key = new_writer(port), {}
   write("<none>")
   return function(fsm)
     if not rfsm.is_initialized_root(fsm) then
-      error("rfsm_rtt.write_fqn: machine expected, " .. got(fsm), 2)
+      error("rfsm.rtt.write_fqn: machine expected, " .. got(fsm), 2)
     end
     local own = rawget(fsm, "_rtt")
     write_change(fsm, own and own[key] or written_of(fsm, key, write), write)
@@ -352,7 +352,7 @@ local function load_machine(rtt, file)
 end
 
 -- What a launch has made, to be taken back.
----@class rfsm_rtt.Launched
+---@class rfsm.rtt.Launched
 ---@field component any the TaskContext
 ---@field fsm rfsm.Machine|false
 ---@field ports { name: string, port: any }[] those that were added
@@ -464,7 +464,7 @@ end
 
 local function log_error(why)
   local rtt = find_rtt()
-  if rtt then rtt.logl("Error", "rfsm_rtt: " .. tostring(why)) end
+  if rtt then rtt.logl("Error", "rfsm.rtt: " .. tostring(why)) end
 end
 
 -- Advances a machine; what escapes goes to the log, or RTT would drop the hook.
@@ -596,10 +596,10 @@ for name, value in pairs(args.env) do -- any order: different names
   rawset(_G, name, value)
 end
 local ok, why = pcall(function()
-  local is_there, rfsm_rtt = pcall(require, "rfsm_rtt")
+  local is_there, rfsm_rtt = pcall(require, "rfsm.rtt")
   if not is_there then
     package.path = package.path .. ";" .. args.path
-    rfsm_rtt = require "rfsm_rtt"
+    rfsm_rtt = require "rfsm.rtt"
   end
   rfsm_rtt._launch[args.kind](args)
 end)
@@ -695,11 +695,11 @@ end
 function rfsm_rtt.service_launch_rfsm(file, exec_str, eehook, env)
   local problem = file_problem("file", file) or exec_problem(exec_str)
     or boolean_problem("eehook", eehook) or env_problem(env)
-  if problem then error("rfsm_rtt.service_launch_rfsm: " .. problem, 2) end
+  if problem then error("rfsm.rtt.service_launch_rfsm: " .. problem, 2) end
   local ok, why = execute({
     kind = "service", file = file, eehook = eehook or false, env = env or {},
   }, exec_str)
-  if not ok then error("rfsm_rtt.service_launch_rfsm: " .. why, 2) end
+  if not ok then error("rfsm.rtt.service_launch_rfsm: " .. why, 2) end
   return true
 end
 
@@ -823,7 +823,7 @@ local function launch_component(args, deployer)
 end
 
 --- What component_launch_rfsm takes.
----@class rfsm_rtt.Launch
+---@class rfsm.rtt.Launch
 ---@field name string of the new component
 ---@field fsmfile string the chart
 ---@field deployer? any the deployer, or the name of a peer ("Deployer")
@@ -849,10 +849,10 @@ end
 --
 -- @raise when an argument is wrong or the machine cannot be made; then no component is
 -- left
----@param args rfsm_rtt.Launch
+---@param args rfsm.rtt.Launch
 ---@return any component configured, not started
 function rfsm_rtt.component_launch_rfsm(args)
-  local where = "rfsm_rtt.component_launch_rfsm: "
+  local where = "rfsm.rtt.component_launch_rfsm: "
   local problem = args_problem(args)
   if problem then error(where .. problem, 2) end
   local deployer, obstacle = find_deployer(args.deployer)

@@ -1,15 +1,15 @@
 --- A machine as a PlantUML state diagram.
 --
--- @module rfsm2plantuml
+-- @module rfsm.plantuml
 -- @license BSD-3-Clause
 
 require "rfsm"
-local diagram = require "rfsm_diagram"
+local diagram = require "rfsm.diagram"
 
 local ipairs, rawget, rawset = ipairs, rawget, rawset
 local concat = table.concat
 
-local rfsm2plantuml = {}
+local plantuml = {}
 
 -- Text: what PlantUML would take for a command becomes <U+0022> ------------------
 
@@ -73,8 +73,8 @@ end
 ---@param title? string
 ---@return string plantuml
 ---@nodiscard
-function rfsm2plantuml.encode(fsm, title)
-  local chart = diagram.read(fsm, "rfsm2plantuml.encode", title)
+function plantuml.encode(fsm, title)
+  local chart = diagram.read(fsm, "rfsm.plantuml.encode", title)
   return draw(chart)
 end
 
@@ -83,11 +83,11 @@ end
 ---@param fsm rfsm.Machine
 ---@param file string
 ---@param title? string
-function rfsm2plantuml.save(fsm, file, title)
-  local chart = diagram.read(fsm, "rfsm2plantuml.save", title)
-  diagram.save("rfsm2plantuml.save", file, draw(chart))
+function plantuml.save(fsm, file, title)
+  local chart = diagram.read(fsm, "rfsm.plantuml.save", title)
+  diagram.save("rfsm.plantuml.save", file, draw(chart))
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2plantuml", rfsm2plantuml) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2plantuml", plantuml) end
 
-return rfsm2plantuml
+return plantuml

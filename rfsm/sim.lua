@@ -1,13 +1,13 @@
 --- The simulator: steps through a chart by hand, with Lua at the prompt.
 --
--- `tools/rfsm-sim` parses the command line and calls `rfsm_sim.main`. The code that is
+-- `tools/rfsm-sim` parses the command line and calls `rfsm.sim.main`. The code that is
 -- typed sees the machine as `fsm`, the commands that `help()` lists, and the globals of
 -- the chart, which it can also set.
 --
 -- The file reads in the order in which a session goes: output, open a chart, commands,
 -- evaluate, read lines, public functions.
 --
--- @module rfsm_sim
+-- @module rfsm.sim
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -81,7 +81,7 @@ end
 -- Commands --------------------------------------------------------------------
 
 --- One chart under the hand of one person.
----@class rfsm_sim.Session
+---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
 ---@field name string of the chart, for trace records
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
@@ -369,14 +369,14 @@ local function run_code(sim, texts)
 end
 
 --- What the command line says.
----@class rfsm_sim.Options
+---@class rfsm.sim.Options
 ---@field file string the chart
 ---@field code? string[] Lua to run first
 ---@field is_quiet? boolean no banner
 ---@field is_interactive? boolean read commands, also after `code`
 
 --- Open a chart, run the code given, read commands from stdin.
----@param options rfsm_sim.Options
+---@param options rfsm.sim.Options
 ---@return integer status for the shell: 0, or 1 for a chart or code that is wrong
 function rfsm_sim.main(options)
   io.stdout:setvbuf("line")

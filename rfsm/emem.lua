@@ -6,7 +6,7 @@
 -- counts are set to 0 when the state is left. `emem = false` in a state, or in the root
 -- for the whole machine, does without.
 --
--- @module rfsm_emem
+-- @module rfsm.emem
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -26,7 +26,7 @@ local rfsm_emem = {}
 -- put there and in one that he gave a metatable, it is `pairs`.
 
 --- The metatable of a table of counts; the keys are in its array part.
----@class rfsm_emem.Keys
+---@class rfsm.emem.Keys
 ---@field n integer|false how many are listed; false when an object is among the keys
 ---@field limit integer how many may be, before those that are gone are sorted out
 
@@ -165,7 +165,7 @@ rfsm.preproc[#rfsm.preproc + 1] = prepare
 ---@param state rfsm.State
 function rfsm_emem.emem_reset(state)
   if not rfsm.is_state(state) or type(state.emem) ~= "table" then
-    error("rfsm_emem.emem_reset: state with an event memory expected, got "
+    error("rfsm.emem.emem_reset: state with an event memory expected, got "
       .. type(state), 2)
   end
   forget(nil, state)

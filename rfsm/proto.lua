@@ -11,11 +11,11 @@
 -- The file reads in this order: options, server, sending, messages, receiving, the
 -- hooks of a machine, public functions.
 --
--- @module rfsm_proto
+-- @module rfsm.proto
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local marsh = require "rfsm_marsh"
+local marsh = require "rfsm.marsh"
 
 local error, getmetatable, pairs, pcall = error, getmetatable, pairs, pcall
 local print, rawget, rawset, require, select = print, rawget, rawset, require, select
@@ -23,9 +23,9 @@ local setmetatable, tonumber, tostring, type = setmetatable, tonumber, tostring,
 local floor, huge = math.floor, math.huge
 local concat, remove, sort = table.concat, table.remove, table.sort
 
-local rfsm_proto = {}
+local proto = {}
 
-local VERSION = 2 -- of the messages and of the graph in them, as rfsm2json writes it
+local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writes it
 
 -- Limits: what a datagram, or a lot of them, can cost.
 local MAX_READS = 64 -- datagrams read in one iteration
@@ -140,7 +140,7 @@ end
 -- Server: a port, those who subscribed there, the machines that answer ----------
 
 --- An open port.
----@class rfsm_proto.Server
+---@class rfsm.proto.Server
 ---@field host string the address that it listens on
 ---@field port integer
 local Server = {}
@@ -598,7 +598,7 @@ local open = {} -- for all machines initialised from now on
 local servers = setmetatable({}, WEAK_KEYS) -- all, as long as somebody has them
 
 --- What `install` may be told.
----@class rfsm_proto.Options
+---@class rfsm.proto.Options
 ---@field host? string name or address to listen on, default "localhost"
 ---@field port? integer default 44044; 0 for any that is free
 ---@field read_timeout? number seconds that an iteration waits for a datagram, default 0
@@ -611,17 +611,17 @@ local servers = setmetatable({}, WEAK_KEYS) -- all, as long as somebody has them
 --- Open a port at which machines answer.
 --
 -- @usage
---    rfsm_proto.install { port = 44044, allow_send = true }
+--    proto.install { port = 44044, allow_send = true }
 --    local fsm = rfsm.init(model)
 --
 -- @raise when an option is wrong, a package is missing or the port cannot be opened
----@param options? rfsm_proto.Options
----@return rfsm_proto.Server server
-function rfsm_proto.install(options)
+---@param options? rfsm.proto.Options
+---@return rfsm.proto.Server server
+function proto.install(options)
   local settings, problem = read_options(options)
   local server
   if settings then server, problem = open_server(settings) end
-  if not server then error("rfsm_proto.install: " .. problem, 2) end
+  if not server then error("rfsm.proto.install: " .. problem, 2) end
   servers[server] = true
   if settings.fsm then
     attach(settings.fsm, server)
@@ -632,7 +632,7 @@ function rfsm_proto.install(options)
 end
 
 --- Close all ports; machines go on without.
-function rfsm_proto.uninstall()
+function proto.uninstall()
   for server in pairs(servers) do server:close() end -- any order: all of them
   open, servers = {}, setmetatable({}, WEAK_KEYS)
 end
@@ -649,6 +649,6 @@ rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   for i = 1, fsm._proto and #fsm._proto or 0 do forget_graph(fsm._proto[i]) end
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_proto", rfsm_proto) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_proto", proto) end
 
-return rfsm_proto
+return proto
