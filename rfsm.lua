@@ -3921,14 +3921,17 @@ local function find_old_name(name)
   end
 end
 
-local package = rawget(_G, "package") or {} -- a sandbox may have none
-local searchers = package.searchers or package.loaders
-if searchers and loadfile and not searchers.rfsm then
-  searchers.rfsm = find_old_name -- marks the list: one searcher is enough
-  searchers[#searchers + 1] = find_old_name
+-- Makes this core and the older names known to `require`.
+local function register(package)
+  local searchers = package.searchers or package.loaders
+  if searchers and loadfile and not searchers.rfsm then
+    searchers.rfsm = find_old_name -- marks the list: one searcher is enough
+    searchers[#searchers + 1] = find_old_name
+  end
+  if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
 end
-if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
 
+register(rawget(_G, "package") or {}) -- a sandbox may have none
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
 return rfsm

@@ -1,25 +1,27 @@
---- What the tools on the command line have in common: charts in, texts out.
+--- The command line: `rfsm check`, `rfsm sim`, `rfsm viz`, `rfsm json` and others.
 --
--- The tools in `tools/` are a name and a call each. What a chart prints while it is
--- loaded goes to stderr, and so never gets into what a tool writes.
+-- Output of a chart while it is loaded goes to stderr, so that it is never part of a
+-- result.
 --
--- The file reads in the order in which a tool works: streams, charts in, texts out, the
--- command line, the tools.
+-- The file reads in the order in which a command works: streams, charts in, results
+-- out, commands, public functions.
 --
--- @module rfsm_export
+-- @module rfsm.cli
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local diagram = require "rfsm.diagram"
 
-local ipairs, pairs, pcall, rawget, rawset = ipairs, pairs, pcall, rawget, rawset
+local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
 local require, select, tostring, type = require, select, tostring, type
 local io, os = io, os
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local rfsm_export = {}
+local cli = {}
 
--- Streams: what charts print is not what tools write ------------------------------
+-- Streams: charts print to stderr ----------------------------------------------
 
 local function text_of(value)
   local ok, text = pcall(tostring, value)
@@ -53,27 +55,24 @@ end
 -- A stream that keeps nothing: machines are made silently.
 local NOWHERE = { write = function(self) return self end }
 
-local function complain(name, lines)
-  io.stdout:flush()
-  for _, line in ipairs(lines) do io.stderr:write(name, ": ", line, "\n") end
-end
-
+-- Reports lines on stderr, each with the name of the command, and ends the program.
 local function fail(name, lines, status)
-  complain(name, type(lines) == "table" and lines or { lines })
+  io.stdout:flush()
+  for _, line in ipairs(lines) do io.stderr:write("rfsm ", name, ": ", line, "\n") end
   os.exit(status or 1)
 end
 
 -- Charts in -------------------------------------------------------------------
 
--- Where a chart comes from, as messages name it.
+-- The name of a chart's file in messages.
 local function name_of(file) return file == "-" and "stdin" or file end
 
--- Says in one line why `file` is no chart, with its name in front.
+-- Returns the first line of a failure, with the name of the file in front.
 local function reason(file, failure)
   local text = text_of(failure):match("[^\n]+") or ""
   if failure == nil or text == "" then text = "failed without a message" end
   if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
-  text = text:gsub("^rfsm2json: ", "")
+  text = text:gsub("^rfsm%.json: ", "")
     :gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
     :gsub("^failed to load chunk: ", ""):gsub("'=stdin'", "stdin")
   text = text:gsub(":%s*$", "") -- a list followed, such as that of require
@@ -87,342 +86,288 @@ local function load_stdin()
   return rfsm.load_str(text, "=stdin")
 end
 
---- Load the model in a file.
----@param file string "-" is stdin
----@return rfsm.State? model
----@return string? problem in one line
----@nodiscard
-function rfsm_export.load_model(file)
+-- Returns the model in a file; nil and the problem in one line.
+local function load_model(file)
   local load = file == "-" and load_stdin or rfsm.load
   local ok, model = with_streams(io.stderr, load, file)
   if ok then return model end
   return nil, reason(file, model)
 end
 
--- Makes a machine that says nothing; false and its problems when that cannot be.
-local function init(model, file)
-  local ok, fsm, problems = with_streams(NOWHERE, rfsm.init, model)
-  if not ok then return false, { reason(file, fsm) } end
-  for i, problem in ipairs(problems or {}) do
-    problems[i] = name_of(file) .. ": " .. problem
-  end
-  return fsm, problems
-end
-
---- Load and initialise the chart in a file, silently.
----@param file string "-" is stdin
----@return rfsm.Machine|false fsm
----@return string[]? problems a line each
----@nodiscard
-function rfsm_export.load(file)
-  local model, problem = rfsm_export.load_model(file)
+-- Returns the machine of a chart, made silently; false and its problems, a line each.
+local function load_machine(file)
+  local model, problem = load_model(file)
   if not model then return false, { problem } end
   model.dbg, model.err, model.warn, model.info = false, false, false, false
-  return init(model, file)
+  local ok, fsm, problems = with_streams(NOWHERE, rfsm.init, model)
+  if not ok then return false, { reason(file, fsm) } end
+  local lines, location = {}, name_of(file) .. ": "
+  for i, text in ipairs(problems or {}) do lines[i] = location .. text end
+  return fsm, lines
 end
 
--- Review: all that there is to say about a model ----------------------------------
+-- Results out -----------------------------------------------------------------
 
--- Digits padded, so that trans[10] comes after trans[2].
-local function natural(text)
-  return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
-end
-
-local function sorted(lines)
-  sort(lines, function(a, b) return natural(a) < natural(b) end)
-  return lines
-end
-
-local function names_of(machines)
-  local names = {}
-  for name, machine in pairs(machines) do -- any order: sorted below
-    if rfsm.is_initialized_root(machine) then names[#names + 1] = name end
-  end
-  sort(names)
-  return names
-end
-
-local function append(list, more, prefix)
-  for _, text in ipairs(more) do list[#list + 1] = prefix .. text end
-end
-
--- Returns the finding as `init` has put it, which sees the same of an e_done.
-local function as_init_tells(finding)
-  return (finding:gsub("^(.-): event 'e_done@(.-)' never comes.*",
-    "%1: 'e_done' never fires here, '%2' is no leaf state"))
-end
-
--- Appends the findings of the static checks but those that `init` has told.
-local function append_untold(list, findings, prefix)
-  local is_told = {}
-  for _, text in ipairs(list) do is_told[text] = true end
-  for _, finding in ipairs(findings) do
-    if not is_told[prefix .. as_init_tells(finding)] then
-      list[#list + 1] = prefix .. finding
-    end
-  end
-end
-
--- Appends what is dead or suspicious in a machine and in those inside its states.
-local function add_findings(findings, fsm, prefix)
-  append_untold(findings, require("rfsm_checks").check(fsm), prefix)
-  rfsm.mapfsm(function(state)
-    if type(state.substates) ~= "table" then return end
-    for _, name in ipairs(names_of(state.substates)) do
-      local sub = state.substates[name]
-      local place = prefix .. state._fqn .. "." .. name .. ": "
-      append(findings, select(3, rfsm.verify_early(sub)), place)
-      add_findings(findings, sub, place)
-    end
-  end, fsm, rfsm.is_leaf)
-end
-
--- A printer for `warn`. That a node has no way out is for the static checks to say,
--- which know whether it matters.
-local function collect_in(warnings)
-  return function(text)
-    text = text_of(text):gsub("^WARNING: ", "")
-    if text:find("^no outgoing transitions from node") then return end
-    warnings[#warnings + 1] = text
-  end
-end
-
-local function review(model)
-  local is_valid, problems, warnings = rfsm.verify_early(model)
-  if not is_valid then return problems, warnings end
-  warnings = {}
-  model.dbg, model.err, model.info = false, false, false
-  model.warn = collect_in(warnings)
-  local fsm, found = rfsm.init(model)
-  if not fsm then return found, warnings end
-  add_findings(warnings, fsm, "")
-  return {}, sorted(warnings)
-end
-
---- Find all that is wrong, dead or suspicious in a model.
----@param model rfsm.State its printers are replaced
----@param file string where it comes from, for what raises
----@return string[] problems each "place: text"; with one, there is no machine
----@return string[] warnings likewise
----@nodiscard
-function rfsm_export.review(model, file)
-  local ok, problems, warnings = with_streams(NOWHERE, review, model)
-  if ok then return problems, warnings end
-  return { reason(file, problems) }, {}
-end
-
--- Texts out -------------------------------------------------------------------
-
--- Writes all or says why not: a full disk shows when a stream is flushed.
-local function write_to(stream, text)
-  local ok, problem = stream:write(text)
-  if ok then ok, problem = stream:flush() end
-  return ok, problem
-end
-
---- Write a text to a file.
----@param file string "-" is stdout
----@param text string
----@return boolean? is_written
----@return string? problem in one line
-function rfsm_export.write(file, text)
-  if file == "-" then
-    local ok, problem = write_to(io.stdout, text)
-    return ok and true, not ok and "stdout: " .. problem or nil
-  end
-  local handle, problem = io.open(file, "wb")
-  if not handle then return nil, problem end
-  local ok, why = write_to(handle, text)
-  handle:close()
-  return ok and true, not ok and file .. ": " .. why or nil
+-- A full disk shows when a stream is flushed.
+local function write_stdout(text)
+  local ok, problem = io.stdout:write(text)
+  if ok then ok, problem = io.stdout:flush() end
+  return ok, problem and "stdout: " .. problem
 end
 
 local function write(name, file, text)
-  local ok, problem = rfsm_export.write(file, text)
-  if not ok then fail(name, problem) end
+  local ok, problem
+  if file == "-" then
+    ok, problem = write_stdout(text)
+  else
+    ok, problem = diagram.write(file, text)
+  end
+  if not ok then fail(name, { problem }) end
 end
 
 -- Encodes every chart before anything is written.
 local function encode_all(name, files, encode)
   local texts = {}
   for i, file in ipairs(files) do
-    local fsm, problems = rfsm_export.load(file)
+    local fsm, problems = load_machine(file)
     if not fsm then fail(name, problems) end
     local ok, text = with_streams(NOWHERE, encode, fsm, name_of(file))
-    if not ok then fail(name, reason(file, text)) end
+    if not ok then fail(name, { reason(file, text) }) end
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
   return texts
 end
 
--- The command line ------------------------------------------------------------
+-- Commands: each adds its arguments to a parser, and runs ------------------------
 
-local function new_parser(name, text, epilog)
-  local has_argparse, argparse = pcall(require, "argparse")
-  if not has_argparse then
-    fail(name, "the package argparse is missing (on Debian: apt-get install "
-      .. "lua-argparse)")
-  end
-  local parser = argparse(name, text, epilog)
-  function parser:error(problem)
-    io.stderr:write(self:get_usage(), "\n\nError: ", problem, "\n")
-    os.exit(2)
-  end
-  parser:argument("files", "Lua files that return a chart; - is stdin"):args("+")
+local function add_files(command)
+  command:argument("files", "Lua files that return a chart; - is stdin"):args("+")
     :argname("FILE")
-  parser:flag("-v --version", "print the version and end"):action(function()
-    print(name .. " " .. rfsm._VERSION:match("%S+$"))
-    os.exit(0)
-  end)
-  return parser
 end
 
--- Pictures: Graphviz makes them -----------------------------------------------
+-- rfsm check --
 
-local function runs(command)
-  local status = os.execute(command)
-  return status == true or status == 0
-end
-
-local function content_of(file)
-  local handle = io.open(file, "rb")
-  if not handle then return "" end
-  local text = handle:read("*a")
-  handle:close()
-  return text
-end
-
--- Runs Graphviz on files; returns whether it went well.
-local function run_dot(format, source, picture, log)
-  local command = "dot -T%s -o '%s' '%s' 2>'%s' </dev/null"
-  return runs(command:format(format, picture, source, log))
-end
-
--- Returns the picture; nil and why there is none.
-local function render(format, text)
-  if not runs("command -v dot >/dev/null 2>&1") then
-    return nil, "Graphviz is missing (on Debian: apt-get install graphviz)"
-  end
-  local source, picture, log = os.tmpname(), os.tmpname(), os.tmpname()
-  local ok, problem = rfsm_export.write(source, text)
-  if ok then
-    ok = run_dot(format, source, picture, log)
-    problem = "dot: " .. (content_of(log):match("[^\n]+") or "no picture")
-  end
-  local result = content_of(picture)
-  os.remove(source)
-  os.remove(picture)
-  os.remove(log)
-  if ok and result ~= "" then return result end
-  return nil, problem
-end
-
--- The tools -------------------------------------------------------------------
-
---- Run a tool that writes charts in one format.
----@param name string of the tool
----@param what string what it writes
----@param encode fun(fsm: rfsm.Machine, title: string): string
----@param argv string[] the command line
-function rfsm_export.main(name, what, encode, argv)
-  local parser = new_parser(name, "Write charts as " .. what .. ".")
-  parser:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
-  local options = parser:parse(argv)
-  write(name, options.output, concat(encode_all(name, options.files, encode)))
-end
-
-local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid" }
-local MODULE = {
-  dot = "rfsm2dot", plantuml = "rfsm2plantuml", mermaid = "rfsm2mermaid",
-}
-local BY_ENDING = {
-  dot = "dot", gv = "dot", svg = "svg", png = "png", pdf = "pdf", puml = "plantuml",
-  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid",
-}
-
--- The format that is asked for, or that the name of the output tells.
-local function format_of(parser, options)
-  local file = options.output
-  local format = options.format or file == "-" and "dot"
-    or BY_ENDING[(file:match("%.(%w+)$") or ""):lower()]
-  if not format then
-    parser:error("the name '" .. file .. "' tells no format, -T expected ("
-      .. concat(FORMATS, ", ") .. ")")
-  end
-  if not MODULE[format] and options.files[2] then
-    parser:error("one FILE expected, " .. format .. " shows no more, got "
-      .. #options.files)
-  end
-  return format
-end
-
---- Run the tool that draws charts.
----@param argv string[] the command line
-function rfsm_export.viz(argv)
-  local name = "rfsm-viz"
-  local parser = new_parser(name, "Draw charts.", "Pictures are laid out by Graphviz.")
-  parser:option("-T --format", concat(FORMATS, ", ")
-    .. "; without it the name of the output tells, or it is dot")
-    :argname("FORMAT"):choices(FORMATS)
-  parser:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
-  local options = parser:parse(argv)
-  local format = format_of(parser, options)
-  local encode = require(MODULE[format] or "rfsm2dot").encode
-  local text = concat(encode_all(name, options.files, encode))
-  if not MODULE[format] then
-    local picture, problem = render(format, text)
-    if not picture then fail(name, problem) end
-    text = picture
-  end
-  write(name, options.output, text)
-end
-
--- Returns the lines about the chart in a file, how many problems, how many warnings.
-local function check_file(file)
-  local model, problem = rfsm_export.load_model(file)
-  if not model then return { problem }, 1, 0 end
-  local problems, warnings = rfsm_export.review(model, file)
-  local lines, place = {}, name_of(file) .. ": "
-  append(lines, problems, place)
-  append(lines, warnings, place .. "warning: ")
-  if not lines[1] then return { place .. "ok" }, 0, 0 end
-  return lines, #problems, #warnings
-end
-
--- Ends the tool with status 2 when a file is not to be read.
-local function check_readable(name, files)
+-- Ends the program with status 2 if a file cannot be read.
+local function check_readable(files)
   for _, file in ipairs(files) do
     if file ~= "-" then
       local handle, problem = io.open(file)
-      if not handle then fail(name, problem, 2) end
+      if not handle then fail("check", { problem }, 2) end
       local text, why = handle:read(1) -- a directory opens, too
-      if not text and why then fail(name, file .. ": " .. why, 2) end
+      if not text and why then fail("check", { file .. ": " .. why }, 2) end
       handle:close()
     end
   end
 end
 
---- Run the tool that checks charts.
----@param argv string[] the command line
-function rfsm_export.check(argv)
-  local name = "rfsm-check"
-  local parser = new_parser(name, "Tell what is wrong, dead or suspicious in charts.",
-    "The status is 0 when all charts are well, 1 when one has a problem, 2 when the "
-    .. "command line is wrong or a file cannot be read.")
-  parser:flag("-q --quiet", "print nothing; the status tells")
-  parser:flag("-s --strict", "a warning counts as a problem")
-  local options = parser:parse(argv)
-  check_readable(name, options.files)
-  require("rfsm_timeevent") -- so that their events are understood
-  require("rfsm_await")
-  local all, status = {}, 0
-  for _, file in ipairs(options.files) do
-    local lines, problems, warnings = check_file(file)
-    append(all, lines, "")
-    if problems > 0 or options.strict and warnings > 0 then status = 1 end
-  end
-  if not options.quiet then write(name, "-", concat(all, "\n") .. "\n") end
-  os.exit(status)
+local function append(lines, texts, prefix)
+  for _, text in ipairs(texts) do lines[#lines + 1] = prefix .. text end
 end
 
-return rfsm_export
+-- Returns the problems and the warnings of the chart in a file.
+local function review(file)
+  local model, problem = load_model(file)
+  if not model then return { problem }, {} end
+  local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
+  if not ok then return { reason(file, found) }, {} end
+  local problems, warnings, location = {}, {}, name_of(file) .. ": "
+  append(problems, found, location)
+  append(warnings, warned, location .. "warning: ")
+  return problems, warnings
+end
+
+local check = {
+  name = "check", summary = "Report problems and suspicious parts of charts.",
+  epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
+    .. "line is wrong or a file cannot be read.",
+}
+
+function check.add_arguments(command)
+  add_files(command)
+  command:flag("-q --quiet", "print nothing, only set the status")
+  command:flag("-s --strict", "count a warning as a problem")
+end
+
+function check.run(options)
+  check_readable(options.files)
+  require("rfsm_timeevent") -- so that their events are known
+  require("rfsm.await")
+  local lines, status = {}, 0
+  for _, file in ipairs(options.files) do
+    local location, problems, warnings = name_of(file) .. ": ", review(file)
+    append(lines, problems, "")
+    append(lines, warnings, "")
+    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, location) end
+    if problems[1] or options.strict and warnings[1] then status = 1 end
+  end
+  if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end
+  return status
+end
+
+-- rfsm sim --
+
+local sim = {
+  name = "sim", summary = "Step through a chart by hand.",
+  epilog = "Commands are read from the terminal or from a pipe; help() lists them.",
+}
+
+function sim.add_arguments(command)
+  command:argument("file", "the chart: a Lua file that returns a state"):argname("FILE")
+  command:option("-e --execute", "run CODE, print the values of an expression, and end")
+    :argname("CODE"):count("*")
+  command:flag("-i --interactive", "read commands after CODE, too")
+  command:flag("-q --quiet", "print no banner")
+end
+
+function sim.run(options)
+  return require("rfsm.sim").main {
+    file = options.file, code = options.execute, is_quiet = options.quiet,
+    is_interactive = options.interactive,
+  }
+end
+
+-- rfsm json, rfsm plantuml, rfsm dot, rfsm mermaid --
+
+local ENDINGS = { json = "json", plantuml = "puml", dot = "dot", mermaid = "mmd" }
+
+-- Returns the name of the result for a chart: a/b.lua becomes a/b.json.
+local function output_for(file, ending)
+  return file == "-" and "-" or file:gsub("%.lua$", "") .. "." .. ending
+end
+
+local function new_encoder(name, language)
+  local ending, encoder = ENDINGS[name], { name = name }
+  encoder.summary = "Write charts as " .. language .. "."
+  encoder.epilog = "The result for a.lua is a." .. ending .. "."
+
+  function encoder.add_arguments(command)
+    add_files(command)
+    command:option("-o --output", "one file for all results; - is stdout")
+      :argname("FILE")
+  end
+
+  function encoder.run(options)
+    local texts = encode_all(name, options.files, require("rfsm." .. name).encode)
+    if options.output then
+      write(name, options.output, concat(texts))
+    else
+      for i, file in ipairs(options.files) do
+        write(name, output_for(file, ending), texts[i])
+      end
+    end
+    return 0
+  end
+
+  return encoder
+end
+
+-- rfsm viz --
+
+local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid" }
+local IS_TEXT = { dot = true, plantuml = true, mermaid = true }
+local BY_ENDING = {
+  dot = "dot", gv = "dot", svg = "svg", png = "png", pdf = "pdf", puml = "plantuml",
+  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid",
+}
+
+local viz = {
+  name = "viz", summary = "Draw charts.", epilog = "Graphviz lays out the pictures.",
+}
+
+function viz.add_arguments(command)
+  add_files(command)
+  command:option("-T --format", concat(FORMATS, ", ")
+    .. "; without it the ending of the output decides, or it is dot")
+    :argname("FORMAT"):choices(FORMATS)
+  command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+end
+
+-- Returns the format; nil and the problem of the command line.
+local function find_format(options)
+  local file = options.output
+  local format = options.format or file == "-" and "dot"
+    or BY_ENDING[(file:match("%.(%w+)$") or ""):lower()]
+  if not format then
+    return nil, "the ending of '" .. file .. "' is no format, -T expected ("
+      .. concat(FORMATS, ", ") .. ")"
+  end
+  if not IS_TEXT[format] and options.files[2] then
+    return nil, "one FILE expected, " .. format .. " holds one chart, got "
+      .. #options.files
+  end
+  return format
+end
+
+function viz.run(options, parser)
+  local format, problem = find_format(options)
+  if not format then parser:error(problem) end
+  local encode = require("rfsm." .. (IS_TEXT[format] and format or "dot")).encode
+  local result = concat(encode_all("viz", options.files, encode))
+  if not IS_TEXT[format] then
+    result, problem = require("rfsm.dot").render(result, format)
+    if not result then fail("viz", { problem }) end
+  end
+  write("viz", options.output, result)
+  return 0
+end
+
+-- Public functions ------------------------------------------------------------
+
+local COMMANDS = {
+  check, sim, viz, new_encoder("json", "JSON"),
+  new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
+  new_encoder("mermaid", "Mermaid diagrams"),
+}
+
+local function find_argparse()
+  local ok, argparse = pcall(require, "argparse")
+  if ok then return argparse end
+  io.stderr:write("rfsm: the package argparse is missing (luarocks install argparse; ",
+    "on Debian: apt-get install lua-argparse)\n")
+  os.exit(1)
+end
+
+local function print_version()
+  print("rfsm " .. rfsm._VERSION:match("%S+$"))
+  os.exit(0)
+end
+
+local function add_version(parser)
+  parser:flag("-v --version", "print the version and end"):action(print_version)
+end
+
+-- argparse calls this with the parser of the command, whose usage is printed.
+local function report_usage(parser, problem)
+  io.stderr:write(parser:get_usage(), "\n\nError: ", problem, "\n")
+  os.exit(2)
+end
+
+local function new_parser(argparse)
+  local parser = argparse("rfsm", "Check, simulate and draw statecharts.")
+    :command_target("command")
+  parser.error = report_usage
+  add_version(parser)
+  for _, command in ipairs(COMMANDS) do
+    local subparser = parser:command(command.name, command.summary, command.epilog)
+      :summary(command.summary)
+    subparser.error = report_usage
+    command.add_arguments(subparser)
+    add_version(subparser)
+    command.parser = subparser
+  end
+  return parser
+end
+
+--- Run a command.
+---@param argv string[] the command line without the name of the program
+---@return integer status for the shell
+function cli.main(argv)
+  local options = new_parser(find_argparse()):parse(argv)
+  for _, command in ipairs(COMMANDS) do
+    if command.name == options.command then
+      return command.run(options, command.parser)
+    end
+  end
+end
+
+return cli

@@ -1,4 +1,4 @@
---- What the diagrams have in common: identifiers, labels, where arrows begin and end.
+--- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
 -- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` write what `rfsm.diagram.read`
 -- returns, each in its language.
@@ -158,8 +158,13 @@ function diagram.read(fsm, name, title)
   return chart
 end
 
-local function write(file, text)
-  local handle, problem = io.open(file, "w")
+--- Write a text to a file.
+---@param file string
+---@param text string
+---@return boolean is_written
+---@return string? problem in one line
+function diagram.write(file, text)
+  local handle, problem = io.open(file, "wb")
   if not handle then return false, problem end
   local is_written, why = handle:write(text)
   local is_closed, why_not = handle:close()
@@ -176,7 +181,7 @@ function diagram.save(name, file, text)
   if type(file) ~= "string" then
     error(name .. ": file name expected, got " .. type(file), 3)
   end
-  local ok, problem = write(file, text)
+  local ok, problem = diagram.write(file, text)
   if not ok then error(name .. ": " .. problem, 3) end
 end
 

@@ -10,7 +10,7 @@
 require "rfsm"
 local diagram = require "rfsm.diagram"
 
-local ipairs, rawget, rawset = ipairs, rawget, rawset
+local io, ipairs, os, rawget, rawset = io, ipairs, os, rawget, rawset
 local concat = table.concat
 
 local dot = {}
@@ -117,6 +117,22 @@ local function draw(chart)
   return concat(lines, "\n") .. "\n"
 end
 
+-- Pictures: Graphviz makes them -----------------------------------------------
+
+local function succeeds(command)
+  local status = os.execute(command)
+  return status == true or status == 0
+end
+
+-- Returns the content of a temporary file, and removes it.
+local function take(file)
+  local handle = io.open(file, "rb")
+  local text = handle and handle:read("*a") or ""
+  if handle then handle:close() end
+  os.remove(file)
+  return text
+end
+
 -- Public functions ------------------------------------------------------------
 
 --- Return a machine as the text of a Graphviz graph.
@@ -138,6 +154,28 @@ end
 function dot.save(fsm, file, title)
   local chart = diagram.read(fsm, "rfsm.dot.save", title)
   diagram.save("rfsm.dot.save", file, draw(chart))
+end
+
+--- Have Graphviz lay out a graph.
+---@param text string of a graph
+---@param format string "svg", "png", "pdf" or another format of Graphviz
+---@return string? picture
+---@return string? problem in one line
+---@nodiscard
+function dot.render(text, format)
+  if not succeeds("command -v dot >/dev/null 2>&1") then
+    return nil, "Graphviz is missing (on Debian: apt-get install graphviz)"
+  end
+  local graph, picture, log = os.tmpname(), os.tmpname(), os.tmpname()
+  local ok, problem = diagram.write(graph, text)
+  if ok then
+    ok = succeeds(("dot -T%s -o '%s' '%s' 2>'%s' </dev/null"):format(format, picture,
+      graph, log))
+  end
+  local result, complaint = take(picture), take(log)
+  os.remove(graph)
+  if ok and result ~= "" then return result end
+  return nil, problem or "dot: " .. (complaint:match("[^\n]+") or "no picture")
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2dot", dot) end
