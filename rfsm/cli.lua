@@ -67,10 +67,14 @@ end
 -- The name of a chart's file in messages.
 local function name_of(file) return file == "-" and "stdin" or file end
 
+local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
+
 -- Returns the first line of a failure, with the name of the file in front.
 local function reason(file, failure)
   local text = text_of(failure):match("[^\n]+") or ""
-  if failure == nil or text == "" then text = "failed without a message" end
+  if failure == nil or text == "" or text == NO_ERROR then
+    text = "failed without a message"
+  end
   if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
   text = text:gsub("^rfsm%.json: ", "")
     :gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
