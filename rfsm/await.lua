@@ -1,8 +1,8 @@
 --- Await: transitions that wait for several events.
 --
--- Once this module is loaded, an event `"await(e_a, e_b)"` of a transition comes when
--- all of the events named were received while the source was active, in any order and
--- over any number of steps. From then on it comes along with any other event, until the
+-- Once this module is loaded, a transition may have the event `"await(e_a, e_b)"`. It
+-- occurs when all named events were received while the source was active, in any order
+-- and over any number of steps. From then on it occurs with any other event, until the
 -- source is left.
 --
 -- @module rfsm.await

@@ -1,7 +1,7 @@
 --- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
--- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` write what `rfsm.diagram.read`
--- returns, each in its language.
+-- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` write the result of
+-- `rfsm.diagram.read`, each in its language.
 --
 -- @module rfsm.diagram
 -- @license BSD-3-Clause

@@ -1,7 +1,7 @@
 --- A machine as a Graphviz graph.
 --
 -- Composites are clusters. An arrow that leaves or enters a composite as a whole begins
--- or ends at its border: Graphviz wants it between two nodes, and cuts it off at the
+-- or ends at its border. In Graphviz it connects two nodes, and is cut off at the
 -- clusters named by `ltail` and `lhead`.
 --
 -- @module rfsm.dot

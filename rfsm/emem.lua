@@ -1,10 +1,10 @@
---- Event memory: how often each event came while a state was active.
+--- Event memory: the number of times each event occurred while a state was active.
 --
 -- Once this module is loaded, each state of a machine initialised afterwards has a
 -- table `emem`: `state.emem[event]` counts the events of all iterations that found the
--- state active, before guards are asked. An event that never came is nil there. The
--- counts are set to 0 when the state is left. `emem = false` in a state, or in the root
--- for the whole machine, does without.
+-- state active, before guards are called. An event that was never received is nil
+-- there. The counts are set to 0 when the state is left. `emem = false` switches this
+-- off, for a state or, in the root, for the machine.
 --
 -- @module rfsm.emem
 -- @license BSD-3-Clause

@@ -1,7 +1,7 @@
---- A machine as plain tables: what every exporter reads.
+--- A machine as plain tables, the input of every exporter.
 --
--- All lists are in a fixed order: nodes sorted by name, transitions as `rfsm.mapfsm`
--- meets them.
+-- All lists are in a fixed order: nodes sorted by name, transitions in the order of
+-- `rfsm.mapfsm`.
 --
 -- @module rfsm.marsh
 -- @license BSD-3-Clause
@@ -67,7 +67,7 @@ end
 --- Return the structure of a machine.
 -- @raise when `fsm` was not initialised
 ---@param fsm rfsm.Machine
----@param has_programs? boolean tell also which transitions have a guard, an effect
+---@param has_programs? boolean include whether transitions have a guard, an effect
 ---@return rfsm.marsh.Node root
 ---@nodiscard
 function marsh.model2tab(fsm, has_programs)

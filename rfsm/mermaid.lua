@@ -1,7 +1,7 @@
---- A machine as a Mermaid state diagram, which many web pages draw, GitHub's too.
+--- A machine as a Mermaid state diagram, which GitHub and other web pages draw.
 --
--- The root has no frame: Mermaid draws the better the less is nested. Arrows that begin
--- at the root begin at a box of that name.
+-- The root has no frame, because Mermaid draws shallow diagrams better. Arrows of the
+-- root begin at a box of that name.
 --
 -- @module rfsm.mermaid
 -- @license BSD-3-Clause

@@ -1,4 +1,4 @@
---- More states: the monitor state.
+--- The monitor state: a leaf whose doo turns conditions into events.
 --
 -- @module rfsm.monitor
 -- @license BSD-3-Clause
@@ -12,7 +12,7 @@ local sort = table.sort
 
 local monitor = {}
 
---- What `gen_monitor_state` takes; all else goes to the state.
+--- The fields for `gen_monitor_state`. All others become fields of the state.
 ---@class rfsm.monitor.Monitor
 ---@field montab table<any, fun(fsm: rfsm.Machine, state: rfsm.State): any> by event
 ---@field break_first? boolean send at most one event in each cycle; also `breakfirst`

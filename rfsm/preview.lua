@@ -1,9 +1,8 @@
---- Preview: states that are likely to come next get prepared.
+--- Preview: prepares the states that are likely to be entered next.
 --
 -- Once this module is loaded, a transition may have a function `likely(fsm)`. After
--- each iteration it is asked for the transitions of all active states below the root;
--- where it returns a true value, `prepare(fsm)` of the target is called, if there is
--- one.
+-- each iteration it is called for the transitions of all active states below the root.
+-- If it returns a true value, `prepare(fsm)` of the target is called, if there is one.
 --
 -- @module rfsm.preview
 -- @license BSD-3-Clause

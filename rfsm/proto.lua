@@ -1,8 +1,8 @@
---- Introspection over UDP: others watch machines run, and may send them events.
+--- Introspection over UDP: other programs watch machines, and may send them events.
 --
--- `install` opens a port. Each machine initialised afterwards answers there, in JSON:
--- who subscribes gets the graph of the machine and, after each iteration, what is
--- active in it. The machines of one port are told apart by a number.
+-- `install` opens a port. Each machine initialised afterwards answers there, in JSON. A
+-- subscriber receives the graph of the machine and, after each iteration, its active
+-- states. Each machine of a port has a number.
 --
 -- The port is looked at when a machine is advanced; nothing runs in between. No
 -- datagram makes a step fail or wait, and what one can cost is bounded. Needs the

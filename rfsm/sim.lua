@@ -81,7 +81,7 @@ end
 
 -- Commands --------------------------------------------------------------------
 
---- One chart under the hand of one person.
+--- One chart and its prompt.
 ---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
 ---@field name string of the chart, for trace records
@@ -191,7 +191,7 @@ local function load_in(env, text, chunkname)
   return chunk, problem
 end
 
--- Compiles an expression to a chunk that hands its values to a function: a mere
+-- Compiles an expression to a chunk that calls a function with its values: a mere
 -- `return` would be a tail call, after which an error has lost its place.
 local function compile_expression(env, text, chunkname)
   local chunk, problem = load_in(env, "return " .. text, chunkname)
@@ -333,7 +333,7 @@ local function run_code(sim, texts)
   return true
 end
 
---- What the command line says.
+--- The options of `rfsm sim`.
 ---@class rfsm.sim.Options
 ---@field file string the chart
 ---@field code? string[] Lua to run first

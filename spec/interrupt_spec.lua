@@ -1,6 +1,6 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- end `run` anywhere. Here it does so at every third VM instruction in turn, with EVERY=1
--- at each. After it the machine must be whole, and go on.
+-- end `run` anywhere. Here it does so at every third VM instruction in turn, or at each
+-- if EVERY=1. After it the machine must be whole, and go on.
 
 local rfsm = require "rfsm"
 
