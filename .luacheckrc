@@ -1,7 +1,7 @@
 std = "min"                -- only what every Lua from 5.1 on has
 max_line_length = 88
 max_cyclomatic_complexity = 12
-include_files = { "**/*.lua", "tools/rfsm*", "*.rockspec" }
+include_files = { "**/*.lua", "tools/rfsm", "*.rockspec" }
 exclude_files = { "out" }
 files["spec"] = { std = "+busted" }
 files["rockspec"] = { std = "+rockspec" }

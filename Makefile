@@ -2,24 +2,27 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, test and doc install what they miss from Debian's packages when they may (root or
-# sudo), and otherwise say the one line to type.
+# sim, test and doc install missing Debian packages if you are root or have password-free
+# sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
-LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4
-LUA      ?= $(firstword $(foreach l,lua5.4 lua lua5.3 luajit lua5.2 lua5.1,$(if $(shell command -v $(l) 2>/dev/null),$(l))) lua5.4)
+LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
+LUA      ?= $(lastword $(foreach l,$(filter-out tools/%,$(LUAS)),$(shell command -v $(l) 2>/dev/null)))
 BUSTED   ?= busted
 N        ?= 100000
 SEED     ?= 1
 PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
-MODULES  := $(wildcard rfsm*.lua)
-DOTTED   := $(wildcard rfsm/*.lua)
-TOOLS    := $(filter-out %.sh %.lua,$(wildcard tools/*))
+URL      ?= git+https://example.org/rfsm.git
+OUTER    := $(wildcard *.lua compat/*.lua)
+INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
+NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER)))
+TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
-FILES    := $(MODULES) $(DOTTED) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
+FILES    := $(OUTER) $(INNER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps install uninstall clean
+.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps
+.PHONY: rockspec install uninstall clean
 .DEFAULT_GOAL := all
 
 all: test               ## the same as test
@@ -27,12 +30,12 @@ all: test               ## the same as test
 help:                   ## this list
 	@grep -hE '^[a-z][a-z%-]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 16
 
-sim:                    ## open MODEL in the simulator
+sim:                    ## open MODEL in the simulator, with LUA
 	@tools/deps.sh sim
-	@lua=$$(tools/deps.sh lua) && exec $$lua tools/rfsm-sim $(MODEL)
+	@$(if $(filter file,$(origin LUA)),,LUA=$(LUA)) tools/rfsm sim $(MODEL)
 
 test:                   ## lint, then every spec on each of LUAS
-	@tools/deps.sh test
+	@tools/deps.sh test $(LUAS)
 	@$(MAKE) --no-print-directory lint
 	@BUSTED="$(BUSTED)" tools/test.sh $(LUAS)
 
@@ -41,47 +44,60 @@ test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 
 lint:                   ## luacheck, and the syntax under the oldest Lua
 	luacheck -q .
-	@luac5.1 -p $(FILES) $(TOOLS)
+	@luac5.1 -p $(FILES) tools/rfsm
 
 fuzz:                   ## compare core and oracle on N random charts from SEED, with LUA
 	$(LUA) spec/support/fuzz.lua $(N) $(SEED)
 
-bench:                  ## measure all there is in bench/, with LUA
+bench:                  ## run the measurements in bench/, with LUA
 	$(LUA) bench/run.lua
 	$(LUA) bench/latency.lua
 	$(LUA) bench/growth.lua
 	$(LUA) bench/scale.lua
 	$(LUA) bench/extensions.lua
 
-bench-profile:          ## where the time goes: the hottest functions and lines, with LUA
+bench-profile:          ## print the hottest functions and lines, with LUA
 	$(LUA) bench/profile.lua
 
 examples:               ## load and initialise every example, with LUA
 	@$(LUA) tools/try-examples.lua $(EXAMPLES)
 
+$(LUAS:%=examples-with-%): examples-with-%:
+	@why=$$($* -e '' 2>&1) || { echo "$*: skipped, $$why"; exit 0; }; \
+	$(MAKE) --no-print-directory examples LUA=$*
+
+examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
+
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc
-	ldoc --fatalwarnings -q .
+	ldoc -c doc/config.ld --fatalwarnings -q .
 
-deps:                   ## install what sim, test and doc need
+deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
-	@tools/deps.sh test
+	@tools/deps.sh test $(LUAS)
 	@tools/deps.sh doc
 
+rockspec:               ## rockspec/ gets the one of release VERSION, from URL
+	$(LUA) tools/rockspec.lua $(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec
+
 install:                ## copy modules and tools below PREFIX, for each Lua
-	@set -e; for d in $(LUADIRS); do \
-	  install -d $(DESTDIR)$$d/rfsm; \
-	  install -m 644 $(MODULES) $(DESTDIR)$$d; \
-	  for f in $(DOTTED); do install -m 644 $$f $(DESTDIR)$$d/rfsm; done; \
+	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \
+	  install -d $$d/rfsm; \
+	  install -m 644 $(OUTER) $$d; \
+	  install -m 644 $(INNER) $$d/rfsm; \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
 
-uninstall:              ## remove what install copied
-	@set -e; for d in $(LUADIRS); do \
-	  for f in $(MODULES) $(DOTTED); do rm -f $(DESTDIR)$$d/$$f; done; \
-	done
-	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
+uninstall:              ## remove the files that install copied, and empty directories
+	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES)); done
+	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
+	@rmdir $(LUADIRS:%=$(DESTDIR)%/rfsm) 2>/dev/null || true
+	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))
+
+# Not in /usr and /usr/local: these directories are the system's there, also empty.
+REMOVE_EMPTY = for d in $(LUADIRS) $(addprefix $(PREFIX)/,share/lua share bin) $(PREFIX); do \
+	  rmdir $(DESTDIR)$$d 2>/dev/null || true; done
 
 clean:                  ## remove what the targets made
-	rm -rf out luacov.*.out
+	rm -rf out

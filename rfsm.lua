@@ -3068,16 +3068,34 @@ do
   end
 end
 
--- A field that the core lacks: rfsm.seqand and rfsm.pp are modules of their own.
+-- Names: fields that are modules of their own, and the older names of modules -------
 
-local LAZY = { seqand = "rfsm_seqand", pp = "rfsmpp" }
+local FIELDS = { seqand = "rfsm_seqand", pp = "rfsmpp" }
 
 setmetatable(rfsm, { __index = function(_, field)
-  local module = LAZY[field] and find_module(LAZY[field])
-  rfsm[field] = module
-  return module
+  rfsm[field] = FIELDS[field] and find_module(FIELDS[field])
+  return rawget(rfsm, field)
 end })
 
+-- Finds flat names (rfsm_emem for rfsm.emem) in the folder compat/ beside this file.
+local function find_old_name(name)
+  if name:sub(1, 4) ~= "rfsm" then return nil end
+  local file = "compat/" .. name:gsub("%.", "/") .. ".lua"
+  for folder in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
+    local chunk = loadfile(folder .. file)
+    if chunk then return chunk, folder .. file end
+  end
+end
+
+-- A sandbox may have no `package`, or none of its fields.
+local package = rawget(_G, "package") or {}
+local searchers = package.searchers or package.loaders
+
+if searchers and loadfile and not searchers.rfsm then
+  searchers.rfsm = find_old_name -- a mark: one searcher is enough
+  searchers[#searchers + 1] = find_old_name
+end
+if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
 return rfsm

@@ -1,17 +1,17 @@
 --- Checks: events that nobody declared, and what is dead or suspicious in a model.
 --
--- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` has a
--- machine warn of each event that none of its transitions names, and so does
--- `checkevents = true` in the root of a model; `rfsm_checkevents` (also known as
--- `rfsm.checkevents`) does so for all machines initialised afterwards.
+-- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` lets a
+-- machine warn of each event that none of its transitions names. So does
+-- `checkevents = true` in the root of a model. `rfsm_checks.watch_all` does it for all
+-- machines initialised afterwards, and so does `require "rfsm.checkevents"`.
 --
 -- @module rfsm_checks
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall, print = error, ipairs, pcall, print
-local rawget, rawset, tostring, type = rawget, rawset, tostring, type
+local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
+local rawget, rawset, select, tostring, type = rawget, rawset, select, tostring, type
 local sort = table.sort
 local is_conn, is_leaf, is_state, is_trans = rfsm.is_conn, rfsm.is_leaf, rfsm.is_state,
   rfsm.is_trans
@@ -107,9 +107,16 @@ local function watch(fsm)
   rfsm.pre_step_hook_add(fsm, check_events)
 end
 
--- `checkevents = true` in the root asks for it; what was merged may declare more.
+local watches_all = false
+
+-- The field `checkevents` in the root decides for one machine.
+local function is_wanted(fsm)
+  return fsm.checkevents == true or watches_all and fsm.checkevents ~= false
+end
+
+-- What is merged may declare more events.
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
-  if not merged and fsm.checkevents == true then watch(fsm) end
+  if not merged and is_wanted(fsm) then watch(fsm) end
   if merged and fsm._checks then forget_known(fsm._checks) end
 end
 
@@ -275,6 +282,11 @@ local function natural(text)
   return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
 end
 
+local function sort_naturally(lines)
+  sort(lines, function(a, b) return natural(a) < natural(b) end)
+  return lines
+end
+
 --- Find what is wrong, dead or suspicious in a model.
 --
 -- States and connectors that nothing leads to, or that nothing leads away from;
@@ -296,8 +308,79 @@ function rfsm_checks.check(model)
   local findings, reached = {}, find_reached(fsm)
   check_nodes(fsm, reached, findings)
   check_transitions(fsm, reached, findings)
-  sort(findings, function(a, b) return natural(a) < natural(b) end)
-  return findings
+  return sort_naturally(findings)
+end
+
+-- Returns a finding in the words of `init`, which reports the same `e_done`.
+local function as_init_warns(finding)
+  return (finding:gsub("^(.-): event 'e_done@(.-)' never comes.*",
+    "%1: 'e_done' never fires here, '%2' is no leaf state"))
+end
+
+-- Appends the findings about a machine, except those that `init` has reported.
+local function add_findings_once(warnings, fsm, prefix)
+  local is_reported = {}
+  for _, warning in ipairs(warnings) do is_reported[warning] = true end
+  for _, finding in ipairs(rfsm_checks.check(fsm)) do
+    if not is_reported[prefix .. as_init_warns(finding)] then
+      warnings[#warnings + 1] = prefix .. finding
+    end
+  end
+end
+
+local function names_of_machines(machines)
+  local names = {}
+  for name, machine in pairs(machines) do -- any order: sorted below
+    if rfsm.is_initialized_root(machine) then names[#names + 1] = name end
+  end
+  sort(names)
+  return names
+end
+
+-- Appends the warnings about a machine and about the machines inside its states.
+local function add_warnings(warnings, fsm, prefix)
+  add_findings_once(warnings, fsm, prefix)
+  for _, state in ipairs(all(fsm, is_leaf)) do
+    local machines = type(state.substates) == "table" and state.substates or {}
+    for _, name in ipairs(names_of_machines(machines)) do
+      local location = prefix .. state._fqn .. "." .. name .. ": "
+      for _, warning in ipairs(select(3, rfsm.verify_early(machines[name]))) do
+        warnings[#warnings + 1] = location .. warning
+      end
+      add_warnings(warnings, machines[name], location)
+    end
+  end
+end
+
+-- Returns a printer for `warn`. The static checks report a state without a way out, and
+-- they know whether it matters.
+local function collector(warnings)
+  return function(text)
+    text = text_of(text):gsub("^WARNING: ", "")
+    if text:find("^no outgoing transitions from node") then return end
+    warnings[#warnings + 1] = text
+  end
+end
+
+--- Find all problems of a model, and everything dead or suspicious in it.
+--
+-- Unlike `check`, this includes the warnings of `rfsm.init`, and the machines inside
+-- sequential AND states. A model with problems cannot become a machine.
+--
+---@param model rfsm.State its printers are replaced
+---@return string[] problems each "location: text"
+---@return string[] warnings likewise
+---@nodiscard
+function rfsm_checks.review(model)
+  local is_valid, problems, early_warnings = rfsm.verify_early(model)
+  if not is_valid then return problems, early_warnings end
+  local warnings = {}
+  model.dbg, model.err, model.info = false, false, false
+  model.warn = collector(warnings)
+  local fsm, found = rfsm.init(model)
+  if not fsm then return found, warnings end
+  add_warnings(warnings, fsm, "")
+  return {}, sort_naturally(warnings)
 end
 
 --- Have a machine warn of each event that it receives and no transition names.
@@ -309,6 +392,22 @@ function rfsm_checks.watch(fsm)
   watch(fsm)
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_checks", rfsm_checks) end
+local function set_global(name)
+  if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, name, rfsm_checks) end
+end
+
+--- Let all machines initialised from now on warn of undeclared events.
+--
+-- `checkevents = false` in the root of a model excludes its machines. Requiring
+-- `rfsm.checkevents` or `rfsm_checkevents` calls this function.
+--
+---@return table rfsm_checks this module, which is what these names give
+function rfsm_checks.watch_all()
+  watches_all = true
+  set_global("rfsm_checkevents")
+  return rfsm_checks
+end
+
+set_global("rfsm_checks")
 
 return rfsm_checks

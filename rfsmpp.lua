@@ -155,7 +155,7 @@ local function state_line(fsm, state, name, is_coloured, depth, indent)
   local is_active_leaf = mode == "active" and fsm._act_leaf == state
   local colour = MODE[is_active_leaf and "active_leaf" or mode]
   return indent .. ("  "):rep(depth) .. paint(is_coloured, colour, name) .. "["
-    .. rfsm.fsmobj_tochar(state) .. "]"
+    .. rfsm.fsmobj_tochar(state) .. "]" .. (is_coloured and "" or " " .. mode)
 end
 
 local function add_lines(lines, fsm, state, is_coloured, depth, indent)
@@ -167,7 +167,8 @@ end
 
 --- Draw the states of a machine as a tree.
 --
--- Active ones are green, the active leaf bright, done ones yellow, inactive ones red.
+-- Active states are green, the active leaf bright, done ones yellow, inactive ones red.
+-- Without colour the mode follows as a word: `hello[LS] done`.
 --
 -- @raise when `fsm` was not initialised
 ---@param fsm rfsm.Machine

@@ -3,7 +3,7 @@
 --   LUA bench/extensions.lua [NAME ...]
 --
 -- Each module is loaded alone, on a core of its own, and measured in turn with the core
--- alone. rfsm_emem and rfsm_checkevents are for all machines, used or not; the lines
+-- alone. rfsm.emem and rfsm.checkevents are for all machines, used or not; the lines
 -- "off" are of machines that do without.
 
 package.path = "./?.lua;" .. package.path
@@ -43,15 +43,15 @@ local function stepping(rfsm, fields)
 end
 
 local MODULES = {
-  { name = "rfsm_timeevent" }, { name = "rfsm_seqand" }, { name = "rfsm_ext" },
-  { name = "rfsm_await" }, { name = "rfsm_preview" }, { name = "rfsm_checks" },
-  { name = "rfsm_proto" }, { name = "rfsm_rtt" }, { name = "rfsmpp" },
-  { name = "rfsm_marsh" }, { name = "rfsm2json" }, { name = "rfsm2plantuml" },
-  { name = "rfsm2dot" }, { name = "rfsm2mermaid" },
-  { name = "rfsm_emem" },
-  { name = "rfsm_emem off", fields = { emem = false } },
-  { name = "rfsm_checkevents" },
-  { name = "rfsm_checkevents off", fields = { checkevents = false } },
+  { name = "rfsm_timeevent" }, { name = "rfsm_seqand" }, { name = "rfsm.monitor" },
+  { name = "rfsm.await" }, { name = "rfsm.preview" }, { name = "rfsm_checks" },
+  { name = "rfsm.proto" }, { name = "rfsm.rtt" }, { name = "rfsmpp" },
+  { name = "rfsm.marsh" }, { name = "rfsm.json" }, { name = "rfsm.plantuml" },
+  { name = "rfsm.dot" }, { name = "rfsm.mermaid" },
+  { name = "rfsm.emem" },
+  { name = "rfsm.emem off", fields = { emem = false } },
+  { name = "rfsm.checkevents" },
+  { name = "rfsm.checkevents off", fields = { checkevents = false } },
 }
 
 -- What is measured; nil and why not, if a package is missing.

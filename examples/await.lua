@@ -7,7 +7,7 @@
 -- In rfsm-sim:  run()  ser("e_camera")  ser("e_arm")  ser("e_base")  ser("e_reboot")
 
 local rfsm = require "rfsm"
-require "rfsm_await"
+require "rfsm.await"
 
 return rfsm.state {
   booting = rfsm.state { entry = function() print("booting") end },

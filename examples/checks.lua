@@ -1,5 +1,5 @@
 -- Undeclared events: with `checkevents` set, a machine warns of each event that no
--- transition names, such as one that is misspelt. (require "rfsm_checkevents" sets it
+-- transition names, such as one that is misspelt. (require "rfsm.checkevents" sets it
 -- for every machine.)
 --
 --   (initial) --> off --e_push--> on --e_push--> off

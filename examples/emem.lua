@@ -9,7 +9,7 @@
 --   run()  then three times  ser("e_wrong")  then  ser("e_reset")  ser("e_right")
 
 local rfsm = require "rfsm"
-require "rfsm_emem"
+require "rfsm.emem"
 
 local function say(text) return function() print(text) end end
 

@@ -7,7 +7,7 @@
 -- luacheck: globals world
 
 local rfsm = require "rfsm"
-require "rfsm_preview"
+require "rfsm.preview"
 
 world = { distance = 2 } -- global, so that you can change it
 

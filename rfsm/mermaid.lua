@@ -1,1 +1,132 @@
-return require("rfsm2mermaid")
+--- A machine as a Mermaid state diagram, which GitHub and other web pages draw.
+--
+-- The root has no frame, because Mermaid draws shallow diagrams better. Arrows of the
+-- root begin at a box of that name.
+--
+-- @module rfsm.mermaid
+-- @license BSD-3-Clause
+
+require "rfsm"
+local diagram = require "rfsm.diagram"
+
+local ipairs, rawget, rawset = ipairs, rawget, rawset
+local concat = table.concat
+
+local mermaid = {}
+
+-- Text ------------------------------------------------------------------------
+
+-- All that might mean something to Mermaid, Markdown or HTML goes by its number.
+local function code(character) return "#" .. character:byte() .. ";" end
+
+local function text_of(text)
+  text = text:gsub("[^%w %.,_/@%[%]%(%)%-\n\128-\255]", code)
+  text = text:gsub("%-%-", code("-") .. code("-"))
+  text = text:gsub("%f[%w_]_", code("_")):gsub("_%f[^%w_]", code("_")) -- emphasis
+  return (text:gsub("\n", "<br>"))
+end
+
+-- The title stands in a front matter of YAML.
+local function title_of(text)
+  return '"' .. text:gsub('[\\"]', "\\%0"):gsub("\n", " ") .. '"'
+end
+
+-- Lines -----------------------------------------------------------------------
+
+local function add(lines, depth, text)
+  lines[#lines + 1] = ("  "):rep(depth) .. text
+end
+
+-- An initial is [*] where its composite begins, which no arrow can be led to: one with
+-- an arrow from elsewhere, or to elsewhere, gets a diamond behind its [*].
+local function find_diamonds(chart)
+  local diamonds = {}
+  local function note(node, is_plain)
+    if node.kind == "initial" and not is_plain then diamonds[node] = true end
+  end
+  for _, arrow in ipairs(chart.all) do
+    local composite = arrow.src.parent
+    note(arrow.src, composite and diagram.is_inside(arrow.tgt, composite))
+    note(arrow.tgt)
+  end
+  return diamonds
+end
+
+-- Mermaid calls what is around everything "root". No other node is "root_".
+local function id_of(node) return node.parent and node.id or node.id .. "_" end
+
+local function start_of(node, diamonds)
+  return node.kind == "initial" and not diamonds[node] and "[*]" or id_of(node)
+end
+
+local function add_arrows(lines, depth, composite, diamonds)
+  for _, arrow in ipairs(composite.arrows) do
+    local label = arrow.label ~= "" and " : " .. text_of(arrow.label) or ""
+    add(lines, depth, start_of(arrow.src, diamonds) .. " --> " .. id_of(arrow.tgt)
+      .. label)
+  end
+end
+
+local function add_diamond(lines, depth, node)
+  add(lines, depth, "state " .. id_of(node) .. " <<choice>>")
+  if node.kind == "initial" then add(lines, depth, "[*] --> " .. id_of(node)) end
+end
+
+local function name_line(node)
+  return ('state "%s" as %s'):format(text_of(node.name), id_of(node))
+end
+
+local function add_members(lines, depth, composite, diamonds)
+  for _, node in ipairs(composite.nodes) do
+    if node.kind == "composite" then
+      add(lines, depth, name_line(node) .. " {")
+      add_members(lines, depth + 1, node, diamonds)
+      add(lines, depth, "}")
+    elseif node.kind == "connector" or diamonds[node] then
+      add_diamond(lines, depth, node)
+    elseif node.kind == "leaf" then
+      add(lines, depth, name_line(node))
+    end
+  end
+  add_arrows(lines, depth, composite, diamonds)
+end
+
+local function draw(chart)
+  local lines, root = {}, chart.root
+  if chart.title then
+    lines = { "---", "title: " .. title_of(chart.title), "---" }
+  end
+  add(lines, 0, "stateDiagram-v2")
+  if root.kind == "leaf" or chart.arrows[1] then add(lines, 1, name_line(root)) end
+  local diamonds = find_diamonds(chart)
+  add_members(lines, 1, root, diamonds)
+  add_arrows(lines, 1, chart, diamonds)
+  return concat(lines, "\n") .. "\n"
+end
+
+-- Public functions ------------------------------------------------------------
+
+--- Return a machine as the text of a Mermaid diagram.
+-- @raise when `fsm` was not initialised
+---@param fsm rfsm.Machine
+---@param title? string
+---@return string mermaid
+---@nodiscard
+function mermaid.encode(fsm, title)
+  local chart = diagram.read(fsm, "rfsm.mermaid.encode", title)
+  return draw(chart)
+end
+
+--- Write a machine as a Mermaid diagram to a file.
+-- @raise when `fsm` was not initialised, or the file cannot be written
+---@param fsm rfsm.Machine
+---@param file string
+---@param title? string
+function mermaid.save(fsm, file, title)
+  local chart = diagram.read(fsm, "rfsm.mermaid.save", title)
+  diagram.save("rfsm.mermaid.save", file, draw(chart))
+end
+
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2mermaid", mermaid) end
+
+return mermaid

@@ -1,1 +1,93 @@
-return require("rfsm2plantuml")
+--- A machine as a PlantUML state diagram.
+--
+-- @module rfsm.plantuml
+-- @license BSD-3-Clause
+
+require "rfsm"
+local diagram = require "rfsm.diagram"
+
+local ipairs, rawget, rawset = ipairs, rawget, rawset
+local concat = table.concat
+
+local plantuml = {}
+
+-- Text: what PlantUML would take for a command becomes <U+0022> ------------------
+
+local function code(character) return ("<U+%04X>"):format(character:byte()) end
+
+local function text_of(text)
+  text = text:gsub('[\\"<&~%%]', code):gsub("/'", "/" .. code("'"))
+  -- two of these in a row begin or end bold, italic, underlined, struck out text
+  text = text:gsub("([*/_-])%1", function(one) return one .. code(one) end)
+  return (text:gsub("\n", "\\n"))
+end
+
+-- Lines -----------------------------------------------------------------------
+
+local function add(lines, depth, text)
+  lines[#lines + 1] = ("  "):rep(depth) .. text
+end
+
+-- An initial is [*] where its composite begins; everywhere else that stands for it.
+local function end_of(node, is_start)
+  if node.kind ~= "initial" then return node.id end
+  return is_start and "[*]" or node.parent.id
+end
+
+local function add_arrows(lines, depth, composite)
+  for _, arrow in ipairs(composite.arrows) do
+    local is_start = arrow.src.parent == composite
+    local label = arrow.events ~= "" and " : " .. text_of(arrow.events) or ""
+    add(lines, depth, end_of(arrow.src, is_start) .. " --> " .. end_of(arrow.tgt)
+      .. label)
+  end
+end
+
+local function add_node(lines, depth, node)
+  if node.kind == "initial" then return end
+  if node.kind == "connector" then
+    return add(lines, depth, "state " .. node.id .. " <<choice>>")
+  end
+  local head = ('state "%s" as %s'):format(text_of(node.name), node.id)
+  if node.kind == "leaf" then return add(lines, depth, head) end
+  add(lines, depth, head .. " {")
+  for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, subnode) end
+  add_arrows(lines, depth + 1, node)
+  add(lines, depth, "}")
+end
+
+local function draw(chart)
+  local lines = { "@startuml" }
+  if chart.title then add(lines, 0, "title " .. text_of(chart.title)) end
+  add_node(lines, 0, chart.root)
+  add_arrows(lines, 0, chart)
+  add(lines, 0, "@enduml")
+  return concat(lines, "\n") .. "\n"
+end
+
+-- Public functions ------------------------------------------------------------
+
+--- Return a machine as the text of a PlantUML diagram.
+-- @raise when `fsm` was not initialised
+---@param fsm rfsm.Machine
+---@param title? string
+---@return string plantuml
+---@nodiscard
+function plantuml.encode(fsm, title)
+  local chart = diagram.read(fsm, "rfsm.plantuml.encode", title)
+  return draw(chart)
+end
+
+--- Write a machine as a PlantUML diagram to a file.
+-- @raise when `fsm` was not initialised, or the file cannot be written
+---@param fsm rfsm.Machine
+---@param file string
+---@param title? string
+function plantuml.save(fsm, file, title)
+  local chart = diagram.read(fsm, "rfsm.plantuml.save", title)
+  diagram.save("rfsm.plantuml.save", file, draw(chart))
+end
+
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2plantuml", plantuml) end
+
+return plantuml

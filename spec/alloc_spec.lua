@@ -56,7 +56,7 @@ local function circle(fields)
   return measure.stepping(rfsm, fsm, "e_next")
 end
 
-local EXTENSIONS = { rfsm_emem = "emem", rfsm_checkevents = "checkevents" }
+local EXTENSIONS = { ["rfsm.emem"] = "emem", ["rfsm.checkevents"] = "checkevents" }
 
 -- What a step hook costs is the core's.
 local function nothing() end

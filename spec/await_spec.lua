@@ -2,7 +2,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-require "rfsm_await"
+require "rfsm.await"
 
 local state, trans = rfsm.state, rfsm.trans
 

@@ -96,11 +96,11 @@ end)
 describe("bench/extensions.lua", function()
   it("has a row for each extension", function()
     local patterns = { "^the core alone +[%d.]+  100%.0 %%$" }
-    for name in ([[rfsm_timeevent rfsm_seqand rfsm_ext rfsm_await rfsm_preview
-      rfsm_checks rfsm_proto rfsm_rtt rfsmpp rfsm_marsh rfsm2json rfsm2plantuml rfsm2dot
-      rfsm2mermaid rfsm_emem rfsm_checkevents]]):gmatch("%S+") do
+    for name in ([[rfsm_timeevent rfsm_seqand rfsm.monitor rfsm.await rfsm.preview
+      rfsm_checks rfsm.proto rfsm.rtt rfsmpp rfsm.marsh rfsm.json rfsm.plantuml rfsm.dot
+      rfsm.mermaid rfsm.emem rfsm.checkevents]]):gmatch("%S+") do
       patterns[#patterns + 1] = "^%+ " .. name .. " +[%d.]+ +[%d.]+ %%$"
-      if name == "rfsm_emem" or name == "rfsm_checkevents" then
+      if name == "rfsm.emem" or name == "rfsm.checkevents" then
         patterns[#patterns + 1] = "^%+ " .. name .. " off +[%d.]+ +[%d.]+ %%$"
       end
     end
@@ -109,7 +109,7 @@ describe("bench/extensions.lua", function()
   end)
 
   it("measures those that are named", function()
-    assert_lines({ "^the core alone ", "^%+ rfsm_emem off ", "^status 0$" },
-      output_of("extensions.lua 'rfsm_emem off'", QUICK))
+    assert_lines({ "^the core alone ", "^%+ rfsm.emem off ", "^status 0$" },
+      output_of("extensions.lua 'rfsm.emem off'", QUICK))
   end)
 end)

@@ -2,7 +2,7 @@
 
 local charts = require "spec.support.charts"
 local helper = require "spec.helper"
-local marsh = require "rfsm_marsh"
+local marsh = require "rfsm.marsh"
 local rfsm = require "rfsm"
 local runs = require "spec.support.runs"
 
@@ -10,7 +10,7 @@ local seed = tonumber(os.getenv("SEED")) or 1
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
-local LANGUAGES = { "rfsm2plantuml", "rfsm2dot", "rfsm2mermaid" }
+local LANGUAGES = { "rfsm.plantuml", "rfsm.dot", "rfsm.mermaid" }
 
 local function yes() return true end
 
@@ -132,12 +132,6 @@ for _, language in ipairs(LANGUAGES) do
   local exporter = require(language)
 
   describe(language, function()
-    it("has its dotted name and its global", function()
-      local dotted = "rfsm." .. language:gsub("^rfsm2", "")
-      assert.equal(exporter, require(dotted))
-      assert.equal(exporter, rawget(_G, language))
-    end)
-
     it("writes the same text each time, whatever the events", function()
       local function machine()
         return helper.init(state {
@@ -209,7 +203,7 @@ for _, language in ipairs(LANGUAGES) do
   end)
 end
 
-describe("rfsm2plantuml", function()
+describe("rfsm.plantuml", function()
   it("draws an arrow in the innermost composite that has both its ends", function()
     assert.equal([[
 @startuml
@@ -233,7 +227,7 @@ state "root" as root {
   root_on_moving --> root_off : e_panic
 }
 @enduml
-]], require("rfsm2plantuml").encode(lamp(), "the lamp"))
+]], require("rfsm.plantuml").encode(lamp(), "the lamp"))
   end)
 
   it("begins at the initial of a composite what a parent layers on it", function()
@@ -242,11 +236,11 @@ state "root" as root {
       trans { src = "initial", tgt = "m" }, trans { src = "m.initial", tgt = "m.x" },
     })
     assert.matches('    state "x" as root_m_x\n    %[%*%] %-%-> root_m_x\n  }',
-      require("rfsm2plantuml").encode(fsm))
+      require("rfsm.plantuml").encode(fsm))
   end)
 
   it("writes what would be a command as a code", function()
-    local text = require("rfsm2plantuml").encode(odd(), "a\n@enduml")
+    local text = require("rfsm.plantuml").encode(odd(), "a\n@enduml")
     for _, expected in ipairs {
       "title a\\n@enduml\n", '"q<U+0022>q"', '"l1\\nl2"', '"<U+003C>b>"',
       '"<U+0025>d"', '"<U+0026>amp;"', '"-<U+002D>"', '"/<U+0027> \'/"',
@@ -260,8 +254,8 @@ state "root" as root {
 end)
 
 -- luacheck: push no max line length
-describe("rfsm2dot", function()
-  local encode = require("rfsm2dot").encode
+describe("rfsm.dot", function()
+  local encode = require("rfsm.dot").encode
 
   it("draws composites as clusters and their arrows at the border", function()
     assert.equal([=[
@@ -340,8 +334,8 @@ digraph "the lamp" {
 end)
 
 -- luacheck: pop
-describe("rfsm2mermaid", function()
-  local encode = require("rfsm2mermaid").encode
+describe("rfsm.mermaid", function()
+  local encode = require("rfsm.mermaid").encode
 
   it("draws composites, choices and arrows", function()
     assert.equal([[
@@ -439,7 +433,7 @@ stateDiagram-v2
       check(text)
       local arrows = text:gsub("%[%*%] %-%-> [%w_]*initial\n", "")
       assert.equal(count, select(2, arrows:gsub(" %-%-> ", "")))
-      local plantuml = require("rfsm2plantuml").encode(fsm)
+      local plantuml = require("rfsm.plantuml").encode(fsm)
       assert.equal(count, select(2, plantuml:gsub(" %-%-> ", "")))
     end
   end)

@@ -2,7 +2,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-local rfsm_emem = require "rfsm_emem"
+local rfsm_emem = require "rfsm.emem"
 
 local state, trans = rfsm.state, rfsm.trans
 
@@ -380,7 +380,7 @@ describe("emem_reset", function()
 
   it("blames the caller for anything else", function()
     local _, text = pcall(function() rfsm_emem.emem_reset(nil) end)
-    assert.matches("emem_spec.lua:%d+: rfsm_emem.emem_reset: state with an event "
+    assert.matches("emem_spec.lua:%d+: rfsm.emem.emem_reset: state with an event "
       .. "memory expected, got nil", text)
   end)
 end)

@@ -236,7 +236,7 @@ describe("the example", function()
 
   it("ext lands when a condition that it monitors holds", function()
     local lines = helper.printed(function()
-      local fsm = helper.init(rfsm.load("examples/ext.lua"))
+      local fsm = helper.init(rfsm.load("examples/monitor.lua"))
       rfsm.step(fsm, 3)
       _G.drone.volt = 10 -- luacheck: ignore 143
       rfsm.run(fsm)

@@ -1,4 +1,4 @@
--- What holds for all extensions: names, no state that leaks, no cost when unused.
+-- Rules for all extensions: no state leaks, and an unused one costs nothing.
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
@@ -7,104 +7,11 @@ local state, trans = rfsm.state, rfsm.trans
 
 after_each(helper.remove_files)
 
--- Module, its other names.
-local NAMES = {
-  { "rfsm_timeevent", "rfsm.timeevent" }, { "rfsm_seqand", "rfsm.seqand" },
-  { "rfsm_ext", "rfsm.ext" }, { "rfsm_emem", "rfsm.emem" },
-  { "rfsm_await", "rfsm.await" }, { "rfsm_preview", "rfsm.preview" },
-  { "rfsm_proto", "rfsm.proto" },
-  { "rfsm_checkevents", "rfsm.checkevents" }, { "rfsm_checks" },
-  { "rfsm_rtt", "rfsm.rtt" },
-}
-
--- Names in child processes -----------------------------------------------------
-
--- The interpreter that runs this, as the shell can call it.
-local function interpreter()
-  local i = 0
-  while arg[i - 1] do i = i - 1 end
-  return arg[i]
-end
-
--- Runs a text with a fresh Lua; returns what it printed.
-local function output_of(text)
-  local pipe = assert(io.popen(interpreter() .. " " .. helper.file_with(text)
-    .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return (output:gsub("%s+$", ""))
-end
-
 local function requires(names)
-  local lines = { "package.path = './?.lua;' .. package.path" }
-  for i, name in ipairs(names) do lines[i + 1] = ("require '%s'"):format(name) end
+  local lines = { "package.path = './?.lua;' .. package.path", "require 'rfsm'" }
+  for _, name in ipairs(names) do lines[#lines + 1] = ("require '%s'"):format(name) end
   return table.concat(lines, "\n") .. "\n"
 end
-
--- Every name, in the order of the list and in the other one.
-local function all_names(is_reversed)
-  local names = { "rfsm" }
-  for _, entry in ipairs(NAMES) do
-    for _, name in ipairs(entry) do
-      table.insert(names, is_reversed and 1 or #names + 1, name)
-    end
-  end
-  return names
-end
-
--- Prints whether flat and dotted names are one module, and its global.
-local SHOW = [[
-local names = { %s }
-for _, name in ipairs(names) do
-  local flat = "rfsm_" .. name
-  local dotted = name ~= "checks" and require("rfsm." .. name) or require(flat)
-  print(name, require(flat) == dotted, rawget(_G, flat) == %s)
-end
-]]
-
-local function show(expected_global)
-  local quoted = {}
-  for i, entry in ipairs(NAMES) do quoted[i] = ("%q"):format(entry[1]:sub(6)) end
-  return SHOW:format(table.concat(quoted, ", "), expected_global)
-end
-
-local function expected_lines()
-  local lines = {}
-  for i, entry in ipairs(NAMES) do lines[i] = entry[1]:sub(6) .. "\ttrue\ttrue" end
-  return table.concat(lines, "\n")
-end
-
-describe("the names of extensions", function()
-  for _, is_reversed in ipairs { false, true } do
-    local order = is_reversed and "reversed" or "listed"
-
-    it("are one module each, and set their globals, in the order " .. order, function()
-      assert.equal(expected_lines(),
-        output_of(requires(all_names(is_reversed)) .. show("require(flat)")))
-    end)
-
-    it("set no global after RFSM_NO_GLOBALS, in the order " .. order, function()
-      assert.equal(expected_lines(), output_of("RFSM_NO_GLOBALS = true\n"
-        .. requires(all_names(is_reversed)) .. show("nil")))
-    end)
-  end
-
-  for _, entry in ipairs(NAMES) do
-    for _, name in ipairs(entry) do
-      it("work alone: " .. name, function()
-        assert.equal("table table", output_of(requires { name }
-          .. ("print(type(require '%s') .. ' ' .. type(rfsm))"):format(name)))
-      end)
-    end
-  end
-
-  it("are fields of the core, loaded on first use", function()
-    assert.equal("nil table table true", output_of(requires { "rfsm" }
-      .. "print(type(rawget(rfsm, 'seqand')) .. ' ' .. type(rfsm.seqand) .. ' ' .. "
-      .. "type(rfsm.timeevent) .. ' ' .. tostring(rfsm.seqand == "
-      .. "require('rfsm_ext').seqand))"))
-  end)
-end)
 
 -- State that must not leak -----------------------------------------------------
 
@@ -113,14 +20,14 @@ local rtt = require "spec.support.rtt"
 package.loaded.rtt = rtt
 
 local timeevent = require "rfsm_timeevent"
-local proto = require "rfsm_proto"
-local rfsm_ext = require "rfsm_ext"
+local proto = require "rfsm.proto"
+local rfsm_ext = require "rfsm.monitor"
 local socket = require "socket"
-local rfsm_rtt = require "rfsm_rtt"
-require "rfsm_await"
+local rfsm_rtt = require "rfsm.rtt"
+require "rfsm.await"
 require "rfsm_checks"
-require "rfsm_emem"
-require "rfsm_preview"
+require "rfsm.emem"
+require "rfsm.preview"
 
 local now = 0
 timeevent.set_gettime_hook(function() return now, 0 end)
@@ -423,12 +330,12 @@ end
 -- `off`: the chart says that it does without the two that are for all.
 local function added_by(names, off)
   local switch = off and "local off = false\n" or "local off = nil\n"
-  return output_of(requires {} .. KNOWN .. requires(names) .. switch .. COUNT)
+  return helper.output_of(requires {} .. KNOWN .. requires(names) .. switch .. COUNT)
 end
 
-local UNUSED = { "rfsm_timeevent", "rfsm_seqand", "rfsm_ext", "rfsm_await",
-  "rfsm_preview", "rfsm_checks", "rfsm_proto", "rfsm_rtt", "rfsmpp", "rfsm_marsh",
-  "rfsm2json", "rfsm2plantuml", "rfsm2dot", "rfsm2mermaid" }
+local UNUSED = { "rfsm_timeevent", "rfsm_seqand", "rfsm.monitor", "rfsm.await",
+  "rfsm.preview", "rfsm_checks", "rfsm.proto", "rfsm.rtt", "rfsmpp", "rfsm.marsh",
+  "rfsm.json", "rfsm.plantuml", "rfsm.dot", "rfsm.mermaid" }
 
 describe("a chart that uses no extension", function()
   for _, name in ipairs(UNUSED) do
@@ -442,17 +349,17 @@ describe("a chart that uses no extension", function()
   end)
 
   -- These two are for every machine: loading them is using them.
-  it("gets what it counts with when rfsm_emem is loaded", function()
+  it("gets what it counts with when rfsm.emem is loaded", function()
     assert.equal("pre_step_hook_add reset_hook_add exit_hook_add exit_hook_add "
       .. "exit_hook_add|_emem _emem_keys _emem_keys _emem_keys "
-      .. "emem emem emem", added_by { "rfsm_emem" })
+      .. "emem emem emem", added_by { "rfsm.emem" })
   end)
 
-  it("gets the check when rfsm_checkevents is loaded", function()
-    assert.equal("pre_step_hook_add|_checks", added_by { "rfsm_checkevents" })
+  it("gets the check when rfsm.checkevents is loaded", function()
+    assert.equal("pre_step_hook_add|_checks", added_by { "rfsm.checkevents" })
   end)
 
   it("gets neither when it says so", function()
-    assert.equal("|", added_by({ "rfsm_emem", "rfsm_checkevents" }, true))
+    assert.equal("|", added_by({ "rfsm.emem", "rfsm.checkevents" }, true))
   end)
 end)

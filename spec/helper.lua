@@ -79,6 +79,22 @@ function helper.remove_files()
   end
 end
 
+-- The interpreter that runs this, as the shell can call it.
+local function interpreter()
+  local i = 0
+  while arg[i - 1] do i = i - 1 end
+  return arg[i]
+end
+
+--- Runs a text with a fresh Lua; returns its output.
+function helper.output_of(text)
+  local pipe = assert(io.popen(interpreter() .. " " .. helper.file_with(text)
+    .. " 2>&1"))
+  local output = pipe:read("*a")
+  pipe:close()
+  return (output:gsub("%s+$", ""))
+end
+
 --- Returns what stands in a file.
 function helper.content(name)
   local file = assert(io.open(name, "rb"))

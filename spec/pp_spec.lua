@@ -180,9 +180,10 @@ describe("gen_dbgcolor", function()
 end)
 
 describe("fsm2str", function()
-  it("draws the states as a tree, sorted by name", function()
+  it("draws the states as a tree, sorted by name, with their modes", function()
     local tree = rfsmpp.fsm2str(machine()):gsub("\27%[%d+m", "")
-    assert.equal("root[CS]\n  a[CS]\n    x[LS]\n  b[LS]", tree)
+    assert.equal("root[CS] inactive\n  a[CS] inactive\n    x[LS] inactive\n"
+      .. "  b[LS] inactive", tree)
   end)
 
   it("shows what is active, done and inactive by colour", function()
@@ -204,13 +205,14 @@ describe("fsm2str", function()
     local fsm = helper.init(state {
       ["a\nb\27[1m"] = state {}, trans { src = "initial", tgt = "a\nb\27[1m" },
     })
-    assert.equal("root[CS]\n  a\\10b\\27[1m[LS]",
+    assert.equal("root[CS] inactive\n  a\\10b\\27[1m[LS] inactive",
       (rfsmpp.fsm2str(fsm):gsub("\27%[%d+m", "")))
   end)
 
   it("starts each line with the indent", function()
     local tree = rfsmpp.fsm2str(machine(), "| "):gsub("\27%[%d+m", "")
-    assert.equal("| root[CS]\n|   a[CS]\n|     x[LS]\n|   b[LS]", tree)
+    assert.equal("| root[CS] inactive\n|   a[CS] inactive\n|     x[LS] inactive\n"
+      .. "|   b[LS] inactive", tree)
   end)
 
   it("wants an initialised fsm", function()

@@ -2,7 +2,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-require "rfsm_preview"
+require "rfsm.preview"
 
 local state, trans = rfsm.state, rfsm.trans
 

@@ -1,6 +1,9 @@
 -- The project holds together: rockspecs, examples, the code in the documents.
 
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
+
+after_each(helper.remove_files)
 
 local setfenv = rawget(_G, "setfenv")
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
@@ -40,70 +43,59 @@ local function rockspec(name)
   return env
 end
 
-local ROCKSPECS = { "rockspec/rfsm-scm-1.rockspec", "rockspec/rfsm-1.0.0-1.rockspec" }
+local DEV = "rockspec/rfsm-dev-1.rockspec"
 
--- rfsm/pp.lua is the module rfsm.pp.
-local function modules_in_tree()
+-- rfsm/pp.lua is the module rfsm.pp, and so is compat/rfsm/pp.lua.
+local function modules_of(...)
   local modules = {}
-  for _, file in ipairs(files("*.lua", "rfsm/*.lua")) do
-    modules[file:gsub("%.lua$", ""):gsub("/", ".")] = file
+  for _, file in ipairs(files(...)) do
+    modules[file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")] = file
   end
   return modules
 end
 
 local function tools_in_tree()
   local tools = {}
-  for _, file in ipairs(files("tools/*")) do
-    if not file:find("%.%w+$") then tools[file:match("[^/]*$")] = file end
-  end
+  for _, file in ipairs(files("tools/rfsm*")) do tools[file:match("[^/]*$")] = file end
   return tools
 end
 
-for _, name in ipairs(ROCKSPECS) do
-  describe(name, function()
-    it("lists the modules that there are", function()
-      assert.same(modules_in_tree(), rockspec(name).build.modules)
-    end)
-
-    it("lists the tools that there are", function()
-      assert.same(tools_in_tree(), rockspec(name).build.install.bin)
-    end)
-
-    it("bears the version in its name", function()
-      assert.equal(name:match("rfsm%-(.*)%.rockspec"), rockspec(name).version)
-    end)
-  end)
-end
-
-describe("the rockspecs", function()
-  it("differ in version and source only", function()
-    local scm, release = rockspec(ROCKSPECS[1]), rockspec(ROCKSPECS[2])
-    scm.version, release.version = nil, nil
-    scm.source, release.source = nil, nil
-    assert.same(scm, release)
+describe("the rockspec", function()
+  it("lists the modules", function()
+    assert.same(modules_of("*.lua", "rfsm/*.lua", "compat/*.lua", "compat/rfsm/*.lua"),
+      rockspec(DEV).build.modules)
   end)
 
-  it("release the version that the core bears", function()
-    local version = rockspec(ROCKSPECS[2]).version:match("^[%d.]+")
-    assert.equal("rfsm " .. version, rfsm._VERSION)
+  it("lists the tools", function()
+    assert.same(tools_in_tree(), rockspec(DEV).build.install.bin)
   end)
 
-  it("release what the changelog tells of", function()
-    assert.is_truthy(content("CHANGELOG.md"):find("## 1.0.0", 1, true))
+  it("of a release differs in version and source", function()
+    local release, dev = {}, rockspec(DEV)
+    local text = helper.output_of("arg = { '1.2.3', 'git+https://x.org/100%.git' } "
+      .. "dofile 'tools/rockspec.lua'")
+    load_in(release, text, "=rockspec")()
+    assert.equal("1.2.3-1", release.version)
+    assert.same({ url = "git+https://x.org/100%.git", tag = "v1.2.3" }, release.source)
+    release.version, release.source = dev.version, dev.source
+    assert.same(dev, release)
   end)
 end)
 
-describe("config.ld", function()
-  it("lists the modules that there are", function()
-    local listed = {}
-    for file in content("config.ld"):match("\nfile = (%b{})"):gmatch("'(.-)'") do
-      listed[file:gsub("%.lua$", "")] = file
+describe("the version of the core", function()
+  it("is in the changelog", function()
+    local version = rfsm._VERSION:match("[%d.]+$")
+    assert.is_truthy(content("CHANGELOG.md"):find("## " .. version, 1, true))
+  end)
+end)
+
+describe("doc/config.ld", function()
+  it("lists the modules", function()
+    local listed, list = {}, content("doc/config.ld"):match("\nfile = (%b{})")
+    for file in list:gmatch("'%.%./(.-)'") do
+      listed[file:gsub("%.lua$", ""):gsub("/", ".")] = file
     end
-    local expected = modules_in_tree()
-    for name in pairs(expected) do -- any order: a set
-      if name:find(".", 1, true) then expected[name] = nil end
-    end
-    assert.same(expected, listed)
+    assert.same(modules_of("*.lua", "rfsm/*.lua"), listed)
   end)
 end)
 

@@ -4,8 +4,8 @@
 local datagrams = require "spec.support.datagrams"
 local dkjson = require "dkjson"
 local helper = require "spec.helper"
-local marsh = require "rfsm_marsh"
-local proto = require "rfsm_proto"
+local marsh = require "rfsm.marsh"
+local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local socket = require "socket"
 
@@ -126,7 +126,7 @@ local function problem_of(options)
   return problem
 end
 
-describe("rfsm_proto", function()
+describe("rfsm.proto", function()
   before_each(function() now = 1000 end)
 
   after_each(function()
@@ -148,7 +148,7 @@ describe("rfsm_proto", function()
         "active_state root.on" }, client:lines(4))
     end)
 
-    it("brings the graph that rfsm_marsh knows", function()
+    it("brings the graph that rfsm.marsh knows", function()
       local fsm, server = served()
       local client = new_client(server)
       client:subscribe()
@@ -951,21 +951,21 @@ describe("rfsm_proto", function()
           .. "got 1000000",
       } do
         local problem = problem_of(options)
-        assert.equal("rfsm_proto.install: " .. text, (problem:gsub("^%S+:%d+: ", "")))
+        assert.equal("rfsm.proto.install: " .. text, (problem:gsub("^%S+:%d+: ", "")))
       end
       local _, problem = pcall(function() proto.install("localhost") end)
-      assert.matches("^[^:]*proto_spec.lua:%d+: rfsm_proto.install: table of options "
+      assert.matches("^[^:]*proto_spec.lua:%d+: rfsm.proto.install: table of options "
         .. "expected, got string 'localhost'$", problem)
     end)
 
     it("says when the port is in use", function()
       local server = install()
-      assert.equal(("rfsm_proto.install: cannot listen on localhost, port %d: address "
+      assert.equal(("rfsm.proto.install: cannot listen on localhost, port %d: address "
         .. "already in use"):format(server.port), problem_of { port = server.port })
     end)
 
     it("says when there is no such host", function()
-      assert.matches("^rfsm_proto.install: cannot listen on x*, port 44044: %S",
+      assert.matches("^rfsm.proto.install: cannot listen on x*, port 44044: %S",
         problem_of { host = ("x"):rep(64) })
     end)
 
@@ -979,7 +979,7 @@ describe("rfsm_proto", function()
         package.preload[package_name] = function() error("not there", 0) end
         local problem = problem_of { port = 0 }
         package.preload[package_name], package.loaded[package_name] = nil, real
-        assert.equal("rfsm_proto.install: the package " .. text, problem)
+        assert.equal("rfsm.proto.install: the package " .. text, problem)
       end)
     end
   end)

@@ -3,9 +3,9 @@
 
 local helper = require "spec.helper"
 local rtt = require "spec.support.rtt"
-local rtt_helper = require "spec.support.rtt_helper" -- before rfsm_rtt
+local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
-local rfsm_rtt = require "rfsm_rtt"
+local rfsm_rtt = require "rfsm.rtt"
 
 local samples, write_all = rtt_helper.samples, rtt_helper.write_all
 local refusal, counting_variables, file_with =
@@ -172,7 +172,7 @@ describe("service_launch_rfsm", function()
     exec_str("fsm.dbg = false")
     events:write("e_back")
     update()
-    assert.same({ "Error: rfsm_rtt: no paper" }, logged("no paper"))
+    assert.same({ "Error: rfsm.rtt: no paper" }, logged("no paper"))
     assert.same({ "<none>", "root.a", "root.b", "root.a" }, samples(names))
   end)
 
@@ -264,43 +264,43 @@ describe("service_launch_rfsm", function()
     end
 
     it("what is no file name", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: file: file name expected, got nil",
+      assert.equal("rfsm.rtt.service_launch_rfsm: file: file name expected, got nil",
         refused(nil, exec_str))
     end)
 
     it("a file that is not there", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: file '/nowhere/x.lua': No such file "
+      assert.equal("rfsm.rtt.service_launch_rfsm: file '/nowhere/x.lua': No such file "
         .. "or directory", refused("/nowhere/x.lua", exec_str))
     end)
 
     it("a file that is no Lua", function()
       local name = file_with("return {")
       local text = refused(name, exec_str)
-      assert.equal("rfsm_rtt.service_launch_rfsm: file '" .. name .. "': ",
+      assert.equal("rfsm.rtt.service_launch_rfsm: file '" .. name .. "': ",
         text:match("^(.-': )"))
       assert.is_truthy(text:find(":1: ", 1, true))
       assert.same({}, standin.log)
     end)
 
     it("what is no operation", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: exec_str: the operation exec_str "
+      assert.equal("rfsm.rtt.service_launch_rfsm: exec_str: the operation exec_str "
         .. "expected, got nil (component:provides(\"Lua\"):getOperation(\"exec_str\") "
         .. "would be right)", refused(chart_file(), nil))
     end)
 
     it("an eehook that is no boolean", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: eehook: boolean expected, got string "
+      assert.equal("rfsm.rtt.service_launch_rfsm: eehook: boolean expected, got string "
         .. "'updateHook'", refused(chart_file(), exec_str, "updateHook"))
     end)
 
     it("an env that is no table", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: env: table expected, got number 3",
+      assert.equal("rfsm.rtt.service_launch_rfsm: env: table expected, got number 3",
         refused(chart_file(), exec_str, true, 3))
     end)
 
     for _, case in ipairs(WRONG_ENVS) do
       it("an env with " .. case[1], function()
-        assert.equal("rfsm_rtt.service_launch_rfsm: " .. case[1],
+        assert.equal("rfsm.rtt.service_launch_rfsm: " .. case[1],
           refused(chart_file(), exec_str, true, case[2]()))
         nothing_left()
       end)
@@ -310,7 +310,7 @@ describe("service_launch_rfsm", function()
       it("a chart that " .. case[1], function()
         local name = file_with(case[2])
         local text = case[3]:gsub("%%s", (name:gsub("%%", "%%%%")))
-        assert.equal("rfsm_rtt.service_launch_rfsm: " .. text,
+        assert.equal("rfsm.rtt.service_launch_rfsm: " .. text,
           refused(name, exec_str, true, { speed = 3 }))
         nothing_left()
       end)
@@ -320,7 +320,7 @@ describe("service_launch_rfsm", function()
       local own, feed = rtt.InputPort("string"), rtt.OutputPort("string")
       host:addPort(own, "rFSM_events")
       feed:connect(own)
-      assert.equal("rfsm_rtt.service_launch_rfsm: 'arm' has a port 'rFSM_events' "
+      assert.equal("rfsm.rtt.service_launch_rfsm: 'arm' has a port 'rFSM_events' "
         .. "already", refused(chart_file(), exec_str, true))
       assert.same({ "rFSM_events" }, host:getPortNames())
       assert.is_true(own:connected())
@@ -328,7 +328,7 @@ describe("service_launch_rfsm", function()
 
     it("the other port name likewise, and an events port is not made", function()
       host:addPort(rtt.OutputPort("int"), "rFSM_cur_fqn")
-      assert.equal("rfsm_rtt.service_launch_rfsm: 'arm' has a port 'rFSM_cur_fqn' "
+      assert.equal("rfsm.rtt.service_launch_rfsm: 'arm' has a port 'rFSM_cur_fqn' "
         .. "already", refused(chart_file(), exec_str, true))
       assert.same({ "rFSM_cur_fqn" }, host:getPortNames())
       assert.equal("int", host:getPort("rFSM_cur_fqn"):info().type)
@@ -337,7 +337,7 @@ describe("service_launch_rfsm", function()
     it("a second machine in one service, and leaves the first alone", function()
       rfsm_rtt.service_launch_rfsm(chart_file(), exec_str, true)
       local _, names = wire(host)
-      assert.equal("rfsm_rtt.service_launch_rfsm: a machine was launched here before, "
+      assert.equal("rfsm.rtt.service_launch_rfsm: a machine was launched here before, "
         .. "it is the global 'fsm'", refused(chart_file(), exec_str, true))
       update()
       assert.same({ "<none>", "root.a" }, samples(names))
@@ -346,7 +346,7 @@ describe("service_launch_rfsm", function()
     it("a Lua without RTT", function()
       local lua = require("spec.support.lua_state").new()
       local function execute(code) return (lua:run(code)) end
-      assert.equal("rfsm_rtt.service_launch_rfsm: module 'rtt' is not there, this is "
+      assert.equal("rfsm.rtt.service_launch_rfsm: module 'rtt' is not there, this is "
         .. "no Lua of RTT", refused(chart_file(), execute))
       assert.is_nil(lua.globals.fsm)
     end)
@@ -354,7 +354,7 @@ describe("service_launch_rfsm", function()
     it("a Lua in which the hook cannot be made, and takes all back", function()
       exec_str("fsm = 'mine' rtt.EEHook = function() "
         .. "return { enable = function() error('no engine', 0) end } end")
-      assert.equal("rfsm_rtt.service_launch_rfsm: no engine",
+      assert.equal("rfsm.rtt.service_launch_rfsm: no engine",
         refused(chart_file(), exec_str, true, { speed = 3 }))
       assert.same({}, host:getPortNames())
       assert.equal("mine nil nil nil",
@@ -362,12 +362,12 @@ describe("service_launch_rfsm", function()
     end)
 
     it("an operation that fails and says nothing", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: the other Lua reports a failure, "
+      assert.equal("rfsm.rtt.service_launch_rfsm: the other Lua reports a failure, "
         .. "RTT's log says which", refused(chart_file(), function() return false end))
     end)
 
     it("an operation that raises", function()
-      assert.equal("rfsm_rtt.service_launch_rfsm: no connection",
+      assert.equal("rfsm.rtt.service_launch_rfsm: no connection",
         refused(chart_file(), function() error("no connection", 0) end))
     end)
   end)
@@ -637,7 +637,7 @@ fsm.b.entry = function() print("in b") end
     arm:getOperation("exec_str")("fsm.dbg = function() error('no paper', 0) end")
     events:write("e_go")
     standin.spin()
-    assert.same({ "Error: rfsm_rtt: no paper" }, logged("no paper"))
+    assert.same({ "Error: rfsm.rtt: no paper" }, logged("no paper"))
     assert.same({ "<none>", "root.a", "root.b" }, samples(names))
   end)
 
@@ -702,7 +702,7 @@ fsm.b.entry = function() print("in b") end
       file:close()
       assert.is_false(arm:configure())
       assert.equal("PreOperational", arm:getState())
-      assert.same({ "Error: rfsm_rtt: edited" }, logged("edited"))
+      assert.same({ "Error: rfsm.rtt: edited" }, logged("edited"))
       assert.is_nil(io.open(report)) -- nobody waits for a report any more
       assert.same({}, arm:getPortNames())
     end)
@@ -795,7 +795,7 @@ end]] }
       local before = deployer:getPeers()
       local text = refusal(rfsm_rtt.component_launch_rfsm, args)
       assert.same(before, deployer:getPeers())
-      return (text:gsub("^rfsm_rtt%.component_launch_rfsm: ", ""))
+      return (text:gsub("^rfsm%.rtt%.component_launch_rfsm: ", ""))
     end
 
     local function refused_with(fields)
@@ -924,14 +924,14 @@ describe("without RTT", function()
   after_each(function() package.loaded.rtt = rtt end)
 
   it("the search for a deployer says what is missing", function()
-    assert.equal("rfsm_rtt.component_launch_rfsm: deployer: to look for a peer "
+    assert.equal("rfsm.rtt.component_launch_rfsm: deployer: to look for a peer "
       .. "'Deployer' takes RTT, but module 'rtt' is not there",
       refusal(rfsm_rtt.component_launch_rfsm, { name = "arm", fsmfile = chart_file() }))
   end)
 
   it("a launch into this very Lua says what is missing", function()
     local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
-    assert.equal("rfsm_rtt.service_launch_rfsm: module 'rtt' is not there, this is no "
+    assert.equal("rfsm.rtt.service_launch_rfsm: module 'rtt' is not there, this is no "
       .. "Lua of RTT", refusal(rfsm_rtt.service_launch_rfsm, chart_file(),
       function(code) assert(load_text(code))() end))
     assert.is_nil(rawget(_G, "fsm"))

@@ -4,9 +4,9 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rtt = require "spec.support.rtt"
-local rtt_helper = require "spec.support.rtt_helper" -- before rfsm_rtt
+local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
-local rfsm_rtt = require "rfsm_rtt"
+local rfsm_rtt = require "rfsm.rtt"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -176,7 +176,7 @@ for _, name in ipairs { "gen_read_events", "gen_read_str_events" } do
       local function refused(...) return refusal(generate, ...) end
 
       it("to read no port", function()
-        assert.equal("rfsm_rtt." .. name .. ": at least one port expected, got none",
+        assert.equal("rfsm.rtt." .. name .. ": at least one port expected, got none",
           refused())
       end)
 
@@ -193,7 +193,7 @@ for _, name in ipairs { "gen_read_events", "gen_read_str_events" } do
       }
       for _, case in ipairs(CASES) do
         it(case[1], function()
-          assert.equal(("rfsm_rtt.%s: port 2: %s expected, got %s"):format(name, wanted,
+          assert.equal(("rfsm.rtt.%s: port 2: %s expected, got %s"):format(name, wanted,
             case[3]), refused((connected("string")), (case[2]())))
         end)
       end
@@ -237,7 +237,7 @@ end)
 
 describe("gen_read_str_events", function()
   it("refuses a port of another type", function()
-    assert.equal("rfsm_rtt.gen_read_str_events: port 1: input port of type string "
+    assert.equal("rfsm.rtt.gen_read_str_events: port 1: input port of type string "
       .. "expected, got one of type int",
       refusal(rfsm_rtt.gen_read_str_events, (connected("int"))))
   end)
@@ -310,16 +310,16 @@ describe("gen_raise_event", function()
 
   describe("refuses", function()
     it("what is no output port", function()
-      assert.equal("rfsm_rtt.gen_raise_event: output port expected, got nil",
+      assert.equal("rfsm.rtt.gen_raise_event: output port expected, got nil",
         refusal(rfsm_rtt.gen_raise_event))
-      assert.equal("rfsm_rtt.gen_raise_event: output port expected, got an input port",
+      assert.equal("rfsm.rtt.gen_raise_event: output port expected, got an input port",
         refusal(rfsm_rtt.gen_raise_event, into))
     end)
 
     it("what is no machine", function()
-      assert.equal("rfsm_rtt.gen_raise_event: machine (the result of rfsm.init) "
+      assert.equal("rfsm.rtt.gen_raise_event: machine (the result of rfsm.init) "
         .. "expected, got table", refusal(rfsm_rtt.gen_raise_event, out, chart()))
-      assert.equal("rfsm_rtt.gen_raise_event: machine (the result of rfsm.init) "
+      assert.equal("rfsm.rtt.gen_raise_event: machine (the result of rfsm.init) "
         .. "expected, got boolean", refusal(rfsm_rtt.gen_raise_event, out, false))
     end)
 
@@ -336,7 +336,7 @@ describe("gen_raise_event", function()
     for _, case in ipairs(EVENTS) do
       it(("an event for a port of type %s: %s"):format(case[1], case[3]), function()
         local fsm, port = started(chart()), rtt.OutputPort(case[1])
-        assert.equal("rfsm_rtt.raise_event: event 1: " .. case[3],
+        assert.equal("rfsm.rtt.raise_event: event 1: " .. case[3],
           refusal(rfsm_rtt.gen_raise_event(port, fsm), case[2]))
         assert.equal(0, rfsm.check_events(fsm))
       end)
@@ -344,7 +344,7 @@ describe("gen_raise_event", function()
 
     it("all events for one that is wrong", function()
       local fsm = started(chart())
-      assert.equal("rfsm_rtt.raise_event: event 2: string expected, got number 2",
+      assert.equal("rfsm.rtt.raise_event: event 2: string expected, got number 2",
         refusal(rfsm_rtt.gen_raise_event(out, fsm), "e_go", 2))
       assert.same({}, samples(into))
       assert.equal(0, rfsm.check_events(fsm))
@@ -453,14 +453,14 @@ describe("gen_write_fqn", function()
     local function refused(...) return refusal(rfsm_rtt.gen_write_fqn, ...) end
 
     it("what is no output port of type string", function()
-      local text = "rfsm_rtt.gen_write_fqn: output port of type string expected, got "
+      local text = "rfsm.rtt.gen_write_fqn: output port of type string expected, got "
       assert.equal(text .. "nil", refused(nil))
       assert.equal(text .. "an input port", refused(into))
       assert.equal(text .. "one of type int", refused(rtt.OutputPort("int")))
     end)
 
     it("to be called with anything but a machine", function()
-      assert.equal("rfsm_rtt.write_fqn: machine expected, got nil",
+      assert.equal("rfsm.rtt.write_fqn: machine expected, got nil",
         refusal(rfsm_rtt.gen_write_fqn(out)))
     end)
   end)

@@ -2,7 +2,7 @@
 -- of RTT would not expect.
 
 local rtt = require "spec.support.rtt"
-local rtt_helper = require "spec.support.rtt_helper" -- before rfsm_rtt
+local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
 
 local connected, policy, pose = rtt_helper.connected, rtt_helper.policy, rtt_helper.pose

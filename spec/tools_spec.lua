@@ -1,4 +1,5 @@
--- The tools on the command line: rfsm2json, rfsm2plantuml, rfsm-viz, rfsm-check.
+-- The command line: rfsm check, viz, json, plantuml, dot, mermaid, and the tools of
+-- their own names.
 
 local lua = arg and arg[-1] or "lua5.1"
 local folder
@@ -20,8 +21,8 @@ end
 -- Runs a command line that begins with a tool: stdout, stderr and the status.
 local function run(command)
   local err, status = folder .. "/stderr", folder .. "/status"
-  local pipe = io.popen(("{ %s tools/%s; echo $? >'%s'; } 2>'%s'"):format(lua, command,
-    status, err))
+  local pipe = io.popen(("{ LUA=%s tools/%s; echo $? >'%s'; } 2>'%s'"):format(lua,
+    command, status, err))
   local out = pipe:read("*a")
   pipe:close()
   return out, content(err), tonumber(content(status))
@@ -64,8 +65,20 @@ end)
 
 teardown(function() os.execute("rm -r '" .. folder .. "'") end)
 
-for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
-  describe(tool, function()
+-- The tools that write charts, and the command that each is.
+local WRITERS = {
+  { tool = "rfsm2json", command = "json", ending = "json" },
+  { tool = "rfsm2plantuml", command = "plantuml", ending = "puml" },
+  { tool = "rfsm-viz", command = "viz" },
+  { tool = "rfsm dot", command = "dot", ending = "dot" },
+  { tool = "rfsm mermaid", command = "mermaid", ending = "mmd" },
+}
+
+for _, writer in ipairs(WRITERS) do
+  local name = "rfsm " .. writer.command
+  local tool = writer.tool .. (writer.ending and " -o -" or "")
+
+  describe(writer.tool, function()
     it("writes charts one after the other, without empty lines", function()
       local one = run(tool .. " examples/on_off.lua")
       local both, err, status = run(tool .. " examples/on_off.lua examples/on_off.lua")
@@ -77,14 +90,26 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
 
     it("writes to a file", function()
       local file = folder .. "/out.dot"
-      assert.equal("", (run(tool .. " examples/on_off.lua -o '" .. file .. "'")))
+      assert.equal("", (run(writer.tool .. " examples/on_off.lua -o '" .. file .. "'")))
       assert.equal((run(tool .. " examples/on_off.lua")), content(file))
     end)
 
-    it("reads a chart from stdin, also behind a #! line", function()
+    if writer.ending then
+      it("writes each chart to a file of its own", function()
+        local a, b = write_file("a.lua", CHART), write_file("b.lua", CHART)
+        local out, err, status = run(("%s '%s' '%s'"):format(writer.tool, a, b))
+        assert.same({ "", "", 0 }, { out, err, status })
+        for _, file in ipairs { a, b } do
+          assert.equal((run(tool .. " '" .. file .. "'")),
+            content((file:gsub("lua$", writer.ending))))
+        end
+      end)
+    end
+
+    it("reads stdin, also behind a #! line, and writes to stdout", function()
       local file = write_file("chart.lua", "#!/usr/bin/lua\n" .. CHART)
       local named = run(tool .. " '" .. file .. "'")
-      local piped, err, status = run(tool .. " - <'" .. file .. "'")
+      local piped, err, status = run(writer.tool .. " - <'" .. file .. "'")
       assert.equal("", err)
       assert.equal(0, status)
       assert.equal(named:gsub(file:gsub("%p", "%%%0"), "stdin"), piped)
@@ -108,7 +133,7 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
 
     it("says every problem of a chart in a line", function()
       local file = write_file("bad.lua", BAD)
-      local start = tool .. ": " .. file .. ": "
+      local start = name .. ": " .. file .. ": "
       fails(tool .. " '" .. file .. "'", start
         .. "root.a.entry: function expected, got number 7\n" .. start
         .. "root.trans[1]: tgt 'aa': no state or connector is named 'aa' in 'root' "
@@ -118,7 +143,7 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
     it("says in one line why a file is no chart", function()
       local function case(text, expected)
         local file = write_file("no.lua", text)
-        fails(tool .. " '" .. file .. "'", tool .. ": "
+        fails(tool .. " '" .. file .. "'", name .. ": "
           .. expected:gsub("FILE", file) .. "\n")
       end
       case("return 7", "no valid rfsm in file 'FILE' found.")
@@ -130,41 +155,42 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
       case("error(setmetatable({}, { __tostring = error }))", "FILE: table")
       case("rfsm.preproc[1] = function() error('no', 0) end return rfsm.state {}",
         "FILE: no")
-      fails(tool .. " - </dev/null", tool .. ": no valid rfsm in stdin found.\n")
-      fails(tool .. " '" .. folder .. "/none'", tool .. ": cannot open " .. folder
+      fails(tool .. " - </dev/null", name .. ": no valid rfsm in stdin found.\n")
+      fails(tool .. " '" .. folder .. "/none'", name .. ": cannot open " .. folder
         .. "/none: No such file or directory\n")
     end)
 
     it("writes nothing when one of several charts is wrong", function()
       local bad, out = write_file("bad.lua", "return 1"), folder .. "/both.dot"
-      run(tool .. " examples/on_off.lua '" .. bad .. "' -o '" .. out .. "'")
+      run(writer.tool .. " examples/on_off.lua '" .. bad .. "' -o '" .. out .. "'")
       assert.is_nil(io.open(out))
     end)
 
     it("says why it cannot write", function()
-      fails(tool .. " examples/on_off.lua -o /nowhere/x.dot", tool
+      fails(writer.tool .. " examples/on_off.lua -o /nowhere/x.dot", name
         .. ": /nowhere/x.dot: No such file or directory\n")
-      fails(tool .. " examples/on_off.lua >/dev/full", tool
+      fails(tool .. " examples/on_off.lua >/dev/full", name
         .. ": stdout: No space left on device\n")
     end)
 
     it("tells how to use it, with status 2 when it was not", function()
-      refuses(tool, "Error: missing argument 'files'")
-      refuses(tool .. " --bogus x", "Error: unknown option '--bogus'")
-      local out, _, status = run(tool .. " --help")
-      assert.matches("Usage: " .. tool:gsub("%-", "%%-"), out)
+      refuses(writer.tool, "Error: missing argument 'files'")
+      refuses(writer.tool .. " --bogus x", "Error: unknown option '--bogus'")
+      local out, _, status = run(writer.tool .. " --help")
+      assert.matches("Usage: " .. name, out)
       assert.equal(0, status)
     end)
 
     it("tells its version", function()
-      assert.equal(tool .. " 1.0.0\n", (run(tool .. " --version")))
+      assert.equal("rfsm 1.0.0\n", (run(writer.tool .. " --version")))
     end)
 
     it("runs by a symbolic link from anywhere", function()
-      local link = folder .. "/" .. tool
-      os.execute(("ln -sf \"$PWD/tools/%s\" '%s'"):format(tool, link))
-      local pipe = io.popen(("f=$PWD/examples/on_off.lua; cd / && '%s' \"$f\" 2>&1")
-        :format(link))
+      local file, arguments = tool:match("^(%S+)(.*)$")
+      local link = folder .. "/link"
+      os.execute(("ln -sf \"$PWD/tools/%s\" '%s'"):format(file, link))
+      local command = "f=$PWD/examples/on_off.lua; cd / && '%s'%s \"$f\" 2>&1"
+      local pipe = io.popen(command:format(link, arguments))
       local out = pipe:read("*a")
       pipe:close()
       assert.is_truthy(out:find("e_push", 1, true))
@@ -173,10 +199,10 @@ for _, tool in ipairs { "rfsm2json", "rfsm2plantuml", "rfsm-viz" } do
 end
 
 describe("rfsm2json", function()
-  it("says what to install when dkjson is missing", function()
+  it("names the package to install if dkjson is missing", function()
     local real = lua
-    lua = lua .. " -e 'package.preload.dkjson = function() error(0) end'"
-    fails("rfsm2json examples/on_off.lua", "rfsm2json: examples/on_off.lua: the "
+    lua = "'" .. lua .. "' LUA_INIT='package.preload.dkjson = function() error(0) end'"
+    fails("rfsm2json -o - examples/on_off.lua", "rfsm json: examples/on_off.lua: the "
       .. "package dkjson is missing (on Debian: apt-get install lua-dkjson)\n")
     lua = real
   end)
@@ -218,20 +244,23 @@ describe("rfsm-viz", function()
   it("refuses formats that it does not know, with the list", function()
     refuses("rfsm-viz examples/on_off.lua -T gif", "Error: argument for option '-T' "
       .. "must be one of 'dot', 'svg', 'png', 'pdf', 'plantuml', 'mermaid'")
-    refuses("rfsm-viz examples/on_off.lua -o x.gif", "Error: the name 'x.gif' tells no "
-      .. "format, -T expected (dot, svg, png, pdf, plantuml, mermaid)")
+    refuses("rfsm-viz examples/on_off.lua -o x.gif", "Error: the ending of 'x.gif' "
+      .. "is no format, -T expected (dot, svg, png, pdf, plantuml, mermaid)")
   end)
 
   it("refuses several charts in a picture", function()
     refuses("rfsm-viz -T svg examples/on_off.lua examples/on_off.lua",
-      "Error: one FILE expected, svg shows no more, got 2")
+      "Error: one FILE expected, svg holds one chart, got 2")
   end)
 
   it("says what to install when Graphviz is missing", function()
     local real = lua
     local path = io.popen("command -v '" .. lua .. "'"):read("*l")
-    lua = "PATH='" .. folder .. "' " .. path
-    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm-viz: Graphviz is missing "
+    local bin = folder .. "/bin"
+    os.execute(("mkdir '%s' && ln -s $(command -v readlink) $(command -v dirname) '%s'")
+      :format(bin, bin))
+    lua = path .. " PATH='" .. bin .. "'"
+    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: Graphviz is missing "
       .. "(on Debian: apt-get install graphviz)\n")
     lua = real
   end)
@@ -240,8 +269,8 @@ describe("rfsm-viz", function()
     write_file("dot", "#!/bin/sh\necho 'out of ink' >&2\nexit 3\n")
     os.execute("chmod +x '" .. folder .. "/dot'")
     local real = lua
-    lua = "PATH='" .. folder .. "':\"$PATH\" " .. lua
-    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm-viz: dot: out of ink\n")
+    lua = lua .. " PATH='" .. folder .. "':\"$PATH\""
+    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: dot: out of ink\n")
     lua = real
     os.remove(folder .. "/dot")
   end)
@@ -357,15 +386,15 @@ FILE: warning: root.par.left: root.trans[2]: a transition has no field 'event' (
 
   it("fails with status 2 when it cannot read a file", function()
     fails("rfsm-check examples/on_off.lua /nowhere/x.lua",
-      "rfsm-check: /nowhere/x.lua: No such file or directory\n", 2)
-    fails("rfsm-check examples", "rfsm-check: examples: Is a directory\n", 2)
+      "rfsm check: /nowhere/x.lua: No such file or directory\n", 2)
+    fails("rfsm-check examples", "rfsm check: examples: Is a directory\n", 2)
   end)
 
   it("tells how to use it, with status 2 when it was not", function()
     refuses("rfsm-check", "Error: missing argument 'files'")
     refuses("rfsm-check -x y", "Did you mean one of these: '-h' '-q' '-s' '-v'?")
     local out, _, status = run("rfsm-check --help")
-    assert.matches("Usage: rfsm%-check", out)
+    assert.matches("Usage: rfsm check", out)
     assert.equal(0, status)
   end)
 end)

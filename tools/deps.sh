@@ -1,38 +1,31 @@
 #!/bin/sh
-# Sees to it that the programs a target needs are there.
+# Makes sure that the programs for a target are installed.
 #
-#   tools/deps.sh sim    what the simulator needs
-#   tools/deps.sh test   what the tests need
-#   tools/deps.sh doc    what the pages of the API need
-#   tools/deps.sh lua    prints the name of a Lua to run the tools with
+#   tools/deps.sh sim           for the simulator
+#   tools/deps.sh test LUA ...  for the tests, on these interpreters
+#   tools/deps.sh doc           for the pages of the API
 #
-# What is missing is installed from Debian's packages, when that may be done without
-# asking; otherwise the line to type is printed and the status is 1.
+# Missing Debian packages are installed if you are root or have password-free sudo.
+# Otherwise the command to type is printed, and the status is 1.
 set -u
-
-# 5.3 comes first: Debian's colours for the terminal, lua-ansicolors, are not for 5.4.
-any_lua() {
-  for lua in lua5.3 lua5.4 lua luajit lua5.2 lua5.1; do
-    command -v "$lua" >/dev/null 2>&1 && { echo "$lua"; return 0; }
-  done
-  return 1
-}
 
 has_module() { # has_module LUA MODULE
   "$1" -e "require '$2'" >/dev/null 2>&1
 }
 
-# Prints the packages that the simulator misses.
+# The tool starts if there are a Lua and argparse.
 missing_for_sim() {
-  lua=$(any_lua) || { echo "lua5.3 lua-argparse lua-ansicolors lua-readline"; return; }
-  has_module "$lua" argparse || echo lua-argparse
+  "$(dirname "$0")/rfsm" --version >/dev/null 2>&1 && return
+  echo "lua5.3 lua-argparse lua-ansicolors lua-readline"
 }
 
-# Prints the packages that the tests miss: a package and how to see that it is there.
-missing_for_test() {
-  for lua in lua5.1 luajit lua5.2 lua5.3 lua5.4; do
+# Interpreters in a folder of their own, such as tools/lua5.5, are not Debian's.
+missing_for_test() { # missing_for_test LUA ...
+  for lua in "$@"; do
+    case $lua in */*) continue ;; esac
     command -v "$lua" >/dev/null 2>&1 || echo "$lua"
   done
+  command -v luac5.1 >/dev/null 2>&1 || echo lua5.1
   command -v busted >/dev/null 2>&1 || echo lua-busted
   command -v luacheck >/dev/null 2>&1 || echo lua-check
   has_module lua5.1 argparse || echo lua-argparse
@@ -44,18 +37,17 @@ missing_for_test() {
   command -v dot >/dev/null 2>&1 || echo graphviz
 }
 
-# Prints the package that the pages of the API miss.
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
 }
 
-# Prints what to put before a command to run it as root; fails where that needs asking.
+# Prints the prefix of commands that need root; fails if sudo would ask for a password.
 as_root() {
   [ "$(id -u)" = 0 ] && return 0
   command -v sudo >/dev/null 2>&1 && sudo -n true 2>/dev/null && echo "sudo -n"
 }
 
-# An update of apt's lists comes second: mostly they do, and then this takes a moment.
+# apt's lists are updated only if they do not suffice: mostly they do.
 install_packages() {
   if ! command -v apt-get >/dev/null 2>&1 || ! root=$(as_root); then
     echo "missing; please type: sudo apt-get install $*" >&2
@@ -77,12 +69,13 @@ install_packages() {
 }
 
 case "${1:-}" in
-  lua) any_lua ;;
   sim | test | doc)
-    packages=$(missing_for_"$1")
+    target=$1
+    shift
+    packages=$(missing_for_"$target" "$@")
     # One word, one package.
     # shellcheck disable=SC2086
     [ -z "$packages" ] || install_packages $packages
     ;;
-  *) echo "usage: tools/deps.sh sim|test|doc|lua" >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|doc|test LUA ..." >&2; exit 2 ;;
 esac

@@ -17,12 +17,12 @@ if not has_socket or not has_json then
 end
 
 local rfsm = require "rfsm"
-local rfsm_proto = require "rfsm_proto"
+local proto = require "rfsm.proto"
 
 -- The host ---------------------------------------------------------------------
 
 -- 0: any port that is free; watchers from elsewhere want a fixed one, such as 44044
-local server = rfsm_proto.install { port = 0, allow_send = true }
+local server = proto.install { port = 0, allow_send = true }
 
 local fsm = assert(rfsm.init(rfsm.state {
   info = false,

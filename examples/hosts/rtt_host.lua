@@ -15,7 +15,7 @@ if not is_there then
   package.loaded.rtt = rtt
 end
 
-local rfsm_rtt = require "rfsm_rtt"
+local rfsm_rtt = require "rfsm.rtt"
 
 -- Gives the threads of the components the time to act.
 local function wait()

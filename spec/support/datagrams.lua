@@ -1,4 +1,4 @@
--- Random datagrams that rfsm_proto should not fall for: the same seed gives the same
+-- Random datagrams that rfsm.proto should not fall for: the same seed gives the same
 -- ones on every Lua. Built with `..`: in Lua 5.1 "%s" ends at a zero byte.
 
 local datagrams = {}

@@ -2,21 +2,22 @@
 --
 -- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first, "all" every
 -- one there is: they must not change a thing for charts that do not use them, but for
--- the warnings of rfsm_checkevents, which are left out. A difference prints the seed,
+-- the warnings of rfsm.checkevents, which are left out. A difference prints the seed,
 -- both traces around it, and the chart shrunk to what is needed.
 
 package.path = "./?.lua;" .. package.path
 
 local function names_of_all()
   package.loaded.rtt = require "spec.support.rtt"
-  local pipe = assert(io.popen("ls rfsm?*.lua"))
-  local names = pipe:read("*a"):gsub("%.lua", "")
+  local pipe = assert(io.popen("ls rfsm?*.lua rfsm/*.lua"))
+  local names = pipe:read("*a"):gsub("%.lua", ""):gsub("/", ".")
   pipe:close()
-  return names
+  return names .. " rfsm.checkevents"
 end
 
 local with = os.getenv("RFSM_FUZZ_WITH") or ""
 if with == "all" then with = names_of_all() end
+if with ~= "" then require "rfsm" end -- which finds the older names
 for name in with:gmatch("[%w_.]+") do require(name) end
 
 local charts = require "spec.support.charts"

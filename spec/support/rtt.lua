@@ -1,4 +1,4 @@
--- Stands in for the module `rtt` of Orocos RTT-Lua: as much of it as rfsm_rtt and its
+-- Stands in for the module `rtt` of Orocos RTT-Lua: as much of it as rfsm.rtt and its
 -- users meet, with its traps:
 --
 --   - `port:read()` returns a value also with "NoData" and "OldData"; `port:read(var)`

@@ -1,50 +1,50 @@
---- What the diagrams have in common: identifiers, labels, where arrows begin and end.
+--- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
--- `rfsm2plantuml`, `rfsm2dot` and `rfsm2mermaid` write what `rfsm_diagram.read`
--- returns, each in its language.
+-- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` write the result of
+-- `rfsm.diagram.read`, each in its language.
 --
--- @module rfsm_diagram
+-- @module rfsm.diagram
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local marsh = require "rfsm_marsh"
+local marsh = require "rfsm.marsh"
 
-local error, io, ipairs, rawget, rawset = error, io, ipairs, rawget, rawset
+local error, io, ipairs = error, io, ipairs
 local tostring, type = tostring, type
 local concat = table.concat
 
-local rfsm_diagram = {}
+local diagram = {}
 
 --- A box, a diamond or the dot where a composite begins.
----@class rfsm_diagram.Node
+---@class rfsm.diagram.Node
 ---@field name string as in the model
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
----@field parent? rfsm_diagram.Node absent at the root
----@field nodes rfsm_diagram.Node[] sorted by name
----@field arrows rfsm_diagram.Arrow[] those with both ends in this composite
----@field initial? rfsm_diagram.Node
+---@field parent? rfsm.diagram.Node absent at the root
+---@field nodes rfsm.diagram.Node[] sorted by name
+---@field arrows rfsm.diagram.Arrow[] those with both ends in this composite
+---@field initial? rfsm.diagram.Node
 
 --- A transition.
----@class rfsm_diagram.Arrow
----@field src rfsm_diagram.Node
----@field tgt rfsm_diagram.Node an `initial` where the transition stays inside
+---@class rfsm.diagram.Arrow
+---@field src rfsm.diagram.Node
+---@field tgt rfsm.diagram.Node an `initial` where the transition stays inside
 ---@field events string "e1, e2"; empty for any
 ---@field label string the events, "[guard]" and "/ effect", as far as there are any
 
 --- A machine, ready to be drawn.
----@class rfsm_diagram.Chart
+---@class rfsm.diagram.Chart
 ---@field title? string
----@field root rfsm_diagram.Node
----@field arrows rfsm_diagram.Arrow[] those that begin or end at the root
----@field all rfsm_diagram.Arrow[] all arrows
+---@field root rfsm.diagram.Node
+---@field arrows rfsm.diagram.Arrow[] those that begin or end at the root
+---@field all rfsm.diagram.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
 
 --- Return an identifier that nothing else in the drawing has.
----@param chart rfsm_diagram.Chart
+---@param chart rfsm.diagram.Chart
 ---@param text string
 ---@return string id
-function rfsm_diagram.new_id(chart, text)
+function diagram.new_id(chart, text)
   local plain = text:gsub("[^%w]", "_")
   local id, count = plain, 1
   while chart.taken[id] do
@@ -69,7 +69,7 @@ end
 -- Reads a node and those in it; `by_fqn` gets them all.
 local function read_node(chart, by_fqn, tab, parent, fqn)
   local node = {
-    name = clean(tab.id), id = rfsm_diagram.new_id(chart, fqn), kind = kind_of(tab),
+    name = clean(tab.id), id = diagram.new_id(chart, fqn), kind = kind_of(tab),
     parent = parent, nodes = {}, arrows = {},
   }
   by_fqn[fqn] = node
@@ -81,16 +81,16 @@ local function read_node(chart, by_fqn, tab, parent, fqn)
 end
 
 --- Is `node` somewhere inside of `composite`?
----@param node rfsm_diagram.Node
----@param composite rfsm_diagram.Node
+---@param node rfsm.diagram.Node
+---@param composite rfsm.diagram.Node
 ---@return boolean
-function rfsm_diagram.is_inside(node, composite)
+function diagram.is_inside(node, composite)
   local parent = node.parent
   while parent and parent ~= composite do parent = parent.parent end
   return parent ~= nil
 end
 
-local is_inside = rfsm_diagram.is_inside
+local is_inside = diagram.is_inside
 
 -- Returns the innermost composite that has both ends of an arrow in it; nil when one is
 -- the root.
@@ -146,9 +146,9 @@ end
 ---@param fsm rfsm.Machine
 ---@param name string of the function
 ---@param title? string
----@return rfsm_diagram.Chart chart
+---@return rfsm.diagram.Chart chart
 ---@nodiscard
-function rfsm_diagram.read(fsm, name, title)
+function diagram.read(fsm, name, title)
   check(fsm, name, title)
   local chart, by_fqn = { arrows = {}, all = {}, taken = {} }, {}
   chart.title = title and title ~= "" and clean(tostring(title)) or nil
@@ -158,8 +158,13 @@ function rfsm_diagram.read(fsm, name, title)
   return chart
 end
 
-local function write(file, text)
-  local handle, problem = io.open(file, "w")
+--- Write a text to a file.
+---@param file string
+---@param text string
+---@return boolean is_written
+---@return string? problem in one line
+function diagram.write(file, text)
+  local handle, problem = io.open(file, "wb")
   if not handle then return false, problem end
   local is_written, why = handle:write(text)
   local is_closed, why_not = handle:close()
@@ -172,14 +177,12 @@ end
 ---@param name string of the function
 ---@param file string
 ---@param text string
-function rfsm_diagram.save(name, file, text)
+function diagram.save(name, file, text)
   if type(file) ~= "string" then
     error(name .. ": file name expected, got " .. type(file), 3)
   end
-  local ok, problem = write(file, text)
+  local ok, problem = diagram.write(file, text)
   if not ok then error(name .. ": " .. problem, 3) end
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_diagram", rfsm_diagram) end
-
-return rfsm_diagram
+return diagram

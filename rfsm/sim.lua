@@ -1,16 +1,17 @@
 --- The simulator: steps through a chart by hand, with Lua at the prompt.
 --
--- `tools/rfsm-sim` parses the command line and calls `rfsm_sim.main`. The code that is
--- typed sees the machine as `fsm`, the commands that `help()` lists, and the globals of
--- the chart, which it can also set.
+-- The command `rfsm sim` calls `rfsm.sim.main`. Code typed at the prompt sees the
+-- machine as `fsm`, the commands that `help()` lists, and the globals of the chart,
+-- which it can also set.
 --
 -- The file reads in the order in which a session goes: output, open a chart, commands,
 -- evaluate, read lines, public functions.
 --
--- @module rfsm_sim
+-- @module rfsm.sim
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local rfsmpp = require "rfsmpp"
 
 local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
 local rawget, require, select, setmetatable = rawget, require, select, setmetatable
@@ -80,8 +81,8 @@ end
 
 -- Commands --------------------------------------------------------------------
 
---- One chart under the hand of one person.
----@class rfsm_sim.Session
+--- One chart and its prompt.
+---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
 ---@field name string of the chart, for trace records
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
@@ -111,50 +112,14 @@ for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED
   MAIN_RECORDS[id] = true
 end
 
--- Returns rfsmpp when it is installed: colours.
-local function find_rfsmpp()
-  local ok, rfsmpp = pcall(require, "rfsmpp")
-  return ok and rfsmpp
-end
-
--- Stands in for rfsmpp.gen_dbgcolor.
-local function plain_dbg(name, ids, shows_others)
-  return function(id, ...)
-    if ids[id] or ids[id] == nil and shows_others then
-      print(("%s:\t%-20s"):format(name, id), ...)
-    end
-  end
-end
-
 local function set_dbg(sim, level)
   if level == nil then level = true end
   if level ~= true and level ~= false and level ~= "full" then
     local what = type(level) == "string" and "string '%s'" or "%s"
     error("dbg: false, true or 'full' expected, got " .. what:format(text_of(level)), 0)
   end
-  local rfsmpp = find_rfsmpp()
-  local gen_dbg = rfsmpp and rfsmpp.gen_dbgcolor or plain_dbg
   local ids = level == "full" and {} or MAIN_RECORDS
-  sim.fsm.dbg = level and gen_dbg(sim.name, ids, level == "full")
-end
-
--- Stands in for rfsmpp.fsm2str: "hello [LS] done", a line for each state.
-local function append_tree(lines, state, indent)
-  local name = state._fqn:match("[^.]*$")
-  lines[#lines + 1] = ("%s%s [%s] %s"):format(indent, name, rfsm.fsmobj_tochar(state),
-    rfsm.get_sta_mode(state))
-  rfsm.mapfsm(function(child) append_tree(lines, child, indent .. "  ") end, state,
-    rfsm.is_state, 1)
-end
-
--- Without colours the tree of rfsmpp does not tell the modes.
-local function pretty_print(sim)
-  local rfsmpp = find_rfsmpp()
-  local tree = rfsmpp and rfsmpp.fsm2str(sim.fsm)
-  if tree and tree:find("\27", 1, true) then return print((tree:gsub("\n$", ""))) end
-  local lines = {}
-  append_tree(lines, sim.fsm, "")
-  print(concat(lines, "\n"))
+  sim.fsm.dbg = level and rfsmpp.gen_dbgcolor(sim.name, ids, level == "full")
 end
 
 local function add_hook(sim, hook)
@@ -200,7 +165,7 @@ local function commands_for(sim)
     advance(sim, rfsm.run)
   end
   function commands.dbg(level) set_dbg(sim, level) end
-  function commands.pp() pretty_print(sim) end
+  function commands.pp() print(rfsmpp.fsm2str(fsm)) end
   function commands.showeq() show_queue(sim) end
   function commands.showfqn() show_active(sim) end
   function commands.add_hook(hook) add_hook(sim, hook) end
@@ -226,7 +191,7 @@ local function load_in(env, text, chunkname)
   return chunk, problem
 end
 
--- Compiles an expression to a chunk that hands its values to a function: a mere
+-- Compiles an expression to a chunk that calls a function with its values: a mere
 -- `return` would be a tail call, after which an error has lost its place.
 local function compile_expression(env, text, chunkname)
   local chunk, problem = load_in(env, "return " .. text, chunkname)
@@ -361,28 +326,28 @@ local function run_code(sim, texts)
     if sim.is_over then break end
     local ok, problem = evaluate(sim, text, "=(command line)")
     if not ok then
-      complain("rfsm-sim: " .. problem)
+      complain("rfsm sim: " .. problem)
       return false
     end
   end
   return true
 end
 
---- What the command line says.
----@class rfsm_sim.Options
+--- The options of `rfsm sim`.
+---@class rfsm.sim.Options
 ---@field file string the chart
 ---@field code? string[] Lua to run first
 ---@field is_quiet? boolean no banner
 ---@field is_interactive? boolean read commands, also after `code`
 
 --- Open a chart, run the code given, read commands from stdin.
----@param options rfsm_sim.Options
+---@param options rfsm.sim.Options
 ---@return integer status for the shell: 0, or 1 for a chart or code that is wrong
 function rfsm_sim.main(options)
   io.stdout:setvbuf("line")
   local fsm, problems = open(options.file)
   if not fsm then
-    for _, problem in ipairs(problems) do complain("rfsm-sim: " .. problem) end
+    for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
     return 1
   end
   local sim, code = new_session(fsm, options.file), options.code or {}

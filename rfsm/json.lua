@@ -2,16 +2,16 @@
 --
 -- Needs the package `dkjson`.
 --
--- @module rfsm2json
+-- @module rfsm.json
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local marsh = require "rfsm_marsh"
+local marsh = require "rfsm.marsh"
 
 local error, pcall, rawget, rawset = error, pcall, rawget, rawset
 local require, type = require, type
 
-local rfsm2json = {}
+local json = {}
 
 local KEY_ORDER = {
   "version", "type", "id", "src", "tgt", "pn", "events", "transitions", "subnodes",
@@ -21,7 +21,7 @@ local KEY_ORDER = {
 local function find_dkjson()
   local ok, dkjson = pcall(require, "dkjson")
   if ok then return dkjson end
-  error("rfsm2json: the package dkjson is missing "
+  error("rfsm.json: the package dkjson is missing "
     .. "(on Debian: apt-get install lua-dkjson)", 0)
 end
 
@@ -33,9 +33,9 @@ end
 ---@param fsm rfsm.Machine
 ---@return string json
 ---@nodiscard
-function rfsm2json.encode(fsm)
+function json.encode(fsm)
   if not rfsm.is_initialized_root(fsm) then
-    error("rfsm2json.encode: initialised fsm expected, got " .. type(fsm), 2)
+    error("rfsm.json.encode: initialised fsm expected, got " .. type(fsm), 2)
   end
   local leaf, mode = marsh.actinfo2tab(fsm)
   return find_dkjson().encode({
@@ -45,6 +45,6 @@ function rfsm2json.encode(fsm)
   }, { indent = true, keyorder = KEY_ORDER })
 end
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2json", rfsm2json) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2json", json) end
 
-return rfsm2json
+return json

@@ -7,12 +7,12 @@
 -- luacheck: globals drone
 
 local rfsm = require "rfsm"
-local rfsm_ext = require "rfsm_ext"
+local monitor = require "rfsm.monitor"
 
 drone = { volt = 12, celsius = 40 } -- global, so that you can change it
 
 return rfsm.state {
-  flying = rfsm_ext.gen_monitor_state {
+  flying = monitor.gen_monitor_state {
     montab = {
       e_hot = function() return drone.celsius > 80 end,
       e_low = function() return drone.volt < 11 end,

@@ -1,6 +1,6 @@
---- More states: the monitor state.
+--- The monitor state: a leaf whose doo turns conditions into events.
 --
--- @module rfsm_ext
+-- @module rfsm.monitor
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -10,10 +10,10 @@ local error, pairs, rawget, rawset, setmetatable = error, pairs, rawget, rawset,
 local tostring, type = tostring, type
 local sort = table.sort
 
-local rfsm_ext = {}
+local monitor = {}
 
---- What `gen_monitor_state` takes; all else goes to the state.
----@class rfsm_ext.Monitor
+--- The fields for `gen_monitor_state`. All others become fields of the state.
+---@class rfsm.monitor.Monitor
 ---@field montab table<any, fun(fsm: rfsm.Machine, state: rfsm.State): any> by event
 ---@field break_first? boolean send at most one event in each cycle; also `breakfirst`
 ---@field entry? function
@@ -73,15 +73,15 @@ local OWN = { montab = true, break_first = true, breakfirst = true }
 -- returns a true value its event is sent. The state is never idle.
 --
 -- @usage
---    watch = rfsm_ext.gen_monitor_state { montab = { e_low = battery_is_low } }
+--    watch = monitor.gen_monitor_state { montab = { e_low = battery_is_low } }
 --
 -- @raise when montab is not a table of functions
----@param t rfsm_ext.Monitor
+---@param t rfsm.monitor.Monitor
 ---@return rfsm.State state
 ---@nodiscard
-function rfsm_ext.gen_monitor_state(t)
+function monitor.gen_monitor_state(t)
   local problem = check_monitor(t)
-  if problem then error("rfsm_ext.gen_monitor_state: " .. problem, 2) end
+  if problem then error("rfsm.monitor.gen_monitor_state: " .. problem, 2) end
   local state = {}
   for key, value in pairs(t) do -- any order: each stands alone
     if not OWN[key] then state[key] = value end
@@ -91,11 +91,11 @@ function rfsm_ext.gen_monitor_state(t)
   return rfsm.state(state)
 end
 
--- rfsm_ext.seqand is rfsm.seqand, which the core loads when it is first used.
-setmetatable(rfsm_ext, {
+-- rfsm.monitor.seqand is rfsm.seqand, which the core loads when it is first used.
+setmetatable(monitor, {
   __index = function(_, name) return name == "seqand" and rfsm.seqand or nil end,
 })
 
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_ext", rfsm_ext) end
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_ext", monitor) end
 
-return rfsm_ext
+return monitor

@@ -1,0 +1,377 @@
+--- The command line: `rfsm check`, `rfsm sim`, `rfsm viz`, `rfsm json` and others.
+--
+-- Output of a chart while it is loaded goes to stderr, so that it is never part of a
+-- result.
+--
+-- The file reads in the order in which a command works: streams, charts in, results
+-- out, commands, public functions.
+--
+-- @module rfsm.cli
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local diagram = require "rfsm.diagram"
+
+local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
+local require, select, tostring, type = require, select, tostring, type
+local io, os = io, os
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local cli = {}
+
+-- Streams: charts print to stderr ----------------------------------------------
+
+local function text_of(value)
+  local ok, text = pcall(tostring, value)
+  return ok and type(text) == "string" and text or type(value)
+end
+
+local function print_to(stream)
+  return function(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = text_of(texts[i]) end
+    stream:write(concat(texts, "\t"), "\n")
+  end
+end
+
+-- Calls f(...) while `print`, stdout and stderr are `stream`; returns what pcall does.
+local function with_streams(stream, f, ...)
+  local real_print, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
+    io.output()
+  rawset(_G, "print", print_to(stream))
+  rawset(io, "stdout", stream)
+  rawset(io, "stderr", stream)
+  io.output(err)
+  local results = { pcall(f, ...) }
+  rawset(_G, "print", real_print)
+  rawset(io, "stdout", out)
+  rawset(io, "stderr", err)
+  io.output(default)
+  return unpack(results, 1, 3)
+end
+
+-- A stream that keeps nothing: machines are made silently.
+local NOWHERE = { write = function(self) return self end }
+
+-- Reports lines on stderr, each with the name of the command, and ends the program.
+local function fail(name, lines, status)
+  io.stdout:flush()
+  for _, line in ipairs(lines) do io.stderr:write("rfsm ", name, ": ", line, "\n") end
+  os.exit(status or 1)
+end
+
+-- Charts in -------------------------------------------------------------------
+
+-- The name of a chart's file in messages.
+local function name_of(file) return file == "-" and "stdin" or file end
+
+local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
+
+-- Returns the first line of a failure, with the name of the file in front.
+local function reason(file, failure)
+  local text = text_of(failure):match("[^\n]+") or ""
+  if failure == nil or text == "" or text == NO_ERROR then
+    text = "failed without a message"
+  end
+  if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
+  text = text:gsub("^rfsm%.json: ", "")
+    :gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
+    :gsub("^failed to load chunk: ", ""):gsub("'=stdin'", "stdin")
+  text = text:gsub(":%s*$", "") -- a list followed, such as that of require
+  if text:find(name_of(file), 1, true) then return text end
+  return name_of(file) .. ": " .. text
+end
+
+-- A first line for the shell (#!) is none of Lua's business.
+local function load_stdin()
+  local text = io.read("*a"):gsub("^#[^\n]*", "")
+  return rfsm.load_str(text, "=stdin")
+end
+
+-- Returns the model in a file; nil and the problem in one line.
+local function load_model(file)
+  local load = file == "-" and load_stdin or rfsm.load
+  local ok, model = with_streams(io.stderr, load, file)
+  if ok then return model end
+  return nil, reason(file, model)
+end
+
+-- Returns the machine of a chart, made silently; false and its problems, a line each.
+local function load_machine(file)
+  local model, problem = load_model(file)
+  if not model then return false, { problem } end
+  model.dbg, model.err, model.warn, model.info = false, false, false, false
+  local ok, fsm, problems = with_streams(NOWHERE, rfsm.init, model)
+  if not ok then return false, { reason(file, fsm) } end
+  local lines, location = {}, name_of(file) .. ": "
+  for i, text in ipairs(problems or {}) do lines[i] = location .. text end
+  return fsm, lines
+end
+
+-- Results out -----------------------------------------------------------------
+
+-- A full disk shows when a stream is flushed.
+local function write_stdout(text)
+  local ok, problem = io.stdout:write(text)
+  if ok then ok, problem = io.stdout:flush() end
+  return ok, problem and "stdout: " .. problem
+end
+
+local function write(name, file, text)
+  local ok, problem
+  if file == "-" then
+    ok, problem = write_stdout(text)
+  else
+    ok, problem = diagram.write(file, text)
+  end
+  if not ok then fail(name, { problem }) end
+end
+
+-- Encodes every chart before anything is written.
+local function encode_all(name, files, encode)
+  local texts = {}
+  for i, file in ipairs(files) do
+    local fsm, problems = load_machine(file)
+    if not fsm then fail(name, problems) end
+    local ok, text = with_streams(NOWHERE, encode, fsm, name_of(file))
+    if not ok then fail(name, { reason(file, text) }) end
+    texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
+  end
+  return texts
+end
+
+-- Commands: each adds its arguments to a parser, and runs ------------------------
+
+local function add_files(command)
+  command:argument("files", "Lua files that return a chart; - is stdin"):args("+")
+    :argname("FILE")
+end
+
+-- rfsm check --
+
+-- Ends the program with status 2 if a file cannot be read.
+local function check_readable(files)
+  for _, file in ipairs(files) do
+    if file ~= "-" then
+      local handle, problem = io.open(file)
+      if not handle then fail("check", { problem }, 2) end
+      local text, why = handle:read(1) -- a directory opens, too
+      if not text and why then fail("check", { file .. ": " .. why }, 2) end
+      handle:close()
+    end
+  end
+end
+
+local function append(lines, texts, prefix)
+  for _, text in ipairs(texts) do lines[#lines + 1] = prefix .. text end
+end
+
+-- Returns the problems and the warnings of the chart in a file.
+local function review(file)
+  local model, problem = load_model(file)
+  if not model then return { problem }, {} end
+  local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
+  if not ok then return { reason(file, found) }, {} end
+  local problems, warnings, location = {}, {}, name_of(file) .. ": "
+  append(problems, found, location)
+  append(warnings, warned, location .. "warning: ")
+  return problems, warnings
+end
+
+local check = {
+  name = "check", summary = "Report problems and suspicious parts of charts.",
+  epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
+    .. "line is wrong or a file cannot be read.",
+}
+
+function check.add_arguments(command)
+  add_files(command)
+  command:flag("-q --quiet", "print nothing, only set the status")
+  command:flag("-s --strict", "count a warning as a problem")
+end
+
+function check.run(options)
+  check_readable(options.files)
+  require("rfsm_timeevent") -- so that their events are known
+  require("rfsm.await")
+  local lines, status = {}, 0
+  for _, file in ipairs(options.files) do
+    local location, problems, warnings = name_of(file) .. ": ", review(file)
+    append(lines, problems, "")
+    append(lines, warnings, "")
+    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, location) end
+    if problems[1] or options.strict and warnings[1] then status = 1 end
+  end
+  if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end
+  return status
+end
+
+-- rfsm sim --
+
+local sim = {
+  name = "sim", summary = "Step through a chart by hand.",
+  epilog = "Commands are read from the terminal or from a pipe; help() lists them.",
+}
+
+function sim.add_arguments(command)
+  command:argument("file", "the chart: a Lua file that returns a state"):argname("FILE")
+  command:option("-e --execute", "run CODE, print the values of an expression, and end")
+    :argname("CODE"):count("*")
+  command:flag("-i --interactive", "read commands after CODE, too")
+  command:flag("-q --quiet", "print no banner")
+end
+
+function sim.run(options)
+  return require("rfsm.sim").main {
+    file = options.file, code = options.execute, is_quiet = options.quiet,
+    is_interactive = options.interactive,
+  }
+end
+
+-- rfsm json, rfsm plantuml, rfsm dot, rfsm mermaid --
+
+local ENDINGS = { json = "json", plantuml = "puml", dot = "dot", mermaid = "mmd" }
+
+-- Returns the name of the result for a chart: a/b.lua becomes a/b.json.
+local function output_for(file, ending)
+  return file == "-" and "-" or file:gsub("%.lua$", "") .. "." .. ending
+end
+
+local function new_encoder(name, language)
+  local ending, encoder = ENDINGS[name], { name = name }
+  encoder.summary = "Write charts as " .. language .. "."
+  encoder.epilog = "The result for a.lua is a." .. ending .. "."
+
+  function encoder.add_arguments(command)
+    add_files(command)
+    command:option("-o --output", "one file for all results; - is stdout")
+      :argname("FILE")
+  end
+
+  function encoder.run(options)
+    local texts = encode_all(name, options.files, require("rfsm." .. name).encode)
+    if options.output then
+      write(name, options.output, concat(texts))
+    else
+      for i, file in ipairs(options.files) do
+        write(name, output_for(file, ending), texts[i])
+      end
+    end
+    return 0
+  end
+
+  return encoder
+end
+
+-- rfsm viz --
+
+local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid" }
+local IS_TEXT = { dot = true, plantuml = true, mermaid = true }
+local BY_ENDING = {
+  dot = "dot", gv = "dot", svg = "svg", png = "png", pdf = "pdf", puml = "plantuml",
+  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid",
+}
+
+local viz = {
+  name = "viz", summary = "Draw charts.", epilog = "Graphviz lays out the pictures.",
+}
+
+function viz.add_arguments(command)
+  add_files(command)
+  command:option("-T --format", concat(FORMATS, ", ")
+    .. "; without it the ending of the output decides, or it is dot")
+    :argname("FORMAT"):choices(FORMATS)
+  command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+end
+
+-- Returns the format; nil and the problem of the command line.
+local function find_format(options)
+  local file = options.output
+  local format = options.format or file == "-" and "dot"
+    or BY_ENDING[(file:match("%.(%w+)$") or ""):lower()]
+  if not format then
+    return nil, "the ending of '" .. file .. "' is no format, -T expected ("
+      .. concat(FORMATS, ", ") .. ")"
+  end
+  if not IS_TEXT[format] and options.files[2] then
+    return nil, "one FILE expected, " .. format .. " holds one chart, got "
+      .. #options.files
+  end
+  return format
+end
+
+function viz.run(options, parser)
+  local format, problem = find_format(options)
+  if not format then parser:error(problem) end
+  local encode = require("rfsm." .. (IS_TEXT[format] and format or "dot")).encode
+  local result = concat(encode_all("viz", options.files, encode))
+  if not IS_TEXT[format] then
+    result, problem = require("rfsm.dot").render(result, format)
+    if not result then fail("viz", { problem }) end
+  end
+  write("viz", options.output, result)
+  return 0
+end
+
+-- Public functions ------------------------------------------------------------
+
+local COMMANDS = {
+  check, sim, viz, new_encoder("json", "JSON"),
+  new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
+  new_encoder("mermaid", "Mermaid diagrams"),
+}
+
+local function find_argparse()
+  local ok, argparse = pcall(require, "argparse")
+  if ok then return argparse end
+  io.stderr:write("rfsm: the package argparse is missing (luarocks install argparse; ",
+    "on Debian: apt-get install lua-argparse)\n")
+  os.exit(1)
+end
+
+local function print_version()
+  print("rfsm " .. rfsm._VERSION:match("%S+$"))
+  os.exit(0)
+end
+
+local function add_version(parser)
+  parser:flag("-v --version", "print the version and end"):action(print_version)
+end
+
+-- argparse calls this with the parser of the command, whose usage is printed.
+local function report_usage(parser, problem)
+  io.stderr:write(parser:get_usage(), "\n\nError: ", problem, "\n")
+  os.exit(2)
+end
+
+local function new_parser(argparse)
+  local parser = argparse("rfsm", "Check, simulate and draw statecharts.")
+    :command_target("command")
+  parser.error = report_usage
+  add_version(parser)
+  for _, command in ipairs(COMMANDS) do
+    local subparser = parser:command(command.name, command.summary, command.epilog)
+      :summary(command.summary)
+    subparser.error = report_usage
+    command.add_arguments(subparser)
+    add_version(subparser)
+    command.parser = subparser
+  end
+  return parser
+end
+
+--- Run a command.
+---@param argv string[] the command line without the name of the program
+---@return integer status for the shell
+function cli.main(argv)
+  local options = new_parser(find_argparse()):parse(argv)
+  for _, command in ipairs(COMMANDS) do
+    if command.name == options.command then
+      return command.run(options, command.parser)
+    end
+  end
+end
+
+return cli

@@ -1,0 +1,214 @@
+-- The house: the entries at the top, and the names of modules, old ones included.
+
+local helper = require "spec.helper"
+
+after_each(helper.remove_files)
+
+local function lines_of(command)
+  local pipe, lines = assert(io.popen(command)), {}
+  for line in pipe:lines() do lines[#lines + 1] = line end
+  pipe:close()
+  return lines
+end
+
+-- The tracked files; nil in a tree without git.
+local function tracked()
+  local files = lines_of("git ls-files 2>/dev/null")
+  return files[1] and files
+end
+
+local ENTRIES = {
+  ".busted", ".ci", ".github", ".gitignore", ".luacheckrc", ".luarc.json",
+  "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md", "bench",
+  "compat", "doc", "examples", "rfsm", "rfsm.lua", "rfsm_checks.lua",
+  "rfsm_seqand.lua", "rfsm_timeevent.lua", "rfsmpp.lua", "rockspec", "spec", "tools",
+}
+
+describe("the tree", function()
+  local files = tracked()
+  if not files then return end
+
+  it("has these entries at the top, at most 24", function()
+    local entries, is_listed = {}, {}
+    for _, file in ipairs(files) do
+      local entry = file:match("^[^/]*")
+      if not is_listed[entry] then entries[#entries + 1] = entry end
+      is_listed[entry] = true
+    end
+    table.sort(entries)
+    assert.same(ENTRIES, entries)
+    assert.is_true(#entries <= 24)
+  end)
+
+  it("has no file that a program made", function()
+    for _, file in ipairs(files) do
+      local start = helper.content(file):sub(1, 4)
+      assert.is_nil(start:find("%z"), file)
+      assert.is_false(start == "\27Lua" or start:sub(1, 3) == "\27LJ", file)
+      assert.is_nil(file:match("%.out$") or file:match("%.rock$"), file)
+    end
+  end)
+
+  it("has one line in each file of compat/", function()
+    for _, file in ipairs(files) do
+      if file:find("^compat/") then
+        assert.matches('^return require%("[%w_.]+"%)[%w_.()]*\n$', helper.content(file))
+      end
+    end
+  end)
+end)
+
+-- The global that each module sets, and the names it has.
+local MODULES = {
+  { "rfsm", "rfsm.rfsm" },
+  { "rfsmpp", "rfsm.pp" },
+  { "rfsm_timeevent", "rfsm.timeevent" },
+  { "rfsm_seqand", "rfsm.seqand" },
+  { "rfsm_checks", "rfsm.checks" },
+  { "rfsm_checkevents", "rfsm.checkevents" },
+  { "rfsm_ext", "rfsm.ext", "rfsm.monitor" },
+  { "rfsm_emem", "rfsm.emem" },
+  { "rfsm_await", "rfsm.await" },
+  { "rfsm_preview", "rfsm.preview" },
+  { "rfsm_marsh", "rfsm.marsh" },
+  { "rfsm2json", "rfsm.json", "rfsm.rfsm2json" },
+  { "rfsm2plantuml", "rfsm.plantuml" },
+  { "rfsm2dot", "rfsm.dot" },
+  { "rfsm2mermaid", "rfsm.mermaid" },
+  { "rfsm_proto", "rfsm.proto" },
+  { "rfsm_rtt", "rfsm.rtt" },
+}
+
+-- Requires the names of each module in every order, each order from the beginning, and
+-- prints every name that gives another module or global than the first.
+local EVERY_ORDER = [[
+local function permutations(list, n, f)
+  if n == 0 then return f(list) end
+  for i = 1, n do
+    list[i], list[n] = list[n], list[i]
+    permutations(list, n - 1, f)
+    list[i], list[n] = list[n], list[i]
+  end
+end
+
+local function forget_all()
+  for name in pairs(package.loaded) do
+    if name:find("^rfsm") then package.loaded[name] = nil end
+  end
+  for name in pairs(_G) do if name:find("^rfsm") then _G[name] = nil end end
+end
+
+local function try(global, order)
+  forget_all()
+  if is_rfsm_first then require "rfsm" end
+  local expected = require(order[1])
+  for _, name in ipairs(order) do
+    if require(name) ~= expected then print(table.concat(order, " "), name) end
+  end
+  local expected_global = not RFSM_NO_GLOBALS and expected or nil
+  if rawget(_G, global) ~= expected_global then print("global " .. global) end
+end
+
+for _, names in ipairs(MODULES) do
+  local global = names[1]
+  permutations(names, #names, function(order) try(global, order) end)
+end
+print "done"
+]]
+
+local function every_order(path, is_rfsm_first, has_no_globals)
+  local rows = {}
+  for i, names in ipairs(MODULES) do
+    rows[i] = '{"' .. table.concat(names, '", "') .. '"}'
+  end
+  return helper.output_of(([[
+    package.path = %q .. package.path
+    local is_rfsm_first, MODULES = %s, { %s }
+    RFSM_NO_GLOBALS = %s
+  ]]):format(path, tostring(is_rfsm_first), table.concat(rows, ", "),
+    tostring(has_no_globals)) .. EVERY_ORDER)
+end
+
+describe("the names of a module", function()
+  it("give one module and its global in every order, beside each other", function()
+    assert.equal("done", every_order("./?.lua;./compat/?.lua;", false, false))
+  end)
+
+  it("do so in a checkout, once rfsm is loaded", function()
+    assert.equal("done", every_order("./?.lua;", true, false))
+  end)
+
+  it("set no global after RFSM_NO_GLOBALS", function()
+    assert.equal("done", every_order("./?.lua;", true, true))
+  end)
+
+  it("work alone", function()
+    for _, names in ipairs(MODULES) do
+      for _, name in ipairs(names) do
+        assert.equal("table table", helper.output_of(
+          ("package.path = './?.lua;./compat/?.lua;' .. package.path\n"
+          .. "print(type(require '%s') .. ' ' .. type(rfsm))"):format(name)))
+      end
+    end
+  end)
+end)
+
+describe("the core", function()
+  local function output_of(text)
+    return helper.output_of("package.path = './?.lua;' .. package.path\n" .. text)
+  end
+
+  it("loads seqand and pp when these fields are read, and no other module", function()
+    assert.equal("true true nil nil", output_of([[
+      local rfsm = require "rfsm"
+      assert(not package.loaded.rfsm_seqand and not package.loaded.rfsmpp)
+      print(tostring(rfsm.seqand == require "rfsm_seqand") .. " "
+        .. tostring(rfsm.pp == require "rfsmpp") .. " "
+        .. tostring(rfsm.timeevent) .. " " .. tostring(rfsm.emem))
+    ]]))
+  end)
+
+  it("is package.loaded.rfsm, however its file was run", function()
+    assert.equal("true true", output_of([[
+      local rfsm = dofile "rfsm.lua"
+      local is_loaded = rfsm == require "rfsm"
+      package.loaded.rfsm = nil
+      local text = io.open("rfsm.lua"):read("*a")
+      rfsm = (loadstring or load)(text, "=core")()
+      print(tostring(is_loaded) .. " " .. tostring(rfsm == require "rfsm"))
+    ]]))
+  end)
+
+  it("leaves package.loaded.rfsm alone if something is there", function()
+    assert.equal("mine", output_of([[
+      package.loaded.rfsm = "mine"
+      dofile "rfsm.lua"
+      print(package.loaded.rfsm)
+    ]]))
+  end)
+
+  it("adds one searcher, also if it is loaded twice", function()
+    assert.equal("1", output_of([[
+      local searchers = package.searchers or package.loaders
+      local before = #searchers
+      dofile "rfsm.lua"
+      dofile "rfsm.lua"
+      print(("%d"):format(#searchers - before))
+    ]]))
+  end)
+
+  it("loads in a sandbox without these: package, require, debug, loadfile", function()
+    for _, names in ipairs { "package", "require", "debug", "loadfile",
+      "package require debug loadfile" } do
+      assert.equal("table nil", output_of(([[
+        local file = io.open("rfsm.lua"):read("*a")
+        local tostring, print, load = tostring, print, loadstring or load
+        for name in ("%s"):gmatch("%%S+") do _G[name] = nil end
+        local rfsm = load(file)()
+        print(type(rfsm.init(rfsm.state { a = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "a" }, info = false, warn = false }))
+          .. " " .. tostring(rfsm.nothing))
+      ]]):format(names)))
+    end
+  end)
+end)
