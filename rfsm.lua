@@ -2670,6 +2670,23 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   return results
 end
 
+--- List an element, if `pred` accepts it, and what is below it, for extensions.
+--
+-- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
+--
+---@param obj table a machine or an element of one
+---@param pred? fun(obj: any): boolean default is_fsmobj
+---@return table[] elements parents before children
+function rfsm.elements(obj, pred)
+  local function itself(element) return element end
+  if is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
+  local list = rfsm.mapfsm(itself, obj, pred)
+  if not rfsm.is_root(obj) and (not pred or pred(obj)) then
+    return append({ obj }, list)
+  end
+  return list
+end
+
 -- Tools: they look at a machine or move it; no part of a run ......................
 
 -- Returns the states from `inner` up to its ancestor `outer`; nil when that is none.
