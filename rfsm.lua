@@ -933,9 +933,10 @@ do
     while state ~= lca do
       entries[n], state, n = state, state.parent, n - 1
     end
-    def.connector, def.tgt_index = tgt.kind == "connector" and tgt, tgt.index
+    def.tgt_index = tgt.index
     def.has_predicate, def.lca, def.entries = has_predicate(def.events), lca, entries
     def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
+    def.connector = tgt.kind == "connector" and tgt -- last: it says that all is there
     return def
   end
 
