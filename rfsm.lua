@@ -1732,24 +1732,17 @@ local function find_callback(fsm, def)
 end
 
 -- Did an interrupt such as Control-C raise the error, rather than the callback that was
--- being called? Then it names a line of the engine.
+-- being called? The position in its text is no help: that of `error(text, 2)` in a
+-- callback, and of any function in C, is in the engine, too.
 local function is_interrupt(callback, failure)
-  if not callback then return true end
-  return is_callable(callback) and type(failure) == "string" and this_file ~= nil
-    and (failure:sub(1, #this_file + 1) == this_file .. ":"
-      or failure:sub(1, 13) == "rfsm segment:")
+  return not callback or type(failure) == "string" and failure:find("interrupted!$") ~= nil
 end
 
--- An interrupt is for the caller; the callback that it struck is called again.
-local function redo(fsm, def, what, state, number)
-  if what == "exit" then
-    state._mode, state._parent._actchild = "active", state
-  elseif what == nil then -- the segment is complete but for this
-    local leaf = fsm._act_leaf
-    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
-    return
-  end
-  return run_parts(fsm, def, state, number or 0)
+-- An interrupt is for the caller. No callback is under way: does what is left to do.
+local function redo(fsm, def, what, state)
+  if what then return run_parts(fsm, def, state, 0) end
+  local leaf = fsm._act_leaf
+  if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
 end
 
 -- Runs the rest of the segment that is under way, after the callback that was called
@@ -1758,11 +1751,13 @@ local function resume_segment(fsm, has_failed, failure)
   local def = fsm._segment
   local what, state, number = find_callback(fsm, def)
   local owner = what == "effect" and fsm._transitions[def.index] or state
-  if not what or what == "begin" or has_failed and is_interrupt(owner[what], failure) then
+  if not what or what == "begin" then
     if has_failed then keep_failure(fsm, failure) end
-    return redo(fsm, def, what, state, number)
+    return redo(fsm, def, what, state)
   end
-  if has_failed then
+  if has_failed and is_interrupt(owner[what], failure) then
+    keep_failure(fsm, failure)
+  elseif has_failed then
     report_callback(fsm, what, what == "effect" and tostring(owner) or state._fqn, failure)
   end
   if what == "exit" then
