@@ -1797,6 +1797,8 @@ local function take(fsm, def, from)
   elseif from._actchild or from._mode == "inactive" then
     run = "run_traced" -- a guard has moved the machine
   end
+  fsm._from = from
+  fsm._segment = def
   local ok, failure = pcall(run_path, fsm, def, from, run)
   if not ok then recover(fsm, true, failure) end
 end
