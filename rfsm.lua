@@ -1247,8 +1247,20 @@ local function trace(fsm, ...)
   fsm.dbg, fsm._is_traced = nil, false
 end
 
--- A callback of a state or transition failed.
+-- Did an interrupt such as Control-C raise the error, rather than a callback? That is for
+-- the caller. The position in the text is no help: that of `error(text, 2)` in a callback,
+-- and of any function in C, is in the engine, too.
+local function is_interrupt(failure)
+  return type(failure) == "string" and failure:find("interrupted!$") ~= nil
+end
+
+-- A callback of a state or transition failed. A search that was interrupted in a guard
+-- is done again by the next step.
 local function report_callback(fsm, callback, owner, failure)
+  if is_interrupt(failure) then
+    if callback == "guard" then error(failure, 0) end
+    return keep_failure(fsm, failure)
+  end
   report(fsm, "err", callback:upper(),
     "error executing " .. callback .. " of " .. owner .. ": ", failure)
 end
@@ -1731,13 +1743,6 @@ local function find_callback(fsm, def)
   return number and not fsm._act_leaf and "entry" or nil, inner, number
 end
 
--- Did an interrupt such as Control-C raise the error, rather than the callback that was
--- being called? The position in its text is no help: that of `error(text, 2)` in a
--- callback, and of any function in C, is in the engine, too.
-local function is_interrupt(callback, failure)
-  return not callback or type(failure) == "string" and failure:find("interrupted!$") ~= nil
-end
-
 -- An interrupt is for the caller. No callback is under way: does what is left to do.
 local function redo(fsm, def, what, state)
   if what then return run_parts(fsm, def, state, 0) end
@@ -1755,7 +1760,7 @@ local function resume_segment(fsm, has_failed, failure)
     if has_failed then keep_failure(fsm, failure) end
     return redo(fsm, def, what, state)
   end
-  if has_failed and is_interrupt(owner[what], failure) then
+  if has_failed and not owner[what] then
     keep_failure(fsm, failure)
   elseif has_failed then
     report_callback(fsm, what, what == "effect" and tostring(owner) or state._fqn, failure)
@@ -1765,6 +1770,7 @@ local function resume_segment(fsm, has_failed, failure)
     finish_exit(fsm, state, state._exit_hooks)
     return run_parts(fsm, def, state._parent, 0)
   elseif what == "entry" then
+    state._mode = "active"
     finish_entry(fsm, state, def.entries[number])
   end
   return run_parts(fsm, def, state, (number or 0) + 1)
@@ -1884,6 +1890,10 @@ do
 
   local function fail_doo(fsm, leaf, failure)
     leaf._doo_co, leaf._mode = nil, "done"
+    if is_interrupt(failure) then
+      keep_failure(fsm, failure)
+      return true
+    end
     report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
       failure)
     return true
