@@ -94,7 +94,8 @@ local function note_caller(t, level)
   if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
   local caller = getinfo(level + 1, "Sl")
   if not caller or caller.currentline < 1 or caller.short_src == this_file then return end
-  made_at[t] = caller.short_src .. ":" .. caller.currentline
+  local file = caller.source:match("^@(.*)") or caller.short_src -- which is cut to 60
+  made_at[t] = file .. ":" .. caller.currentline
 end
 
 -- A metatable for elements that inherit from `base`, a state or transition.
@@ -504,7 +505,7 @@ local function check_unknown_field(build, def, key, value)
   if type(key) ~= "string" or is_meta(key) then return end
   if def.kind ~= "transition" and not is_callable(value) then return end
   local meant = def.kind == "transition" and key == "event" and "events"
-    or advise("field_meant", def.kind, key)
+    or advise("field_meant", def.parent == def and "root" or def.kind, key)
   if meant ~= "" and def.model[meant] == nil then
     add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)", def.kind,
       key, meant)
@@ -595,6 +596,9 @@ do
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
       def[key] = value
+    elseif key == "initial" and def.kind == "state" then
+      add(build.problems, def, key, "connector expected, %s (rfsm.trans{ src='initial', "
+        .. "tgt=... })", got(value))
     elseif not API_FIELDS[key] then
       data[#data + 1], data[#data + 2] = key, value
       if def.parent == def and ROOT_FIELDS[key] then return end
@@ -716,7 +720,9 @@ do
       if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
     end
     sort(elsewhere)
-    if not elsewhere[1] or composite.model[name] ~= nil then return nil, reason end
+    if not elsewhere[1] or name == "initial" or composite.model[name] ~= nil then
+      return nil, reason
+    end
     return nil, ("no state or connector is named '%s' in '%s' (did you mean '%s'?)")
       :format(name, composite.fqn, elsewhere[1])
   end
@@ -777,6 +783,7 @@ do
     local composite = def.parent
     if def.src ~= "initial" or composite.members.initial or composite.is_leaf then return end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
+    made_at[connector.model] = made_at[def.model]
     build.created[#build.created + 1] = connector
   end
 

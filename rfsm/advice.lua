@@ -32,7 +32,8 @@ end
 -- Fields ------------------------------------------------------------------------
 
 local FIELDS = {
-  state = {
+  state = { "entry", "exit", "doo" },
+  root = {
     "entry", "exit", "doo", "getevents", "idle_hook", "pre_step_hook", "post_step_hook",
   },
   transition = { "src", "tgt", "events", "guard", "effect", "pn" },
@@ -42,9 +43,9 @@ local FIELDS = {
 -- What other libraries call the fields, in lower case and without underscores.
 local ALIASES = {
   state = {
-    enter = "entry", onentry = "entry", onenter = "entry", exit = "exit",
-    onexit = "exit", leave = "exit", onleave = "exit", ["do"] = "doo", during = "doo",
-    activity = "doo", doactivity = "doo",
+    enter = "entry", onentry = "entry", onenter = "entry", onexit = "exit",
+    leave = "exit", onleave = "exit", ["do"] = "doo", during = "doo", activity = "doo",
+    doactivity = "doo",
   },
   transition = {
     source = "src", from = "src", target = "tgt", to = "tgt", dst = "tgt", dest = "tgt",
@@ -54,6 +55,7 @@ local ALIASES = {
   },
   connector = {},
 }
+ALIASES.root = ALIASES.state
 
 local function plain(word) return (word:lower():gsub("_", "")) end
 
@@ -71,7 +73,7 @@ local function is_near(a, b)
 end
 
 --- Return the field that somebody may have meant.
----@param kind "state"|"transition"|"connector"
+---@param kind "root"|"state"|"transition"|"connector"
 ---@param key string what stands in the model
 ---@return string field
 function advice.field_meant(kind, key)
@@ -120,7 +122,8 @@ end
 ---@return string hint " (did you mean 'on'?)", or all of them if they are few
 function advice.nearest_name(name, names)
   -- `initial` is right where it does not exist yet
-  local nearest = find_nearest(name, names) or find_nearest(name, { "initial" })
+  local nearest = find_nearest(name, names)
+    or name ~= "initial" and find_nearest(name, { "initial" })
   if nearest then return " (did you mean '" .. nearest .. "'?)" end
   if #names == 0 or #names > 6 then return "" end
   local verb = #names == 1 and "is" or "are"
