@@ -602,8 +602,8 @@ do
       check_callable(build, def, key, value)
       def[key] = value
     elseif key == "initial" and def.kind == "state" then
-      add(build.problems, def, key, "connector expected, %s (rfsm.trans{ src='initial', "
-        .. "tgt=... })", got(value))
+      add(build.problems, def, key, "connector expected, %s "
+        .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
       data[#data + 1], data[#data + 2] = key, value
       if def.parent == def and ROOT_FIELDS[key] then return end
@@ -1268,9 +1268,9 @@ local function trace(fsm, ...)
   fsm.dbg, fsm._is_traced = nil, false
 end
 
--- Did an interrupt such as Control-C raise the error, rather than a callback? That is for
--- the caller. The position in the text is no help: that of `error(text, 2)` in a callback,
--- and of any function in C, is in the engine, too.
+-- Did an interrupt such as Control-C raise the error, rather than a callback? That is
+-- for the caller. The position in the text is no help: that of `error(text, 2)` in a
+-- callback, and of any function in C, is in the engine, too.
 local function is_interrupt(failure)
   return type(failure) == "string" and failure:find("interrupted!$") ~= nil
 end
@@ -2504,7 +2504,9 @@ end
 
 -- A model that is wrong: hands the problems to `err`.
 local function refuse_model(model, fsm, problems)
-  fsm = fsm or { err = model.err }
+  local err = model.err
+  if err and err ~= true and not is_callable(err) then err = nil end
+  fsm = fsm or { err = err }
   report(fsm, "err", summary("rfsm.init", problems))
   raise_failure(fsm)
   return false, problems
