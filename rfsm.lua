@@ -3084,6 +3084,9 @@ do
     local parent_def = plan.nodes[parent["%def"].index]
     local build = build_merge(plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
+    if is_trans(obj) and not plan.transitions[first_transition] then
+      append(build.problems, build.warnings) -- in a leaf, and leads nowhere
+    end
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)
