@@ -1083,7 +1083,11 @@ local FLAG_OF = {
 -- The machines there are: one look tells for any value at all whether it is one.
 local machines = setmetatable({}, { __mode = "k" })
 
-local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
+-- A hook that is set while an iteration goes on runs at its end.
+local function set_flag(fsm, flag)
+  fsm[flag], fsm._is_plain = true, false
+  if flag == "_is_hooked" then fsm._is_unsettled = true end
+end
 
 -- A machine is plain again when nothing stands behind any flag and a leaf is active.
 local function check_plain(fsm)
@@ -1991,17 +1995,7 @@ do
   -- without `debug` nobody could tell then that no step is under way.
   local MAY_RAISE = getinfo ~= nil
 
-  -- The end of an iteration in which something was kept, failed, or asked for. The
-  -- events table is emptied and will be the next queue; one that a function may have
-  -- kept is left to it.
-  local function settle(fsm, events)
-    if fsm._is_kept then fsm._curq = {} else empty(events) end
-    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
-    if fsm._reset_wanted then reset_now(fsm) end
-    if fsm._has_failure then raise_failure(fsm) end
-  end
-
-  -- The same where there are step hooks: they get the events of the iteration.
+  -- The end of an iteration where there are step hooks: they get its events.
   local function settle_hooked(fsm, events)
     fsm._curq = fsm._spare or {}
     fsm._segment, fsm._spare = MAY_RAISE, false
@@ -2013,6 +2007,17 @@ do
       fsm._spare = events
     end
     fsm._is_kept, fsm._is_unsettled = false, false
+    if fsm._has_failure then raise_failure(fsm) end
+  end
+
+  -- The end of an iteration in which something was kept, failed, or asked for. The
+  -- events table is emptied and will be the next queue; one that a function may have
+  -- kept is left to it.
+  local function settle(fsm, events)
+    if fsm._is_hooked then return settle_hooked(fsm, events) end
+    if fsm._is_kept then fsm._curq = {} else empty(events) end
+    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
+    if fsm._reset_wanted then reset_now(fsm) end
     if fsm._has_failure then raise_failure(fsm) end
   end
 
@@ -2079,8 +2084,7 @@ do
     elseif not enter_machine(fsm, events) then
       return refuse_entry(fsm, events)
     end
-    local finish = fsm._is_hooked and settle_hooked or settle
-    finish(fsm, events)
+    settle(fsm, events)
     check_plain(fsm)
     return counted, is_idle(fsm, idle)
   end
