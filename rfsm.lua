@@ -2436,12 +2436,12 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets a list of events of its own, which a preproc function may
-  -- change.
+  -- Each transition gets what a preproc function may change or take away.
   local function hand_out_events(fsm)
     for i, tr in ipairs(fsm._transitions) do
       local events = fsm._plan.transitions[i].events
       tr.events = rawget(tr, "events") or events and append({}, events) or {}
+      tr.pn = tr.pn
     end
   end
 
@@ -2455,13 +2455,14 @@ do
 
   -- Returns what differs in a transition from its definition; nil when nothing does.
   local function change_of(fsm, tr, def)
-    local events, nodes = tr.events or {}, fsm._nodes
+    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or nil
+    local nodes = fsm._nodes
     if type(events) == "string" then events = { events } end
-    if is_same_list(events, def.events or {}) and tr.pn == def.pn
+    if is_same_list(events, def.events or {}) and pn == def.pn
       and tr.src == nodes[def.src.index] and tr.tgt == nodes[def.tgt.index] then
       return nil
     end
-    return { events = events[1] ~= nil and events or false, pn = tr.pn,
+    return { events = events[1] ~= nil and events or false, pn = pn,
       src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
   end
 
@@ -2471,7 +2472,7 @@ do
     for i, tr in ipairs(fsm._transitions) do
       changes[i] = change_of(fsm, tr, plan.transitions[i]) or false
       is_changed = is_changed or changes[i] ~= false
-      tr.events = nil
+      tr.events, tr.pn = nil, nil
     end
     if not is_changed then return end
     local own = copy_plan(plan)
