@@ -820,11 +820,19 @@ do
     end
   end
 
+  -- Returns the node where a transition from `src` ends. That of an internal one is src.
+  local function find_target(build, def, src)
+    if def.tgt ~= "internal" or def.parent.members.internal then
+      return find_end(build, def, "tgt")
+    elseif src and src.kind == "connector" then
+      return nil, "tgt 'internal': only a state has internal transitions"
+    end
+    return src, nil, true
+  end
+
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
-    local is_internal = def.tgt == "internal" and not def.parent.members.internal
-    local tgt, tgt_reason = src, nil
-    if not is_internal then tgt, tgt_reason = find_end(build, def, "tgt") end
+    local tgt, tgt_reason, is_internal = find_target(build, def, src)
     local list = def.parent.is_leaf and build.warnings or build.problems
     if src_reason then add(list, def, nil, src_reason) end
     if tgt_reason then add(list, def, nil, tgt_reason) end
@@ -2453,38 +2461,59 @@ do
     return true
   end
 
-  -- Returns what differs in a transition from its definition; nil when nothing does.
+  -- The field to which a preproc function has given a value that is none for it.
+  local function wrong_field(fsm, tr)
+    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or 0
+    if type(events) ~= "table" and type(events) ~= "string" then return "events" end
+    if type(pn) ~= "number" then return "pn" end
+    if not is_node_of(fsm, tr.src) then return "src" end
+    return not is_node_of(fsm, tr.tgt) and "tgt"
+  end
+
+  -- Returns what differs in a transition from its definition; false when nothing does.
   local function change_of(fsm, tr, def)
     local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or nil
     local nodes = fsm._nodes
     if type(events) == "string" then events = { events } end
-    if is_same_list(events, def.events or {}) and pn == def.pn
-      and tr.src == nodes[def.src.index] and tr.tgt == nodes[def.tgt.index] then
-      return nil
+    return not (is_same_list(events, def.events or {}) and pn == def.pn
+      and rawequal(tr.src, nodes[def.src.index])
+      and rawequal(tr.tgt, nodes[def.tgt.index]))
+      and { events = events[1] ~= nil and events or false, pn = pn,
+        src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+  end
+
+  -- Changes a definition of a plan that is the machine's own; returns what is wrong.
+  local function change(def, nodes, changed)
+    def.events, def.pn = changed.events, changed.pn
+    def.src, def.tgt = nodes[changed.src], nodes[changed.tgt]
+    def.is_internal = def.is_internal and def.src == def.tgt
+    if def.tgt.kind == "state" and not (def.tgt.is_leaf or def.is_internal) then
+      def.tgt = def.tgt.members.initial
     end
-    return { events = events[1] ~= nil and events or false, pn = pn,
-      src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+    return not def.tgt and "tgt: the composite has no initial transition"
   end
 
   -- The machine gets a plan of its own, in which its transitions are as they are now.
+  -- Returns the problems.
   local function take_changes(fsm)
-    local changes, plan, is_changed = {}, fsm._plan, false
+    local plan, own, problems = fsm._plan, nil, {}
     for i, tr in ipairs(fsm._transitions) do
-      changes[i] = change_of(fsm, tr, plan.transitions[i]) or false
-      is_changed = is_changed or changes[i] ~= false
-      tr.events, tr.pn = nil, nil
-    end
-    if not is_changed then return end
-    local own = copy_plan(plan)
-    for i, change in ipairs(changes) do
-      local def = own.transitions[i]
-      if change then
-        def.events, def.pn = change.events, change.pn
-        def.src, def.tgt = own.nodes[change.src], own.nodes[change.tgt]
+      local wrong = wrong_field(fsm, tr)
+      local changed = not wrong and change_of(fsm, tr, plan.transitions[i])
+      wrong = wrong and wrong .. ": set by a preproc function, " .. got(tr[wrong])
+      if changed then
+        own = own or copy_plan(plan)
+        wrong = change(own.transitions[i], own.nodes, changed)
+        tr.tgt = not wrong and fsm._nodes[own.transitions[i].tgt.index]
       end
+      tr.events, tr.pn = nil, nil
+      if wrong then problems[#problems + 1] = rfsm.location_of(tr) .. ": " .. wrong end
     end
-    own.warnings, own.created = plan.warnings, plan.created
-    use_plan(fsm, compile(own))
+    if own and not problems[1] then
+      own.warnings, own.created = plan.warnings, plan.created
+      use_plan(fsm, compile(own))
+    end
+    return problems
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2501,7 +2530,7 @@ do
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then take_changes(fsm) end
+    if not outer then append(problems, take_changes(fsm)) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
