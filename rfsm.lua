@@ -820,7 +820,7 @@ do
     end
   end
 
-  -- Returns the node where a transition from `src` ends. That of an internal one is src.
+  -- Returns the node where a transition from `src` ends; of an internal one it is src.
   local function find_target(build, def, src)
     if def.tgt ~= "internal" or def.parent.members.internal then
       return find_end(build, def, "tgt")
