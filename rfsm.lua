@@ -1550,7 +1550,7 @@ do
     end
     local first = candidates[1]
     leaf.choices[event] = candidates
-    if event ~= OTHER and first and not (candidates[2] or first.connector
+    if not rawequal(event, OTHER) and first and not (candidates[2] or first.connector
       or first.has_predicate) then
       leaf.quick[event] = first
     end
