@@ -94,7 +94,8 @@ local function note_caller(t, level)
   if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
   local caller = getinfo(level + 1, "Sl")
   if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-    made_at[t] = caller.short_src .. ":" .. caller.currentline
+    local file = caller.source:match("^@(.*)") or caller.short_src -- which is cut to 60
+    made_at[t] = file .. ":" .. caller.currentline
   end
 end
 
@@ -509,7 +510,7 @@ local function check_unknown_field(build, def, key, value)
   if type(key) ~= "string" or is_meta(key) then return end
   if def.kind ~= "transition" and not is_callable(value) then return end
   local meant = def.kind == "transition" and key == "event" and "events"
-    or advise("field_meant", def.kind, key)
+    or advise("field_meant", def.parent == def and "root" or def.kind, key)
   if meant ~= "" and def.model[meant] == nil then
     add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
       def.kind, key, meant)
@@ -600,6 +601,9 @@ do
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
       def[key] = value
+    elseif key == "initial" and def.kind == "state" then
+      add(build.problems, def, key, "connector expected, %s "
+        .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
       data[#data + 1], data[#data + 2] = key, value
       if def.parent == def and ROOT_FIELDS[key] then return end
@@ -723,7 +727,9 @@ do
       if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
     end
     sort(elsewhere)
-    if not elsewhere[1] or composite.model[name] ~= nil then return nil, reason end
+    if not elsewhere[1] or name == "initial" or composite.model[name] ~= nil then
+      return nil, reason
+    end
     return nil, ("no state or connector is named '%s' in '%s' (did you mean '%s'?)")
       :format(name, composite.fqn, elsewhere[1])
   end
@@ -787,6 +793,7 @@ do
       return
     end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
+    made_at[connector.model] = made_at[def.model]
     build.created[#build.created + 1] = connector
   end
 
@@ -813,11 +820,19 @@ do
     end
   end
 
+  -- Returns the node where a transition from `src` ends; of an internal one it is src.
+  local function find_target(build, def, src)
+    if def.tgt ~= "internal" or def.parent.members.internal then
+      return find_end(build, def, "tgt")
+    elseif src and src.kind == "connector" then
+      return nil, "tgt 'internal': only a state has internal transitions"
+    end
+    return src, nil, true
+  end
+
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
-    local is_internal = def.tgt == "internal" and not def.parent.members.internal
-    local tgt, tgt_reason = src, nil
-    if not is_internal then tgt, tgt_reason = find_end(build, def, "tgt") end
+    local tgt, tgt_reason, is_internal = find_target(build, def, src)
     local list = def.parent.is_leaf and build.warnings or build.problems
     if src_reason then add(list, def, nil, src_reason) end
     if tgt_reason then add(list, def, nil, tgt_reason) end
@@ -936,12 +951,13 @@ do
     for i = state.depth - lca.depth, 1, -1 do
       entries[i], state = state, state.parent
     end
-    def.connector, def.tgt_index = tgt.kind == "connector" and tgt, tgt.index
     def.lca, def.entries, def.has_predicate = lca, entries, false
+    def.tgt_index = tgt.index
     for i = 1, def.events and #def.events or 0 do
       def.has_predicate = def.has_predicate or type(def.events[i]) == "function"
     end
     def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
+    def.connector = tgt.kind == "connector" and tgt -- last: it says that all is there
     return def
   end
 
@@ -1078,7 +1094,11 @@ local FLAG_OF = {
 -- The machines there are: one look tells for any value at all whether it is one.
 local machines = setmetatable({}, { __mode = "k" })
 
-local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
+-- A hook that is set while an iteration goes on runs at its end.
+local function set_flag(fsm, flag)
+  fsm[flag], fsm._is_plain = true, false
+  if flag == "_is_hooked" then fsm._is_unsettled = true end
+end
 
 -- A machine is plain again when nothing stands behind any flag and a leaf is active.
 local function check_plain(fsm)
@@ -1264,8 +1284,20 @@ local function trace(fsm, ...)
   check_plain(fsm)
 end
 
--- A callback of a state or transition failed.
+-- Did an interrupt such as Control-C raise the error, rather than a callback? That is
+-- for the caller. The position in the text is no help: that of `error(text, 2)` in a
+-- callback, and of any function in C, is in the engine, too.
+local function is_interrupt(failure)
+  return type(failure) == "string" and failure:find("interrupted!$") ~= nil
+end
+
+-- A callback of a state or transition failed. A search that was interrupted in a guard
+-- is done again by the next step.
 local function report_callback(fsm, callback, owner, failure)
+  if is_interrupt(failure) then
+    if callback == "guard" then error(failure, 0) end
+    return keep_failure(fsm, failure)
+  end
   report(fsm, "err", callback:upper(),
     "error executing " .. callback .. " of " .. owner .. ": ", failure)
 end
@@ -1526,7 +1558,7 @@ do
     end
     local first = candidates[1]
     leaf.choices[event] = candidates
-    if event ~= OTHER and first and not (candidates[2] or first.connector
+    if not rawequal(event, OTHER) and first and not (candidates[2] or first.connector
       or first.has_predicate) then
       leaf.quick[event] = first
     end
@@ -1745,25 +1777,11 @@ local function find_callback(fsm, def)
   return number and not fsm._act_leaf and "entry" or nil, inner, number
 end
 
--- Did an interrupt such as Control-C raise the error, rather than the callback that was
--- being called? Then it names a line of the engine.
-local function is_interrupt(callback, failure)
-  if not callback then return true end
-  return is_callable(callback) and type(failure) == "string" and this_file ~= nil
-    and (failure:sub(1, #this_file + 1) == this_file .. ":"
-      or failure:sub(1, 13) == "rfsm segment:")
-end
-
--- An interrupt is for the caller; the callback that it struck is called again.
-local function redo(fsm, def, what, state, number)
-  if what == "exit" then
-    state._mode, state._parent._actchild = "active", state
-  elseif not what then -- the segment is complete but for this
-    local leaf = fsm._act_leaf
-    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
-    return
-  end
-  return run_parts(fsm, def, state, number or 0)
+-- No callback is under way: does what is left of the segment.
+local function redo(fsm, def, what, state)
+  if what then return run_parts(fsm, def, state, 0) end
+  local leaf = fsm._act_leaf
+  if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
 end
 
 -- What follows the callback that was called last, and the rest of the segment.
@@ -1773,6 +1791,7 @@ local function go_on(fsm, def, what, state, number)
     finish_exit(fsm, state, fsm._exit_hooks)
     return run_parts(fsm, def, state._parent, 0)
   elseif what == "entry" then
+    state._mode = "active"
     finish_entry(fsm, state, def.entries[number])
   end
   return run_parts(fsm, def, state, (number or 0) + 1)
@@ -1785,12 +1804,11 @@ local function resume_segment(fsm, has_failed, failure)
   local what, state, number = find_callback(fsm, def)
   if not what or what == "begin" then
     if has_failed then keep_failure(fsm, failure) end
-    return redo(fsm, def, what, state, number)
+    return redo(fsm, def, what, state)
   end
   local owner = what == "effect" and fsm._transitions[def.index] or state
-  if has_failed and is_interrupt(owner[what], failure) then
+  if has_failed and not owner[what] then
     keep_failure(fsm, failure)
-    return redo(fsm, def, what, state, number)
   elseif has_failed then
     local name = what == "effect" and tostring(owner) or state._fqn
     report_callback(fsm, what, name, failure)
@@ -1920,6 +1938,10 @@ do
 
   local function fail_doo(fsm, leaf, failure)
     leaf._doo_co, leaf._mode = nil, "done"
+    if is_interrupt(failure) then
+      keep_failure(fsm, failure)
+      return true
+    end
     report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
       failure)
     return true
@@ -2453,12 +2475,12 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets a list of events of its own, which a preproc function may
-  -- change.
+  -- Each transition gets what a preproc function may change or take away.
   local function hand_out_events(fsm)
     for i, tr in ipairs(fsm._transitions) do
       local events = fsm._plan.transitions[i].events
       tr.events = rawget(tr, "events") or events and append({}, events) or {}
+      tr.pn = tr.pn
     end
   end
 
@@ -2470,37 +2492,59 @@ do
     return true
   end
 
-  -- Returns what differs in a transition from its definition; nil when nothing does.
+  -- The field to which a preproc function has given a value that is none for it.
+  local function wrong_field(fsm, tr)
+    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or 0
+    if type(events) ~= "table" and type(events) ~= "string" then return "events" end
+    if type(pn) ~= "number" then return "pn" end
+    if not is_node_of(fsm, tr.src) then return "src" end
+    return not is_node_of(fsm, tr.tgt) and "tgt"
+  end
+
+  -- Returns what differs in a transition from its definition; false when nothing does.
   local function change_of(fsm, tr, def)
-    local events, nodes = tr.events or {}, fsm._nodes
+    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or nil
+    local nodes = fsm._nodes
     if type(events) == "string" then events = { events } end
-    if is_same_list(events, def.events or {}) and tr.pn == def.pn
-      and tr.src == nodes[def.src.index] and tr.tgt == nodes[def.tgt.index] then
-      return nil
+    return not (is_same_list(events, def.events or {}) and pn == def.pn
+      and rawequal(tr.src, nodes[def.src.index])
+      and rawequal(tr.tgt, nodes[def.tgt.index]))
+      and { events = events[1] ~= nil and events or false, pn = pn,
+        src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+  end
+
+  -- Changes a definition of a plan that is the machine's own; returns what is wrong.
+  local function change(def, nodes, changed)
+    def.events, def.pn = changed.events, changed.pn
+    def.src, def.tgt = nodes[changed.src], nodes[changed.tgt]
+    def.is_internal = def.is_internal and def.src == def.tgt
+    if def.tgt.kind == "state" and not (def.tgt.is_leaf or def.is_internal) then
+      def.tgt = def.tgt.members.initial
     end
-    return { events = events[1] ~= nil and events or false, pn = tr.pn,
-      src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+    return not def.tgt and "tgt: the composite has no initial transition"
   end
 
   -- The machine gets a plan of its own, in which its transitions are as they are now.
+  -- Returns the problems.
   local function take_changes(fsm)
-    local changes, plan, is_changed = {}, fsm._plan, false
+    local plan, own, problems = fsm._plan, nil, {}
     for i, tr in ipairs(fsm._transitions) do
-      changes[i] = change_of(fsm, tr, plan.transitions[i]) or false
-      is_changed = is_changed or changes[i] ~= false
-      tr.events = nil
-    end
-    if not is_changed then return end
-    local own = copy_plan(plan)
-    for i, change in ipairs(changes) do
-      local def = own.transitions[i]
-      if change then
-        def.events, def.pn = change.events, change.pn
-        def.src, def.tgt = own.nodes[change.src], own.nodes[change.tgt]
+      local wrong = wrong_field(fsm, tr)
+      local changed = not wrong and change_of(fsm, tr, plan.transitions[i])
+      wrong = wrong and wrong .. ": set by a preproc function, " .. got(tr[wrong])
+      if changed then
+        own = own or copy_plan(plan)
+        wrong = change(own.transitions[i], own.nodes, changed)
+        tr.tgt = not wrong and fsm._nodes[own.transitions[i].tgt.index]
       end
+      tr.events, tr.pn = nil, nil
+      if wrong then problems[#problems + 1] = rfsm.location_of(tr) .. ": " .. wrong end
     end
-    own.warnings, own.created = plan.warnings, plan.created
-    use_plan(fsm, compile(own))
+    if own and not problems[1] then
+      own.warnings, own.created = plan.warnings, plan.created
+      use_plan(fsm, compile(own))
+    end
+    return problems
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2517,7 +2561,7 @@ do
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then take_changes(fsm) end
+    if not outer then append(problems, take_changes(fsm)) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -2525,7 +2569,9 @@ end
 
 -- A model that is wrong: hands the problems to `err`.
 local function refuse_model(model, fsm, problems)
-  fsm = fsm or { err = model.err }
+  local err = model.err
+  if err and err ~= true and not is_callable(err) then err = nil end
+  fsm = fsm or { err = err }
   report(fsm, "err", summary("rfsm.init", problems))
   raise_failure(fsm)
   return false, problems
@@ -3103,6 +3149,9 @@ do
     local parent_def = plan.nodes[parent["%def"].index]
     local build = build_merge(plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
+    if is_trans(obj) and not plan.transitions[first_transition] then
+      append(build.problems, build.warnings) -- in a leaf, and leads nowhere
+    end
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)
