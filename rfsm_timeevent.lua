@@ -16,7 +16,7 @@ local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawget, rawset, setmetatable = pcall, rawget, rawset, setmetatable
-local tostring, type = tostring, type
+local type = type
 local huge, max, min = math.huge, math.max, math.min
 local insert, sort = table.insert, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
@@ -58,9 +58,9 @@ end
 -- Returns the event that a text such as "e_after(3)" stands for; nil for any other
 -- text, and a second result if it was meant to be one.
 local function parse(text)
-  local kind, argument = text:match("^(e_%a+)%s*%((.*)%)$")
-  if kind ~= "e_after" and kind ~= "e_at" then return nil end
-  local sec, nsec = clock.from_text(argument)
+  local kind = text:match("^(e_after)%s*%(") or text:match("^(e_at)%s*%(")
+  if not kind or text:find("@", 1, true) then return nil end
+  local sec, nsec = clock.from_text(text:match("%((.*)%)$") or "")
   if not sec then
     return nil, ("'%s': seconds expected, as in %s(0.5)"):format(text, kind)
   end
@@ -179,17 +179,17 @@ local function arm_waiting(fsm)
   arm_all(fsm, timers)
 end
 
--- Finds the timers of one kind whose deadline is past. The earliest of the others is the
--- deadline to look at from now on.
+-- Disarms and returns the timers of one kind that have expired. Notes the earliest
+-- deadline of the others.
 local function take_expired(fsm, is_relative, now)
   local expired, deadline = {}, deadline_of(fsm, is_relative)
   set(deadline, NEVER)
   for _, timer in ipairs(list_timers(fsm, "is_armed")) do
-    if timer.is_relative ~= is_relative then -- not now
-    elseif is_before(timer, now) then
+    local is_meant = timer.is_relative == is_relative
+    if is_meant and is_before(timer, now) then
       timer.is_armed = false
       expired[#expired + 1] = timer
-    elseif is_before(timer, deadline) then
+    elseif is_meant and is_before(timer, deadline) then
       set(deadline, timer)
     end
   end
@@ -287,9 +287,9 @@ local function expand_text(fsm, tr, text)
     report(fsm, "warn", "WARNING: " .. rfsm.location_of(tr, "events") .. ": " .. reason)
     return text
   end
-  return (text:gsub("%f[%w_](e_%a+%s*%b())%f[^@]", function(inner)
-    local found = parse(inner)
-    return found and expand(fsm, tr, found)
+  return (text:gsub("%f[%w_](e_%a+%s*%b())(@?)", function(inner, at)
+    local found = at == "" and parse(inner)
+    return found and expand(fsm, tr, found) or nil
   end))
 end
 
@@ -343,30 +343,37 @@ end
 ---@param gettime? fun(id?: string): number, number? nil for the best clock installed
 function rfsm_timeevent.set_gettime_hook(gettime)
   if gettime ~= nil and not is_callable(gettime) then
-    error("rfsm_timeevent.set_gettime_hook: function expected, got " .. type(gettime), 2)
+    error("rfsm_timeevent.set_gettime_hook: function expected, got " .. type(gettime),
+      2)
   end
   clock.set_hook(gettime)
 end
 
--- Returns the seconds until the first timer of one kind can fire, huge if there is none.
+local function read_or_raise(is_relative)
+  local sec, nsec = clock.read(is_relative)
+  if sec then return sec, nsec end
+  error("rfsm_timeevent.next_deadline: the clock failed: " .. text_of(nsec), 0)
+end
+
+-- Returns the seconds until the first timer of one kind can fire; huge: there is none.
 local function remaining(fsm, is_relative)
   take_expired(fsm, is_relative, { sec = -huge, nsec = 0 })
   local deadline = deadline_of(fsm, is_relative)
   if deadline.sec == huge then return huge end
-  local sec, nsec = clock.read(is_relative)
-  if not sec then
-    error("rfsm_timeevent.next_deadline: the clock failed: " .. tostring(nsec), 0)
-  end
+  local sec, nsec = read_or_raise(is_relative)
   sec, nsec = clock.normalise(deadline.sec - sec, deadline.nsec - nsec + 1)
   return max(sec + nsec / 1e9, 0)
 end
 
 -- Returns the seconds until the first timer of a machine can fire, also of machines in
--- its active states; huge if there is none.
+-- its active states; huge: there is none.
 local function earliest_deadline(fsm)
   local least, state = huge, fsm
   if fsm._timeevent then
-    if fsm._timeevent.has_waiting then arm_waiting(fsm) end
+    if fsm._timeevent.has_waiting then
+      read_or_raise(true)
+      arm_waiting(fsm)
+    end
     least = min(remaining(fsm, true), remaining(fsm, false))
   end
   while state do

@@ -4,6 +4,7 @@
 -- the states. Colours come from the package `ansicolors`, or from the older module of
 -- that name. If there is neither, if NO_COLOR is set, or if TERM is missing or "dumb",
 -- the text is plain.
+--
 -- @module rfsmpp
 -- @license BSD-3-Clause
 

@@ -1,7 +1,7 @@
 --- Clocks: the time as two whole numbers, seconds and nanoseconds, never as one float.
 --
--- `clock.read` asks the function that `clock.set_hook` was given. Without one it asks the
--- best clock that is installed: rtp, luaposix, luasocket, `os.time`.
+-- `clock.read` reads the clock that was given to `clock.set_hook`. Without one it reads
+-- the best clock that is installed: rtp, luaposix, luasocket, `os.time`.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
