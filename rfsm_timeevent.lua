@@ -20,6 +20,7 @@ local type = type
 local huge, max, min = math.huge, math.max, math.min
 local insert, sort = table.insert, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
+local read = clock.read
 
 local rfsm_timeevent = {}
 
@@ -70,12 +71,12 @@ end
 
 -- Run: arm, raise ----------------------------------------------------------------
 
---- What a machine has in its field `_timeevent`: its earliest deadlines. An armed timer
--- has none before, but the timer of a deadline may have gone.
+--- The earliest deadlines of a machine, in its field `_timeevent`. No armed timer has one
+-- before; the timer that had it may have gone.
 ---@class rfsm_timeevent.Deadlines
----@field relative rfsm_timeevent.Time of e_after; `sec` is huge if there is none
----@field absolute rfsm_timeevent.Time of e_at
----@field has_waiting boolean a timer waits for the clock to work again
+---@field relative { sec: number, nsec: number } of e_after; `sec` is huge: none
+---@field absolute { sec: number, nsec: number } of e_at
+---@field has_waiting boolean a timer waits for the clock, and `relative` is past
 ---@field count integer how many timers the machine has
 
 --- A timer; the list of them is the field `_timers` of the source.
@@ -89,7 +90,7 @@ end
 ---@field sec number deadline
 ---@field nsec number
 
-local NEVER = { sec = huge, nsec = 0 }
+local NEVER, PAST = { sec = huge, nsec = 0 }, { sec = -huge, nsec = 0 }
 
 local function is_before(a, b)
   if a.sec ~= b.sec then return a.sec < b.sec end
@@ -107,11 +108,8 @@ end
 
 local function set(time, other) time.sec, time.nsec = other.sec, other.nsec end
 
--- Reads the clock; reports it and returns nil if it fails.
-local function read_clock(fsm, is_relative)
-  local sec, nsec = clock.read(is_relative)
-  if sec then return sec, nsec end
-  report(fsm, "err", "TIMEEVENT", "the clock failed: ", nsec)
+local function report_clock(fsm, reason)
+  report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
 end
 
 -- Returns the time for which a timer is set; nil if a timeout function fails.
@@ -139,20 +137,25 @@ local function arm(fsm, timer, sec, nsec)
   if is_before(timer, deadline) then set(deadline, timer) end
 end
 
+-- Has a timer wait for the clock to work again.
+local function wait(fsm, timer)
+  timer.is_armed, timer.is_waiting = false, true
+  fsm._timeevent.has_waiting = true
+  set(fsm._timeevent.relative, PAST)
+end
+
 -- Arms the timers of a list; without a clock, the relative ones later.
 local function arm_all(fsm, timers)
-  local sec, nsec = nil, nil
+  local sec, nsec = false, nil -- not read yet
   for i = 1, #timers do
-    local timer = timers[i]
-    if not timer.is_relative then
-      arm(fsm, timer, 0, 0)
+    if not timers[i].is_relative then
+      arm(fsm, timers[i], 0, 0)
     else
-      if not sec then sec, nsec = read_clock(fsm, true) end
-      if sec then
-        arm(fsm, timer, sec, nsec)
-      else
-        timer.is_armed, timer.is_waiting, fsm._timeevent.has_waiting = false, true, true
+      if sec == false then
+        sec, nsec = read(true)
+        if not sec then report_clock(fsm, nsec) end
       end
+      if sec then arm(fsm, timers[i], sec, nsec) else wait(fsm, timers[i]) end
     end
   end
 end
@@ -198,11 +201,9 @@ local function take_expired(fsm, is_relative, now)
 end
 
 -- Raises the events of the timers of one kind that have expired.
-local function raise_expired(fsm, is_relative, deadline)
-  local sec, nsec = read_clock(fsm, is_relative)
-  if not sec or sec < deadline.sec or sec == deadline.sec and nsec <= deadline.nsec then
-    return
-  end
+local function raise_expired(fsm, is_relative, sec, nsec)
+  if not sec then return report_clock(fsm, nsec) end
+  if is_relative and fsm._timeevent.has_waiting then arm_waiting(fsm) end
   local events = fsm._curq
   for _, timer in ipairs(take_expired(fsm, is_relative, { sec = sec, nsec = nsec })) do
     events[#events + 1] = timer.name
@@ -213,10 +214,21 @@ end
 -- This runs in every iteration.
 local function check_timers(fsm)
   local own = fsm._timeevent
-  if own.has_waiting then arm_waiting(fsm) end
   local relative, absolute = own.relative, own.absolute
-  if relative.sec < huge then raise_expired(fsm, true, relative) end
-  if absolute.sec < huge then raise_expired(fsm, false, absolute) end
+  if relative.sec < huge then
+    local sec, nsec = read(true)
+    if not sec or sec > relative.sec
+      or sec == relative.sec and nsec > relative.nsec then
+      raise_expired(fsm, true, sec, nsec)
+    end
+  end
+  if absolute.sec < huge then
+    local sec, nsec = read(false)
+    if not sec or sec > absolute.sec
+      or sec == absolute.sec and nsec > absolute.nsec then
+      raise_expired(fsm, false, sec, nsec)
+    end
+  end
 end
 
 -- Prepare: the events of a model become timers ---------------------------------
@@ -350,14 +362,14 @@ function rfsm_timeevent.set_gettime_hook(gettime)
 end
 
 local function read_or_raise(is_relative)
-  local sec, nsec = clock.read(is_relative)
+  local sec, nsec = read(is_relative)
   if sec then return sec, nsec end
   error("rfsm_timeevent.next_deadline: the clock failed: " .. text_of(nsec), 0)
 end
 
 -- Returns the seconds until the first timer of one kind can fire; huge: there is none.
 local function remaining(fsm, is_relative)
-  take_expired(fsm, is_relative, { sec = -huge, nsec = 0 })
+  take_expired(fsm, is_relative, PAST)
   local deadline = deadline_of(fsm, is_relative)
   if deadline.sec == huge then return huge end
   local sec, nsec = read_or_raise(is_relative)

@@ -501,8 +501,8 @@ describe("a time event that is wrong", function()
       local model, warnings = chart { "e_x", text }, {}
       model.warn = function(line) warnings[#warnings + 1] = line end
       local fsm = started(model)
-      assert.equal(("root.trans[2].events (a -> b): '%s': seconds expected, as in %s(0.5)")
-        :format(text, text:match("^e_%a+")), located(warnings[1]))
+      assert.equal("root.trans[2].events (a -> b): '" .. text .. "': seconds expected, "
+        .. "as in " .. text:match("^e_%a+") .. "(0.5)", located(warnings[1]))
       helper.post_and_run(fsm, text)
       assert.equal("b", leaf(fsm))
     end)
