@@ -71,8 +71,8 @@ end
 
 -- Run: arm, raise ----------------------------------------------------------------
 
---- The earliest deadlines of a machine, in its field `_timeevent`. No armed timer has one
--- before; the timer that had it may have gone.
+--- The earliest deadlines of a machine, in its field `_timeevent`. No armed timer has
+-- one before; the timer that had it may have gone.
 ---@class rfsm_timeevent.Deadlines
 ---@field relative { sec: number, nsec: number } of e_after; `sec` is huge: none
 ---@field absolute { sec: number, nsec: number } of e_at
