@@ -126,7 +126,8 @@ describe("rfsm.seqand", function()
 
   it("may be the root of a machine", function()
     local fsm = helper.init(rfsm.seqand {
-      warn = false, info = false, left = region({}, "left"), right = region({}, "right"),
+      warn = false, info = false,
+      left = region({}, "left"), right = region({}, "right"),
     })
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_x")
@@ -346,7 +347,8 @@ describe("doo", function()
 
   for _, field in ipairs { "idle_doo", "idle.doo" } do
     it("is never idle when " .. field .. " is false", function()
-      local fsm = helper.init(parent(rfsm.seqand { a = region({}, "a"), [field] = false }))
+      local par = rfsm.seqand { a = region({}, "a"), [field] = false }
+      local fsm = helper.init(parent(par))
       assert.is_false(rfsm.step(fsm, 50))
     end)
   end
@@ -379,7 +381,7 @@ describe("doo", function()
     assert.equal("b 4", trace[4])
   end)
 
-  it("survives a region that raises; the caller gets the error, others go on", function()
+  it("survives a region that raises, the caller gets the error", function()
     local trace = {}
     local bad = region({}, "bad")
     bad.getevents = function() error("no bus", 0) end
@@ -516,7 +518,9 @@ end)
 describe("nesting", function()
   it("two deep carries events down and leaves from inside out", function()
     local trace = {}
-    local inner = parent(rfsm.seqand { idle_doo = "auto", leaf = region(trace, "leaf") })
+    local inner = parent(rfsm.seqand {
+      idle_doo = "auto", leaf = region(trace, "leaf"),
+    })
     inner[2], inner[3], inner.off = nil, nil, nil
     local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", inner = inner }))
     rfsm.run(fsm)
@@ -610,13 +614,15 @@ describe("reset", function()
     assert.equal("none none", leaves(fsm.par))
   end)
 
-  it("by a region of the parent machine takes effect when the iteration ends", function()
+  it("of the parent machine by a region comes when the iteration ends", function()
     local fsm
     local resetter = state { warn = false, info = false, a = state {},
       b = state { entry = function() rfsm.reset(fsm) end },
       trans { src = "initial", tgt = "a" },
       trans { src = "a", tgt = "b", events = { "e_x" } } }
-    fsm = helper.init(parent(rfsm.seqand { left = resetter, right = region({}, "right") }))
+    fsm = helper.init(parent(rfsm.seqand {
+      left = resetter, right = region({}, "right"),
+    }))
     for _ = 1, 3 do rfsm.run(fsm) end
     rfsm.send_events(fsm, "e_x")
     rfsm.step(fsm)

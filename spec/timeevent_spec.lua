@@ -58,11 +58,6 @@ local function said(fsm, name, id)
   return lines
 end
 
--- A warning without the file and line in front.
-local function located(line)
-  return line:match("^WARNING: spec/timeevent_spec.lua:%d+: (.*)$")
-end
-
 before_each(function()
   now = { 1000, 0 }
   timeevent.set_gettime_hook(clock)
@@ -501,8 +496,9 @@ describe("a time event that is wrong", function()
       local model, warnings = chart { "e_x", text }, {}
       model.warn = function(line) warnings[#warnings + 1] = line end
       local fsm = started(model)
-      assert.equal("root.trans[2].events (a -> b): '" .. text .. "': seconds expected, "
-        .. "as in " .. text:match("^e_%a+") .. "(0.5)", located(warnings[1]))
+      assert.equal("WARNING: root.trans[2].events (a -> b): '" .. text
+        .. "': seconds expected, as in " .. text:match("^e_%a+") .. "(0.5)",
+        helper.without_file(warnings[1]))
       helper.post_and_run(fsm, text)
       assert.equal("b", leaf(fsm))
     end)
@@ -524,8 +520,8 @@ describe("a time event that is wrong", function()
     model.warn = function(text) said_lines[#said_lines + 1] = text end
     model[1].events = { "e_init_fsm", "e_after(1)" }
     rfsm.init(model)
-    assert.equal("root.trans[1].events (initial -> a): 'e_after(1)' never fires here, "
-      .. "'root.initial' is no state", located(said_lines[1]))
+    assert.equal("WARNING: root.trans[1].events (initial -> a): 'e_after(1)' never "
+      .. "fires here, 'root.initial' is no state", helper.without_file(said_lines[1]))
   end)
 end)
 
