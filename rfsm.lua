@@ -1705,8 +1705,8 @@ end
 -- chose behind it. It calls itself where a loop would keep LuaJIT from making one trace
 -- of it. `run` names the way: "run", "run_hooked" or "run_traced".
 local function run_path(fsm, def, from, run)
-  fsm._segment = def
   fsm._from = from
+  fsm._segment = def
   def[run](fsm, from, fsm._transitions[def.index])
   local connector = def.connector
   if not connector then return end
@@ -1798,12 +1798,18 @@ local function resume_path(fsm, has_failed, failure)
     "run_traced")
 end
 
--- Goes on after a failure until the path is at its end.
+-- Goes on after a failure until the path is at its end. Each failure comes from further
+-- on in the path than the one before.
 local function recover(fsm, has_failed, failure)
-  local ok
+  local ok, def, from, inner
   keep_events(fsm)
   repeat
+    def, from, inner = fsm._segment, fsm._from, innermost(fsm)
     ok, failure = pcall(resume_path, fsm, has_failed, failure)
+    if not ok and def == fsm._segment and from == fsm._from
+      and inner == innermost(fsm) then
+      error(failure, 0)
+    end
     has_failed = true
   until ok
 end
@@ -1817,6 +1823,8 @@ local function take(fsm, def, from)
   elseif from._actchild or from._mode == "inactive" then
     run = "run_traced" -- a guard has moved the machine
   end
+  fsm._from = from
+  fsm._segment = def
   local ok, failure = pcall(run_path, fsm, def, from, run)
   if not ok then recover(fsm, true, failure) end
 end
