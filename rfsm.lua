@@ -2323,11 +2323,12 @@ end
 -- The file and line are those of its constructor, left out where they are not known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
+---@param field? string of the element: "root.trans[2].events (off -> on)"
 ---@return string location
-function rfsm.location_of(obj)
+function rfsm.location_of(obj, field)
   local def = obj["%def"]
   local file = made_at[def.model]
-  return (file and file .. ": " or "") .. place_of(def)
+  return (file and file .. ": " or "") .. place_of(def, field)
 end
 
 local function new_build(plan)

@@ -22,6 +22,7 @@ build = {
     ["rfsmpp"] = "rfsmpp.lua",
     ["rfsm.await"] = "rfsm/await.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",
+    ["rfsm.clock"] = "rfsm/clock.lua",
     ["rfsm.diagram"] = "rfsm/diagram.lua",
     ["rfsm.dot"] = "rfsm/dot.lua",
     ["rfsm.emem"] = "rfsm/emem.lua",
