@@ -480,13 +480,22 @@ local function read_keys(readline, prompt)
   return false
 end
 
+local HISTORY = (os.getenv("HOME") or ".") .. "/.rfsm_sim_history"
+
+-- The history is complete also if the simulator is killed.
+local function keep_line(readline, line)
+  readline.add_history(line)
+  local file = io.open(HISTORY, "a")
+  if not file then return end
+  file:write(line, "\n")
+  file:close()
+end
+
 -- Line editing, history and completion by the readline module; nil without it.
 local function readline_reader(sim)
   local ok, readline = pcall(require, "readline")
   if not ok then return nil end
-  readline.set_options {
-    histfile = "~/.rfsm_sim_history", keeplines = 1000, auto_add = false,
-  }
+  readline.set_options { histfile = HISTORY, auto_add = false }
   readline.set_complete_function(function(text, from, to)
     readline.set_completion_append_character("")
     local typed, matches = text:sub(from, to), {}
@@ -502,10 +511,7 @@ local function readline_reader(sim)
     else
       line = readline.readline(prompt)
     end
-    if line and line:find("%S") then
-      readline.add_history(line)
-      readline.save_history()
-    end
+    if line and line:find("%S") then keep_line(readline, line) end
     return line
   end
 end
