@@ -363,7 +363,7 @@ local function commands_for(sim)
   end
   function commands.events() show_events(sim) end
   function commands.dbg(level) set_dbg(sim, level) end
-  function commands.pp() print((rfsmpp.fsm2str(sim.fsm))) end
+  function commands.pp() print((rfsmpp.fsm2str(sim.fsm):gsub("\n$", ""))) end
   function commands.showeq() show_queue(sim) end
   function commands.showfqn() show_active(sim) end
   function commands.add_hook(hook) add_hook(sim, hook) end

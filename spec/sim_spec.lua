@@ -21,7 +21,7 @@ local function run(command, input)
 end
 
 local function sim(arguments, input)
-  return run("LUA=" .. LUA .. " tools/rfsm-sim " .. arguments, input)
+  return run("TERM=dumb LUA=" .. LUA .. " tools/rfsm-sim " .. arguments, input)
 end
 
 -- What the prompt prints for `input`, with hello_world and no errors.
@@ -83,9 +83,9 @@ local SAID = {
     .. "e_restart:  root.world -> root.hello\n",
   ["run() reset() step()"] = AT_END .. "active: <none>\nqueue:  e_init_fsm\n"
     .. AT_HELLO,
-  ["run()\nreload()\nfsm.hello\nstep()"] = AT_END .. INFO .. "active: <none>\nqueue:  e_init_fsm\nstate root.hello (inactive)\n" .. AT_HELLO,
-  ["step() pp()"] = AT_HELLO .. "root[CS] active\n  hello[LS] done\n"
-    .. "  world[LS] inactive\n",
+  ["run()\nreload()\nfsm.hello\nstep()"] = AT_END .. INFO
+    .. "active: <none>\nqueue:  e_init_fsm\n"
+    .. "state root.hello (inactive)\n" .. AT_HELLO,
   ["'hello', 'world'\nnil\n= 'three'\n"] = "hello\tworld\nnil\nthree\n",
   ["rfsm.is_root(fsm)\nfsm\nfsm[1]"] = "true\nmachine, active: <none>\n"
     .. "T={ src='root.initial', tgt='root.hello' }\n",
@@ -116,9 +116,9 @@ describe("the prompt", function()
     local inputs, text, i = {}, "", 0
     for input in pairs(SAID) do -- any order: each stands alone
       inputs[#inputs + 1] = input
-      text = text .. input .. "\nio.write('@') rfsm.reset(fsm)\n"
+      text = text .. input .. "\nio.write('~') rfsm.reset(fsm)\n"
     end
-    for result in said(text):gmatch("([^@]*)@") do
+    for result in said(text):gmatch("([^~]*)~") do
       i = i + 1
       assert.equal(SAID[inputs[i]], result, inputs[i])
     end
@@ -129,9 +129,9 @@ describe("the prompt", function()
     local inputs, text, i, hints = {}, "", 0, pcall(require, "rfsm.advice")
     for input in pairs(COMPLAINTS) do -- any order: each stands alone
       inputs[#inputs + 1] = input
-      text = text .. input .. "\nio.stderr:write('@')\n"
+      text = text .. input .. "\nio.stderr:write('~')\n"
     end
-    for result in complaint(text):gmatch("([^@]*)@") do
+    for result in complaint(text):gmatch("([^~]*)~") do
       i = i + 1
       local expected = COMPLAINTS[inputs[i]]
       if not hints then expected = expected:gsub(" %(did.*%)", "") end
@@ -148,6 +148,10 @@ describe("the prompt", function()
   it("calls a hook after each advance", function()
     assert.equal(AT_HELLO .. "hook\ttrue\n",
       said("add_hook(function(f) print('hook', f == fsm) end) step()"))
+  end)
+
+  it("prints the tree of states", function()
+    assert.matches("^root[^\n]*\n *hello%[LS%].*\n *world%[LS%]", said("pp()"))
   end)
 
   it("ends with quit", function()
@@ -223,8 +227,8 @@ return rfsm.state {
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
 }]])
-    local out = at_terminal(chart, { "print(1)^C", "print(2)^C", 'run() ser("e_busy")\\n',
-      "^C", 'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n" })
+    local out = at_terminal(chart, { "print(1)^C", "print(2)^C",
+      'run() ser("e_busy")\\n', "^C", 'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n" })
     assert.is_nil(out:find("\n[12]\r"))
     assert.matches("active: root.busy%(active%)\r\n.*interrupted!\r\n.*"
       .. "active: root.idle%(done%)\r\n.*doo program of state 'root.spin' failed: "
