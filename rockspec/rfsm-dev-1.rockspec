@@ -21,6 +21,7 @@ build = {
     ["rfsm_timeevent"] = "rfsm_timeevent.lua",
     ["rfsmpp"] = "rfsmpp.lua",
     ["rfsm.await"] = "rfsm/await.lua",
+    ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",
     ["rfsm.clock"] = "rfsm/clock.lua",
     ["rfsm.diagram"] = "rfsm/diagram.lua",
