@@ -1,9 +1,9 @@
 --- Statecharts in pure Lua: load, check, compile and run a model.
 --
 -- A model is a tree of plain tables, marked by `rfsm.state`, `rfsm.trans` and
--- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and makes
--- an independent machine of it; `rfsm.step` and `rfsm.run` advance the machine, and
--- `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
+-- `rfsm.conn`. `rfsm.init` checks it, reports every mistake with its location, and
+-- makes an independent machine of it; `rfsm.step` and `rfsm.run` advance the machine,
+-- and `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
 -- resolve, compile, machine, run, public functions, merge. An FQN is a fully qualified
@@ -93,8 +93,9 @@ local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 local function note_caller(t, level)
   if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
   local caller = getinfo(level + 1, "Sl")
-  if not caller or caller.currentline < 1 or caller.short_src == this_file then return end
-  made_at[t] = caller.short_src .. ":" .. caller.currentline
+  if caller and caller.currentline > 0 and caller.short_src ~= this_file then
+    made_at[t] = caller.short_src .. ":" .. caller.currentline
+  end
 end
 
 -- A metatable for elements that inherit from `base`, a state or transition.
@@ -185,7 +186,7 @@ function rfsm.is_node(value)
 end
 
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
-local is_trans, is_conn = rfsm.is_trans, rfsm.is_conn
+local is_trans = rfsm.is_trans
 
 local function has_nodes(state)
   for key, value in pairs(state) do -- any order: one node decides
@@ -396,7 +397,8 @@ local function advise(topic, ...)
   return advice and advice[topic](...) or ""
 end
 
--- Where an element stands in the model: an FQN, or root.trans[2] (a -> b), with `field`.
+-- Where an element stands in the model: an FQN, or root.trans[2] (a -> b), with
+-- `field`.
 local function place_of(def, field)
   local suffix = field and "." .. field or ""
   if def.kind ~= "transition" then return def.fqn .. suffix end
@@ -412,7 +414,9 @@ end
 
 local function add(list, def, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
-  list[#list + 1] = { at = place_of(def, field), file = made_at[def.model], text = text }
+  list[#list + 1] = {
+    at = place_of(def, field), file = made_at[def.model], text = text,
+  }
 end
 
 -- Describes a value that is not what was expected.
@@ -454,8 +458,8 @@ local function check_name(build, def)
     add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' or "
       .. "'\\' or start with '_'", def.kind)
   elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
-    add(build.problems, def, nil, "a %s cannot have this name, it is a field of every %s",
-      def.kind, CALLBACKS.state[name] and "state" or "root")
+    add(build.problems, def, nil, "a %s cannot have this name, it is a field of every "
+      .. (CALLBACKS.state[name] and "state" or "root"), def.kind)
   elseif name == "initial" and def.kind ~= "connector" then
     add(build.problems, def, nil, "connector expected, got %s", def.kind)
   end
@@ -494,9 +498,10 @@ local function check_plain_table(build, def, key, t)
     if not form and (is_node(value) or is_trans(value)) then form = "state" end
   end
   if not form then return end
-  add(build.warnings, def, text_of(key), "a plain table that %s is ignored (did you mean "
-    .. "rfsm.%s{...}?)", form == "trans" and "has 'src' and 'tgt'"
-    or "contains states or transitions", form)
+  local what = form == "trans" and "has 'src' and 'tgt'"
+    or "contains states or transitions"
+  add(build.warnings, def, text_of(key),
+    "a plain table that %s is ignored (did you mean rfsm.%s{...}?)", what, form)
 end
 
 -- Warns of a field that looks like one of the library's in other words.
@@ -506,8 +511,8 @@ local function check_unknown_field(build, def, key, value)
   local meant = def.kind == "transition" and key == "event" and "events"
     or advise("field_meant", def.kind, key)
   if meant ~= "" and def.model[meant] == nil then
-    add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)", def.kind,
-      key, meant)
+    add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
+      def.kind, key, meant)
   end
 end
 
@@ -540,8 +545,8 @@ end
 local clone_below, new_node, new_transition
 
 do
-  -- Returns the fields of a model element; those of an heir with what it inherits, which
-  -- is callbacks and data, no nodes and transitions.
+  -- Returns the fields of a model element; those of an heir with what it inherits,
+  -- which is callbacks and data, no nodes and transitions.
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
@@ -608,8 +613,8 @@ do
   local OWN_FIELDS = { src = true, tgt = true, events = true, pn = true }
 
   function new_transition(build, model, parent, key)
-    local def = new_def(build.plan.transitions, "transition", model_of(model), parent, key)
-    model = def.model
+    model = model_of(model)
+    local def = new_def(build.plan.transitions, "transition", model, parent, key)
     if type(key) ~= "number" and type(key) ~= "string" then
       add(build.problems, def, nil, "the key of a transition is a position or a name")
     elseif is_meta(key) then
@@ -645,7 +650,7 @@ do
 
   local function clone_state(build, def)
     local has_transition = false
-    for key, value in pairs(fields_of(def.model)) do -- any order: what matters is sorted
+    for key, value in pairs(fields_of(def.model)) do -- any order: sorted later
       local kind = kind_of(value)
       if not kind then
         clone_field(build, def, key, value)
@@ -685,7 +690,9 @@ local resolve
 
 do
   local function node_names(def)
-    return sorted_keys(def.members, function(member) return member.kind ~= "transition" end)
+    return sorted_keys(def.members, function(member)
+      return member.kind ~= "transition"
+    end)
   end
 
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
@@ -696,11 +703,11 @@ do
         local value = def.model[name]
         if value ~= nil and not is_meta(name) then
           local kind = kind_of(value) or type(value)
-          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(def.fqn, name,
-            kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
+          return nil, ("'%s.%s' is no state or connector but a %s%s"):format(def.fqn,
+            name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
-        return nil, ("no state or connector is named '%s' in '%s'"):format(name, def.fqn)
-          .. advise("nearest_name", name, node_names(def))
+        return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
+          def.fqn, advise("nearest_name", name, node_names(def)))
       end
       def = child
     end
@@ -751,19 +758,20 @@ do
       local depth = shared_depth(composite, mount)
       if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
     end
-    if not nearest then return nil, "the table given is no part of this model" end
-    if is_tie then return nil, "the table given stands in several places, use a name" end
-    return nearest
+    if is_tie then
+      return nil, "the table given stands in several places, use a name"
+    end
+    return nearest, not nearest and "the table given is no part of this model" or nil
   end
 
   -- Returns the node that src or tgt of a transition means; nil and a reason when none.
   local function find_end(build, def, field)
-    local ref, node, reason = def[field], nil, nil
+    local ref = def[field]
     if type(ref) == "string" then
-      node, reason = find_named(build, def.parent, ref)
+      local node, reason = find_named(build, def.parent, ref)
       return node, reason and ("%s '%s': %s"):format(field, ref, reason)
     elseif is_node(ref) then
-      node, reason = find_mounted(build, def.parent, ref)
+      local node, reason = find_mounted(build, def.parent, ref)
       return node, reason and field .. ": " .. reason
     elseif ref == nil then
       return nil, field .. " is missing, the name of a state or connector expected"
@@ -775,7 +783,9 @@ do
   -- An undeclared `initial` comes into being where a transition starts from it.
   local function create_initial(build, def)
     local composite = def.parent
-    if def.src ~= "initial" or composite.members.initial or composite.is_leaf then return end
+    if def.src ~= "initial" or composite.members.initial or composite.is_leaf then
+      return
+    end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
     build.created[#build.created + 1] = connector
   end
@@ -796,8 +806,8 @@ do
       if events[i] == "e_done" then
         events[i] = "e_done@" .. src.fqn
         if not src.is_leaf then
-          add(build.warnings, def, nil, "'e_done' never fires here, '%s' is no leaf state",
-            src.fqn)
+          add(build.warnings, def, nil,
+            "'e_done' never fires here, '%s' is no leaf state", src.fqn)
         end
       end
     end
@@ -853,7 +863,7 @@ end
 
 local NONE = {}
 
-local compile, compile_transition, run_segment, run_warily, sources_of
+local compile, compile_transition, run_segment, run_warily, line_to
 
 do
   -- The order in which the transitions of a node are tried: larger pn first, then the
@@ -872,14 +882,15 @@ do
   local function make_proto(def)
     local class = CLASSES[def.kind]
     local proto = {
-      rfsm = def.kind, type = class.type, new = class.new, __tostring = class.__tostring,
-      ["%def"] = def, _id = def.id, _fqn = def.fqn, events = def.events or nil,
-      pn = def.pn, _is_internal = def.is_internal or nil,
+      ["%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
+      __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
+      events = def.events or nil, _is_internal = def.is_internal or nil,
     }
     for callback in pairs(CALLBACKS[def.kind]) do -- any order: each stands alone
       proto[callback] = def[callback] or nil
     end
-    proto.__index, def.proto = proto, proto
+    proto.__index = proto
+    def.proto = proto
     if def.is_leaf then
       def.done_event, def.choices, def.quick = "e_done@" .. def.fqn, NONE, NONE
     end
@@ -917,41 +928,35 @@ do
     return a
   end
 
-  local function has_predicate(events)
-    for i = 1, events and #events or 0 do
-      if type(events[i]) == "function" then return true end
-    end
-    return false
-  end
-
-  -- Lists what a transition enters, outermost first.
+  -- Lists what a transition enters, outermost first, and notes what a run reads of it.
   function compile_transition(def)
     local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
-    local state, n = tgt.kind == "state" and tgt or tgt.parent, 0
+    local state = tgt.kind == "state" and tgt or tgt.parent
     if def.is_internal then lca, state = tgt, tgt end
-    n = state.depth - lca.depth
-    while state ~= lca do
-      entries[n], state, n = state, state.parent, n - 1
+    for i = state.depth - lca.depth, 1, -1 do
+      entries[i], state = state, state.parent
     end
     def.connector, def.tgt_index = tgt.kind == "connector" and tgt, tgt.index
-    def.has_predicate, def.lca, def.entries = has_predicate(def.events), lca, entries
+    def.lca, def.entries, def.has_predicate = lca, entries, false
+    for i = 1, def.events and #def.events or 0 do
+      def.has_predicate = def.has_predicate or type(def.events[i]) == "function"
+    end
     def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
     return def
   end
 
-  -- The states from the root to `leaf` that have transitions of their own.
-  function sources_of(leaf)
-    if leaf.sources then return leaf.sources end
-    local sources = leaf.parent == leaf and {} or append({}, sources_of(leaf.parent))
-    if leaf.otrs[1] then sources[#sources + 1] = leaf end
-    leaf.sources = sources
-    return sources
+  -- Lists the states from the root to `leaf`.
+  function line_to(leaf)
+    local above = leaf.parent == leaf and {} or line_to(leaf.parent)
+    leaf.line = leaf.line or append(append({}, above), { leaf })
+    return leaf.line
   end
 end
 
 -- Returns a plan like this one, for changes: its definitions are new ones.
 local function copy_plan(plan)
-  local copies, copy = {}, { model = plan.model, nodes = {}, transitions = {}, trail = false }
+  local copies = {}
+  local copy = { model = plan.model, nodes = {}, transitions = {}, trail = false }
   for _, list in ipairs({ "nodes", "transitions" }) do
     for i, def in ipairs(plan[list]) do
       copies[def] = {}
@@ -963,7 +968,9 @@ local function copy_plan(plan)
     "tgt", "events", "pn", "is_internal", "entry", "exit", "doo", "guard", "effect",
   }
   for def, new in pairs(copies) do -- any order: each stands alone
-    for _, field in ipairs(STRUCTURE) do new[field] = copies[def[field]] or def[field] end
+    for _, field in ipairs(STRUCTURE) do
+      new[field] = copies[def[field]] or def[field]
+    end
     if def.members then
       new.members = {}
       for key, member in pairs(def.members) do new.members[key] = copies[member] end
@@ -975,6 +982,11 @@ end
 -- The plans of models, kept by their machines; the latest one in any case, for programs
 -- that drop each machine before they make the next.
 local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
+
+local function note_plan(model, plan)
+  plans[model], latest_plan = plan, plan
+  return latest_plan
+end
 
 local make_trail, is_current
 
@@ -993,8 +1005,9 @@ do
     end
   end
 
-  -- Notes a model, table by table, as the walk of `next` finds it: numbers stand for keys
-  -- and values, so that no value is ever compared with another by `==`. A 0 ends a table.
+  -- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
+  -- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
+  -- table.
   function make_trail(plan)
     local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
     local function id_of(value)
@@ -1037,8 +1050,8 @@ end
 -- Machine: an instance of a plan ------------------------------------------------
 --
 -- A machine is a tree of plain tables: children by name, transitions by position or
--- name, `_parent`, `_otrs`, `_mode` and the user's data are raw. Callbacks, `_fqn`, `_id`,
--- `events`, `pn` are inherited from the definition; assigning one shadows it.
+-- name, `_parent`, `_otrs`, `_mode` and the user's data are raw. Callbacks, `_fqn`,
+-- `_id`, `events`, `pn` are inherited from the definition; assigning one shadows it.
 --
 -- Where a machine stands is noted in it, and nowhere else: `_mode` of each state,
 -- `_actchild` of each active composite, `_act_leaf`. While it runs:
@@ -1067,14 +1080,14 @@ local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
 -- A machine is plain again when nothing stands behind any flag and a leaf is active.
 local function check_plain(fsm)
   fsm._is_plain = fsm._act_leaf and not (fsm._is_traced or fsm._is_fed or fsm._is_hooked
-    or fsm._has_state_hooks)
+    or fsm._entry_hooks or fsm._exit_hooks)
 end
 
 Machine.type, Machine.new = State.type, State.new
 Machine.__index = setmetatable(OFF, { __index = Machine })
 
--- Sees to it that setting a printer, a hook or getevents is noticed: they are absent from
--- the machine while they are off.
+-- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
+-- from the machine while they are off.
 function Machine.__newindex(fsm, key, value)
   local flag = FLAG_OF[key]
   if flag and value then
@@ -1099,7 +1112,8 @@ do
     return copies[value]
   end
 
-  -- Copies a plain table; a list of pending tables instead of recursion bears any depth.
+  -- Copies a plain table; a list of pending tables instead of recursion bears any
+  -- depth.
   function clone_data(copies, value)
     local pending = {}
     local copy = copy_of(copies, value, pending)
@@ -1141,9 +1155,8 @@ local function make_elements(fsm, plan, first_node, first_transition)
   for i = first_transition, #plan.transitions do
     local def = plan.transitions[i]
     local parent = nodes[def.parent.index]
-    local tr = {
-      src = nodes[def.src.index], tgt = nodes[def.tgt.index], _parent = parent, _fsm = fsm,
-    }
+    local src, tgt = nodes[def.src.index], nodes[def.tgt.index]
+    local tr = { src = src, tgt = tgt, _parent = parent, _fsm = fsm }
     if def.data[1] ~= nil then give_data(tr, def, copies) end
     transitions[i] = setmetatable(tr, def.proto)
     rawset(parent, def.id, tr)
@@ -1164,10 +1177,11 @@ end
 
 -- Run: collect events, choose, take, doo ----------------------------------------
 --
--- What holds here: between two iterations exactly one leaf is active, or none before the
--- first entry. No error of a state's or transition's callback passes through: it goes to
--- `err`. Hooks and getevents are called when the machine is consistent, so theirs reach
--- the caller at once; those of printers are kept until the iteration is over.
+-- What holds here: between two iterations exactly one leaf is active, or none before
+-- the first entry. No error of a state's or transition's callback passes through: it
+-- goes to `err`. Hooks and getevents are called when the machine is consistent, so
+-- theirs reach the caller at once; those of printers are kept until the iteration is
+-- over.
 --
 -- Most machines are plain: no dbg, getevents or hook. `_is_plain` says so, and a step
 -- asks for it instead of for each of them. The other flags say what is there; they may
@@ -1277,23 +1291,19 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Returns the list that getevents returns; nil when it is off.
-local function ask_getevents(fsm)
+-- Appends what getevents returns to a list.
+local function collect(fsm, list)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then
     fsm.getevents, fsm._is_fed = nil, false
-    return nil
+    return
   elseif not is_callable(getevents) then
     error("rfsm.step: getevents: function expected, " .. got(getevents), 0)
   end
   local events = getevents()
-  if events == nil or type(events) == "table" then return events end
-  error("rfsm.step: getevents: list of events expected, " .. got(events), 0)
-end
-
--- Appends what getevents returns to a list.
-local function collect(fsm, list)
-  local events = ask_getevents(fsm)
+  if events ~= nil and type(events) ~= "table" then
+    error("rfsm.step: getevents: list of events expected, " .. got(events), 0)
+  end
   for i = 1, events and #events or 0 do
     if events[i] ~= nil then list[#list + 1] = events[i] end
   end
@@ -1318,8 +1328,10 @@ local function run_hooks(fsm, hooks, slot, events)
   end
 end
 
--- Calls what extensions want done when a state is entered or left.
+-- Calls what extensions want done when a state is entered or left: `hooks` is false, or
+-- has a list for the state.
 local function run_state_hooks(fsm, state, hooks)
+  hooks = hooks and hooks[state]
   for i = 1, hooks and #hooks or 0 do
     local ok, failure = pcall(hooks[i], fsm, state)
     if not ok then keep_failure(fsm, failure) end
@@ -1335,7 +1347,7 @@ end
 
 -- Choose: which transition do the events enable? .................................
 
-local choose, find_enabled, find_listed, find_transition, matches, path_text
+local choose, find_listed, find_transition, matches, path_text
 local warn_of_conflict
 
 do
@@ -1370,7 +1382,8 @@ do
   -- Is the path through `def` open that leads to `tgt`? Returns the definition of its
   -- first segment, which is another one where a machine has changed the target.
   local function enabled_with(fsm, def, tgt, events, depth)
-    if not rawequal(tgt, fsm._nodes[def.tgt.index]) then def = retarget(fsm, def, tgt) end
+    local node = fsm._nodes[def.tgt.index]
+    if not rawequal(tgt, node) then def = retarget(fsm, def, tgt) end
     if def and def.connector == nil then compile_transition(def) end
     local connector = def and def.connector
     if connector and not find_way(fsm, connector, events, depth) then return nil end
@@ -1386,8 +1399,8 @@ do
     return enabled_with(fsm, def, tr.tgt, events, depth)
   end
 
-  -- A transition of the machine has got another target: returns its definition with that
-  -- target, nil when it is none.
+  -- A transition of the machine has got another target: returns its definition with
+  -- that target, nil when it is none.
   function retarget(fsm, def, tgt)
     local node = is_node(tgt) and getmetatable(tgt)["%def"]
     if tgt == fsm then node = fsm._plan.nodes[1] end
@@ -1418,19 +1431,15 @@ do
   -- The way out of a connector: the first of its transitions that is enabled. Further
   -- ones of the same priority are asked only to warn of a conflict.
   local function choose_way(fsm, connector, events, depth)
-    local way, conflict = false, nil
+    local ways = {}
     for i = 1, #connector.otrs do
       local def = connector.otrs[i]
-      if way and (def.pn or 0) ~= (way.pn or 0) then break end
-      local found = matches(def, events) and enabled(fsm, def, events, depth + 1)
-      if found and way then
-        conflict = conflict or { way }
-        conflict[#conflict + 1] = found
-      end
-      way = way or found or false
+      if ways[1] and (def.pn or 0) ~= (ways[1].pn or 0) then break end
+      ways[#ways + 1] = matches(def, events) and enabled(fsm, def, events, depth + 1)
+        or nil
     end
-    if conflict then warn_of_conflict(fsm, connector, conflict) end
-    return way
+    if ways[2] then warn_of_conflict(fsm, connector, ways) end
+    return ways[1] or false
   end
 
   -- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
@@ -1466,28 +1475,20 @@ do
 
   -- From the root down to the active leaf, node by node; an outer transition wins.
   local function search(fsm, leaf, events)
-    local sources = sources_of(leaf)
+    local line, is_traced = line_to(leaf), fsm._is_traced
     fsm._search = fsm._search + 1
-    for i = 1, #sources do
-      local def = find_transition(fsm, sources[i], events)
+    if is_traced then
+      trace(fsm, "TRANSITION",
+        "searching transitions for events: " .. list_text(events))
+    end
+    for i = 1, #line do
+      if is_traced then
+        trace(fsm, "CHECKING", "depth:", i - 1, "for transitions from " .. line[i].fqn)
+      end
+      local def = find_transition(fsm, line[i], events)
       if def then return def end
     end
-  end
-
-  -- The same, told to dbg.
-  local function search_traced(fsm, leaf, events)
-    local line, state = {}, leaf
-    repeat
-      line[state.depth], state = state, state.parent
-    until line[state.depth]
-    fsm._search = fsm._search + 1
-    trace(fsm, "TRANSITION", "searching transitions for events: " .. list_text(events))
-    for depth = 0, leaf.depth do
-      trace(fsm, "CHECKING", "depth:", depth, "for transitions from " .. line[depth].fqn)
-      local def = find_transition(fsm, line[depth], events)
-      if def then return def end
-    end
-    trace(fsm, "TRANSITION", "no enabled paths found")
+    if is_traced then trace(fsm, "TRANSITION", "no enabled paths found") end
   end
 
   -- May one event alone trigger it?
@@ -1501,16 +1502,16 @@ do
   end
 
   -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
-  -- order, and is noted when the event first comes. leaf.quick[event] is the only one on
-  -- the list, if it needs no search. Events that the machine does not know have one
+  -- order, and is noted when the event first comes. leaf.quick[event] is the only one
+  -- on the list, if it needs no search. Events that the machine does not know have one
   -- choice, at [OTHER].
   local OTHER = {}
 
   local function note_choice(leaf, event)
-    local candidates, sources = {}, sources_of(leaf)
-    for i = 1, #sources do
-      for j = 1, #sources[i].otrs do
-        local def = sources[i].otrs[j]
+    local candidates, line = {}, line_to(leaf)
+    for i = 1, #line do
+      for j = 1, #line[i].otrs do
+        local def = line[i].otrs[j]
         if def.connector == nil then compile_transition(def) end
         if is_candidate(def, event) then candidates[#candidates + 1] = def end
       end
@@ -1528,7 +1529,8 @@ do
   -- mostly does; NaN is no event.
   local function prepare_leaf(leaf)
     leaf.choices, leaf.quick = {}, {}
-    leaf.ignored = not note_choice(leaf, leaf.done_event)[1] and leaf.done_event or 0 / 0
+    local leads_somewhere = note_choice(leaf, leaf.done_event)[1] ~= nil
+    leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
   end
 
   local function choice_of(fsm, leaf, event)
@@ -1550,47 +1552,51 @@ do
     end
   end
 
-  -- The same by straight code, where there is some. A guard may have merged something
-  -- into the machine: then it is searched again.
-  function find_enabled(fsm, candidates, events)
-    local plan, find = fsm._plan, candidates.search
-    if not find and straight then
-      find = straight.search(candidates) or find_listed
-      candidates.search = find
-    end
-    local def = (find or find_listed)(fsm, candidates, events)
-    if fsm._plan ~= plan then return choose(fsm, events) end
-    return def
+  -- Returns the function that does the same by straight code, where there is some.
+  local function find_straight(candidates)
+    candidates.search = candidates.search or straight.search(candidates) or find_listed
+    return candidates.search
   end
 
-  -- Returns the transition that the events enable while `leaf` is active, or nil.
-  function choose(fsm, events)
-    if events[1] == nil then return nil end
-    local leaf = fsm._act_leaf["%def"]
-    local find, plan, found = fsm._is_traced and search_traced, fsm._plan, nil
-    for i = 1, find and 0 or #events do
+  -- Returns the candidates of all events, nil if there are several lists of them.
+  local function common_choice(fsm, leaf, events)
+    local common = NONE
+    for i = 1, #events do
       local candidates = choice_of(fsm, leaf, events[i])
-      if candidates[1] and candidates ~= found then
-        if found then find = search end
-        found = candidates
+      if candidates[1] and candidates ~= common then
+        if common ~= NONE then return nil end
+        common = candidates
       end
     end
-    if not find then return found and find_enabled(fsm, found, events) end
-    local def = find(fsm, leaf, events)
+    return common
+  end
+
+  -- Returns the transition that the events enable, or nil. A guard may merge something
+  -- into the machine: then it is searched again.
+  function choose(fsm, events)
+    if events[1] == nil then return nil end
+    local leaf, plan = fsm._act_leaf["%def"], fsm._plan
+    local candidates = not fsm._is_traced and common_choice(fsm, leaf, events)
+    local find = search
+    if candidates then
+      find = straight and find_straight(candidates) or find_listed
+    end
+    local def = find(fsm, candidates or leaf, events)
     if fsm._plan ~= plan then return choose(fsm, events) end
     return def
   end
 
   -- root.a[LS]->root.k[c]->root.b[LS]
   function path_text(fsm, def)
-    local texts = { def.src.fqn, "[", rfsm.fsmobj_tochar(fsm._nodes[def.src.index]), "]" }
+    local function text(node)
+      return ("%s[%s]"):format(node.fqn, rfsm.fsmobj_tochar(fsm._nodes[node.index]))
+    end
+    local texts = { text(def.src) }
     while def do
-      append(texts, {
-        "->", def.tgt.fqn, "[", rfsm.fsmobj_tochar(fsm._nodes[def.tgt.index]), "]",
-      })
+      texts[#texts + 1] = text(def.tgt)
       def = def.connector and fsm._ways[def.connector]
     end
-    return concat(texts)
+    return concat(texts, "->")
   end
 end
 
@@ -1602,7 +1608,7 @@ end
 
 -- What follows when the exit of `state` has run.
 local function finish_exit(fsm, state, hooks)
-  if hooks then run_state_hooks(fsm, state, hooks) end
+  run_state_hooks(fsm, state, hooks)
   if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
   if state._doo_co then state._doo_co = nil end
   if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
@@ -1629,14 +1635,13 @@ local function leave(fsm, state)
   local exit, parent = state.exit, state._parent
   state._mode, parent._actchild = "inactive", nil
   if exit then exit(fsm, state, "exit") end
-  finish_exit(fsm, state, state._exit_hooks)
+  finish_exit(fsm, state, fsm._exit_hooks)
 end
 
 local function enter(fsm, state, def)
-  local entry = nil
   state._mode, state._parent._actchild = "active", state
-  if state._entry_hooks then run_state_hooks(fsm, state, state._entry_hooks) end
-  entry = state.entry
+  run_state_hooks(fsm, state, fsm._entry_hooks)
+  local entry = state.entry
   if entry then entry(fsm, state, "entry") end
   finish_entry(fsm, state, def)
 end
@@ -1668,7 +1673,8 @@ local function run_effect(fsm, def)
 end
 
 -- The parts of the segment `def`: (a) leaves the states from `state` up to the lca, (b)
--- runs the effect, (c) enters the states from number `first` on. 0 stands for all of it.
+-- runs the effect, (c) enters the states from number `first` on. 0 stands for all of
+-- it.
 local function run_parts(fsm, def, state, first)
   local nodes = fsm._nodes
   local lca = nodes[def.lca.index]
@@ -1695,9 +1701,9 @@ function run_segment(fsm, from)
   run_parts(fsm, def, from, 0)
 end
 
--- Takes the segment `def` from the active state `from`, then those that the search chose
--- behind it. It calls itself where a loop would keep LuaJIT from making one trace of it.
--- `run` names the way: "run", "run_hooked" or "run_traced".
+-- Takes the segment `def` from the active state `from`, then those that the search
+-- chose behind it. It calls itself where a loop would keep LuaJIT from making one trace
+-- of it. `run` names the way: "run", "run_hooked" or "run_traced".
 local function run_path(fsm, def, from, run)
   fsm._segment = def
   fsm._from = from
@@ -1715,15 +1721,16 @@ local function number_of(node, defs)
   end
 end
 
--- Returns what was going on when the segment `def` ended early: the callback, its state,
--- and the number of the entry. Nothing when the segment is complete.
+-- Returns which callback was called last when the segment `def` ended early: its name,
+-- its state, and the number of the entry. "begin": none yet; nil: all have been.
 local function find_callback(fsm, def)
   local inner, state = innermost(fsm), fsm._from
-  if state and not def.is_internal then
+  if def.is_internal then return "effect", inner end
+  if state then
     if state == inner then return "begin", state end
     while state._parent ~= inner and state ~= fsm do state = state._parent end
     return state ~= fsm and "exit" or nil, state
-  elseif def.is_internal or inner == fsm._nodes[def.lca.index] then
+  elseif inner == fsm._nodes[def.lca.index] then
     return "effect", inner
   end
   local number = number_of(inner, def.entries)
@@ -1743,7 +1750,7 @@ end
 local function redo(fsm, def, what, state, number)
   if what == "exit" then
     state._mode, state._parent._actchild = "active", state
-  elseif what == nil then -- the segment is complete but for this
+  elseif not what then -- the segment is complete but for this
     local leaf = fsm._act_leaf
     if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
     return
@@ -1751,27 +1758,36 @@ local function redo(fsm, def, what, state, number)
   return run_parts(fsm, def, state, number or 0)
 end
 
--- Runs the rest of the segment that is under way, after the callback that was called
--- last; that one may have failed.
-local function resume_segment(fsm, has_failed, failure)
-  local def = fsm._segment
-  local what, state, number = find_callback(fsm, def)
-  local owner = what == "effect" and fsm._transitions[def.index] or state
-  if not what or what == "begin" or has_failed and is_interrupt(owner[what], failure) then
-    if has_failed then keep_failure(fsm, failure) end
-    return redo(fsm, def, what, state, number)
-  end
-  if has_failed then
-    report_callback(fsm, what, what == "effect" and tostring(owner) or state._fqn, failure)
-  end
+-- What follows the callback that was called last, and the rest of the segment.
+local function go_on(fsm, def, what, state, number)
   if what == "exit" then
     state._mode = "inactive"
-    finish_exit(fsm, state, state._exit_hooks)
+    finish_exit(fsm, state, fsm._exit_hooks)
     return run_parts(fsm, def, state._parent, 0)
   elseif what == "entry" then
     finish_entry(fsm, state, def.entries[number])
   end
   return run_parts(fsm, def, state, (number or 0) + 1)
+end
+
+-- Runs the rest of the segment that is under way, after the callback that was called
+-- last; that one may have failed.
+local function resume_segment(fsm, has_failed, failure)
+  local def = fsm._segment
+  local what, state, number = find_callback(fsm, def)
+  if not what or what == "begin" then
+    if has_failed then keep_failure(fsm, failure) end
+    return redo(fsm, def, what, state, number)
+  end
+  local owner = what == "effect" and fsm._transitions[def.index] or state
+  if has_failed and is_interrupt(owner[what], failure) then
+    keep_failure(fsm, failure)
+    return redo(fsm, def, what, state, number)
+  elseif has_failed then
+    local name = what == "effect" and tostring(owner) or state._fqn
+    report_callback(fsm, what, name, failure)
+  end
+  return go_on(fsm, def, what, state, number)
 end
 
 local function resume_path(fsm, has_failed, failure)
@@ -1794,7 +1810,7 @@ end
 
 -- Takes the path that starts with `def` in the active state `from`.
 local function take(fsm, def, from)
-  local run = fsm._has_state_hooks and "run_hooked" or "run"
+  local run = (fsm._entry_hooks or fsm._exit_hooks) and "run_hooked" or "run"
   if fsm._is_traced then
     trace(fsm, "EXEC_PATH", path_text(fsm, def))
     run = "run_traced"
@@ -1807,9 +1823,10 @@ end
 
 -- What straight code is made with.
 local PARTS = {
-  run_segment = run_segment, keep_events = keep_events, run_state_hooks = run_state_hooks,
-  report_callback = report_callback, compile_transition = compile_transition,
-  matches = matches, find_listed = find_listed, warn_of_conflict = warn_of_conflict,
+  compile_transition = compile_transition, find_listed = find_listed,
+  keep_events = keep_events, matches = matches, report_callback = report_callback,
+  run_segment = run_segment, run_state_hooks = run_state_hooks,
+  warn_of_conflict = warn_of_conflict,
 }
 
 -- Goes on in detail after the callback that was called last.
@@ -1854,7 +1871,7 @@ end
 
 local function enter_root(fsm)
   fsm._mode = "active"
-  if fsm._entry_hooks then run_state_hooks(fsm, fsm, fsm._entry_hooks) end
+  run_state_hooks(fsm, fsm, fsm._entry_hooks)
   call_alone(fsm, fsm, "entry")
   finish_entry(fsm, fsm, fsm._plan.nodes[1])
 end
@@ -1958,8 +1975,8 @@ end
 local is_stepping, iterate, mend
 
 do
-  -- The note while hooks and getevents are called. If one raises the note stays; without
-  -- `debug` nobody could tell then that no step is under way.
+  -- The note while hooks and getevents are called. If one raises the note stays;
+  -- without `debug` nobody could tell then that no step is under way.
   local MAY_RAISE = getinfo ~= nil
 
   -- The end of an iteration in which something was kept, failed, or asked for. The
@@ -2016,8 +2033,8 @@ do
     raise_failure(fsm)
   end
 
-  -- What follows a search: the transition is taken. There is none: a doo cycle is run, if
-  -- there was no event or the iteration before did not count. Returns as `iterate`.
+  -- What follows a search: the transition is taken. There is none: a doo cycle is run,
+  -- if there was no event or the iteration before did not count. Returns as `iterate`.
   local function react(fsm, def, leaf, events, after_free)
     if def and not rawequal(fsm._act_leaf, leaf) then -- a guard has moved the machine
       leaf = innermost(fsm)
@@ -2027,9 +2044,9 @@ do
       take(fsm, def, leaf)
       return true, false
     end
-    local is_eventless, idle = events[1] == nil, false
+    local is_eventless = events[1] == nil
     if not (is_eventless or after_free) then return false, false end
-    idle = run_doo(fsm, leaf)
+    local idle = run_doo(fsm, leaf)
     fsm._segment = MAY_RAISE
     if idle and is_eventless and fsm._is_fed then collect(fsm, fsm._intq) end
     return true, idle
@@ -2067,6 +2084,29 @@ do
     return true, is_idle(fsm, idle)
   end
 
+  -- Looks for the transition that a single event enables, by straight code. Returns nil
+  -- when there is more to it: see `iterate_further`.
+  local function find_single(fsm, leaf_def, events, event)
+    local choice, spare = leaf_def.choices[event], fsm._curq
+    if not (choice and choice.search) then return nil end
+    fsm._segment = true
+    fsm._curq = events
+    fsm._intq = spare
+    local def = choice.search(fsm, choice, events)
+    if not def or def.connector or not fsm._is_plain then return nil, def end
+    return def, fsm._transitions[def.index]
+  end
+
+  -- Goes on where a single event does not lead straight to a leaf.
+  local function iterate_further(fsm, def, leaf, leaf_def, after_free)
+    local events = fsm._curq
+    if not fsm._segment then return iterate_fully(fsm, after_free) end
+    if leaf["%def"] ~= leaf_def then def = choose(fsm, events) end -- a guard has merged
+    local counted, idle = react(fsm, def, leaf, events, after_free)
+    settle(fsm, events)
+    return counted, is_idle(fsm, idle)
+  end
+
   -- One iteration. Returns nil when there is no way in; else whether it counts as a
   -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
   --
@@ -2082,27 +2122,15 @@ do
     local def, spare = leaf_def.quick[event], fsm._curq
     local tr = def and fsm._transitions[def.index]
     if not def or tr.guard or tr.tgt ~= fsm._nodes[def.tgt_index] then
-      local choice = leaf_def.choices[event]
-      if not (choice and choice.search) then return iterate_fully(fsm, after_free) end
+      def, tr = find_single(fsm, leaf_def, events, event)
+      if not def then return iterate_further(fsm, tr, leaf, leaf_def, after_free) end
+    else
       fsm._segment = true
       fsm._curq = events
       fsm._intq = spare
-      def = choice.search(fsm, choice, events)
-      if not def or def.connector or not fsm._is_plain then
-        if leaf["%def"] ~= leaf_def then def = choose(fsm, events) end -- a merge
-        local counted, idle = react(fsm, def, leaf, events, after_free)
-        settle(fsm, events)
-        return counted, is_idle(fsm, idle)
-      end
-      tr = fsm._transitions[def.index]
-      fsm._segment = def
-      fsm._from = leaf
-    else
-      fsm._segment = def
-      fsm._from = leaf
-      fsm._curq = events
-      fsm._intq = spare
     end
+    fsm._from = leaf
+    fsm._segment = def
     local ok, failure = pcall(def.run, fsm, leaf, tr)
     if not ok then recover(fsm, true, failure) end
     if fsm._is_unsettled then
@@ -2115,6 +2143,10 @@ do
     return true, false
   end
 
+  -- The functions one of which is on the stack while a step is under way.
+  local STEPPING = {
+    [iterate] = true, [iterate_fully] = true, [iterate_further] = true,
+  }
   local getlocal = getinfo and rawget(_G, "debug").getlocal
 
   -- Is a step of this machine under way on this stack, or in its doo?
@@ -2124,9 +2156,7 @@ do
     if not getinfo then return fsm._segment ~= false end
     local level, info = 3, getinfo(3, "f")
     while info do
-      local f = info.func
-      if (f == iterate or f == iterate_fully)
-        and rawequal(select(2, getlocal(level, 1)), fsm) then
+      if STEPPING[info.func] and rawequal(select(2, getlocal(level, 1)), fsm) then
         return true
       end
       level = level + 1
@@ -2135,8 +2165,9 @@ do
     return false
   end
 
-  -- A step was cut short by a hook that raised, by an interrupt outside of the protected
-  -- call, or because its coroutine was dropped: finishes it. False when it goes on.
+  -- A step was cut short by a hook that raised, by an interrupt outside of the
+  -- protected call, or because its coroutine was dropped: finishes it. False when it
+  -- goes on.
   function mend(fsm)
     local def = fsm._segment
     if is_stepping(fsm) then return false end
@@ -2160,13 +2191,13 @@ local function hibernate(fsm)
   return true
 end
 
--- Goes on until `left` iterations were counted or the machine is idle; returns whether it
--- is. `counted` and `idle` are what the iteration before returned.
+-- Goes on until `left` iterations were counted or the machine is idle; returns whether
+-- it is. `counted` and `idle` are what the iteration before returned.
 local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then
       left = left - 1
-      if not (left >= 1) then return idle end -- NaN, too
+      if left < 1 or left ~= left then return idle end -- NaN, too
     end
     if idle then
       local idle_hook = fsm.idle_hook
@@ -2270,8 +2301,7 @@ local function plan_of(model)
   plan = compile(build.plan)
   plan.trail = make_trail(plan)
   plan.warnings, plan.created = build.warnings, build.created
-  plans[model], latest_plan = plan, plan
-  return plan
+  return note_plan(model, plan)
 end
 
 -- The fields of a machine that are its own from the start.
@@ -2283,9 +2313,12 @@ local function new_machine(plan)
     _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
     -- the run
     _segment = false, _from = false, _is_plain = false, _is_traced = false,
-    _is_fed = false, _is_hooked = false, _has_state_hooks = false,
-    _is_unsettled = false, _is_kept = false, _reset_wanted = false, _has_failure = false,
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {}, _spare = false,
+    _is_fed = false, _is_hooked = false,
+    _is_unsettled = false, _is_kept = false, _reset_wanted = false,
+    _has_failure = false, _spare = false,
+    -- the hooks
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
+    _entry_hooks = false, _exit_hooks = false,
     -- the search
     _search = 0, _searched = {}, _ways = {},
   }
@@ -2319,36 +2352,43 @@ local function report_lines(fsm, name, prefix, list)
   for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
 end
 
--- Warns of a composite that cannot be entered under some conditions, of events that no
--- extension knows, of nodes that nothing leaves.
-local function report_findings(fsm, first_node, first_transition)
-  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-  for i = first_node, #plan.nodes do
-    local def = plan.nodes[i]
-    local is_conditional = def.id == "initial" and def.otrs[1] ~= nil
-    for _, tr in ipairs(def.otrs) do
-      is_conditional = is_conditional and (tr.events or tr.guard) and true
-    end
-    if is_conditional then
-      add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
-        .. "be entered while none of them is enabled", def.parent.fqn)
+-- Warns of an `initial` that can be closed: then its composite cannot be entered.
+local function check_initial(found, def)
+  for _, tr in ipairs(def.otrs) do
+    if not (tr.events or tr.guard) then return end
+  end
+  if def.id ~= "initial" or not def.otrs[1] then return end
+  add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
+    .. "be entered while none of them is enabled", def.parent.fqn)
+end
+
+-- Warns of events such as e_after(1) that no extension has made its own.
+local function check_words(found, def)
+  for _, event in ipairs(def.events or {}) do
+    local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
+    if word then
+      add(found, def, "events", "no loaded extension knows '%s'%s", event,
+        advise("module_of", word))
     end
   end
+end
+
+-- Warns of what was found in the model, and in what the preproc functions made of it.
+local function report_findings(fsm, first_node, first_transition)
+  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
+  for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
   for i = first_transition, #plan.transitions do
-    local def = plan.transitions[i]
-    for _, event in ipairs(def.events or {}) do
-      local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
-      if word then
-        add(found, def, "events", "no loaded extension knows '%s'%s", event,
-          advise("module_of", word))
-      end
-    end
+    check_words(found, plan.transitions[i])
   end
   report_lines(fsm, "warn", "WARNING: ", found)
 end
 
-local function has_exit(def)
-  return def.otrs[1] or def.model.final or def.parent == def
+-- Prints a line for each definition, sorted by FQN.
+local function report_each(fsm, name, form, defs)
+  local names = {}
+  for i, def in ipairs(defs) do names[i] = def.fqn end
+  sort(names, function(a, b) return natural(a) < natural(b) end)
+  for _, fqn in ipairs(names) do report(fsm, name, form:format(fqn)) end
 end
 
 -- Warns of the nodes, from number `first` on, that nothing leaves.
@@ -2356,30 +2396,23 @@ local function report_dead_ends(fsm, first)
   local dead = {}
   for i = first, #fsm._plan.nodes do
     local def = fsm._plan.nodes[i]
-    if not has_exit(def) then dead[#dead + 1] = def.fqn end
+    local has_exit = def.otrs[1] or def.model.final or def.parent == def
+    if not has_exit then dead[#dead + 1] = def end
   end
-  sort(dead, function(a, b) return natural(a) < natural(b) end)
-  for _, fqn in ipairs(dead) do
-    report(fsm, "warn", "WARNING: no outgoing transitions from node '" .. fqn .. "'")
-  end
+  report_each(fsm, "warn", "WARNING: no outgoing transitions from node '%s'", dead)
   return dead[1] == nil
 end
 
 local function report_created(fsm, created)
-  local names = {}
-  for i, def in ipairs(created) do names[i] = def.fqn end
-  sort(names, function(a, b) return natural(a) < natural(b) end)
-  for _, name in ipairs(names) do
-    report(fsm, "info", "INFO: created undeclared connector " .. name)
-  end
+  report_each(fsm, "info", "INFO: created undeclared connector %s", created)
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
 --
 -- They run after names are resolved and before events are indexed, and may change
--- `events`, `pn`, `src`, `tgt` and callbacks. `rfsm.fsm_merge` calls them again with what
--- it added. A list of texts "place: what is wrong" that one returns counts among the
--- model's problems.
+-- `events`, `pn`, `src`, `tgt` and callbacks. `rfsm.fsm_merge` calls them again with
+-- what it added. A list of texts "place: what is wrong" that one returns counts among
+-- the model's problems.
 --
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
@@ -2387,7 +2420,8 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets a list of events of its own, which a preproc function may change.
+  -- Each transition gets a list of events of its own, which a preproc function may
+  -- change.
   local function hand_out_events(fsm)
     for i, tr in ipairs(fsm._transitions) do
       local events = fsm._plan.transitions[i].events
@@ -2436,9 +2470,9 @@ do
     use_plan(fsm, compile(own))
   end
 
-  -- Runs the preproc functions; returns the problems they found. When one of them merges
-  -- something into the machine, those before it are called for that, the others are still
-  -- to come.
+  -- Runs the preproc functions; returns the problems they found. When one of them
+  -- merges something into the machine, those before it are called for that, the others
+  -- are still to come.
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
@@ -2689,17 +2723,6 @@ end
 
 -- Tools: they look at a machine or move it; no part of a run ......................
 
--- Returns the states from `inner` up to its ancestor `outer`; nil when that is none.
-local function line_up(inner, outer)
-  local line = { inner }
-  while inner ~= outer do
-    if inner._parent == inner then return nil end
-    inner = inner._parent
-    line[#line + 1] = inner
-  end
-  return line
-end
-
 --- Call `f(fsm, state)` for each state on the line between two, both included.
 -- @raise when neither is an ancestor of the other
 ---@param fsm rfsm.Machine
@@ -2714,15 +2737,16 @@ function rfsm.map_from_to(fsm, f, from, to)
     error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
       .. got(to), 2)
   end
-  local line, results = line_up(from, to), {}
-  if not line then
-    local upwards = line_up(to, from)
-    if not upwards then
-      error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
-        to._fqn), 2)
-    end
-    line = {}
-    for i = #upwards, 1, -1 do line[#line + 1] = upwards[i] end
+  local is_upwards = from["%def"].depth >= to["%def"].depth
+  local node, last = is_upwards and from or to, is_upwards and to or from
+  local line, results = { node }, {}
+  while node ~= last and node ~= fsm do
+    node = node._parent
+    if is_upwards then line[#line + 1] = node else table.insert(line, 1, node) end
+  end
+  if node ~= last then
+    error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
+      to._fqn), 2)
   end
   for i = 1, #line do results[#results + 1] = f(fsm, line[i]) end
   return results
@@ -2730,8 +2754,8 @@ end
 
 --- Find the path that events would enable from one node; nothing is taken.
 --
--- A path is { node, nextl }: `nextl` lists the way on as { trans, next }, and is false at
--- the leaf where the path ends.
+-- A path is { node, nextl }: `nextl` lists the way on as { trans, next }, and is false
+-- at the leaf where the path ends.
 --
 ---@param fsm rfsm.Machine
 ---@param node rfsm.State|rfsm.Connector
@@ -2769,16 +2793,24 @@ function rfsm.exit_state(fsm, state)
     error("rfsm.exit_state: state of the fsm expected, " .. got(state), 2)
   end
   if state._mode == "inactive" then return end
-  local inner = state
-  fsm._is_plain = false
-  while inner._actchild do inner = inner._actchild end
-  while inner._mode ~= "inactive" do
-    inner._mode = "inactive"
-    rawset(inner._parent, "_actchild", nil)
-    call_alone(fsm, inner, "exit")
-    finish_exit(fsm, inner, inner._exit_hooks)
-    if inner == state then break end
-    inner = inner._parent
+  if state._actchild then rfsm.exit_state(fsm, state._actchild) end
+  fsm._is_plain, state._mode = false, "inactive"
+  rawset(state._parent, "_actchild", nil)
+  call_alone(fsm, state, "exit")
+  finish_exit(fsm, state, fsm._exit_hooks)
+end
+
+-- Makes the states from the root to `state` the active ones, or those above it.
+local function move_to(state, mode)
+  local fsm = state
+  while fsm._parent ~= fsm do fsm = fsm._parent end
+  set_inactive(fsm)
+  state._mode = mode
+  if mode ~= "inactive" and state["%def"].is_leaf then fsm._act_leaf = state end
+  while state ~= fsm do
+    local parent = state._parent
+    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
+    parent._mode, state = "active", parent
   end
 end
 
@@ -2793,145 +2825,112 @@ function rfsm.set_sta_mode(state, mode)
   local def = is_state(state) and state["%def"]
   if type(def) ~= "table" then
     error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
+  elseif mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
+    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode),
+      2)
   end
-  if mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
-    error("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, " .. got(mode), 2)
-  end
-  local fsm = state
-  while fsm._parent ~= fsm do fsm = fsm._parent end
-  if (mode == "inactive") == (state._mode == "inactive") and not def.is_leaf then
-    return mode
-  end
-  local co = mode ~= "inactive" and state._doo_co
-  set_inactive(fsm)
-  state._doo_co = co or nil
-  fsm._act_leaf = mode ~= "inactive" and def.is_leaf and state
-  if mode ~= "inactive" then state._mode = mode end
-  if mode == "inactive" and state == fsm then return mode end
-  while state ~= fsm do
-    local parent = state._parent
-    parent._mode = "active"
-    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
-    state = parent
+  local is_active, was_active = mode ~= "inactive", state._mode ~= "inactive"
+  if is_active ~= was_active or is_active and def.is_leaf then
+    local co = is_active and state._doo_co or nil
+    move_to(state, mode)
+    state._doo_co = co
   end
   return mode
 end
 
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
-do
-  local function hook_add(fsm, where, field, hook, place)
-    check_machine(fsm, where, 4)
-    check_function(hook, where, 4)
+-- Makes the function that adds a hook to the list `field` of a machine.
+local function hook_adder(where, field, flag)
+  return function(fsm, hook, place)
+    check_machine(fsm, where)
+    check_function(hook, where)
     if place ~= nil and place ~= "before" and place ~= "after" then
-      error(where .. ": 'before' or 'after' expected, " .. got(place), 3)
+      error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
     end
-    local hooks = append(place == "before" and { hook } or {}, fsm[field])
-    if place ~= "before" then hooks[#hooks + 1] = hook end
+    local hooks = append({}, fsm[field])
+    table.insert(hooks, place == "before" and 1 or #hooks + 1, hook)
     fsm[field] = hooks
-    if field ~= "_reset_hooks" then set_flag(fsm, "_is_hooked") end
-  end
-
-  local function hook_rm(fsm, where, field, slot, hook)
-    check_machine(fsm, where, 4)
-    local hooks, is_found = {}, false
-    for _, other in ipairs(fsm[field]) do
-      if rawequal(other, hook) and not is_found then
-        is_found = true
-      else
-        hooks[#hooks + 1] = other
-      end
-    end
-    if is_found then
-      fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
-    elseif slot and hook ~= nil and rawequal(fsm[slot], hook) then
-      fsm[slot], is_found = nil, true
-    end
-    return is_found
-  end
-
-  local function add_state_hook(fsm, where, field, state, hook)
-    check_machine(fsm, where, 4)
-    check_function(hook, where, 4)
-    if not is_node_of(fsm, state, "state") then
-      error(where .. ": state of the fsm expected, " .. got(state), 3)
-    end
-    state[field] = append(append({}, state[field] or {}), { hook })
-    set_flag(fsm, "_has_state_hooks")
-  end
-
-  --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
-  --
-  -- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
-  -- Its error is raised when the iteration is over.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State
-  ---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
-  function rfsm.entry_hook_add(fsm, state, hook)
-    add_state_hook(fsm, "rfsm.entry_hook_add", "_entry_hooks", state, hook)
-  end
-
-  --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
-  ---@param fsm rfsm.Machine
-  ---@param state rfsm.State
-  ---@param hook fun(fsm: rfsm.Machine, state: rfsm.State)
-  function rfsm.exit_hook_add(fsm, state, hook)
-    add_state_hook(fsm, "rfsm.exit_hook_add", "_exit_hooks", state, hook)
-  end
-
-  --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
-  --
-  -- It may change the list of events. The machine's own `pre_step_hook` is among the
-  -- hooks, and stays replaceable.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param hook fun(fsm: rfsm.Machine, events: any[])
-  ---@param place? "before"|"after" the hooks that are there; default "after"
-  function rfsm.pre_step_hook_add(fsm, hook, place)
-    hook_add(fsm, "rfsm.pre_step_hook_add", "_pre_hooks", hook, place)
-  end
-
-  --- Take a pre step hook away.
-  ---@param fsm rfsm.Machine
-  ---@param hook function
-  ---@return boolean was_there
-  function rfsm.pre_step_hook_rm(fsm, hook)
-    return hook_rm(fsm, "rfsm.pre_step_hook_rm", "_pre_hooks", "pre_step_hook", hook)
-  end
-
-  --- Have `hook(fsm, events)` called at the end of each iteration.
-  ---@param fsm rfsm.Machine
-  ---@param hook fun(fsm: rfsm.Machine, events: any[])
-  ---@param place? "before"|"after" the hooks that are there; default "after"
-  function rfsm.post_step_hook_add(fsm, hook, place)
-    hook_add(fsm, "rfsm.post_step_hook_add", "_post_hooks", hook, place)
-  end
-
-  --- Take a post step hook away.
-  ---@param fsm rfsm.Machine
-  ---@param hook function
-  ---@return boolean was_there
-  function rfsm.post_step_hook_rm(fsm, hook)
-    return hook_rm(fsm, "rfsm.post_step_hook_rm", "_post_hooks", "post_step_hook", hook)
-  end
-
-  --- Have `hook(fsm)` called when the machine is reset: for what an extension keeps.
-  ---@param fsm rfsm.Machine
-  ---@param hook fun(fsm: rfsm.Machine)
-  ---@param place? "before"|"after" the hooks that are there; default "after"
-  function rfsm.reset_hook_add(fsm, hook, place)
-    hook_add(fsm, "rfsm.reset_hook_add", "_reset_hooks", hook, place)
-  end
-
-  --- Take a reset hook away.
-  ---@param fsm rfsm.Machine
-  ---@param hook function
-  ---@return boolean was_there
-  function rfsm.reset_hook_rm(fsm, hook)
-    return hook_rm(fsm, "rfsm.reset_hook_rm", "_reset_hooks", nil, hook)
+    if flag then set_flag(fsm, flag) end
   end
 end
+
+-- Makes the function that takes a hook out again, also the model's own at `slot`.
+local function hook_remover(where, field, slot)
+  return function(fsm, hook)
+    check_machine(fsm, where)
+    local hooks = append({}, fsm[field])
+    for i = 1, #hooks do
+      if rawequal(hooks[i], hook) then
+        table.remove(hooks, i)
+        fsm[field] = slot and not hooks[2] and hooks[1] == OWN and OWN_ONLY or hooks
+        return true
+      end
+    end
+    if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
+    fsm[slot] = nil
+    return true
+  end
+end
+
+-- Makes the function that adds a hook to the list `field` of a state.
+local function state_hook_adder(where, field)
+  return function(fsm, state, hook)
+    check_machine(fsm, where)
+    check_function(hook, where)
+    if not is_node_of(fsm, state, "state") then
+      error(where .. ": state of the fsm expected, " .. got(state), 2)
+    end
+    fsm[field] = fsm[field] or {}
+    fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
+    fsm._is_plain = false
+  end
+end
+
+--- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
+--
+-- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
+-- Its error is raised when the iteration is over.
+--
+---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
+rfsm.entry_hook_add = state_hook_adder("rfsm.entry_hook_add", "_entry_hooks")
+
+--- Have `hook(fsm, state)` called each time `state` is left, after its exit.
+---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
+rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
+
+--- Have `hook(fsm, events)` called in each iteration before anything is chosen.
+--
+-- It may change the list of events. The machine's own `pre_step_hook` is among the
+-- hooks, and stays replaceable. The place, "after" (default) or "before", is relative
+-- to the hooks that are there.
+--
+---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks",
+  "_is_hooked")
+
+--- Take a pre step hook away; returns whether it was there.
+---@type fun(fsm: rfsm.Machine, hook: function): boolean
+rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
+  "pre_step_hook")
+
+--- Have `hook(fsm, events)` called at the end of each iteration.
+---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks",
+  "_is_hooked")
+
+--- Take a post step hook away; returns whether it was there.
+---@type fun(fsm: rfsm.Machine, hook: function): boolean
+rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
+  "post_step_hook")
+
+--- Have `hook(fsm)` called when the machine is reset: for what an extension keeps.
+---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
+
+--- Take a reset hook away; returns whether it was there.
+---@type fun(fsm: rfsm.Machine, hook: function): boolean
+rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
 -- Merge: a new element of a live machine ------------------------------------------
 
@@ -2939,7 +2938,9 @@ end
 function use_plan(fsm, plan)
   fsm._plan, fsm["%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
-  for i, tr in ipairs(fsm._transitions) do setmetatable(tr, plan.transitions[i].proto) end
+  for i, tr in ipairs(fsm._transitions) do
+    setmetatable(tr, plan.transitions[i].proto)
+  end
   list_otrs(fsm, plan)
 end
 
@@ -2948,6 +2949,15 @@ do
   local function is_inside(state, other)
     while state ~= other and state._parent ~= state do state = state._parent end
     return state == other
+  end
+
+  -- Why nothing can be added below `parent`, a leaf so far; nil when it can.
+  local function leaf_obstacle(fsm, parent)
+    if parent._mode ~= "inactive" then
+      return ("'%s' is an active leaf state"):format(parent._fqn)
+    elseif type(fsm._segment) == "table" or fsm._segment and not fsm._act_leaf then
+      return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
+    end
   end
 
   -- Why `obj` cannot become a member of `parent`; nil when it can.
@@ -2961,17 +2971,12 @@ do
       return "a " .. kind .. " needs a name"
     elseif id ~= id then
       return "a name expected, got NaN"
-    elseif id ~= nil and (rawget(parent, id) ~= nil or parent["%def"][id] and
-      CALLBACKS.state[id]) then
+    elseif id ~= nil and rawget(parent, id) ~= nil then
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
     elseif rawget(obj, "_parent") and is_inside(parent, obj) then
       return ("'%s' cannot contain itself"):format(obj._fqn)
-    elseif kind == "transition" or not parent["%def"].is_leaf then
-      return nil
-    elseif parent._mode ~= "inactive" then
-      return ("'%s' is an active leaf state"):format(parent._fqn)
-    elseif type(fsm._segment) == "table" or fsm._segment and not fsm._act_leaf then
-      return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
+    elseif kind ~= "transition" and parent["%def"].is_leaf then
+      return leaf_obstacle(fsm, parent)
     end
   end
 
@@ -3016,7 +3021,8 @@ do
     return moved
   end
 
-  local function truncate(fsm, list, first)
+  -- Takes out again what the list holds from number `first` on.
+  local function truncate(list, first)
     for i = #list, first, -1 do
       local element = list[i]
       if rawequal(rawget(element._parent, element["%def"].id), element) then
@@ -3028,8 +3034,8 @@ do
 
   -- The machine is again as it was with the plan `plan`.
   local function undo_merge(fsm, plan, moved)
-    truncate(fsm, fsm._transitions, #plan.transitions + 1)
-    truncate(fsm, fsm._nodes, #plan.nodes + 1)
+    truncate(fsm._transitions, #plan.transitions + 1)
+    truncate(fsm._nodes, #plan.nodes + 1)
     for i = 1, #plan.transitions do
       if moved[i] then
         fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
@@ -3104,15 +3110,17 @@ local function find_old_name(name)
   end
 end
 
--- A sandbox may have no `package`, or none of its fields.
-local package = rawget(_G, "package") or {}
-local searchers = package.searchers or package.loaders
-
-if searchers and loadfile and not searchers.rfsm then
-  searchers.rfsm = find_old_name -- a mark: one searcher is enough
-  searchers[#searchers + 1] = find_old_name
+-- Makes the module known; a sandbox may have no `package`, or none of its fields.
+local function register(package)
+  local searchers = package.searchers or package.loaders
+  if searchers and loadfile and not searchers.rfsm then
+    searchers.rfsm = find_old_name -- a mark: one searcher is enough
+    searchers[#searchers + 1] = find_old_name
+  end
+  if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
 end
-if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
+
+register(rawget(_G, "package") or {})
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm", rfsm) end
 
 return rfsm

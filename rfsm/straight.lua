@@ -1,16 +1,17 @@
---- Straight code: what the core runs most, without a loop and without a call of its own.
+--- Straight code: what the core runs most, without a loop, without calls of its own.
 --
--- The core does without this file: it is slower then, and that is all. It is asked for a
--- transition once that has been taken a few times, and for the candidates of an event.
--- Text is generated for a shape (how many states are left and entered, which of them by
--- what kind of transition), compiled once and bound to positions in the plan; no name of
--- a model is in it. Callbacks are read from the machine where they are called, and after
--- each one the text looks whether dbg has been switched on: then the core goes on.
+-- The core does without this file: it is slower then, and that is all. It is asked for
+-- a transition once that has been taken a few times, and for the candidates of an
+-- event. Text is generated for a shape (how many states are left and entered, which of
+-- them by what kind of transition), compiled once and bound to positions in the plan;
+-- no name of a model is in it. Callbacks are read from the machine where they are
+-- called, and after each one the text looks whether dbg has been switched on: then the
+-- core goes on.
 --
 -- @module rfsm.straight
 -- @license BSD-3-Clause
 
-local pairs, pcall, setmetatable, tostring, type = pairs, pcall, setmetatable, tostring, type
+local pcall, setmetatable, tostring, type = pcall, setmetatable, tostring, type
 local huge = math.huge
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -26,8 +27,8 @@ local dump = rawget(string, "dump")
 
 -- Lua 5.1 has no answer, but the binary form of a function does: in the header of 12
 -- bytes the sizes of int and size_t are at 8 and 9, a 1 at 7 is for little endian; then
--- come the name of the source with its length, two ints, the number of upvalues, that of
--- parameters, and a byte that is not 0 for a vararg function.
+-- come the name of the source with its length, two ints, the number of upvalues, that
+-- of parameters, and a byte that is not 0 for a vararg function.
 local function read_dump(f)
   local ok, code = pcall(dump, f)
   if not ok or code:sub(1, 5) ~= "\27Lua\81" or code:byte(7) ~= 1 then return nil end
@@ -72,6 +73,9 @@ end
 
 -- Segments: leave, effect, enter ---------------------------------------------------
 
+local HOOKS = [[
+  local entry_hooks, exit_hooks = fsm._entry_hooks, fsm._exit_hooks]]
+
 local LEAVE = [[
   local s$n = s$m._parent
   s$m._mode = "inactive"
@@ -83,8 +87,8 @@ local LEAVE = [[
   end]]
 
 local LEAVE_HOOKED = [[
-  if s$m._exit_hooks then
-    run_state_hooks(fsm, s$m, s$m._exit_hooks)
+  if exit_hooks and exit_hooks[s$m] then
+    run_state_hooks(fsm, s$m, exit_hooks)
     if fsm._is_traced then return finish_leaving(fsm, s$m) end
   end]]
 
@@ -109,7 +113,7 @@ local ENTER = [[
   s$m._actchild = s$n]]
 
 local ENTER_HOOKED = [[
-  if s$n._entry_hooks then run_state_hooks(fsm, s$n, s$n._entry_hooks) end]]
+  if entry_hooks and entry_hooks[s$n] then run_state_hooks(fsm, s$n, entry_hooks) end]]
 
 local ENTRY = [[
   local callback = s$n.entry
@@ -145,28 +149,29 @@ local function make_segment(parts, def, exits, is_hooked)
     parameters_of, def.tgt.done_event,
   }
   local lines = { "return function(fsm, s0, tr)", "local nodes = fsm._nodes" }
-  local function write(text, number, none)
+  local function write(is_wanted, text, number, none)
+    if not is_wanted then return end
     text = text:gsub("$(%l+)", { n = number, m = number - 1, none = none })
     lines[#lines + 1] = text
   end
+  write(is_hooked, HOOKS, 0)
   for i = 1, exits do
-    write(LEAVE, i, i < exits and "nil" or "false")
-    if is_hooked then write(LEAVE_HOOKED, i) end
-    if i == 1 and src.kind == "state" then write(FORGET_LEAF, i) end
-    if i == 1 and src.kind == "state" and (src.doo or not src.is_leaf) then
-      write(FORGET_DOO, i)
-    end
+    local is_leaf = i == 1 and src.kind == "state"
+    write(true, LEAVE, i, i < exits and "nil" or "false")
+    write(is_hooked, LEAVE_HOOKED, i)
+    write(is_leaf, FORGET_LEAF, i)
+    write(is_leaf and (src.doo or not src.is_leaf), FORGET_DOO, i)
   end
-  write(EFFECT, 0)
+  write(true, EFFECT, 0)
   for i = 1, #entries do
     n = n + 1
     bind(names, values, "i" .. n, entries[i].index)
-    write(ENTER, n)
-    if is_hooked then write(ENTER_HOOKED, n) end
-    write(ENTRY, n)
-    if is_hooked then write(ENTRY_HOOKED, n) end
+    write(true, ENTER, n)
+    write(is_hooked, ENTER_HOOKED, n)
+    write(true, ENTRY, n)
+    write(is_hooked, ENTRY_HOOKED, n)
   end
-  if not def.connector then write(COMPLETE, n) end
+  write(not def.connector, COMPLETE, n)
   lines[#lines + 1] = "end"
   return (make("segment", names, values, lines))
 end
@@ -231,7 +236,8 @@ end
 
 function Search:bind(name, value) bind(self.names, self.values, name, value) end
 
--- Writes what a transition asks for that leaves an active state (level 0) or a connector.
+-- Writes what a transition asks for that leaves an active state (level 0) or a
+-- connector.
 function Search:transition(def, level)
   local n = self.count + 1
   self.count = n
@@ -258,14 +264,15 @@ function Search:connector(connector, level, n)
   self.seen[connector] = true
   self:bind("c" .. n, connector)
   self:write("local w$level, x$level = false, nil", n, level)
+  local pn = nil
+  self:write("do")
   for i = 1, #otrs do -- those of one priority are asked together, for conflicts
-    if i == 1 or (otrs[i].pn or 0) ~= (otrs[i - 1].pn or 0) then
-      self:write(i == 1 and "do" or "end if not w$level then", n, level)
-    end
+    if (otrs[i].pn or 0) ~= pn then self:write("end if not w$level then", n, level) end
     if otrs[i].connector == nil then self.parts.compile_transition(otrs[i]) end
+    pn = otrs[i].pn or 0
     self:transition(otrs[i], level)
   end
-  if otrs[1] then self:write("end") end
+  self:write("end")
   self:write(EVALUATED, n, level)
 end
 
