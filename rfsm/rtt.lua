@@ -15,6 +15,7 @@ local rfsm = require "rfsm"
 
 local error, pcall, rawget, rawset, require = error, pcall, rawget, rawset, require
 local select, setmetatable, tostring, type = select, setmetatable, tostring, type
+local package = package
 
 local rfsm_rtt = {}
 
@@ -56,7 +57,7 @@ end
 -- through that. None for types that Lua has no value for: there each sample is an event
 -- of its own. None for ports that are not RTT's.
 local function new_variables(port)
-  local kind, rtt = info_of(port).type, rawget(_G, "rtt")
+  local kind, rtt = info_of(port).type, package.loaded.rtt
   if not (LUA_TYPES[kind] and rtt) then return nil end
   return rtt.Variable.new(kind), VIA_DOUBLE[kind] and rtt.Variable.new("double")
 end

@@ -166,7 +166,7 @@ end
 -- Is called in the other Lua. Charts rely on rttlib, which makes constructors callable
 -- and operations methods, and on utils: both are loaded if they can be had.
 function rtt_launch.launch(args)
-  local rtt = rawget(_G, "rtt")
+  local rtt = package.loaded.rtt
   if not rtt then error("no module 'rtt' in this Lua", 0) end
   if rfsm.is_initialized_root(rawget(_G, "fsm")) then
     error("a machine was launched here before, it is the global 'fsm'", 0)
@@ -334,7 +334,7 @@ end
 -- Returns the deployer, given as itself or as the name of a peer, and its operation.
 local function find_deployer(deployer)
   if deployer == nil or type(deployer) == "string" then
-    deployer = rawget(_G, "rtt").getTC():getPeer(deployer or "Deployer")
+    deployer = package.loaded.rtt.getTC():getPeer(deployer or "Deployer")
   end
   return deployer, deployer:getOperation("loadComponent")
 end

@@ -114,6 +114,9 @@ local BASIC = {
   string = { lua = "string", default = "", convert = c_string },
   uint = { lua = "number", default = 0, convert = to_uint },
 }
+for name in ("long int8 uint8 int16 uint16 int32 uint32 int64 uint64"):gmatch("%S+") do
+  BASIC[name] = { lua = "number", default = 0, convert = cut } -- as typekits bring them
+end
 local WIDE = {
   llong = { default = 0, convert = cut },
   ullong = { default = 0, convert = function(number)
