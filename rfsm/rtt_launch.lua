@@ -2,8 +2,7 @@
 --
 -- `service_launch_rfsm` puts a chart into the Lua service of a component,
 -- `component_launch_rfsm` into a Lua component of its own. Both are fields of
--- `rfsm.rtt`. They execute a text in the other Lua, which loads this module there, too.
--- If that fails, RTT's log has the reason.
+-- `rfsm.rtt`. They execute a text in the other Lua, which loads this module there.
 --
 -- @module rfsm.rtt_launch
 -- @license BSD-3-Clause
@@ -11,20 +10,20 @@
 local rfsm = require "rfsm"
 local rfsm_rtt = require "rfsm.rtt"
 
-local collectgarbage, error, ipairs, loadfile = collectgarbage, error, ipairs, loadfile
-local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
-local pairs, pcall, rawget, rawset, require = pairs, pcall, rawget, rawset, require
-local select, tostring, type = select, tostring, type
+local error, ipairs, loadfile, pairs, pcall = error, ipairs, loadfile, pairs, pcall
+local rawget, rawset, require, select = rawget, rawset, require, select
+local tostring, type = tostring, type
+local collectgarbage, package = collectgarbage, package
 local concat, sort = table.concat, table.sort
+local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local package = package
 
 local rtt_launch = {}
 
 -- In the other Lua: the ports, the machine, its updates --------------------------
 
--- Returns a printer to RTT's log. OCL mutes the log of the whole process at an error
--- that is no text; here everything is.
+-- Returns a printer to RTT's log. It logs texts only, since OCL mutes the log of the
+-- whole process at an error that is no text.
 local function printer(rtt, level)
   return function(...)
     local texts = {}
@@ -33,55 +32,43 @@ local function printer(rtt, level)
   end
 end
 
-local LEVELS = { err = "Error", warn = "Warning", info = "Info" }
-
--- Returns the machine, and the getevents of the chart. Printers that the chart leaves
--- open print to RTT's log.
+-- Returns the machine, and the getevents of the chart.
 local function load_machine(rtt, file)
   local model = rfsm.load(file)
-  for name, level in pairs(LEVELS) do -- any order: each stands alone
-    if model[name] == nil then model[name] = printer(rtt, level) end
+  for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
+    if model[name] == nil then model[name] = printer(rtt, level) end -- any order
   end
   local fsm, problems = rfsm.init(model)
   if not fsm then error("no machine, problems of the chart: " .. #problems, 0) end
   return fsm, model.getevents
 end
 
-local function run(chunk, problem)
-  if not chunk then error(problem, 0) end
-  chunk()
-end
-
-local function run_both(file, text)
-  if file then run(loadfile(file)) end
-  if text then run(loadstring(text)) end
+local function run(file, text)
+  local chunk, problem
+  if file then chunk, problem = loadfile(file) end
+  if text then chunk, problem = loadstring(text) end
+  if problem then error(problem, 0) end
+  if chunk then chunk() end
 end
 
 local function has_port(component, name)
-  for _, other in ipairs(component:getPortNames()) do
-    if other == name then return true end
-  end
-  return false
+  return (pcall(function() return component:getPort(name) end))
 end
 
--- Adds a port to the component of a launch, which notes it. RTT would replace and
--- disconnect a port whose name is used again.
+-- Adds a port. RTT would replace and disconnect one whose name is used again.
 local function add_port(launch, direction, name, text)
   local component = launch.component
   if has_port(component, name) then
     error(("'%s' has a port '%s' already"):format(component:getName(), name), 0)
   end
   local port = launch.rtt[direction].new("string", name, text)
-  if direction == "InputPort" and launch.is_component then
-    component:addEventPort(port)
-  else
-    component:addPort(port)
-  end
+  local is_trigger = direction == "InputPort" and launch.is_component
+  component[is_trigger and "addEventPort" or "addPort"](component, port)
   launch.ports[#launch.ports + 1] = port
   return port
 end
 
--- Ports of Lua are no garbage. One that is deleted before it is removed ends the process.
+-- Ports of Lua are no garbage. One deleted before it is removed ends the process.
 local function remove_ports(launch)
   for _, port in ipairs(launch.ports) do
     launch.component:removePort(port:info().name)
@@ -89,11 +76,20 @@ local function remove_ports(launch)
   end
 end
 
--- Adds the port for events, unless it is unwanted: by default by a chart that has a
--- getevents, or beside a port of that name. The global `extra_in_ports` is a list of
--- ports that a prefile has made.
-local function add_events_port(launch, fsm, getevents)
-  local name = launch.args.ev_inport
+local function add_out_ports(launch, fqn_name, events_name)
+  local port = add_port(launch, "OutputPort", fqn_name or "fqn", "FQN of the leaf")
+  rawset(_G, "fqn", port)
+  rawset(_G, "setfqn", rfsm_rtt.gen_write_fqn(port))
+  if not events_name then return end
+  if events_name == true then events_name = "events_out" end
+  port = add_port(launch, "OutputPort", events_name, "events of the machine")
+  rawset(_G, "ev_outport", port)
+  rawset(_G, "emit_event", rfsm_rtt.gen_raise_event(port))
+end
+
+-- By default, a chart with a getevents gets no port for events, nor does a component
+-- that has one of that name. The global `extra_in_ports` lists ports of a prefile.
+local function add_events_port(launch, name, fsm, getevents)
   if name == nil then
     name = not getevents and not has_port(launch.component, "events_in")
   end
@@ -106,19 +102,6 @@ local function add_events_port(launch, fsm, getevents)
   fsm.getevents = rfsm_rtt.gen_read_events(unpack(ports))
 end
 
-local function add_out_ports(launch)
-  local name = launch.args.ev_outport
-  local port = add_port(launch, "OutputPort", launch.args.fqn_port or "fqn",
-    "fully qualified name of the active leaf")
-  rawset(_G, "fqn", port)
-  rawset(_G, "setfqn", rfsm_rtt.gen_write_fqn(port))
-  if not name then return end
-  port = add_port(launch, "OutputPort", name == true and "events_out" or name,
-    "events of the machine")
-  rawset(_G, "ev_outport", port)
-  rawset(_G, "emit_event", rfsm_rtt.gen_raise_event(port))
-end
-
 -- Returns a function that advances the machine. It returns true whatever happens: RTT
 -- removes a hook that does not.
 local function new_trigger(launch, fsm)
@@ -126,61 +109,61 @@ local function new_trigger(launch, fsm)
   local runs = args.run or launch.is_component and not args.sync
   local advance = runs and rfsm.run or rfsm.step
   return function()
-    if args.running_only and launch.component:getState() ~= "Running" then
-      return true
-    end
-    local ok, why = pcall(advance, fsm)
+    local is_off = args.running_only and launch.component:getState() ~= "Running"
+    local ok, why = pcall(is_off and type or advance, fsm)
     if not ok then log("rfsm.rtt:", why) end
     return true
   end
 end
 
--- RTT looks the function up by its name at each update, and ends the process if it is
--- not there. So its name is one that no chart uses.
+-- RTT looks the function up by its name at each update. It ends the process if the
+-- function is not there, or if the hook was collected. So the name is one that no chart
+-- uses, and the function holds the hook.
 local HOOK = "rfsm.rtt: function of the EEHook"
 
-local held -- a hook that is garbage while it is enabled ends the process, too
-
-local function enable_hook(rtt, trigger)
+local function enable_hook(launch, trigger)
   rawset(_G, HOOK, trigger)
-  held = rtt.EEHook.new(HOOK)
-  rawset(_G, "eehook", held)
-  held:enable()
+  launch.hook = launch.rtt.EEHook.new(HOOK)
+  rawset(_G, "eehook", launch.hook)
+  launch.hook:enable()
 end
 
 local function set_up(launch)
   local args = launch.args
-  run_both(args.prefile, args.prestr)
-  add_out_ports(launch)
+  run(args.prefile)
+  run(nil, args.prestr)
+  add_out_ports(launch, args.fqn_port, args.ev_outport)
   local fsm, getevents = load_machine(launch.rtt, args.fsmfile)
   rfsm.post_step_hook_add(fsm, rawget(_G, "setfqn"))
-  add_events_port(launch, fsm, getevents)
+  add_events_port(launch, args.ev_inport, fsm, getevents)
   local trigger = new_trigger(launch, fsm)
   rawset(_G, "fsm", fsm)
   rawset(_G, "trigger", trigger)
   if launch.is_component then rawset(_G, "updateHook", function() trigger() end) end
-  run_both(args.postfile, args.poststr)
-  if args.eehook then enable_hook(launch.rtt, trigger) end
+  run(args.postfile)
+  run(nil, args.poststr)
+  if args.eehook then enable_hook(launch, trigger) end
 end
 
 -- Is called in the other Lua. Charts rely on rttlib, which makes constructors callable
 -- and operations methods, and on utils: both are loaded if they can be had.
-function rtt_launch.launch(args)
+function rtt_launch.launch(is_component, args)
   local rtt = package.loaded.rtt
   if not rtt then error("no module 'rtt' in this Lua", 0) end
   if rfsm.is_initialized_root(rawget(_G, "fsm")) then
     error("a machine was launched here before, it is the global 'fsm'", 0)
   end
   pcall(require, "rttlib")
-  local ok, utils = pcall(require, "utils")
-  if ok and rawget(_G, "utils") == nil then rawset(_G, "utils", utils) end
+  local has_utils, utils = pcall(require, "utils")
+  if has_utils and not rawget(_G, "utils") then rawset(_G, "utils", utils) end
   local launch = {
     args = args, rtt = rtt, component = rtt.getTC(), ports = {},
-    is_component = args.name ~= nil,
+    is_component = is_component,
   }
-  local is_set_up, why = pcall(set_up, launch)
+  local ok, why = pcall(set_up, launch)
+  package.loaded["rfsm.rtt_launch"] = nil -- not needed here any more
   collectgarbage()
-  if is_set_up then return end
+  if ok then return end
   remove_ports(launch)
   error(rfsm.text_of(why), 0)
 end
@@ -194,8 +177,8 @@ local function simple_text(value)
   return is_finite and ("%.17g"):format(value) or nil
 end
 
--- Returns a value as Lua writes it; nil unless it is a string, a number, a boolean, or a
--- list of these.
+-- Returns a value as Lua writes it; nil unless it is a string, a number, a boolean, or
+-- a list of these.
 local function to_text(value)
   if type(value) ~= "table" then return simple_text(value) end
   local texts, count = {}, 0
@@ -218,23 +201,33 @@ end
 local PROGRAM = [[
 if rawget(_G, "tlsf") then collectgarbage("setpause", 110) end
 %s
-if not pcall(require, "rfsm.rtt_launch") then package.path = package.path .. %q end
-require("rfsm.rtt_launch").launch { %s }
+if not pcall(require, "rfsm") then package.path = package.path .. %q end
+require("rfsm.rtt_launch").launch(%s, { %s })
 ]]
 
-local function program(args)
+local function program(args, is_component)
   local env, globals, fields = args.env or {}, {}, {}
   for i, name in ipairs(sorted_names(env)) do
     globals[i] = ("rawset(_G, %q, %s)"):format(name, to_text(env[name]))
   end
   for _, name in ipairs(sorted_names(args)) do
-    local text = name ~= "env" and simple_text(args[name])
+    local text = simple_text(args[name]) -- nil for the deployer and the like
     if text then fields[#fields + 1] = name .. " = " .. text end
   end
-  return PROGRAM:format(concat(globals, "\n"), ";" .. package.path, concat(fields, ", "))
+  return PROGRAM:format(concat(globals, "\n"), ";" .. package.path,
+    tostring(is_component), concat(fields, ", "))
 end
 
 -- In the Lua of the caller: arguments ----------------------------------------------
+
+local FIELDS = { -- with their types; options of a service are among them
+  deployer = "string or table or userdata", exec_str = "function or userdata",
+  env = "table", eehook = "boolean", ev_inport = "string or boolean",
+  ev_outport = "string or boolean", fqn_port = "string", fsmfile = "file name",
+  luatype = "string", name = "string", postfile = "file name", poststr = "string",
+  prefile = "file name", prestr = "string", run = "boolean", running_only = "boolean",
+  sync = "boolean",
+}
 
 local function got(value)
   local text = simple_text(value)
@@ -251,43 +244,34 @@ local function env_problem(env)
   end
 end
 
-local SERVICE = {
-  fsmfile = "file name", exec_str = "operation", eehook = "boolean", env = "table",
-  run = "boolean", running_only = "boolean", ev_inport = "string or boolean",
-  fqn_port = "string",
-}
-local COMPONENT = {
-  name = "string", fsmfile = "file name", deployer = "deployer", luatype = "string",
-  sync = "boolean", ev_inport = "string or boolean", ev_outport = "string or boolean",
-  fqn_port = "string", prefile = "file name", prestr = "string",
-  postfile = "file name", poststr = "string", env = "table",
-}
-local REQUIRED = { fsmfile = true, exec_str = true, name = true }
-
 local function problem_of(kind, value)
-  local is_string = type(value) == "string"
-  if kind == "deployer" then return nil end
-  if kind == "file name" and is_string then return (select(2, loadfile(value))) end
-  if kind == "table" and type(value) == "table" then return env_problem(value) end
-  if kind == "operation" and (type(value) == "userdata" or rfsm.is_callable(value))
-    or kind:find(type(value), 1, true) then
+  local actual = type(value)
+  if kind == "file name" and actual == "string" then
+    return (select(2, loadfile(value)))
+  elseif kind == "table" and actual == "table" then
+    return env_problem(value)
+  elseif kind:find(actual, 1, true)
+    or kind:find("func") and rfsm.is_callable(value) then
     return nil
   end
   return kind .. " expected, " .. got(value)
 end
 
--- Returns what is wrong with the arguments of a launch, the first by name.
-local function problem_in(args, kinds)
-  if type(args) ~= "table" then return "table expected, " .. got(args) end
+-- Raises what is wrong with the arguments of a launch, the first by name; these two
+-- must be there.
+local function check(args, first, second)
+  if type(args) ~= "table" then error("table expected, " .. got(args), 0) end
   for _, name in ipairs(sorted_names(args)) do
-    if not kinds[name] then return "unknown field '" .. tostring(name) .. "'" end
+    if not FIELDS[name] then error("unknown field '" .. tostring(name) .. "'", 0) end
   end
-  for _, name in ipairs(sorted_names(kinds)) do
-    local problem = (args[name] ~= nil or REQUIRED[name])
-      and problem_of(kinds[name], args[name])
-    if problem then return name .. ": " .. problem end
+  for _, name in ipairs(sorted_names(FIELDS)) do
+    local problem = (args[name] ~= nil or name == first or name == second)
+      and problem_of(FIELDS[name], args[name])
+    if problem then error(name .. ": " .. problem, 0) end
   end
 end
+
+-- Launch ----------------------------------------------------------------------------
 
 -- Returns whether `f(...)` went well, and why not: it raised, or returned false.
 local function succeeds(f, ...)
@@ -296,17 +280,15 @@ local function succeeds(f, ...)
   return result ~= false, "RTT's log has the reason"
 end
 
--- Launch ----------------------------------------------------------------------------
-
 --- Launch a machine in a Lua service of a component.
 --
 -- The component gets the ports `fqn` and, unless the chart has a getevents, `events_in`,
--- the service's Lua the globals `fsm`, `trigger`, `setfqn` and `eehook`. With `eehook`
--- the machine takes a step at each update, otherwise when `trigger()` is executed.
+-- the service's Lua the globals `fsm`, `trigger`, `setfqn`, `eehook`. With `eehook` the
+-- machine takes a step at each update, otherwise when `trigger()` is executed.
 --
--- Fields of `options`: `run` (boolean: run the machine, do not only step), `running_only`
--- (boolean: not while the component is stopped or not configured), `ev_inport` and
--- `fqn_port` (as those of `component_launch_rfsm`).
+-- Fields of `options`: `run` (run the machine, do not only step), `running_only` (not
+-- while the component is stopped or not configured), and the fields of rfsm.rtt.Launch
+-- for ports and programs.
 --
 -- @usage
 --    local exec_str = component:provides("Lua"):getOperation("exec_str")
@@ -316,27 +298,36 @@ end
 ---@param file string the chart
 ---@param exec_str fun(code: string): boolean the service's operation
 ---@param eehook? boolean
----@param env? table<string, any> globals to define first: strings, numbers, booleans,
---- lists of these
+---@param env? table<string, any> globals: strings, numbers, booleans, lists of these
 ---@param options? table
 ---@return boolean launched true
 function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, options)
-  local where = "rfsm.rtt.service_launch_rfsm: "
   local args = { fsmfile = file, exec_str = exec_str, eehook = eehook, env = env }
   for name, value in pairs(options or {}) do args[name] = value end -- any order: a set
-  local problem = problem_in(args, SERVICE)
-  if problem then error(where .. problem, 2) end
-  local ok, why = succeeds(exec_str, program(args))
-  if not ok then error(where .. "exec_str fails: " .. why, 2) end
+  local ok, why = pcall(check, args, "fsmfile", "exec_str")
+  if ok then ok, why = succeeds(exec_str, program(args, false)) end
+  if not ok then error("rfsm.rtt.service_launch_rfsm: " .. why, 2) end
   return true
 end
 
--- Returns the deployer, given as itself or as the name of a peer, and its operation.
-local function find_deployer(deployer)
-  if deployer == nil or type(deployer) == "string" then
-    deployer = package.loaded.rtt.getTC():getPeer(deployer or "Deployer")
+-- Loads the component, and launches the machine in it.
+local function launch_component(args)
+  check(args, "name", "fsmfile")
+  local name, deployer = args.name, args.deployer or "Deployer"
+  if type(deployer) == "string" then
+    deployer = package.loaded.rtt.getTC():getPeer(deployer)
   end
-  return deployer, deployer:getOperation("loadComponent")
+  local ok, why = succeeds(deployer:getOperation("loadComponent"), name,
+    args.luatype or "OCL::LuaComponent")
+  if not ok then error(why, 0) end
+  local component = deployer:getPeer(name)
+  ok, why = succeeds(function()
+    component:addPeer(deployer)
+    return component:getOperation("exec_str")(program(args, true))
+  end)
+  if ok then return component end
+  succeeds(deployer:getOperation("unloadComponent"), name)
+  error(why, 0)
 end
 
 --- What component_launch_rfsm takes.
@@ -353,7 +344,7 @@ end
 ---@field prestr? string text to run after prefile
 ---@field postfile? string file to run at the end, when the global `fsm` is there
 ---@field poststr? string text to run after postfile
----@field env? table<string, any> globals to define first
+---@field env? table<string, any> globals: strings, numbers, booleans, lists of these
 
 --- Launch a machine in a component of its own.
 --
@@ -372,25 +363,9 @@ end
 ---@param args rfsm.rtt.Launch
 ---@return any component not configured
 function rtt_launch.component_launch_rfsm(args)
-  local where = "rfsm.rtt.component_launch_rfsm: "
-  local problem = problem_in(args, COMPONENT)
-  if problem then error(where .. problem, 2) end
-  local is_found, deployer, load_component = pcall(find_deployer, args.deployer)
-  if not is_found then
-    error(where .. "deployer: none found: " .. rfsm.text_of(deployer), 2)
-  end
-  local name, component = args.name, nil
-  local ok, why = succeeds(load_component, name, args.luatype or "OCL::LuaComponent")
-  if ok then
-    ok, why = succeeds(function()
-      component = deployer:getPeer(name)
-      component:addPeer(deployer)
-      return component:getOperation("exec_str")(program(args))
-    end)
-    if not ok then succeeds(deployer:getOperation("unloadComponent"), name) end
-  end
-  if not ok then error(("%s'%s': %s"):format(where, name, why), 2) end
-  return component
+  local ok, result = pcall(launch_component, args)
+  if ok then return result end
+  error("rfsm.rtt.component_launch_rfsm: " .. rfsm.text_of(result), 2)
 end
 
 return rtt_launch

@@ -694,12 +694,11 @@ end
 local function execute(component)
   component.is_triggered = false
   for i = 1, component.hook_count do
-    local hook = component.hooks[i]
-    if component.hook_names[i] and not hook then
+    local hook, is_enabled = component.hooks[i], component.hook_names[i]
+    if is_enabled and not hook then
       error("the process dies: an EEHook was collected while it was enabled", 0)
     end
-    if hook and not hook.run() then component.hook_names[i] = nil end
-    if hook and not component.hook_names[i] then component.hooks[i] = nil end
+    if is_enabled and not hook.run() then component.hook_names[i] = nil end
   end
   if component.state == "Running" then call_hook(component, "updateHook", false) end
 end

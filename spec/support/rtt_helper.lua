@@ -227,11 +227,14 @@ end
 function rtt_helper.evaluate(exec_str, expressions)
   local name = helper.file_with("")
   assert(exec_str(([[
-local values = { n = select("#", %s), %s }
-for i = 1, values.n do values[i] = tostring(values[i]) end
+local function texts(...)
+  local list = { ... }
+  for i = 1, select("#", ...) do list[i] = tostring(list[i]) end
+  return list
+end
 local file = assert(io.open(%q, "w"))
-file:write(table.concat(values, " "))
-file:close()]]):format(expressions, expressions, name)))
+file:write(table.concat(texts(%s), " "))
+file:close()]]):format(name, expressions)))
   return helper.content(name)
 end
 
