@@ -238,8 +238,8 @@ local function env_problem(env)
   for _, name in ipairs(sorted_names(env)) do
     if type(name) ~= "string" then return "names expected as keys, " .. got(name) end
     if not to_text(env[name]) then
-      return ("%s: string, number, boolean or a list of these expected, %s"):format(name,
-        got(env[name]))
+      return name .. ": string, number, boolean or a list of these expected, "
+        .. got(env[name])
     end
   end
 end
@@ -282,9 +282,9 @@ end
 
 --- Launch a machine in a Lua service of a component.
 --
--- The component gets the ports `fqn` and, unless the chart has a getevents, `events_in`,
--- the service's Lua the globals `fsm`, `trigger`, `setfqn`, `eehook`. With `eehook` the
--- machine takes a step at each update, otherwise when `trigger()` is executed.
+-- The component gets the port `fqn`, and `events_in` unless the chart has a getevents.
+-- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
+-- `eehook` the machine takes a step at each update, otherwise when `trigger()` is executed.
 --
 -- Fields of `options`: `run` (run the machine, do not only step), `running_only` (not
 -- while the component is stopped or not configured), and the fields of rfsm.rtt.Launch
@@ -348,8 +348,8 @@ end
 
 --- Launch a machine in a component of its own.
 --
--- The component is loaded and has the machine, with the ports `fqn` and, unless the
--- chart has a getevents, `events_in`. Set its activity, connect its ports, configure and
+-- The component is loaded and has the machine, with the port `fqn`, and `events_in`
+-- unless the chart has a getevents. Set its activity, connect its ports, configure and
 -- start it. An event triggers an update, and an update runs the machine.
 --
 -- @usage

@@ -44,7 +44,7 @@ describe("a Variable of RTT", function()
     end)
   end
 
-  it("converts numbers of other types, and warns when a double becomes an int", function()
+  it("converts numbers of other types, and warns of a double for an int", function()
     local int, double = Variable("int"), Variable("double")
     double:assign(2.9)
     int:assign(double)
@@ -211,7 +211,8 @@ describe("a Lua of RTT", function()
     assert.is_function(string.rep)
     assert.equal(io, package.loaded.io)
     local _, exec_leg = rtt_helper.load("leg")
-    assert.equal("nil nil leg", evaluate(exec_leg, "rttlib, rfsm, rtt.getTC():getName()"))
+    assert.equal("nil nil leg",
+      evaluate(exec_leg, "rttlib, rfsm, rtt.getTC():getName()"))
   end)
 
   it("returns false when code fails, and logs the reason", function()

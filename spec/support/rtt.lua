@@ -1,20 +1,20 @@
--- Stands in for the module `rtt` of Orocos RTT-Lua (OCL 2.10): as much of it as rfsm.rtt
--- and its users meet, with its traps:
+-- Stands in for the module `rtt` of Orocos RTT-Lua (OCL 2.10): as much of it as its
+-- users meet, with its traps:
 --
 --   - constructors can be called, and operations are methods, only in a Lua that has
 --     loaded `rttlib`; `.new` and `getOperation` are always there
---   - `port:connect(other, policy)` ignores the policy; the deployer's `connect` does not
+--   - `port:connect(other, policy)` ignores the policy, the deployer's does not
 --   - `port:read()` returns a value also with "NoData" and "OldData"; `port:read(var)`
 --     only the status, and always "NoData" when the type of the Variable is another one
 --   - `port:write(a, b)` writes a; a Variable of another type is logged and not written
 --   - a data connection keeps the last sample only, a full buffer drops what comes
 --   - a port added under a name in use disconnects and replaces the one that has it
---   - strings end at "\0"; numbers are cut and wrap as C casts them; no text is a number
+--   - strings end at "\0"; numbers wrap as C casts them; no text is a number
 --   - an error that is no text mutes the log of the whole process
 --   - operations such as exec_str return false, and the log has the reason
 --   - each component and each Lua service has a Lua of its own
 --   - an EEHook that does not return true is removed; it runs in every state of the
---     component; a hook without its function, or one that was collected, ends the process
+--     component; one without its function, or that was collected, ends the process
 --   - configure() of a stopped component calls configureHook again, without cleanupHook
 --   - threads: nothing runs at a write or a trigger, see `standin.spin`
 --
@@ -101,15 +101,17 @@ local function to_uint(number)
   return is_in and cut(number) % 4294967296 or 0
 end
 
+local function same(value) return value end
+
 -- By type: the type of Lua that becomes one, how, and what a new Variable holds. A type
--- that is not basic has no value of Lua; the wide integers are converted by others only.
+-- that is not basic has no value of Lua; wide integers are converted by others only.
 local BASIC = {
-  bool = { lua = "boolean", default = false, convert = function(value) return value end },
+  bool = { lua = "boolean", default = false, convert = same },
   char = { lua = "string", default = "\0", convert = function(value)
     return value == "" and "\0" or value:sub(1, 1)
   end },
-  double = { lua = "number", default = 0, convert = function(value) return value end },
-  float = { lua = "number", default = 0, convert = function(value) return value end },
+  double = { lua = "number", default = 0, convert = same },
+  float = { lua = "number", default = 0, convert = same },
   int = { lua = "number", default = 0, convert = to_int },
   string = { lua = "string", default = "", convert = c_string },
   uint = { lua = "number", default = 0, convert = to_uint },
@@ -168,7 +170,9 @@ local Variable = {}
 
 local function is_variable(value) return getmetatable(value) == Variable end
 
-local function new_variable(name, value) return setmetatable({ name, value }, Variable) end
+local function new_variable(name, value)
+  return setmetatable({ name, value }, Variable)
+end
 
 -- Basic types as values of Lua, others as a Variable of their own.
 local function push(name, value)
@@ -490,8 +494,8 @@ end
 local function new_metatable(class_methods)
   return { __index = function(owner, name)
     if class_methods[name] then return class_methods[name] end
-    if not current.has_rttlib or not rawget(owner, "operations")[name] then return nil end
-    return function(_, ...) return get_operation(owner, name)(...) end
+    local operation = current.has_rttlib and rawget(owner, "operations")[name]
+    return operation and function(_, ...) return operation(...) end or nil
   end }
 end
 

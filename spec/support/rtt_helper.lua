@@ -1,5 +1,5 @@
--- What the specs of RTT share. They run on the stand-in in spec/support/rtt.lua, or, in a
--- rttlua, on the real RTT: busted is a Lua program.
+-- What the specs of RTT share. They run on the stand-in in spec/support/rtt.lua. In a
+-- rttlua (busted is a Lua program) they run on the real RTT.
 
 local helper = require "spec.helper"
 
