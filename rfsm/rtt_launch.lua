@@ -77,7 +77,7 @@ local function remove_ports(launch)
 end
 
 local function add_out_ports(launch, fqn_name, events_name)
-  local port = add_port(launch, "OutputPort", fqn_name or "fqn", "FQN of the leaf")
+  local port = add_port(launch, "OutputPort", fqn_name or "fqn", "FQN of active leaf")
   rawset(_G, "fqn", port)
   rawset(_G, "setfqn", rfsm_rtt.gen_write_fqn(port))
   if not events_name then return end
@@ -284,7 +284,7 @@ end
 --
 -- The component gets the port `fqn`, and `events_in` unless the chart has a getevents.
 -- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
--- `eehook` the machine takes a step at each update, otherwise when `trigger()` is executed.
+-- `eehook` the machine takes a step at each update, without when `trigger()` is executed.
 --
 -- Fields of `options`: `run` (run the machine, do not only step), `running_only` (not
 -- while the component is stopped or not configured), and the fields of rfsm.rtt.Launch
