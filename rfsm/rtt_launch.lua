@@ -284,7 +284,7 @@ end
 --
 -- The component gets the port `fqn`, and `events_in` unless the chart has a getevents.
 -- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
--- `eehook` the machine takes a step at each update, without when `trigger()` is executed.
+-- `eehook` the machine takes a step at each update, otherwise at each `trigger()`.
 --
 -- Fields of `options`: `run` (run the machine, do not only step), `running_only` (not
 -- while the component is stopped or not configured), and the fields of rfsm.rtt.Launch
