@@ -79,7 +79,7 @@ local HOOKS = [[
 local LEAVE = [[
   local s$n = s$m._parent
   s$m._mode = "inactive"
-  s$n._actchild = $none
+  s$n._actchild = nil
   local callback = s$m.exit
   if callback then
     callback(fsm, s$m, "exit")
@@ -149,15 +149,15 @@ local function make_segment(parts, def, exits, is_hooked)
     parameters_of, def.tgt.done_event,
   }
   local lines = { "return function(fsm, s0, tr)", "local nodes = fsm._nodes" }
-  local function write(is_wanted, text, number, none)
+  local function write(is_wanted, text, number)
     if not is_wanted then return end
-    text = text:gsub("$(%l+)", { n = number, m = number - 1, none = none })
+    text = text:gsub("$(%l+)", { n = number, m = number - 1 })
     lines[#lines + 1] = text
   end
   write(is_hooked, HOOKS, 0)
   for i = 1, exits do
     local is_leaf = i == 1 and src.kind == "state"
-    write(true, LEAVE, i, i < exits and "nil" or "false")
+    write(true, LEAVE, i)
     write(is_hooked, LEAVE_HOOKED, i)
     write(is_leaf, FORGET_LEAF, i)
     write(is_leaf and (src.doo or not src.is_leaf), FORGET_DOO, i)
