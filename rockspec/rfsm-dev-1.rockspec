@@ -35,6 +35,7 @@ build = {
     ["rfsm.preview"] = "rfsm/preview.lua",
     ["rfsm.proto"] = "rfsm/proto.lua",
     ["rfsm.rtt"] = "rfsm/rtt.lua",
+    ["rfsm.rtt_launch"] = "rfsm/rtt_launch.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
     -- older names
     ["rfsm2dot"] = "compat/rfsm2dot.lua",
