@@ -1080,7 +1080,9 @@ local function silent() end
 
 local function no_events() return {} end
 
-local OFF = { dbg = silent, getevents = no_events }
+local OFF = {
+  dbg = silent, getevents = no_events, type = State.type, new = State.new, rfsm = "state",
+}
 
 -- The flags that stand for what a plain machine lacks.
 local FLAG_OF = {
@@ -1100,11 +1102,10 @@ end
 -- A machine is plain again when nothing stands behind any flag and a leaf is active.
 local function check_plain(fsm)
   fsm._is_plain = fsm._act_leaf and not (fsm._is_traced or fsm._is_fed or fsm._is_hooked
-    or fsm._entry_hooks or fsm._exit_hooks)
+    or fsm._run == "run_hooked")
 end
 
-Machine.type, Machine.new = State.type, State.new
-Machine.__index = setmetatable(OFF, { __index = Machine })
+Machine.__index = OFF
 
 -- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
 -- from the machine while they are off.
@@ -1278,6 +1279,7 @@ local function trace(fsm, ...)
   local dbg = fsm.dbg
   if dbg and dbg ~= silent then return report(fsm, "dbg", ...) end
   fsm.dbg, fsm._is_traced = nil, false
+  check_plain(fsm)
 end
 
 -- Did an interrupt such as Control-C raise the error, rather than a callback? That is
@@ -1302,16 +1304,18 @@ end
 -- asked for.
 local straight
 
--- May a function that is called with `n` arguments keep the last one, the events?
-local function may_keep(f, n)
-  return not straight or straight.parameters_of[f] >= n
-end
+-- How many parameters a function has, as far as straight code can tell: one that has
+-- none for the events cannot keep them.
+local parameters_of = setmetatable({}, { __index = function() return huge end })
 
 -- The events table was handed to a function that may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
 
 local function empty(events)
-  for i = #events, 1, -1 do events[i] = nil end
+  for i = #events, 3, -1 do events[i] = nil end
+  if events[2] ~= nil then events[2] = nil end
+  if events[1] ~= nil then events[1] = nil end
+  return events
 end
 
 -- Events of an iteration that was cut short come first in the queue again.
@@ -1328,7 +1332,7 @@ local function collect(fsm, list)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then
     fsm.getevents, fsm._is_fed = nil, false
-    return
+    return check_plain(fsm)
   elseif not is_callable(getevents) then
     error("rfsm.step: getevents: function expected, " .. got(getevents), 0)
   end
@@ -1351,10 +1355,12 @@ local function run_hooks(fsm, hooks, slot, events)
     local hook = hooks[i]
     if hook == OWN then hook = fsm[slot] end
     if hook then
-      if type(hook) ~= "function" and not is_callable(hook) then
-        error(("rfsm.step: %s: function expected, %s"):format(slot, got(hook)), 0)
+      if parameters_of[hook] > 1 then
+        if not is_callable(hook) then
+          error(("rfsm.step: %s: function expected, %s"):format(slot, got(hook)), 0)
+        end
+        keep_events(fsm)
       end
-      if may_keep(hook, 2) then keep_events(fsm) end
       hook(fsm, events)
     end
   end
@@ -1404,7 +1410,7 @@ do
 
   -- Does the guard let the transition pass? One that fails does not.
   local function allows(fsm, tr, guard, events)
-    if may_keep(guard, 2) then keep_events(fsm) end
+    if parameters_of[guard] > 1 then keep_events(fsm) end
     local ok, answer = pcall(guard, tr, events)
     if ok then return answer ~= false end
     report_callback(fsm, "guard", tostring(tr), answer)
@@ -1702,7 +1708,7 @@ local function run_effect(fsm, def)
   if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
   local effect = tr.effect
   if not effect then return end
-  if may_keep(effect, 4) then keep_events(fsm) end
+  if parameters_of[effect] > 3 then keep_events(fsm) end
   effect(fsm, tr, "effect", fsm._curq)
 end
 
@@ -1836,7 +1842,7 @@ end
 
 -- Takes the path that starts with `def` in the active state `from`.
 local function take(fsm, def, from)
-  local run = (fsm._entry_hooks or fsm._exit_hooks) and "run_hooked" or "run"
+  local run = fsm._run
   if fsm._is_traced then
     trace(fsm, "EXEC_PATH", path_text(fsm, def))
     run = "run_traced"
@@ -1871,6 +1877,7 @@ local function straight_code()
   if straight == nil then
     local make = loadstring and find_module("rfsm.straight")
     straight = make and make(PARTS) or false
+    if straight then parameters_of = straight.parameters_of end
   end
   return straight
 end
@@ -2011,47 +2018,46 @@ do
   -- without `debug` nobody could tell then that no step is under way.
   local MAY_RAISE = getinfo ~= nil
 
-  -- The end of an iteration where there are step hooks: they get its events.
-  local function settle_hooked(fsm, events)
-    fsm._curq = fsm._spare or {}
-    fsm._segment, fsm._spare = MAY_RAISE, false
-    if fsm._reset_wanted then reset_now(fsm) end
-    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
-    fsm._segment = false
-    if not fsm._is_kept then
-      empty(events)
-      fsm._spare = events
-    end
-    fsm._is_kept, fsm._is_unsettled = false, false
-    if fsm._has_failure then raise_failure(fsm) end
-  end
-
-  -- The end of an iteration in which something was kept, failed, or asked for. The
-  -- events table is emptied and will be the next queue; one that a function may have
-  -- kept is left to it.
+  -- The end of an iteration in which something was kept, failed, asked for, or that has
+  -- hooks. The events table is emptied and will be a queue again; one that a function
+  -- may have kept is left to it. What post step hooks get is used: `gather` must not
+  -- find it.
   local function settle(fsm, events)
-    if fsm._is_hooked then return settle_hooked(fsm, events) end
-    if fsm._is_kept then fsm._curq = {} else empty(events) end
-    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
+    local hooks = fsm._post_hooks
     if fsm._reset_wanted then reset_now(fsm) end
+    if hooks ~= OWN_ONLY or fsm.post_step_hook then
+      fsm._curq = fsm._spare or { nil, nil }
+      fsm._segment, fsm._spare = MAY_RAISE, false
+      run_hooks(fsm, hooks, "post_step_hook", events)
+      fsm._spare = not fsm._is_kept and empty(events)
+    elseif fsm._is_kept then
+      fsm._curq = { nil, nil } -- with room for two
+    else
+      empty(events)
+    end
+    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
     if fsm._has_failure then raise_failure(fsm) end
   end
 
-  -- The events of the iteration: what is queued, then what getevents returns, then what
-  -- the hooks have made of it.
+  -- Returns the events of the iteration: what is queued, then what getevents returns,
+  -- then what the hooks have made of it.
   local function gather(fsm)
-    put_back(fsm)
+    if fsm._reset_wanted then reset_now(fsm) end
+    if fsm._curq[1] ~= nil then put_back(fsm) end
     local events, spare = fsm._intq, fsm._curq
+    fsm._segment, fsm._is_unsettled = MAY_RAISE, true
     fsm._curq = events
     fsm._intq = spare
     if fsm._is_fed then collect(fsm, events) end
     if not fsm._is_hooked then return events end
-    if fsm._pre_hooks == OWN_ONLY and fsm._post_hooks == OWN_ONLY
-      and not fsm.pre_step_hook and not fsm.post_step_hook then
-      fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
-    else
-      run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+    if fsm._pre_hooks == OWN_ONLY and not fsm.pre_step_hook then
+      if fsm._post_hooks == OWN_ONLY and not fsm.post_step_hook then
+        fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
+        check_plain(fsm)
+      end
+      return events
     end
+    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
     return fsm._curq
   end
 
@@ -2089,24 +2095,33 @@ do
     return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- One iteration of a machine that is not plain, or of any machine in full.
-  local function iterate_fully(fsm, after_free)
-    fsm._segment = MAY_RAISE
-    local events = gather(fsm)
+  -- One iteration, whatever the machine is like. `events` if they have been gathered.
+  local function iterate_fully(fsm, after_free, events)
+    events = events or gather(fsm)
     local leaf, counted, idle = fsm._act_leaf, true, false
     fsm._segment = true
     if leaf then
       counted, idle = react(fsm, choose(fsm, events), leaf, events, after_free)
-    elseif not enter_machine(fsm, events) then
+    elseif enter_machine(fsm, events) then
+      check_plain(fsm)
+    else
       return refuse_entry(fsm, events)
     end
     settle(fsm, events)
-    check_plain(fsm)
     return counted, is_idle(fsm, idle)
   end
 
-  -- A plain machine without events but an e_done that nothing waits for, which makes no
-  -- difference: there is a doo cycle in any case, now or in the next iteration.
+  -- The events, the active leaf and the empty table of an iteration with hooks. No
+  -- leaf: `iterate_fully` is to do it.
+  local function prepare(fsm)
+    if fsm._is_traced then return nil end
+    local events = gather(fsm)
+    if fsm._is_traced then return nil, events end
+    return fsm._act_leaf, events, fsm._intq
+  end
+
+  -- Without events but an e_done that nothing waits for there is a doo cycle in any
+  -- case, now or in the next iteration.
   local function iterate_doo(fsm, leaf, events)
     if events[1] ~= nil then events[1] = nil end
     if leaf._mode == "done" and not fsm._is_unsettled then return true, true end
@@ -2118,21 +2133,22 @@ do
 
   -- Looks for the transition that a single event enables, by straight code. Returns nil
   -- when there is more to it: see `iterate_further`.
-  local function find_single(fsm, leaf_def, events, event)
-    local choice, spare = leaf_def.choices[event], fsm._curq
+  local function find_single(fsm, leaf_def, events, event, spare)
+    local choice = leaf_def.choices[event]
     if not (choice and choice.search) then return nil end
     fsm._segment = true
     fsm._curq = events
     fsm._intq = spare
     local def = choice.search(fsm, choice, events)
-    if not def or def.connector or not fsm._is_plain then return nil, def end
+    if not def or def.connector or not fsm._is_plain then return nil, def or false end
     return def, fsm._transitions[def.index]
   end
 
-  -- Goes on where a single event does not lead straight to a leaf.
-  local function iterate_further(fsm, def, leaf, leaf_def, after_free)
-    local events = fsm._curq
-    if not fsm._segment then return iterate_fully(fsm, after_free) end
+  -- Goes on where a single event does not lead straight to a leaf. `def` is nil when it
+  -- has not been looked for, `events` is when they have not been gathered.
+  local function iterate_further(fsm, def, leaf, leaf_def, after_free, events)
+    if def == nil then return iterate_fully(fsm, after_free, events) end
+    events = fsm._curq
     if leaf["%def"] ~= leaf_def then def = choose(fsm, events) end -- a guard has merged
     local counted, idle = react(fsm, def, leaf, events, after_free)
     settle(fsm, events)
@@ -2142,20 +2158,26 @@ do
   -- One iteration. Returns nil when there is no way in; else whether it counts as a
   -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
   --
-  -- What is written out here is the usual case: the machine is plain, and there is one
-  -- event, apart from an e_done that nothing waits for.
-  function iterate(fsm, after_free)
-    if not fsm._is_plain then return iterate_fully(fsm, after_free) end
-    local leaf, events = fsm._act_leaf, fsm._intq
+  -- What is written out here is the usual case: there is one event, apart from an
+  -- e_done that nothing waits for, and nobody traces.
+  function iterate(fsm, after_free) -- luacheck: ignore 561 (written out for speed)
+    local leaf, events, spare, gathered = fsm._act_leaf, fsm._intq, fsm._curq, nil
+    if not fsm._is_plain then
+      leaf, events, spare = prepare(fsm)
+      if not leaf then return iterate_fully(fsm, after_free, events) end
+      gathered = events
+    end
     local leaf_def, event, next_event = leaf["%def"], events[1], events[2]
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if event == nil then return iterate_doo(fsm, leaf, events) end
-    if next_event ~= nil then return iterate_fully(fsm, after_free) end
-    local def, spare = leaf_def.quick[event], fsm._curq
+    if event == nil and not gathered then return iterate_doo(fsm, leaf, events) end
+    if next_event ~= nil then return iterate_fully(fsm, after_free, gathered) end
+    local def = leaf_def.quick[event]
     local tr = def and fsm._transitions[def.index]
     if not def or tr.guard or tr.tgt ~= fsm._nodes[def.tgt_index] then
-      def, tr = find_single(fsm, leaf_def, events, event)
-      if not def then return iterate_further(fsm, tr, leaf, leaf_def, after_free) end
+      def, tr = find_single(fsm, leaf_def, events, event, spare)
+      if not def then
+        return iterate_further(fsm, tr, leaf, leaf_def, after_free, gathered)
+      end
     else
       fsm._segment = true
       fsm._curq = events
@@ -2163,7 +2185,7 @@ do
     end
     fsm._from = leaf
     fsm._segment = def
-    local ok, failure = pcall(def.run, fsm, leaf, tr)
+    local ok, failure = pcall(def[fsm._run], fsm, leaf, tr)
     if not ok then recover(fsm, true, failure) end
     if fsm._is_unsettled then
       settle(fsm, events)
@@ -2304,11 +2326,12 @@ end
 -- The file and line are those of its constructor, left out where they are not known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
+---@param field? string of the element: "root.trans[2].events (off -> on)"
 ---@return string location
-function rfsm.location_of(obj)
+function rfsm.location_of(obj, field)
   local def = obj["%def"]
   local file = made_at[def.model]
-  return (file and file .. ": " or "") .. place_of(def)
+  return (file and file .. ": " or "") .. place_of(def, field)
 end
 
 local function new_build(plan)
@@ -2345,7 +2368,8 @@ local function new_machine(plan)
     -- the structure
     _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
     -- the run
-    _segment = false, _from = false, _is_plain = false, _is_traced = false,
+    _segment = false, _from = false, _run = "run",
+    _is_plain = false, _is_traced = false,
     _is_fed = false, _is_hooked = false,
     _is_unsettled = false, _is_kept = false, _reset_wanted = false,
     _has_failure = false, _spare = false,
@@ -2940,7 +2964,7 @@ local function state_hook_adder(where, field)
     end
     fsm[field] = fsm[field] or {}
     fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-    fsm._is_plain = false
+    fsm._run, fsm._is_plain = "run_hooked", false
   end
 end
 
