@@ -2005,9 +2005,11 @@ local function set_inactive(fsm)
 end
 
 local function reset_now(fsm)
+  fsm._reset_wanted = true
+  fsm._segment = true -- an interrupt leaves the rest to the next step
   set_inactive(fsm)
-  fsm._segment, fsm._from, fsm._reset_wanted = false, false, false
   fsm._intq, fsm._curq = { "e_init_fsm" }, {}
+  fsm._segment, fsm._from, fsm._reset_wanted = false, false, false
   run_hooks(fsm, fsm._reset_hooks)
 end
 

@@ -6,8 +6,8 @@
 --   transitions  { src, tgt (F), src_ref, tgt_ref (as written), owner, key, pn, guard,
 --                  effect, events (expanded), events_ref (as written), index,
 --                  is_internal, was_internal (at first) }
---   merges       { fqn, node, transitions }: a leaf that may be merged, what leads to it
---                  and away from it
+--   merges       { fqn, node, transitions }: a leaf that may be merged, and what leads
+--                  to it and away from it
 --   programs     id of a callback -> the actions of its 1st, 2nd, ... call (then again
 --                from the first): false or { "send"|"raise"|"reset"|"trace"..., value }
 --   ops          what the run does: { "send", ... } { "step", n } { "run" } { "reset" }
@@ -348,8 +348,9 @@ local function add_merge(chart, random, n)
     local is_leaf = src == fqn or chart.nodes[src].is_leaf
     if not is_leaf then events[2] = nil end
     return {
-      owner = "root", key = id .. key, src = src, tgt = tgt, src_ref = src, tgt_ref = tgt,
-      events_ref = events, events = expand(events, src), guard = false, effect = false,
+      owner = "root", key = id .. key, src = src, tgt = tgt, src_ref = src,
+      tgt_ref = tgt, events_ref = events, events = expand(events, src),
+      guard = false, effect = false,
       pn = random:chance(30) and random:below(3) - 1 or nil,
       index = 1000 + 2 * n + (key == "in" and 0 or 1),
     }
@@ -390,7 +391,9 @@ function charts.generate(seed)
   add_programs(chart, random)
   chart.ops = { { "step", 1 } }
   for i = 2, 4 + random:below(16) do chart.ops[i] = random_op(chart, random) end
-  for n = 1, not chart.nodes.root.is_leaf and random:chance(30) and random:below(2) or 0 do
+  local may_merge = not (chart.nodes.root.is_leaf or chart.is_tame) -- which may `run`
+  local merges = may_merge and random:chance(30) and random:below(2)
+  for n = 1, merges or 0 do
     add_merge(chart, random, n)
     table.insert(chart.ops, random:below(#chart.ops), { "merge", n })
   end

@@ -170,8 +170,8 @@ local function find_from(machine, fqn, events, seen)
   end
 end
 
--- States from the root down; the first open path wins, without a look at others. A search
--- is traced if dbg is on when it begins.
+-- States from the root down; the first open path wins, without a look at others. A
+-- search is traced if dbg is on when it begins.
 local function find_enabled(machine, states, events)
   local seen, is_traced = {}, machine.calls.dbg and true
   local function record(...)
@@ -257,19 +257,20 @@ end
 
 -- Exits from `innermost` up to the common ancestor, effect, entries down to the target.
 -- An internal transition is its effect alone.
-local function take_segment(machine, tr, innermost, events)
-  if tr.is_internal then return run_effect(machine, tr.tr, events) end
-  local top = common_ancestor(machine, tr)
+local function take_segment(machine, segment, innermost, events)
+  local tgt = segment.tgt
+  if segment.is_internal then return run_effect(machine, segment.tr, events) end
+  local top = common_ancestor(machine, segment)
   dbg(machine, "TRANS_EXIT", "exiting all up to (including):",
-    outermost_left(machine, tr, top), ", lca:", top)
+    outermost_left(machine, segment, top), ", lca:", top)
   local fqn = innermost
   while fqn ~= top do
     exit(machine, fqn)
     fqn = machine.chart.nodes[fqn].parent
   end
-  run_effect(machine, tr.tr, events)
-  local below, upwards = {}, { tr.tgt }
-  for _, state in ipairs(ancestors(machine, tr.tgt)) do upwards[#upwards + 1] = state end
+  run_effect(machine, segment.tr, events)
+  local below, upwards = {}, { tgt }
+  for _, state in ipairs(ancestors(machine, tgt)) do upwards[#upwards + 1] = state end
   for _, node in ipairs(upwards) do
     if is_in(ancestors(machine, node), top) then below[#below + 1] = node end
   end
@@ -286,7 +287,9 @@ end
 
 local function trace_path(machine, path)
   local names = { path[1].src .. kind_text(machine, path[1].src) }
-  for _, tr in ipairs(path) do names[#names + 1] = tr.tgt .. kind_text(machine, tr.tgt) end
+  for i, segment in ipairs(path) do
+    names[i + 1] = segment.tgt .. kind_text(machine, segment.tgt)
+  end
   dbg(machine, "EXEC_PATH", table.concat(names, "->"))
 end
 

@@ -22,23 +22,27 @@ local function note(world, ...)
   world.trace[#world.trace + 1] = table.concat(texts, " ")
 end
 
+-- What a call of a program may do; world.reset and others are the engine's.
+local ACTIONS = {
+  ["raise"] = function(_, _, problem) error(problem, 0) end,
+  ["return"] = function(_, _, value) return value end,
+  reset = function(world) world.reset() end,
+  trace = function(world, _, on) world.switch_trace(on) end,
+  send = function(world, _, ...) world.send(...) end,
+  retarget = function(world, _, n, m) world.retarget(n, m) end,
+  replace = function(world, _, n)
+    if world.ids[1] then world.replace(world.ids[n % #world.ids + 1]) end
+  end,
+  append = function(_, list, event) list[#list + 1] = event end,
+  clear = function(_, list)
+    for i = #list, 1, -1 do list[i] = nil end
+  end,
+}
+
 -- Does what the chart says for this call of program `id`.
 local function perform(world, action, list)
   if not action then return nil end
-  local what = action[1]
-  if what == "raise" then error(action[2], 0) end
-  if what == "return" then return action[2] end
-  if what == "reset" then world.reset() end
-  if what == "trace" then world.switch_trace(action[2]) end
-  if what == "send" then world.send(action[2], action[3]) end
-  if what == "retarget" then world.retarget(action[2], action[3]) end
-  if what == "replace" and world.ids[1] then
-    world.replace(world.ids[action[2] % #world.ids + 1])
-  end
-  if what == "append" then list[#list + 1] = action[2] end
-  if what == "clear" then
-    for i = #list, 1, -1 do list[i] = nil end
-  end
+  return ACTIONS[action[1]](world, list, action[2], action[3])
 end
 
 local function act(world, id, list)
@@ -281,7 +285,8 @@ local function merge_into_core(world, fsm, merge)
   assert(rfsm.fsm_merge(fsm, node_of(fsm, node.parent),
     model_node(world, merge.fqn, node), node.id))
   for _, tr in ipairs(merge.transitions) do
-    assert(rfsm.fsm_merge(fsm, node_of(fsm, tr.owner), model_transition(world, tr), tr.key))
+    local owner, model = node_of(fsm, tr.owner), model_transition(world, tr)
+    assert(rfsm.fsm_merge(fsm, owner, model, tr.key))
   end
   fsm.warn = warn
   return node_of(fsm, merge.fqn)
@@ -382,11 +387,9 @@ local function but_undeclared(warn)
   end
 end
 
---- The trace of the core; nil and the problems when init refuses the chart.
-function runs.on_core(chart)
-  local world = new_world(chart)
-  local model = runs.model_of(world)
-  local warn = model.warn
+-- A machine of the model, and what it does; nil and the problems when init refuses it.
+local function core_engine(world, model, warn)
+  local chart = world.chart
   model.warn = false
   local twin = chart.has_twin and rfsm.init(model)
   local fsm, problems = rfsm.init(model)
@@ -405,8 +408,8 @@ function runs.on_core(chart)
     local tr, tgt = pick_target(world, n, m)
     node_of(fsm, tr.owner)[tr.key].tgt = nodes[tgt]
   end
-  return drive(world, {
-    send = world.send, reset = world.reset, twin = twin,
+  return {
+    fsm = fsm, send = world.send, reset = world.reset, twin = twin,
     merge = function(n)
       local merge = chart.merges[n]
       nodes[merge.fqn] = merge_into_core(world, fsm, merge)
@@ -417,7 +420,16 @@ function runs.on_core(chart)
     active = function() return core_active(fsm) end,
     queue = function() return waiting_in(fsm) end,
     modes = function() return core_modes(world, fsm) end,
-  })
+  }
+end
+
+--- The trace of the core; nil and the problems when init refuses the chart.
+function runs.on_core(chart)
+  local world = new_world(chart)
+  local model = runs.model_of(world)
+  local engine, problems = core_engine(world, model, model.warn)
+  if not engine then return nil, problems end
+  return drive(world, engine)
 end
 
 --- The trace of the oracle.
@@ -459,6 +471,74 @@ function runs.compare(chart)
   end
   for i = 1, math.max(#expected, #actual) do
     if expected[i] ~= actual[i] then return i, expected, actual end
+  end
+end
+
+-- Interrupts ------------------------------------------------------------------
+
+-- What is wrong with a machine between two steps; nil when nothing is.
+local function defect(world, fsm)
+  local is_active, leaf = {}, rfsm.get_actleaf_fqn(fsm)
+  local line = rfsm.get_active_conf(fsm)
+  for _, fqn in ipairs(line) do is_active[fqn] = true end
+  if leaf and line[#line] ~= leaf then return "the leaf is not the innermost state" end
+  if not leaf and #line > 1 then return "states are active without a leaf" end
+  for _, fqn in ipairs(world.chart.names) do
+    if (world.mode_of(fqn) ~= "inactive") ~= (is_active[fqn] or false) then
+      return fqn .. " is " .. world.mode_of(fqn)
+    end
+  end
+end
+
+-- Calls f(...), and raises an error after so many VM instructions. Did it end before?
+local function interrupted(instructions, f, a, b, c)
+  local is_hit = false
+  local ok, failure = pcall(function()
+    debug.sethook(function()
+      debug.sethook()
+      is_hit = true
+      error("interrupted!", 0)
+    end, "", instructions)
+    local ran, problem = pcall(f, a, b, c)
+    debug.sethook()
+    if not ran then error(problem, 0) end
+  end)
+  debug.sethook()
+  return not is_hit, ok or failure
+end
+
+-- More than any of these steps needs.
+local MANY = 1e6
+
+--- Runs the chart on the core and interrupts each operation. Each time the machine must
+-- go on, and at the end another one of its model must agree with the oracle. Returns a
+-- text: what went wrong; nil when nothing did.
+function runs.interrupt(chart)
+  local world = new_world(chart)
+  local model = runs.model_of(world)
+  local warn, random = model.warn, chart.seed
+  local engine = core_engine(world, model, warn)
+  local fsm = engine.fsm
+  for i, op in ipairs(chart.ops) do
+    random = random * 16807 % 2147483647
+    local after = random % 3000 + 1
+    interrupted(after, engine[op[1]], op[2], op[3], op[4])
+    local has_ended, failure = interrupted(MANY, engine.step, 1)
+    local where = ("operation %d, instruction %d: "):format(i, after)
+    if not has_ended then return where .. "the next step does not end" end
+    if tostring(failure):find("rfsm.lua:", 1, true) then return where .. failure end
+    local wrong = not fsm._segment and defect(world, fsm)
+    if wrong then return where .. wrong end
+  end
+  world.trace, world.counts, world.versions = {}, {}, {}
+  world.chart = own_chart(chart)
+  local expected = runs.on_oracle(chart)
+  local actual = drive(world, core_engine(world, model, warn))
+  for i = 1, math.max(#expected, #actual) do
+    if expected[i] ~= actual[i] then
+      return ("the next machine, line %d: oracle '%s', core '%s'"):format(i,
+        tostring(expected[i]), tostring(actual[i]))
+    end
   end
 end
 
