@@ -199,7 +199,7 @@ end
 
 -- The pool of a TLSF component fails when it is full, before the collector is due.
 local PROGRAM = [[
-if rawget(_G, "tlsf") then collectgarbage("setpause", 110) end
+if rawget(_G, "tlsf") then pcall(collectgarbage, "setpause", 110) end
 %s
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
 require("rfsm.rtt_launch").launch(%s, { %s })

@@ -427,8 +427,10 @@ return rfsm.state {
     events:write("e_go")
     spin()
     assert.same({ "<none>", "root.a", "root.b" }, samples(names))
-    assert.equal("table true", evaluate(exec_str,
-      "type(tlsf), collectgarbage('setpause', 200) <= 110"))
+    assert.equal("table", evaluate(exec_str, "type(tlsf)"))
+    if _VERSION == "Lua 5.5" then return end -- it has other parameters
+    assert.equal("true",
+      evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
   end)
 
   it("keeps what nobody needs any more out of memory", function()
