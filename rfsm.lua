@@ -1081,8 +1081,7 @@ local function silent() end
 local function no_events() return {} end
 
 local OFF = {
-  dbg = silent, getevents = no_events, pre_step_hook = false, post_step_hook = false,
-  idle_hook = false,
+  dbg = silent, getevents = no_events, type = State.type, new = State.new, rfsm = "state",
 }
 
 -- The flags that stand for what a plain machine lacks.
@@ -1106,8 +1105,7 @@ local function check_plain(fsm)
     or fsm._run == "run_hooked")
 end
 
-Machine.type, Machine.new = State.type, State.new
-Machine.__index = setmetatable(OFF, { __index = Machine })
+Machine.__index = OFF
 
 -- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
 -- from the machine while they are off.
@@ -2325,11 +2323,12 @@ end
 -- The file and line are those of its constructor, left out where they are not known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
+---@param field? string of the element: "root.trans[2].events (off -> on)"
 ---@return string location
-function rfsm.location_of(obj)
+function rfsm.location_of(obj, field)
   local def = obj["_%def"]
   local file = made_at[def.model]
-  return (file and file .. ": " or "") .. place_of(def)
+  return (file and file .. ": " or "") .. place_of(def, field)
 end
 
 local function new_build(plan)
