@@ -1081,7 +1081,8 @@ local function silent() end
 local function no_events() return {} end
 
 local OFF = {
-  dbg = silent, getevents = no_events, type = State.type, new = State.new, rfsm = "state",
+  dbg = silent, getevents = no_events, rfsm = "state", type = State.type,
+  new = State.new,
 }
 
 -- The flags that stand for what a plain machine lacks.

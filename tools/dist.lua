@@ -1,4 +1,5 @@
--- Prints one file that holds the core and the modules named: LUA tools/dist.lua MODULE...
+-- Prints one file that holds the core and the modules named: LUA tools/dist.lua
+-- MODULE...
 --
 -- Each module becomes a function in that file, found by a `require` of its own, so that
 -- the file also works in a sandbox that has none. The first module is the core; loading
