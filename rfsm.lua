@@ -1081,8 +1081,7 @@ local function silent() end
 local function no_events() return {} end
 
 local OFF = {
-  dbg = silent, getevents = no_events, pre_step_hook = false, post_step_hook = false,
-  idle_hook = false,
+  dbg = silent, getevents = no_events, type = State.type, new = State.new, rfsm = "state",
 }
 
 -- The flags that stand for what a plain machine lacks.
@@ -1106,8 +1105,7 @@ local function check_plain(fsm)
     or fsm._run == "run_hooked")
 end
 
-Machine.type, Machine.new = State.type, State.new
-Machine.__index = setmetatable(OFF, { __index = Machine })
+Machine.__index = OFF
 
 -- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
 -- from the machine while they are off.

@@ -11,27 +11,24 @@
 
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
 local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
-local require, select, tostring, type = require, select, tostring, type
+local require, select = require, select
 local io, os = io, os
 local concat = table.concat
+local name_of = chart.name_of
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local cli = {}
 
 -- Streams: charts print to stderr ----------------------------------------------
 
-local function text_of(value)
-  local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
-end
-
 local function print_to(stream)
   return function(...)
     local texts = { ... }
-    for i = 1, select("#", ...) do texts[i] = text_of(texts[i]) end
+    for i = 1, select("#", ...) do texts[i] = rfsm.text_of(texts[i]) end
     stream:write(concat(texts, "\t"), "\n")
   end
 end
@@ -64,38 +61,9 @@ end
 
 -- Charts in -------------------------------------------------------------------
 
--- The name of a chart's file in messages.
-local function name_of(file) return file == "-" and "stdin" or file end
-
-local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
-
--- Returns the first line of a failure, with the name of the file in front.
-local function reason(file, failure)
-  local text = text_of(failure):match("[^\n]+") or ""
-  if failure == nil or text == "" or text == NO_ERROR then
-    text = "failed without a message"
-  end
-  if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
-  text = text:gsub("^rfsm%.json: ", "")
-    :gsub("^rfsm%.load: ", ""):gsub("^rfsm%.load_str: ", "")
-    :gsub("^failed to load chunk: ", ""):gsub("'=stdin'", "stdin")
-  text = text:gsub(":%s*$", "") -- a list followed, such as that of require
-  if text:find(name_of(file), 1, true) then return text end
-  return name_of(file) .. ": " .. text
-end
-
--- A first line for the shell (#!) is none of Lua's business.
-local function load_stdin()
-  local text = io.read("*a"):gsub("^#[^\n]*", "")
-  return rfsm.load_str(text, "=stdin")
-end
-
--- Returns the model in a file; nil and the problem in one line.
+-- Returns the model in a file, and its warnings; nil and the problem in one line.
 local function load_model(file)
-  local load = file == "-" and load_stdin or rfsm.load
-  local ok, model = with_streams(io.stderr, load, file)
-  if ok then return model end
-  return nil, reason(file, model)
+  return select(2, with_streams(io.stderr, chart.load, file))
 end
 
 -- Returns the machine of a chart, made silently; false and its problems, a line each.
@@ -104,9 +72,9 @@ local function load_machine(file)
   if not model then return false, { problem } end
   model.dbg, model.err, model.warn, model.info = false, false, false, false
   local ok, fsm, problems = with_streams(NOWHERE, rfsm.init, model)
-  if not ok then return false, { reason(file, fsm) } end
-  local lines, location = {}, name_of(file) .. ": "
-  for i, text in ipairs(problems or {}) do lines[i] = location .. text end
+  if not ok then return false, { chart.reason(file, fsm) } end
+  local lines = {}
+  for i, text in ipairs(problems or {}) do lines[i] = chart.line(file, text) end
   return fsm, lines
 end
 
@@ -136,7 +104,7 @@ local function encode_all(name, files, encode)
     local fsm, problems = load_machine(file)
     if not fsm then fail(name, problems) end
     local ok, text = with_streams(NOWHERE, encode, fsm, name_of(file))
-    if not ok then fail(name, { reason(file, text) }) end
+    if not ok then fail(name, { chart.reason(file, text) }) end
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
   return texts
@@ -164,19 +132,21 @@ local function check_readable(files)
   end
 end
 
-local function append(lines, texts, prefix)
-  for _, text in ipairs(texts) do lines[#lines + 1] = prefix .. text end
+local function append(lines, texts, file, kind)
+  for _, text in ipairs(texts) do
+    lines[#lines + 1] = file and chart.line(file, text, kind) or text
+  end
 end
 
 -- Returns the problems and the warnings of the chart in a file.
 local function review(file)
-  local model, problem = load_model(file)
-  if not model then return { problem }, {} end
+  local model, warnings = load_model(file)
+  if not model then return { warnings }, {} end
   local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
-  if not ok then return { reason(file, found) }, {} end
-  local problems, warnings, location = {}, {}, name_of(file) .. ": "
-  append(problems, found, location)
-  append(warnings, warned, location .. "warning: ")
+  if not ok then return { chart.reason(file, found) }, warnings end
+  local problems = {}
+  append(problems, found, file)
+  append(warnings, warned, file, "warning: ")
   return problems, warnings
 end
 
@@ -198,10 +168,10 @@ function check.run(options)
   require("rfsm.await")
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local location, problems, warnings = name_of(file) .. ": ", review(file)
-    append(lines, problems, "")
-    append(lines, warnings, "")
-    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, location) end
+    local problems, warnings = review(file)
+    append(lines, problems)
+    append(lines, warnings)
+    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, file) end
     if problems[1] or options.strict and warnings[1] then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end

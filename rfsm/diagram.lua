@@ -30,7 +30,8 @@ local diagram = {}
 ---@field src rfsm.diagram.Node
 ---@field tgt rfsm.diagram.Node an `initial` where the transition stays inside
 ---@field events string "e1, e2"; empty for any
----@field label string the events, "[guard]" and "/ effect", as far as there are any
+---@field is_internal? true nothing is left or entered
+---@field label string events, "[guard]", "/ effect", "(internal)", if there are any
 
 --- A machine, ready to be drawn.
 ---@class rfsm.diagram.Chart
@@ -104,6 +105,7 @@ local function label_of(tr, events)
   local parts = { events ~= "" and events or nil }
   if tr.guard then parts[#parts + 1] = "[guard]" end
   if tr.effect then parts[#parts + 1] = "/ effect" end
+  if tr.internal then parts[#parts + 1] = "(internal)" end
   return concat(parts, " ")
 end
 
@@ -115,10 +117,13 @@ local function read_arrow(by_fqn, tr, text_of)
   local texts = {}
   for i = 1, #tr.events do texts[i] = clean(text_of(tr.events[i])) end
   local events = concat(texts, ", ")
-  return { src = src, tgt = tgt, events = events, label = label_of(tr, events) }
+  return {
+    src = src, tgt = tgt, events = events, is_internal = tr.internal,
+    label = label_of(tr, events),
+  }
 end
 
-local function read_arrows(chart, by_fqn, tab, fqn, text_of)
+local function read_arrows(chart, by_fqn, tab, text_of)
   for _, tr in ipairs(tab.transitions or {}) do
     local arrow = read_arrow(by_fqn, tr, text_of)
     local home = find_home(arrow.src, arrow.tgt) or chart
@@ -126,18 +131,7 @@ local function read_arrows(chart, by_fqn, tab, fqn, text_of)
     chart.all[#chart.all + 1] = arrow
   end
   for _, subtab in ipairs(tab.subnodes or {}) do
-    read_arrows(chart, by_fqn, subtab, fqn .. "." .. subtab.id, text_of)
-  end
-end
-
--- Blames the caller of the function `name` two levels up.
-local function check(fsm, name, title)
-  if not rfsm.is_initialized_root(fsm) then
-    error(name .. ": initialised fsm expected, got " .. type(fsm), 4)
-  end
-  local kind = type(title)
-  if kind ~= "nil" and kind ~= "string" and kind ~= "number" then
-    error(name .. ": title: string expected, got " .. kind, 4)
+    read_arrows(chart, by_fqn, subtab, text_of)
   end
 end
 
@@ -149,13 +143,25 @@ end
 ---@return rfsm.diagram.Chart chart
 ---@nodiscard
 function diagram.read(fsm, name, title)
-  check(fsm, name, title)
+  rfsm.check_machine(fsm, name, 4)
+  local kind = type(title)
+  if kind ~= "nil" and kind ~= "string" and kind ~= "number" then
+    error(name .. ": title: string expected, got " .. kind, 3)
+  end
   local chart, by_fqn = { arrows = {}, all = {}, taken = {} }, {}
   chart.title = title and title ~= "" and clean(tostring(title)) or nil
   local tab = marsh.model2tab(fsm, true)
   chart.root = read_node(chart, by_fqn, tab, nil, "root")
-  read_arrows(chart, by_fqn, tab, "root", marsh.gen_event_text())
+  read_arrows(chart, by_fqn, tab, marsh.gen_event_text())
   return chart
+end
+
+--- Append a line, indented.
+---@param lines string[]
+---@param depth integer
+---@param text string
+function diagram.add(lines, depth, text)
+  lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
 --- Write a text to a file.

@@ -28,9 +28,7 @@ local function quoted(text)
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
 end
 
-local function add(lines, depth, text)
-  lines[#lines + 1] = ("  "):rep(depth) .. text
-end
+local add = diagram.add
 
 -- Nodes: composites are clusters ------------------------------------------------
 
@@ -142,8 +140,7 @@ end
 ---@return string dot
 ---@nodiscard
 function dot.encode(fsm, title)
-  local chart = diagram.read(fsm, "rfsm.dot.encode", title)
-  return draw(chart)
+  return (draw(diagram.read(fsm, "rfsm.dot.encode", title)))
 end
 
 --- Write a machine as a Graphviz graph to a file.
@@ -152,8 +149,7 @@ end
 ---@param file string
 ---@param title? string
 function dot.save(fsm, file, title)
-  local chart = diagram.read(fsm, "rfsm.dot.save", title)
-  diagram.save("rfsm.dot.save", file, draw(chart))
+  diagram.save("rfsm.dot.save", file, (draw(diagram.read(fsm, "rfsm.dot.save", title))))
 end
 
 --- Have Graphviz lay out a graph.

@@ -9,13 +9,13 @@ local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 
 local error, pcall, rawget, rawset = error, pcall, rawget, rawset
-local require, type = require, type
+local require = require
 
 local json = {}
 
 local KEY_ORDER = {
-  "version", "type", "id", "src", "tgt", "pn", "events", "transitions", "subnodes",
-  "graph", "active_leaf", "active_leaf_state",
+  "version", "type", "id", "src", "tgt", "pn", "events", "internal", "transitions",
+  "subnodes", "graph", "active_leaf", "active_leaf_state",
 }
 
 local function find_dkjson()
@@ -34,9 +34,7 @@ end
 ---@return string json
 ---@nodiscard
 function json.encode(fsm)
-  if not rfsm.is_initialized_root(fsm) then
-    error("rfsm.json.encode: initialised fsm expected, got " .. type(fsm), 2)
-  end
+  rfsm.check_machine(fsm, "rfsm.json.encode")
   local leaf, mode = marsh.actinfo2tab(fsm)
   return find_dkjson().encode({
     version = 2, type = "rfsm_model",

@@ -8,23 +8,22 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall = error, ipairs, pcall
-local rawget, rawset, setmetatable = rawget, rawset, setmetatable
-local tonumber, tostring, type = tonumber, tostring, type
+local ipairs, rawget, rawset = ipairs, rawget, rawset
+local setmetatable, tonumber, type = setmetatable, tonumber, type
 local math_type = rawget(math, "type")
-local concat = table.concat
 
 local marsh = {}
 
 --- A transition as a plain table.
 ---@class rfsm.marsh.Transition
 ---@field type "transition"
----@field src string F
----@field tgt string F; a composite stands as its `initial`
+---@field src string FQN
+---@field tgt string FQN; a composite stands as its `initial`
 ---@field pn? number
 ---@field events any[] empty when any event triggers
----@field guard? true it has one; only when programs are asked for
+---@field guard? true it has one; only when callbacks are asked for
 ---@field effect? true likewise
+---@field internal? true nothing is left or entered; src and tgt are the same
 
 --- A node as a plain table; only a composite has the two lists.
 ---@class rfsm.marsh.Node
@@ -33,73 +32,60 @@ local marsh = {}
 ---@field transitions? rfsm.marsh.Transition[]
 ---@field subnodes? rfsm.marsh.Node[]
 
-local function check_machine(fsm, name)
-  if rfsm.is_initialized_root(fsm) then return end
-  error("rfsm.marsh." .. name .. ": initialised fsm expected, got " .. type(fsm), 3)
-end
-
-local function transition_table(tr)
-  local events = {}
-  for i = 1, tr.events and #tr.events or 0 do events[i] = tr.events[i] end
-  return {
-    type = "transition", src = tr.src._fqn, tgt = tr.tgt._fqn, pn = tr.pn,
-    events = events,
-  }
-end
-
-local function transition_with_programs(tr)
-  local copy = transition_table(tr)
-  copy.guard, copy.effect = tr.guard and true or nil, tr.effect and true or nil
-  return copy
-end
-
-local function node_table(node, table_of)
+local function node_table(node, has_callbacks)
   if rfsm.is_conn(node) then return { id = node._id, type = "connector" } end
   if rfsm.is_leaf(node) then return { id = node._id, type = "state" } end
-  local function subnode_table(subnode) return node_table(subnode, table_of) end
+  local function transition_table(tr)
+    local events = {}
+    for i = 1, tr.events and #tr.events or 0 do events[i] = tr.events[i] end
+    return {
+      type = "transition", src = tr.src._fqn, tgt = tr.tgt._fqn, pn = tr.pn,
+      events = events, internal = tr._is_internal,
+      guard = has_callbacks and tr.guard and true or nil,
+      effect = has_callbacks and tr.effect and true or nil,
+    }
+  end
+  local function subnode_table(subnode) return node_table(subnode, has_callbacks) end
   return {
     id = node._id, type = "state",
-    transitions = rfsm.mapfsm(table_of, node, rfsm.is_trans, 1),
-    subnodes = rfsm.mapfsm(subnode_table, node, rfsm.is_node, 1),
+    transitions = rfsm.mapfsm(transition_table, node, rfsm.is_trans, 1),
+    subnodes = rfsm.mapfsm(subnode_table, node, rfsm.is_nr_node, 1),
   }
 end
 
 --- Return the structure of a machine.
 -- @raise when `fsm` was not initialised
 ---@param fsm rfsm.Machine
----@param has_programs? boolean include whether transitions have a guard, an effect
+---@param has_callbacks? boolean include whether transitions have a guard, an effect
 ---@return rfsm.marsh.Node root
 ---@nodiscard
-function marsh.model2tab(fsm, has_programs)
-  check_machine(fsm, "model2tab")
-  return node_table(fsm, has_programs and transition_with_programs or transition_table)
+function marsh.model2tab(fsm, has_callbacks)
+  rfsm.check_machine(fsm, "rfsm.marsh.model2tab")
+  return node_table(fsm, has_callbacks)
 end
 
 --- Return what is active in a machine.
 -- @raise when `fsm` was not initialised
 ---@param fsm rfsm.Machine
----@return string|false fqn F of the active leaf, false when there is none
+---@return string|false fqn of the active leaf; false if there is none
 ---@return string|false mode
 ---@return false path
 ---@nodiscard
 function marsh.actinfo2tab(fsm)
-  check_machine(fsm, "actinfo2tab")
+  rfsm.check_machine(fsm, "rfsm.marsh.actinfo2tab")
   local leaf = fsm._act_leaf
   if not leaf then return false, false, false end
   return leaf._fqn, rfsm.get_sta_mode(leaf), false
 end
 
--- Returns what tostring makes of `value`; nil when that names but an address, which no
--- two runs have in common.
+-- Returns the text of a value; nil if it is an address, which no two runs share.
 local function text_without_address(value)
-  local kind = type(value)
-  if kind == "number" then return (("%.14g"):format(value):gsub("^%-0$", "0")) end
-  if kind == "function" or kind == "thread" then return nil end
-  local ok, text = pcall(tostring, value)
-  if not ok or type(text) ~= "string" then return nil end
-  if kind == "string" then return text end
-  local is_address = text:find("^" .. kind .. ": ") or text:find("0x%x")
-  return not is_address and text or nil
+  local kind, text = type(value), rfsm.text_of(value)
+  if kind == "number" then return (text:gsub("^%-0$", "0")) end
+  if kind == "string" or kind == "boolean" then return text end
+  local is_address = text == kind or text:find("^" .. kind .. ": ")
+    or text:find("^builtin: ") or text:find("0x%x")
+  return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
 end
 
 --- Return a function that gives each event a text, the same on each run and each Lua.
@@ -121,35 +107,35 @@ function marsh.gen_event_text()
   end
 end
 
--- ASCII, then the sequences that are UTF-8, by their first byte.
-local CHARACTERS = {
-  "^[%z\1-\127]+", "^[\194-\223][\128-\191]", "^\224[\160-\191][\128-\191]",
-  "^[\225-\236\238\239][\128-\191][\128-\191]", "^\237[\128-\159][\128-\191]",
-  "^\240[\144-\191][\128-\191][\128-\191]",
-  "^[\241-\243][\128-\191][\128-\191][\128-\191]",
-  "^\244[\128-\143][\128-\191][\128-\191]",
-}
+local REPLACEMENT = "\239\191\189" -- U+FFFD
 
-local function match_characters(text, i)
-  for _, pattern in ipairs(CHARACTERS) do
-    local characters = text:match(pattern, i)
-    if characters then return characters end
-  end
+-- The second bytes that may follow some first ones.
+local LOWEST, HIGHEST = { [224] = 160, [240] = 144 }, { [237] = 159, [244] = 143 }
+
+-- How many bytes follow a first one.
+local function count_of(byte)
+  return not byte and 0 or byte < 224 and 1 or byte < 240 and 2 or 3
 end
 
---- Return a text as UTF-8: a byte that is none becomes U+FFFD.
+-- Replaces the bytes of a sequence that are no UTF-8: a first byte and those behind it.
+local function mend(first, others)
+  local byte, second = first:byte(), others:byte()
+  local count = count_of(byte)
+  if byte and (#others < count or second < (LOWEST[byte] or 128)
+    or second > (HIGHEST[byte] or 191)) then
+    return REPLACEMENT:rep(1 + #others)
+  end
+  return first .. others:sub(1, count) .. REPLACEMENT:rep(#others - count)
+end
+
+--- Return a text as UTF-8: U+FFFD replaces each byte that is none.
 ---@param text string
 ---@return string
 ---@nodiscard
 function marsh.utf8(text)
   if not text:find("[\128-\255]") then return text end
-  local parts, i = {}, 1
-  while i <= #text do
-    local characters = match_characters(text, i)
-    parts[#parts + 1] = characters or "\239\191\189"
-    i = i + (characters and #characters or 1)
-  end
-  return concat(parts)
+  text = text:gsub("[\192\193\245-\255]", REPLACEMENT)
+  return (text:gsub("([\194-\244]?)([\128-\191]*)", mend))
 end
 
 -- Digits that give back the number, and look alike on every Lua (5.3 shows 5.0) and in
@@ -206,8 +192,8 @@ end
 ---@return rfsm.marsh.Node root
 ---@nodiscard
 function marsh.jsontab(fsm)
-  check_machine(fsm, "jsontab")
-  return plain_node(node_table(fsm, transition_table), marsh.gen_event_text())
+  rfsm.check_machine(fsm, "rfsm.marsh.jsontab")
+  return plain_node(node_table(fsm), marsh.gen_event_text())
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_marsh", marsh) end

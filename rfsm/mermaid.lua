@@ -33,9 +33,7 @@ end
 
 -- Lines -----------------------------------------------------------------------
 
-local function add(lines, depth, text)
-  lines[#lines + 1] = ("  "):rep(depth) .. text
-end
+local add = diagram.add
 
 -- An initial is [*] where its composite begins, which no arrow can be led to: one with
 -- an arrow from elsewhere, or to elsewhere, gets a diamond behind its [*].
@@ -113,8 +111,7 @@ end
 ---@return string mermaid
 ---@nodiscard
 function mermaid.encode(fsm, title)
-  local chart = diagram.read(fsm, "rfsm.mermaid.encode", title)
-  return draw(chart)
+  return (draw(diagram.read(fsm, "rfsm.mermaid.encode", title)))
 end
 
 --- Write a machine as a Mermaid diagram to a file.

@@ -24,9 +24,7 @@ end
 
 -- Lines -----------------------------------------------------------------------
 
-local function add(lines, depth, text)
-  lines[#lines + 1] = ("  "):rep(depth) .. text
-end
+local add = diagram.add
 
 -- An initial is [*] where its composite begins; everywhere else that stands for it.
 local function end_of(node, is_start)
@@ -37,7 +35,8 @@ end
 local function add_arrows(lines, depth, composite)
   for _, arrow in ipairs(composite.arrows) do
     local is_start = arrow.src.parent == composite
-    local label = arrow.events ~= "" and " : " .. text_of(arrow.events) or ""
+    local label = arrow.events .. (arrow.is_internal and " (internal)" or "")
+    if label ~= "" then label = " : " .. text_of(label) end
     add(lines, depth, end_of(arrow.src, is_start) .. " --> " .. end_of(arrow.tgt)
       .. label)
   end
@@ -74,8 +73,7 @@ end
 ---@return string plantuml
 ---@nodiscard
 function plantuml.encode(fsm, title)
-  local chart = diagram.read(fsm, "rfsm.plantuml.encode", title)
-  return draw(chart)
+  return (draw(diagram.read(fsm, "rfsm.plantuml.encode", title)))
 end
 
 --- Write a machine as a PlantUML diagram to a file.

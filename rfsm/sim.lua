@@ -4,32 +4,29 @@
 -- machine as `fsm`, the commands that `help()` lists, and the globals of the chart,
 -- which it can also set.
 --
--- The file reads in the order in which a session goes: output, open a chart, commands,
--- evaluate, read lines, public functions.
+-- The file reads in the order in which a session goes: output, interrupts, open a
+-- chart, commands, evaluate, read lines, public functions.
 --
 -- @module rfsm.sim
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
+local chart = require "rfsm.chart"
 
-local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
-local rawget, require, select, setmetatable = rawget, require, select, setmetatable
-local tostring, type = tostring, type
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, print, rawget, require = pcall, print, rawget, require
+local select, setmetatable, tostring, type = select, setmetatable, tostring, type
 local io, os = io, os
 local concat, sort = table.concat, table.sort
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
+local sethook = rawget(_G, "debug") and rawget(_G, "debug").sethook
+local text_of, first_line = rfsm.text_of, chart.first_line
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
 -- Output: values as text, complaints of one line ------------------------------
-
-local function text_of(value)
-  if type(value) == "number" then return ("%.14g"):format(value) end
-  local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
-end
 
 local function list_text(values, separator)
   local texts = {}
@@ -43,39 +40,134 @@ local function complain(text)
   io.stderr:write(text, "\n")
 end
 
--- Returns the first line of an error: the rest is a traceback or a list of paths.
-local function first_line(failure)
-  local text = text_of(failure)
-  return (text:match("[^\n]+") or text):gsub(":%s*$", "")
+-- The errors of the chart's own callbacks.
+local function print_err(...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
+  complain(concat(texts, "\t"))
 end
 
--- The errors of the chart's own programs.
-local function print_err(...)
-  local values = { ... }
-  for i = 1, select("#", ...) do values[i] = text_of(values[i]) end
-  complain(concat(values, "\t"))
+local function sorted(set)
+  local list = {}
+  for key in pairs(set) do list[#list + 1] = key end -- any order: sorted below
+  sort(list, function(a, b) return text_of(a) < text_of(b) end)
+  return list
+end
+
+local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries of a table, tables inside each other
+
+local show
+
+local function show_table(t, depth)
+  local texts, is_item = {}, {}
+  for i = 1, #t do texts[i], is_item[i] = show(t[i], depth + 1), true end
+  for _, key in ipairs(sorted(t)) do
+    local name = type(key) == "string" and key or "[" .. show(key, depth + 1) .. "]"
+    if not is_item[key] then
+      texts[#texts + 1] = name .. " = " .. show(t[key], depth + 1)
+    end
+  end
+  if #texts > MAX_SHOWN then texts = { concat(texts, ", ", 1, MAX_SHOWN), "..." } end
+  return texts[1] and "{ " .. concat(texts, ", ") .. " }" or "{}"
+end
+
+local function show_node(node)
+  if rfsm.is_root(node) then
+    return "machine, active: " .. (rfsm.get_actleaf_fqn(node) or "<none>")
+  end
+  local text = node:type() .. " " .. text_of(node._fqn or "without a name")
+  return node._mode and text .. " (" .. node._mode .. ")" or text
+end
+
+-- Returns a value as a person reads it; `depth` counts the tables around it.
+function show(value, depth)
+  if type(value) == "string" and depth > 0 then return ("%q"):format(value) end
+  if rfsm.is_node(value) then return show_node(value) end
+  if type(value) ~= "table" or getmetatable(value) or depth >= MAX_DEPTH then
+    return text_of(value)
+  end
+  return show_table(value, depth)
+end
+
+local function print_results(...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = show(select(i, ...), 0) end
+  if texts[1] then print(concat(texts, "\t")) end
+end
+
+-- Interrupts: Control-C, any number of times ----------------------------------
+--
+-- The interpreter survives one Control-C by itself. If luv is installed it counts them,
+-- and a debug hook raises an error for each, also in a doo, which is a coroutine.
+
+local PERIOD = 10000 -- VM instructions between two looks
+local uv -- luv, once interrupts are caught
+local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
+local is_interrupted = false -- since the prompt
+
+-- Has Control-C been typed since the last look?
+local function is_typed()
+  if uv then uv.run("nowait") end
+  local is_new = count > seen
+  seen = count
+  return is_new
+end
+
+local function poll()
+  if not is_typed() then return end
+  is_interrupted = true
+  error("interrupted!", 2)
+end
+
+local function catch_interrupts()
+  local ok, luv = pcall(require, "luv")
+  if not ok or not sethook or uv then return end
+  uv = luv
+  uv.new_signal():start("sigint", function() count = count + 1 end)
+  sethook(poll, "", PERIOD)
+  if rawget(_G, "jit") then rawget(_G, "jit").off() end -- its code calls no hook
+end
+
+-- A callback that was interrupted has failed. Then the run ends with its iteration.
+local function end_interrupted()
+  if is_interrupted then error("interrupted!", 0) end
+end
+
+-- Called as a preproc function.
+local function make_interruptible(fsm, merged)
+  for _, state in ipairs(uv and rfsm.elements(merged or fsm, rfsm.is_leaf) or {}) do
+    local doo = state.doo
+    state.doo = doo and function(...)
+      sethook(poll, "", PERIOD)
+      return doo(...)
+    end
+  end
 end
 
 -- Open a chart ----------------------------------------------------------------
 
 -- Initialises `model`, silent about its problems: they are returned.
 local function init_quietly(model)
-  local own_err = model.err
+  local own_err, preproc = model.err, rfsm.preproc
   if own_err == nil then model.err = false end
+  preproc[#preproc + 1] = make_interruptible -- after those of the chart's extensions
   local fsm, problems = rfsm.init(model)
+  preproc[#preproc] = nil
   model.err = own_err
   if fsm and own_err == nil then fsm.err = print_err end
+  if fsm then rfsm.post_step_hook_add(fsm, end_interrupted) end
   return fsm, problems
 end
 
 -- Returns a machine, or false and the lines that say why not.
 local function open(file)
-  local ok, model = pcall(rfsm.load, file)
-  if not ok then return false, { (first_line(model):gsub("^rfsm%.load: ", "")) } end
-  local done, fsm, problems = pcall(init_quietly, model)
-  if not done then return false, { file .. ": " .. first_line(fsm) } end
+  local model, warnings = chart.load(file)
+  if not model then return false, { warnings } end
+  for _, warning in ipairs(warnings) do complain(warning) end
+  local ok, fsm, problems = pcall(init_quietly, model)
+  if not ok then return false, { chart.reason(file, fsm) } end
   if fsm then return fsm end
-  for i = 1, #problems do problems[i] = file .. ": " .. problems[i] end
+  for i = 1, #problems do problems[i] = chart.line(file, problems[i]) end
   return false, problems
 end
 
@@ -84,9 +176,11 @@ end
 --- One chart and its prompt.
 ---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
----@field name string of the chart, for trace records
+---@field file string of the chart
+---@field level boolean|"full" which trace records are shown
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field env table what typed code sees: the commands, then the globals
+---@field missing string[] globals that the current line reads and that do not exist
 ---@field is_over boolean no more lines, please
 
 local function show_active(sim)
@@ -96,13 +190,100 @@ end
 
 local function show_queue(sim) print("queue:  " .. list_text(sim.fsm._intq, ", ")) end
 
--- Calls rfsm.step or rfsm.run, and shows where that led, also when it failed.
-local function advance(sim, how, n)
-  local ok, failure = pcall(how, sim.fsm, n)
+local function show_both(sim)
   show_active(sim)
   show_queue(sim)
+end
+
+-- Calls rfsm.step or rfsm.run, and shows where that led, also if it failed.
+local function advance(sim, how, n)
+  local ok, failure = pcall(how, sim.fsm, n)
+  show_both(sim)
   for _, hook in ipairs(sim.hooks) do hook(sim.fsm) end
   if not ok then error(failure, 0) end
+end
+
+-- The events that a machine and those inside its states know, as a set.
+local function add_events(set, fsm)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    for _, event in ipairs(tr.events or {}) do set[event] = true end
+  end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    local machines = type(state.substates) == "table" and state.substates or {}
+    for _, machine in pairs(machines) do -- any order: a set
+      if rfsm.is_initialized_root(machine) then add_events(set, machine) end
+    end
+  end
+  return set
+end
+
+-- Returns the hint " (did you mean 'e_go'?)", if there is one.
+local function nearest(name, names)
+  local ok, advice = pcall(require, "rfsm.advice")
+  return ok and advice.nearest_name(name, names) or ""
+end
+
+local function is_known(set, event)
+  if set[event] or type(event) ~= "string" or event:find("^e_done") then return true end
+  return event == "e_init_fsm"
+end
+
+-- Sends events; complains of those that are nil or that no transition names.
+local function send(sim, ...)
+  local set, words, has_predicate = add_events({}, sim.fsm), {}, false
+  for _, event in ipairs(sorted(set)) do
+    if type(event) == "string" then words[#words + 1] = event end
+    has_predicate = has_predicate or rfsm.is_callable(event)
+  end
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    local name = event == nil and sim.missing[1]
+    if name then
+      complain(("nothing is named %s, an event is in quotes%s"):format(name,
+        nearest(name, words)))
+    elseif event == nil then
+      complain(("event %d is nil"):format(i))
+    elseif not has_predicate and not is_known(set, event) then
+      complain(("no transition names the event '%s'%s"):format(event,
+        nearest(event, words)))
+    end
+  end
+  rfsm.send_events(sim.fsm, ...)
+end
+
+-- Returns the path that an event would take now, as text; nil if there is none.
+local function path_on(fsm, event)
+  local node = fsm
+  while node do
+    local path = rfsm.node_find_enabled(fsm, node, { event })
+    if path then
+      local texts = {}
+      while path do
+        texts[#texts + 1] = path.node._fqn
+        path = path.nextl and path.nextl[1].next
+      end
+      return concat(texts, " -> ")
+    end
+    node = node._actchild
+  end
+end
+
+-- Prints the events that would do something now. An unknown one stands for any.
+local function show_events(sim)
+  local fsm, any = sim.fsm, {}
+  if not fsm._act_leaf then
+    return print("step() enters the machine")
+  end
+  local on_any, is_empty = path_on(fsm, any), true
+  for _, event in ipairs(sorted(add_events({}, fsm))) do
+    local path = not rfsm.is_callable(event) and path_on(fsm, event)
+    if path and path ~= on_any then
+      print(text_of(event) .. ":  " .. path)
+      is_empty = false
+    end
+  end
+  if on_any then print("any event:  " .. on_any) end
+  if is_empty and not on_any then print("no event does anything now") end
 end
 
 -- The records that matter most while a chart is written.
@@ -119,11 +300,25 @@ local function set_dbg(sim, level)
     error("dbg: false, true or 'full' expected, got " .. what:format(text_of(level)), 0)
   end
   local ids = level == "full" and {} or MAIN_RECORDS
-  sim.fsm.dbg = level and rfsmpp.gen_dbgcolor(sim.name, ids, level == "full")
+  local name = sim.file:gsub("^.*/", ""):gsub("%.lua$", "")
+  sim.level = level
+  sim.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
+end
+
+-- The chart is read anew; if it has a problem the machine stays.
+local function reload(sim)
+  local fsm, problems = open(sim.file)
+  if not fsm then
+    for _, problem in ipairs(problems) do complain(problem) end
+    return
+  end
+  sim.fsm, sim.env.fsm = fsm, fsm
+  if sim.level then set_dbg(sim, sim.level) end
+  show_both(sim)
 end
 
 local function add_hook(sim, hook)
-  if type(hook) ~= "function" then
+  if not rfsm.is_callable(hook) then
     error("add_hook: function expected, got " .. type(hook), 0)
   end
   sim.hooks[#sim.hooks + 1] = hook
@@ -131,53 +326,69 @@ end
 
 local HELP = [[
 step([n])    advance by n transitions or doo cycles (1)
-run()        advance until nothing is left to do
+run()        advance until nothing is left to do; Control-C ends it
 se(...)      send events and print the queue
 ses(...)     send events, then step()
 ser(...)     send events, then run()
+events()     print the events that would do something now
 dbg(level)   trace records: false none, true the main ones, 'full' all of them
 pp()         print the states as a tree
 showeq()     print the events that wait in the queue
 showfqn()    print the active state and its mode
 add_hook(f)  call f(fsm) after each advance
+reset()      make the machine as it was at the beginning
+reload()     read the chart's file again
 help()       print this list
 quit()       end the simulator, as Control-D does
 
 'fsm' is the machine, 'rfsm' the library. Any Lua works: an expression prints its value,
-and what is not complete goes on in the next line.]]
+and an incomplete line goes on in the next. Control-C drops what is typed.]]
 
 -- Returns the commands for `sim`. None returns a value: the prompt would print it.
 local function commands_for(sim)
-  local fsm = sim.fsm
-  local commands = { fsm = fsm, rfsm = rfsm }
+  local commands = { fsm = sim.fsm, rfsm = rfsm }
   function commands.step(n) advance(sim, rfsm.step, n or 1) end
   function commands.run() advance(sim, rfsm.run) end
   function commands.se(...)
-    rfsm.send_events(fsm, ...)
+    send(sim, ...)
     show_queue(sim)
   end
   function commands.ses(...)
-    rfsm.send_events(fsm, ...)
+    send(sim, ...)
     advance(sim, rfsm.step, 1)
   end
   function commands.ser(...)
-    rfsm.send_events(fsm, ...)
+    send(sim, ...)
     advance(sim, rfsm.run)
   end
+  function commands.events() show_events(sim) end
   function commands.dbg(level) set_dbg(sim, level) end
-  function commands.pp() print(rfsmpp.fsm2str(fsm)) end
+  function commands.pp() print((rfsmpp.fsm2str(sim.fsm):gsub("\n$", ""))) end
   function commands.showeq() show_queue(sim) end
   function commands.showfqn() show_active(sim) end
   function commands.add_hook(hook) add_hook(sim, hook) end
+  function commands.reset()
+    rfsm.reset(sim.fsm)
+    show_both(sim)
+  end
+  function commands.reload() reload(sim) end
   function commands.help() print(HELP) end
   function commands.quit() sim.is_over = true end
   return commands
 end
 
 local function new_session(fsm, file)
-  local name = file:gsub("^.*/", ""):gsub("%.lua$", "")
-  local sim = { fsm = fsm, name = name, hooks = {}, is_over = false }
-  sim.env = setmetatable(commands_for(sim), { __index = _G, __newindex = _G })
+  local sim = {
+    fsm = fsm, file = file, level = false, hooks = {}, missing = {}, is_over = false,
+  }
+  sim.env = setmetatable(commands_for(sim), {
+    __index = function(_, name)
+      local value = _G[name]
+      if value == nil then sim.missing[#sim.missing + 1] = text_of(name) end
+      return value
+    end,
+    __newindex = _G,
+  })
   return sim
 end
 
@@ -209,13 +420,16 @@ local function is_incomplete(problem)
   return problem:find("<eof>'?$") ~= nil
 end
 
-local function print_results(...)
-  if select("#", ...) > 0 then print(...) end
+-- A command alone, such as `step`, is called.
+local function call_of(sim, text)
+  local name = text:match("^%s*([%a_][%w_]*)%s*$")
+  return name and type(rawget(sim.env, name)) == "function" and name .. "()" or text
 end
 
 -- Runs `text`. Returns true, or false, one line, and whether more text may mend it.
 local function evaluate(sim, text, chunkname)
-  local chunk, problem = compile(sim.env, text, chunkname)
+  sim.missing, is_interrupted = {}, false
+  local chunk, problem = compile(sim.env, call_of(sim, text), chunkname)
   if not chunk then return false, first_line(problem), is_incomplete(problem) end
   local ok, failure = pcall(chunk, print_results)
   if not ok then return false, first_line(failure), false end
@@ -223,6 +437,9 @@ local function evaluate(sim, text, chunkname)
 end
 
 -- Read lines: piped in, or typed at a terminal --------------------------------
+--
+-- A reader takes a prompt and returns a line; nil at the end of the input; false if
+-- Control-C dropped it.
 
 -- Is the file descriptor (0: stdin, 1: stdout) a terminal?
 local function is_terminal(descriptor)
@@ -235,24 +452,50 @@ local function words_of(sim)
   local set = {}
   for name in pairs(sim.env) do set[name] = true end
   for name in pairs(rfsm) do set["rfsm." .. name] = true end
-  rfsm.mapfsm(function(node) set["fsm" .. node._fqn:match("%..*")] = true end, sim.fsm,
-    rfsm.is_node)
-  rfsm.mapfsm(function(tr)
-    for _, event in ipairs(tr.events or {}) do
-      if type(event) == "string" then set[event] = true end
-    end
-  end, sim.fsm, rfsm.is_trans)
-  local words = {}
-  for word in pairs(set) do words[#words + 1] = word end -- any order: sorted below
-  sort(words)
-  return words
+  for _, node in ipairs(rfsm.elements(sim.fsm, rfsm.is_nr_node)) do
+    set["fsm" .. node._fqn:match("%..*")] = true
+  end
+  for event in pairs(add_events({}, sim.fsm)) do -- any order: a set
+    if type(event) == "string" then set[event] = true end
+  end
+  return sorted(set)
+end
+
+-- Reads a line key by key, so that Control-C is noticed at once.
+local function read_keys(readline, prompt)
+  local line, is_done = nil, false
+  readline.handler_install(prompt, function(text)
+    line, is_done = text, true
+    readline.handler_remove()
+  end)
+  local keys = uv.new_poll(0)
+  keys:start("r", readline.read_char)
+  while not is_done and count == seen do uv.run("once") end
+  keys:stop()
+  keys:close()
+  if is_done then return line end
+  readline.handler_remove()
+  seen = count
+  print()
+  return false
+end
+
+local HISTORY = (os.getenv("HOME") or ".") .. "/.rfsm_sim_history"
+
+-- The history is complete also if the simulator is killed.
+local function keep_line(readline, line)
+  readline.add_history(line)
+  local file = io.open(HISTORY, "a")
+  if not file then return end
+  file:write(line, "\n")
+  file:close()
 end
 
 -- Line editing, history and completion by the readline module; nil without it.
 local function readline_reader(sim)
   local ok, readline = pcall(require, "readline")
   if not ok then return nil end
-  readline.set_options { histfile = "~/.rfsm_sim_history", keeplines = 1000 }
+  readline.set_options { histfile = HISTORY, auto_add = false }
   readline.set_complete_function(function(text, from, to)
     readline.set_completion_append_character("")
     local typed, matches = text:sub(from, to), {}
@@ -261,7 +504,16 @@ local function readline_reader(sim)
     end
     return matches
   end)
-  return readline.readline, readline.save_history
+  return function(prompt)
+    local line
+    if uv and readline.handler_install then
+      line = read_keys(readline, prompt)
+    else
+      line = readline.readline(prompt)
+    end
+    if line and line:find("%S") then keep_line(readline, line) end
+    return line
+  end
 end
 
 local function prompting_reader(prompt)
@@ -270,29 +522,21 @@ local function prompting_reader(prompt)
   return io.read()
 end
 
-local function no_op() end
-
--- Returns a function that reads a line, and one to call at the end.
 local function choose_reader(sim)
-  if not is_terminal(0) then return function() return io.read() end, no_op end
-  local read, close
-  if is_terminal(1) then read, close = readline_reader(sim) end
-  read, close = read or prompting_reader, close or no_op
-  return read, function()
-    close()
-    print() -- the shell's prompt belongs on a line of its own
-  end
+  if not is_terminal(0) then return function() return io.read() end end
+  return is_terminal(1) and readline_reader(sim) or prompting_reader
 end
 
--- Reads a line; nil at the end of the input, false after Control-C.
+-- Reads a line. Returns also whether Control-C was typed: it drops the lines before,
+-- and a terminal has dropped what stood before it in this one.
 local function read_line(read, prompt)
   local ok, line = pcall(read, prompt)
-  if ok then return line end
+  if ok then return line, is_typed() end
   if not tostring(line):find("interrupted!", 1, true) then error(line, 0) end
-  return false
+  return false, true
 end
 
--- Evaluates what is typed so far. When more must follow, returns the text and what is
+-- Evaluates what is typed so far. If more must follow, returns the text and what is
 -- wrong with it as it is, otherwise "".
 local function digest(sim, text)
   local ok, problem, is_open = evaluate(sim, text, "=stdin")
@@ -302,17 +546,14 @@ local function digest(sim, text)
   return ""
 end
 
--- Reads and evaluates until the end of the input. Control-C drops what is typed.
+-- Reads and evaluates until the end of the input.
 local function converse(sim, read)
   local text, problem = "", nil
   while not sim.is_over do
-    local line = read_line(read, text == "" and "> " or ">> ")
+    local line, is_dropped = read_line(read, text == "" and "> " or ">> ")
     if line == nil then break end
-    if line then
-      text, problem = digest(sim, text .. line .. "\n")
-    else
-      text = ""
-    end
+    if is_dropped or not line then text = "" end
+    if line then text, problem = digest(sim, text .. line .. "\n") end
   end
   if text ~= "" then complain(problem) end
 end
@@ -345,6 +586,7 @@ end
 ---@return integer status for the shell: 0, or 1 for a chart or code that is wrong
 function rfsm_sim.main(options)
   io.stdout:setvbuf("line")
+  if is_terminal(0) then catch_interrupts() end
   local fsm, problems = open(options.file)
   if not fsm then
     for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
@@ -357,9 +599,8 @@ function rfsm_sim.main(options)
     print("rFSM simulator v" .. rfsm_sim.VERSION
       .. ", type 'help()' to list available commands")
   end
-  local read, close = choose_reader(sim)
-  converse(sim, read)
-  close()
+  converse(sim, choose_reader(sim))
+  if is_terminal(0) then print() end -- the shell's prompt has a line of its own
   return 0
 end
 

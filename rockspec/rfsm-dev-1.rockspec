@@ -21,6 +21,7 @@ build = {
     ["rfsm_timeevent"] = "rfsm_timeevent.lua",
     ["rfsmpp"] = "rfsmpp.lua",
     ["rfsm.await"] = "rfsm/await.lua",
+    ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",
     ["rfsm.clock"] = "rfsm/clock.lua",
     ["rfsm.diagram"] = "rfsm/diagram.lua",
@@ -34,6 +35,7 @@ build = {
     ["rfsm.preview"] = "rfsm/preview.lua",
     ["rfsm.proto"] = "rfsm/proto.lua",
     ["rfsm.rtt"] = "rfsm/rtt.lua",
+    ["rfsm.rtt_launch"] = "rfsm/rtt_launch.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
     -- older names
     ["rfsm2dot"] = "compat/rfsm2dot.lua",

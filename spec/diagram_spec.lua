@@ -158,7 +158,7 @@ for _, language in ipairs(LANGUAGES) do
         local ok, problem = pcall(function() return (exporter[name](state {}, "x")) end)
         assert.is_false(ok)
         assert.matches("diagram_spec.lua:%d+: " .. language .. "." .. name
-          .. ": initialised fsm expected, got table", problem)
+          .. ": initialised fsm expected, got state", problem)
       end
     end)
 

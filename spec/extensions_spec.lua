@@ -141,8 +141,8 @@ local EXTENSIONS = {
   },
   rtt = {
     model = function()
-      local feed, events = rtt.OutputPort("string"), rtt.InputPort("string")
-      local out, names = rtt.OutputPort("string"), rtt.InputPort("string")
+      local feed, events = rtt.OutputPort.new("string"), rtt.InputPort.new("string")
+      local out, names = rtt.OutputPort.new("string"), rtt.InputPort.new("string")
       feed:connect(events)
       out:connect(names)
       local model = around(inner_machine(), { events = { "e_none" } })

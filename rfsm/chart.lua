@@ -1,0 +1,94 @@
+--- Chart files for the tools: loaded with a watch on globals, failures in one line.
+--
+-- @module rfsm.chart
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local getmetatable, io, pcall, rawget = getmetatable, io, pcall, rawget
+local setmetatable, type = setmetatable, type
+local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+
+local chart = {}
+
+--- Return the name of a chart's file in messages; `-` is stdin.
+---@param file string
+---@return string name
+function chart.name_of(file) return file == "-" and "stdin" or file end
+
+--- Return a problem with its file in front, unless it begins with a location.
+---@param file string
+---@param text string
+---@param kind? string such as "warning: ", to stand behind the location
+---@return string line
+function chart.line(file, text, kind)
+  local location, rest = text:match("^(%S+:%d+: )(.*)$")
+  if not location then location, rest = chart.name_of(file) .. ": ", text end
+  return location .. (kind or "") .. rest
+end
+
+local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
+
+--- Return the first line of a failure; a traceback or a list of paths may follow it.
+---@param failure any
+---@return string line
+function chart.first_line(failure)
+  local text = rfsm.text_of(failure)
+  return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
+end
+
+--- Return why a chart cannot be used, in one line with its file.
+---@param file string
+---@param failure any
+---@return string line
+function chart.reason(file, failure)
+  local text = chart.first_line(failure)
+  if failure == nil or text == "" or text == NO_ERROR then
+    text = "failed without a message"
+  end
+  if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
+  text = text:gsub("^rfsm%.json: ", ""):gsub("^rfsm%.load[_str]*: ", "")
+    :gsub("^failed to load chunk: ", ""):gsub("'=stdin'", "stdin")
+  if text:find(chart.name_of(file), 1, true) then return text end
+  return chart.name_of(file) .. ": " .. text
+end
+
+-- Calls f(...), and calls note(name, line) for each global that `source` reads and that
+-- does not exist. Returns what pcall does.
+local function with_watch(source, note, f, ...)
+  if not getinfo or getmetatable(_G) then return pcall(f, ...) end
+  setmetatable(_G, { __index = function(_, name)
+    local reader = getinfo(2, "Sl")
+    if reader and reader.source == source then note(name, reader.currentline) end
+  end })
+  local ok, model = pcall(f, ...)
+  setmetatable(_G, nil)
+  return ok, model
+end
+
+-- A first line for the shell (#!) is none of Lua's business.
+local function load_stdin()
+  local text = io.read("*a"):gsub("^#[^\n]*", "")
+  return rfsm.load_str(text, "=stdin")
+end
+
+--- Load the model in a file; `-` is stdin.
+---@param file string
+---@return rfsm.State? model nil if there is none
+---@return string[]|string warnings a line for each undefined global; or the problem
+function chart.load(file)
+  local warnings, is_known = {}, {}
+  local load, source = rfsm.load, "@" .. file
+  if file == "-" then load, source = load_stdin, "=stdin" end
+  local ok, model = with_watch(source, function(name, line)
+    if is_known[name] or type(name) ~= "string" then return end
+    is_known[name] = true
+    warnings[#warnings + 1] = ("%s:%d: warning: undefined global '%s'%s"):format(
+      chart.name_of(file), line, name,
+      name:find("^e_") and " (an event is a string, in quotes)" or "")
+  end, load, file)
+  if ok then return model, warnings end
+  return nil, chart.reason(file, model)
+end
+
+return chart
