@@ -677,7 +677,7 @@ describe("without a hook", function()
 
   after_each(function() os.time = real_time end) -- luacheck: ignore 122
 
-  -- A clock, the names or ids under which it is read for an e_after and an e_at, and the
+  -- A clock, the names or ids by which it is read for an e_after and an e_at, and the
   -- modules that are installed; `read` notes one.
   for _, case in ipairs {
     { "rtp, monotonic for e_after", "CLOCK_MONOTONIC CLOCK_REALTIME", function(read)
