@@ -286,7 +286,7 @@ describe("rfsm-check", function()
     assert.same({ expected, "", expected_status }, { out, err, status })
   end
 
-  local WARNED = "^examples/checks.lua: warning: root.spare: [^\n]*\n$"
+  local WARNED = "^examples/checks.lua:18: warning: root.spare: [^\n]*\n$"
 
   it("says ok to a chart without problems", function()
     assert.equal("examples/on_off.lua: ok\nexamples/seqand.lua: ok\n",
@@ -325,7 +325,8 @@ describe("rfsm-check", function()
     ]], "^FILE:1: warning: undefined global 'DEBUG'\n"
       .. "FILE:5: warning: undefined global 'e_go' %(an event is a string, in quotes%)\n"
       .. ".*FILE:7: warning: root.trans%[4%] %(b %-> a%): a transition has no field "
-      .. "'event'[^\n]*\n$", 0)
+      .. "'event'[^\n]*\n"
+      .. "FILE:7: warning: [^\n]* never taken, FILE:6: [^\n]*\n$", 0)
   end)
 
   it("knows time events and await, also if the host of a chart loads them", function()
