@@ -2204,6 +2204,7 @@ do
 
   -- Is a step of this machine under way on this stack, or in its doo?
   function is_stepping(fsm)
+    if not fsm._segment then return false end
     local co = fsm._act_leaf and fsm._act_leaf._doo_co
     if co and (status(co) == "running" or status(co) == "normal") then return true end
     if not getinfo then return fsm._segment ~= false end
