@@ -1686,6 +1686,7 @@ local function enter(fsm, state, def)
 end
 
 local function trace_exits(fsm, def)
+  if def.is_internal then return end
   local outermost = def.src
   while outermost.parent ~= def.lca and outermost.parent ~= outermost do
     outermost = outermost.parent
@@ -1695,6 +1696,7 @@ local function trace_exits(fsm, def)
 end
 
 local function trace_entries(fsm, def)
+  if def.is_internal then return end
   local names, node = {}, def.tgt
   while node ~= def.lca do
     names[#names + 1], node = node.fqn, node.parent
@@ -2233,6 +2235,7 @@ do
     end
     fsm._segment = false
     put_back(fsm)
+    if fsm._reset_wanted then reset_now(fsm) end
     return true
   end
 end

@@ -4,10 +4,14 @@
 --   names        F of all nodes, parents before children
 --   nodes        F -> { kind = "state"|"connector", parent, id, is_leaf, entry, ... }
 --   transitions  { src, tgt (F), src_ref, tgt_ref (as written), owner, key, pn, guard,
---                  effect, events (expanded), events_ref (as written), index }
+--                  effect, events (expanded), events_ref (as written), index,
+--                  is_internal, was_internal (at first) }
+--   merges       { fqn, node, transitions }: a leaf that may be merged, what leads to it
+--                  and away from it
 --   programs     id of a callback -> the actions of its 1st, 2nd, ... call (then again
 --                from the first): false or { "send"|"raise"|"reset"|"trace"..., value }
 --   ops          what the run does: { "send", ... } { "step", n } { "run" } { "reset" }
+--                { "merge", n }
 --   traced       false: dbg is off at first; programs may switch it
 
 local charts = {}
@@ -16,8 +20,13 @@ local floor = math.floor
 
 -- Events that are no strings: compared by identity, and never copied.
 local Object = { __tostring = function(self) return self.name end }
-local OBJECT = setmetatable({ name = "an object" }, Object)
-local EVENTS = { "e1", "e2", "e3", "e4", 7, false, OBJECT }
+local OBJECT = setmetatable({ name = "OBJECT" }, Object)
+
+-- These say that they equal each other, to whoever asks; nobody may.
+local Liar = { __tostring = Object.__tostring, __eq = function() return true end }
+local LIAR, OTHER_LIAR = setmetatable({ name = "LIAR" }, Liar),
+  setmetatable({ name = "OTHER_LIAR" }, Liar)
+local EVENTS = { "e1", "e2", "e3", "e4", 7, false, OBJECT, LIAR, OTHER_LIAR }
 
 -- Matches itself, and each event with a 2 in it; fails for numbers.
 local function predicate(event)
@@ -98,12 +107,14 @@ local function reference_to(random, owner, fqn)
   return fqn
 end
 
--- Where a transition to F ends, nil when it may not end there.
-local function entrance(chart, fqn)
+--- Where a transition to F ends, nil when it may not end there.
+function charts.entrance(chart, fqn)
   local node = chart.nodes[fqn]
   if node.kind == "connector" or node.is_leaf then return fqn end
   return chart.nodes[fqn .. ".initial"] and fqn .. ".initial" or nil
 end
+
+local entrance = charts.entrance
 
 -- Transitions -----------------------------------------------------------------
 
@@ -147,6 +158,9 @@ local function add_transition(chart, random, owner, src, tgt, src_ref)
     guard = random:chance(30), effect = random:chance(40),
     index = #chart.transitions + 1,
   }
+  if chart.nodes[src].kind == "state" and random:chance(8) then
+    tr.is_internal, tr.was_internal, tr.tgt, tr.tgt_ref = true, true, src, "internal"
+  end
   chart.transitions[tr.index] = tr
 end
 
@@ -213,6 +227,9 @@ local function random_action(chart, random)
   if random:chance(8) then return { "reset" } end
   if random:chance(12) then return { "trace", random:chance(60) } end
   if random:chance(12) then return { "replace", random:below(100) } end
+  if random:chance(12) then
+    return { "retarget", random:below(100), random:below(100) }
+  end
   local second = random:chance(30) and random:pick(EVENTS) or nil
   return { "send", random:pick(EVENTS), second }
 end
@@ -228,6 +245,8 @@ local function add_guard(chart, random, id)
   for i = 1, random:below(3) do
     actions[i] = random:chance(40) and { "return", false }
       or random:chance(20) and { "return", true } or random_action(chart, random)
+    -- what a guard retargets may count in the same search, or not
+    if actions[i] and actions[i][1] == "retarget" then actions[i] = false end
   end
   chart.programs[id] = actions
 end
@@ -307,6 +326,41 @@ local function add_programs(chart, random)
   end
 end
 
+-- Merges ----------------------------------------------------------------------
+
+local function composites_of(chart)
+  local list = {}
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.kind == "state" and not node.is_leaf then list[#list + 1] = fqn end
+  end
+  return list
+end
+
+-- A leaf with a transition that leads to it and one that leads away, by full names.
+local function add_merge(chart, random, n)
+  local parent = random:pick(composites_of(chart))
+  local fqn, id = parent .. ".new" .. n, "new" .. n
+  local node = { kind = "state", parent = parent, id = id, is_leaf = true,
+    entry = random:chance(50) }
+  local function transition(src, tgt, key)
+    local events = { random:pick(EVENTS), random:chance(30) and "e_done" or nil }
+    local is_leaf = src == fqn or chart.nodes[src].is_leaf
+    if not is_leaf then events[2] = nil end
+    return {
+      owner = "root", key = id .. key, src = src, tgt = tgt, src_ref = src, tgt_ref = tgt,
+      events_ref = events, events = expand(events, src), guard = false, effect = false,
+      pn = random:chance(30) and random:below(3) - 1 or nil,
+      index = 1000 + 2 * n + (key == "in" and 0 or 1),
+    }
+  end
+  local src, tgt = random:pick(chart.names), random_target(chart, random)
+  chart.merges[n] = { fqn = fqn, node = node, transitions = {
+    transition(src, fqn, "in"), transition(fqn, entrance(chart, tgt) or fqn, "out"),
+  } }
+  if node.entry then add_program(chart, random, "entry " .. fqn) end
+end
+
 -- Operations ------------------------------------------------------------------
 
 local function random_op(chart, random)
@@ -323,7 +377,8 @@ end
 --- The chart of `seed`.
 function charts.generate(seed)
   local random = new_random(seed)
-  local chart = { seed = seed, names = {}, nodes = {}, transitions = {}, programs = {} }
+  local chart = { seed = seed, names = {}, nodes = {}, transitions = {}, programs = {},
+    merges = {} }
   chart.is_tame, chart.traced = random:chance(20), random:chance(33)
   chart.has_twin = random:chance(30)
   add_node(chart, nil, "root", "state")
@@ -335,6 +390,10 @@ function charts.generate(seed)
   add_programs(chart, random)
   chart.ops = { { "step", 1 } }
   for i = 2, 4 + random:below(16) do chart.ops[i] = random_op(chart, random) end
+  for n = 1, not chart.nodes.root.is_leaf and random:chance(30) and random:below(2) or 0 do
+    add_merge(chart, random, n)
+    table.insert(chart.ops, random:below(#chart.ops), { "merge", n })
+  end
   return chart
 end
 

@@ -98,7 +98,7 @@ end
 
 -- An event is wanted as itself, or because a predicate says so (not if it fails).
 local function is_wanted(wanted, event)
-  if wanted == event then return true end
+  if rawequal(wanted, event) then return true end
   if type(wanted) ~= "function" then return false end
   local ran, answer = pcall(wanted, event)
   return ran and not not answer
@@ -126,13 +126,17 @@ end
 local find_path
 
 -- A path through `tr`: the segment, then what follows behind a connector. nil: closed.
+-- A segment keeps the target that `tr` has now.
 local function path_through(machine, tr, events, seen)
   if not matches(tr, events) then return nil end
   if not guard_allows(machine, tr, events) then return nil end
-  if machine.chart.nodes[tr.tgt].kind == "state" then return { tr } end
+  local first = {
+    tr = tr, src = tr.src, tgt = tr.tgt, pn = tr.pn, is_internal = tr.is_internal,
+  }
+  if machine.chart.nodes[tr.tgt].kind == "state" then return { first } end
   local rest = find_path(machine, tr.tgt, events, seen)
   if not rest then return nil end
-  local path = { tr }
+  local path = { first }
   for _, segment in ipairs(rest) do path[#path + 1] = segment end
   return path
 end
@@ -243,15 +247,18 @@ local function outermost_left(machine, tr, top)
   return fqn
 end
 
-local function run_effect(machine, tr, text, events)
-  dbg(machine, "EFFECT", text)
+local function run_effect(machine, tr, events)
+  dbg(machine, "EFFECT", machine.calls.text(tr))
   if not tr.effect then return end
   local ok, problem = pcall(machine.calls.effect, tr, events)
-  if not ok then program_failed(machine, "EFFECT", "effect", text, problem) end
+  if ok then return end
+  program_failed(machine, "EFFECT", "effect", machine.calls.text(tr), problem)
 end
 
 -- Exits from `innermost` up to the common ancestor, effect, entries down to the target.
+-- An internal transition is its effect alone.
 local function take_segment(machine, tr, innermost, events)
+  if tr.is_internal then return run_effect(machine, tr.tr, events) end
   local top = common_ancestor(machine, tr)
   dbg(machine, "TRANS_EXIT", "exiting all up to (including):",
     outermost_left(machine, tr, top), ", lca:", top)
@@ -260,7 +267,7 @@ local function take_segment(machine, tr, innermost, events)
     exit(machine, fqn)
     fqn = machine.chart.nodes[fqn].parent
   end
-  run_effect(machine, tr, machine.calls.text(tr), events)
+  run_effect(machine, tr.tr, events)
   local below, upwards = {}, { tr.tgt }
   for _, fqn_above in ipairs(ancestors(machine, tr.tgt)) do
     upwards[#upwards + 1] = fqn_above
@@ -289,9 +296,9 @@ end
 
 -- The first segment starts at the leaf, each further one in the connector's parent.
 local function take_path(machine, path, events)
-  for i, tr in ipairs(path) do
-    local innermost = i == 1 and machine.leaf or machine.chart.nodes[tr.src].parent
-    take_segment(machine, tr, innermost, events)
+  for i, segment in ipairs(path) do
+    local innermost = i == 1 and machine.leaf or machine.chart.nodes[segment.src].parent
+    take_segment(machine, segment, innermost, events)
   end
 end
 
@@ -466,6 +473,11 @@ end
 --- Back to the start; from inside a callback when the iteration is over.
 function reference.reset(machine)
   if machine.stepping then machine.reset_wanted = true else reset_now(machine) end
+end
+
+--- Change the target of a transition, which counts from the next search on.
+function reference.retarget(tr, tgt)
+  tr.is_internal, tr.tgt = tr.was_internal and tgt == tr.src, tgt
 end
 
 --- The active states from root to leaf, each with its mode.

@@ -1,6 +1,7 @@
 -- Runs a chart of charts.lua on the core or on the oracle; both leave the same trace, a
 -- flat list of texts.
 
+local charts = require "spec.support.charts"
 local reference = require "spec.support.reference"
 local rfsm = require "rfsm"
 
@@ -30,6 +31,7 @@ local function perform(world, action, list)
   if what == "reset" then world.reset() end
   if what == "trace" then world.switch_trace(action[2]) end
   if what == "send" then world.send(action[2], action[3]) end
+  if what == "retarget" then world.retarget(action[2], action[3]) end
   if what == "replace" and world.ids[1] then
     world.replace(world.ids[action[2] % #world.ids + 1])
   end
@@ -70,8 +72,24 @@ local function replaceable(chart)
   return ids
 end
 
+local function copy_of(t)
+  local copy = {}
+  for key, value in pairs(t) do copy[key] = value end -- any order: a copy
+  return copy
+end
+
+-- A copy of the chart, for what a run changes.
+local function own_chart(chart)
+  local own = copy_of(chart)
+  own.names, own.nodes = copy_of(chart.names), copy_of(chart.nodes)
+  own.transitions = {}
+  for i, tr in ipairs(chart.transitions) do own.transitions[i] = copy_of(tr) end
+  return own
+end
+
 -- world.versions[id] says how often a program was replaced; each version notes its own.
 local function new_world(chart)
+  chart = own_chart(chart)
   return {
     chart = chart, trace = {}, counts = {}, versions = {}, ids = replaceable(chart),
   }
@@ -79,6 +97,18 @@ end
 
 local function version_of(world, id)
   return world.versions and world.versions[id] or 0
+end
+
+-- Picks a transition and the node that it is to lead to, by two numbers.
+local function pick_target(world, n, m)
+  local chart, targets = world.chart, {}
+  for _, fqn in ipairs(chart.names) do
+    if charts.entrance(chart, fqn) then targets[#targets + 1] = fqn end
+  end
+  local tr = chart.transitions[n % #chart.transitions + 1]
+  local tgt = charts.entrance(chart, targets[m % #targets + 1])
+  note(world, "retarget", tr.index, tgt)
+  return tr, tgt
 end
 
 -- Notes the modes that a program sees.
@@ -245,6 +275,18 @@ local function replace(world, fsm, id)
   end
 end
 
+local function merge_into_core(world, fsm, merge)
+  local node, warn = merge.node, fsm.warn
+  fsm.warn = false -- of a leaf that nothing leaves yet
+  assert(rfsm.fsm_merge(fsm, node_of(fsm, node.parent),
+    model_node(world, merge.fqn, node), node.id))
+  for _, tr in ipairs(merge.transitions) do
+    assert(rfsm.fsm_merge(fsm, node_of(fsm, tr.owner), model_transition(world, tr), tr.key))
+  end
+  fsm.warn = warn
+  return node_of(fsm, merge.fqn)
+end
+
 -- node.hooks says how many hooks extensions have hung on entry and exit of a state.
 local function add_state_hooks(world, fsm)
   for _, fqn in ipairs(world.chart.names) do
@@ -256,6 +298,15 @@ local function add_state_hooks(world, fsm)
         end)
       end
     end
+  end
+end
+
+-- A merged leaf and its transitions are part of the chart from now on.
+local function add_merged(world, merge)
+  local chart = world.chart
+  chart.names[#chart.names + 1], chart.nodes[merge.fqn] = merge.fqn, merge.node
+  for _, tr in ipairs(merge.transitions) do
+    chart.transitions[#chart.transitions + 1] = copy_of(tr)
   end
 end
 
@@ -349,8 +400,18 @@ function runs.on_core(chart)
   local nodes = {}
   for _, fqn in ipairs(chart.names) do nodes[fqn] = node_of(fsm, fqn) end
   world.mode_of = function(fqn) return rfsm.get_sta_mode(nodes[fqn]) end
+  world.retarget = function(n, m)
+    if not world.chart.transitions[1] then return end
+    local tr, tgt = pick_target(world, n, m)
+    node_of(fsm, tr.owner)[tr.key].tgt = nodes[tgt]
+  end
   return drive(world, {
     send = world.send, reset = world.reset, twin = twin,
+    merge = function(n)
+      local merge = chart.merges[n]
+      nodes[merge.fqn] = merge_into_core(world, fsm, merge)
+      add_merged(world, merge)
+    end,
     step = function(n) return rfsm.step(fsm, n) end,
     run = function() return rfsm.run(fsm) end,
     active = function() return core_active(fsm) end,
@@ -363,14 +424,22 @@ end
 function runs.on_oracle(chart)
   local world = new_world(chart)
   local calls = oracle_calls(world)
-  local machine = reference.new(chart, calls)
+  local machine = reference.new(world.chart, calls)
   world.send = function(...) reference.send(machine, ...) end
   world.reset = function() reference.reset(machine) end
   world.replace = function(id) world.versions[id] = version_of(world, id) + 1 end
   world.switch_trace = function(on) calls.dbg = on and outside(world, "dbg") end
   world.mode_of = function(fqn) return machine.mode[fqn] or "inactive" end
+  world.retarget = function(n, m)
+    if not world.chart.transitions[1] then return end
+    reference.retarget(pick_target(world, n, m))
+  end
   return drive(world, {
     send = world.send, reset = world.reset,
+    merge = function(n)
+      add_merged(world, chart.merges[n])
+      machine.mode[chart.merges[n].fqn] = "inactive"
+    end,
     step = function(n) return reference.step(machine, n) end,
     run = function() return reference.step(machine, 1e9) end,
     active = function() return reference.active(machine) end,

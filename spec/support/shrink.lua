@@ -25,6 +25,12 @@ local function is_unused(chart, fqn)
   for _, other in ipairs(chart.names) do
     if chart.nodes[other].parent == fqn then return false end
   end
+  for _, merge in ipairs(chart.merges) do
+    if merge.node.parent == fqn then return false end
+    for _, tr in ipairs(merge.transitions) do
+      if tr.src == fqn or tr.tgt == fqn then return false end
+    end
+  end
   return fqn ~= "root"
 end
 
@@ -107,7 +113,7 @@ local function literal(value)
   if type(value) == "string" then return ("%q"):format(value) end
   if type(value) == "function" then return "has_2" end
   if type(value) ~= "table" then return tostring(value) end
-  if getmetatable(value) then return "OBJECT" end
+  if getmetatable(value) then return value.name end
   local texts = {}
   for i = 1, #value do texts[i] = literal(value[i]) end
   for _, key in ipairs({ "action", "idle", "is_return" }) do
@@ -141,6 +147,20 @@ local function add_transition(lines, chart, indent, tr)
     { "effect", tr.effect and program_text(chart, "effect " .. tr.index) },
   })
   lines[#lines + 1] = indent .. "},"
+end
+
+-- A merge, as the calls that make it.
+local function merge_lines(chart, merge)
+  local node = merge.node
+  local entry = node.entry and "entry = " .. program_text(chart, "entry " .. merge.fqn)
+  local lines = { ("rfsm.fsm_merge(fsm, fsm%s, rfsm.state { %s }, %q)"):format(
+    node.parent:sub(5), entry or "", node.id) }
+  for _, tr in ipairs(merge.transitions) do
+    lines[#lines + 1] = "rfsm.fsm_merge(fsm, fsm,"
+    add_transition(lines, chart, "  ", setmetatable({ key = false }, { __index = tr }))
+    lines[#lines] = ("  }, %q)"):format(tr.key)
+  end
+  return table.concat(lines, "\n")
 end
 
 local function add_members(lines, chart, indent, fqn)
@@ -178,7 +198,8 @@ function shrink.to_lua(chart)
     local name = op[1] == "send" and "send_events" or op[1]
     local arguments = { "fsm" }
     for i = 2, #op do arguments[i] = literal(op[i]) end
-    lines[#lines + 1] = ("rfsm.%s(%s)"):format(name, table.concat(arguments, ", "))
+    lines[#lines + 1] = name == "merge" and merge_lines(chart, chart.merges[op[2]])
+      or ("rfsm.%s(%s)"):format(name, table.concat(arguments, ", "))
   end
   return table.concat(lines, "\n")
 end
