@@ -35,6 +35,7 @@ build = {
     ["rfsm.proto"] = "rfsm/proto.lua",
     ["rfsm.rtt"] = "rfsm/rtt.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
+    ["rfsm.straight"] = "rfsm/straight.lua",
     -- older names
     ["rfsm2dot"] = "compat/rfsm2dot.lua",
     ["rfsm2json"] = "compat/rfsm2json.lua",

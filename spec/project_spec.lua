@@ -82,6 +82,44 @@ describe("the rockspec", function()
   end)
 end)
 
+describe("dist/rfsm.lua", function()
+  local folder, lua = os.tmpname(), arg[-1]
+
+  setup(function()
+    os.remove(folder)
+    assert(os.execute(("mkdir '%s' && '%s' tools/dist.lua rfsm rfsm.straight rfsm.advice "
+      .. ">'%s/rfsm.lua' 2>/dev/null && cp -r spec '%s'"):format(folder, lua, folder,
+      folder)))
+  end)
+
+  teardown(function() os.execute("rm -r '" .. folder .. "'") end)
+
+  it("passes specs of the core alone in a folder", function()
+    local lines = lines_of(("cd '%s' && busted --lua=$(command -v '%s') --lpath=./?.lua "
+      .. "-o TAP spec/transition_spec.lua spec/contract_spec.lua 2>&1"):format(folder, lua))
+    local ok, failed = 0, {}
+    for _, line in ipairs(lines) do
+      if line:find("^ok") then ok = ok + 1 end
+      if line:find("^not ok") then failed[#failed + 1] = line end
+    end
+    assert.is_true(ok > 20, table.concat(lines, "\n"))
+    assert.same({}, failed)
+  end)
+
+  it("brings generated code into a sandbox without require", function()
+    assert.equal("true", helper.output_of(([[
+      local text, load = io.open("%s/rfsm.lua"):read("*a"), loadstring or load
+      require, package, loadfile = nil, nil, nil
+      local rfsm = load(text)()
+      local fsm = rfsm.init(rfsm.state { info = false, warn = false, a = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = "e" } })
+      for _ = 1, 9 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
+      print(rfsm.get_actleaf_fqn(fsm) == "root.a")
+    ]]):format(folder)))
+  end)
+end)
+
 describe("the version of the core", function()
   it("is in the changelog", function()
     local version = rfsm._VERSION:match("[%d.]+$")

@@ -323,9 +323,9 @@ describe("rfsm-check", function()
         rfsm.trans { src = "b", tgt = "a", event = "e_x" },
       }
     ]], "^FILE:1: warning: undefined global 'DEBUG'\n"
-      .. "FILE:5: warning: undefined global 'e_go' %(an event is a string, in quotes%)\n"
-      .. ".*FILE:7: warning: root.trans%[4%] %(b %-> a%): a transition has no field "
-      .. "'event'[^\n]*\n$", 0)
+      .. "FILE:5: warning: undefined global 'e_go' %(an event is a string, in "
+      .. "quotes%)\n.*FILE:7: warning: root.trans%[4%] %(b %-> a%): a transition has "
+      .. "no field 'event'", 0)
   end)
 
   it("knows time events and await, also if the host of a chart loads them", function()
@@ -351,7 +351,7 @@ describe("rfsm-check", function()
         rfsm.trans { src = "initial", tgt = "par" },
         rfsm.trans { src = "par", tgt = "par", events = { "e_again" } },
       }
-    ]], "^FILE:[^\n]* warning: root.par.left: root.spare: unreachable[^\n]*\n", 0)
+    ]], "^FILE:.* warning: root.par.left: [^\n]*root.spare: unreachable", 0)
   end)
 
   it("fails with status 2 if it cannot read a file", function()
