@@ -227,8 +227,10 @@ return rfsm.state {
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
 }]])
-    local out = at_terminal(chart, { "print(1)^C", "print(2)^C",
-      'run() ser("e_busy")\\n', "^C", 'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n" })
+    local out = at_terminal(chart, {
+      "print(1)^C", "print(2)^C", 'run() ser("e_busy")\\n', "^C",
+      'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n",
+    })
     assert.is_nil(out:find("\n[12]\r"))
     assert.matches("active: root.busy%(active%)\r\n.*interrupted!\r\n.*"
       .. "active: root.idle%(done%)\r\n.*doo program of state 'root.spin' failed: "

@@ -82,7 +82,7 @@ for _, writer in ipairs(WRITERS) do
   local tool = writer.tool .. (writer.ending and " -o -" or "")
 
   describe(writer.tool, function()
-    it("writes charts one after the other, without empty lines, to a file too", function()
+    it("writes charts one after the other, also to a file", function()
       local one, file = run(tool .. " examples/on_off.lua"), folder .. "/out.dot"
       local both, err, status = run(tool .. " examples/on_off.lua examples/on_off.lua")
       assert.same({ one .. one, "", 0 }, { both, err, status })
@@ -301,7 +301,7 @@ describe("rfsm-check", function()
     checks("\nreturn 7", "^no valid rfsm in file 'FILE' found[^\n]*\n$", 1)
   end)
 
-  it("reports warnings with status 0, 1 if it is strict, none if it is quiet", function()
+  it("reports warnings: status 0, 1 if strict, nothing if quiet", function()
     for options, status in pairs { [""] = 0, ["-s"] = 1, ["--strict"] = 1 } do
       local out, _, actual = run("rfsm-check " .. options .. " examples/checks.lua")
       assert.matches(WARNED, out)
