@@ -94,7 +94,8 @@ local function note_caller(t, level)
   if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
   local caller = getinfo(level + 1, "Sl")
   if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-    made_at[t] = caller.short_src .. ":" .. caller.currentline
+    local file = caller.source:match("^@(.*)") or caller.short_src -- which is cut to 60
+    made_at[t] = file .. ":" .. caller.currentline
   end
 end
 
@@ -509,7 +510,7 @@ local function check_unknown_field(build, def, key, value)
   if type(key) ~= "string" or is_meta(key) then return end
   if def.kind ~= "transition" and not is_callable(value) then return end
   local meant = def.kind == "transition" and key == "event" and "events"
-    or advise("field_meant", def.kind, key)
+    or advise("field_meant", def.parent == def and "root" or def.kind, key)
   if meant ~= "" and def.model[meant] == nil then
     add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
       def.kind, key, meant)
@@ -600,6 +601,9 @@ do
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
       def[key] = value
+    elseif key == "initial" and def.kind == "state" then
+      add(build.problems, def, key, "connector expected, %s "
+        .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
       data[#data + 1], data[#data + 2] = key, value
       if def.parent == def and ROOT_FIELDS[key] then return end
@@ -723,7 +727,9 @@ do
       if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
     end
     sort(elsewhere)
-    if not elsewhere[1] or composite.model[name] ~= nil then return nil, reason end
+    if not elsewhere[1] or name == "initial" or composite.model[name] ~= nil then
+      return nil, reason
+    end
     return nil, ("no state or connector is named '%s' in '%s' (did you mean '%s'?)")
       :format(name, composite.fqn, elsewhere[1])
   end
@@ -787,6 +793,7 @@ do
       return
     end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
+    made_at[connector.model] = made_at[def.model]
     build.created[#build.created + 1] = connector
   end
 
@@ -813,11 +820,19 @@ do
     end
   end
 
+  -- Returns the node where a transition from `src` ends; of an internal one it is src.
+  local function find_target(build, def, src)
+    if def.tgt ~= "internal" or def.parent.members.internal then
+      return find_end(build, def, "tgt")
+    elseif src and src.kind == "connector" then
+      return nil, "tgt 'internal': only a state has internal transitions"
+    end
+    return src, nil, true
+  end
+
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
-    local is_internal = def.tgt == "internal" and not def.parent.members.internal
-    local tgt, tgt_reason = src, nil
-    if not is_internal then tgt, tgt_reason = find_end(build, def, "tgt") end
+    local tgt, tgt_reason, is_internal = find_target(build, def, src)
     local list = def.parent.is_leaf and build.warnings or build.problems
     if src_reason then add(list, def, nil, src_reason) end
     if tgt_reason then add(list, def, nil, tgt_reason) end
@@ -936,12 +951,13 @@ do
     for i = state.depth - lca.depth, 1, -1 do
       entries[i], state = state, state.parent
     end
-    def.connector, def.tgt_index = tgt.kind == "connector" and tgt, tgt.index
     def.lca, def.entries, def.has_predicate = lca, entries, false
+    def.tgt_index = tgt.index
     for i = 1, def.events and #def.events or 0 do
       def.has_predicate = def.has_predicate or type(def.events[i]) == "function"
     end
     def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
+    def.connector = tgt.kind == "connector" and tgt -- last: it says that all is there
     return def
   end
 
@@ -1064,7 +1080,9 @@ local function silent() end
 
 local function no_events() return {} end
 
-local OFF = { dbg = silent, getevents = no_events }
+local OFF = {
+  dbg = silent, getevents = no_events, type = State.type, new = State.new, rfsm = "state",
+}
 
 -- The flags that stand for what a plain machine lacks.
 local FLAG_OF = {
@@ -1075,16 +1093,19 @@ local FLAG_OF = {
 -- The machines there are: one look tells for any value at all whether it is one.
 local machines = setmetatable({}, { __mode = "k" })
 
-local function set_flag(fsm, flag) fsm[flag], fsm._is_plain = true, false end
+-- A hook that is set while an iteration goes on runs at its end.
+local function set_flag(fsm, flag)
+  fsm[flag], fsm._is_plain = true, false
+  if flag == "_is_hooked" then fsm._is_unsettled = true end
+end
 
 -- A machine is plain again when nothing stands behind any flag and a leaf is active.
 local function check_plain(fsm)
   fsm._is_plain = fsm._act_leaf and not (fsm._is_traced or fsm._is_fed or fsm._is_hooked
-    or fsm._entry_hooks or fsm._exit_hooks)
+    or fsm._run == "run_hooked")
 end
 
-Machine.type, Machine.new = State.type, State.new
-Machine.__index = setmetatable(OFF, { __index = Machine })
+Machine.__index = OFF
 
 -- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
 -- from the machine while they are off.
@@ -1258,10 +1279,23 @@ local function trace(fsm, ...)
   local dbg = fsm.dbg
   if dbg and dbg ~= silent then return report(fsm, "dbg", ...) end
   fsm.dbg, fsm._is_traced = nil, false
+  check_plain(fsm)
 end
 
--- A callback of a state or transition failed.
+-- Did an interrupt such as Control-C raise the error, rather than a callback? That is
+-- for the caller. The position in the text is no help: that of `error(text, 2)` in a
+-- callback, and of any function in C, is in the engine, too.
+local function is_interrupt(failure)
+  return type(failure) == "string" and failure:find("interrupted!$") ~= nil
+end
+
+-- A callback of a state or transition failed. A search that was interrupted in a guard
+-- is done again by the next step.
 local function report_callback(fsm, callback, owner, failure)
+  if is_interrupt(failure) then
+    if callback == "guard" then error(failure, 0) end
+    return keep_failure(fsm, failure)
+  end
   report(fsm, "err", callback:upper(),
     "error executing " .. callback .. " of " .. owner .. ": ", failure)
 end
@@ -1270,16 +1304,18 @@ end
 -- asked for.
 local straight
 
--- May a function that is called with `n` arguments keep the last one, the events?
-local function may_keep(f, n)
-  return not straight or straight.parameters_of[f] >= n
-end
+-- How many parameters a function has, as far as straight code can tell: one that has
+-- none for the events cannot keep them.
+local parameters_of = setmetatable({}, { __index = function() return huge end })
 
 -- The events table was handed to a function that may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
 
 local function empty(events)
-  for i = #events, 1, -1 do events[i] = nil end
+  for i = #events, 3, -1 do events[i] = nil end
+  if events[2] ~= nil then events[2] = nil end
+  if events[1] ~= nil then events[1] = nil end
+  return events
 end
 
 -- Events of an iteration that was cut short come first in the queue again.
@@ -1296,7 +1332,7 @@ local function collect(fsm, list)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then
     fsm.getevents, fsm._is_fed = nil, false
-    return
+    return check_plain(fsm)
   elseif not is_callable(getevents) then
     error("rfsm.step: getevents: function expected, " .. got(getevents), 0)
   end
@@ -1319,10 +1355,12 @@ local function run_hooks(fsm, hooks, slot, events)
     local hook = hooks[i]
     if hook == OWN then hook = fsm[slot] end
     if hook then
-      if type(hook) ~= "function" and not is_callable(hook) then
-        error(("rfsm.step: %s: function expected, %s"):format(slot, got(hook)), 0)
+      if parameters_of[hook] > 1 then
+        if not is_callable(hook) then
+          error(("rfsm.step: %s: function expected, %s"):format(slot, got(hook)), 0)
+        end
+        keep_events(fsm)
       end
-      if may_keep(hook, 2) then keep_events(fsm) end
       hook(fsm, events)
     end
   end
@@ -1372,7 +1410,7 @@ do
 
   -- Does the guard let the transition pass? One that fails does not.
   local function allows(fsm, tr, guard, events)
-    if may_keep(guard, 2) then keep_events(fsm) end
+    if parameters_of[guard] > 1 then keep_events(fsm) end
     local ok, answer = pcall(guard, tr, events)
     if ok then return answer ~= false end
     report_callback(fsm, "guard", tostring(tr), answer)
@@ -1518,7 +1556,7 @@ do
     end
     local first = candidates[1]
     leaf.choices[event] = candidates
-    if event ~= OTHER and first and not (candidates[2] or first.connector
+    if not rawequal(event, OTHER) and first and not (candidates[2] or first.connector
       or first.has_predicate) then
       leaf.quick[event] = first
     end
@@ -1668,7 +1706,7 @@ local function run_effect(fsm, def)
   if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
   local effect = tr.effect
   if not effect then return end
-  if may_keep(effect, 4) then keep_events(fsm) end
+  if parameters_of[effect] > 3 then keep_events(fsm) end
   effect(fsm, tr, "effect", fsm._curq)
 end
 
@@ -1737,25 +1775,11 @@ local function find_callback(fsm, def)
   return number and not fsm._act_leaf and "entry" or nil, inner, number
 end
 
--- Did an interrupt such as Control-C raise the error, rather than the callback that was
--- being called? Then it names a line of the engine.
-local function is_interrupt(callback, failure)
-  if not callback then return true end
-  return is_callable(callback) and type(failure) == "string" and this_file ~= nil
-    and (failure:sub(1, #this_file + 1) == this_file .. ":"
-      or failure:sub(1, 13) == "rfsm segment:")
-end
-
--- An interrupt is for the caller; the callback that it struck is called again.
-local function redo(fsm, def, what, state, number)
-  if what == "exit" then
-    state._mode, state._parent._actchild = "active", state
-  elseif not what then -- the segment is complete but for this
-    local leaf = fsm._act_leaf
-    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
-    return
-  end
-  return run_parts(fsm, def, state, number or 0)
+-- No callback is under way: does what is left of the segment.
+local function redo(fsm, def, what, state)
+  if what then return run_parts(fsm, def, state, 0) end
+  local leaf = fsm._act_leaf
+  if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
 end
 
 -- What follows the callback that was called last, and the rest of the segment.
@@ -1765,6 +1789,7 @@ local function go_on(fsm, def, what, state, number)
     finish_exit(fsm, state, fsm._exit_hooks)
     return run_parts(fsm, def, state._parent, 0)
   elseif what == "entry" then
+    state._mode = "active"
     finish_entry(fsm, state, def.entries[number])
   end
   return run_parts(fsm, def, state, (number or 0) + 1)
@@ -1777,12 +1802,11 @@ local function resume_segment(fsm, has_failed, failure)
   local what, state, number = find_callback(fsm, def)
   if not what or what == "begin" then
     if has_failed then keep_failure(fsm, failure) end
-    return redo(fsm, def, what, state, number)
+    return redo(fsm, def, what, state)
   end
   local owner = what == "effect" and fsm._transitions[def.index] or state
-  if has_failed and is_interrupt(owner[what], failure) then
+  if has_failed and not owner[what] then
     keep_failure(fsm, failure)
-    return redo(fsm, def, what, state, number)
   elseif has_failed then
     local name = what == "effect" and tostring(owner) or state._fqn
     report_callback(fsm, what, name, failure)
@@ -1816,7 +1840,7 @@ end
 
 -- Takes the path that starts with `def` in the active state `from`.
 local function take(fsm, def, from)
-  local run = (fsm._entry_hooks or fsm._exit_hooks) and "run_hooked" or "run"
+  local run = fsm._run
   if fsm._is_traced then
     trace(fsm, "EXEC_PATH", path_text(fsm, def))
     run = "run_traced"
@@ -1851,6 +1875,7 @@ local function straight_code()
   if straight == nil then
     local make = loadstring and find_module("rfsm.straight")
     straight = make and make(PARTS) or false
+    if straight then parameters_of = straight.parameters_of end
   end
   return straight
 end
@@ -1911,6 +1936,10 @@ do
 
   local function fail_doo(fsm, leaf, failure)
     leaf._doo_co, leaf._mode = nil, "done"
+    if is_interrupt(failure) then
+      keep_failure(fsm, failure)
+      return true
+    end
     report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
       failure)
     return true
@@ -1987,46 +2016,46 @@ do
   -- without `debug` nobody could tell then that no step is under way.
   local MAY_RAISE = getinfo ~= nil
 
-  -- The end of an iteration in which something was kept, failed, or asked for. The
-  -- events table is emptied and will be the next queue; one that a function may have
-  -- kept is left to it.
+  -- The end of an iteration in which something was kept, failed, asked for, or that has
+  -- hooks. The events table is emptied and will be a queue again; one that a function
+  -- may have kept is left to it. What post step hooks get is used: `gather` must not
+  -- find it.
   local function settle(fsm, events)
-    if fsm._is_kept then fsm._curq = {} else empty(events) end
-    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
+    local hooks = fsm._post_hooks
     if fsm._reset_wanted then reset_now(fsm) end
-    if fsm._has_failure then raise_failure(fsm) end
-  end
-
-  -- The same where there are step hooks: they get the events of the iteration.
-  local function settle_hooked(fsm, events)
-    fsm._curq = fsm._spare or {}
-    fsm._segment, fsm._spare = MAY_RAISE, false
-    if fsm._reset_wanted then reset_now(fsm) end
-    run_hooks(fsm, fsm._post_hooks, "post_step_hook", events)
-    fsm._segment = false
-    if not fsm._is_kept then
+    if hooks ~= OWN_ONLY or fsm.post_step_hook then
+      fsm._curq = fsm._spare or { nil, nil }
+      fsm._segment, fsm._spare = MAY_RAISE, false
+      run_hooks(fsm, hooks, "post_step_hook", events)
+      fsm._spare = not fsm._is_kept and empty(events)
+    elseif fsm._is_kept then
+      fsm._curq = { nil, nil } -- with room for two
+    else
       empty(events)
-      fsm._spare = events
     end
-    fsm._is_kept, fsm._is_unsettled = false, false
+    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
     if fsm._has_failure then raise_failure(fsm) end
   end
 
-  -- The events of the iteration: what is queued, then what getevents returns, then what
-  -- the hooks have made of it.
+  -- Returns the events of the iteration: what is queued, then what getevents returns,
+  -- then what the hooks have made of it.
   local function gather(fsm)
-    put_back(fsm)
+    if fsm._reset_wanted then reset_now(fsm) end
+    if fsm._curq[1] ~= nil then put_back(fsm) end
     local events, spare = fsm._intq, fsm._curq
+    fsm._segment, fsm._is_unsettled = MAY_RAISE, true
     fsm._curq = events
     fsm._intq = spare
     if fsm._is_fed then collect(fsm, events) end
     if not fsm._is_hooked then return events end
-    if fsm._pre_hooks == OWN_ONLY and fsm._post_hooks == OWN_ONLY
-      and not fsm.pre_step_hook and not fsm.post_step_hook then
-      fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
-    else
-      run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
+    if fsm._pre_hooks == OWN_ONLY and not fsm.pre_step_hook then
+      if fsm._post_hooks == OWN_ONLY and not fsm.post_step_hook then
+        fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
+        check_plain(fsm)
+      end
+      return events
     end
+    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
     return fsm._curq
   end
 
@@ -2064,25 +2093,33 @@ do
     return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- One iteration of a machine that is not plain, or of any machine in full.
-  local function iterate_fully(fsm, after_free)
-    fsm._segment = MAY_RAISE
-    local events = gather(fsm)
+  -- One iteration, whatever the machine is like. `events` if they have been gathered.
+  local function iterate_fully(fsm, after_free, events)
+    events = events or gather(fsm)
     local leaf, counted, idle = fsm._act_leaf, true, false
     fsm._segment = true
     if leaf then
       counted, idle = react(fsm, choose(fsm, events), leaf, events, after_free)
-    elseif not enter_machine(fsm, events) then
+    elseif enter_machine(fsm, events) then
+      check_plain(fsm)
+    else
       return refuse_entry(fsm, events)
     end
-    local finish = fsm._is_hooked and settle_hooked or settle
-    finish(fsm, events)
-    check_plain(fsm)
+    settle(fsm, events)
     return counted, is_idle(fsm, idle)
   end
 
-  -- A plain machine without events but an e_done that nothing waits for, which makes no
-  -- difference: there is a doo cycle in any case, now or in the next iteration.
+  -- The events, the active leaf and the empty table of an iteration with hooks. No
+  -- leaf: `iterate_fully` is to do it.
+  local function prepare(fsm)
+    if fsm._is_traced then return nil end
+    local events = gather(fsm)
+    if fsm._is_traced then return nil, events end
+    return fsm._act_leaf, events, fsm._intq
+  end
+
+  -- Without events but an e_done that nothing waits for there is a doo cycle in any
+  -- case, now or in the next iteration.
   local function iterate_doo(fsm, leaf, events)
     if events[1] ~= nil then events[1] = nil end
     if leaf._mode == "done" and not fsm._is_unsettled then return true, true end
@@ -2094,21 +2131,22 @@ do
 
   -- Looks for the transition that a single event enables, by straight code. Returns nil
   -- when there is more to it: see `iterate_further`.
-  local function find_single(fsm, leaf_def, events, event)
-    local choice, spare = leaf_def.choices[event], fsm._curq
+  local function find_single(fsm, leaf_def, events, event, spare)
+    local choice = leaf_def.choices[event]
     if not (choice and choice.search) then return nil end
     fsm._segment = true
     fsm._curq = events
     fsm._intq = spare
     local def = choice.search(fsm, choice, events)
-    if not def or def.connector or not fsm._is_plain then return nil, def end
+    if not def or def.connector or not fsm._is_plain then return nil, def or false end
     return def, fsm._transitions[def.index]
   end
 
-  -- Goes on where a single event does not lead straight to a leaf.
-  local function iterate_further(fsm, def, leaf, leaf_def, after_free)
-    local events = fsm._curq
-    if not fsm._segment then return iterate_fully(fsm, after_free) end
+  -- Goes on where a single event does not lead straight to a leaf. `def` is nil when it
+  -- has not been looked for, `events` is when they have not been gathered.
+  local function iterate_further(fsm, def, leaf, leaf_def, after_free, events)
+    if def == nil then return iterate_fully(fsm, after_free, events) end
+    events = fsm._curq
     if leaf["%def"] ~= leaf_def then def = choose(fsm, events) end -- a guard has merged
     local counted, idle = react(fsm, def, leaf, events, after_free)
     settle(fsm, events)
@@ -2118,20 +2156,26 @@ do
   -- One iteration. Returns nil when there is no way in; else whether it counts as a
   -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
   --
-  -- What is written out here is the usual case: the machine is plain, and there is one
-  -- event, apart from an e_done that nothing waits for.
-  function iterate(fsm, after_free)
-    if not fsm._is_plain then return iterate_fully(fsm, after_free) end
-    local leaf, events = fsm._act_leaf, fsm._intq
+  -- What is written out here is the usual case: there is one event, apart from an
+  -- e_done that nothing waits for, and nobody traces.
+  function iterate(fsm, after_free) -- luacheck: ignore 561 (written out for speed)
+    local leaf, events, spare, gathered = fsm._act_leaf, fsm._intq, fsm._curq, nil
+    if not fsm._is_plain then
+      leaf, events, spare = prepare(fsm)
+      if not leaf then return iterate_fully(fsm, after_free, events) end
+      gathered = events
+    end
     local leaf_def, event, next_event = leaf["%def"], events[1], events[2]
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if event == nil then return iterate_doo(fsm, leaf, events) end
-    if next_event ~= nil then return iterate_fully(fsm, after_free) end
-    local def, spare = leaf_def.quick[event], fsm._curq
+    if event == nil and not gathered then return iterate_doo(fsm, leaf, events) end
+    if next_event ~= nil then return iterate_fully(fsm, after_free, gathered) end
+    local def = leaf_def.quick[event]
     local tr = def and fsm._transitions[def.index]
     if not def or tr.guard or tr.tgt ~= fsm._nodes[def.tgt_index] then
-      def, tr = find_single(fsm, leaf_def, events, event)
-      if not def then return iterate_further(fsm, tr, leaf, leaf_def, after_free) end
+      def, tr = find_single(fsm, leaf_def, events, event, spare)
+      if not def then
+        return iterate_further(fsm, tr, leaf, leaf_def, after_free, gathered)
+      end
     else
       fsm._segment = true
       fsm._curq = events
@@ -2139,7 +2183,7 @@ do
     end
     fsm._from = leaf
     fsm._segment = def
-    local ok, failure = pcall(def.run, fsm, leaf, tr)
+    local ok, failure = pcall(def[fsm._run], fsm, leaf, tr)
     if not ok then recover(fsm, true, failure) end
     if fsm._is_unsettled then
       settle(fsm, events)
@@ -2279,11 +2323,12 @@ end
 -- The file and line are those of its constructor, left out where they are not known.
 --
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector an element of a machine
+---@param field? string of the element: "root.trans[2].events (off -> on)"
 ---@return string location
-function rfsm.location_of(obj)
+function rfsm.location_of(obj, field)
   local def = obj["%def"]
   local file = made_at[def.model]
-  return (file and file .. ": " or "") .. place_of(def)
+  return (file and file .. ": " or "") .. place_of(def, field)
 end
 
 local function new_build(plan)
@@ -2320,7 +2365,8 @@ local function new_machine(plan)
     -- the structure
     _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
     -- the run
-    _segment = false, _from = false, _is_plain = false, _is_traced = false,
+    _segment = false, _from = false, _run = "run",
+    _is_plain = false, _is_traced = false,
     _is_fed = false, _is_hooked = false,
     _is_unsettled = false, _is_kept = false, _reset_wanted = false,
     _has_failure = false, _spare = false,
@@ -2428,12 +2474,12 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets a list of events of its own, which a preproc function may
-  -- change.
+  -- Each transition gets what a preproc function may change or take away.
   local function hand_out_events(fsm)
     for i, tr in ipairs(fsm._transitions) do
       local events = fsm._plan.transitions[i].events
       tr.events = rawget(tr, "events") or events and append({}, events) or {}
+      tr.pn = tr.pn
     end
   end
 
@@ -2445,37 +2491,59 @@ do
     return true
   end
 
-  -- Returns what differs in a transition from its definition; nil when nothing does.
+  -- The field to which a preproc function has given a value that is none for it.
+  local function wrong_field(fsm, tr)
+    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or 0
+    if type(events) ~= "table" and type(events) ~= "string" then return "events" end
+    if type(pn) ~= "number" then return "pn" end
+    if not is_node_of(fsm, tr.src) then return "src" end
+    return not is_node_of(fsm, tr.tgt) and "tgt"
+  end
+
+  -- Returns what differs in a transition from its definition; false when nothing does.
   local function change_of(fsm, tr, def)
-    local events, nodes = tr.events or {}, fsm._nodes
+    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or nil
+    local nodes = fsm._nodes
     if type(events) == "string" then events = { events } end
-    if is_same_list(events, def.events or {}) and tr.pn == def.pn
-      and tr.src == nodes[def.src.index] and tr.tgt == nodes[def.tgt.index] then
-      return nil
+    return not (is_same_list(events, def.events or {}) and pn == def.pn
+      and rawequal(tr.src, nodes[def.src.index])
+      and rawequal(tr.tgt, nodes[def.tgt.index]))
+      and { events = events[1] ~= nil and events or false, pn = pn,
+        src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+  end
+
+  -- Changes a definition of a plan that is the machine's own; returns what is wrong.
+  local function change(def, nodes, changed)
+    def.events, def.pn = changed.events, changed.pn
+    def.src, def.tgt = nodes[changed.src], nodes[changed.tgt]
+    def.is_internal = def.is_internal and def.src == def.tgt
+    if def.tgt.kind == "state" and not (def.tgt.is_leaf or def.is_internal) then
+      def.tgt = def.tgt.members.initial
     end
-    return { events = events[1] ~= nil and events or false, pn = tr.pn,
-      src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+    return not def.tgt and "tgt: the composite has no initial transition"
   end
 
   -- The machine gets a plan of its own, in which its transitions are as they are now.
+  -- Returns the problems.
   local function take_changes(fsm)
-    local changes, plan, is_changed = {}, fsm._plan, false
+    local plan, own, problems = fsm._plan, nil, {}
     for i, tr in ipairs(fsm._transitions) do
-      changes[i] = change_of(fsm, tr, plan.transitions[i]) or false
-      is_changed = is_changed or changes[i] ~= false
-      tr.events = nil
-    end
-    if not is_changed then return end
-    local own = copy_plan(plan)
-    for i, change in ipairs(changes) do
-      local def = own.transitions[i]
-      if change then
-        def.events, def.pn = change.events, change.pn
-        def.src, def.tgt = own.nodes[change.src], own.nodes[change.tgt]
+      local wrong = wrong_field(fsm, tr)
+      local changed = not wrong and change_of(fsm, tr, plan.transitions[i])
+      wrong = wrong and wrong .. ": set by a preproc function, " .. got(tr[wrong])
+      if changed then
+        own = own or copy_plan(plan)
+        wrong = change(own.transitions[i], own.nodes, changed)
+        tr.tgt = not wrong and fsm._nodes[own.transitions[i].tgt.index]
       end
+      tr.events, tr.pn = nil, nil
+      if wrong then problems[#problems + 1] = rfsm.location_of(tr) .. ": " .. wrong end
     end
-    own.warnings, own.created = plan.warnings, plan.created
-    use_plan(fsm, compile(own))
+    if own and not problems[1] then
+      own.warnings, own.created = plan.warnings, plan.created
+      use_plan(fsm, compile(own))
+    end
+    return problems
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2492,7 +2560,7 @@ do
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then take_changes(fsm) end
+    if not outer then append(problems, take_changes(fsm)) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -2500,7 +2568,9 @@ end
 
 -- A model that is wrong: hands the problems to `err`.
 local function refuse_model(model, fsm, problems)
-  fsm = fsm or { err = model.err }
+  local err = model.err
+  if err and err ~= true and not is_callable(err) then err = nil end
+  fsm = fsm or { err = err }
   report(fsm, "err", summary("rfsm.init", problems))
   raise_failure(fsm)
   return false, problems
@@ -2891,7 +2961,7 @@ local function state_hook_adder(where, field)
     end
     fsm[field] = fsm[field] or {}
     fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-    fsm._is_plain = false
+    fsm._run, fsm._is_plain = "run_hooked", false
   end
 end
 
@@ -3078,6 +3148,9 @@ do
     local parent_def = plan.nodes[parent["%def"].index]
     local build = build_merge(plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
+    if is_trans(obj) and not plan.transitions[first_transition] then
+      append(build.problems, build.warnings) -- in a leaf, and leads nowhere
+    end
     local problems = lines_of(build.problems)
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)

@@ -10,36 +10,30 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
-local rawget, rawset, select, tostring, type = rawget, rawset, select, tostring, type
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local rawget, rawset, select, type = rawget, rawset, select, type
 local sort = table.sort
-local is_conn, is_leaf, is_state, is_trans = rfsm.is_conn, rfsm.is_leaf, rfsm.is_state,
-  rfsm.is_trans
+local is_conn, is_leaf, is_state = rfsm.is_conn, rfsm.is_leaf, rfsm.is_state
+local elements, location_of, text_of = rfsm.elements, rfsm.location_of, rfsm.text_of
 
 local rfsm_checks = {}
 
-local function itself(obj) return obj end
-
-local function all(fsm, pred) return rfsm.mapfsm(itself, fsm, pred) end
-
 -- Watch: events that nobody declared -------------------------------------------
 
---- What the transitions of a machine declare.
+--- The events that a machine knows, in its field `_checks`.
 ---@class rfsm_checks.Known
----@field events table<any, boolean> the events that are declared
----@field predicates function[] functions in events
+---@field events table<any, boolean> empty until the first event comes
+---@field predicates function[]|false functions in events; false: nothing collected yet
 
 -- Adds the names in "await(e_a, e_b@F)@F", which are events, too.
 local function add_awaited(events, text)
-  local inside = text:match("^await%s*%((.*)%)")
-  if not inside then return end
+  local inside = text:match("^await%s*%((.*)%)") or ""
   for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do events[name] = true end
 end
 
 local function add_events(known, tr)
-  local events = type(tr.events) == "table" and tr.events or {}
-  for i = 1, #events do
-    local event = events[i]
+  for i = 1, tr.events and #tr.events or 0 do
+    local event = tr.events[i]
     known.events[event] = true
     if type(event) == "function" then
       known.predicates[#known.predicates + 1] = event
@@ -49,15 +43,13 @@ local function add_events(known, tr)
   end
 end
 
--- Collects what the transitions name, and what the engine itself sends.
-local function known_of(fsm)
-  local known = { events = { e_init_fsm = true }, predicates = {} }
-  for _, tr in ipairs(all(fsm, is_trans)) do add_events(known, tr) end
-  for _, leaf in ipairs(all(fsm, is_leaf)) do
+-- Collects the events of the transitions, and those of the engine itself.
+local function collect_known(fsm, known)
+  known.events, known.predicates = { e_init_fsm = true }, {}
+  for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do add_events(known, tr) end
+  for _, leaf in ipairs(elements(fsm, is_leaf)) do
     known.events["e_done@" .. leaf._fqn] = true
   end
-  if is_leaf(fsm) then known.events["e_done@root"] = true end
-  return known
 end
 
 local function is_known(known, event)
@@ -69,60 +61,37 @@ local function is_known(known, event)
   return false
 end
 
-local function text_of(value)
-  if type(value) == "number" then return ("%.14g"):format(value) end
-  local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
-end
-
-local function learn(fsm, own)
-  own.known = known_of(fsm)
-  own.events = own.known.events
-end
-
-local function warn_of_unknown(fsm, own, event)
-  local printer = fsm.warn == true and print or fsm.warn
-  if not printer then return end
-  if not own.known then learn(fsm, own) end
-  if is_known(own.known, event) then return end
-  printer("WARNING: undeclared event " .. text_of(event) .. " received")
+local function check_event(fsm, event)
+  if not fsm._checks.predicates then collect_known(fsm, fsm._checks) end
+  if is_known(fsm._checks, event) then return end
+  rfsm.report(fsm, "warn",
+    "WARNING: undeclared event " .. text_of(event) .. " received")
 end
 
 -- This runs in every iteration: one look for an event that is declared.
 local function check_events(fsm)
   local events, known = fsm._curq, fsm._checks.events
   for i = 1, #events do
-    if not known[events[i]] then warn_of_unknown(fsm, fsm._checks, events[i]) end
+    if not known[events[i]] then check_event(fsm, events[i]) end
   end
 end
 
--- What is declared is collected when the first event comes, not before: other
--- extensions may add events.
-local function forget_known(own) own.known, own.events = false, {} end
-
+-- Nothing is collected before the first event comes: other extensions may add events.
 local function watch(fsm)
-  if fsm._checks then return end
-  fsm._checks = {}
-  forget_known(fsm._checks)
-  rfsm.pre_step_hook_add(fsm, check_events)
+  if not fsm._checks then rfsm.pre_step_hook_add(fsm, check_events) end
+  fsm._checks = { events = {}, predicates = false }
 end
 
 local watches_all = false
 
--- The field `checkevents` in the root decides for one machine.
-local function is_wanted(fsm)
-  return fsm.checkevents == true or watches_all and fsm.checkevents ~= false
-end
-
--- What is merged may declare more events.
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
-  if not merged and is_wanted(fsm) then watch(fsm) end
-  if merged and fsm._checks then forget_known(fsm._checks) end
+  local is_wanted = fsm.checkevents == true or watches_all and fsm.checkevents ~= false
+  if fsm._checks or is_wanted and not merged then watch(fsm) end
 end
 
 -- Reach: which nodes can become active, or be passed ----------------------------
 
--- Marks a node that a transition leads to, and the states around it, which are entered.
+-- Marks a node that a transition leads to, and the composites that it is in.
 local function mark(reached, pending, node)
   while not reached[node] do
     reached[node] = true
@@ -139,57 +108,49 @@ local function find_reached(fsm)
   while pending[1] do
     local node = pending[#pending]
     pending[#pending] = nil
-    local otrs = node._otrs
-    for i = 1, otrs and #otrs or 0 do mark(reached, pending, otrs[i].tgt) end
+    for _, tr in ipairs(node._otrs) do mark(reached, pending, tr.tgt) end
   end
   return reached
 end
 
-local function add(findings, place, text)
-  findings[#findings + 1] = place .. ": " .. text
-end
-
-local function place_of(tr)
-  local key = type(tr._id) == "number" and ("trans[%d]"):format(tr._id) or tr._id
-  return tr._parent._fqn .. "." .. key
+local function add(findings, obj, text)
+  findings[#findings + 1] = location_of(obj) .. ": " .. text
 end
 
 local function has_way_out(fsm, state)
-  while true do
-    if state._otrs and state._otrs[1] then return true end
+  while not state._otrs[1] do
     if state == fsm then return false end
     state = state._parent
   end
+  return true
 end
 
--- Finds nodes that nothing leads to, and those that nothing leads away from.
-local function check_nodes(fsm, reached, findings)
-  for _, node in ipairs(all(fsm, rfsm.is_node)) do
-    if not reached[node] then
-      if reached[node._parent] then -- of those inside, it goes without saying
-        add(findings, node._fqn, "unreachable, no path of transitions leads here")
-      end
-    elseif is_conn(node) and not (node._otrs and node._otrs[1]) then
-      add(findings, node._fqn, "no way out of this connector, so that no transition to "
-        .. "it is ever taken")
-    elseif is_leaf(node) and not has_way_out(fsm, node) then
-      add(findings, node._fqn, "no exit, neither this state nor one around it is ever "
-        .. "left")
+-- Finds nodes that nothing leads to, and those that nothing leads away from, but not
+-- in an unreachable composite.
+local function check_node(fsm, node, reached, findings)
+  if not reached[node] then
+    if reached[node._parent] then
+      add(findings, node, "unreachable, no path of transitions leads here")
     end
+  elseif is_conn(node) and not node._otrs[1] then
+    add(findings, node, "no way out of this connector, so that no transition to it is "
+      .. "ever taken")
+  elseif node ~= fsm and is_leaf(node) and not node.final
+    and not has_way_out(fsm, node) then
+    add(findings, node, "no exit, neither this state nor one around it is ever left")
   end
 end
 
 -- Shadows: transitions that another one always beats ---------------------------
 
-local is_open
+local is_always_enabled
 
--- Does some way lead on from this connector, whatever the events and the world?
-local function has_open_way(connector, seen)
+-- Does some path lead on from this connector, whatever the events and guards?
+local function has_path(connector, seen)
   if seen[connector] then return false end
   seen[connector] = true
-  local otrs = connector._otrs
-  for i = 1, otrs and #otrs or 0 do
-    if not (otrs[i].events and otrs[i].events[1]) and is_open(otrs[i], seen) then
+  for _, tr in ipairs(connector._otrs) do
+    if not (tr.events and tr.events[1]) and is_always_enabled(tr, seen) then
       return true
     end
   end
@@ -197,9 +158,9 @@ local function has_open_way(connector, seen)
 end
 
 -- Is `tr` always enabled, once its events match?
-function is_open(tr, seen)
+function is_always_enabled(tr, seen)
   if tr.guard then return false end
-  return not is_conn(tr.tgt) or has_open_way(tr.tgt, seen)
+  return not is_conn(tr.tgt) or has_path(tr.tgt, seen)
 end
 
 -- Does each of the events of `tr` enable `other`?
@@ -207,158 +168,128 @@ local function covers(other, tr)
   if not (other.events and other.events[1]) then return true end
   if not (tr.events and tr.events[1]) then return false end
   local covered = {}
-  for i = 1, #other.events do covered[other.events[i]] = true end
-  for i = 1, #tr.events do
-    local event = tr.events[i]
+  for _, event in ipairs(other.events) do covered[event] = true end
+  for _, event in ipairs(tr.events) do
     if type(event) == "function" or not covered[event] then return false end
   end
   return true
 end
 
--- Returns what is tried before `tr` at its source and always taken instead.
-local function find_shadow_at(node, tr)
-  local otrs = node._otrs
-  for i = 1, otrs and #otrs or 0 do
-    if otrs[i] == tr then return nil end
-    if covers(otrs[i], tr) and is_open(otrs[i], {}) then return otrs[i] end
-  end
-end
-
+-- Returns a transition that is tried before `tr`, from its source or a composite that
+-- the source is in, and always taken instead.
 local function find_shadow(fsm, tr)
   local node = tr.src
-  local shadow = find_shadow_at(node, tr)
-  while not shadow and is_state(node) and node ~= fsm do
+  while true do
+    for _, other in ipairs(node._otrs) do
+      if other == tr then break end
+      if covers(other, tr) and is_always_enabled(other, {}) then return other end
+    end
+    if is_conn(node) or node == fsm then return nil end
     node = node._parent
-    shadow = find_shadow_at(node, tr)
   end
-  return shadow
 end
 
--- Names each e_done@F that no leaf sends.
-local function check_e_done(tr, leaves, findings)
-  for i = 1, tr.events and #tr.events or 0 do
-    local event = tr.events[i]
+local function check_transition(fsm, tr, reached, findings)
+  local shadow = reached[tr.src] and find_shadow(fsm, tr)
+  if shadow then
+    add(findings, tr, "never taken, " .. location_of(shadow) .. " always comes first")
+  end
+end
+
+-- Names each e_done@F that no leaf sends. That of the source itself is left out if
+-- `init` has warned of it.
+local function check_e_done(tr, leaves, is_warned, findings)
+  for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
-    if fqn and not leaves[fqn] then
-      add(findings, place_of(tr), "event '" .. event .. "' never comes, '" .. fqn
-        .. "' is no leaf state of this machine")
+    if fqn and not leaves[fqn] and not (is_warned and fqn == tr.src._fqn) then
+      add(findings, tr, "event '" .. event .. "' never comes, '" .. fqn .. "' is no "
+        .. "leaf state of this machine")
     end
   end
 end
 
-local function check_transitions(fsm, reached, findings)
-  local leaves = { root = is_leaf(fsm) or nil }
-  for _, leaf in ipairs(all(fsm, is_leaf)) do leaves[leaf._fqn] = true end
-  for _, tr in ipairs(all(fsm, is_trans)) do
-    local shadow = reached[tr.src] and find_shadow(fsm, tr)
-    if shadow then
-      add(findings, place_of(tr), "never taken, " .. place_of(shadow)
-        .. " always comes first")
+-- Returns the findings about a machine, in the order of the tree.
+local function findings_of(fsm, is_warned)
+  local findings, reached, leaves = {}, find_reached(fsm), {}
+  for _, leaf in ipairs(elements(fsm, is_leaf)) do leaves[leaf._fqn] = true end
+  for _, obj in ipairs(elements(fsm)) do
+    if rfsm.is_trans(obj) then
+      check_transition(fsm, obj, reached, findings)
+      check_e_done(obj, leaves, is_warned, findings)
+    else
+      check_node(fsm, obj, reached, findings)
     end
-    check_e_done(tr, leaves, findings)
   end
+  return findings
 end
 
 -- Public functions ------------------------------------------------------------
 
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
--- Makes a machine that prints nothing. It is made of the model itself, whose root its
--- transitions may name, and which may be a part of a machine.
-local function init_quietly(model)
+-- Makes a machine that prints nothing but its warnings, with `warn`. It is made of the
+-- model itself, because transitions may name its root.
+local function init_with(model, warn)
   local own = {}
-  for i, name in ipairs(PRINTERS) do
-    own[i] = model[name]
-    if not rfsm.is_fsmobj(own[i]) then model[name] = false end -- else it is reported
+  for _, name in ipairs(PRINTERS) do
+    own[name] = model[name]
+    if not rfsm.is_fsmobj(own[name]) then model[name] = name == "warn" and warn end
   end
   local ok, fsm, problems = pcall(rfsm.init, model)
-  for i, name in ipairs(PRINTERS) do model[name] = own[i] end
+  for _, name in ipairs(PRINTERS) do model[name] = own[name] end
   if not ok then error(fsm, 0) end
   return fsm, problems
-end
-
--- Digits padded, so that trans[10] comes after trans[2].
-local function natural(text)
-  return (text:gsub("%d+", function(n) return ("0"):rep(12 - #n) .. n end))
-end
-
-local function sort_naturally(lines)
-  sort(lines, function(a, b) return natural(a) < natural(b) end)
-  return lines
 end
 
 --- Find what is wrong, dead or suspicious in a model.
 --
 -- States and connectors that nothing leads to, or that nothing leads away from;
 -- transitions that another one always beats; an `e_done@F` that nobody sends. For a
--- model that is not valid, its problems. A final state is a finding, too: it is for you
--- to say whether it is meant.
+-- model that is not valid, its problems. A leaf that nothing leaves is no finding if it
+-- is declared `final = true`.
 --
--- @raise when `model` is no state
+-- @raise if `model` is no state
 ---@param model rfsm.State a model, or a machine
----@return string[] findings each "place: what"; in a fixed order
+---@return string[] findings each "file:line: place: text"; in a fixed order
 ---@nodiscard
 function rfsm_checks.check(model)
   if not is_state(model) then
     error("rfsm_checks.check: state expected, got " .. type(model), 2)
   end
-  local fsm, problems = model, nil
-  if not rfsm.is_initialized_root(model) then fsm, problems = init_quietly(model) end
-  if not fsm then return problems end
-  local findings, reached = {}, find_reached(fsm)
-  check_nodes(fsm, reached, findings)
-  check_transitions(fsm, reached, findings)
-  return sort_naturally(findings)
+  if rfsm.is_initialized_root(model) then return findings_of(model, false) end
+  local fsm, problems = init_with(model, false)
+  return problems or findings_of(fsm, false)
 end
 
--- Returns a finding in the words of `init`, which reports the same `e_done`.
-local function as_init_warns(finding)
-  return (finding:gsub("^(.-): event 'e_done@(.-)' never comes.*",
-    "%1: 'e_done' never fires here, '%2' is no leaf state"))
-end
-
--- Appends the findings about a machine, except those that `init` has reported.
-local function add_findings_once(warnings, fsm, prefix)
-  local is_reported = {}
-  for _, warning in ipairs(warnings) do is_reported[warning] = true end
-  for _, finding in ipairs(rfsm_checks.check(fsm)) do
-    if not is_reported[prefix .. as_init_warns(finding)] then
-      warnings[#warnings + 1] = prefix .. finding
-    end
-  end
-end
+local function name_before(a, b) return text_of(a) < text_of(b) end
 
 local function names_of_machines(machines)
   local names = {}
-  for name, machine in pairs(machines) do -- any order: sorted below
+  for name, machine in pairs(machines) do -- any order: sorted
     if rfsm.is_initialized_root(machine) then names[#names + 1] = name end
   end
-  sort(names)
+  sort(names, name_before)
   return names
 end
 
--- Appends the warnings about a machine and about the machines inside its states.
-local function add_warnings(warnings, fsm, prefix)
-  add_findings_once(warnings, fsm, prefix)
-  for _, state in ipairs(all(fsm, is_leaf)) do
-    local machines = type(state.substates) == "table" and state.substates or {}
-    for _, name in ipairs(names_of_machines(machines)) do
-      local location = prefix .. state._fqn .. "." .. name .. ": "
-      for _, warning in ipairs(select(3, rfsm.verify_early(machines[name]))) do
-        warnings[#warnings + 1] = location .. warning
-      end
-      add_warnings(warnings, machines[name], location)
-    end
+-- Appends texts about a machine that is part of the model at `location`.
+local function append(list, texts, location)
+  for _, text in ipairs(texts) do
+    local file, rest = text:match("^(.-:%d+: )(root.*)$")
+    list[#list + 1] = (file or "") .. location .. (rest or text)
   end
 end
 
--- Returns a printer for `warn`. The static checks report a state without a way out, and
--- they know whether it matters.
-local function collector(warnings)
-  return function(text)
-    text = text_of(text):gsub("^WARNING: ", "")
-    if text:find("^no outgoing transitions from node") then return end
-    warnings[#warnings + 1] = text
+-- Appends the findings about a machine, and all about the machines inside its states.
+local function add_warnings(warnings, fsm, location)
+  append(warnings, findings_of(fsm, true), location)
+  for _, state in ipairs(elements(fsm, is_leaf)) do
+    local machines = type(state.substates) == "table" and state.substates or {}
+    for _, name in ipairs(names_of_machines(machines)) do
+      local inner = location .. state._fqn .. "." .. text_of(name) .. ": "
+      append(warnings, select(3, rfsm.verify_early(machines[name])), inner)
+      add_warnings(warnings, machines[name], inner)
+    end
   end
 end
 
@@ -367,28 +298,28 @@ end
 -- Unlike `check`, this includes the warnings of `rfsm.init`, and the machines inside
 -- sequential AND states. A model with problems cannot become a machine.
 --
----@param model rfsm.State its printers are replaced
----@return string[] problems each "location: text"
+---@param model rfsm.State
+---@return string[] problems each "file:line: place: text"
 ---@return string[] warnings likewise
 ---@nodiscard
 function rfsm_checks.review(model)
   local is_valid, problems, early_warnings = rfsm.verify_early(model)
   if not is_valid then return problems, early_warnings end
   local warnings = {}
-  model.dbg, model.err, model.info = false, false, false
-  model.warn = collector(warnings)
-  local fsm, found = rfsm.init(model)
+  local fsm, found = init_with(model, function(text)
+    text = text_of(text):gsub("^WARNING: ", "")
+    if text:find("^no outgoing transitions from node") then return end -- a finding
+    warnings[#warnings + 1] = text
+  end)
   if not fsm then return found, warnings end
   add_warnings(warnings, fsm, "")
-  return {}, sort_naturally(warnings)
+  return {}, warnings
 end
 
 --- Have a machine warn of each event that it receives and no transition names.
 ---@param fsm rfsm.Machine
 function rfsm_checks.watch(fsm)
-  if not rfsm.is_initialized_root(fsm) then
-    error("rfsm_checks.watch: initialised fsm expected, got " .. type(fsm), 2)
-  end
+  rfsm.check_machine(fsm, "rfsm_checks.watch")
   watch(fsm)
 end
 

@@ -1,11 +1,12 @@
 --- Sequential AND states: machines that run side by side inside one state.
 --
--- The table that `rfsm.seqand` returns is a leaf state for the machine around it. While
--- it is active its doo advances the machines in it, its *subs*, one after the other,
--- and each event of the machine around goes to all of them, except those that make it
--- leave.
+-- The table that `rfsm.seqand` returns is a leaf state of the parent machine. While it
+-- is active its doo advances the machines in it, its *regions*, one after the other.
+-- The events of each iteration of the parent machine go to all regions, unless the
+-- state was left in that iteration.
 --
--- Each instance of a model has subs of its own, in the field `substates` of the state.
+-- Each instance of a model has regions of its own, in the field `substates` of the
+-- state.
 --
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
@@ -14,378 +15,302 @@ local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawget, rawset, setmetatable = pcall, rawget, rawset, setmetatable
-local tostring, type = tostring, type
+local type = type
 local concat, sort = table.concat, table.sort
-local is_machine, is_state = rfsm.is_initialized_root, rfsm.is_state
+local is_state, text_of = rfsm.is_state, rfsm.text_of
 local step, run = rfsm.step, rfsm.run
 
--- Model: what the constructor takes, and its mistakes ---------------------------
+-- Model: the fields that the constructor takes -----------------------------------
 
---- Fields of a sequential AND state; each state or machine at another name is a sub.
+--- Fields of a sequential AND state; each state or machine in it, at a name or at a
+-- position, is a region.
 ---@class rfsm_seqand.Fields
----@field order? string[] names of the subs to advance first; others follow by name
----@field step? number how many steps a sub advances in each cycle (1)
----@field run? boolean run each sub instead
+---@field order? any[] names of the regions to advance first; others follow by name
+---@field step? number how many steps a region advances in each cycle (1)
+---@field run? boolean run each region instead
 ---@field idle_doo? boolean|"auto" what the doo yields: idle (true); "auto": if all are
----@field seqanddbg? boolean|fun(text: string) tell `info` (or it) of each advance
----@field entry? function called before the subs are entered
----@field exit? function called after the subs were left
+---@field seqanddbg? boolean|fun(text: string) print each advance, with `info` or this
+---@field entry? function called before the regions are entered
+---@field exit? function called after the regions were left
 
--- The subs of a state by name: as given, in a model; machines, in an instance. The core
--- shares what has a metatable, so that it takes none of them for a substate.
+-- The regions of a state by name: models, in a model; machines, in an instance. The
+-- core does not look into tables with a metatable, so it takes none for a substate.
 local Substates = {}
 
-local function has_subs(state)
-  return getmetatable(state.substates) == Substates
+local function has_regions(state)
+  return is_state(state) and getmetatable(state.substates) == Substates
 end
 
-local function sorted_names(subs)
+-- Positions first, then names.
+local function name_before(a, b)
+  if type(a) ~= type(b) then return type(a) == "number" end
+  return a < b
+end
+
+local function sorted_names(regions)
   local names = {}
-  for name in pairs(subs) do names[#names + 1] = name end -- any order: sorted below
-  sort(names)
+  for name in pairs(regions) do names[#names + 1] = name end -- any order: sorted
+  sort(names, name_before)
   return names
 end
 
 local function got(value)
-  if is_state(value) then return "got state" end
   if type(value) == "string" then return "got string '" .. value .. "'" end
-  return "got " .. type(value)
+  return "got " .. (is_state(value) and "state" or type(value))
 end
 
-local function add(problems, field, text)
-  problems[#problems + 1] = { field = field, text = text }
-end
-
-local function check_order(state, problems)
-  local order, seen = state.order, {}
-  if order == nil then return end
+-- Returns the wrong field, and what is wrong with it.
+local function check_order(order, regions)
+  if order == nil then return nil end
   if type(order) ~= "table" or is_state(order) then
-    return add(problems, "order", "list of names expected, " .. got(order))
+    return "order", "list of names expected, " .. got(order)
   end
-  for i = 1, #order do
-    local name, field = order[i], "order[" .. i .. "]"
-    if type(name) ~= "string" or state.substates[name] == nil then
-      local names = concat(sorted_names(state.substates), "', '")
-      add(problems, field, "name of a sub machine expected, " .. got(name)
-        .. " (there are " .. (names == "" and "none" or "'" .. names .. "'") .. ")")
-    elseif seen[name] then
-      add(problems, field, "'" .. name .. "' stands there twice")
+  for i, name in ipairs(order) do
+    if regions[name] == nil then
+      local names = sorted_names(regions)
+      for j = 1, #names do names[j] = "'" .. text_of(names[j]) .. "'" end
+      return "order[" .. i .. "]", "name of a region expected, " .. got(name)
+        .. " (there are " .. (names[1] and concat(names, ", ") or "none") .. ")"
     end
-    seen[name or false] = true
   end
 end
 
-local function check_idle(state, field, problems)
-  local idle = state[field]
-  if idle == nil or type(idle) == "boolean" or idle == "auto" then return end
-  add(problems, field, "true, false or 'auto' expected, " .. got(idle))
-end
-
-local function check_advance(state, problems)
+local function check_advance(state)
   local steps, is_run = state.step, state.run
   if steps ~= nil and (type(steps) ~= "number" or steps ~= steps) then
-    add(problems, "step", "number of steps expected, " .. got(steps))
+    return "step", "number of steps expected, " .. got(steps)
+  elseif is_run ~= nil and type(is_run) ~= "boolean" then
+    return "run", "boolean expected, " .. got(is_run)
+  elseif steps ~= nil and is_run then
+    return "step", "either a number of steps or run = true, not both"
   end
-  if is_run ~= nil and type(is_run) ~= "boolean" then
-    add(problems, "run", "boolean expected, " .. got(is_run))
+  for _, field in ipairs { "idle_doo", "idle.doo" } do
+    local idle = state[field]
+    if idle ~= nil and type(idle) ~= "boolean" and idle ~= "auto" then
+      return field, "true, false or 'auto' expected, " .. got(idle)
+    end
   end
-  if steps ~= nil and is_run == true then
-    add(problems, "step", "either a number of steps or run = true, not both")
-  end
 end
 
--- Returns what is wrong with the fields of a sequential AND state.
-local function problems_of(state)
-  local problems = {}
-  check_order(state, problems)
-  check_advance(state, problems)
-  check_idle(state, "idle_doo", problems)
-  check_idle(state, "idle.doo", problems)
-  return problems
-end
+-- Run: entry, doo and exit of the state, events ----------------------------------
 
--- Run: entry, doo and exit of the state, events --------------------------------
+--- What a state needs to run its regions, in its field `_seqand`: a list of them, in
+-- the order in which they are advanced.
+---@class rfsm_seqand.Regions
+---@field names any[] likewise
+---@field entry? function the user's own
+---@field exit? function
+---@field is_forwarded boolean the regions have got the events of this iteration
 
---- What a state needs to run its subs, in its field `_seqand`.
----@class rfsm_seqand.Crew
----@field names string[] in the order in which they are advanced
----@field subs rfsm.Machine[] likewise
----@field is_entering boolean entered in this iteration: its events are not for the subs
----@field is_forwarded boolean the doo has handed on the events of this iteration
----@field has_failure boolean a hook, printer or getevents of a sub raised
----@field failure any what it raised
-
-local function keep_failure(crew, failure)
-  if crew.has_failure then return end
-  crew.has_failure, crew.failure = true, failure
-end
-
-local function tell(fsm, state, name, sub)
-  local level = state.seqanddbg or state.andseqdbg
-  local printer = level == true and fsm.info or level
-  if not printer then return end
-  printer(("SEQAND %s: %s advanced to %s"):format(state._fqn, name,
-    tostring(rfsm.get_actleaf_fqn(sub))))
-end
-
--- Calls f(sub, ...); what it raises is raised again when the iteration is over.
-local function try(crew, f, sub, ...)
-  local ok, result = pcall(f, sub, ...)
+-- Calls f(region, ...); the parent machine raises an error when its iteration is over.
+local function try(fsm, f, region, ...)
+  local ok, result = pcall(f, region, ...)
   if ok then return result end
-  keep_failure(crew, result)
+  rfsm.keep_failure(fsm, result)
   return false
 end
 
--- Advances one sub; returns whether it is idle then.
-local function advance_sub(fsm, state, i)
-  local crew = state._seqand
-  local sub = crew.subs[i]
-  local idle = try(crew, state.run and run or step, sub, state.step)
-  local ok, failure = pcall(tell, fsm, state, crew.names[i], sub)
-  if not ok then keep_failure(crew, failure) end
-  return idle
+local function print_advance(fsm, state, i)
+  local printer = state.seqanddbg or state.andseqdbg
+  if not printer then return end
+  local regions = state._seqand
+  local text = ("SEQAND %s: %s advanced to %s"):format(state._fqn,
+    text_of(regions.names[i]), text_of(rfsm.get_actleaf_fqn(regions[i])))
+  if printer == true then return rfsm.report(fsm, "info", text) end
+  try(fsm, printer, text)
 end
 
-local function forward(crew, events)
-  local subs = crew.subs
-  for i = 1, #subs do
-    for j = 1, #events do try(crew, rfsm.send_events, subs[i], events[j]) end
+local function forward(fsm, regions, events)
+  for i = 1, #regions do
+    for j = 1, #events do try(fsm, rfsm.send_events, regions[i], events[j]) end
   end
+  regions.is_forwarded = true
 end
 
--- What the doo yields when all subs were advanced.
-local function idle_flag(state, all_idle)
+-- What the doo yields when all regions were advanced.
+local function idle_flag(state, are_all_idle)
   local flag = state.idle_doo
   if flag == nil then flag = state["idle.doo"] end
-  if flag == "auto" then return all_idle end
+  if flag == "auto" then return are_all_idle end
   return flag == nil or flag
 end
 
 -- The doo: it runs only in iterations that take no transition, so that their events
--- are for the subs.
+-- are for the regions.
 local function advance_all(fsm, state)
-  local crew = state._seqand
+  local regions = state._seqand
   while true do
-    forward(crew, fsm._curq)
-    crew.is_forwarded = true
-    local all_idle = true
-    for i = 1, #crew.subs do
-      if not advance_sub(fsm, state, i) then all_idle = false end
+    local are_all_idle = true
+    forward(fsm, regions, fsm._curq)
+    for i = 1, #regions do
+      local idle = try(fsm, state.run and run or step, regions[i], state.step)
+      are_all_idle = idle and are_all_idle
+      print_advance(fsm, state, i)
     end
-    rfsm.yield(idle_flag(state, all_idle))
+    rfsm.yield(idle_flag(state, are_all_idle))
   end
 end
 
--- The entry: the user's own, then one step of each sub.
+-- The entry: the user's own, then one step of each region.
 local function enter_all(fsm, state, what)
-  local program, ok, failure = state.seqand_entry, true, nil
-  if program then ok, failure = pcall(program, fsm, state, what) end
-  local crew = state._seqand
-  for i = 1, #crew.subs do try(crew, step, crew.subs[i]) end
+  local regions, ok, failure = state._seqand, true, nil
+  if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
+  for i = 1, #regions do try(fsm, step, regions[i]) end
   if not ok then error(failure, 0) end
 end
 
-local function leave_and_reset(sub)
-  local ok, failure = pcall(rfsm.exit_state, sub, sub)
-  rfsm.reset(sub)
+local function leave_and_reset(region)
+  local ok, failure = pcall(rfsm.exit_state, region, region)
+  rfsm.reset(region)
   if not ok then error(failure, 0) end
 end
 
-local function leave_subs(crew)
-  for i = 1, #crew.subs do try(crew, leave_and_reset, crew.subs[i]) end
+-- The exit hook: regions are left also if a tool has replaced the exit of the state.
+local function leave_regions(fsm, state)
+  local regions = state._seqand
+  for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
 end
 
--- The exit: the subs are left and reset, then the user's own.
+-- The exit: the regions are left and reset, then the user's own.
 local function leave_all(fsm, state, what)
-  leave_subs(state._seqand)
-  local program = state.seqand_exit
-  if program then program(fsm, state, what) end
+  leave_regions(fsm, state)
+  if state._seqand.exit then state._seqand.exit(fsm, state, what) end
 end
 
-local function note_entry(_, state) state._seqand.is_entering = true end
-
--- Subs are left also when a tool has replaced the exit of the state.
-local function note_exit(_, state) leave_subs(state._seqand) end
-
--- Ends an iteration: the events that made no state leave go to the subs of the active
--- one, unless its doo has handed them on.
-local function end_iteration(fsm)
-  local state, events = fsm._act_leaf, fsm._curq
-  local crew = state and state._seqand
-  if crew then
-    if not crew.is_entering and not crew.is_forwarded then forward(crew, events) end
-    crew.is_entering, crew.is_forwarded = false, false
-  end
-  local crews = fsm._seqands
-  for i = 1, #crews do
-    if crews[i].has_failure then
-      local failure = crews[i].failure
-      crews[i].has_failure, crews[i].failure = false, nil
-      error(failure, 0)
-    end
-  end
+-- The post step hook: the state that is active now gets the events of the iteration,
+-- unless its doo has had them.
+local function end_iteration(fsm, events)
+  local regions = fsm._act_leaf and fsm._act_leaf._seqand
+  if not regions then return end
+  if not regions.is_forwarded then forward(fsm, regions, events) end
+  regions.is_forwarded = false
 end
 
 local function reset(fsm)
-  local crews = fsm._seqands
-  for i = 1, #crews do
-    crews[i].is_entering, crews[i].is_forwarded = false, false
-    for _, sub in ipairs(crews[i].subs) do try(crews[i], rfsm.reset, sub) end
+  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+    local regions = state._seqand
+    regions.is_forwarded = false
+    for i = 1, #regions do try(fsm, rfsm.reset, regions[i]) end
   end
 end
 
--- Prepare: each instance gets subs of its own ----------------------------------
+-- Prepare: each instance gets regions of its own ---------------------------------
 
--- What tools set on a live machine, and what a machine given as a sub hands on.
+-- Fields that tools set on a machine, and that its fresh instance gets.
 local HANDED_ON = {
   "dbg", "info", "warn", "err", "getevents", "idle_hook", "pre_step_hook",
   "post_step_hook",
 }
 
--- Returns a fresh machine for a sub; false and its problems when it is not valid.
-local function new_sub(given)
-  local sub, problems = rfsm.init(given)
-  if sub and is_machine(given) then
-    for i = 1, #HANDED_ON do sub[HANDED_ON[i]] = given[HANDED_ON[i]] end
+-- Returns a fresh machine for a region; false and its problems if it is not valid.
+local function new_region(given)
+  local region, problems = rfsm.init(given)
+  if region and rfsm.is_initialized_root(given) then
+    for _, field in ipairs(HANDED_ON) do region[field] = rawget(given, field) end
   end
-  return sub, problems
+  return region, problems
 end
 
 local opening = {} -- Substates whose machines are being made, to find circles
 
--- Makes the subs of `state`; appends to `problems` what is wrong with them.
-local function new_subs(state, problems)
-  local given, subs = state.substates, setmetatable({}, Substates)
+-- Makes the regions of `state`; appends their problems.
+local function new_substates(state, problems)
+  local given, substates = state.substates, setmetatable({}, Substates)
+  if opening[given] then
+    problems[#problems + 1] = rfsm.location_of(state) .. ": a sequential AND state "
+      .. "cannot contain itself"
+    return substates
+  end
   opening[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(sorted_names(given)) do
-      local sub, found = new_sub(given[name])
-      subs[name] = sub
+      local region, found = new_region(given[name])
+      substates[name] = region
       for _, text in ipairs(found or {}) do
-        problems[#problems + 1] = state._fqn .. "." .. name .. ": " .. text
+        local file, rest = text:match("^(.-:%d+: )(root.*)$")
+        problems[#problems + 1] = (file or "") .. state._fqn .. "." .. text_of(name)
+          .. ": " .. (rest or text)
       end
     end
   end)
   opening[given] = nil
   if not ok then error(failure, 0) end
-  return subs
+  return substates
 end
 
--- The names of `order`, then the others sorted.
-local function sequence_of(state)
-  local names, is_named = {}, {}
-  for i, name in ipairs(state.order or {}) do
-    names[i], is_named[name] = name, true
+-- Lists the regions: those in `order`, then the others.
+local function new_regions(state)
+  local names, is_named, regions = {}, {}, {}
+  local function add(list)
+    for _, name in ipairs(list) do
+      if not is_named[name] then names[#names + 1] = name end
+      is_named[name] = true
+    end
   end
-  for _, name in ipairs(sorted_names(state.substates)) do
-    if not is_named[name] then names[#names + 1] = name end
-  end
-  return names
-end
-
-local function new_crew(state)
-  local names, subs = sequence_of(state), {}
-  for i = 1, #names do subs[i] = state.substates[names[i]] end
-  return {
-    names = names, subs = subs, is_entering = false, is_forwarded = false,
-    has_failure = false, failure = nil,
-  }
-end
-
-local function add_crew(fsm, crew)
-  if not fsm._seqands then
-    fsm._seqands = {}
-    rfsm.post_step_hook_add(fsm, end_iteration, "before")
-    rfsm.reset_hook_add(fsm, reset)
-  end
-  fsm._seqands[#fsm._seqands + 1] = crew
-end
-
--- Programs that were set on the model after it was made become the user's own.
-local function wrap_programs(state)
-  if state.entry ~= enter_all then
-    state.seqand_entry, state.entry = state.entry, enter_all
-  end
-  if state.exit ~= leave_all then
-    state.seqand_exit, state.exit = state.exit, leave_all
-  end
+  add(state.order or {})
+  add(sorted_names(state.substates))
+  for i = 1, #names do regions[i] = state.substates[names[i]] end
+  regions.names, regions.is_forwarded = names, false
+  return regions
 end
 
 local function prepare_state(fsm, state, problems)
-  if opening[state.substates] then
-    problems[#problems + 1] = state._fqn .. ": a sequential AND state cannot contain "
-      .. "itself"
-    return
-  end
-  local before = #problems
-  for _, problem in ipairs(problems_of(state)) do
-    problems[#problems + 1] = state._fqn .. "." .. problem.field .. ": " .. problem.text
-  end
-  state.substates = new_subs(state, problems)
-  if #problems > before then return end
-  wrap_programs(state)
-  state._seqand = new_crew(state)
-  add_crew(fsm, state._seqand)
-  rfsm.entry_hook_add(fsm, state, note_entry)
-  rfsm.exit_hook_add(fsm, state, note_exit)
+  local count = #problems
+  state.substates = new_substates(state, problems)
+  if #problems > count then return end
+  local regions = new_regions(state)
+  regions.entry, regions.exit = state.entry, state.exit
+  state._seqand, state.entry, state.exit = regions, enter_all, leave_all
+  rfsm.exit_hook_add(fsm, state, leave_regions)
+  if fsm._has_seqand then return end
+  fsm._has_seqand = true
+  rfsm.post_step_hook_add(fsm, end_iteration, "before")
+  rfsm.reset_hook_add(fsm, reset)
 end
 
-local function prepare(fsm, merged)
-  local obj, problems = merged or fsm, {}
-  if not is_state(obj) then return end
-  if has_subs(obj) then prepare_state(fsm, obj, problems) end
-  rfsm.mapfsm(function(state)
-    if has_subs(state) then prepare_state(fsm, state, problems) end
-  end, obj, is_state)
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  local problems = {}
+  for _, state in ipairs(rfsm.elements(merged or fsm, has_regions)) do
+    prepare_state(fsm, state, problems)
+  end
   return problems
 end
 
-rfsm.preproc[#rfsm.preproc + 1] = prepare
-
--- Public: the module is the constructor ----------------------------------------
+-- Public: the module is the constructor -------------------------------------------
 
 local RESERVED = {
   order = true, step = true, run = true, idle_doo = true, ["idle.doo"] = true,
   entry = true, exit = true, andseqdbg = true, seqanddbg = true,
 }
 
--- Why the constructor cannot take a member; nil when it can.
+-- Why the constructor cannot take a member; nil if it can.
 local function obstacle(key, value)
   if key == "doo" or key == "substates" then
     return key .. ": is the state's own, and cannot be set"
   elseif rfsm.is_conn(value) or is_state(value) and RESERVED[key] then
-    return tostring(key) .. ": cannot be a "
+    return text_of(key) .. ": cannot be a "
       .. (is_state(value) and "state" or "connector")
-  elseif is_state(value) and type(key) ~= "string" then
-    return "a sub machine needs a name (name = ...)"
   end
 end
 
 -- Returns the state; nil and what is wrong with the fields.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
-  local state, subs, first = {}, setmetatable({}, Substates), nil
+  local state, regions, first = {}, setmetatable({}, Substates), nil
   for key, value in pairs(fields) do -- any order: the least text counts
     local text = obstacle(key, value)
     if text and (not first or text < first) then first = text end
-    if is_state(value) then subs[key] = value else state[key] = value end
+    if is_state(value) then regions[key] = value else state[key] = value end
   end
   if first then return nil, first end
-  state.substates = subs
-  state.seqand_entry, state.seqand_exit = state.entry, state.exit
-  state.entry, state.doo, state.exit = enter_all, advance_all, leave_all
-  local problem = problems_of(state)[1]
-  if problem then return nil, problem.field .. ": " .. problem.text end
+  local field, text = check_order(state.order, regions)
+  if not field then field, text = check_advance(state) end
+  if field then return nil, field .. ": " .. text end
+  state.substates, state.doo = regions, advance_all
   return rfsm.state(state)
 end
 
-local function construct(_, fields)
-  local state, text = new_state(fields)
-  if not state then error("rfsm.seqand: " .. text, 2) end
-  return state
-end
-
-local rfsm_seqand = setmetatable({}, { __call = construct })
+local rfsm_seqand = {}
 
 --- Make a sequential AND state; `rfsm.seqand { ... }` is the same.
 --
@@ -393,10 +318,17 @@ local rfsm_seqand = setmetatable({}, { __call = construct })
 --    par = rfsm.seqand { left = rfsm.load("arm.lua"), right = rfsm.load("arm.lua") }
 --
 -- @function new
--- @raise when a field is wrong
+-- @raise if a field is wrong
 ---@param fields rfsm_seqand.Fields
 ---@return rfsm.State state a leaf state, to be mounted any number of times
-rfsm_seqand.new = construct
+function rfsm_seqand.new(fields, more)
+  if fields == rfsm_seqand then fields = more end -- rfsm.seqand:new(fields)
+  local state, text = new_state(fields)
+  if not state then error("rfsm.seqand: " .. text, 2) end
+  return state
+end
+
+setmetatable(rfsm_seqand, { __call = rfsm_seqand.new })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_seqand", rfsm_seqand) end
 

@@ -1,18 +1,20 @@
 --- A machine and its trace as text, in colour.
 --
--- `rfsmpp.gen_dbgcolor` makes a `dbg` function for a machine; `rfsmpp.fsm2str` draws
--- its states. Colours come from the package `ansicolors`. Without it, when the output
--- is no terminal, or when NO_COLOR is set, the text is plain; a print function that is
--- handed in gets colour whatever the output is.
+-- `rfsmpp.gen_dbgcolor` makes a `dbg` function for a machine. `rfsmpp.fsm2str` draws
+-- the states. Colours come from the package `ansicolors`, or from the older module of
+-- that name. If there is neither, if NO_COLOR is set, or if TERM is missing or "dumb",
+-- the text is plain.
 --
 -- @module rfsmpp
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, pcall, rawget = error, getmetatable, pcall, rawget
-local require, select, tostring, type = require, select, tostring, type
-local concat = table.concat
+local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local pcall, rawget, rawset, require = pcall, rawget, rawset, require
+local select, tostring, type = select, tostring, type
+local concat, sort = table.concat, table.sort
+local text_of = rfsm.text_of
 
 local rfsmpp = {}
 
@@ -20,8 +22,11 @@ local rfsmpp = {}
 
 local has_ansicolors, ansicolors = pcall(require, "ansicolors")
 
+-- Returns the escape sequence of "red bright"; nothing without ansicolors.
 local function escape(names)
-  return has_ansicolors and ansicolors.noReset("%{" .. names .. "}") or ""
+  if not has_ansicolors then return "" end
+  if ansicolors.noReset then return ansicolors.noReset("%{" .. names .. "}") end
+  return (names:gsub("(%a+) ?", function(name) return tostring(ansicolors[name]) end))
 end
 
 local RESET = escape("reset")
@@ -36,50 +41,72 @@ local ID = {
 
 local MODE = {
   active = escape("green"), done = escape("yellow"), inactive = escape("red"),
-  active_leaf = escape("green bright"),
 }
+local ACTIVE_LEAF = escape("green bright")
 
--- Asks what can be asked: luaposix, LuaJIT's C calls, or the shell.
-local function is_stdout_terminal()
-  local has_unistd, unistd = pcall(require, "posix.unistd")
-  if has_unistd and unistd.isatty then return unistd.isatty(1) == 1 end
-  local os = rawget(_G, "os")
-  local status = os and os.execute and os.execute("test -t 1 2>/dev/null")
-  return status == true or status == 0
-end
-
--- Should text for stdout be in colour? Asked at each use: NO_COLOR may change; the
--- terminal does not.
-local is_terminal
-local function wants_colour()
+local function is_colour_wanted()
   local getenv = rawget(_G, "os") and os.getenv
-  if not (has_ansicolors and getenv) then return false end
-  if (getenv("NO_COLOR") or "") ~= "" then return false end
-  local term = getenv("TERM")
-  if not term or term == "dumb" then return false end
-  if is_terminal == nil then is_terminal = is_stdout_terminal() end
-  return is_terminal
+  if not (has_ansicolors and getenv) or (getenv("NO_COLOR") or "") ~= "" then
+    return false
+  end
+  return (getenv("TERM") or "dumb") ~= "dumb"
 end
 
 local function paint(is_coloured, colour, text)
-  if not is_coloured or not colour or colour == "" then return text end
-  return colour .. text .. RESET
+  return is_coloured and colour and colour .. text .. RESET or text
 end
 
 -- Trace: one record, one line ---------------------------------------------------
 
-local function text_of(value)
-  if type(value) == "number" then return ("%.14g"):format(value) end
-  local ok, text = pcall(tostring, value)
-  return ok and type(text) == "string" and text or type(value)
+local to_text
+
+-- Numbers first, then everything else by its text.
+local function key_before(a, b)
+  local a_is_number, b_is_number = type(a) == "number", type(b) == "number"
+  if a_is_number ~= b_is_number then return a_is_number end
+  if a_is_number then return a < b end
+  return text_of(a) < text_of(b)
+end
+
+-- The contents of a table: {"a","b",x=1}. `open` has the tables around it.
+local function table_to_text(t, open)
+  local keys, texts, length = {}, {}, 0
+  for key in next, t do keys[#keys + 1] = key end -- any order: sorted
+  sort(keys, key_before)
+  for i, key in ipairs(keys) do
+    texts[i] = to_text(t[key], open)
+    if key == length + 1 then
+      length = key
+    elseif type(key) == "string" and key:find("^[%a_][%w_]*$") then
+      texts[i] = key .. "=" .. texts[i]
+    else
+      texts[i] = "[" .. to_text(key, open) .. "]=" .. texts[i]
+    end
+  end
+  return "{" .. concat(texts, ",") .. "}"
+end
+
+-- Returns the text of an argument, or of a value in a table if `open` is given.
+function to_text(value, open)
+  if type(value) == "string" and open then
+    return '"' .. value:gsub('"', '\\"'):gsub("\n", "\\n") .. '"'
+  elseif type(value) ~= "table" or open and open[value] then
+    return text_of(value)
+  elseif getmetatable(value) then
+    return rfsm.is_node(value) and value._fqn or text_of(value)
+  end
+  open = open or {}
+  open[value] = true
+  local text = table_to_text(value, open)
+  open[value] = nil
+  return text
 end
 
 local function line_of(is_coloured, name, id, ...)
-  local id_text = text_of(id)
-  local parts = { paint(is_coloured, NAME, text_of(name)) .. ":\t"
-    .. paint(is_coloured, ID[id], id_text .. (" "):rep(20 - #id_text)) }
-  for i = 1, select("#", ...) do parts[i + 1] = text_of((select(i, ...))) end
-  return concat(parts, " ")
+  local prefix = name and paint(is_coloured, NAME, to_text(name) .. ":") .. "\t" or ""
+  local padded, texts = ("%-20s"):format(to_text(id)), {}
+  for i = 1, select("#", ...) do texts[i] = to_text((select(i, ...))) end
+  return prefix .. paint(is_coloured, ID[id], padded) .. concat(texts, " ")
 end
 
 --- Make the line of one trace record.
@@ -87,60 +114,55 @@ end
 -- @usage
 --    rfsmpp.dbgcolorize("arm", "STATE_ENTER", "root.moving")
 --
----@param name string name of the machine
+---@param name? string name of the machine
 ---@param id string id of the record
----@param ... any its arguments
----@return string line in colour, when stdout wants it
+---@param ... any its arguments, tables with their contents
+---@return string line
 function rfsmpp.dbgcolorize(name, id, ...)
-  return line_of(wants_colour(), name, id, ...)
+  return line_of(is_colour_wanted(), name, id, ...)
 end
 
 --- Print the line of one trace record.
----@param name string name of the machine
+---@param name? string name of the machine
 ---@param id string id of the record
 ---@param ... any its arguments
 function rfsmpp.dbgcolor(name, id, ...)
   rawget(_G, "print")(rfsmpp.dbgcolorize(name, id, ...))
 end
 
-local function is_function(value)
-  if type(value) == "function" then return true end
-  local class = getmetatable(value)
-  return type(class) == "table" and rawget(class, "__call") ~= nil
-end
-
 local function check_arguments(ids, print_fn)
   if ids ~= nil and type(ids) ~= "table" then
     error("rfsmpp.gen_dbgcolor: table of ids expected, got " .. type(ids), 3)
   end
-  if print_fn ~= nil and not is_function(print_fn) then
+  if print_fn ~= nil and not rfsm.is_callable(print_fn) then
     error("rfsmpp.gen_dbgcolor: function expected, got " .. type(print_fn), 3)
   end
 end
 
 --- Make a `dbg` function for a machine.
 --
+-- It prints in colour or not as it is when the function is made.
+--
 -- @usage
 --    fsm.dbg = rfsmpp.gen_dbgcolor("arm", { STATE_ENTER = true }, false)
 --
--- @raise when `ids` is no table or `print_fn` cannot be called
+-- @raise if `ids` is no table or `print_fn` cannot be called
 ---@param name? string name of the machine, in front of each line
----@param ids? table<string, boolean> which ids to print, and which not
----@param defshow? boolean print those that `ids` does not mention? default true
----@param print_fn? fun(line: string) default print; one handed in gets colour
+---@param ids? table<string, boolean> true: print records with that id, false: do not
+---@param defshow? boolean print all records whose id is not in `ids`? default true
+---@param print_fn? fun(line: string) default print
 ---@return fun(id: string, ...) dbg
 ---@nodiscard
 function rfsmpp.gen_dbgcolor(name, ids, defshow, print_fn)
   check_arguments(ids, print_fn)
-  name, ids = name or "rfsm", ids or {}
+  name, ids = name or "<unnamed SM>", ids or {}
   if defshow == nil then defshow = true end
+  local is_coloured = is_colour_wanted()
   return function(id, ...)
-    local is_wanted = ids[id]
-    if is_wanted == nil then is_wanted = defshow end
-    if not is_wanted then return end
-    local is_coloured = print_fn ~= nil and has_ansicolors or wants_colour()
-    local line = line_of(is_coloured, name, id, ...)
-    if print_fn then print_fn(line) else rawget(_G, "print")(line) end
+    local is_shown = ids[id]
+    if is_shown == nil then is_shown = defshow end
+    if not is_shown then return end
+    (print_fn or rawget(_G, "print"))(line_of(is_coloured, name, id, ...))
   end
 end
 
@@ -149,41 +171,40 @@ end
 -- A name is one line, whatever is in it.
 local function escape_control(character) return ("\\%d"):format(character:byte()) end
 
-local function state_line(fsm, state, name, is_coloured, depth, indent)
-  name = name:gsub("%c", escape_control)
-  local mode = rfsm.get_sta_mode(state)
-  local is_active_leaf = mode == "active" and fsm._act_leaf == state
-  local colour = MODE[is_active_leaf and "active_leaf" or mode]
-  return indent .. ("  "):rep(depth) .. paint(is_coloured, colour, name) .. "["
-    .. rfsm.fsmobj_tochar(state) .. "]" .. (is_coloured and "" or " " .. mode)
+-- The name of a state, in the colour of its mode; without colour the mode follows.
+local function state_text(state, letters, is_coloured)
+  local name, mode = state._id:gsub("%c", escape_control), rfsm.get_sta_mode(state)
+  local is_active_leaf = mode == "active" and rfsm.is_leaf(state)
+  local colour = is_active_leaf and ACTIVE_LEAF or MODE[mode]
+  return paint(is_coloured, colour, name) .. letters
+    .. (is_coloured and "" or " " .. mode) .. "\n"
 end
 
-local function add_lines(lines, fsm, state, is_coloured, depth, indent)
-  rfsm.mapfsm(function(child, _, name)
-    lines[#lines + 1] = state_line(fsm, child, name, is_coloured, depth, indent)
-    add_lines(lines, fsm, child, is_coloured, depth + 1, indent)
-  end, state, rfsm.is_state, 1)
+local function add_states(lines, parent, depth, is_coloured)
+  rfsm.mapfsm(function(state)
+    if state == parent then return end -- a machine is the first of its own states
+    lines[#lines + 1] = ("    "):rep(depth) .. state_text(state,
+      "[" .. rfsm.fsmobj_tochar(state) .. "]", is_coloured)
+    add_states(lines, state, depth + 1, is_coloured)
+  end, parent, rfsm.is_state, 1)
 end
 
---- Draw the states of a machine as a tree.
+--- Draw the states of a machine as a tree, one a line.
 --
 -- Active states are green, the active leaf bright, done ones yellow, inactive ones red.
 -- Without colour the mode follows as a word: `hello[LS] done`.
 --
--- @raise when `fsm` was not initialised
+-- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine
----@param indent? string in front of each line
----@return string tree one state a line
+---@param depth? integer how deep the states in the root are indented, default 1
+---@return string tree
 ---@nodiscard
-function rfsmpp.fsm2str(fsm, indent)
-  if not rfsm.is_initialized_root(fsm) then
-    error("rfsmpp.fsm2str: initialised fsm expected, got " .. type(fsm), 2)
-  end
-  local is_coloured = wants_colour()
-  indent = indent or ""
-  local lines = { state_line(fsm, fsm, "root", is_coloured, 0, indent) }
-  add_lines(lines, fsm, fsm, is_coloured, 1, indent)
-  return concat(lines, "\n")
+function rfsmpp.fsm2str(fsm, depth)
+  rfsm.check_machine(fsm, "rfsmpp.fsm2str")
+  local is_coloured = is_colour_wanted()
+  local lines = { state_text(fsm, "", is_coloured) }
+  add_states(lines, fsm, depth or 1, is_coloured)
+  return concat(lines)
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsmpp", rfsmpp) end

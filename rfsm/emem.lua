@@ -11,155 +11,81 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, pairs, rawget, rawset = error, getmetatable, pairs, rawget,
-  rawset
-local setmetatable, type = setmetatable, type
-local insert = table.insert
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 
 local rfsm_emem = {}
 
--- Keys: what to set to 0 in a table of counts ---------------------------------
+-- Counts: which events are in them -----------------------------------------------
 --
--- `pairs` tells, but LuaJIT does not compile it. So the metatable of the counts lists
--- the keys, and notes each new one, whoever writes it. Objects are never listed: the
--- counts forget an event with its object. Where there are any, in a table that a user
--- put there and in one that he gave a metatable, it is `pairs`.
-
---- The metatable of a table of counts; the keys are in its array part.
----@class rfsm.emem.Keys
----@field n integer|false how many are listed; false when an object is among the keys
----@field limit integer how many may be, before those that are gone are sorted out
+-- Leaving a state must find the keys of its counts. LuaJIT does not compile `pairs`, so
+-- the metatable of the counts lists the keys, whoever writes them. Objects are not
+-- listed: the counts forget an event with its object.
 
 local IS_LISTED = { string = true, number = true, boolean = true }
 
-local function list_keys(emem, keys)
-  local n, has_objects = 0, false
-  for key in pairs(emem) do -- any order: all of them
-    if IS_LISTED[type(key)] then
-      n = n + 1
-      keys[n] = key
-    else
-      has_objects = true
-    end
-  end
-  keys.n, keys.limit = not has_objects and n, 2 * n + 4
-end
-
--- Writes a key that is not in the counts.
-local function note(emem, key, value)
-  if key == nil or key ~= key then
-    error("table index is " .. (key == nil and "nil" or "NaN"), 2)
-  end
-  rawset(emem, key, value)
+-- Writes a key that is new in the counts.
+local function note(emem, event, value)
   local keys = getmetatable(emem)
-  local n = keys.n
-  if not n then return end
-  if n == keys.limit or not IS_LISTED[type(key)] then return list_keys(emem, keys) end
-  keys.n, keys[n + 1] = n + 1, key
-end
-
-local function new_keys()
-  return { __mode = "k", __newindex = note, n = 0, limit = 4 }
-end
-
--- Run -------------------------------------------------------------------------
-
-local function count_first(emem, event)
-  if event == event then emem[event] = 1 end -- no NaN
-end
-
--- Counts the events from the third on.
-local function count_rest(emem, events)
-  for i = 3, #events do
-    local event = events[i]
-    local before = emem[event]
-    if before then emem[event] = before + 1 else count_first(emem, event) end
+  rawset(emem, event, value)
+  if not IS_LISTED[type(event)] then
+    keys.has_objects = true
+  elseif not keys.is_listed[event] then
+    keys[#keys + 1], keys.is_listed[event] = event, true
   end
 end
 
--- The states from the root to `leaf`, noted in it.
-local function line_of(leaf)
-  local line, state = {}, leaf
-  while state do
-    insert(line, 1, state)
-    state = state._parent ~= state and state._parent
-  end
-  leaf._emem_line = line
-  return line
+local function new_counts()
+  return setmetatable({}, {
+    __mode = "k", __newindex = note, is_listed = {}, has_objects = false,
+  })
 end
 
--- Counts the events for the states of `line` from number `i` on. Mostly there are one
--- or two events, one of them an e_done; loops would keep LuaJIT from compiling a step
--- whole.
-local function count_in(line, i, events, first, second)
-  local state = line[i]
-  if not state then return end
+local function clear(_, state)
   local emem = state.emem
-  if emem then
-    local before = emem[first]
-    if before then emem[first] = before + 1 else count_first(emem, first) end
-    if second ~= nil then
-      before = emem[second]
-      if before then emem[second] = before + 1 else count_first(emem, second) end
-      if events[3] ~= nil then count_rest(emem, events) end
-    end
+  local keys = emem and getmetatable(emem)
+  if type(keys) ~= "table" or not keys.is_listed or keys.has_objects then
+    for event in pairs(emem or {}) do emem[event] = 0 end -- any order: all of them
+    return
   end
-  return count_in(line, i + 1, events, first, second)
+  for i = 1, #keys do
+    if emem[keys[i]] then emem[keys[i]] = 0 end -- else somebody has taken it out
+  end
 end
 
--- This runs in every iteration, hence the fields instead of the functions that read
--- them.
+-- Run and prepare ----------------------------------------------------------------
+
+-- This runs in every iteration.
 local function count(fsm)
-  local events, leaf = fsm._curq, fsm._act_leaf
-  local first = events[1]
-  if first == nil or not leaf then return end
-  return count_in(leaf._emem_line or line_of(leaf), 1, events, first, events[2])
-end
-
-local function forget_unlisted(emem, keys)
-  for key in pairs(emem) do emem[key] = 0 end -- any order: all of them
-  if keys and getmetatable(emem) == keys then list_keys(emem, keys) end
-end
-
-local function forget(_, state)
-  local emem, keys = state.emem, state._emem_keys
-  if not emem then return end
-  local n = keys and getmetatable(emem) == keys and keys.n
-  if not n then return forget_unlisted(emem, keys) end
-  for i = 1, n do
-    local key = keys[i]
-    if emem[key] ~= nil then emem[key] = 0 end
+  local events, state = fsm._curq, fsm._act_leaf and fsm
+  while state do
+    local emem = state.emem
+    for i = 1, emem and #events or 0 do
+      local event = events[i]
+      if event == event then emem[event] = (emem[event] or 0) + 1 end -- no NaN
+    end
+    state = state._actchild
   end
 end
+
+local function has_emem(obj) return rfsm.is_state(obj) and obj.emem ~= false end
 
 local function reset(fsm)
-  forget(fsm, fsm)
-  rfsm.mapfsm(function(state) forget(fsm, state) end, fsm, rfsm.is_state)
+  for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
 end
 
--- Prepare ---------------------------------------------------------------------
-
--- The first state that counts makes the machine do so.
-local function prepare_state(fsm, state)
-  if state.emem == false then return end
-  if not fsm._emem then
-    fsm._emem = true
-    rfsm.pre_step_hook_add(fsm, count)
-    rfsm.reset_hook_add(fsm, reset)
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  if fsm.emem == false then return end
+  for _, state in ipairs(rfsm.elements(merged or fsm, has_emem)) do
+    state.emem = new_counts()
+    rfsm.exit_hook_add(fsm, state, clear)
+    if not fsm._has_emem then
+      fsm._has_emem = true
+      rfsm.pre_step_hook_add(fsm, count)
+      rfsm.reset_hook_add(fsm, reset)
+    end
   end
-  state._emem_keys = new_keys()
-  state.emem = setmetatable({}, state._emem_keys)
-  rfsm.exit_hook_add(fsm, state, forget)
 end
-
-local function prepare(fsm, merged)
-  local obj = merged or fsm
-  if fsm.emem == false or not rfsm.is_state(obj) then return end
-  prepare_state(fsm, obj)
-  rfsm.mapfsm(function(state) prepare_state(fsm, state) end, obj, rfsm.is_state)
-end
-
-rfsm.preproc[#rfsm.preproc + 1] = prepare
 
 --- Set the counts of a state to 0.
 ---@param state rfsm.State
@@ -168,7 +94,7 @@ function rfsm_emem.emem_reset(state)
     error("rfsm.emem.emem_reset: state with an event memory expected, got "
       .. type(state), 2)
   end
-  forget(nil, state)
+  clear(nil, state)
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_emem", rfsm_emem) end

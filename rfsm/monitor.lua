@@ -5,10 +5,10 @@
 
 local rfsm = require "rfsm"
 
-local error, pairs, rawget, rawset, setmetatable = error, pairs, rawget, rawset,
-  setmetatable
-local tostring, type = tostring, type
+local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
+local rawset, setmetatable, type = rawset, setmetatable, type
 local sort = table.sort
+local text_of = rfsm.text_of
 
 local monitor = {}
 
@@ -19,24 +19,24 @@ local monitor = {}
 ---@field entry? function
 ---@field exit? function
 
--- Numbers before all else, each ascending.
+-- Numbers first, each ascending, then all other events by their text.
 local function event_before(a, b)
-  local a_number, b_number = type(a) == "number", type(b) == "number"
-  if a_number ~= b_number then return a_number end
-  if a_number then return a < b end
-  return tostring(a) < tostring(b)
+  local a_is_number, b_is_number = type(a) == "number", type(b) == "number"
+  if a_is_number ~= b_is_number then return a_is_number end
+  if a_is_number then return a < b end
+  return text_of(a) < text_of(b)
 end
 
--- Returns the monitored events, sorted, and the function of each.
-local function monitors_of(montab)
-  local events, checks = {}, {}
+local function sorted_events(montab)
+  local events = {}
   for event in pairs(montab) do events[#events + 1] = event end -- any order: sorted
   sort(events, event_before)
-  for i = 1, #events do checks[i] = montab[events[i]] end
-  return events, checks
+  return events
 end
 
-local function new_doo(events, checks, is_first_only)
+local function new_doo(montab, is_first_only)
+  local events, checks = sorted_events(montab), {}
+  for i, event in ipairs(events) do checks[i] = montab[event] end
   return function(fsm, state)
     while true do
       for i = 1, #events do
@@ -51,16 +51,17 @@ local function new_doo(events, checks, is_first_only)
 end
 
 local function check_monitor(t)
-  if type(t) ~= "table" then return "table expected, got " .. type(t) end
-  if type(t.montab) ~= "table" then
+  if type(t) ~= "table" then
+    return "table expected, got " .. type(t)
+  elseif type(t.montab) ~= "table" then
     return "montab: table of functions by event expected, got " .. type(t.montab)
+  elseif t.doo ~= nil then
+    return "doo: is the state's own, and cannot be set"
   end
-  if t.doo ~= nil then return "doo: is the state's own, and cannot be set" end
-  local events, checks = monitors_of(t.montab)
-  for i = 1, #events do
-    if type(checks[i]) ~= "function" then
-      return "montab: function expected for event '" .. tostring(events[i]) .. "', got "
-        .. type(checks[i])
+  for _, event in ipairs(sorted_events(t.montab)) do
+    if not rfsm.is_callable(t.montab[event]) then
+      return "montab: function expected for event '" .. text_of(event) .. "', got "
+        .. type(t.montab[event])
     end
   end
 end
@@ -75,7 +76,7 @@ local OWN = { montab = true, break_first = true, breakfirst = true }
 -- @usage
 --    watch = monitor.gen_monitor_state { montab = { e_low = battery_is_low } }
 --
--- @raise when montab is not a table of functions
+-- @raise if montab is not a table of functions
 ---@param t rfsm.monitor.Monitor
 ---@return rfsm.State state
 ---@nodiscard
@@ -86,8 +87,7 @@ function monitor.gen_monitor_state(t)
   for key, value in pairs(t) do -- any order: each stands alone
     if not OWN[key] then state[key] = value end
   end
-  local events, checks = monitors_of(t.montab)
-  state.doo = new_doo(events, checks, t.break_first or t.breakfirst)
+  state.doo = new_doo(t.montab, t.break_first or t.breakfirst)
   return rfsm.state(state)
 end
 

@@ -9,86 +9,54 @@
 
 local rfsm = require "rfsm"
 
-local getmetatable, pcall, print, rawget, rawset = getmetatable, pcall, print, rawget,
-  rawset
+local ipairs, pcall, rawget, rawset = ipairs, pcall, rawget, rawset
 local tostring, type = tostring, type
-local actchild_get = rfsm.actchild_get
 
 local rfsm_preview = {}
 
-local function complain(fsm, program, owner, failure)
-  local printer = fsm.err
-  if printer == true then printer = print end
-  if not printer then return end
-  printer("PREVIEW", ("error executing %s of %s: "):format(program, owner), failure)
+-- Calls f(fsm); its error goes to `err`.
+local function try(fsm, f, what, owner)
+  local ok, result = pcall(f, fsm)
+  if ok then return result end
+  rfsm.report(fsm, "err", "PREVIEW", ("error executing %s of %s: "):format(what, owner),
+    result)
 end
 
--- What a transition leads to: a composite is entered at its `initial` connector.
-local function find_prepare(tr)
-  local target = tr.tgt
-  local prepare = target.prepare
-  if not prepare and rfsm.is_conn(target) and target._id == "initial" then
+-- A composite is entered at its `initial` connector: then `prepare` is that of both.
+local function prepare_target(fsm, target)
+  if not target.prepare and rfsm.is_conn(target) and target._id == "initial" then
     target = target._parent
-    prepare = target.prepare
   end
-  return prepare, target
+  if target.prepare then try(fsm, target.prepare, "prepare", target._fqn) end
 end
 
-local function preview_transition(fsm, tr)
-  local ok, answer = pcall(tr.likely, fsm)
-  if not ok then return complain(fsm, "likely", tostring(tr), answer) end
-  if not answer then return end
-  local prepare, target = find_prepare(tr)
-  if not prepare then return end
-  local is_prepared, failure = pcall(prepare, fsm)
-  if not is_prepared then complain(fsm, "prepare", target._fqn, failure) end
-end
-
+-- This runs at the end of every iteration.
 local function preview(fsm)
-  local state = actchild_get(fsm)
+  local state = fsm._actchild
   while state do
-    local otrs = state._otrs
-    for i = 1, otrs and #otrs or 0 do
-      if otrs[i].likely then preview_transition(fsm, otrs[i]) end
+    for i = 1, #state._otrs do
+      local tr = state._otrs[i]
+      if tr.likely and try(fsm, tr.likely, "likely", tostring(tr)) then
+        prepare_target(fsm, tr.tgt)
+      end
     end
-    state = actchild_get(state)
+    state = state._actchild
   end
 end
 
-local function is_callable(value)
-  if type(value) == "function" then return true end
-  local class = getmetatable(value)
-  return type(class) == "table" and rawget(class, "__call") ~= nil
-end
-
-local function place_of(tr)
-  local key = type(tr._id) == "number" and ("trans[%d]"):format(tr._id) or tr._id
-  return tr._parent._fqn .. "." .. key
-end
-
-local function prepare_transition(fsm, tr, problems)
-  if not tr.likely then return end
-  if not is_callable(tr.likely) then
-    problems[#problems + 1] = place_of(tr) .. ".likely: function expected, got "
-      .. type(tr.likely)
-  elseif not fsm._preview then
-    fsm._preview = true
-    rfsm.post_step_hook_add(fsm, preview)
-  end
-end
-
-local function prepare_model(fsm, merged)
-  local obj, problems = merged or fsm, {}
-  if rfsm.is_trans(obj) then
-    prepare_transition(fsm, obj, problems)
-  elseif rfsm.is_state(obj) then
-    rfsm.mapfsm(function(tr) prepare_transition(fsm, tr, problems) end, obj,
-      rfsm.is_trans)
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  local problems = {}
+  for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
+    if tr.likely and not rfsm.is_callable(tr.likely) then
+      problems[#problems + 1] = rfsm.location_of(tr, "likely")
+        .. ": function expected, got " .. type(tr.likely)
+    elseif tr.likely and not fsm._has_preview then
+      fsm._has_preview = true
+      rfsm.post_step_hook_add(fsm, preview)
+    end
   end
   return problems
 end
-
-rfsm.preproc[#rfsm.preproc + 1] = prepare_model
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_preview", rfsm_preview) end
 

@@ -76,6 +76,8 @@ end
 local HOOKS = [[
   local entry_hooks, exit_hooks = fsm._entry_hooks, fsm._exit_hooks]]
 
+-- The root, in which all fields that are set anew are noticed, has false instead of no
+-- active child until the next one is entered.
 local LEAVE = [[
   local s$n = s$m._parent
   s$m._mode = "inactive"
@@ -138,7 +140,7 @@ local COMPLETE = [[
 -- Returns the function that takes the segment `def` from a state that is `exits` levels
 -- below what stays active; nil where that is not for straight code.
 local function make_segment(parts, def, exits, is_hooked)
-  local entries, src, n = def.entries, def.src, exits
+  local entries, src, n, none = def.entries, def.src, exits, "nil"
   if exits + #entries > MAX_VALUES - 10 then return nil end
   local names = {
     "resume", "run_state_hooks", "finish_leaving", "keep_events", "parameters_of",
@@ -149,7 +151,7 @@ local function make_segment(parts, def, exits, is_hooked)
     parameters_of, def.tgt.done_event,
   }
   local lines = { "return function(fsm, s0, tr)", "local nodes = fsm._nodes" }
-  local function write(is_wanted, text, number, none)
+  local function write(is_wanted, text, number)
     if not is_wanted then return end
     text = text:gsub("$(%l+)", { n = number, m = number - 1, none = none })
     lines[#lines + 1] = text
@@ -157,7 +159,8 @@ local function make_segment(parts, def, exits, is_hooked)
   write(is_hooked, HOOKS, 0)
   for i = 1, exits do
     local is_leaf = i == 1 and src.kind == "state"
-    write(true, LEAVE, i, i < exits and "nil" or "false")
+    if i == exits and def.lca.depth == 0 then none = "false" end
+    write(true, LEAVE, i)
     write(is_hooked, LEAVE_HOOKED, i)
     write(is_leaf, FORGET_LEAF, i)
     write(is_leaf and (src.doo or not src.is_leaf), FORGET_DOO, i)

@@ -23,6 +23,7 @@ build = {
     ["rfsm.await"] = "rfsm/await.lua",
     ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",
+    ["rfsm.clock"] = "rfsm/clock.lua",
     ["rfsm.diagram"] = "rfsm/diagram.lua",
     ["rfsm.dot"] = "rfsm/dot.lua",
     ["rfsm.emem"] = "rfsm/emem.lua",
@@ -34,6 +35,7 @@ build = {
     ["rfsm.preview"] = "rfsm/preview.lua",
     ["rfsm.proto"] = "rfsm/proto.lua",
     ["rfsm.rtt"] = "rfsm/rtt.lua",
+    ["rfsm.rtt_launch"] = "rfsm/rtt_launch.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
     ["rfsm.straight"] = "rfsm/straight.lua",
     -- older names

@@ -33,6 +33,16 @@ local function path_of(fsm, ...)
 end
 
 describe("await", function()
+  for _, text in ipairs {
+    "await('e_x', 'e_y')", 'await("e_x","e_y")', "await( e_x , 'e_y' )",
+  } do
+    it("may be written " .. text, function()
+      local fsm = started(chart { text })
+      assert.same({ "await(e_x, e_y)@root.a" }, fsm[2].events)
+      assert.equal("a b", path_of(fsm, "e_y", "e_x"))
+    end)
+  end
+
   it("is enabled when all were received, over several steps", function()
     assert.equal("a a b", path_of(started(chart { "await(e_x, e_y)" }), "e_x", "e_z",
       "e_y"))
@@ -181,8 +191,10 @@ describe("an await that is wrong", function()
       local model = chart { text }
       model.err = false
       local _, problems = rfsm.init(model)
-      assert.same({ "root.trans[2].events[1]: await: a list of events expected, got '"
-        .. text .. "' (await(e_a, e_b) would be right)" }, problems)
+      assert.equal(1, #problems)
+      assert.equal("root.trans[2].events[1] (a -> b): await: a list of events "
+        .. "expected, got '" .. text .. "' (await(e_a, e_b) would be right)",
+        helper.without_file(problems[1]))
     end)
   end
 
@@ -190,21 +202,21 @@ describe("an await that is wrong", function()
     local said = {}
     model.warn = function(text) said[#said + 1] = text end
     rfsm.init(model)
-    return said[1]
+    return helper.without_file(said[1])
   end
 
   it("at a connector brings a warning", function()
     local model = chart { "e_x" }
     model[1].events = { "e_init_fsm", "await(e_x, e_y)" }
-    assert.equal("WARNING: root.trans[1]: 'await(e_x, e_y)' never fires here, "
-      .. "'root.initial' is no state", first_warning(model))
+    assert.equal("WARNING: root.trans[1].events (initial -> a): 'await(e_x, e_y)' "
+      .. "never fires here, 'root.initial' is no state", first_warning(model))
   end)
 
   it("with the e_done of a composite brings a warning", function()
     local model = chart { "await(e_x, e_done)" }
     model.a = state { p = state {}, trans { src = "initial", tgt = "p" } }
-    assert.equal("WARNING: root.trans[2]: 'e_done' never fires here, 'root.a' is no "
-      .. "leaf state", first_warning(model))
+    assert.equal("WARNING: root.trans[2].events (a -> b): 'e_done' never fires here, "
+      .. "'root.a' is no leaf state", first_warning(model))
   end)
 end)
 
@@ -212,17 +224,19 @@ describe("with time events", function()
   -- whichever of the two modules is loaded first
   local timeevent = require "rfsm_timeevent"
 
-  it("await waits for them, too", function()
-    local now = 0
-    timeevent.set_gettime_hook(function() return now, 0 end)
-    local fsm = started(chart { "await(e_x, e_after(5))" })
-    assert.same({ "await(e_x, e_after(5)@root.a)@root.a" }, fsm[2].events)
-    helper.post_and_run(fsm, "e_x")
-    assert.equal("a", fsm._act_leaf._id)
-    now = 6
-    rfsm.run(fsm)
-    assert.equal("b", fsm._act_leaf._id)
-  end)
+  for _, text in ipairs { "await(e_x, e_after(5))", "await('e_x', 'e_after(5)')" } do
+    it("await waits for them, too: " .. text, function()
+      local now = 0
+      timeevent.set_gettime_hook(function() return now, 0 end)
+      local fsm = started(chart { text })
+      assert.same({ "await(e_x, e_after(5)@root.a)@root.a" }, fsm[2].events)
+      helper.post_and_run(fsm, "e_x")
+      assert.equal("a", fsm._act_leaf._id)
+      now = 6
+      rfsm.run(fsm)
+      assert.equal("b", fsm._act_leaf._id)
+    end)
+  end
 end)
 
 describe("a machine without await", function()

@@ -138,30 +138,38 @@ describe("watch", function()
   it("blames the caller for what is no machine", function()
     local _, text = pcall(function() rfsm_checks.watch(chart()) end)
     assert.matches("checks_spec.lua:%d+: rfsm_checks.watch: initialised fsm expected, "
-      .. "got table", text)
+      .. "got state", text)
   end)
 end)
 
 describe("check", function()
-  local function findings_of(members) return rfsm_checks.check(chart(members)) end
+  local function findings_of(members)
+    local findings = rfsm_checks.check(chart(members))
+    for i = 1, #findings do findings[i] = helper.without_file(findings[i]) end
+    return findings
+  end
 
-  it("finds nothing in a sound model", function()
-    assert.same({}, findings_of())
+  it("takes a machine, and a part of one, too", function()
+    local model = chart { c = state {} }
+    local findings = rfsm_checks.check(model)
+    assert.equal(1, #findings)
+    assert.same(findings, rfsm_checks.check(helper.init(model)))
+    local whole = helper.init(state { p = model, trans { src = "initial", tgt = "p" } })
+    assert.same(findings, rfsm_checks.check(whole.p))
   end)
 
-  it("takes a machine, too", function()
-    local fsm = helper.init(chart { c = state {} })
-    assert.same(findings_of { c = state {} }, rfsm_checks.check(fsm))
+  it("says in which file and line", function()
+    assert.matches("^spec/checks_spec.lua:%d+: root.c: unreachable",
+      rfsm_checks.check(chart { c = state {} })[1])
   end)
 
   it("prints nothing and leaves the model as it is", function()
-    local said = {}
-    local model = chart { c = state {} }
-    local function say(...) said[#said + 1] = ... end
-    model.warn, model.info, model.err = say, say, say
+    local printed, model = {}, chart { c = state {} }
+    local function note(...) printed[#printed + 1] = ... end
+    model.warn, model.info, model.err = note, note, note
     assert.equal(1, #rfsm_checks.check(model))
-    assert.same({}, said)
-    assert.equal(say, model.warn)
+    assert.same({}, printed)
+    assert.equal(note, model.warn)
     assert.is_nil(rawget(model, "dbg"))
   end)
 
@@ -183,73 +191,13 @@ describe("check", function()
     assert.same({}, rfsm_checks.check(model))
   end)
 
-  it("tells of a state that is called like a printer", function()
+  it("reports a state that is called like a printer", function()
     assert.matches("^root%.info: ", findings_of { info = state {} }[1])
-  end)
-
-  it("takes a part of a machine, too", function()
-    local part = chart { c = state {} }
-    local fsm = helper.init(state { p = part, trans { src = "initial", tgt = "p" } })
-    assert.same(findings_of { c = state {} }, rfsm_checks.check(fsm.p))
-  end)
-
-  it("returns the problems of a model that is not valid", function()
-    assert.same({
-      "root.trans[4]: src is missing, the name of a state or connector expected",
-    }, findings_of { [4] = trans { tgt = "a" } })
-  end)
-
-  it("finds a state that nothing leads to, and not what is in it", function()
-    assert.same({ "root.c: unreachable, no path of transitions leads here" },
-      findings_of { c = state { x = state {}, trans { src = "initial", tgt = "x" } } })
-  end)
-
-  it("finds a state that only unreachable ones lead to", function()
-    assert.same({
-      "root.c: unreachable, no path of transitions leads here",
-      "root.d: unreachable, no path of transitions leads here",
-    }, findings_of {
-      c = state {}, d = state {}, trans { src = "initial", tgt = "a" },
-      [4] = trans { src = "c", tgt = "d", events = { "e_x" } },
-      [5] = trans { src = "d", tgt = "c", events = { "e_x" } },
-    })
-  end)
-
-  it("follows paths through connectors", function()
-    assert.same({}, findings_of {
-      k = conn {}, c = state {},
-      [4] = trans { src = "a", tgt = "k", events = { "e_k" } },
-      [5] = trans { src = "k", tgt = "c" },
-      [6] = trans { src = "c", tgt = "a", events = { "e_x" } },
-    })
-  end)
-
-  it("finds a connector that leads nowhere", function()
-    assert.same({ "root.k: no way out of this connector, so that no transition to it "
-      .. "is ever taken" }, findings_of {
-        k = conn {}, [4] = trans { src = "a", tgt = "k", events = { "e_k" } },
-      })
-  end)
-
-  it("finds a state without an exit", function()
-    assert.same({
-      "root.c: no exit, neither this state nor one around it is ever left",
-    }, findings_of {
-      c = state {}, [4] = trans { src = "a", tgt = "c", events = { "e_c" } },
-    })
-  end)
-
-  it("counts the exits of the states around", function()
-    assert.same({}, findings_of {
-      c = state { x = state {}, trans { src = "initial", tgt = "x" } },
-      [4] = trans { src = "a", tgt = "c", events = { "e_c" } },
-      [5] = trans { src = "c", tgt = "a", events = { "e_x" } },
-    })
   end)
 
   -- c[ (initial) -> x --e_x--> y --e_y--> x ] with transitions around it
   local function in_composite(outer)
-    return findings_of {
+    return {
       c = state {
         x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
         trans { src = "x", tgt = "y", events = { "e_x" } },
@@ -259,70 +207,108 @@ describe("check", function()
       [5] = trans(outer),
     }
   end
-  local SHADOWED = { "root.c.trans[2]: never taken, root.trans[5] always comes first" }
 
-  it("finds a transition that an outer one always beats", function()
-    assert.same(SHADOWED, in_composite { src = "c", tgt = "a", events = { "e_x" } })
-  end)
+  local function go(src, tgt, event, fields)
+    fields = fields or {}
+    fields.src, fields.tgt, fields.events = src, tgt, event and { event }
+    return trans(fields)
+  end
 
-  it("finds one that a transition on any event beats", function()
-    assert.same({
-      "root.c.trans[2]: never taken, root.trans[5] always comes first",
-      "root.c.trans[3]: never taken, root.trans[5] always comes first",
-    }, in_composite { src = "c", tgt = "a" })
-  end)
+  local function x_in_c() return state { x = state {}, go("initial", "x") } end
 
-  it("lets a guard make the difference", function()
-    assert.same({}, in_composite { src = "c", tgt = "a", events = { "e_x" },
-      guard = function() end })
-  end)
+  local UNREACHABLE = ": unreachable, no path of transitions leads here"
+  local NEVER_TAKEN = ": never taken, %s always comes first"
+  local BY_4, BY_5 = NEVER_TAKEN:format("root.trans[4] (a -> b)"),
+    NEVER_TAKEN:format("root.trans[5] (c -> a)")
 
-  it("lets another event make the difference", function()
-    assert.same({}, in_composite { src = "c", tgt = "a", events = { "e_z" } })
-  end)
+  -- A circumstance, the members of a chart, the findings.
+  local CASES = {
+    { "nothing in a sound model", {} },
+    { "the problems of a model that is not valid", { [4] = trans { tgt = "a" } },
+      "root.trans[4]: src is missing, the name of a state or connector expected" },
+    { "a state that nothing leads to, and not what is in it", { c = x_in_c() },
+      "root.c" .. UNREACHABLE },
+    { "a state that only unreachable ones lead to",
+      { c = state {}, d = state {}, [4] = go("c", "d", "e"), [5] = go("d", "c", "e") },
+      "root.c" .. UNREACHABLE, "root.d" .. UNREACHABLE },
+    { "no state that is reached through connectors", {
+      k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c"),
+      [6] = go("c", "a", "e_x") } },
+    { "a connector that leads nowhere", { k = conn {}, [4] = go("a", "k", "e_k") },
+      "root.k: no way out of this connector, so that no transition to it is ever "
+      .. "taken" },
+    { "a state without an exit", { c = state {}, [4] = go("a", "c", "e_c") },
+      "root.c: no exit, neither this state nor one around it is ever left" },
+    { "no state without an exit that is final",
+      { c = state { final = true }, [4] = go("a", "c", "e_c") } },
+    { "no state in a composite that has an exit",
+      { c = x_in_c(), [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_x") } },
+    { "a transition that an outer one always beats",
+      in_composite { src = "c", tgt = "a", events = { "e_x" } },
+      "root.c.trans[2] (x -> y)" .. BY_5 },
+    { "transitions that one on any event beats", in_composite { src = "c", tgt = "a" },
+      "root.c.trans[2] (x -> y)" .. BY_5,
+      "root.c.trans[3] (y -> x)" .. BY_5 },
+    { "none that one with a guard may beat",
+      in_composite { src = "c", tgt = "a", guard = function() end } },
+    { "none beside one on another event",
+      in_composite { src = "c", tgt = "a", events = { "e_z" } } },
+    { "one that a sibling of larger pn always beats",
+      { [4] = go("a", "b", "e_x", { pn = 1 }) }, "root.trans[2] (a -> b)" .. BY_4 },
+    { "none beside one through a connector that may be disabled", {
+      k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }),
+      [5] = go("k", "b", nil, { guard = function() end }) } },
+    { "one that one through a connector always beats",
+      { k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }), [5] = go("k", "b") },
+      "root.trans[2] (a -> b)" .. NEVER_TAKEN:format("root.trans[4] (a -> k)") },
+    { "an e_done@F that never comes", { [4] = go("a", "b", "e_done@root.z") },
+      "root.trans[4] (a -> b): event 'e_done@root.z' never comes, 'root.z' is no leaf "
+      .. "state of this machine" },
+  }
+  for _, case in ipairs(CASES) do
+    it("finds " .. case[1], function()
+      assert.same({ case[3], case[4] }, findings_of(case[2]))
+    end)
+  end
 
-  it("finds one that a sibling of larger pn always beats", function()
-    assert.same({ "root.trans[2]: never taken, root.trans[4] always comes first" },
-      findings_of { [4] = trans { src = "a", tgt = "b", events = { "e_x" }, pn = 1 } })
-  end)
-
-  it("does not take one through a connector that may be closed for a shadow", function()
-    assert.same({}, findings_of {
-      k = conn {}, [4] = trans { src = "a", tgt = "k", events = { "e_x" }, pn = 1 },
-      [5] = trans { src = "k", tgt = "b", guard = function() end },
-    })
-  end)
-
-  it("takes one through a connector that is open for a shadow", function()
-    assert.same({ "root.trans[2]: never taken, root.trans[4] always comes first" },
-      findings_of {
-        k = conn {}, [4] = trans { src = "a", tgt = "k", events = { "e_x" }, pn = 1 },
-        [5] = trans { src = "k", tgt = "b" },
-      })
-  end)
-
-  it("finds an e_done@F that never comes", function()
-    assert.same({ "root.trans[4]: event 'e_done@root.z' never comes, 'root.z' is no "
-      .. "leaf state of this machine" }, findings_of {
-        [4] = trans { src = "a", tgt = "b", events = { "e_done@root.z" } },
-      })
-  end)
-
-  it("sorts what it finds", function()
-    local members = {}
-    for i = 1, 12 do members["c" .. i] = state {} end
-    local places = {}
-    for i, text in ipairs(findings_of(members)) do
-      places[i] = text:match("^[^:]*")
-    end
-    assert.equal("root.c1 root.c2 root.c3 root.c4 root.c5 root.c6 root.c7 root.c8 "
-      .. "root.c9 root.c10 root.c11 root.c12", table.concat(places, " "))
+  it("goes through the states in the order of their names", function()
+    local members, places = {}, {}
+    for name in ("e d b f c"):gmatch("%a") do members[name] = state {} end
+    for i, text in ipairs(findings_of(members)) do places[i] = text:match("^[^:]*") end
+    assert.equal("root.c root.d root.e root.f", table.concat(places, " "))
   end)
 
   it("blames the caller for what is no state", function()
     local _, text = pcall(function() return (rfsm_checks.check {}) end)
     assert.matches("checks_spec.lua:%d+: rfsm_checks.check: state expected, got table",
       text)
+  end)
+end)
+
+describe("review", function()
+  it("has the warnings of init, the findings, and those of regions", function()
+    local region = chart { c = state {} }
+    local model = chart {
+      par = rfsm.seqand { region },
+      [4] = trans { src = "a", tgt = "par", events = "e" },
+      [5] = trans { src = "par", tgt = "a", events = { "e_done" } },
+      [6] = trans { src = "initial", tgt = "b", event = "e" },
+    }
+    local problems, warnings = rfsm_checks.review(model)
+    for i = 1, #warnings do warnings[i] = helper.without_file(warnings[i]) end
+    assert.same({}, problems)
+    assert.same({
+      "root.trans[6] (initial -> b): a transition has no field 'event' (did you mean "
+      .. "'events'?)",
+      "root.trans[6] (initial -> b): never taken, root.trans[1] (initial -> a) always "
+      .. "comes first",
+      "root.par.1: root.c: unreachable, no path of transitions leads here",
+    }, warnings)
+  end)
+
+  it("has the problems of a model that is not valid", function()
+    local problems = rfsm_checks.review(chart { [4] = trans { tgt = "a" } })
+    assert.equal(1, #problems)
   end)
 end)
 

@@ -281,14 +281,6 @@ describe("what a user writes into emem", function()
     leave()
     assert.equal("0 0", rawget(emem, "e_y") .. " " .. rawget(emem, "e_next"))
   end)
-
-  it("blames his line for a key that cannot be one", function()
-    local _, emem = counting()
-    local _, text = pcall(function() emem[nil] = 1 end)
-    assert.matches("emem_spec.lua:%d+: .*index is nil", text)
-    _, text = pcall(function() emem[0 / 0] = 1 end)
-    assert.matches("emem_spec.lua:%d+: .*index is NaN", text)
-  end)
 end)
 
 describe("the list of what is counted", function()
@@ -299,16 +291,6 @@ describe("the list of what is counted", function()
       helper.post_and_run(fsm, "e_x", "e_y")
     end
     assert.is_true(#getmetatable(emem) < 10)
-  end)
-
-  it("leaves out objects, and is whole again when they are gone", function()
-    local fsm, emem, leave = counting()
-    helper.post_and_run(fsm, {})
-    assert.is_false(getmetatable(emem).n)
-    helper.post_and_run(fsm, "e_y")
-    collectgarbage()
-    leave()
-    assert.equal(3, getmetatable(emem).n) -- e_x, e_y, e_next
   end)
 end)
 

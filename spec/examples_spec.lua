@@ -224,7 +224,8 @@ describe("the example", function()
   end)
 
   it("checks has a state that nothing leads to", function()
-    assert.same({ "root.spare: unreachable, no path of transitions leads here" },
+    assert.same({ "examples/checks.lua:18: root.spare: unreachable, no path of "
+      .. "transitions leads here" },
       require("rfsm_checks").check(rfsm.load("examples/checks.lua")))
   end)
 

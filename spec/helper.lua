@@ -47,6 +47,11 @@ function helper.init(model)
   return (assert(rfsm.init(model)))
 end
 
+--- A problem or warning without the file and line of a spec in it.
+function helper.without_file(text)
+  return (text:gsub("spec/[%w_]+%.lua:%d+: ", ""))
+end
+
 --- Forgets what a list holds.
 function helper.clear(list)
   for i = #list, 1, -1 do list[i] = nil end

@@ -1,6 +1,7 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- end `run` anywhere. Here it does so at every third VM instruction in turn, or at each
--- if EVERY=1. After it the machine must be whole, and go on.
+-- strike anywhere. Here it does so at every third VM instruction in turn, or at each if
+-- EVERY=1. It reaches the caller as itself; after that the machine goes on, and ends
+-- where it would have ended.
 
 local rfsm = require "rfsm"
 
@@ -8,6 +9,7 @@ local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
 local INTERRUPT = "interrupted!"
 local EVERY = tonumber(os.getenv("EVERY")) or 3
+local LIMIT = 1e6 -- instructions: more than any of these runs needs
 
 -- a.b.c --e_k--> k --> d.e (doo: one cycle, then done) --e_back--> a,
 -- d --e_straight--> a.b.c
@@ -38,11 +40,11 @@ local function new_machine(programs)
   }))
 end
 
--- Runs f(fsm) and raises INTERRUPT at VM instruction `at`; returns false when f was
--- through before.
+-- Runs f(fsm) and raises INTERRUPT after `at` VM instructions; returns false when f was
+-- through before, else what reached the caller.
 local function interrupt(at, f, fsm)
   local is_hit = false
-  pcall(function()
+  local _, failure = pcall(function()
     debug.sethook(function()
       debug.sethook()
       is_hit = true
@@ -51,17 +53,21 @@ local function interrupt(at, f, fsm)
     f(fsm)
     debug.sethook()
   end)
-  return is_hit
+  return is_hit and tostring(failure)
+end
+
+-- Runs f(fsm), which must end by itself.
+local function within_limit(f, fsm)
+  local failure = interrupt(LIMIT, f, fsm)
+  assert(not failure, "it does not end")
 end
 
 -- What is wrong with the machine between two steps; nil when nothing is.
 local function defect(fsm)
-  local active = {}
+  local active, found = {}, nil
   for _, fqn in ipairs(rfsm.get_active_conf(fsm)) do active[fqn] = true end
   local leaf = rfsm.get_actleaf_fqn(fsm)
-  if leaf and not active[leaf] then return "the active leaf is no active state" end
-  if not leaf and next(active) then return "active without an active leaf" end
-  local found = nil
+  if not leaf or not active[leaf] then return "the active leaf is no active state" end
   rfsm.mapfsm(function(s)
     if (rfsm.get_sta_mode(s) ~= "inactive") ~= (active[s._fqn] or false) then
       found = s._fqn .. " is " .. rfsm.get_sta_mode(s)
@@ -70,79 +76,105 @@ local function defect(fsm)
   return found
 end
 
-local function send_and_run(fsm)
+local function sending(event, advance)
+  return function(fsm)
+    rfsm.send_events(fsm, event)
+    advance(fsm)
+  end
+end
+
+local function twice(fsm) rfsm.step(fsm, 2) end
+
+local function with_hook(fsm)
+  fsm.pre_step_hook = function() end
+  rfsm.run(fsm)
+end
+
+local function with_state_hook(fsm)
+  rfsm.entry_hook_add(fsm, fsm.d, function() end)
+  rfsm.run(fsm)
+end
+
+local function traced(fsm)
+  fsm.dbg = function() end
+  rfsm.run(fsm)
+end
+
+local function in_d(fsm)
+  rfsm.run(fsm)
   rfsm.send_events(fsm, "e_k")
   rfsm.run(fsm)
 end
 
--- The way back is one segment: it is taken without a path.
-local function send_and_go_back(fsm)
-  send_and_run(fsm)
-  rfsm.send_events(fsm, "e_straight")
-  rfsm.run(fsm)
+local function nothing() end
+
+local CASES = {
+  { "at the first entry", nothing, rfsm.run },
+  { "of a bare step at the first entry", nothing, rfsm.step },
+  { "on a path over a connector", rfsm.run, rfsm.run, "e_k", "root.d.e" },
+  { "of a bare step", rfsm.run, rfsm.step, "e_k", "root.d.e" },
+  { "of two steps", rfsm.run, twice, "e_k", "root.d.e" },
+  { "where there is a step hook", with_hook, rfsm.run, "e_k", "root.d.e" },
+  { "where there is a state hook", with_state_hook, rfsm.run, "e_k", "root.d.e" },
+  { "of a traced run", traced, rfsm.run, "e_k", "root.d.e" },
+  { "out of a composite", in_d, rfsm.run, "e_back" },
+  { "of one segment", in_d, rfsm.step, "e_straight" },
+  { "in a doo", in_d, rfsm.step },
+}
+
+-- Interrupts the case everywhere and lets the machine go on.
+local function check_everywhere(case, programs)
+  local prepare, advance, event, leaf = case[2], case[3], case[4], case[5]
+  local at, failure = 1 - EVERY, false
+  if event then advance = sending(event, advance) end
+  while failure ~= nil do
+    at = at + EVERY
+    local fsm = new_machine(programs)
+    prepare(fsm)
+    failure = interrupt(at, advance, fsm) or nil
+    local where = ("at instruction %d"):format(at)
+    if failure then assert.equal(INTERRUPT, failure, where) end
+    if event and not rfsm.get_actleaf_fqn(fsm) then assert(fsm._segment, where) end
+    within_limit(rfsm.run, fsm)
+    assert.is_nil(defect(fsm), where)
+    if leaf and rfsm.get_actleaf_fqn(fsm) ~= leaf then -- it was not even sent
+      within_limit(sending(event, rfsm.run), fsm)
+    end
+    if leaf then assert.equal(leaf, rfsm.get_actleaf_fqn(fsm), where) end
+  end
 end
 
-local function with_interpreter(f)
+local function with_interpreter(f, ...)
   local jit = rawget(_G, "jit")
-  if not jit then return f() end
+  if not jit then return f(...) end
   jit.off()
   jit.flush()
-  local ok, problem = pcall(f)
+  local ok, problem = pcall(f, ...)
   jit.on()
   if not ok then error(problem, 0) end
 end
 
--- Interrupts `advance` everywhere and lets the machine go on.
-local function check_everywhere(programs, advance, prepare)
-  local at = 1 - EVERY
-  repeat
-    at = at + EVERY
-    local fsm = new_machine(programs)
-    if prepare then prepare(fsm) end
-    local is_hit = interrupt(at, advance, fsm)
-    assert.is_nil(defect(fsm), ("at instruction %d"):format(at))
-    send_and_run(fsm)
-    assert.is_nil(defect(fsm), ("later, at instruction %d"):format(at))
-    assert.is_string(rfsm.get_actleaf_fqn(fsm))
-  until not is_hit
-  return at
-end
-
-describe("an interrupt of run", function()
-  for _, programs in ipairs({ false, true }) do
-    local with = programs and "with programs" or "without programs"
-
-    it("leaves the machine whole, at the first entry, " .. with, function()
-      with_interpreter(function()
-        assert.is_true(check_everywhere(programs, rfsm.run) > 100)
-      end)
-    end)
-
-    it("leaves the machine whole, on a path over a connector, " .. with, function()
-      with_interpreter(function()
-        assert.is_true(check_everywhere(programs, send_and_run, rfsm.run) > 100)
-      end)
-    end)
-
-    it("leaves the machine whole where it has a step hook, " .. with, function()
-      with_interpreter(function()
-        assert.is_true(check_everywhere(programs, send_and_go_back, function(fsm)
-          fsm.pre_step_hook = function() end
-          rfsm.run(fsm)
-        end) > 100)
-      end)
-    end)
-
-    it("leaves the machine whole, out of a composite, " .. with, function()
-      with_interpreter(function()
-        assert.is_true(check_everywhere(programs, function(fsm)
-          rfsm.send_events(fsm, "e_back")
-          rfsm.run(fsm)
-        end, function(fsm)
-          rfsm.run(fsm)
-          send_and_run(fsm)
-        end) > 100)
-      end)
+describe("an interrupt", function()
+  for _, case in ipairs(CASES) do
+    it("leaves a machine that goes on, " .. case[1], function()
+      for _, programs in ipairs({ false, true }) do
+        with_interpreter(check_everywhere, case, programs)
+      end
     end)
   end
+
+  it("of an entry that never ends reaches the caller", function()
+    local fsm = assert(rfsm.init(state {
+      info = false, warn = false, a = state {}, b = state { entry = function()
+        while true do nothing() end
+      end },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = "e" },
+    }))
+    rfsm.run(fsm)
+    with_interpreter(function()
+      assert.equal(INTERRUPT, interrupt(5000, sending("e", rfsm.run), fsm))
+    end)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
 end)

@@ -66,20 +66,13 @@ describe("a live machine", function()
     assert.same({}, said)
   end)
 
-  it("tries its transitions by a new pn", function()
-    local fsm = started { c = state {}, [4] = trans { src = "a", tgt = "c" } }
-    fsm[4].pn = 1
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
-    assert.equal("T={ src='root.a', tgt='root.c', pn=1 }", tostring(fsm[4]))
-  end)
-
   it("prints its trace from when dbg is true", function()
     local fsm = started()
     fsm.dbg = true
     local lines = helper.printed(function() helper.post_and_run(fsm, "e") end)
     assert.equal("RAISED e", (lines[1]:gsub("\t", " ")))
-    assert.equal("HIBERNATING root.b", (lines[#lines]:gsub("\t", " ")))
+    assert.equal("HIBERNATING no events, no idle_hook, no doos or doo idle, halting "
+      .. "engines", (lines[#lines]:gsub("\t", " ")))
   end)
 
   it("traces in full when its getevents is taken away", function()
@@ -91,9 +84,9 @@ describe("a live machine", function()
     rfsm.run(fsm)
     helper.clear(records)
     helper.post_and_run(fsm, "e")
-    assert.same({ "RAISED", "TRANSITION", "CHECKING", "EXEC_PATH", "TRANS_EXIT",
-      "STATE_EXIT", "EFFECT", "TRANS_ENTER", "RAISED", "STATE_ENTER", "TRANSITION",
-      "HIBERNATING" }, records)
+    assert.same({ "RAISED", "TRANSITION", "CHECKING", "CHECKING", "EXEC_PATH",
+      "TRANS_EXIT", "STATE_EXIT", "EFFECT", "TRANS_ENTER", "RAISED", "STATE_ENTER",
+      "TRANSITION", "CHECKING", "CHECKING", "TRANSITION", "HIBERNATING" }, records)
   end)
 
   it("shows a new leaf as the active one when its trace tells of it", function()
@@ -150,14 +143,23 @@ describe("the trace", function()
     helper.post_and_run(fsm, "e")
     local tr = "T={ src='root.a', tgt='root.b', events='e' }"
     assert.same({
-      "RAISED e", "TRANSITION events: e", "CHECKING " .. tr,
-      "EXEC_PATH root.a -> root.b", "TRANS_EXIT " .. tr, "STATE_EXIT root.a",
-      "EFFECT " .. tr, "TRANS_ENTER " .. tr, "RAISED e_done@root.b",
-      "STATE_ENTER root.b", "TRANSITION events: e_done@root.b", "HIBERNATING root.b",
+      "RAISED e", "TRANSITION searching transitions for events: e",
+      "CHECKING depth: 0 for transitions from root",
+      "CHECKING depth: 1 for transitions from root.a",
+      "EXEC_PATH root.a[LS]->root.b[LS]",
+      "TRANS_EXIT exiting all up to (including): root.a , lca: root",
+      "STATE_EXIT root.a", "EFFECT " .. tr,
+      "TRANS_ENTER lca: root down_path:  root.b", "RAISED e_done@root.b",
+      "STATE_ENTER root.b",
+      "TRANSITION searching transitions for events: e_done@root.b",
+      "CHECKING depth: 0 for transitions from root",
+      "CHECKING depth: 1 for transitions from root.b",
+      "TRANSITION no enabled paths found",
+      "HIBERNATING no events, no idle_hook, no doos or doo idle, halting engines",
     }, records)
   end)
 
-  it("tells of each doo cycle", function()
+  it("tells of the beginning and the end of a doo", function()
     local records = {}
     local fsm = started { a = state { doo = function() rfsm.yield() end } }
     fsm.dbg = function(...) records[#records + 1] = table.concat({ ... }, " ") end
@@ -167,16 +169,8 @@ describe("the trace", function()
     for _, record in ipairs(records) do
       if record:find("^DOO") then doos[#doos + 1] = record end
     end
-    assert.same({ "DOO root.a active", "DOO root.a done" }, doos)
-  end)
-end)
-
-describe("a new pn", function()
-  it("counts at once for those who ask what is enabled", function()
-    local fsm = started { c = state {}, [4] = trans { src = "a", tgt = "c" } }
-    assert.same({ fsm[2] }, rfsm.node_find_enabled(fsm, fsm.a, { "e" }))
-    fsm[4].pn = 1
-    assert.same({ fsm[4] }, rfsm.node_find_enabled(fsm, fsm.a, { "e" }))
+    assert.same({ "DOO created coroutine for root.a doo",
+      "DOO removing completed coroutine of root.a doo" }, doos)
   end)
 end)
 
@@ -315,6 +309,15 @@ describe("exit_state", function()
 end)
 
 describe("node_find_enabled", function()
+  local function segments_of(path)
+    local texts = {}
+    while path.nextl do
+      texts[#texts + 1] = tostring(path.nextl[1].trans)
+      path = path.nextl[1].next
+    end
+    return texts
+  end
+
   -- initial -> a --e_go--> k --> b
   local function through_a_connector()
     local trace, fsm = helper.traced(state {
@@ -332,15 +335,18 @@ describe("node_find_enabled", function()
     helper.clear(trace)
     assert.same({ "T={ src='root.a', tgt='root.k', events='e_go' }",
       "T={ src='root.k', tgt='root.b' }" },
-      texts_of(rfsm.node_find_enabled(fsm, fsm.a, { "e_go" })))
+      segments_of(rfsm.node_find_enabled(fsm, fsm.a, { "e_go" })))
     assert.same({}, trace)
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
 
   it("tells what leaves a node that has never been active", function()
     local fsm = through_a_connector()
-    assert.same({ "T={ src='root.k', tgt='root.b' }" },
-      texts_of(rfsm.node_find_enabled(fsm, fsm.k, { "e" })))
+    local path = rfsm.node_find_enabled(fsm, fsm.k, { "e" })
+    assert.same({ "T={ src='root.k', tgt='root.b' }" }, segments_of(path))
+    assert.equal(fsm.k, path.node)
+    assert.equal(fsm.b, path.nextl[1].next.node)
+    assert.is_false(path.nextl[1].next.nextl)
     assert.is_false(rfsm.node_find_enabled(fsm, fsm.b, { "e" }))
   end)
 
@@ -400,7 +406,7 @@ describe("fsm_merge from inside", function()
   it("gives a leaf children from a guard", function()
     local fsm, is_merged = started()
     fsm[2].guard = function()
-      is_merged = rfsm.fsm_merge(fsm, fsm.b, rfsm.conn {}, "initial")
+      is_merged = is_merged or rfsm.fsm_merge(fsm, fsm.b, rfsm.conn {}, "initial")
       return false
     end
     helper.post_and_run(fsm, "e")
@@ -438,7 +444,11 @@ end)
 describe("a merge into a live machine", function()
   it("that is refused leaves a leaf a leaf", function()
     local fsm = started()
-    assert.is_false((rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" })))
+    fsm.err = false
+    local ok, reason = rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" })
+    assert.is_false(ok)
+    assert.matches("the model has 3 problems\n.*no state or connector is named 'x' in "
+      .. "'root.b'", reason)
     assert.is_nil(fsm.b.initial)
     assert.is_true(rfsm.is_leaf(fsm.b))
     rfsm.send_events(fsm, "e")

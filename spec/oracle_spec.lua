@@ -111,8 +111,8 @@ end)
 -- What a chart's trace or data must show in some of the charts.
 local FEATURES = {
   ["entry after first"] = "^entry root%.", exit = "^exit ", effect = "^effect ",
-  guard = "^guard ", doo = "^doo ", ["busy doo"] = "^dbg DOO .* active$",
-  ["idle doo"] = "^dbg DOO .* idle$", ["done doo"] = "^dbg DOO .* done$",
+  guard = "^guard ", doo = "^doo ", ["busy doo"] = "^doo .* [2-9]$",
+  ["new doo"] = "^dbg DOO created", ["done doo"] = "^dbg DOO removing",
   ["failing entry"] = "^err ENTRY", ["failing exit"] = "^err EXIT",
   ["failing effect"] = "^err EFFECT", ["failing guard"] = "^err GUARD",
   ["failing doo"] = "^err DOO", conflict = "^warn conflicting",

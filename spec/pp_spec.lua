@@ -3,23 +3,47 @@ local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
 
 local state, trans = rfsm.state, rfsm.trans
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- Debian has ansicolors for some of the interpreters only.
-local has_ansicolors = pcall(require, "ansicolors")
+-- Stand in for the package ansicolors, and for the older module of that name: what they
+-- would write, as <green><bright>.
+local function tag(names) return (names:gsub("(%a+) ?", "<%1>")) end
 
--- Escape sequences written as <31>, <0> ...
-local function visible(text)
-  return (text:gsub("\27%[(%d+)m", "<%1>"))
+local PACKAGE = { noReset = function(text) return tag(text:match("%%{(.-)}")) end }
+
+local OLDER = {}
+for name in ("reset bright red green yellow blue magenta cyan white"):gmatch("%a+") do
+  OLDER[name] = setmetatable({}, {
+    __metatable = {}, __tostring = function() return tag(name) end,
+  })
 end
 
--- What a dbg function with its own print function makes of records.
-local function printed(ids, defshow, ...)
+-- Runs f(rfsmpp) with an rfsmpp that was loaded with `colours` as the module ansicolors
+-- and with these variables in the environment.
+local function with(colours, variables, f)
+  local loaded, getenv, global = package.loaded, os.getenv, rawget(_G, "rfsmpp")
+  local real = loaded.ansicolors
+  loaded.ansicolors = colours or nil
+  package.preload.ansicolors = function() error("not installed") end
+  rawset(os, "getenv", function(name) return variables[name] end)
+  local ok, result = pcall(function() return f(dofile("rfsmpp.lua")) end)
+  loaded.ansicolors, package.preload.ansicolors = real, nil
+  rawset(os, "getenv", getenv)
+  rawset(_G, "rfsmpp", global)
+  if not ok then error(result, 0) end
+  return result
+end
+
+local XTERM = { TERM = "xterm" }
+
+-- The lines that a hook of gen_dbgcolor prints of one record, joined.
+local function printed(pp, record, ...)
   local lines = {}
-  local dbg = rfsmpp.gen_dbgcolor("arm", ids, defshow, function(line)
-    lines[#lines + 1] = visible(line)
+  local dbg = pp.gen_dbgcolor("arm", nil, nil, function(line)
+    lines[#lines + 1] = line
   end)
-  for _, record in ipairs({ ... }) do dbg(record, "root.a") end
-  return lines
+  dbg(record, ...)
+  return table.concat(lines, "\n")
 end
 
 -- initial -> a{ x } , b
@@ -32,187 +56,180 @@ local function machine()
   })
 end
 
--- Stands in for the package ansicolors: what it would write, as <green bright>.
-local false_colours = {
-  noReset = function(text) return (text:gsub("%%{(.-)}", "<%1>")) end,
-}
-
--- Runs f(rfsmpp) with an rfsmpp that has been loaded in other surroundings: with
--- `colours` as the package ansicolors, on a terminal or not, with these variables.
-local function in_surroundings(colours, is_terminal, variables, f)
-  local loaded, getenv, global = package.loaded, os.getenv, rawget(_G, "rfsmpp")
-  local real, unistd = loaded.ansicolors, loaded["posix.unistd"]
-  local function restore()
-    loaded.ansicolors, loaded["posix.unistd"] = real, unistd
-    package.preload.ansicolors = nil
-    rawset(os, "getenv", getenv)
-    rawset(_G, "rfsmpp", global)
-  end
-  loaded.ansicolors = colours or nil
-  package.preload.ansicolors = function() error("not installed") end
-  loaded["posix.unistd"] = { isatty = function() return is_terminal and 1 or 0 end }
-  rawset(os, "getenv", function(name) return variables[name] end)
-  local ok, result = pcall(function() return f(dofile("rfsmpp.lua")) end)
-  restore()
-  if not ok then error(result, 0) end
-  return result
-end
-
-local TERMINAL = { TERM = "xterm" }
-
-local function line_of(pp) return pp.dbgcolorize("arm", "DOO", "root.a") end
-
-local PLAIN = "arm:\tDOO                  root.a"
-
 describe("colour", function()
-  it("is there on a terminal, with the package ansicolors", function()
-    assert.equal("<cyan bright>arm<reset>:\t<blue>DOO                 <reset> root.a",
-      in_surroundings(false_colours, true, TERMINAL, line_of))
-  end)
+  local COLOURED = "<cyan><bright>arm:<reset>\t<blue>DOO                 <reset>root.a"
+  local PLAIN = "arm:\tDOO                 root.a"
 
-  it("is missing without the package", function()
-    assert.equal(PLAIN, in_surroundings(nil, true, TERMINAL, line_of))
-  end)
-
-  it("is missing where the output is no terminal", function()
-    assert.equal(PLAIN, in_surroundings(false_colours, false, TERMINAL, line_of))
-  end)
-
-  it("is missing when NO_COLOR is set", function()
-    assert.equal(PLAIN, in_surroundings(false_colours, true,
-      { TERM = "xterm", NO_COLOR = "1" }, line_of))
-  end)
-
-  it("is missing on a terminal that has none", function()
-    local dumb = { TERM = "dumb" }
-    assert.equal(PLAIN, in_surroundings(false_colours, true, dumb, line_of))
-  end)
-
-  it("is there for a print function, whatever the output", function()
-    local plain = { NO_COLOR = "1" }
-    local colours = in_surroundings(false_colours, false, plain, function(pp)
-      local line
-      pp.gen_dbgcolor("arm", nil, nil, function(text) line = text end)("ERROR")
-      return line
+  for _, case in ipairs {
+    { "comes from the package ansicolors", PACKAGE, XTERM, COLOURED },
+    { "comes from the older module ansicolors", OLDER, XTERM, COLOURED },
+    { "is missing without either", nil, XTERM, PLAIN },
+    { "is missing if NO_COLOR is set", PACKAGE, { TERM = "xterm", NO_COLOR = "1" },
+      PLAIN },
+    { "is there if NO_COLOR is empty", PACKAGE, { TERM = "xterm", NO_COLOR = "" },
+      COLOURED },
+    { "is missing if TERM is dumb", PACKAGE, { TERM = "dumb" }, PLAIN },
+    { "is missing if TERM is missing", PACKAGE, {}, PLAIN },
+  } do
+    it(case[1], function()
+      assert.equal(case[4], with(case[2], case[3], function(pp)
+        assert.equal(case[4], pp.dbgcolorize("arm", "DOO", "root.a"))
+        return printed(pp, "DOO", "root.a")
+      end))
     end)
-    assert.equal("<cyan bright>arm<reset>:\t<red bright>ERROR               <reset>",
-      colours)
+  end
+
+  it("of a dbg function is decided when it is made, without a process", function()
+    local popen, execute, variables = io.popen, os.execute, { TERM = "xterm" }
+    local function fail() error("a process") end
+    rawset(io, "popen", fail)
+    rawset(os, "execute", fail)
+    local ok, line = pcall(with, PACKAGE, variables, function(pp)
+      local text
+      local dbg = pp.gen_dbgcolor("arm", nil, nil, function(made) text = made end)
+      variables.NO_COLOR = "1"
+      dbg("DOO", "root.a")
+      return text
+    end)
+    rawset(io, "popen", popen)
+    rawset(os, "execute", execute)
+    assert.is_true(ok)
+    assert.equal(COLOURED, line)
   end)
+
+  for id, colour in pairs { -- any order
+    STATE_ENTER = "green", STATE_EXIT = "red", EFFECT = "yellow", DOO = "blue",
+    EXEC_PATH = "cyan", ERROR = "red bright", HIBERNATING = "magenta",
+    RAISED = "white bright", TIMEEVENT = "yellow bright", CHECKING = "",
+  } do
+    it("of " .. id .. " is " .. colour, function()
+      local padded = id .. (" "):rep(20 - #id)
+      local expected = colour == "" and padded or tag(colour) .. padded .. "<reset>"
+      assert.equal("<cyan><bright>arm:<reset>\t" .. expected,
+        with(PACKAGE, XTERM, function(pp) return printed(pp, id) end))
+    end)
+  end
 end)
 
-describe("dbgcolor", function()
-  it("prints the line that dbgcolorize makes", function()
+describe("a record", function()
+  local bad = setmetatable({}, { __tostring = function() error("no") end })
+  local loop = { 1 }
+  loop[2] = loop
+  local fsm = machine()
+
+  for _, case in ipairs {
+    { "1 nil false 0.5", n = 5, 1, nil, false, 0.5 },
+    { 'e {1,"x",k={a=true}}', "e", { 1, "x", k = { a = true } } },
+    { '{"a \\"b\\"\\nc",[3]=3,["a b"]=2,z=1}',
+      { "a \"b\"\nc", [3] = 3, ["a b"] = 2, z = 1 } },
+    { "root.b T={ src='root.a', tgt='root.b', events='e' }", fsm.b, fsm[2] },
+    { "table", bad },
+  } do
+    it("shows its arguments: " .. case[1], function()
+      local line = with(nil, {}, function(pp)
+        return printed(pp, "X", unpack(case, 2, case.n or #case))
+      end)
+      assert.equal("arm:\tX" .. (" "):rep(19) .. case[1], line)
+    end)
+  end
+
+  it("shows a table that contains itself", function()
+    local line = with(nil, {}, function(pp) return printed(pp, "X", loop) end)
+    assert.matches("^arm:\tX                   {1,table: [%w]+}$", line)
+  end)
+
+  it("has no blank between a long id and its arguments, and no name if there is none",
+    function()
+      assert.equal(("I"):rep(25) .. "a b", with(nil, {}, function(pp)
+        return pp.dbgcolorize(nil, ("I"):rep(25), "a", "b")
+      end))
+    end)
+
+  it("is printed by dbgcolor", function()
     local lines = helper.printed(function() rfsmpp.dbgcolor("arm", "DOO", "root.a") end)
     assert.same({ rfsmpp.dbgcolorize("arm", "DOO", "root.a") }, lines)
   end)
 end)
 
 describe("gen_dbgcolor", function()
-  it("prints the name, the id in its colour and the arguments", function()
-    local expected = {
-      "<36><1>arm<0>:\t<32>STATE_ENTER         <0> root.a",
-      "<36><1>arm<0>:\t<31>STATE_EXIT          <0> root.a",
-      "<36><1>arm<0>:\t<33>EFFECT              <0> root.a",
-      "<36><1>arm<0>:\t<34>DOO                 <0> root.a",
-      "<36><1>arm<0>:\t<36>EXEC_PATH           <0> root.a",
-      "<36><1>arm<0>:\t<31><1>ERROR               <0> root.a",
-      "<36><1>arm<0>:\t<35>HIBERNATING         <0> root.a",
-      "<36><1>arm<0>:\t<37><1>RAISED              <0> root.a",
-      "<36><1>arm<0>:\t<33><1>TIMEEVENT           <0> root.a",
-      "<36><1>arm<0>:\tCHECKING             root.a",
-    }
-    for i = 1, has_ansicolors and 0 or #expected do
-      expected[i] = expected[i]:gsub("<%d+>", "")
-    end
-    assert.same(expected, printed(nil, nil, "STATE_ENTER", "STATE_EXIT", "EFFECT",
-      "DOO", "EXEC_PATH", "ERROR", "HIBERNATING", "RAISED", "TIMEEVENT", "CHECKING"))
-  end)
-
-  it("prints what ids names, and nothing else when defshow is false", function()
-    assert.equal(1, #printed({ DOO = true }, false, "DOO", "EFFECT"))
-  end)
-
-  it("prints what ids does not mention when defshow is true", function()
-    assert.equal(2, #printed({ DOO = true }, true, "DOO", "EFFECT"))
-    assert.equal(1, #printed({ DOO = false }, true, "DOO", "EFFECT"))
-  end)
-
-  it("prints what ids does not forbid when defshow is absent", function()
-    assert.equal(1, #printed({ DOO = false }, nil, "DOO", "EFFECT"))
-  end)
-
-  it("prints plain text where no colour is wanted", function()
-    local lines = helper.printed(function()
-      rfsmpp.gen_dbgcolor("arm")("DOO", 1, nil, false)
+  for _, case in ipairs { -- ids, defshow, which of DOO and EFFECT are printed
+    { nil, nil, "DOO EFFECT" }, { { DOO = true }, false, "DOO" },
+    { { DOO = true }, true, "DOO EFFECT" }, { { DOO = false }, true, "EFFECT" },
+    { { DOO = false }, nil, "EFFECT" }, { {}, false, "" },
+  } do
+    it(("prints '%s' with defshow %s"):format(case[3], tostring(case[2])), function()
+      local ids = {}
+      local dbg = rfsmpp.gen_dbgcolor("m", case[1], case[2], function(line)
+        ids[#ids + 1] = line:match("DOO") or line:match("EFFECT")
+      end)
+      dbg("DOO")
+      dbg("EFFECT")
+      assert.equal(case[3], table.concat(ids, " "))
     end)
-    -- the specs run with their output in a file or pipe, or on a terminal
-    assert.equal("arm:\tDOO                  1 nil false",
-      (lines[1]:gsub("\27%[%d+m", "")))
+  end
+
+  it("uses the print of the moment, and a name for a machine without", function()
+    local lines = helper.printed(function() rfsmpp.gen_dbgcolor()("DOO") end)
+    assert.matches("<unnamed SM>:", lines[1])
   end)
 
-  it("bears values that cannot be printed", function()
-    local bad = setmetatable({}, { __tostring = function() error("no") end })
-    local lines = {}
-    rfsmpp.gen_dbgcolor("m", nil, true, function(line) lines[1] = line end)("X", bad)
-    assert.matches("table$", lines[1])
-  end)
-
-  it("blames the caller for a print function that is none", function()
-    local ok, problem = pcall(function()
-      return (rfsmpp.gen_dbgcolor("m", {}, true, "print"))
+  for _, case in ipairs {
+    { "function expected, got string", { "m", {}, true, "print" } },
+    { "table of ids expected, got string", { "m", "DOO" } },
+  } do
+    it("blames the caller: " .. case[1], function()
+      local a = case[2]
+      local ok, problem = pcall(function()
+        return (rfsmpp.gen_dbgcolor(a[1], a[2], a[3], a[4]))
+      end)
+      assert.is_false(ok)
+      assert.matches("pp_spec.lua:%d+: rfsmpp.gen_dbgcolor: " .. case[1], problem)
     end)
-    assert.is_false(ok)
-    assert.matches("pp_spec.lua:%d+: rfsmpp.gen_dbgcolor: function expected, got "
-      .. "string", problem)
-  end)
+  end
 
   it("traces a machine", function()
-    local lines = {}
-    local fsm = machine()
-    fsm.dbg = rfsmpp.gen_dbgcolor("m", { STATE_ENTER = true, STATE_EXIT = true }, false,
-      function(line) lines[#lines + 1] = line:gsub("\27%[%d+m", "") end)
+    local lines, fsm = {}, machine()
+    fsm.dbg = rfsmpp.gen_dbgcolor("m", { STATE_ENTER = true }, false, function(line)
+      lines[#lines + 1] = line:gsub("\27%[%d+m", "")
+    end)
     rfsm.run(fsm)
     assert.same({
-      "m:\tSTATE_ENTER          root", "m:\tSTATE_ENTER          root.a",
-      "m:\tSTATE_ENTER          root.a.x",
+      "m:\tSTATE_ENTER         root", "m:\tSTATE_ENTER         root.a",
+      "m:\tSTATE_ENTER         root.a.x",
     }, lines)
   end)
 end)
 
 describe("fsm2str", function()
+  local function tree(fsm, depth, colours)
+    return with(colours, XTERM, function(pp) return pp.fsm2str(fsm, depth) end)
+  end
+
   it("draws the states as a tree, sorted by name, with their modes", function()
-    local tree = rfsmpp.fsm2str(machine()):gsub("\27%[%d+m", "")
-    assert.equal("root[CS] inactive\n  a[CS] inactive\n    x[LS] inactive\n"
-      .. "  b[LS] inactive", tree)
+    assert.equal("root inactive\n    a[CS] inactive\n        x[LS] inactive\n"
+      .. "    b[LS] inactive\n", tree(machine()))
   end)
 
-  it("shows what is active, done and inactive by colour", function()
+  it("takes the depth of the states in the root", function()
+    assert.equal("root inactive\na[CS] inactive\n    x[LS] inactive\nb[LS] inactive\n",
+      tree(machine(), 0))
+  end)
+
+  it("shows active, done and inactive states by colour", function()
     local fsm = machine()
-    local function tree()
-      return in_surroundings(false_colours, true, TERMINAL, function(pp)
-        return pp.fsm2str(fsm)
-      end)
-    end
     rfsm.run(fsm)
-    assert.equal("<green>root<reset>[CS]\n  <green>a<reset>[CS]\n"
-      .. "    <yellow>x<reset>[LS]\n  <red>b<reset>[LS]", tree())
+    assert.equal("<green>root<reset>\n<green>a<reset>[CS]\n"
+      .. "    <yellow>x<reset>[LS]\n<red>b<reset>[LS]\n", tree(fsm, 0, PACKAGE))
     helper.post_and_run(fsm, "e")
-    assert.equal("<green>root<reset>[CS]\n  <red>a<reset>[CS]\n"
-      .. "    <red>x<reset>[LS]\n  <green bright>b<reset>[LS]", tree())
+    assert.equal("<green>root<reset>\n<red>a<reset>[CS]\n    <red>x<reset>[LS]\n"
+      .. "<green><bright>b<reset>[LS]\n", tree(fsm, 0, OLDER))
   end)
 
   it("draws one line for a state, whatever its name", function()
     local fsm = helper.init(state {
       ["a\nb\27[1m"] = state {}, trans { src = "initial", tgt = "a\nb\27[1m" },
     })
-    assert.equal("root[CS] inactive\n  a\\10b\\27[1m[LS] inactive",
-      (rfsmpp.fsm2str(fsm):gsub("\27%[%d+m", "")))
-  end)
-
-  it("starts each line with the indent", function()
-    local tree = rfsmpp.fsm2str(machine(), "| "):gsub("\27%[%d+m", "")
-    assert.equal("| root[CS] inactive\n|   a[CS] inactive\n|     x[LS] inactive\n"
-      .. "|   b[LS] inactive", tree)
+    assert.equal("root inactive\n    a\\10b\\27[1m[LS] inactive\n", tree(fsm))
   end)
 
   it("wants an initialised fsm", function()

@@ -1,25 +1,93 @@
--- The stand-in for RTT: what it has in common with the real one and a careless user
--- of RTT would not expect.
+-- Facts of RTT-Lua that a careless user would not expect, on the stand-in for RTT; in a
+-- rttlua this file shows that the stand-in is like the real one.
 
-local rtt = require "spec.support.rtt"
-local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
+local rtt_helper = require "spec.support.rtt_helper"
 
-
-local connected, policy, pose = rtt_helper.connected, rtt_helper.policy, rtt_helper.pose
+local rtt = rtt_helper.rtt
+local connected, policy, struct =
+  rtt_helper.connected, rtt_helper.policy, rtt_helper.struct
 local samples, write_all, logged =
   rtt_helper.samples, rtt_helper.write_all, rtt_helper.logged
-local evaluate = rtt_helper.evaluate
-local standin = rtt.standin
+local evaluate, spin, deploy = rtt_helper.evaluate, rtt_helper.spin, rtt_helper.deploy
+
+local Variable = rtt.Variable.new
 
 before_each(rtt_helper.reset)
 after_each(rtt_helper.reset)
 
-describe("the stand-in for RTT", function()
+-- Returns what a Variable of this type makes of a value; "raises" when it does.
+local function converted(kind, value)
+  local ok, result = pcall(function()
+    local var = Variable(kind)
+    var:assign(value)
+    return var:tolua()
+  end)
+  return ok and result or not ok and "raises"
+end
+
+local CONVERSIONS = { -- type, value, result
+  { "string", 3, "raises" }, { "string", true, "raises" }, { "string", "a\0b", "a" },
+  { "int", "3", "raises" }, { "int", true, "raises" }, { "double", "0.1", "raises" },
+  { "int", 2.9, 2 }, { "int", -2.9, -2 }, { "int", 2 ^ 31, -2 ^ 31 },
+  { "uint", -1, 2 ^ 32 - 1 }, { "uint", 2 ^ 32 + 5, 5 }, { "uint", 1.7, 1 },
+  { "bool", 3, true }, { "bool", 0, false }, { "bool", "true", "raises" },
+  { "char", "abc", "a" }, { "char", "", "\0" }, { "char", 65, "raises" },
+  { "llong", 3, "raises" }, { "ullong", 3, "raises" },
+}
+
+describe("a Variable of RTT", function()
+  for _, case in ipairs(CONVERSIONS) do
+    local kind, value, result = case[1], case[2], case[3]
+    it(("of type %s makes %s of %s %s"):format(kind, tostring(result), type(value),
+      tostring(value):gsub("%z", "\\0")), function()
+      assert.equal(result, converted(kind, value))
+    end)
+  end
+
+  it("converts numbers of other types, and warns of a double for an int", function()
+    local int, double = Variable("int"), Variable("double")
+    double:assign(2.9)
+    int:assign(double)
+    assert.equal(2, int:tolua())
+    assert.same({ "Warning: Conversion from double to int" }, logged("Conversion"))
+    double:assign(int)
+    assert.equal(2, double:tolua())
+    assert.equal(1, #logged("Conversion"))
+  end)
+
+  it("makes an empty string of an int, and raises for other texts", function()
+    local text = Variable("string")
+    text:assign("before")
+    text:assign(Variable("int"))
+    assert.equal("", text:tolua())
+    assert.is_false((pcall(text.assign, text, Variable("double"))))
+    assert.is_false((pcall(Variable("int").assign, Variable("int"), text)))
+  end)
+
+  it("takes wide integers from a double, and returns them to one", function()
+    local wide, double = Variable("llong"), Variable("double")
+    double:assign(2 ^ 40 + 1)
+    wide:assign(double)
+    assert.is_false((pcall(wide.tolua, wide)))
+    double:assign(0)
+    double:assign(wide)
+    assert.equal(2 ^ 40 + 1, double:tolua())
+    assert.same({}, logged("Conversion"))
+  end)
+
+  it("raises for a member that it has not", function()
+    assert.is_false((pcall(function() return Variable("int").nope end)))
+    assert.is_false((pcall(Variable, "nonsense")))
+  end)
+end)
+
+describe("a port of RTT", function()
   it("returns a value with NoData and OldData, and only a status for a Variable",
     function()
       local into, out = connected("string")
       assert.same({ "NoData", "" }, { into:read() })
-      local var = rtt.Variable("string", "before")
+      local var = Variable("string")
+      var:assign("before")
       assert.same({ "NoData" }, { into:read(var) })
       assert.equal("before", var:tolua())
       out:write("e_a")
@@ -31,126 +99,253 @@ describe("the stand-in for RTT", function()
   it("reads nothing into a Variable of another type, and logs that", function()
     local into, out = connected("string")
     out:write("e_a")
-    assert.equal("NoData", into:read(rtt.Variable("int")))
+    assert.equal("NoData", into:read(Variable("int")))
     assert.equal(1, #logged("incompatible"))
   end)
 
-  it("writes the first argument only", function()
+  it("writes the first argument only, and no Variable of another type", function()
     local into, out = connected("string")
     out:write("e_a", "e_b")
+    out:write(Variable("int"))
     assert.same({ "e_a" }, samples(into))
+    assert.equal(1, #logged("incompatible"))
   end)
 
   it("copies what is written", function()
-    local into, out = connected("Pose")
-    local var = pose(1, 2)
+    local into, out = connected("ConnPolicy")
+    local var = struct(1, 2)
     out:write(var)
-    var.x = 3
-    assert.equal(1, samples(into)[1].x)
+    var.size = 3
+    assert.equal(2, samples(into)[1].size)
   end)
 
   it("keeps the last sample without a buffer, the first ones in a full one", function()
-    local out, data = rtt.OutputPort("string"), rtt.InputPort("string")
-    local buffer, ring = rtt.InputPort("string"), rtt.InputPort("string")
-    out:connect(data)
-    out:connect(buffer, policy(2))
-    out:connect(ring, policy(2, 2))
-    write_all(out, "e_a", "e_b", "e_c")
+    local data, out_data = connected("string", policy(1, 0))
+    local buffer, out_buffer = connected("string", policy(2))
+    local ring, out_ring = connected("string", policy(2, 2))
+    for _, out in ipairs { out_data, out_buffer, out_ring } do
+      write_all(out, "e_a", "e_b", "e_c")
+    end
     assert.same({ "e_c" }, samples(data))
     assert.same({ "e_a", "e_b" }, samples(buffer))
     assert.same({ "e_b", "e_c" }, samples(ring))
   end)
 
-  it("replaces and disconnects a port whose name is used again", function()
-    local component = rtt.getTC()
-    local into, out = connected("string")
-    component:addPort(into, "events")
-    component:addPort(rtt.InputPort("string"), "events")
-    assert.is_false(out:connected())
-    assert.same({ "events" }, component:getPortNames())
-    assert.equal(1, #logged("name already in use"))
+  it("ignores a policy in connect, and obeys the default when it was made", function()
+    local into, out = rtt_helper.input(), rtt_helper.output()
+    assert.is_true(out:connect(into, policy(8)))
+    write_all(out, "e_a", "e_b")
+    assert.same({ "e_b" }, samples(into))
+    local default = rtt.globals_get("DefaultConnPolicy")
+    default.type, default.size = 1, 8
+    into, out = rtt_helper.input(), rtt_helper.output()
+    default.type, default.size = 0, 0
+    assert.is_true(out:connect(into))
+    write_all(out, "e_a", "e_b")
+    assert.same({ "e_a", "e_b" }, samples(into))
   end)
 
-  it("returns false when code fails, and logs why", function()
-    local tc = rtt.getTC():getPeer("Deployer")
-    tc:import("ocl")
-    tc:loadComponent("arm", "OCL::LuaComponent")
-    local exec_str = tc:getPeer("arm"):getOperation("exec_str")
+  it("says in info() whether it is connected, and has no method for that", function()
+    local into, out = rtt_helper.input(), rtt_helper.output()
+    assert.is_false(into:info().connected)
+    out:connect(into)
+    assert.is_true(into:info().connected)
+    assert.equal("in string", into:info().porttype .. " " .. into:info().type)
+    assert.is_nil(into.connected)
+  end)
+
+  it("is not connected to one of another type or direction", function()
+    assert.is_false(rtt_helper.output("int"):connect(rtt_helper.input("string")))
+    assert.is_false(rtt_helper.input():connect(rtt_helper.input()))
+  end)
+
+  it("raises in every method once it was deleted", function()
+    local port, other = rtt.OutputPort.new("string", "gone"), rtt_helper.input()
+    port:connect(other)
+    port:delete()
+    for _, name in ipairs { "write", "info", "connect", "disconnect", "delete" } do
+      assert.is_false((pcall(function() port[name](port, other) end)))
+    end
+    assert.is_false(other:info().connected)
+  end)
+
+  it("keeps its name when it is added connected", function()
+    local own = rtt.getTC()
+    local into, out = rtt.InputPort.new("string", "old"), rtt_helper.output()
+    out:connect(into)
+    own:addPort(into, "new", "described")
+    assert.equal("old described", into:info().name .. " " .. into:info().desc)
+  end)
+
+  it("replaces and disconnects one whose name it has", function()
+    local own = rtt.getTC()
+    local first, out = rtt.InputPort.new("string", "events"), rtt_helper.output()
+    own:addPort(first)
+    out:connect(first)
+    local before = #own:getPortNames()
+    own:addPort(rtt.InputPort.new("string", "events"))
+    assert.is_false(out:info().connected)
+    assert.equal(before, #own:getPortNames())
+    assert.equal(1, #logged("'addPort' events: name already in use. D"))
+    first:delete()
+  end)
+end)
+
+describe("a Lua of RTT", function()
+  local arm, exec_str
+
+  before_each(function() arm, exec_str = rtt_helper.load("arm") end)
+
+  it("has callable constructors and operations as methods with rttlib only", function()
+    assert.equal("false nil", evaluate(exec_str,
+      "pcall(function() return rtt.Variable('int') end) and true, rtt.getTC().trigger"))
+    exec_str("require 'rttlib'")
+    assert.equal("true function table table table", evaluate(exec_str,
+      "rtt.Variable('int') ~= nil, type(rtt.getTC().trigger), type(rttlib), "
+      .. "type(utils), type(rtt.globals)"))
+    assert.equal("nil", evaluate(exec_str, "rtt.getTC().nope"))
+  end)
+
+  it("is its own: globals, modules, rttlib", function()
+    exec_str("require 'rttlib' rfsm = 3 string.rep = 3 package.loaded.io = 3")
+    assert.is_function(string.rep)
+    assert.equal(io, package.loaded.io)
+    local _, exec_leg = rtt_helper.load("leg")
+    assert.equal("nil nil leg",
+      evaluate(exec_leg, "rttlib, rfsm, rtt.getTC():getName()"))
+  end)
+
+  it("returns false when code fails, and logs the reason", function()
     assert.is_true(exec_str("x = 1"))
     assert.is_false(exec_str("error('boom', 0)"))
     assert.is_false(exec_str("x ="))
     assert.same({ "Error: LuaComponent 'arm': boom" }, logged("boom"))
+    assert.is_false((pcall(exec_str, 3)))
+    assert.is_false((pcall(exec_str)))
   end)
 
-  describe("in a component", function()
-    local deployer, arm, exec_str
+  it("cuts code and log at a zero", function()
+    assert.is_true(exec_str("x = 1 \0 nonsense"))
+    assert.equal("1", evaluate(exec_str, "x"))
+  end)
 
-    before_each(function()
-      deployer = rtt.getTC():getPeer("Deployer")
-      deployer:import("ocl")
-      deployer:loadComponent("arm", "OCL::LuaComponent")
-      arm = deployer:getPeer("arm")
-      exec_str = arm:getOperation("exec_str")
-    end)
+  it("logs texts without blanks between", function()
+    rtt.logl("Error", "one", 2, "three")
+    assert.same({ "Error: one2three" }, logged("one"))
+    assert.is_false((pcall(rtt.logl, "Error", "half", true)))
+    rtt.logl("Error", "whole")
+    assert.same({ "Error: halfwhole" }, logged("whole"))
+  end)
 
-    it("removes a hook that does not return true", function()
-      exec_str("n = 0 function count() n = n + 1 end hook = rtt.EEHook('count') "
-        .. "hook:enable()")
-      for _ = 1, 3 do
-        arm:trigger()
-        standin.spin()
-      end
-      assert.equal("1", evaluate(exec_str, "n"))
-    end)
+  it("executes its properties when it is configured, and only logs errors", function()
+    arm:getProperty("lua_string"):set("n = (n or 0) + 1 error('in string', 0)")
+    arm:getProperty("lua_file"):set(rtt_helper.file_with(
+      "function configureHook() m = (m or 0) + 1 return true end"))
+    assert.is_true(arm:configure())
+    assert.is_true(arm:configure())
+    assert.equal("2 2", evaluate(exec_str, "n, m"))
+    assert.equal(2, #logged("in string"))
+  end)
 
-    it("collects a hook that nobody holds", function()
-      exec_str("n = 0 function count() n = n + 1 return true end "
-        .. "rtt.EEHook('count'):enable()")
-      collectgarbage()
-      collectgarbage()
-      arm:trigger()
-      standin.spin()
-      assert.equal("0", evaluate(exec_str, "n"))
-    end)
+  it("wants a boolean of configureHook", function()
+    exec_str("function configureHook() end")
+    assert.is_false(arm:configure())
+    assert.equal("PreOperational", arm:getState())
+    assert.same({ "Error: LuaComponent 'arm': configureHook must return a bool but "
+      .. "returned a nil" }, logged("configureHook"))
+  end)
 
-    it("wants a boolean of configureHook", function()
-      exec_str("function configureHook() end")
-      assert.is_false(arm:configure())
-      assert.same({ "Error: LuaComponent 'arm': configureHook must return a bool but "
-        .. "returned a nil" }, logged("configureHook"))
-    end)
+  it("goes on when updateHook fails", function()
+    exec_str("n = 0 function updateHook() n = n + 1 error('tired', 0) end")
+    assert.is_true(arm:configure())
+    assert.is_true(arm:start())
+    spin()
+    arm:getOperation("trigger")()
+    spin()
+    assert.equal("Running", arm:getState())
+    assert.equal("2", evaluate(exec_str, "n"))
+    assert.equal(2, #logged("error calling function updateHook: tired"))
+  end)
 
-    it("keeps its Lua to itself", function()
-      exec_str("rfsm = 3 string.rep = 3 package.loaded.io = 3")
-      assert.is_function(string.rep)
-      assert.equal(io, package.loaded.io)
-      assert.equal("arm", evaluate(exec_str, "rtt.getTC():getName()"))
-    end)
+  it("removes a hook that does not return true, in any state", function()
+    exec_str("n = 0 function count() n = n + 1 return n < 3 end "
+      .. "hook = rtt.EEHook.new('count') hook:enable()")
+    for _ = 1, 5 do
+      arm:getOperation("trigger")()
+      spin()
+    end
+    assert.equal("3 PreOperational", evaluate(exec_str, "n, rtt.getTC():getState()"))
+  end)
 
-    it("does not change the activity of one that runs", function()
-      arm:configure()
-      arm:start()
-      assert.is_false(deployer:setActivity("arm", 0.1, 0, 0))
-      assert.is_false(deployer:unloadComponent("arm"))
-    end)
+  it("does not change the activity of one that runs, nor unload it", function()
+    arm:configure()
+    arm:start()
+    assert.is_false(deploy("setActivity", "arm", 0.1, 0, 0))
+    assert.is_false(deploy("unloadComponent", "arm"))
+  end)
+end)
 
-    it("has properties", function()
-      arm:addProperty(rtt.Property("double", "speed", "in m/s"))
-      arm:getProperty("speed"):set(2)
-      assert.same({ "speed" }, arm:getPropertyNames())
-      assert.equal(2, arm:getProperty("speed"):get())
-    end)
+describe("a process of RTT", function()
+  it("has the component lua and the deployer, peers of each other", function()
+    local own = rtt.getTC()
+    assert.equal("lua PreOperational", own:getName() .. " " .. own:getState())
+    assert.same({ "Deployer" }, own:getPeers())
+    assert.same({ "lua" }, rtt_helper.deployer():getPeers())
+  end)
+
+  it("has a HelloWorld with two ports, not configured", function()
+    local host = rtt_helper.load("host", "OCL::HelloWorld")
+    assert.equal("PreOperational", host:getState())
+    local names = host:getPortNames()
+    table.sort(names)
+    assert.same({ "the_buffer_port", "the_results" }, names)
   end)
 
   it("raises for what is not there", function()
-    local tc = rtt.getTC()
+    local own = rtt.getTC()
     for _, f in ipairs {
-      function() tc:getPeer("nobody") end, function() tc:getPort("none") end,
-      function() tc:getOperation("none") end, function() tc:noSuchOperation() end,
-      function() tc:provides("Lua"):getOperation("exec_str") end,
-      function() rtt.Variable("nonsense") end, function() rtt.InputPort("nonsense") end,
+      function() own:getPeer("nobody") end, function() own:getPort("none") end,
+      function() own:getProperty("none") end, function() own:getOperation("none") end,
+      function() own:provides("nope") end, function() rtt.InputPort.new("nonsense") end,
     } do
       assert.is_false((pcall(f)))
     end
+    assert.is_false(own:hasOperation("none"))
+    assert.is_nil(own.none)
+    assert.equal("lua", own:provides():getName())
+  end)
+end)
+
+-- These end the process of the real one, or its log.
+describe("an error of a user #standin", function()
+  if not rtt_helper.is_standin then return end
+
+  it("that is no text mutes the log", function()
+    local _, exec_str = rtt_helper.load("arm")
+    assert.is_false(exec_str("error({})"))
+    assert.is_false(exec_str("error('lost', 0)"))
+    rtt.logl("Warning", "lost as well")
+    assert.same({ "Error: LuaComponent 'arm': ", "Error: ", "Warning: " },
+      rtt_helper.logged(""))
+  end)
+
+  local DEADLY = {
+    { "an EEHook without its function", "count = nil" },
+    { "an EEHook that is garbage", "hook = nil collectgarbage() collectgarbage()" },
+  }
+  for _, case in ipairs(DEADLY) do
+    it(case[1] .. " ends the process", function()
+      local arm, exec_str = rtt_helper.load("arm")
+      exec_str("function count() return true end hook = rtt.EEHook.new('count') "
+        .. "hook:enable() " .. case[2])
+      arm:getOperation("trigger")()
+      assert.has_error(spin)
+    end)
+  end
+
+  it("that deletes a port before it is removed ends the process", function()
+    rtt_helper.output():delete()
+    assert.has_error(function() rtt.getTC():getPortNames() end)
+    rtt.standin.reset()
   end)
 end)

@@ -6,7 +6,7 @@ local rfsm = require "rfsm"
 local state, trans = rfsm.state, rfsm.trans
 
 -- (initial) -> a --e_x--> b --e_x--> a, noting entries and exits as "NAME entry a".
-local function sub(trace, name)
+local function region(trace, name)
   local function note(_, self, what)
     trace[#trace + 1] = name .. " " .. what .. " " .. self._id
   end
@@ -21,7 +21,7 @@ local function sub(trace, name)
 end
 
 -- (initial) -> par --e_leave--> off --e_enter--> par
-local function around(par)
+local function parent(par)
   return state {
     warn = false, info = false, par = par, off = state {},
     trans { src = "initial", tgt = "par" },
@@ -32,11 +32,11 @@ end
 
 local function two(trace, fields)
   fields = fields or {}
-  fields.left, fields.right = sub(trace, "left"), sub(trace, "right")
-  return around(rfsm.seqand(fields))
+  fields.left, fields.right = region(trace, "left"), region(trace, "right")
+  return parent(rfsm.seqand(fields))
 end
 
--- A sub that notes its cycles; each is one doo cycle.
+-- A region that notes its cycles; each is one doo cycle.
 local function worker(trace, name, cycles)
   return state {
     warn = false, info = false,
@@ -66,49 +66,68 @@ describe("rfsm.seqand", function()
   end)
 
   it("returns a leaf state", function()
-    assert.is_true(rfsm.is_leaf(rfsm.seqand { left = sub({}, "left") }))
+    assert.is_true(rfsm.is_leaf(rfsm.seqand { left = region({}, "left") }))
   end)
 
-  it("may be called as rfsm.seqand:new", function()
-    local par = rfsm.seqand:new { left = sub({}, "left") }
-    local fsm = helper.init(around(par))
+  for name, make in pairs { -- any order
+    ["rfsm.seqand:new"] = function(fields) return rfsm.seqand:new(fields) end,
+    ["rfsm_seqand.new"] = require("rfsm_seqand").new,
+  } do
+    it("may be called as " .. name, function()
+      local fsm = helper.init(parent(make { left = region({}, "left") }))
+      rfsm.run(fsm)
+      assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates.left))
+    end)
+  end
+
+  it("takes regions at positions, before those with names", function()
+    local trace = {}
+    local fsm = helper.init(parent(rfsm.seqand {
+      order = { 2 }, left = region(trace, "left"), region(trace, "one"),
+      region(trace, "two"),
+    }))
     rfsm.run(fsm)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates.left))
+    assert.same({
+      "two entry root", "two entry a", "one entry root", "one entry a",
+      "left entry root", "left entry a",
+    }, trace)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates[2]))
   end)
 
   it("leaves the table it is given as it is", function()
-    local fields = { left = sub({}, "left") }
+    local fields = { left = region({}, "left") }
     rfsm.seqand(fields)
     assert.is_nil(fields.doo)
     assert.is_table(fields.left)
   end)
 
   it("keeps the user's data", function()
-    local par = rfsm.seqand { left = sub({}, "left"), colour = "red" }
-    local fsm = helper.init(around(par))
+    local par = rfsm.seqand { left = region({}, "left"), colour = "red" }
+    local fsm = helper.init(parent(par))
     assert.equal("red", fsm.par.colour)
   end)
 
   it("takes initialised machines, too", function()
     local trace = {}
-    local given = helper.init(sub(trace, "left"))
-    local fsm = helper.init(around(rfsm.seqand { left = given }))
+    local given = helper.init(region(trace, "left"))
+    local fsm = helper.init(parent(rfsm.seqand { left = given }))
     rfsm.run(fsm)
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates.left))
     assert.is_false(rfsm.get_actleaf_fqn(given))
   end)
 
   it("hands on what was set on an initialised machine", function()
-    local given, records = helper.init(sub({}, "left")), {}
+    local given, records = helper.init(region({}, "left")), {}
     given.dbg = function(id) records[#records + 1] = id end
-    local fsm = helper.init(around(rfsm.seqand { left = given }))
+    local fsm = helper.init(parent(rfsm.seqand { left = given }))
     rfsm.step(fsm)
     assert.is_true(#records > 0)
   end)
 
   it("may be the root of a machine", function()
     local fsm = helper.init(rfsm.seqand {
-      warn = false, info = false, left = sub({}, "left"), right = sub({}, "right"),
+      warn = false, info = false,
+      left = region({}, "left"), right = region({}, "right"),
     })
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_x")
@@ -116,11 +135,11 @@ describe("rfsm.seqand", function()
     assert.equal("root.b root.b", leaves(fsm))
   end)
 
-  it("runs subs that are leaves", function()
+  it("runs regions that are leaves", function()
     local trace = {}
     local leaf = state { warn = false, entry = function() trace[1] = "in" end,
       exit = function() trace[2] = "out" end }
-    local fsm = helper.init(around(rfsm.seqand { left = leaf }))
+    local fsm = helper.init(parent(rfsm.seqand { left = leaf }))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_leave")
     assert.same({ "in", "out" }, trace)
@@ -136,9 +155,8 @@ describe("a wrong sequential AND state", function()
     { "step: number of steps expected, got string '2'", { step = "2" } },
     { "run: boolean expected, got number", { run = 1 } },
     { "order: list of names expected, got string 'left'", { order = "left" } },
-    { "order[1]: name of a sub machine expected, got string 'up' (there are 'left')",
-      { order = { "up" } } },
-    { "order[2]: 'left' stands there twice", { order = { "left", "left" } } },
+    { "order[1]: name of a region expected, got string 'up' (there are '1', 'left')",
+      { order = { "up" }, state {} } },
     { "idle_doo: true, false or 'auto' expected, got number", { idle_doo = 1 } },
     { "idle.doo: true, false or 'auto' expected, got string 'no'",
       { ["idle.doo"] = "no" } },
@@ -146,14 +164,13 @@ describe("a wrong sequential AND state", function()
     { "substates: is the state's own, and cannot be set", { substates = {} } },
     { "entry: cannot be a state", { entry = state {} } },
     { "k: cannot be a connector", { k = rfsm.conn {} } },
-    { "a sub machine needs a name (name = ...)", { state {} } },
-    { "a sub machine needs a name (name = ...)", -- the least text
+    { "doo: is the state's own, and cannot be set", -- the least text
       { state {}, doo = print, substates = {}, run = state {}, k = rfsm.conn {} } },
   }
   for _, case in ipairs(CASES) do
     it("is refused: " .. case[1], function()
       local fields = case[2]
-      if fields then fields.left = sub({}, "left") end
+      if fields then fields.left = region({}, "left") end
       local _, text = pcall(function() return (rfsm.seqand(fields)) end)
       local place, message = text:match("^(.-:%d+): (.*)$")
       assert.matches("seqand_spec.lua", place)
@@ -161,20 +178,22 @@ describe("a wrong sequential AND state", function()
     end)
   end
 
-  it("is refused for an order without subs", function()
+  it("is refused for an order without regions", function()
     local _, text = pcall(function() return (rfsm.seqand { order = { "up" } }) end)
-    assert.matches(": rfsm%.seqand: order%[1%]: name of a sub machine expected, got "
+    assert.matches(": rfsm%.seqand: order%[1%]: name of a region expected, got "
       .. "string 'up' %(there are none%)$", text)
   end)
 
-  it("with a sub that is wrong is a problem of the model, with its place", function()
+  it("with a region that is wrong is a problem of the model, with its place", function()
     local broken = state { err = false, warn = false, info = false, a = state {},
       trans { src = "initial", tgt = "b" } }
-    local model = around(rfsm.seqand { left = broken })
+    local model = parent(rfsm.seqand { left = broken })
     model.err = false
     local _, problems = rfsm.init(model)
-    assert.same({ "root.par.left: root.trans[1]: tgt 'b': no state or connector is "
-      .. "named 'b' in 'root' (there are 'a', 'initial')" }, problems)
+    assert.equal(1, #problems)
+    assert.matches("^spec/seqand_spec.lua:%d+: root.par.left: root.trans%[1%] "
+      .. "%(initial %-> b%): tgt 'b': no state or connector is named 'b' in 'root'",
+      problems[1])
   end)
 
   it("that contains itself is a problem of the model", function()
@@ -188,7 +207,7 @@ describe("a wrong sequential AND state", function()
 end)
 
 describe("entry", function()
-  it("is the user's, then one step of each sub in order", function()
+  it("is the user's, then one step of each region in order", function()
     local trace = {}
     local fsm = helper.init(two(trace, {
       order = { "right", "left" },
@@ -201,7 +220,7 @@ describe("entry", function()
     }, trace)
   end)
 
-  it("of the user that fails goes to err, and the subs are entered", function()
+  it("of the user that fails goes to err, and the regions are entered", function()
     local trace, errors = {}, {}
     local model = two(trace, { entry = function() error("no", 0) end })
     model.err = function(...) errors[#errors + 1] = table.concat({ ... }) end
@@ -220,7 +239,7 @@ describe("entry", function()
 end)
 
 describe("exit", function()
-  it("leaves the subs in order, then is the user's", function()
+  it("leaves the regions in order, then is the user's", function()
     local trace = {}
     local fsm = helper.init(two(trace, {
       exit = function(_, self, what) trace[#trace + 1] = what .. " " .. self._fqn end,
@@ -234,7 +253,7 @@ describe("exit", function()
     }, trace)
   end)
 
-  it("resets the subs", function()
+  it("resets the regions", function()
     local fsm = helper.init(two {})
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_leave")
@@ -242,20 +261,20 @@ describe("exit", function()
     assert.same({ "e_init_fsm" }, fsm.par.substates.left._intq)
   end)
 
-  it("does not exit a sub that was never entered", function()
+  it("does not exit a region that was never entered", function()
     local exits = 0
     local closed = state {
       err = false, warn = false, info = false, a = state {},
       exit = function() exits = exits + 1 end,
       trans { src = "initial", tgt = "a", guard = function() return false end },
     }
-    local fsm = helper.init(around(rfsm.seqand { left = closed }))
+    local fsm = helper.init(parent(rfsm.seqand { left = closed }))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_leave")
     assert.equal(0, exits)
   end)
 
-  it("leaves the subs also when a tool has replaced it", function()
+  it("leaves the regions also when a tool has replaced it", function()
     local trace = {}
     local fsm = helper.init(two(trace))
     rfsm.run(fsm)
@@ -283,23 +302,23 @@ describe("doo", function()
   local function trace_of(fields, steps)
     local trace = {}
     for _, name in ipairs { "c", "a", "b" } do fields[name] = worker(trace, name) end
-    local fsm = helper.init(around(rfsm.seqand(fields)))
+    local fsm = helper.init(parent(rfsm.seqand(fields)))
     rfsm.step(fsm)
     for _ = 1, steps or 1 do rfsm.step(fsm) end
     return trace
   end
 
-  it("steps each sub once, by name", function()
+  it("steps each region once, by name", function()
     assert.same({ "a 1", "b 1", "c 1" }, trace_of {})
   end)
 
-  it("steps those of order first", function()
-    assert.same({ "c 1", "a 1", "b 1" }, trace_of { order = { "c" } })
+  it("steps those of order first, a duplicate once", function()
+    assert.same({ "c 1", "a 1", "b 1" }, trace_of { order = { "c", "c" } })
   end)
 
-  it("steps as often as step says, when the subs are busy", function()
+  it("steps as often as step says, when the regions are busy", function()
     local trace = {}
-    local fsm = helper.init(around(rfsm.seqand {
+    local fsm = helper.init(parent(rfsm.seqand {
       step = 3, a = worker(trace, "a", 9), b = worker(trace, "b", 9),
     }))
     rfsm.step(fsm)
@@ -308,9 +327,9 @@ describe("doo", function()
     assert.same({ "a 1", "a 2", "a 3", "b 1", "b 2", "b 3" }, trace)
   end)
 
-  it("runs each sub when run is set", function()
+  it("runs each region when run is set", function()
     local trace = {}
-    local fsm = helper.init(around(rfsm.seqand {
+    local fsm = helper.init(parent(rfsm.seqand {
       run = true, a = worker(trace, "a", 3), b = worker(trace, "b", 2),
     }))
     rfsm.run(fsm)
@@ -319,7 +338,7 @@ describe("doo", function()
 
   it("advances once per run, since it is idle by default", function()
     local trace = {}
-    local fsm = helper.init(around(rfsm.seqand { a = worker(trace, "a", 9) }))
+    local fsm = helper.init(parent(rfsm.seqand { a = worker(trace, "a", 9) }))
     rfsm.run(fsm)
     helper.clear(trace)
     assert.is_true(rfsm.run(fsm))
@@ -328,14 +347,15 @@ describe("doo", function()
 
   for _, field in ipairs { "idle_doo", "idle.doo" } do
     it("is never idle when " .. field .. " is false", function()
-      local fsm = helper.init(around(rfsm.seqand { a = sub({}, "a"), [field] = false }))
+      local par = rfsm.seqand { a = region({}, "a"), [field] = false }
+      local fsm = helper.init(parent(par))
       assert.is_false(rfsm.step(fsm, 50))
     end)
   end
 
   it("runs all work in one run when idle_doo is 'auto'", function()
     local trace = {}
-    local fsm = helper.init(around(rfsm.seqand {
+    local fsm = helper.init(parent(rfsm.seqand {
       idle_doo = "auto", a = worker(trace, "a", 3), b = worker(trace, "b", 5),
     }))
     assert.is_true(rfsm.run(fsm))
@@ -349,23 +369,23 @@ describe("doo", function()
     assert.equal("root.b root.b", leaves(fsm.par))
   end)
 
-  it("survives a sub whose program fails", function()
+  it("survives a region whose program fails", function()
     local errors, trace = {}, {}
     local bad = state { warn = false, info = false,
       err = function(id) errors[#errors + 1] = id end,
       a = state { doo = function() error("no") end },
       trans { src = "initial", tgt = "a" } }
-    local fsm = helper.init(around(rfsm.seqand { a = bad, b = worker(trace, "b") }))
+    local fsm = helper.init(parent(rfsm.seqand { a = bad, b = worker(trace, "b") }))
     for _ = 1, 5 do rfsm.run(fsm) end
     assert.same({ "DOO" }, errors)
     assert.equal("b 4", trace[4])
   end)
 
-  it("survives a sub that raises; the caller gets the error, others go on", function()
+  it("survives a region that raises, the caller gets the error", function()
     local trace = {}
-    local bad = sub({}, "bad")
+    local bad = region({}, "bad")
     bad.getevents = function() error("no bus", 0) end
-    local fsm = helper.init(around(rfsm.seqand { a = bad, b = worker(trace, "b") }))
+    local fsm = helper.init(parent(rfsm.seqand { a = bad, b = worker(trace, "b") }))
     for _ = 1, 3 do
       assert.error_matches(function() rfsm.step(fsm) end, "no bus")
     end
@@ -373,7 +393,7 @@ describe("doo", function()
     assert.equal("root.par", rfsm.get_actleaf_fqn(fsm))
   end)
 
-  it("lets a sub reset itself", function()
+  it("lets a region reset itself", function()
     local entries, self = 0, nil
     local model = state { warn = false, info = false,
       a = state { entry = function(fsm)
@@ -381,7 +401,7 @@ describe("doo", function()
       end }, b = state { entry = function() rfsm.reset(self) end },
       trans { src = "initial", tgt = "a" },
       trans { src = "a", tgt = "b", events = { "e_x" } } }
-    local fsm = helper.init(around(rfsm.seqand { idle_doo = "auto", a = model }))
+    local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", a = model }))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_x")
     assert.equal(2, entries)
@@ -389,9 +409,9 @@ describe("doo", function()
   end)
 
   for _, field in ipairs { "andseqdbg", "seqanddbg" } do
-    it("tells each advance when " .. field .. " is set", function()
+    it("prints each advance when " .. field .. " is set", function()
       local said = {}
-      local model = around(rfsm.seqand { left = sub({}, "left"), [field] = true })
+      local model = parent(rfsm.seqand { left = region({}, "left"), [field] = true })
       model.info = function(text) said[#said + 1] = text end
       rfsm.run(helper.init(model))
       assert.equal("SEQAND root.par: left advanced to root.a", said[#said])
@@ -418,12 +438,12 @@ describe("an event", function()
     return fsm
   end
 
-  it("of the machine around goes to every sub", function()
+  it("of the parent machine goes to every region", function()
     assert.same({ "left e_y", "left e_z", "right e_y", "right e_z" },
       received_by(settled(), "e_y", "e_z"))
   end)
 
-  it("from getevents goes to every sub", function()
+  it("from getevents goes to every region", function()
     local fsm, sent = settled(), false
     fsm.getevents = function()
       local events = sent and {} or { "e_y" }
@@ -437,24 +457,24 @@ describe("an event", function()
     assert.same({}, received_by(settled(), "e_x", "e_leave"))
   end)
 
-  it("that makes the state leave and enter it again goes to none", function()
+  it("that makes the state be entered goes to every region", function()
+    local fsm = settled()
+    helper.post_and_run(fsm, "e_leave")
+    assert.same({ "left e_init_fsm", "right e_init_fsm", "left e_done@root.a",
+      "left e_enter", "left e_x", "right e_done@root.a", "right e_enter", "right e_x" },
+      received_by(fsm, "e_enter", "e_x"))
+  end)
+
+  it("that leaves the state and enters it again goes to every region", function()
     local model = two {}
     model[4] = trans { src = "par", tgt = "par", events = { "e_again" } }
     local fsm = helper.init(model)
     for _ = 1, 3 do rfsm.run(fsm) end
     helper.post_and_run(fsm, "e_again", "e_x")
-    rfsm.run(fsm)
-    assert.equal("root.a root.a", leaves(fsm.par))
+    assert.equal("root.b root.b", leaves(fsm.par))
   end)
 
-  it("that makes the state be entered goes to none", function()
-    local fsm = settled()
-    helper.post_and_run(fsm, "e_leave")
-    assert.same({ "left e_init_fsm", "right e_init_fsm", "left e_done@root.a",
-      "right e_done@root.a" }, received_by(fsm, "e_enter", "e_x"))
-  end)
-
-  it("reaches the subs once, also under events that never end", function()
+  it("reaches the regions once, also under events that never end", function()
     local fsm, count = settled(), 0
     fsm.getevents = function()
       count = count + 1
@@ -498,9 +518,11 @@ end)
 describe("nesting", function()
   it("two deep carries events down and leaves from inside out", function()
     local trace = {}
-    local inner = around(rfsm.seqand { idle_doo = "auto", leaf = sub(trace, "leaf") })
+    local inner = parent(rfsm.seqand {
+      idle_doo = "auto", leaf = region(trace, "leaf"),
+    })
     inner[2], inner[3], inner.off = nil, nil, nil
-    local fsm = helper.init(around(rfsm.seqand { idle_doo = "auto", inner = inner }))
+    local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", inner = inner }))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_x")
     helper.post_and_run(fsm, "e_leave")
@@ -513,8 +535,8 @@ describe("nesting", function()
   it("directly in another sequential AND state works, too", function()
     local trace = {}
     local inner = rfsm.seqand { warn = false, info = false, idle_doo = "auto",
-      leaf = sub(trace, "leaf") }
-    local fsm = helper.init(around(rfsm.seqand { idle_doo = "auto", inner = inner }))
+      leaf = region(trace, "leaf") }
+    local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", inner = inner }))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_x")
     assert.equal("leaf entry b", trace[#trace])
@@ -522,7 +544,7 @@ describe("nesting", function()
 end)
 
 describe("instances", function()
-  it("of one model have subs of their own, a hundred side by side", function()
+  it("of one model have regions of their own, a hundred side by side", function()
     local model, machines = two({}, { idle_doo = "auto" }), {}
     for i = 1, 100 do
       machines[i] = helper.init(model)
@@ -537,13 +559,13 @@ describe("instances", function()
     assert.equal(0, wrong)
   end)
 
-  it("of a machine have subs of their own", function()
+  it("of a machine have regions of their own", function()
     local first = helper.init(two {})
     local second = helper.init(first)
     assert.not_equal(first.par.substates.left, second.par.substates.left)
   end)
 
-  it("tell what init says of their subs, each by the printer of the sub", function()
+  it("report what init finds in their regions, by the printer of the region", function()
     local told = {}
     local function talking(info)
       return state { info = info, warn = false, s = state {},
@@ -559,9 +581,9 @@ describe("instances", function()
     assert.same({ text, text }, told)
   end)
 
-  it("mounted twice in one machine have subs of their own", function()
-    local par = rfsm.seqand { left = sub({}, "left"), right = sub({}, "right") }
-    local model = around(par)
+  it("mounted twice in one machine have regions of their own", function()
+    local par = rfsm.seqand { left = region({}, "left"), right = region({}, "right") }
+    local model = parent(par)
     model.off = par
     local fsm = helper.init(model)
     rfsm.run(fsm)
@@ -572,7 +594,7 @@ describe("instances", function()
   it("merged into a live machine run like others", function()
     local fsm = helper.init(two {})
     rfsm.run(fsm)
-    local par = rfsm.seqand { left = sub({}, "left"), right = sub({}, "right") }
+    local par = rfsm.seqand { left = region({}, "left"), right = region({}, "right") }
     assert.is_true(rfsm.fsm_merge(fsm, fsm, par, "more"))
     assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "par", tgt = "more",
       events = { "e_more" } }))
@@ -582,7 +604,7 @@ describe("instances", function()
 end)
 
 describe("reset", function()
-  it("resets the subs, without exits", function()
+  it("resets the regions, without exits", function()
     local trace = {}
     local fsm = helper.init(two(trace))
     rfsm.run(fsm)
@@ -592,13 +614,15 @@ describe("reset", function()
     assert.equal("none none", leaves(fsm.par))
   end)
 
-  it("by a sub of the machine around takes effect when the iteration ends", function()
+  it("of the parent machine by a region comes when the iteration ends", function()
     local fsm
     local resetter = state { warn = false, info = false, a = state {},
       b = state { entry = function() rfsm.reset(fsm) end },
       trans { src = "initial", tgt = "a" },
       trans { src = "a", tgt = "b", events = { "e_x" } } }
-    fsm = helper.init(around(rfsm.seqand { left = resetter, right = sub({}, "right") }))
+    fsm = helper.init(parent(rfsm.seqand {
+      left = resetter, right = region({}, "right"),
+    }))
     for _ = 1, 3 do rfsm.run(fsm) end
     rfsm.send_events(fsm, "e_x")
     rfsm.step(fsm)
@@ -609,8 +633,8 @@ end)
 
 describe("a machine without sequential AND states", function()
   it("has nothing of this extension", function()
-    local fsm = helper.init(sub({}, "plain"))
-    assert.is_nil(fsm._seqands)
+    local fsm = helper.init(region({}, "plain"))
+    assert.is_nil(fsm._has_seqand)
     assert.is_nil(fsm.a._seqand)
   end)
 end)

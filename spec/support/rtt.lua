@@ -1,33 +1,39 @@
--- Stands in for the module `rtt` of Orocos RTT-Lua: as much of it as rfsm.rtt and its
+-- Stands in for the module `rtt` of Orocos RTT-Lua (OCL 2.10): as much of it as its
 -- users meet, with its traps:
 --
+--   - constructors can be called, and operations are methods, only in a Lua that has
+--     loaded `rttlib`; `.new` and `getOperation` are always there
+--   - `port:connect(other, policy)` ignores the policy, the deployer's does not
 --   - `port:read()` returns a value also with "NoData" and "OldData"; `port:read(var)`
 --     only the status, and always "NoData" when the type of the Variable is another one
 --   - `port:write(a, b)` writes a; a Variable of another type is logged and not written
 --   - a data connection keeps the last sample only, a full buffer drops what comes
 --   - a port added under a name in use disconnects and replaces the one that has it
---   - operations such as exec_str return false, and why goes to the log
+--   - strings end at "\0"; numbers wrap as C casts them; no text is a number
+--   - an error that is no text mutes the log of the whole process
+--   - operations such as exec_str return false, and the log has the reason
 --   - each component and each Lua service has a Lua of its own
---   - an EEHook that does not return true is removed, one not held is collected
+--   - an EEHook that does not return true is removed; it runs in every state of the
+--     component; one without its function, or that was collected, ends the process
 --   - configure() of a stopped component calls configureHook again, without cleanupHook
 --   - threads: nothing runs at a write or a trigger, see `standin.spin`
 --
--- Written from knowledge of the API; it was not compared with a real RTT.
+-- Compared with the real one by spec/rtt_standin_spec.lua, which runs in a rttlua, too.
 --
--- The field `standin`, which the real one has not, is for specs: the clock, the log,
--- the turn of the threads.
+-- The field `standin`, which the real one has not, is for the specs' helper: the clock,
+-- the log, the turn of the threads.
 
 local lua_state = require "spec.support.lua_state"
 
 local floor = math.floor
 local BILLION = 1000000000
 
-local standin = { log = {}, variables = 0 }
+local standin = { log = {} }
 local rtt = { standin = standin }
 
 local now = 0         -- nanoseconds
 local components = {} -- in the order of their making
-local imported = {}   -- what was imported by name
+local current         -- the Lua that runs: { has_rttlib, ... }
 
 -- Log -------------------------------------------------------------------------
 
@@ -36,68 +42,107 @@ local LEVELS = {
   Info = true, Debug = true, RealTime = true,
 }
 
+local log_is_dead, last_level, pending = false, "Info", ""
+
+-- Strings of C end at the first zero.
+local function c_string(value)
+  local zero = value:find("\0", 1, true)
+  return zero and value:sub(1, zero - 1) or value
+end
+
 local function check_string(value, what)
   if type(value) == "number" then return tostring(value) end
-  if type(value) == "string" then return value end
+  if type(value) == "string" then return c_string(value) end
   error(("bad argument to '%s' (string expected, got %s)"):format(what, type(value)), 3)
 end
 
 local function log(level, text)
-  standin.log[#standin.log + 1] = level .. ": " .. text
+  text, pending = pending .. text, ""
+  standin.log[#standin.log + 1] = level .. ": " .. (log_is_dead and "" or text)
 end
 
+-- Logs an error of Lua; one that is no text is the last thing that is logged.
+local function log_failure(where, problem)
+  local is_text = type(problem) == "string" or type(problem) == "number"
+  log("Error", where .. (is_text and check_string(problem, "") or ""))
+  log_is_dead = log_is_dead or not is_text
+end
+
+-- A bad argument raises when those before it are in the buffer already.
 function rtt.logl(level, ...)
   if not LEVELS[level] then error("unknown loglevel " .. tostring(level), 2) end
-  local texts = { ... }
-  for i = 1, select("#", ...) do texts[i] = check_string(texts[i], "logl") end
-  log(level, table.concat(texts, " "))
+  last_level = level
+  for i = 1, select("#", ...) do
+    pending = pending .. check_string((select(i, ...)), "logl")
+  end
+  log(level, "")
 end
 
-function rtt.log(...) rtt.logl("Info", ...) end
+function rtt.log(...) rtt.logl(last_level, ...) end
+
+function rtt.setLogLevel() end
 
 -- Types and Variables ---------------------------------------------------------
 
-local function check_number(value)
-  local number = tonumber(value)
-  if not number then error("number expected, got " .. type(value), 0) end
-  return number
-end
+local function is_finite(number) return number - number == 0 end
 
-local function whole(value)
-  local number = check_number(value)
+local function cut(number)
   return number < 0 and -floor(-number) or floor(number)
 end
 
-local function text(value)
-  if type(value) == "number" then return tostring(value) end
-  if type(value) ~= "string" then error("string expected, got " .. type(value), 0) end
-  return value
+-- Casts of C, as the machine does them.
+local function to_int(number)
+  local is_in = is_finite(number) and number > -2147483649 and number < 2147483648
+  return is_in and cut(number) or -2147483648
 end
 
--- By type: how a value of Lua becomes one of it, and what a new Variable holds.
+local function to_uint(number)
+  local is_in = is_finite(number) and number > -2 ^ 63 and number < 2 ^ 63
+  return is_in and cut(number) % 4294967296 or 0
+end
+
+local function same(value) return value end
+
+-- By type: the type of Lua that becomes one, how, and what a new Variable holds. A type
+-- that is not basic has no value of Lua; wide integers are converted by others only.
 local BASIC = {
-  bool = { default = false, convert = function(value)
-    if type(value) == "boolean" then return value end
-    error("boolean expected, got " .. type(value), 0)
+  bool = { lua = "boolean", default = false, convert = same },
+  char = { lua = "string", default = "\0", convert = function(value)
+    return value == "" and "\0" or value:sub(1, 1)
   end },
-  char = { default = "\0", convert = function(value) return text(value):sub(1, 1) end },
-  double = { default = 0, convert = check_number },
-  float = { default = 0, convert = check_number },
-  int = { default = 0, convert = whole },
-  string = { default = "", convert = text },
-  uint = { default = 0, convert = whole },
+  double = { lua = "number", default = 0, convert = same },
+  float = { lua = "number", default = 0, convert = same },
+  int = { lua = "number", default = 0, convert = to_int },
+  string = { lua = "string", default = "", convert = c_string },
+  uint = { lua = "number", default = 0, convert = to_uint },
+}
+for name in ("long int8 uint8 int16 uint16 int32 uint32 int64 uint64"):gmatch("%S+") do
+  BASIC[name] = { lua = "number", default = 0, convert = cut } -- as typekits bring them
+end
+local WIDE = {
+  llong = { default = 0, convert = cut },
+  ullong = { default = 0, convert = function(number)
+    return number < 0 and cut(number) + 2 ^ 64 or cut(number)
+  end },
 }
 
-local STRUCTS = {} -- by type: names of members -> their types
+local STRUCTS = { -- by type: names of members -> their types
+  ConnPolicy = {
+    type = "int", size = "int", lock_policy = "int", init = "bool", pull = "bool",
+    buffer_policy = "int", mandatory = "bool", transport = "int", data_size = "int",
+    name_id = "string",
+  },
+}
 
 local function check_type(name, where)
-  if type(name) ~= "string" or not (BASIC[name] or STRUCTS[name]) then
+  if type(name) ~= "string" or not (BASIC[name] or WIDE[name] or STRUCTS[name]) then
     error(where .. ": unknown type " .. tostring(name), 3)
   end
 end
 
 local function default_of(name)
-  if BASIC[name] then return BASIC[name].default end
+  local simple = BASIC[name] or WIDE[name]
+  if simple then return simple.default end
   local value = {}
   for member, inner in pairs(STRUCTS[name]) do value[member] = default_of(inner) end
   return value
@@ -110,13 +155,22 @@ local function copy_of(value)
   return result
 end
 
+-- Returns the value to keep of a value of Lua in something of type `name`.
+local function from_lua(name, value)
+  local basic, kind = BASIC[name], type(value)
+  if name == "bool" and kind == "number" then return value ~= 0 end
+  if not basic or basic.lua ~= kind then
+    error(("__lua_todsb: can't convert lua %s to %s variable"):format(kind, name), 3)
+  end
+  return basic.convert(value)
+end
+
 -- A Variable holds { name of its type, value }.
 local Variable = {}
 
 local function is_variable(value) return getmetatable(value) == Variable end
 
 local function new_variable(name, value)
-  standin.variables = standin.variables + 1
   return setmetatable({ name, value }, Variable)
 end
 
@@ -130,32 +184,52 @@ local methods = {}
 
 function methods.getType(var) return rawget(var, 1) end
 
+function methods.toString(var) return ("%.17g"):format(rawget(var, 2)) end
+
 function methods.tolua(var)
   local name = rawget(var, 1)
   if BASIC[name] then return rawget(var, 2) end
   error("Variable.tolua: can't convert type " .. name, 2)
 end
 
+local function is_numeric(name)
+  return name == "bool" or WIDE[name] ~= nil or BASIC[name] ~= nil
+    and BASIC[name].lua == "number"
+end
+
+-- Assigns a sample of another type; false when RTT does not convert it.
+local function assign_other(var, from, value)
+  local to = rawget(var, 1)
+  if to == "string" and from == "int" then
+    log("Warning", "Conversion from int to string")
+    rawset(var, 2, "")
+    return true
+  end
+  if not (is_numeric(from) and is_numeric(to)) then return false end
+  if from == "double" and to == "int" then
+    log("Warning", "Conversion from double to int")
+  end
+  if type(value) == "boolean" then value = value and 1 or 0 end
+  if to == "bool" then value = value ~= 0 end
+  rawset(var, 2, (BASIC[to] or WIDE[to]).convert(value))
+  return true
+end
+
 function methods.assign(var, value)
   local name = rawget(var, 1)
-  if is_variable(value) then
-    if rawget(value, 1) ~= name then error("Variable.assign: assignment failed", 2) end
+  if not is_variable(value) then
+    rawset(var, 2, from_lua(name, value))
+  elseif rawget(value, 1) == name then
     rawset(var, 2, copy_of(rawget(value, 2)))
-    return
+  elseif not assign_other(var, rawget(value, 1), rawget(value, 2)) then
+    error("Variable.assign: assignment failed", 2)
   end
-  if not BASIC[name] then
-    error(("Variable.assign: can't convert lua %s to %s variable"):format(type(value),
-      name), 2)
-  end
-  local ok, result = pcall(BASIC[name].convert, value)
-  if not ok then error("Variable.assign: " .. result, 2) end
-  rawset(var, 2, result)
 end
 
 local function check_member(var, member)
   local struct = STRUCTS[rawget(var, 1)]
   if not struct or not struct[member] then
-    error("Variable: no member " .. tostring(member), 3)
+    error("Variable.getMember: indexing failed, no member " .. tostring(member), 3)
   end
   return struct[member]
 end
@@ -166,45 +240,44 @@ function Variable.__index(var, member)
 end
 
 function Variable.__newindex(var, member, value)
-  local name = check_member(var, member)
-  rawget(var, 2)[member] = BASIC[name] and BASIC[name].convert(value)
-    or copy_of(rawget(value, 2))
+  rawget(var, 2)[member] = from_lua(check_member(var, member), value)
 end
 
-function Variable.__tostring(var) return tostring(rawget(var, 2)) end
-
--- Makes rtt.X callable, with X.new beside.
-local function class(new)
-  return setmetatable({ new = new }, { __call = function(_, ...) return new(...) end })
+-- Makes rtt.X with X.new, which can be called where rttlib was loaded.
+local function class(name, new)
+  return setmetatable({ new = new }, { __call = function(_, ...)
+    if not current.has_rttlib then
+      error("attempt to call field '" .. name .. "' (a table value)", 2)
+    end
+    return new(...)
+  end })
 end
 
-rtt.Variable = class(function(name, value)
+rtt.Variable = class("Variable", function(name, value)
   check_type(name, "Variable.new")
   local var = new_variable(name, default_of(name))
   if value ~= nil then methods.assign(var, value) end
   return var
 end)
 
--- Returns the value to write to something of type `name`.
-local function from_lua(name, value, where)
-  if value == nil then error(where .. ": value expected", 3) end
-  if not BASIC[name] then
-    local kind = type(value)
-    error(("%s: can't convert lua %s to %s variable"):format(where, kind, name), 3)
-  end
-  local ok, result = pcall(BASIC[name].convert, value)
-  if not ok then error(where .. ": " .. result, 3) end
-  return result
-end
-
---- Adds a type with members, as an imported typekit does.
-function standin.add_type(name, members) STRUCTS[name] = members end
-
 -- Connections: one sample, or a buffer -----------------------------------------
 
 -- A connection keeps one sample (DATA), or several and drops what comes when it is full
 -- (1), or what it had first (CIRCULAR).
 local DATA, CIRCULAR = 0, 2
+
+local default_policy -- a Variable
+
+function rtt.globals_get(name)
+  if name == "DefaultConnPolicy" then return default_policy end
+  if name == "ORO_SCHED_OTHER" then return 0 end
+  if name == "ORO_SCHED_RT" then return 1 end
+end
+
+local function policy_of(var)
+  local value = rawget(var, 2)
+  return { type = value.type, size = math.max(value.size, 1), init = value.init }
+end
 
 local function new_connection(policy)
   return { kind = policy.type, size = policy.size, first = 1, count = 0 }
@@ -238,36 +311,39 @@ local Port = {}
 local InputPort = setmetatable({}, { __index = Port })
 local OutputPort = setmetatable({}, { __index = Port })
 
--- Raises for what is no port of this class, or one that was deleted.
+InputPort.__index, OutputPort.__index = InputPort, OutputPort
+
+-- What a port is from its deletion on.
+local DEAD = { __index = function()
+  error("attempt to index local 'port' (a userdata value)", 2)
+end }
+
 local function check_port(port, metatable, where)
   if getmetatable(port) ~= metatable then error(where .. ": port expected", 3) end
-  if port.is_deleted then error(where .. ": the port was deleted", 3) end
 end
-
-InputPort.__index, OutputPort.__index = InputPort, OutputPort
 
 function Port.info(port)
   return {
     name = port.name, desc = port.desc, connected = #port.connections > 0,
     type = port.type, porttype = getmetatable(port) == InputPort and "in" or "out",
+    isLocal = true,
   }
 end
 
-function Port.connected(port) return #port.connections > 0 end
-
+-- `last` and `policy` are false as long as there is none.
 local function new_port(metatable, kind, name, desc, where)
   check_type(kind, where)
   return setmetatable({
-    type = kind, name = name or "unnamed", desc = desc or "", connections = {},
-    last = nil, component = false, is_event = false, is_deleted = false,
+    type = kind, name = name or "", desc = desc or "", connections = {}, last = nil,
+    component = false, is_event = false, policy = policy_of(default_policy),
   }, metatable)
 end
 
-rtt.InputPort = class(function(kind, name, desc)
+rtt.InputPort = class("InputPort", function(kind, name, desc)
   return new_port(InputPort, kind, name, desc, "InputPort.new")
 end)
 
-rtt.OutputPort = class(function(kind, name, desc)
+rtt.OutputPort = class("OutputPort", function(kind, name, desc)
   return new_port(OutputPort, kind, name, desc, "OutputPort.new")
 end)
 
@@ -279,7 +355,9 @@ local function read_sample(port)
       return "NewData", port.last
     end
   end
-  if port.last ~= nil then return "OldData", port.last end
+  if rawget(port, "last") ~= nil and port.connections[1] then
+    return "OldData", port.last
+  end
   return "NoData", default_of(port.type)
 end
 
@@ -307,39 +385,42 @@ function OutputPort.write(port, value)
     end
     value = copy_of(rawget(value, 2))
   else
-    value = from_lua(port.type, value, "OutputPort.write")
+    value = from_lua(port.type, value)
   end
   port.last = value
   for _, connection in ipairs(port.connections) do
     connection_write(connection, value)
     local component = connection.to.is_event and connection.to.component
-    if component then component.is_triggered = true end
+    if component and component.state == "Running" then component.is_triggered = true end
   end
 end
 
-STRUCTS.ConnPolicy = { type = "int", size = "int", init = "bool" }
-
-local function policy_of(var)
-  local value = var and rawget(var, 2) or { type = DATA, size = 0, init = false }
-  return { type = value.type, size = math.max(value.size, 1), init = value.init }
-end
-
 -- Connects in either direction; false and a word in the log when that cannot be.
-function Port.connect(port, other, policy_var)
+local function connect_ports(port, other, policy)
   local out, into = port, other
   if getmetatable(port) == InputPort then out, into = other, port end
   if getmetatable(out) ~= OutputPort or getmetatable(into) ~= InputPort
     or out.type ~= into.type then
-    log("Error", "cannot connect ports of these types")
+    log("Error", "Port " .. port.name .. " is not compatible with " .. other.name)
     return false
   end
-  local policy = policy_of(policy_var)
+  policy = policy or into.policy
   local connection = new_connection(policy)
   connection.from, connection.to = out, into
   table.insert(out.connections, connection)
   table.insert(into.connections, connection)
-  if policy.init and out.last ~= nil then connection_write(connection, out.last) end
+  local last = rawget(out, "last")
+  if policy.init and last ~= nil then connection_write(connection, last) end
   return true
+end
+
+-- A policy is ignored.
+function Port.connect(port, other)
+  local class_of_other = getmetatable(other)
+  if class_of_other ~= InputPort and class_of_other ~= OutputPort then
+    error("Port.connect: invalid argument 2, expected Port, got userdata", 2)
+  end
+  return connect_ports(port, other)
 end
 
 local function remove_from(list, value)
@@ -358,7 +439,7 @@ end
 
 function Port.delete(port)
   Port.disconnect(port)
-  port.is_deleted = true
+  setmetatable(port, DEAD)
 end
 
 -- Properties ------------------------------------------------------------------
@@ -366,7 +447,7 @@ end
 local Property = {}
 Property.__index = Property
 
-rtt.Property = class(function(kind, name, desc)
+rtt.Property = class("Property", function(kind, name, desc)
   check_type(kind, "Property.new")
   return setmetatable({ type = kind, name = name or "", desc = desc or "",
     value = default_of(kind) }, Property)
@@ -376,7 +457,7 @@ function Property:get() return push(self.type, self.value) end
 
 function Property:set(value)
   self.value = is_variable(value) and copy_of(rawget(value, 2))
-    or from_lua(self.type, value, "Property.set")
+    or from_lua(self.type, value)
 end
 
 function Property:info()
@@ -396,62 +477,72 @@ function Operation.__call(operation, ...)
   return operation.f(...)
 end
 
-function Operation:info() return self.name, "", "", self.arity end
-
 local function add_operation(owner, name, arity, f)
   local operation = { name = name, arity = arity, f = f }
   owner.operations[name] = setmetatable(operation, Operation)
 end
 
+local function get_operation(owner, name)
+  local operation = rawget(owner, "operations")[name]
+  if operation then return operation end
+  log("Warning", "No such operation in service '" .. owner.name .. "': " .. name)
+  error(("Service_getOperation: service %s has no operation %s"):format(owner.name,
+    name), 3)
+end
+
+-- Finds methods first; then operations, as methods, in a Lua that has rttlib.
+local function new_metatable(class_methods)
+  return { __index = function(owner, name)
+    if class_methods[name] then return class_methods[name] end
+    local operation = current.has_rttlib and rawget(owner, "operations")[name]
+    return operation and function(_, ...) return operation(...) end or nil
+  end }
+end
+
 local Service = {}
-Service.__index = Service
+local SERVICE = new_metatable(Service)
 
 local function new_service(name)
-  return setmetatable({ name = name, operations = {} }, Service)
+  return setmetatable({ name = name, operations = {} }, SERVICE)
 end
 
-function Service:getName() return self.name end
+function Service.getName(service) return service.name end
 
-function Service:hasOperation(name) return self.operations[name] ~= nil end
+function Service.hasOperation(service, name) return service.operations[name] ~= nil end
 
-function Service:getOperation(name)
-  if not self.operations[name] then
-    error("Service.getOperation: no such operation " .. tostring(name), 2)
-  end
-  return self.operations[name]
-end
+function Service.getOperation(service, name) return get_operation(service, name) end
 
 -- TaskContext: ports, properties, peers ----------------------------------------
 
-local TaskContext = {}
+local TaskContext = { hasOperation = Service.hasOperation }
+local TASK_CONTEXT = new_metatable(TaskContext)
 
--- Methods first, then operations, which can be called as methods.
-local function index(component, name)
-  if TaskContext[name] then return TaskContext[name] end
-  local operation = rawget(component, "operations")[name]
-  if operation then return function(_, ...) return operation(...) end end
-  error("TaskContext: no such operation " .. tostring(name), 2)
-end
-
-local METATABLE = { __index = index }
-
-local function new_component(name, state)
+local function new_component(name)
   local component = setmetatable({
-    name = name, state = state, lua = false, is_triggered = false,
-    activity = { kind = "Activity", period = 0, due = false },
+    name = name, state = "PreOperational", lua = false, is_triggered = false,
+    activity = { period = 0, due = false, has_thread = true },
     ports = {}, port_names = {}, properties = {}, property_names = {}, peers = {},
     operations = {}, services = {},
-    hooks = setmetatable({}, { __mode = "v" }), hook_count = 0,
-  }, METATABLE)
+    hooks = setmetatable({}, { __mode = "v" }), hook_names = {}, hook_count = 0,
+  }, TASK_CONTEXT)
   components[#components + 1] = component
   return component
 end
 
 function TaskContext.getName(component) return component.name end
 
+function TaskContext.getOperation(component, name)
+  return get_operation(component, name)
+end
+
 function TaskContext.getPortNames(component)
   local names = {}
-  for i, name in ipairs(component.port_names) do names[i] = name end
+  for i, name in ipairs(component.port_names) do
+    if getmetatable(component.ports[name]) == DEAD then
+      error("the process dies: a port was deleted before it was removed", 0)
+    end
+    names[i] = name
+  end
   return names
 end
 
@@ -465,9 +556,10 @@ end
 
 local function add_port(component, port, name, desc, is_event)
   if getmetatable(port) ~= InputPort and getmetatable(port) ~= OutputPort then
-    error("addPort: invalid port object", 3)
+    error("addPort: invalid argument, not a Port", 3)
   end
-  port.name, port.desc = name or port.name, desc or port.desc
+  if not port.connections[1] then port.name = name or port.name end
+  port.desc = desc or port.desc
   if component.ports[port.name] then
     log("Warning", "'addPort' " .. port.name .. ": name already in use. Disconnecting "
       .. "and replacing previous port with new one.")
@@ -487,31 +579,25 @@ function TaskContext.addEventPort(component, port, name, desc)
   add_port(component, port, name, desc, true)
 end
 
-function TaskContext.getPort(component, name)
-  if not component.ports[name] then
-    error("TaskContext.getPort: no port " .. tostring(name), 2)
+-- Makes a getter of what a component has under names; it raises for others.
+local function getter(kind, field)
+  return function(component, name)
+    local found = component[field][name]
+    if found then return found end
+    error(("TaskContext.get%s: no %s %s"):format(kind, kind:lower(), tostring(name)), 2)
   end
-  return component.ports[name]
 end
+
+TaskContext.getPort = getter("Port", "ports")
+TaskContext.getProperty = getter("Property", "properties")
+TaskContext.getPeer = getter("Peer", "peers")
 
 function TaskContext.addProperty(component, property)
   component.properties[property.name] = property
   table.insert(component.property_names, property.name)
 end
 
-function TaskContext.getProperty(component, name)
-  if not component.properties[name] then
-    error("TaskContext.getProperty: no property " .. tostring(name), 2)
-  end
-  return component.properties[name]
-end
-
 function TaskContext.getPropertyNames(component) return component.property_names end
-
-function TaskContext.removeProperty(component, name)
-  component.properties[name] = nil
-  remove_from(component.property_names, name)
-end
 
 function TaskContext.addPeer(component, peer)
   component.peers[peer.name] = peer
@@ -529,41 +615,32 @@ function TaskContext.getPeers(component)
   return names
 end
 
-function TaskContext.getPeer(component, name)
-  if not component.peers[name] then
-    error("TaskContext.getPeer: no peer " .. tostring(name), 2)
-  end
-  return component.peers[name]
-end
-
-function TaskContext.hasOperation(component, name)
-  return component.operations[name] ~= nil
-end
-
-function TaskContext.getOperation(component, name)
-  if not component.operations[name] then
-    error("TaskContext.getOperation: no such operation " .. tostring(name), 2)
-  end
-  return component.operations[name]
-end
-
--- As in C++, asking for a service makes it.
 function TaskContext.provides(component, name)
   if not name then return component end
-  component.services[name] = component.services[name] or new_service(name)
-  return component.services[name]
+  local service = component.services[name]
+  if service then return service end
+  error(("Service.provides: no subservice %s of service %s"):format(tostring(name),
+    component.name), 2)
 end
 
 -- TaskContext: life cycle and engine -------------------------------------------
 
--- Calls a function of the component's program, if there is one.
-local function call_hook(component, name, wants_result)
-  local lua = component.lua
-  if not lua or lua.globals[name] == nil then return true end
-  local ok, result = lua:call(name)
+-- Runs `f(...)` as the Lua `lua`; returns what pcall does.
+local function run_in(lua, f, ...)
+  local before = current
+  current = lua
+  local ok, result, why = pcall(f, ...)
+  current = before
+  if not ok then return false, result end
+  return result, why -- those of lua_state
+end
+
+-- Calls a global function of a Lua; false and a word in the log when it fails.
+local function call_function(component, lua, name, wants_result)
+  local ok, result = run_in(lua, lua.call, lua, name)
   local where = "LuaComponent '" .. component.name .. "': "
   if not ok then
-    log("Error", where .. "error calling function " .. name .. ": " .. tostring(result))
+    log_failure(where .. "error calling function " .. name .. ": ", result)
     return false
   end
   if not wants_result then return true end
@@ -572,13 +649,24 @@ local function call_hook(component, name, wants_result)
   return false
 end
 
+-- Calls a hook of the component's program, if there is one.
+local function call_hook(component, name, wants_result)
+  local lua = component.lua
+  if not lua or lua.globals[name] == nil then return true end
+  return call_function(component, lua, name, wants_result)
+end
+
 function TaskContext.getState(component) return component.state end
 
-function TaskContext.isRunning(component) return component.state == "Running" end
-
+-- The properties are executed each time; their errors are logged, and no more.
 function TaskContext.configure(component)
   if component.state ~= "Stopped" and component.state ~= "PreOperational" then
     return false
+  end
+  for i, name in ipairs(component.lua and { "lua_string", "lua_file" } or {}) do
+    local value = component.properties[name]:get()
+    local operation = i == 1 and "exec_str" or "exec_file"
+    if value ~= "" then component.operations[operation](value) end
   end
   local ok = call_hook(component, "configureHook", true)
   component.state = ok and "Stopped" or "PreOperational"
@@ -606,48 +694,28 @@ function TaskContext.cleanup(component)
   return true
 end
 
--- One turn of the thread: hooks, then updateHook.
+-- One turn of the thread: hooks, in every state, then updateHook.
 local function execute(component)
   component.is_triggered = false
   for i = 1, component.hook_count do
-    local hook = component.hooks[i] -- nil when it was collected
-    if hook and not hook.run() then
-      log("Error", "EEHook '" .. hook.name .. "' removed")
-      component.hooks[i] = nil
+    local hook, is_enabled = component.hooks[i], component.hook_names[i]
+    if is_enabled and not hook then
+      error("the process dies: an EEHook was collected while it was enabled", 0)
     end
+    if is_enabled and not hook.run() then component.hook_names[i] = nil end
   end
   if component.state == "Running" then call_hook(component, "updateHook", false) end
 end
 
---- Executes a component that has no thread; false for one that has.
-function TaskContext.update(component)
-  if component.activity.kind ~= "SlaveActivity" then return false end
-  execute(component)
-  return true
-end
-
---- Asks the thread of a component for a turn; false when there is none, or a period.
-function TaskContext.trigger(component)
-  if component.activity.kind ~= "Activity" or component.activity.period > 0 then
-    return false
-  end
-  component.is_triggered = true
-  return true
-end
-
-local function is_waiting(component)
-  return component.is_triggered and component.activity.kind == "Activity"
-    and component.activity.period == 0
-end
-
---- Gives each thread that was triggered its turn, until none is.
+-- Gives each thread that was triggered its turn, until none is.
 function standin.spin()
   local i, turns = 1, 0
   while components[i] do
-    if is_waiting(components[i]) then
+    local component = components[i]
+    if component.is_triggered and component.activity.period == 0 then
       turns = turns + 1
       assert(turns <= 10000, "standin.spin: components trigger each other for ever")
-      execute(components[i])
+      execute(component)
       i = 0
     end
     i = i + 1
@@ -669,6 +737,7 @@ end
 --- Lets time pass: periodic components have their turns, then those triggered.
 function standin.advance(seconds)
   local limit = now + floor(seconds * BILLION + 0.5)
+  standin.spin()
   local component = next_due(limit)
   while component do
     local activity = component.activity
@@ -678,11 +747,34 @@ function standin.advance(seconds)
     component = next_due(limit)
   end
   now = limit
-  standin.spin()
 end
 
 function rtt.getTime()
   return floor(now / BILLION), now % BILLION
+end
+
+function rtt.sleep(s, ns) standin.advance(floor(s) + ns / BILLION) end
+
+local function set_period(component, period)
+  local ns = floor(period * BILLION + 0.5)
+  component.activity = { period = ns, due = ns > 0 and now + ns }
+  return true
+end
+
+-- Operations that each component has.
+local function add_engine_operations(component)
+  add_operation(component, "trigger", 0, function()
+    if component.activity.period > 0 then return false end
+    component.is_triggered = true
+    return true
+  end)
+  add_operation(component, "update", 0, function() return false end)
+  add_operation(component, "isRunning", 0, function()
+    return component.state == "Running"
+  end)
+  add_operation(component, "setPeriod", 1, function(period)
+    return set_period(component, period)
+  end)
 end
 
 -- Lua in components: the component, the service, EEHook ------------------------
@@ -692,25 +784,57 @@ local function eehook_class(component, lua)
   local EEHook = {}
   EEHook.__index = EEHook
   function EEHook:enable()
-    component.hook_count = component.hook_count + 1
-    component.hooks[component.hook_count] = self
+    local i = component.hook_count + 1
+    component.hook_count, component.hooks[i] = i, self
+    component.hook_names[i] = self.name
     return true
   end
   function EEHook:disable()
     for i = 1, component.hook_count do
-      if component.hooks[i] == self then component.hooks[i] = nil end
+      if component.hooks[i] == self then component.hook_names[i] = nil end
     end
     return true
   end
-  return class(function(name)
+  return class("EEHook", function(name)
     name = check_string(name, "EEHook")
     return setmetatable({ name = name, run = function()
-      if type(lua.globals[name]) ~= "function" then return false end
-      local ok, result = lua:call(name)
-      if not ok then log("Error", "EEHook '" .. name .. "': " .. tostring(result)) end
-      return ok and result == true
+      if lua.globals[name] == nil then
+        error("the process dies: " .. component.name .. ": no (required) Lua function "
+          .. name, 0)
+      end
+      return call_function(component, lua, name, true)
     end }, EEHook)
   end)
+end
+
+-- Stands in for rttlib: what its loading does, and the functions that charts use.
+local function new_rttlib(lua)
+  local rttlib = {}
+  lua.has_rttlib = true
+
+  function rttlib.port_clone_conn(port, suffix, name)
+    local info = port:info()
+    local new = info.porttype == "in" and rtt.OutputPort.new or rtt.InputPort.new
+    local clone = new(info.type, name or info.name .. (suffix or "_inv"))
+    port:connect(clone)
+    return clone
+  end
+
+  function rttlib.tc_cleanup()
+    local component = lua.globals.rtt.getTC()
+    for _, name in ipairs(component:getPortNames()) do
+      local port = component:getPort(name)
+      component:removePort(name)
+      port:delete()
+    end
+  end
+
+  lua.globals.rttlib, lua.globals.utils = rttlib, { tab2str = tostring }
+  lua.globals.package.loaded.utils = lua.globals.utils
+  lua.globals.rtt.globals = setmetatable({}, { __index = function(_, name)
+    return rtt.globals_get(name)
+  end })
+  return rttlib
 end
 
 -- Gives a Lua the module `rtt` of a component.
@@ -718,44 +842,72 @@ local function bind(lua, component)
   local bound = setmetatable({
     getTC = function() return component end, EEHook = eehook_class(component, lua),
   }, { __index = rtt })
+  lua.has_rttlib = false
   lua.globals.rtt, lua.globals.package.loaded.rtt = bound, bound
+  lua.globals.package.preload.rttlib = function() return new_rttlib(lua) end
   return lua
 end
 
 -- Makes an operation of what returns whether it went well, and why not.
-local function add_exec(owner, name, where, run)
+local function add_exec(owner, name, lua, run, where)
   add_operation(owner, name, 1, function(argument)
-    local ok, problem = run(check_string(argument, name))
-    if not ok then log("Error", where .. ": " .. tostring(problem)) end
+    if type(argument) ~= "string" then
+      error("__lua_todsb: can't convert lua " .. type(argument)
+        .. " to string variable", 2)
+    end
+    local ok, problem = run_in(lua, run, lua, c_string(argument))
+    if not ok then log_failure(where, problem) end
     return ok
   end)
 end
 
 local function add_lua_operations(owner, lua, where)
-  add_exec(owner, "exec_str", where, function(code) return lua:run(code) end)
-  add_exec(owner, "exec_file", where, function(name) return lua:run_file(name) end)
+  add_exec(owner, "exec_str", lua, lua.run, where)
+  add_exec(owner, "exec_file", lua, lua.run_file, where)
 end
 
 local function new_lua_component(name)
-  local component = new_component(name, "PreOperational")
+  local component = new_component(name)
+  add_engine_operations(component)
   component.lua = bind(lua_state.new(), component)
-  add_lua_operations(component, component.lua, "LuaComponent '" .. name .. "'")
+  add_lua_operations(component, component.lua, "LuaComponent '" .. name .. "': ")
+  for _, property in ipairs { "lua_string", "lua_file" } do
+    TaskContext.addProperty(component, rtt.Property.new("string", property))
+  end
   return component
 end
 
-local function add_lua_service(component)
-  local service = TaskContext.provides(component, "Lua")
+-- Its pool is not: `tlsf` is all that is different.
+local function new_tlsf_component(name)
+  local component = new_lua_component(name)
+  component.lua.globals.tlsf = {
+    stats = function() end, trace = function() end, warn = function() end,
+  }
+  return component
+end
+
+local function new_hello_world(name)
+  local component = new_component(name)
+  add_engine_operations(component)
+  TaskContext.addPort(component, rtt.OutputPort.new("string", "the_results"))
+  TaskContext.addPort(component, rtt.InputPort.new("string", "the_buffer_port"))
+  set_period(component, 0.1)
+  return component
+end
+
+local function add_lua_service(component, name)
+  local service = new_service(name)
+  component.services[name] = service
   service.lua = bind(lua_state.new(), component)
-  add_lua_operations(service, service.lua, "LuaService '" .. component.name .. "'")
+  add_lua_operations(service, service.lua, "LuaService '" .. component.name .. "': ")
 end
 
 -- Deployer --------------------------------------------------------------------
 
--- By type: what makes a component; those of ocl are there once it is imported.
-local FACTORIES = {
+local FACTORIES = { -- by type: what makes a component
   ["OCL::LuaComponent"] = new_lua_component,
-  ["OCL::LuaTLSFComponent"] = new_lua_component,
-  ["OCL::HelloWorld"] = function(name) return new_component(name, "Stopped") end,
+  ["OCL::LuaTLSFComponent"] = new_tlsf_component,
+  ["OCL::HelloWorld"] = new_hello_world,
 }
 
 local function refuse(problem)
@@ -768,7 +920,7 @@ local function load_component(deployer, name, kind)
     return refuse("Failed to load component with name " .. name
       .. ": already present as peer or loaded.")
   end
-  local make = imported.ocl and FACTORIES[kind]
+  local make = FACTORIES[kind]
   if not make then return refuse("Unable to locate Orocos plugin '" .. kind .. "'") end
   TaskContext.addPeer(deployer, make(name))
   return true
@@ -789,7 +941,7 @@ local function unload_component(deployer, name)
   return true
 end
 
-local function set_activity(deployer, name, kind, period)
+local function set_activity(deployer, name, period)
   local component = deployer.peers[name]
   if not component then
     return refuse("Can't create Activity: component " .. name .. " not found.")
@@ -798,18 +950,14 @@ local function set_activity(deployer, name, kind, period)
     return refuse("Can't change activity of component " .. name
       .. " since it is still running.")
   end
-  local ns = floor(period * BILLION + 0.5)
-  component.activity = {
-    kind = kind, period = ns, due = kind == "Activity" and ns > 0 and now + ns,
-  }
-  return true
+  return set_period(component, period)
 end
 
 local function load_service(deployer, name, service)
   local component = deployer.peers[name]
   if not component then return refuse("No such component " .. name) end
   if service ~= "Lua" then return refuse("No such service " .. service) end
-  add_lua_service(component)
+  add_lua_service(component, service)
   return true
 end
 
@@ -823,27 +971,20 @@ end
 local function connect(deployer, from, to, policy)
   local a, b = find_port(deployer, from), find_port(deployer, to)
   if not a or not b then return refuse("no such port: " .. (a and to or from)) end
-  return Port.connect(a, b, policy)
+  return connect_ports(a, b, policy_of(policy))
 end
 
 local function new_deployer()
-  local deployer = new_component("Deployer", "Running")
+  local deployer = new_component("Deployer")
+  deployer.state = "Running"
   local function operation(name, arity, f)
     add_operation(deployer, name, arity, function(...) return f(deployer, ...) end)
   end
-  operation("import", 1, function(_, name)
-    imported[name] = true
-    return true
-  end)
+  operation("import", 1, function() return true end)
   operation("loadComponent", 2, load_component)
   operation("unloadComponent", 1, unload_component)
   operation("loadService", 2, load_service)
-  operation("setActivity", 4, function(_, name, period)
-    return set_activity(deployer, name, "Activity", period)
-  end)
-  operation("setSlaveActivity", 2, function(_, name, period)
-    return set_activity(deployer, name, "SlaveActivity", period)
-  end)
+  operation("setActivity", 4, set_activity)
   operation("connect", 3, connect)
   return deployer
 end
@@ -856,10 +997,16 @@ function rtt.getTC() return main end
 
 --- Starts again: a process with a deployer and nothing else.
 function standin.reset()
-  now, components, imported = 0, {}, {}
-  standin.log, standin.variables = {}, 0
-  main = new_component("lua", "Running")
-  TaskContext.addPeer(main, new_deployer())
+  now, components = 0, {}
+  standin.log, log_is_dead, last_level, pending = {}, false, "Info", ""
+  current = { has_rttlib = false, globals = { rtt = rtt, package = package } }
+  default_policy = new_variable("ConnPolicy", default_of("ConnPolicy"))
+  main = new_component("lua")
+  local deployer, this_lua = new_deployer(), current
+  TaskContext.addPeer(main, deployer)
+  TaskContext.addPeer(deployer, main)
+  package.loaded.rttlib = nil
+  package.preload.rttlib = function() return new_rttlib(this_lua) end
 end
 
 standin.reset()

@@ -1,8 +1,10 @@
--- What the specs of RTT share: ports that are connected, charts as files, what was
--- logged, and the stand-in for RTT as the module `rtt`.
+-- What the specs of RTT share. They run on the stand-in in spec/support/rtt.lua. In a
+-- rttlua (busted is a Lua program) they run on the real RTT.
 
 local helper = require "spec.helper"
-local rtt = require "spec.support.rtt"
+
+local real = rawget(_G, "rtt")
+local rtt = real or require "spec.support.rtt"
 
 package.loaded.rtt = rtt
 
@@ -10,21 +12,157 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local standin = rtt.standin
 
-local rtt_helper = {}
+local rtt_helper = { rtt = rtt, is_standin = standin ~= nil }
+
+local Variable = rtt.Variable.new
+
+-- The process: time, the log, what is made and unmade -----------------------------
+
+-- Gives the threads of the components the time to act.
+function rtt_helper.spin()
+  if standin then standin.spin() else rtt.sleep(0, 40e6) end
+end
+
+-- Lets time pass.
+function rtt_helper.advance(seconds)
+  rtt.sleep(math.floor(seconds), seconds % 1 * 1e9)
+end
+
+local LOG = "orocos.log" -- the real one writes it where it was started
+local LEVELS = { ERROR = "Error", Warning = "Warning", Info = "Info" }
+local log_start = 0
+
+local function log_text()
+  local file = io.open(LOG)
+  local text = file and file:read("*a") or ""
+  if file then file:close() end
+  return text
+end
+
+-- The log since the last reset, as lines "Level: text".
+local function log_lines()
+  if standin then return standin.log end
+  local lines = {}
+  for line in log_text():sub(log_start + 1):gmatch("[^\n]+") do
+    local level, text = line:match("%[%s*(%a+)%s*%]%[.-%] (.*)")
+    lines[#lines + 1] = level and LEVELS[level] and LEVELS[level] .. ": " .. text
+  end
+  return lines
+end
+
+-- Lines of the log that hold `text`.
+function rtt_helper.logged(text)
+  local lines = {}
+  for _, line in ipairs(log_lines()) do
+    if line:find(text, 1, true) then lines[#lines + 1] = line end
+  end
+  return lines
+end
+
+function rtt_helper.deployer() return rtt.getTC():getPeer("Deployer") end
+
+-- Calls an operation of the deployer.
+function rtt_helper.deploy(name, ...)
+  return rtt_helper.deployer():getOperation(name)(...)
+end
+
+-- Loads a component; returns it, and its operation exec_str if it has one.
+function rtt_helper.load(name, kind)
+  assert(rtt_helper.deploy("loadComponent", name, kind or "OCL::LuaComponent"))
+  local component = rtt_helper.deployer():getPeer(name)
+  return component, component:hasOperation("exec_str")
+    and component:getOperation("exec_str")
+end
+
+-- Names of the components that the deployer has loaded.
+function rtt_helper.loaded()
+  local names = {}
+  for _, name in ipairs(rtt_helper.deployer():getPeers()) do
+    if name ~= "lua" then names[#names + 1] = name end
+  end
+  return names
+end
+
+local function remove_own_ports()
+  local own = rtt.getTC()
+  for _, name in ipairs(own:getPortNames()) do
+    local port = own:getPort(name)
+    own:removePort(name)
+    port:delete()
+  end
+end
+
+local function unload_all()
+  for _, name in ipairs(rtt_helper.loaded()) do
+    rtt_helper.deployer():getPeer(name):stop()
+    assert(rtt_helper.deploy("unloadComponent", name))
+  end
+end
+
+-- Before and after each spec: as in a fresh process, and no file of the one before.
+function rtt_helper.reset()
+  if standin then
+    standin.reset()
+  else
+    unload_all()
+    remove_own_ports()
+    log_start = #log_text()
+  end
+  helper.remove_files()
+end
+
+-- Ports and Variables ------------------------------------------------------------
 
 local BUFFER = 1
 
 -- A ConnPolicy: a buffer, into which the last sample written before is put.
 function rtt_helper.policy(size, kind)
-  local cp = rtt.Variable("ConnPolicy")
+  local cp = Variable("ConnPolicy")
   cp.type, cp.size, cp.init = kind or BUFFER, size, true
   return cp
 end
 
--- An input port and the output port that feeds it, through a buffer.
-function rtt_helper.connected(kind, size)
-  local into, out = rtt.InputPort(kind, "into"), rtt.OutputPort(kind, "out")
-  assert(out:connect(into, rtt_helper.policy(size or 16)))
+-- A sample of a type that Lua has none for, with members.
+function rtt_helper.struct(kind, size)
+  local var = Variable("ConnPolicy")
+  var.type, var.size = kind, size
+  return var
+end
+
+local port_count = 0
+
+-- Makes a port of this program's component; returns it and its path.
+local function new_port(direction, kind)
+  port_count = port_count + 1
+  local name = "port" .. port_count
+  local port = rtt[direction].new(kind, name)
+  rtt.getTC():addPort(port)
+  return port, "lua." .. name
+end
+
+function rtt_helper.input(kind) return (new_port("InputPort", kind or "string")) end
+
+function rtt_helper.output(kind) return (new_port("OutputPort", kind or "string")) end
+
+-- Makes an input port that reads what "component.port" writes, through a buffer.
+function rtt_helper.listen(path, kind)
+  local into, name = new_port("InputPort", kind or "string")
+  assert(rtt_helper.deploy("connect", path, name, rtt_helper.policy(64)))
+  return into
+end
+
+-- Makes an output port that writes to "component.port", through a buffer.
+function rtt_helper.feed(path, kind)
+  local out, name = new_port("OutputPort", kind or "string")
+  assert(rtt_helper.deploy("connect", name, path, rtt_helper.policy(64)))
+  return out
+end
+
+-- An input port and the output port that feeds it.
+function rtt_helper.connected(kind, policy)
+  local into, to = new_port("InputPort", kind)
+  local out, from = new_port("OutputPort", kind)
+  assert(rtt_helper.deploy("connect", from, to, policy or rtt_helper.policy(16)))
   return into, out
 end
 
@@ -44,6 +182,21 @@ function rtt_helper.samples(port)
   return values
 end
 
+-- How many Variables a call makes.
+function rtt_helper.counting_variables(f)
+  local count = 0
+  rtt.Variable.new = function(...)
+    count = count + 1
+    return Variable(...)
+  end
+  local ok, problem = pcall(f)
+  rtt.Variable.new = Variable
+  if not ok then error(problem, 0) end
+  return count
+end
+
+-- Charts and calls ------------------------------------------------------------------
+
 -- Text of the error that f raises, which must blame its caller: this file.
 function rtt_helper.refusal(f, ...)
   local arguments, n = { ... }, select("#", ...)
@@ -53,28 +206,7 @@ function rtt_helper.refusal(f, ...)
   return text or "blames another: " .. tostring(problem)
 end
 
--- How many Variables a call makes.
-function rtt_helper.counting_variables(f)
-  local before = standin.variables
-  f()
-  return standin.variables - before
-end
-
--- A sample of a type that Lua has none for.
-function rtt_helper.pose(x, y)
-  local var = rtt.Variable("Pose")
-  var.x, var.y = x, y
-  return var
-end
-
 rtt_helper.file_with = helper.file_with
-
--- Before each spec: a fresh process, and no file of the one before.
-function rtt_helper.reset()
-  standin.reset()
-  standin.add_type("Pose", { x = "double", y = "double" })
-  helper.remove_files()
-end
 
 -- The file of a chart, with more fields of the root:
 -- (initial) -> a --e_go--> b --e_back--> a
@@ -91,32 +223,19 @@ return rfsm.state {
 ]])
 end
 
--- Lines of the log that hold `text`.
-function rtt_helper.logged(text)
-  local lines = {}
-  for _, line in ipairs(standin.log) do
-    if line:find(text, 1, true) then lines[#lines + 1] = line end
-  end
-  return lines
+-- Values of another Lua, as text with blanks between.
+function rtt_helper.evaluate(exec_str, expressions)
+  local name = helper.file_with("")
+  assert(exec_str(([[
+local function texts(...)
+  local list = { ... }
+  for i = 1, select("#", ...) do list[i] = tostring(list[i]) end
+  return list
 end
-
--- Connects ports to those of a component: what to write to, what to read from.
-function rtt_helper.wire(component, events_name)
-  local events, names = rtt.OutputPort("string"), rtt.InputPort("string")
-  local cp = rtt_helper.policy(16)
-  if events_name ~= false then
-    assert(events:connect(component:getPort(events_name or "rFSM_events"), cp))
-  end
-  assert(names:connect(component:getPort("rFSM_cur_fqn"), cp))
-  return events, names
-end
-
--- A value of another Lua, as text: what its print says.
-function rtt_helper.evaluate(exec_str, expression)
-  local lines = helper.printed(function()
-    exec_str("print(" .. expression .. ")")
-  end)
-  return lines[1]
+local file = assert(io.open(%q, "w"))
+file:write(table.concat(texts(%s), " "))
+file:close()]]):format(name, expressions)))
+  return helper.content(name)
 end
 
 return rtt_helper

@@ -1,0 +1,150 @@
+--- Advice: what somebody may have meant who wrote a field, a name or an event.
+--
+-- The core asks for it when it has a mistake to report, and only then is this file
+-- loaded. It does without the file: the mistakes are the same, the hints are missing.
+-- Each function returns a text, empty when there is nothing to advise.
+--
+-- @module rfsm.advice
+-- @license BSD-3-Clause
+
+local ipairs, pairs, type = ipairs, pairs, type
+local floor, min = math.floor, math.min
+local concat, sort = table.concat, table.sort
+
+local advice = {}
+
+-- How many letters to insert, drop or replace to make `b` of `a`.
+local function edit_distance(a, b)
+  local row = {}
+  for j = 0, #b do row[j] = j end
+  for i = 1, #a do
+    local diagonal = row[0]
+    row[0] = i
+    for j = 1, #b do
+      local cost = a:byte(i) == b:byte(j) and diagonal or diagonal + 1
+      diagonal = row[j]
+      row[j] = min(cost, diagonal + 1, row[j - 1] + 1)
+    end
+  end
+  return row[#b]
+end
+
+-- Fields ------------------------------------------------------------------------
+
+local FIELDS = {
+  state = { "entry", "exit", "doo" },
+  root = {
+    "entry", "exit", "doo", "getevents", "idle_hook", "pre_step_hook", "post_step_hook",
+  },
+  transition = { "src", "tgt", "events", "guard", "effect", "pn" },
+  connector = {},
+}
+
+-- What other libraries call the fields, in lower case and without underscores.
+local ALIASES = {
+  state = {
+    enter = "entry", onentry = "entry", onenter = "entry", onexit = "exit",
+    leave = "exit", onleave = "exit", ["do"] = "doo", during = "doo", activity = "doo",
+    doactivity = "doo",
+  },
+  transition = {
+    source = "src", from = "src", target = "tgt", to = "tgt", dst = "tgt", dest = "tgt",
+    on = "events", trigger = "events", triggers = "events", condition = "guard",
+    cond = "guard", when = "guard", action = "effect", actions = "effect",
+    priority = "pn", prio = "pn",
+  },
+  connector = {},
+}
+ALIASES.root = ALIASES.state
+
+local function plain(word) return (word:lower():gsub("_", "")) end
+
+-- Are two words the same but for case and underscores, for one letter too many or too
+-- few, or for two letters in reverse? One letter in place of another makes too many
+-- words of their own: exit, edit.
+local function is_near(a, b)
+  a, b = plain(a), plain(b)
+  if #a ~= #b then return edit_distance(a, b) == 1 end
+  for i = 1, #a - 1 do
+    local first, second = a:sub(i, i), a:sub(i + 1, i + 1)
+    if a:sub(1, i - 1) .. second .. first .. a:sub(i + 2) == b then return true end
+  end
+  return a == b
+end
+
+--- Return the field that somebody may have meant.
+---@param kind "root"|"state"|"transition"|"connector"
+---@param key string what stands in the model
+---@return string field
+function advice.field_meant(kind, key)
+  for _, field in ipairs(FIELDS[kind]) do
+    if key == field then return "" end
+  end
+  for _, field in ipairs(FIELDS[kind]) do
+    if ALIASES[kind][plain(key)] == field or is_near(key, field) then return field end
+  end
+  return ""
+end
+
+--- Return the hint that the model has another word for a field that is missing.
+---@param model table a transition of a model
+---@param field string
+---@return string hint " (there is 'from', did you mean 'src'?)"
+function advice.other_word(model, field)
+  local words = {}
+  for key in pairs(model) do -- any order: sorted below
+    if type(key) == "string" and advice.field_meant("transition", key) == field then
+      words[#words + 1] = key
+    end
+  end
+  sort(words)
+  if not words[1] then return "" end
+  return (" (there is '%s', did you mean '%s'?)"):format(words[1], field)
+end
+
+-- Names -------------------------------------------------------------------------
+
+-- Returns the nearest of `names`; nil when none is near.
+local function find_nearest(name, names)
+  local nearest, least = nil, min(#name, floor(#name / 3) + 2)
+  for _, candidate in ipairs(names) do
+    if type(candidate) == "string" then
+      local distance = edit_distance(name:lower(), candidate:lower())
+      if distance < least then nearest, least = candidate, distance end
+    end
+  end
+  return nearest
+end
+
+--- Return the hint for a name that does not exist.
+---@param name string
+---@param names any[] those that exist
+---@return string hint " (did you mean 'on'?)", or all of them if they are few
+function advice.nearest_name(name, names)
+  -- `initial` is right where it does not exist yet
+  local nearest = find_nearest(name, names)
+    or name ~= "initial" and find_nearest(name, { "initial" })
+  if nearest then return " (did you mean '" .. nearest .. "'?)" end
+  if #names == 0 or #names > 6 then return "" end
+  local verb = #names == 1 and "is" or "are"
+  return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
+end
+
+-- Events ------------------------------------------------------------------------
+
+local MODULE_OF = {
+  e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
+}
+
+--- Return the hint for an event that looks like a call: the module that knows it.
+---@param word string the event up to its parenthesis
+---@return string hint " (require \"rfsm_timeevent\")"
+function advice.module_of(word)
+  if MODULE_OF[word] then return (" (require %q)"):format(MODULE_OF[word]) end
+  for _, known in ipairs({ "await", "e_after", "e_at" }) do
+    if is_near(word, known) then return (" (did you mean '%s(...)'?)"):format(known) end
+  end
+  return ""
+end
+
+return advice
