@@ -20,6 +20,7 @@ build = {
     ["rfsm_seqand"] = "rfsm_seqand.lua",
     ["rfsm_timeevent"] = "rfsm_timeevent.lua",
     ["rfsmpp"] = "rfsmpp.lua",
+    ["rfsm.advice"] = "rfsm/advice.lua",
     ["rfsm.await"] = "rfsm/await.lua",
     ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",

@@ -233,8 +233,8 @@ return rfsm.state {
     })
     assert.is_nil(out:find("\n[12]\r"))
     assert.matches("active: root.busy%(active%)\r\n.*interrupted!\r\n.*"
-      .. "active: root.idle%(done%)\r\n.*doo program of state 'root.spin' failed: "
-      .. ".*interrupted!\r\n.*machine, active: root.spin\r\n", out)
+      .. "active: root.idle%(done%)\r\n.*active: root.spin%(done%)\r\n.*"
+      .. "interrupted!\r\n.*machine, active: root.spin\r\n", out)
   end)
 end)
 

@@ -286,7 +286,7 @@ describe("rfsm-check", function()
     assert.same({ expected, "", expected_status }, { out, err, status })
   end
 
-  local WARNED = "^examples/checks.lua: warning: root.spare: [^\n]*\n$"
+  local WARNED = "^examples/checks.lua:%d+: warning: root.spare: [^\n]*\n$"
 
   it("says ok to a chart without problems", function()
     assert.equal("examples/on_off.lua: ok\nexamples/seqand.lua: ok\n",
