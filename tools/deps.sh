@@ -43,11 +43,6 @@ missing_for_test() { # missing_for_test LUA ...
   has_module lua5.1 luv || echo lua-luv
   has_module lua5.1 readline || echo lua-readline
   command -v dot >/dev/null 2>&1 || echo graphviz
-  command -v gcc >/dev/null 2>&1 || echo gcc
-  command -v pkg-config >/dev/null 2>&1 || echo pkg-config
-  for lua in lua5.1 lua5.4; do
-    pkg-config --exists $lua 2>/dev/null || echo lib$lua-dev | sed 's/lua5.1/lua5.1-0/'
-  done
 }
 
 missing_for_doc() {
