@@ -17,6 +17,9 @@ STRIP    ?=
 BUNDLE   ?= rfsm rfsm.straight rfsm.advice
 SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.straight rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
+ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
+$(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
+endif
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)

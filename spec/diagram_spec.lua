@@ -150,10 +150,10 @@ for _, language in ipairs(LANGUAGES) do
           return (exporter[function_name](arguments[1], arguments[2]))
         end)
         assert.is_false(ok)
-        return (problem:gsub("^%S*diagram_spec.lua:%d+: " .. language .. ".", ""))
+        return (problem:gsub("^%S*_spec.lua:%d+: " .. language .. ".", ""))
       end
-      local expected = ": initialised fsm expected, got state (rfsm.init makes one of a "
-        .. "state)"
+      local expected = ": initialised fsm expected, got state (rfsm.init makes one "
+        .. "of a state)"
       assert.equal("encode" .. expected, problem_of("encode", state {}))
       assert.equal("save" .. expected, problem_of("save", state {}, "x"))
       assert.equal("encode: title: string expected, got table",
