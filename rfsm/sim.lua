@@ -215,8 +215,8 @@ local function nearest(name, names)
 end
 
 local function is_known(set, event)
-  if set[event] or type(event) ~= "string" or event:find("^e_done") then return true end
-  return event == "e_init_fsm"
+  return set[event] or event == "e_init_fsm"
+    or type(event) == "string" and event:find("^e_done")
 end
 
 -- Sends events; complains of those that are nil or that no transition names.
@@ -235,8 +235,8 @@ local function send(sim, ...)
     elseif event == nil then
       complain(("event %d is nil"):format(i))
     elseif not has_predicate and not is_known(set, event) then
-      complain(("no transition names the event '%s'%s"):format(event,
-        nearest(event, words)))
+      complain(("no transition names the event '%s'%s"):format(show(event, 0),
+        type(event) == "string" and nearest(event, words) or ""))
     end
   end
   rfsm.send_events(sim.fsm, ...)

@@ -100,6 +100,7 @@ local COMPLAINTS = {
     .. "mean 'e_restart'?)\n",
   ["se(e_restart)"] = "nothing is named e_restart, an event is in quotes (did "
     .. "you mean 'e_restart'?)\n",
+  ["se { 'e_restart' }"] = "no transition names the event '{ \"e_restart\" }'\n",
   ["se(nil)"] = "event 1 is nil\n",
   ["dbg('fool')"] = "dbg: false, true or 'full' expected, got string 'fool'\n",
   ["add_hook(1)"] = "add_hook: function expected, got number\n",
