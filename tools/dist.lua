@@ -34,7 +34,7 @@ end
 ]]
 
 local FOOT = [[
-for name, loader in pairs(bundled) do -- any order: each stands alone
+for name in pairs(bundled) do -- any order: each stands alone
   if package and package.preload and name ~= %q and not package.preload[name] then
     package.preload[name] = function() return require(name) end
   end

@@ -166,8 +166,8 @@ local function find_from(machine, fqn, events, seen)
   end
 end
 
--- States from the root down; the first open path wins, without a look at others. A search
--- is traced if dbg is on when it begins.
+-- States from the root down; the first open path wins, without a look at others. A
+-- search is traced if dbg is on when it begins.
 local function find_enabled(machine, states, events)
   local seen, is_traced = {}, machine.calls.dbg and true
   local function record(...)
@@ -262,7 +262,9 @@ local function take_segment(machine, tr, innermost, events)
   end
   run_effect(machine, tr, machine.calls.text(tr), events)
   local below, upwards = {}, { tr.tgt }
-  for _, state in ipairs(ancestors(machine, tr.tgt)) do upwards[#upwards + 1] = state end
+  for _, fqn_above in ipairs(ancestors(machine, tr.tgt)) do
+    upwards[#upwards + 1] = fqn_above
+  end
   for _, node in ipairs(upwards) do
     if is_in(ancestors(machine, node), top) then below[#below + 1] = node end
   end
@@ -279,7 +281,9 @@ end
 
 local function trace_path(machine, path)
   local names = { path[1].src .. kind_text(machine, path[1].src) }
-  for _, tr in ipairs(path) do names[#names + 1] = tr.tgt .. kind_text(machine, tr.tgt) end
+  for _, tr in ipairs(path) do
+    names[#names + 1] = tr.tgt .. kind_text(machine, tr.tgt)
+  end
   dbg(machine, "EXEC_PATH", table.concat(names, "->"))
 end
 
