@@ -2,6 +2,6 @@ std = "min"                -- only what every Lua from 5.1 on has
 max_line_length = 88
 max_cyclomatic_complexity = 12
 include_files = { "**/*.lua", "tools/rfsm", "*.rockspec" }
-exclude_files = { "out" }
+exclude_files = { "out", "dist" }
 files["spec"] = { std = "+busted" }
 files["rockspec"] = { std = "+rockspec" }

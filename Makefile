@@ -13,6 +13,13 @@ N        ?= 100000
 SEED     ?= 1
 PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
+STRIP    ?=
+BUNDLE   ?= rfsm rfsm.straight rfsm.advice
+SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.straight rfsm.emem \
+            rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
+ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
+$(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
+endif
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
@@ -22,7 +29,7 @@ EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
 .PHONY: all help sim test lint fuzz bench bench-profile examples doc deps
-.PHONY: rockspec install uninstall clean
+.PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
 all: test               ## the same as test
@@ -80,17 +87,33 @@ deps:                   ## install the packages for sim, test and doc
 rockspec:               ## rockspec/ gets the one of release VERSION, from URL
 	$(LUA) tools/rockspec.lua $(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec
 
-install:                ## copy modules and tools below PREFIX, for each Lua
+dist:                   ## dist/rfsm.lua: the core and the rest of BUNDLE in one file
+	@mkdir -p dist
+	$(LUA) tools/dist.lua $(BUNDLE) > dist/rfsm.lua
+
+size:                   ## the live heap that each of SIZED takes, with LUA
+	@$(LUA) tools/size.lua $(SIZED)
+
+install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode
 	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \
 	  install -d $$d/rfsm; \
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
+	  $(if $(STRIP),$(STRIP_FILES);) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
 
+# LuaJIT cannot read the bytecode of Lua 5.1, and looks into the same folder.
+STRIP_FILES = luac=luac$${d\#\#*/}; \
+	  if command -v $$luac >/dev/null; then \
+	    for f in $(NAMES); do $$luac -s -o $$d/$$f $$d/$$f; done; \
+	  else \
+	    echo "$$d: source, there is no $$luac"; \
+	  fi
+
 uninstall:              ## remove the files that install copied, and empty directories
-	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES)); done
+	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
 	@rmdir $(LUADIRS:%=$(DESTDIR)%/rfsm) 2>/dev/null || true
 	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))
@@ -100,4 +123,4 @@ REMOVE_EMPTY = for d in $(LUADIRS) $(addprefix $(PREFIX)/,share/lua share bin) $
 	  rmdir $(DESTDIR)$$d 2>/dev/null || true; done
 
 clean:                  ## remove what the targets made
-	rm -rf out
+	rm -rf out dist

@@ -539,7 +539,7 @@ end
 local function model_of(value)
   local class = getmetatable(value)
   if class == Machine then return value._plan.model end
-  local def = type(class) == "table" and rawget(class, "%def")
+  local def = type(class) == "table" and rawget(class, "_%def")
   return def and def.model or value
 end
 
@@ -758,7 +758,7 @@ do
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
-    local live = getmetatable(ref)["%def"]
+    local live = getmetatable(ref)["_%def"]
     if live and build.plan.nodes[live.index] == live then return live end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
       local depth = shared_depth(composite, mount)
@@ -897,7 +897,7 @@ do
   local function make_proto(def)
     local class = CLASSES[def.kind]
     local proto = {
-      ["%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
+      ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
       __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
       events = def.events or nil, _is_internal = def.is_internal or nil,
     }
@@ -1081,7 +1081,8 @@ local function silent() end
 local function no_events() return {} end
 
 local OFF = {
-  dbg = silent, getevents = no_events, type = State.type, new = State.new, rfsm = "state",
+  dbg = silent, getevents = no_events, rfsm = "state", type = State.type,
+  new = State.new,
 }
 
 -- The flags that stand for what a plain machine lacks.
@@ -1440,7 +1441,7 @@ do
   -- A transition of the machine has got another target: returns its definition with
   -- that target, nil when it is none.
   function retarget(fsm, def, tgt)
-    local node = is_node(tgt) and getmetatable(tgt)["%def"]
+    local node = is_node(tgt) and getmetatable(tgt)["_%def"]
     if tgt == fsm then node = fsm._plan.nodes[1] end
     if not node or not rawequal(fsm._nodes[node.index], tgt) then
       report(fsm, "err", "ERROR: tgt of " .. end_text(fsm._transitions[def.index].src)
@@ -1613,7 +1614,7 @@ do
   -- into the machine: then it is searched again.
   function choose(fsm, events)
     if events[1] == nil then return nil end
-    local leaf, plan = fsm._act_leaf["%def"], fsm._plan
+    local leaf, plan = fsm._act_leaf["_%def"], fsm._plan
     local candidates = not fsm._is_traced and common_choice(fsm, leaf, events)
     local find = search
     if candidates then
@@ -1654,7 +1655,7 @@ end
 
 -- A leaf has done its work.
 local function complete(fsm, leaf)
-  local queue, event = fsm._intq, leaf["%def"].done_event
+  local queue, event = fsm._intq, leaf["_%def"].done_event
   leaf._mode = "done"
   if fsm._is_traced then trace(fsm, "RAISED", event) end
   queue[#queue + 1] = event
@@ -1757,7 +1758,7 @@ end
 -- The number of a node among definitions, which may be those of an older plan.
 local function number_of(node, defs)
   for i = 1, #defs do
-    if defs[i].index == node["%def"].index then return i end
+    if defs[i].index == node["_%def"].index then return i end
   end
 end
 
@@ -2151,7 +2152,7 @@ do
   local function iterate_further(fsm, def, leaf, leaf_def, after_free, events)
     if def == nil then return iterate_fully(fsm, after_free, events) end
     events = fsm._curq
-    if leaf["%def"] ~= leaf_def then def = choose(fsm, events) end -- a guard has merged
+    if leaf["_%def"] ~= leaf_def then def = choose(fsm, events) end -- merged
     local counted, idle = react(fsm, def, leaf, events, after_free)
     settle(fsm, events)
     return counted, is_idle(fsm, idle)
@@ -2169,7 +2170,7 @@ do
       if not leaf then return iterate_fully(fsm, after_free, events) end
       gathered = events
     end
-    local leaf_def, event, next_event = leaf["%def"], events[1], events[2]
+    local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
     if event == nil and not gathered then return iterate_doo(fsm, leaf, events) end
     if next_event ~= nil then return iterate_fully(fsm, after_free, gathered) end
@@ -2207,6 +2208,7 @@ do
 
   -- Is a step of this machine under way on this stack, or in its doo?
   function is_stepping(fsm)
+    if not fsm._segment then return false end
     local co = fsm._act_leaf and fsm._act_leaf._doo_co
     if co and (status(co) == "running" or status(co) == "normal") then return true end
     if not getinfo then return fsm._segment ~= false end
@@ -2294,7 +2296,7 @@ end
 -- Is `value` a node of that machine? A live state, if `kind` says so.
 local function is_node_of(fsm, value, kind)
   local value_kind = kind_of(value)
-  local def = value_kind and value["%def"]
+  local def = value_kind and value["_%def"]
   return type(def) == "table" and (not kind or value_kind == kind)
     and rawequal(fsm._nodes[def.index], value)
 end
@@ -2331,7 +2333,7 @@ end
 ---@param field? string of the element: "root.trans[2].events (off -> on)"
 ---@return string location
 function rfsm.location_of(obj, field)
-  local def = obj["%def"]
+  local def = obj["_%def"]
   local file = made_at[def.model]
   return (file and file .. ": " or "") .. place_of(def, field)
 end
@@ -2382,7 +2384,7 @@ local function new_machine(plan)
     _search = 0, _searched = {}, _ways = {},
   }
   local root = plan.nodes[1]
-  fsm["%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
+  fsm["_%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
   fsm.entry, fsm.exit, fsm.doo = root.entry or nil, root.exit or nil, root.doo or nil
   return make_elements(fsm, plan, 2, 1)
 end
@@ -2514,7 +2516,7 @@ do
       and rawequal(tr.src, nodes[def.src.index])
       and rawequal(tr.tgt, nodes[def.tgt.index]))
       and { events = events[1] ~= nil and events or false, pn = pn,
-        src = tr.src["%def"].index, tgt = tr.tgt["%def"].index }
+        src = tr.src["_%def"].index, tgt = tr.tgt["_%def"].index }
   end
 
   -- Changes a definition of a plan that is the machine's own; returns what is wrong.
@@ -2820,7 +2822,7 @@ function rfsm.map_from_to(fsm, f, from, to)
     error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
       .. got(to), 2)
   end
-  local is_upwards = from["%def"].depth >= to["%def"].depth
+  local is_upwards = from["_%def"].depth >= to["_%def"].depth
   local node, last = is_upwards and from or to, is_upwards and to or from
   local line, results = { node }, {}
   while node ~= last and node ~= fsm do
@@ -2855,7 +2857,7 @@ function rfsm.node_find_enabled(fsm, node, events)
   -- a guard or effect may ask while another search or path goes on
   local number, searched, ways = fsm._search, fsm._searched, fsm._ways
   fsm._search, fsm._searched, fsm._ways = number + 1, {}, {}
-  local def = find_transition(fsm, node["%def"], events)
+  local def = find_transition(fsm, node["_%def"], events)
   local path = def and { node = node, nextl = false } or false
   local at = path
   while def do
@@ -2889,7 +2891,7 @@ local function move_to(state, mode)
   while fsm._parent ~= fsm do fsm = fsm._parent end
   set_inactive(fsm)
   state._mode = mode
-  if mode ~= "inactive" and state["%def"].is_leaf then fsm._act_leaf = state end
+  if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
     local parent = state._parent
     if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
@@ -2905,7 +2907,7 @@ end
 ---@param mode "active"|"inactive"|"done"
 ---@return string mode
 function rfsm.set_sta_mode(state, mode)
-  local def = is_state(state) and state["%def"]
+  local def = is_state(state) and state["_%def"]
   if type(def) ~= "table" then
     error("rfsm.set_sta_mode: state of a fsm expected, " .. got(state), 2)
   elseif mode ~= "active" and mode ~= "inactive" and mode ~= "done" then
@@ -3019,7 +3021,7 @@ rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
-  fsm._plan, fsm["%def"] = plan, plan.nodes[1]
+  fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
   for i, tr in ipairs(fsm._transitions) do
     setmetatable(tr, plan.transitions[i].proto)
@@ -3058,7 +3060,7 @@ do
       return ("'%s' has a member '%s' already"):format(parent._fqn, text_of(id))
     elseif rawget(obj, "_parent") and is_inside(parent, obj) then
       return ("'%s' cannot contain itself"):format(obj._fqn)
-    elseif kind ~= "transition" and parent["%def"].is_leaf then
+    elseif kind ~= "transition" and parent["_%def"].is_leaf then
       return leaf_obstacle(fsm, parent)
     end
   end
@@ -3108,8 +3110,8 @@ do
   local function truncate(list, first)
     for i = #list, first, -1 do
       local element = list[i]
-      if rawequal(rawget(element._parent, element["%def"].id), element) then
-        rawset(element._parent, element["%def"].id, nil)
+      if rawequal(rawget(element._parent, element["_%def"].id), element) then
+        rawset(element._parent, element["_%def"].id, nil)
       end
       list[i] = nil
     end
@@ -3150,7 +3152,7 @@ do
     if id == nil then id = #parent + 1 end
     local old, plan = fsm._plan, copy_plan(fsm._plan)
     local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
-    local parent_def = plan.nodes[parent["%def"].index]
+    local parent_def = plan.nodes[parent["_%def"].index]
     local build = build_merge(plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
     if is_trans(obj) and not plan.transitions[first_transition] then

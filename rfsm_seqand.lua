@@ -165,16 +165,18 @@ local function leave_and_reset(region)
   if not ok then error(failure, 0) end
 end
 
--- The exit hook: regions are left also if a tool has replaced the exit of the state.
-local function leave_regions(fsm, state)
-  local regions = state._seqand
-  for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
-end
-
 -- The exit: the regions are left and reset, then the user's own.
 local function leave_all(fsm, state, what)
-  leave_regions(fsm, state)
-  if state._seqand.exit then state._seqand.exit(fsm, state, what) end
+  local regions = state._seqand
+  for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
+  if regions.exit then regions.exit(fsm, state, what) end
+end
+
+-- The exit hook: regions are left also if a tool has replaced the exit of the state.
+local function leave_active(fsm, state)
+  for _, region in ipairs(state._seqand) do
+    if region._mode ~= "inactive" then try(fsm, leave_and_reset, region) end
+  end
 end
 
 -- The post step hook: the state that is active now gets the events of the iteration,
@@ -261,7 +263,7 @@ local function prepare_state(fsm, state, problems)
   local regions = new_regions(state)
   regions.entry, regions.exit = state.entry, state.exit
   state._seqand, state.entry, state.exit = regions, enter_all, leave_all
-  rfsm.exit_hook_add(fsm, state, leave_regions)
+  rfsm.exit_hook_add(fsm, state, leave_active)
   if fsm._has_seqand then return end
   fsm._has_seqand = true
   rfsm.post_step_hook_add(fsm, end_iteration, "before")

@@ -20,7 +20,7 @@ local type = type
 local huge, max, min = math.huge, math.max, math.min
 local insert, sort = table.insert, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
-local read = clock.read
+local read, gettimes = clock.read, clock.in_use
 
 local rfsm_timeevent = {}
 
@@ -74,10 +74,15 @@ end
 --- The earliest deadlines of a machine, in its field `_timeevent`. No armed timer has
 -- one before; the timer that had it may have gone.
 ---@class rfsm_timeevent.Deadlines
----@field relative { sec: number, nsec: number } of e_after; `sec` is huge: none
----@field absolute { sec: number, nsec: number } of e_at
+---@field relative rfsm_timeevent.Deadline of e_after
+---@field absolute rfsm_timeevent.Deadline of e_at
 ---@field has_waiting boolean a timer waits for the clock, and `relative` is past
 ---@field count integer how many timers the machine has
+
+---@class rfsm_timeevent.Deadline
+---@field sec number huge if there is none
+---@field nsec number
+---@field soon number seconds; until then a look at the clock as one number is enough
 
 --- A timer; the list of them is the field `_timers` of the source.
 ---@class rfsm_timeevent.Timer
@@ -106,7 +111,12 @@ local function deadline_of(fsm, is_relative)
   return is_relative and fsm._timeevent.relative or fsm._timeevent.absolute
 end
 
-local function set(time, other) time.sec, time.nsec = other.sec, other.nsec end
+local MARGIN = 0.001 -- seconds; more than the error of a time as one number
+
+local function set(deadline, time)
+  deadline.sec, deadline.nsec = time.sec, time.nsec
+  deadline.soon = time.sec + time.nsec / 1e9 - MARGIN
+end
 
 local function report_clock(fsm, reason)
   report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
@@ -201,9 +211,11 @@ local function take_expired(fsm, is_relative, now)
 end
 
 -- Raises the events of the timers of one kind that have expired.
-local function raise_expired(fsm, is_relative, sec, nsec)
+local function raise_expired(fsm, is_relative, deadline)
+  local sec, nsec = read(is_relative)
   if not sec then return report_clock(fsm, nsec) end
   if is_relative and fsm._timeevent.has_waiting then arm_waiting(fsm) end
+  if sec < deadline.sec or sec == deadline.sec and nsec <= deadline.nsec then return end
   local events = fsm._curq
   for _, timer in ipairs(take_expired(fsm, is_relative, { sec = sec, nsec = nsec })) do
     events[#events + 1] = timer.name
@@ -211,23 +223,24 @@ local function raise_expired(fsm, is_relative, sec, nsec)
   end
 end
 
--- This runs in every iteration.
+-- Is the time certainly before `soon`?
+local function is_early(gettime, soon)
+  local sec, nsec = gettime()
+  if nsec then return sec + nsec * 1e-9 < soon end
+  return sec < soon * 1e9 -- nanoseconds
+end
+
+-- This runs in every iteration. A clock that fails is read once more, and reported.
 local function check_timers(fsm)
   local own = fsm._timeevent
   local relative, absolute = own.relative, own.absolute
-  if relative.sec < huge then
-    local sec, nsec = read(true)
-    if not sec or sec > relative.sec
-      or sec == relative.sec and nsec > relative.nsec then
-      raise_expired(fsm, true, sec, nsec)
-    end
+  if relative.soon < huge then
+    local ok, is_nothing_due = pcall(is_early, gettimes[true], relative.soon)
+    if not (ok and is_nothing_due) then raise_expired(fsm, true, relative) end
   end
-  if absolute.sec < huge then
-    local sec, nsec = read(false)
-    if not sec or sec > absolute.sec
-      or sec == absolute.sec and nsec > absolute.nsec then
-      raise_expired(fsm, false, sec, nsec)
-    end
+  if absolute.soon < huge then
+    local ok, is_nothing_due = pcall(is_early, gettimes[false], absolute.soon)
+    if not (ok and is_nothing_due) then raise_expired(fsm, false, absolute) end
   end
 end
 
@@ -236,8 +249,8 @@ end
 -- Makes a machine look for expired timers, and a state arm its own.
 local function prepare_timers(fsm, state)
   if not fsm._timeevent then
-    fsm._timeevent = { relative = { sec = huge, nsec = 0 },
-      absolute = { sec = huge, nsec = 0 }, has_waiting = false, count = 0 }
+    fsm._timeevent = { relative = { sec = huge, nsec = 0, soon = huge },
+      absolute = { sec = huge, nsec = 0, soon = huge }, has_waiting = false, count = 0 }
     rfsm.pre_step_hook_add(fsm, check_timers, "before") -- other hooks see the events
   end
   if not state._timers then

@@ -140,7 +140,10 @@ local MODULE_OF = {
 ---@param word string the event up to its parenthesis
 ---@return string hint " (require \"rfsm_timeevent\")"
 function advice.module_of(word)
-  if MODULE_OF[word] then return (" (require %q)"):format(MODULE_OF[word]) end
+  local module = MODULE_OF[word]
+  local loaded = (rawget(_G, "package") or {}).loaded or {}
+  if module and loaded[module] then return "" end -- it has warned itself
+  if module then return (" (require %q)"):format(module) end
   for _, known in ipairs({ "await", "e_after", "e_at" }) do
     if is_near(word, known) then return (" (did you mean '%s(...)'?)"):format(known) end
   end

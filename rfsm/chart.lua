@@ -5,8 +5,8 @@
 
 local rfsm = require "rfsm"
 
-local getmetatable, io, pcall, rawget = getmetatable, io, pcall, rawget
-local setmetatable, type = setmetatable, type
+local getmetatable, io, next, pcall = getmetatable, io, next, pcall
+local rawget, setmetatable, type = rawget, setmetatable, type
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 local chart = {}
@@ -57,12 +57,15 @@ end
 -- does not exist. Returns what pcall does.
 local function with_watch(source, note, f, ...)
   if not getinfo or getmetatable(_G) then return pcall(f, ...) end
-  setmetatable(_G, { __index = function(_, name)
+  local function watch(_, name)
     local reader = getinfo(2, "Sl")
     if reader and reader.source == source then note(name, reader.currentline) end
-  end })
+  end
+  local class = { __index = watch }
+  setmetatable(_G, class)
   local ok, model = pcall(f, ...)
-  setmetatable(_G, nil)
+  class.__index = class.__index ~= watch and class.__index or nil -- a chart's own
+  if getmetatable(_G) == class and not next(class) then setmetatable(_G, nil) end
   return ok, model
 end
 

@@ -6,8 +6,9 @@
 -- @module rfsm.clock
 -- @license BSD-3-Clause
 
-local error, pcall, rawget, require, type = error, pcall, rawget, require, type
-local floor, tonumber = math.floor, tonumber
+local error, pcall, rawget, require = error, pcall, rawget, require
+local setmetatable, tonumber, type = setmetatable, tonumber, type
+local floor = math.floor
 
 local clock = {}
 
@@ -123,7 +124,14 @@ end
 -- The clock in use ---------------------------------------------------------------
 
 local hook = nil
-local installed = {} -- by is_monotonic, found when they are first needed
+
+--- The function to read, by whether it should be a clock that nobody sets. It is found
+-- when it is first needed.
+---@type table<boolean, fun(): number, number?>
+clock.in_use = setmetatable({}, { __index = function(in_use, is_monotonic)
+  in_use[is_monotonic] = hook or find_clock(is_monotonic)
+  return in_use[is_monotonic]
+end })
 
 --- Set the clock.
 --
@@ -136,11 +144,18 @@ function clock.set_hook(gettime)
   if gettime and not pcall(gettime) and pcall(gettime, "CLOCK_MONOTONIC") then
     hook = function() return gettime("CLOCK_MONOTONIC") end
   end
+  clock.in_use[true], clock.in_use[false] = nil, nil
 end
 
--- Returns the time that unusual values stand for; nil and why if they are none.
-local function time_of(sec, nsec)
-  if type(sec) ~= "number" or nsec ~= nil and type(nsec) ~= "number" then
+--- Return the time; an error of the clock is returned, not raised.
+---@param is_monotonic boolean a clock that nobody sets, if there is one?
+---@return number? sec nil if the clock fails
+---@return number|any nsec the reason then
+function clock.read(is_monotonic)
+  local ok, sec, nsec = pcall(clock.in_use[is_monotonic])
+  if not ok then
+    return nil, sec
+  elseif type(sec) ~= "number" or nsec ~= nil and type(nsec) ~= "number" then
     local got = type(sec) == "number" and type(nsec) or type(sec)
     return nil, "seconds and nanoseconds expected, got " .. got
   elseif not (is_finite(sec) and is_finite(nsec or 0)) then
@@ -149,25 +164,6 @@ local function time_of(sec, nsec)
     return clock.normalise(sec, nsec)
   end
   return from_nanoseconds(sec)
-end
-
---- Return the time; nothing that the clock does is raised.
----@param is_monotonic boolean a clock that nobody sets, if there is one?
----@return number? sec nil if the clock fails
----@return number|any nsec the reason then
-function clock.read(is_monotonic)
-  local gettime = hook or installed[is_monotonic]
-  if not gettime then
-    gettime = find_clock(is_monotonic)
-    installed[is_monotonic] = gettime
-  end
-  local ok, sec, nsec = pcall(gettime)
-  if not ok then return nil, sec end
-  if type(sec) == "number" and type(nsec) == "number" and sec % 1 == 0
-    and nsec >= 0 and nsec < BILLION then
-    return sec, nsec -- the usual case
-  end
-  return time_of(sec, nsec)
 end
 
 return clock

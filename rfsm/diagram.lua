@@ -1,7 +1,7 @@
 --- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
--- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` write the result of
--- `rfsm.diagram.read`, each in its language.
+-- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` draw a `Chart`, each in its language.
+-- Their functions `encode` and `save` are made here.
 --
 -- @module rfsm.diagram
 -- @license BSD-3-Clause
@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 
-local error, io, ipairs = error, io, ipairs
+local error, io, ipairs, rawget, rawset = error, io, ipairs, rawget, rawset
 local tostring, type = tostring, type
 local concat = table.concat
 
@@ -135,14 +135,8 @@ local function read_arrows(chart, by_fqn, tab, text_of)
   end
 end
 
---- Read a machine, for a public function of an exporter.
--- @raise when `fsm` was not initialised, blaming the caller of that function
----@param fsm rfsm.Machine
----@param name string of the function
----@param title? string
----@return rfsm.diagram.Chart chart
----@nodiscard
-function diagram.read(fsm, name, title)
+-- Reads a machine for the public function `name`; errors blame its caller.
+local function read(fsm, name, title)
   rfsm.check_machine(fsm, name, 4)
   local kind = type(title)
   if kind ~= "nil" and kind ~= "string" and kind ~= "number" then
@@ -178,17 +172,34 @@ function diagram.write(file, text)
   return false, file .. ": " .. (why or why_not)
 end
 
---- Write a text to a file, for a public function of an exporter.
--- @raise when it cannot be written, blaming the caller of that function
----@param name string of the function
----@param file string
----@param text string
-function diagram.save(name, file, text)
-  if type(file) ~= "string" then
-    error(name .. ": file name expected, got " .. type(file), 3)
+--- The module of a language; both functions want an initialised fsm.
+---@class rfsm.diagram.Exporter
+---@field encode fun(fsm: rfsm.Machine, title?: string): string the diagram as text
+---@field save fun(fsm: rfsm.Machine, file: string, title?: string) writes it to a file
+
+--- Make the module of a language.
+---@param name string of the module
+---@param global string its older name
+---@param draw fun(chart: rfsm.diagram.Chart): string
+---@return rfsm.diagram.Exporter exporter
+function diagram.exporter(name, global, draw)
+  local exporter = {}
+
+  function exporter.encode(fsm, title)
+    return (draw(read(fsm, name .. ".encode", title)))
   end
-  local ok, problem = diagram.write(file, text)
-  if not ok then error(name .. ": " .. problem, 3) end
+
+  function exporter.save(fsm, file, title)
+    local chart, where = read(fsm, name .. ".save", title), name .. ".save: "
+    if type(file) ~= "string" then
+      error(where .. "file name expected, got " .. type(file), 2)
+    end
+    local ok, problem = diagram.write(file, draw(chart))
+    if not ok then error(where .. problem, 2) end
+  end
+
+  if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, global, exporter) end
+  return exporter
 end
 
 return diagram

@@ -7,13 +7,10 @@
 -- @module rfsm.dot
 -- @license BSD-3-Clause
 
-require "rfsm"
 local diagram = require "rfsm.diagram"
 
-local io, ipairs, os, rawget, rawset = io, ipairs, os, rawget, rawset
-local concat = table.concat
-
-local dot = {}
+local io, ipairs, os = io, ipairs, os
+local concat, add = table.concat, diagram.add
 
 local HEAD = [=[
   compound=true
@@ -27,8 +24,6 @@ local HEAD = [=[
 local function quoted(text)
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
 end
-
-local add = diagram.add
 
 -- Nodes: composites are clusters ------------------------------------------------
 
@@ -133,24 +128,7 @@ end
 
 -- Public functions ------------------------------------------------------------
 
---- Return a machine as the text of a Graphviz graph.
--- @raise when `fsm` was not initialised
----@param fsm rfsm.Machine
----@param title? string
----@return string dot
----@nodiscard
-function dot.encode(fsm, title)
-  return (draw(diagram.read(fsm, "rfsm.dot.encode", title)))
-end
-
---- Write a machine as a Graphviz graph to a file.
--- @raise when `fsm` was not initialised, or the file cannot be written
----@param fsm rfsm.Machine
----@param file string
----@param title? string
-function dot.save(fsm, file, title)
-  diagram.save("rfsm.dot.save", file, (draw(diagram.read(fsm, "rfsm.dot.save", title))))
-end
+local dot = diagram.exporter("rfsm.dot", "rfsm2dot", draw)
 
 --- Have Graphviz lay out a graph.
 ---@param text string of a graph
@@ -173,7 +151,5 @@ function dot.render(text, format)
   if ok and result ~= "" then return result end
   return nil, problem or "dot: " .. (complaint:match("[^\n]+") or "no picture")
 end
-
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2dot", dot) end
 
 return dot

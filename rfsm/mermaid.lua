@@ -6,13 +6,10 @@
 -- @module rfsm.mermaid
 -- @license BSD-3-Clause
 
-require "rfsm"
 local diagram = require "rfsm.diagram"
 
-local ipairs, rawget, rawset = ipairs, rawget, rawset
-local concat = table.concat
-
-local mermaid = {}
+local ipairs = ipairs
+local concat, add = table.concat, diagram.add
 
 -- Text ------------------------------------------------------------------------
 
@@ -32,8 +29,6 @@ local function title_of(text)
 end
 
 -- Lines -----------------------------------------------------------------------
-
-local add = diagram.add
 
 -- An initial is [*] where its composite begins, which no arrow can be led to: one with
 -- an arrow from elsewhere, or to elsewhere, gets a diamond behind its [*].
@@ -102,28 +97,4 @@ local function draw(chart)
   return concat(lines, "\n") .. "\n"
 end
 
--- Public functions ------------------------------------------------------------
-
---- Return a machine as the text of a Mermaid diagram.
--- @raise when `fsm` was not initialised
----@param fsm rfsm.Machine
----@param title? string
----@return string mermaid
----@nodiscard
-function mermaid.encode(fsm, title)
-  return (draw(diagram.read(fsm, "rfsm.mermaid.encode", title)))
-end
-
---- Write a machine as a Mermaid diagram to a file.
--- @raise when `fsm` was not initialised, or the file cannot be written
----@param fsm rfsm.Machine
----@param file string
----@param title? string
-function mermaid.save(fsm, file, title)
-  local chart = diagram.read(fsm, "rfsm.mermaid.save", title)
-  diagram.save("rfsm.mermaid.save", file, draw(chart))
-end
-
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2mermaid", mermaid) end
-
-return mermaid
+return diagram.exporter("rfsm.mermaid", "rfsm2mermaid", draw)

@@ -3,13 +3,10 @@
 -- @module rfsm.plantuml
 -- @license BSD-3-Clause
 
-require "rfsm"
 local diagram = require "rfsm.diagram"
 
-local ipairs, rawget, rawset = ipairs, rawget, rawset
-local concat = table.concat
-
-local plantuml = {}
+local ipairs = ipairs
+local concat, add = table.concat, diagram.add
 
 -- Text: what PlantUML would take for a command becomes <U+0022> ------------------
 
@@ -23,8 +20,6 @@ local function text_of(text)
 end
 
 -- Lines -----------------------------------------------------------------------
-
-local add = diagram.add
 
 -- An initial is [*] where its composite begins; everywhere else that stands for it.
 local function end_of(node, is_start)
@@ -64,28 +59,4 @@ local function draw(chart)
   return concat(lines, "\n") .. "\n"
 end
 
--- Public functions ------------------------------------------------------------
-
---- Return a machine as the text of a PlantUML diagram.
--- @raise when `fsm` was not initialised
----@param fsm rfsm.Machine
----@param title? string
----@return string plantuml
----@nodiscard
-function plantuml.encode(fsm, title)
-  return (draw(diagram.read(fsm, "rfsm.plantuml.encode", title)))
-end
-
---- Write a machine as a PlantUML diagram to a file.
--- @raise when `fsm` was not initialised, or the file cannot be written
----@param fsm rfsm.Machine
----@param file string
----@param title? string
-function plantuml.save(fsm, file, title)
-  local chart = diagram.read(fsm, "rfsm.plantuml.save", title)
-  diagram.save("rfsm.plantuml.save", file, draw(chart))
-end
-
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2plantuml", plantuml) end
-
-return plantuml
+return diagram.exporter("rfsm.plantuml", "rfsm2plantuml", draw)

@@ -14,12 +14,12 @@ local tostring, type = tostring, type
 
 local rfsm_preview = {}
 
--- Calls f(fsm); its error goes to `err`.
-local function try(fsm, f, what, owner)
-  local ok, result = pcall(f, fsm)
+-- Calls owner.what(fsm); its error goes to `err`.
+local function try(fsm, owner, what)
+  local ok, result = pcall(owner[what], fsm)
   if ok then return result end
-  rfsm.report(fsm, "err", "PREVIEW", ("error executing %s of %s: "):format(what, owner),
-    result)
+  rfsm.report(fsm, "err", "PREVIEW", ("error executing %s of %s: "):format(what,
+    owner._fqn or tostring(owner)), result)
 end
 
 -- A composite is entered at its `initial` connector: then `prepare` is that of both.
@@ -27,7 +27,7 @@ local function prepare_target(fsm, target)
   if not target.prepare and rfsm.is_conn(target) and target._id == "initial" then
     target = target._parent
   end
-  if target.prepare then try(fsm, target.prepare, "prepare", target._fqn) end
+  if target.prepare then try(fsm, target, "prepare") end
 end
 
 -- This runs at the end of every iteration.
@@ -36,7 +36,7 @@ local function preview(fsm)
   while state do
     for i = 1, #state._otrs do
       local tr = state._otrs[i]
-      if tr.likely and try(fsm, tr.likely, "likely", tostring(tr)) then
+      if tr.likely and try(fsm, tr, "likely") then
         prepare_target(fsm, tr.tgt)
       end
     end

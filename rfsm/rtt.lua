@@ -79,19 +79,13 @@ end
 -- Returns a function that appends the new samples of a port to a list.
 local function new_reader(port)
   local var, double = new_variables(port)
-  if not var then
-    return function(events)
-      local status, event = port:read()
-      while status == "NewData" do
-        events[#events + 1] = event
-        status, event = port:read()
-      end
-    end
-  end
   return function(events)
-    while port:read(var) == "NewData" do
+    local status, event = port:read(var)
+    while status == "NewData" do
       if double then double:assign(var) end
-      events[#events + 1] = (double or var):tolua()
+      if var then event = (double or var):tolua() end
+      events[#events + 1] = event
+      status, event = port:read(var)
     end
   end
 end

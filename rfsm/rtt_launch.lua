@@ -199,16 +199,22 @@ end
 
 -- The pool of a TLSF component fails when it is full, before the collector is due.
 local PROGRAM = [[
-if rawget(_G, "tlsf") then collectgarbage("setpause", 110) end
+if rawget(_G, "tlsf") then pcall(collectgarbage, "setpause", 110) end
 %s
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
 require("rfsm.rtt_launch").launch(%s, { %s })
 ]]
 
+-- Returns the text that launches a machine; raises if `env` cannot be written.
 local function program(args, is_component)
   local env, globals, fields = args.env or {}, {}, {}
   for i, name in ipairs(sorted_names(env)) do
-    globals[i] = ("rawset(_G, %q, %s)"):format(name, to_text(env[name]))
+    local text = type(name) == "string" and to_text(env[name])
+    if not text then
+      error(("env: %s: a name and a string, number, boolean or list of these expected")
+        :format(tostring(name)), 0)
+    end
+    globals[i] = ("rawset(_G, %q, %s)"):format(name, text)
   end
   for _, name in ipairs(sorted_names(args)) do
     local text = simple_text(args[name]) -- nil for the deployer and the like
@@ -220,47 +226,28 @@ end
 
 -- In the Lua of the caller: arguments ----------------------------------------------
 
-local FIELDS = { -- with their types; options of a service are among them
-  deployer = "string or table or userdata", exec_str = "function or userdata",
-  env = "table", eehook = "boolean", ev_inport = "string or boolean",
-  ev_outport = "string or boolean", fqn_port = "string", fsmfile = "file name",
-  luatype = "string", name = "string", postfile = "file name", poststr = "string",
-  prefile = "file name", prestr = "string", run = "boolean", running_only = "boolean",
-  sync = "boolean",
+local FIELDS = { -- with types, or words for what is not checked
+  deployer = "deployer", exec_str = "operation exec_str", env = "table",
+  eehook = "boolean", ev_inport = "name", ev_outport = "name", fqn_port = "string",
+  fsmfile = "file name", luatype = "string", name = "string", postfile = "file name",
+  poststr = "string", prefile = "file name", prestr = "string", run = "boolean",
+  running_only = "boolean", sync = "boolean",
 }
-
-local function got(value)
-  local text = simple_text(value)
-  return "got " .. type(value) .. (text and " " .. text or "")
-end
-
-local function env_problem(env)
-  for _, name in ipairs(sorted_names(env)) do
-    if type(name) ~= "string" then return "names expected as keys, " .. got(name) end
-    if not to_text(env[name]) then
-      return name .. ": string, number, boolean or a list of these expected, "
-        .. got(env[name])
-    end
-  end
-end
+local CHECKED = { boolean = true, string = true, table = true, ["file name"] = true }
 
 local function problem_of(kind, value)
   local actual = type(value)
   if kind == "file name" and actual == "string" then
     return (select(2, loadfile(value)))
-  elseif kind == "table" and actual == "table" then
-    return env_problem(value)
-  elseif kind:find(actual, 1, true)
-    or kind:find("func") and rfsm.is_callable(value) then
+  elseif actual == kind or value ~= nil and not CHECKED[kind] then
     return nil
   end
-  return kind .. " expected, " .. got(value)
+  return kind .. " expected, got " .. actual
 end
 
--- Raises what is wrong with the arguments of a launch, the first by name; these two
--- must be there.
+-- Raises what is wrong with the arguments of a launch, of which two must be there.
 local function check(args, first, second)
-  if type(args) ~= "table" then error("table expected, " .. got(args), 0) end
+  if type(args) ~= "table" then error("table expected, got " .. type(args), 0) end
   for _, name in ipairs(sorted_names(args)) do
     if not FIELDS[name] then error("unknown field '" .. tostring(name) .. "'", 0) end
   end
@@ -304,8 +291,10 @@ end
 function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, options)
   local args = { fsmfile = file, exec_str = exec_str, eehook = eehook, env = env }
   for name, value in pairs(options or {}) do args[name] = value end -- any order: a set
-  local ok, why = pcall(check, args, "fsmfile", "exec_str")
-  if ok then ok, why = succeeds(exec_str, program(args, false)) end
+  local ok, why = succeeds(function()
+    check(args, "fsmfile", "exec_str")
+    return exec_str(program(args, false))
+  end)
   if not ok then error("rfsm.rtt.service_launch_rfsm: " .. why, 2) end
   return true
 end
@@ -313,6 +302,7 @@ end
 -- Loads the component, and launches the machine in it.
 local function launch_component(args)
   check(args, "name", "fsmfile")
+  local text = program(args, true)
   local name, deployer = args.name, args.deployer or "Deployer"
   if type(deployer) == "string" then
     deployer = package.loaded.rtt.getTC():getPeer(deployer)
@@ -323,7 +313,7 @@ local function launch_component(args)
   local component = deployer:getPeer(name)
   ok, why = succeeds(function()
     component:addPeer(deployer)
-    return component:getOperation("exec_str")(program(args, true))
+    return component:getOperation("exec_str")(text)
   end)
   if ok then return component end
   succeeds(deployer:getOperation("unloadComponent"), name)

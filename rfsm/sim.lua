@@ -103,7 +103,6 @@ end
 local PERIOD = 10000 -- VM instructions between two looks
 local uv -- luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
-local is_interrupted = false -- since the prompt
 
 -- Has Control-C been typed since the last look?
 local function is_typed()
@@ -114,9 +113,7 @@ local function is_typed()
 end
 
 local function poll()
-  if not is_typed() then return end
-  is_interrupted = true
-  error("interrupted!", 2)
+  if is_typed() then error("interrupted!", 2) end -- the core knows this text
 end
 
 local function catch_interrupts()
@@ -126,11 +123,6 @@ local function catch_interrupts()
   uv.new_signal():start("sigint", function() count = count + 1 end)
   sethook(poll, "", PERIOD)
   if rawget(_G, "jit") then rawget(_G, "jit").off() end -- its code calls no hook
-end
-
--- A callback that was interrupted has failed. Then the run ends with its iteration.
-local function end_interrupted()
-  if is_interrupted then error("interrupted!", 0) end
 end
 
 -- Called as a preproc function.
@@ -155,7 +147,6 @@ local function init_quietly(model)
   preproc[#preproc] = nil
   model.err = own_err
   if fsm and own_err == nil then fsm.err = print_err end
-  if fsm then rfsm.post_step_hook_add(fsm, end_interrupted) end
   return fsm, problems
 end
 
@@ -224,8 +215,8 @@ local function nearest(name, names)
 end
 
 local function is_known(set, event)
-  if set[event] or type(event) ~= "string" or event:find("^e_done") then return true end
-  return event == "e_init_fsm"
+  return set[event] or event == "e_init_fsm"
+    or type(event) == "string" and event:find("^e_done")
 end
 
 -- Sends events; complains of those that are nil or that no transition names.
@@ -244,8 +235,8 @@ local function send(sim, ...)
     elseif event == nil then
       complain(("event %d is nil"):format(i))
     elseif not has_predicate and not is_known(set, event) then
-      complain(("no transition names the event '%s'%s"):format(event,
-        nearest(event, words)))
+      complain(("no transition names the event '%s'%s"):format(show(event, 0),
+        type(event) == "string" and nearest(event, words) or ""))
     end
   end
   rfsm.send_events(sim.fsm, ...)
@@ -428,12 +419,12 @@ end
 
 -- Runs `text`. Returns true, or false, one line, and whether more text may mend it.
 local function evaluate(sim, text, chunkname)
-  sim.missing, is_interrupted = {}, false
+  sim.missing = {}
   local chunk, problem = compile(sim.env, call_of(sim, text), chunkname)
   if not chunk then return false, first_line(problem), is_incomplete(problem) end
   local ok, failure = pcall(chunk, print_results)
-  if not ok then return false, first_line(failure), false end
-  return true
+  if ok then return true end
+  return false, (first_line(failure):gsub("^.*:%d+: (interrupted!)$", "%1")), false
 end
 
 -- Read lines: piped in, or typed at a terminal --------------------------------

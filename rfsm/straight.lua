@@ -183,7 +183,7 @@ end
 local function make_dispatch(parts, def, is_hooked)
   local runs = {}
   return function(fsm, from, tr)
-    local exits = from["%def"].depth - def.lca.depth
+    local exits = from["_%def"].depth - def.lca.depth
     local run = runs[exits]
     if run == nil then
       run = make_segment(parts, def, exits, is_hooked) or parts.run_segment

@@ -20,6 +20,7 @@ build = {
     ["rfsm_seqand"] = "rfsm_seqand.lua",
     ["rfsm_timeevent"] = "rfsm_timeevent.lua",
     ["rfsmpp"] = "rfsmpp.lua",
+    ["rfsm.advice"] = "rfsm/advice.lua",
     ["rfsm.await"] = "rfsm/await.lua",
     ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",
@@ -37,6 +38,7 @@ build = {
     ["rfsm.rtt"] = "rfsm/rtt.lua",
     ["rfsm.rtt_launch"] = "rfsm/rtt_launch.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
+    ["rfsm.straight"] = "rfsm/straight.lua",
     -- older names
     ["rfsm2dot"] = "compat/rfsm2dot.lua",
     ["rfsm2json"] = "compat/rfsm2json.lua",

@@ -104,6 +104,9 @@ describe("bench/extensions.lua", function()
         patterns[#patterns + 1] = "^%+ " .. name .. " off +[%d.]+ +[%d.]+ %%$"
       end
     end
+    for _ = 1, 7 do -- in use
+      patterns[#patterns + 1] = "^%+ rfsm[%w_.]*: [%a ]+ +[%d.]+ +[%d.]+ %%$"
+    end
     patterns[#patterns + 1] = "^status 0$"
     assert_lines(patterns, output_of("extensions.lua", QUICK))
   end)

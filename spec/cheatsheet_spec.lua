@@ -107,8 +107,8 @@ rfsm.run(fsm)
     end)
     for i = 1, #lines do lines[i] = lines[i]:gsub("\27%[%d+m", "") end
     assert.same({
-      "fsmX:\tSTATE_ENTER          root", "dark",
-      "fsmX:\tSTATE_ENTER          root.off",
+      "fsmX:\tSTATE_ENTER         root", "dark",
+      "fsmX:\tSTATE_ENTER         root.off",
     }, lines)
   end)
 

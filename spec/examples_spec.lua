@@ -299,3 +299,30 @@ describe("the example", function()
     assert.same({}, missing)
   end)
 end)
+
+-- The C host, with each of the Lua libraries that are installed with their headers.
+describe("the host in C", function()
+  local function output_of(command)
+    local pipe = assert(io.popen(command .. " 2>&1"))
+    local text = pipe:read("*a")
+    pipe:close()
+    return text
+  end
+
+  for _, lib in ipairs { "lua5.1", "lua5.4" } do
+    local flags = output_of("pkg-config --cflags --libs " .. lib):match("^%-[^\n]*")
+    if not flags or output_of("command -v cc") == "" then
+      print("skipped: the host in C with " .. lib .. ", its headers or cc are missing")
+    else
+      it("walks, drives and changes a machine with " .. lib, function()
+        local program = os.tmpname()
+        assert.equal("", output_of(("cc -Wall examples/hosts/c_host.c %s -o %s"):format(
+          flags, program)))
+        local output = output_of(program)
+        os.remove(program)
+        assert.equal("3 states, 2 transitions\ntransition 2 leaves root.off\n"
+          .. "entered root.on\nactive: root.on.bright\n", output)
+      end)
+    end
+  end
+end)

@@ -104,8 +104,13 @@ describe("rfsm.json", function()
     assert.matches('"transitions":%[%]', json.encode(empty))
   end)
 
-  it("writes the same text each time", function()
+  it("writes the same text each time, internal transitions marked", function()
     assert.equal(json.encode(machine()), json.encode(machine()))
+    assert.matches('"tgt":"root.a",\n *"events":%["e"%],\n *"internal":true',
+      json.encode(helper.init(state {
+        a = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "internal", events = "e" },
+      })))
   end)
 
   it("writes events that JSON does not know as text", function()

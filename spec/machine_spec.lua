@@ -472,7 +472,8 @@ describe("the parts of a machine", function()
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_b")
     assert.same({ "ENTRY error executing entry of root.a: ",
-      "GUARD error executing guard of T={ src='root.k', tgt='root.c.initial' }: " }, said)
+      "GUARD error executing guard of T={ src='root.k', tgt='root.c.initial' }: ",
+    }, said)
     fsm[3].guard = false
     helper.post_and_run(fsm, "e_b")
     assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
@@ -638,7 +639,7 @@ describe("a machine that shares a plan", function()
     end)
   end
 
-  it("takes another target from the next search on, reports one that is none", function()
+  it("takes another target from the next search on, no other value", function()
     local said = {}
     local fsm = second(flat())
     fsm.err = function(text) said[#said + 1] = text end

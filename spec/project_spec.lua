@@ -82,6 +82,43 @@ describe("the rockspec", function()
   end)
 end)
 
+describe("dist/rfsm.lua", function()
+  local folder, lua = os.tmpname(), arg[-1]
+
+  setup(function()
+    os.remove(folder)
+    assert(os.execute(("mkdir 'F' && '%s' tools/dist.lua rfsm rfsm.straight rfsm.advice"
+      .. " >'F/rfsm.lua' && cp -r spec 'F'"):gsub("F", folder):format(lua)))
+  end)
+
+  teardown(function() os.execute("rm -r '" .. folder .. "'") end)
+
+  local function results_in(place) -- sorted: some specs come in any order
+    return lines_of(("cd '%s' && busted --lua=$(command -v '%s') --lpath=./?.lua "
+      .. "-o TAP spec/transition_spec.lua spec/contract_spec.lua 2>&1 "
+      .. "| sed -nE 's/^(ok|not ok) [0-9]+ - /\\1 /p' | sort"):format(place, lua))
+  end
+
+  it("does in an empty folder what the core does here", function()
+    local results = results_in(folder)
+    assert.is_true(#results > 20)
+    assert.same(results_in("."), results)
+  end)
+
+  it("brings generated code into a sandbox without require", function()
+    assert.equal("true", helper.output_of(([[
+      local text, load = io.open("%s/rfsm.lua"):read("*a"), loadstring or load
+      require, package, loadfile = nil, nil, nil
+      local rfsm = load(text)()
+      local fsm = rfsm.init(rfsm.state { info = false, warn = false, a = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = "e" } })
+      for _ = 1, 9 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
+      print(rfsm.get_actleaf_fqn(fsm) == "root.a")
+    ]]):format(folder)))
+  end)
+end)
+
 describe("the version of the core", function()
   it("is in the changelog", function()
     local version = rfsm._VERSION:match("[%d.]+$")

@@ -362,7 +362,7 @@ describe("a machine", function()
     local function note(text)
       return function(machine)
         seen[#seen + 1] = ("%s %s %s"):format(text, table.concat(
-          rfsm.get_active_conf(machine), " "), tostring(machine._actchild))
+          rfsm.get_active_conf(machine), " "), tostring(rfsm.actchild_get(machine)))
       end
     end
     local fsm = started({ a = state { exit = note "exit" }, [2] = trans {

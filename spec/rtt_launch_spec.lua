@@ -56,17 +56,15 @@ return rfsm.state {
 }
 
 local WRONG_ENVS = { -- env, and what is reported
-  { { go = print }, "env: go: string, number, boolean or a list of these expected, "
-    .. "got function" },
-  { { t = { { 1 } } }, "env: t: string, number, boolean or a list of these expected, "
-    .. "got table" },
-  { { t = { x = 1 } }, "env: t: string, number, boolean or a list of these expected, "
-    .. "got table" },
-  { { far = math.huge }, "env: far: string, number, boolean or a list of these "
-    .. "expected, got number" },
-  { { "speed" }, "env: names expected as keys, got number 1" },
-  { 3, "env: table expected, got number 3" },
+  { { go = print }, "env: go: " }, { { t = { { 1 } } }, "env: t: " },
+  { { t = { x = 1 } }, "env: t: " }, { { far = math.huge }, "env: far: " },
+  { { "speed" }, "env: 1: " },
 }
+for _, case in ipairs(WRONG_ENVS) do
+  case[2] = case[2]
+    .. "a name and a string, number, boolean or list of these expected"
+end
+WRONG_ENVS[#WRONG_ENVS + 1] = { 3, "env: table expected, got number" }
 
 local ENV = {
   speed = 3.5, name = "it's\n\"quoted\" \\ 100% %s", is_fast = true, is_slow = false,
@@ -275,9 +273,8 @@ describe("service_launch_rfsm", function()
 
     local ARGUMENTS = { -- file, exec_str, eehook, text
       { nil, print, true, "fsmfile: file name expected, got nil" },
-      { false, nil, true, "exec_str: function or userdata expected, got nil" },
-      { false, print, "updateHook", "eehook: boolean expected, got string "
-        .. "\"updateHook\"" },
+      { false, nil, true, "exec_str: operation exec_str expected, got nil" },
+      { false, print, "updateHook", "eehook: boolean expected, got string" },
     }
     for _, case in ipairs(ARGUMENTS) do
       it(case[4], function()
@@ -427,8 +424,10 @@ return rfsm.state {
     events:write("e_go")
     spin()
     assert.same({ "<none>", "root.a", "root.b" }, samples(names))
-    assert.equal("table true", evaluate(exec_str,
-      "type(tlsf), collectgarbage('setpause', 200) <= 110"))
+    assert.equal("table", evaluate(exec_str, "type(tlsf)"))
+    if _VERSION == "Lua 5.5" then return end -- it has other parameters
+    assert.equal("true",
+      evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
   end)
 
   it("keeps what nobody needs any more out of memory", function()
@@ -574,7 +573,7 @@ extra_in_ports = { port }]] }
 
     it("what is no table", function()
       assert.equal("table expected, got nil", refused(nil))
-      assert.equal("table expected, got string \"arm\"", refused("arm"))
+      assert.equal("table expected, got string", refused("arm"))
     end)
 
     it("fields that are missing", function()
@@ -583,15 +582,12 @@ extra_in_ports = { port }]] }
     end)
 
     local WRONG = {
-      { { name = 3 }, "name: string expected, got number 3" },
+      { { name = 3 }, "name: string expected, got number" },
       { { fsm_file = "x" }, "unknown field 'fsm_file'" },
       { { "arm" }, "unknown field '1'" },
-      { { luatype = true }, "luatype: string expected, got boolean true" },
-      { { sync = "yes" }, "sync: boolean expected, got string \"yes\"" },
-      { { ev_inport = 3 }, "ev_inport: string or boolean expected, got number 3" },
-      { { prefile = 1 }, "prefile: file name expected, got number 1" },
-      { { deployer = 3 },
-        "deployer: string or table or userdata expected, got number 3" },
+      { { luatype = true }, "luatype: string expected, got boolean" },
+      { { sync = "yes" }, "sync: boolean expected, got string" },
+      { { prefile = 1 }, "prefile: file name expected, got number" },
     }
     for _, case in ipairs(WRONG) do
       it("a wrong field: " .. case[2], function()

@@ -100,6 +100,7 @@ local COMPLAINTS = {
     .. "mean 'e_restart'?)\n",
   ["se(e_restart)"] = "nothing is named e_restart, an event is in quotes (did "
     .. "you mean 'e_restart'?)\n",
+  ["se { 'e_restart' }"] = "no transition names the event '{ \"e_restart\" }'\n",
   ["se(nil)"] = "event 1 is nil\n",
   ["dbg('fool')"] = "dbg: false, true or 'full' expected, got string 'fool'\n",
   ["add_hook(1)"] = "add_hook: function expected, got number\n",
@@ -227,12 +228,14 @@ return rfsm.state {
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
 }]])
-    local out = at_terminal(chart, { "print(1)^C", "print(2)^C",
-      'run() ser("e_busy")\\n', "^C", 'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n" })
+    local out = at_terminal(chart, {
+      "print(1)^C", "print(2)^C", 'run() ser("e_busy")\\n', "^C",
+      'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n",
+    })
     assert.is_nil(out:find("\n[12]\r"))
     assert.matches("active: root.busy%(active%)\r\n.*interrupted!\r\n.*"
-      .. "active: root.idle%(done%)\r\n.*doo program of state 'root.spin' failed: "
-      .. ".*interrupted!\r\n.*machine, active: root.spin\r\n", out)
+      .. "active: root.idle%(done%)\r\n.*active: root.spin%(done%)\r\n.*"
+      .. "interrupted!\r\n.*machine, active: root.spin\r\n", out)
   end)
 end)
 

@@ -63,31 +63,58 @@ before_each(function()
   timeevent.set_gettime_hook(clock)
 end)
 
+-- Moves a machine: "+3" three seconds later, "+0,1" a nanosecond later, "e_x" with that
+-- event; "=b" is the leaf that is active then.
+local function check_story(fsm, story)
+  for move, expected in story:gmatch("(%S*)=(%S+)") do
+    local sec, nsec = move:match("^%+([^,]+),?(%d*)$")
+    if sec then advance(tonumber(sec), tonumber(nsec)) end
+    if sec or move == "" then rfsm.run(fsm) else helper.post_and_run(fsm, move) end
+    assert.equal(expected, leaf(fsm), story .. ": " .. move)
+  end
+end
+
+local function fail() error("out of order", 0) end
+
+describe("a time event", function()
+  local callable = setmetatable({}, { __call = function() return 1 end })
+  -- A circumstance, the events from a to b, moves and leaves.
+  for _, case in ipairs {
+    { "comes when more time has passed", { "e_after(3)" }, "+3=a +0,1=b" },
+    { "may be the only one, as a text", "e_after(3)", "+4=b" },
+    { "stands beside others", { "e_x", "e_after(3)" }, "e_x=b" },
+    { "is armed anew on each entry", { "e_after(1)" }, "+2=b e_back=a +1=a +0,1=b" },
+    { "is armed anew by a self transition", { "e_after(2)" },
+      "+1=a e_self=a +1=a +1,1=b" },
+    { "for 0 seconds waits for the clock", { "e_after(0)" }, "=a =a =a +0,1=b" },
+    { "comes first of several", { "e_after(5)", "e_after(2)", "e_at(9999)" },
+      "+2=a +0,1=b" },
+    { "waits longer if the clock jumps back", { "e_after(3)" },
+      "+-500=a +503=a +0,1=b" },
+    { "comes at a time", { "e_at(1010)" }, "+10=a +0,1=b" },
+    { "whose time is past comes once an entry", { e_at(5) }, "=b e_back=b" },
+    { "may have a callable table", { e_after(callable) }, "+1=a +0,1=b" },
+    { "for math.huge seconds never comes",
+      { e_after(function() return math.huge end) }, "+1e9=a" },
+    { "for a negative number comes at once", { e_after(function() return -5 end) },
+      "=a +0,1=b" },
+    { "comes also if the function of another fails", { e_after(fail), "e_after(3)" },
+      "+4=b" },
+  } do
+    it(case[1], function()
+      local model = chart(case[2])
+      model[4] = trans { src = "a", tgt = "a", events = { "e_self" } }
+      model.err = false
+      check_story(started(model), case[3])
+    end)
+  end
+end)
+
 describe("e_after", function()
-  it("fires when more time has passed", function()
-    local fsm = started(chart { "e_after(3)" })
-    assert.equal("b", active_after(fsm, 3, 1))
-  end)
-
-  it("does not fire when just that time has passed", function()
-    local fsm = started(chart { "e_after(3)" })
-    assert.equal("a", active_after(fsm, 3))
-  end)
-
   it("is acted on in the step call that finds it expired", function()
     local fsm = started(chart { "e_after(3)" })
     advance(4)
     rfsm.step(fsm)
-    assert.equal("b", leaf(fsm))
-  end)
-
-  it("may be the only event, as a string", function()
-    assert.equal("b", active_after(started(chart("e_after(3)")), 4))
-  end)
-
-  it("stands beside other events", function()
-    local fsm = started(chart { "e_x", "e_after(3)" })
-    helper.post_and_run(fsm, "e_x")
     assert.equal("b", leaf(fsm))
   end)
 
@@ -121,30 +148,12 @@ describe("e_after", function()
     assert.equal(1, asked)
   end)
 
-  it("is armed anew on each entry", function()
-    local fsm = started(chart { "e_after(1)" })
-    active_after(fsm, 2)
-    helper.post_and_run(fsm, "e_back")
-    assert.equal("a", active_after(fsm, 1))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
   it("is disarmed when its state is left", function()
     local model = chart { "e_x" }
     model[4] = trans { src = "a", tgt = "b", events = { "e_after(1)" } }
     local fsm = started(model)
     helper.post_and_run(fsm, "e_x")
     assert.is_nil(timeevent.next_deadline(fsm))
-  end)
-
-  it("is armed anew by a self transition", function()
-    local model = chart { "e_after(2)" }
-    model[4] = trans { src = "a", tgt = "a", events = { "e_again" } }
-    local fsm = started(model)
-    advance(1)
-    helper.post_and_run(fsm, "e_again")
-    assert.equal("a", active_after(fsm, 1, 500))
-    assert.equal("b", active_after(fsm, 1))
   end)
 
   it("is armed before the entry of the state", function()
@@ -171,12 +180,6 @@ describe("e_after", function()
     fsm.a.entry, fsm.a.exit = function() end, function() end
     rfsm.run(fsm)
     assert.equal("b", active_after(fsm, 3))
-  end)
-
-  it("fires at once for 0 seconds, as soon as the clock moves", function()
-    local fsm = started(chart { "e_after(0)" })
-    assert.equal("a", leaf(fsm))
-    assert.equal("b", active_after(fsm, 0, 1))
   end)
 
   it("fires in a root of its own", function()
@@ -226,12 +229,6 @@ describe("the timer of a composite", function()
 end)
 
 describe("many timers", function()
-  it("may stand at one transition", function()
-    local fsm = started(chart { "e_after(5)", "e_after(2)", "e_after(9)" })
-    assert.equal("a", active_after(fsm, 2))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
   it("may belong to one state, each with its transition", function()
     local model = chart { "e_after(5)" }
     model.c = state {}
@@ -377,28 +374,8 @@ describe("a day of timers in milliseconds", function()
 end)
 
 describe("e_at", function()
-  it("fires when the clock says more", function()
-    local fsm = started(chart { "e_at(1010)" })
-    assert.equal("a", active_after(fsm, 10))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
-  it("fires in the next iteration when the time is past", function()
-    local fsm = helper.init(chart { e_at(5) })
-    rfsm.step(fsm)
-    rfsm.step(fsm)
-    assert.equal("b", leaf(fsm))
-  end)
-
   it("has a name like e_after", function()
     assert.same({ "e_at(1010.5)@root.a" }, started(chart { e_at(1010.5) })[2].events)
-  end)
-
-  it("fires once per entry, and again after the next", function()
-    local fsm = started(chart { "e_at(1)" })
-    assert.equal("b", leaf(fsm))
-    helper.post_and_run(fsm, "e_back")
-    assert.equal("b", leaf(fsm))
   end)
 end)
 
@@ -442,36 +419,13 @@ describe("a timeout function", function()
       fsm[2].events)
   end)
 
-  it("may be a callable table", function()
-    local patience = setmetatable({}, { __call = function() return 1 end })
-    assert.equal("b", active_after(started(chart { e_after(patience) }), 2))
-  end)
-
-  it("that returns math.huge never fires", function()
-    local fsm = started(chart { e_after(function() return math.huge end) })
-    assert.equal("a", active_after(fsm, 1e9))
-  end)
-
-  it("that returns a negative number fires at once", function()
-    local fsm = started(chart { e_after(function() return -5 end) })
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
   it("that fails goes to err", function()
-    local function fail() error("out of order", 0) end
     local fsm = helper.init(chart { e_after(fail, 7) })
     local errors = said(fsm, "err")
     rfsm.run(fsm)
     assert.same({
       "TIMEEVENT error executing timeout of e_after(7)@root.a:  out of order",
     }, errors)
-  end)
-
-  it("that fails leaves the other timers of its state armed", function()
-    local fsm = helper.init(chart { e_after(function() error("no") end), "e_after(3)" })
-    fsm.err = false
-    rfsm.run(fsm)
-    assert.equal("b", active_after(fsm, 4))
   end)
 
   for _, case in ipairs {
@@ -603,19 +557,6 @@ describe("the gettime hook", function()
 end)
 
 describe("a clock", function()
-  it("that jumps back makes a timer wait for its time again", function()
-    local fsm = started(chart { "e_after(3)" })
-    assert.equal("a", active_after(fsm, -500))
-    assert.equal("a", active_after(fsm, 503))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
-  it("that stands still fires nothing, and run returns", function()
-    local fsm = started(chart { "e_after(0)" })
-    for _ = 1, 10 do rfsm.run(fsm) end
-    assert.equal("a", leaf(fsm))
-  end)
-
   local function broken() error("battery empty", 0) end
 
   describe("when it fails", function()
@@ -713,11 +654,13 @@ describe("without a hook", function()
     end
   end
 
-  -- Which clocks are asked for an e_after and then for an e_at?
-  local function clocks_asked(make_modules)
-    local asked = {}
-    local function note(name) asked[#asked + 1] = name end
-    local copy, restore = fresh(make_modules(note))
+  -- Which clocks are read for an e_after and then for an e_at?
+  local function clocks_read(make_modules)
+    local names = {}
+    local copy, restore = fresh(make_modules(function(name)
+      names[#names + 1] = name
+      return 5, 0
+    end))
     local C = copy.rfsm
     local fsm = C.init(C.state {
       warn = false, info = false, a = C.state {}, b = C.state {},
@@ -726,84 +669,51 @@ describe("without a hook", function()
     })
     C.step(fsm)
     copy.timeevent.next_deadline(fsm) -- the clocks have been chosen now
-    helper.clear(asked)
+    helper.clear(names)
     copy.timeevent.next_deadline(fsm)
     restore()
-    return asked
+    return names
   end
 
   after_each(function() os.time = real_time end) -- luacheck: ignore 122
 
-  it("rtp is asked, monotonic for e_after", function()
-    assert.same({ "CLOCK_MONOTONIC", "CLOCK_REALTIME" }, clocks_asked(function(note)
-      return { rtp = { clock = { gettime = function(id)
-        note(id)
-        return 5, 0
-      end } } }
-    end))
-  end)
-
-  it("an rtp that knows no clock by name is asked without", function()
-    assert.same({ "nil", "nil" }, clocks_asked(function(note)
+  -- A clock, the names or ids by which it is read for an e_after and an e_at, and the
+  -- modules that are installed; `read` notes one.
+  for _, case in ipairs {
+    { "rtp, monotonic for e_after", "CLOCK_MONOTONIC CLOCK_REALTIME", function(read)
+      return { rtp = { clock = { gettime = read } } }
+    end },
+    { "an rtp that knows no clock by name", "nil nil", function(read)
       return { rtp = { clock = { gettime = function(id)
         assert(id == nil, "number expected")
-        note(tostring(id))
-        return 5, 0
+        return read("nil")
       end } } }
-    end))
-  end)
-
-  it("luaposix is next, monotonic for e_after", function()
-    assert.same({ "mono", "real" }, clocks_asked(function(note)
+    end },
+    { "luaposix, monotonic for e_after", "mono real", function(read)
       return { ["posix.time"] = {
         CLOCK_MONOTONIC = "mono", CLOCK_REALTIME = "real",
-        clock_gettime = function(id)
-          note(id)
-          return { tv_sec = 5, tv_nsec = 0 }
-        end,
+        clock_gettime = function(id) return { tv_sec = read(id), tv_nsec = 0 } end,
       } }
-    end))
-  end)
-
-  it("an old luaposix has its clock elsewhere", function()
-    assert.same({ "monotonic", "realtime" }, clocks_asked(function(note)
-      return { posix = { clock_gettime = function(id)
-        note(id)
-        return 5, 0
-      end } }
-    end))
-  end)
-
-  it("luasocket is next", function()
-    assert.same({ "socket", "socket" }, clocks_asked(function(note)
-      return { socket = { gettime = function()
-        note("socket")
-        return 5.25
-      end } }
-    end))
-  end)
-
-  it("os.time is the last", function()
-    assert.same({ "os", "os" }, clocks_asked(function(note)
-      os.time = function() -- luacheck: ignore 122
-        note("os")
-        return 5
-      end
+    end },
+    { "an old luaposix", "monotonic realtime", function(read)
+      return { posix = { clock_gettime = read } }
+    end },
+    { "luasocket", "socket socket", function(read)
+      return { socket = { gettime = function() return (read("socket")) end } }
+    end },
+    { "os.time", "os os", function(read)
+      os.time = function() return (read("os")) end -- luacheck: ignore 122
       return {}
-    end))
-  end)
-
-  it("a clock that is installed but fails is passed over", function()
-    assert.same({ "socket", "socket" }, clocks_asked(function(note)
-      return {
-        posix = { clock_gettime = function() error("no such clock") end },
-        socket = { gettime = function()
-          note("socket")
-          return 5
-        end },
-      }
-    end))
-  end)
+    end },
+    { "the next one after one that fails", "socket socket", function(read)
+      return { posix = { clock_gettime = function() error("no such clock") end },
+        socket = { gettime = function() return (read("socket")) end } }
+    end },
+  } do
+    it("the clock is " .. case[1], function()
+      assert.equal(case[2], table.concat(clocks_read(case[3]), " "))
+    end)
+  end
 end)
 
 describe("dbg", function()

@@ -13,10 +13,18 @@ has_module() { # has_module LUA MODULE
   "$1" -e "require '$2'" >/dev/null 2>&1
 }
 
-# The tool starts if there are a Lua and argparse.
+# The tool starts if there are a Lua and argparse. With readline it edits lines, with luv
+# Control-C works any number of times: both are wanted for the Lua that is there.
 missing_for_sim() {
-  "$(dirname "$0")/rfsm" --version >/dev/null 2>&1 && return
-  echo "lua5.3 lua-argparse lua-ansicolors lua-readline"
+  code='for _, m in ipairs { "argparse", "readline", "luv" } do
+    if not pcall(require, m) then print("lua-" .. m) end
+  end'
+  for lua in ${LUA:-} lua5.3 lua5.4 lua luajit lua5.2 lua5.1; do
+    command -v "$lua" >/dev/null 2>&1 || continue
+    "$lua" -e "$code"
+    return
+  done
+  echo "lua5.3 lua-argparse lua-ansicolors lua-readline lua-luv"
 }
 
 # Interpreters in a folder of their own, such as tools/lua5.5, are not Debian's.
@@ -75,7 +83,8 @@ case "${1:-}" in
     packages=$(missing_for_"$target" "$@")
     # One word, one package.
     # shellcheck disable=SC2086
-    [ -z "$packages" ] || install_packages $packages
+    [ -z "$packages" ] || install_packages $packages ||
+      { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
   *) echo "usage: tools/deps.sh sim|doc|test LUA ..." >&2; exit 2 ;;
 esac

@@ -1,4 +1,4 @@
--- Prints one file that holds the core and the modules named: LUA tools/dist.lua MODULE...
+-- Prints one file that holds the modules named:  LUA tools/dist.lua MODULE...
 --
 -- Each module becomes a function in that file, found by a `require` of its own, so that
 -- the file also works in a sandbox that has none. The first module is the core; loading
@@ -34,7 +34,7 @@ end
 ]]
 
 local FOOT = [[
-for name, loader in pairs(bundled) do -- any order: each stands alone
+for name in pairs(bundled) do -- any order: each stands alone
   if package and package.preload and name ~= %q and not package.preload[name] then
     package.preload[name] = function() return require(name) end
   end

@@ -4,11 +4,12 @@
 # "N passed, N failed".
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
-# sees what another has loaded.
+# sees what another has loaded. It is stopped after LIMIT seconds (300).
 set -u
 cd "$(dirname "$0")/.." || exit 1
 
-busted=${BUSTED:-busted}
+busted=${BUSTED:-busted} limit=${LIMIT:-300}
+command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 
 # No spec file may take longer, in seconds: one that hangs is a failure.
 LIMIT=${LIMIT:-900}
@@ -35,9 +36,11 @@ run_one() { # run_one LUA LOG
   began=$(date +%s)
   : >"$2"
   for file in $files; do
-    if ! $busted --lua="$lua" $options "$file" >"$2.one" 2>&1; then
-      grep -qE '^[0-9]+ success' "$2.one" ||
-        echo "0 successes / 0 failures / 1 error / 0 pending" >>"$2.one"
+    if ! $timeout $busted --lua="$lua" $options "$file" >"$2.one" 2>&1; then
+      grep -qE '^[0-9]+ success' "$2.one" || {
+        echo "$1: $file did not end within $limit s, or crashed"
+        echo "0 successes / 0 failures / 1 error / 0 pending"
+      } >>"$2.one"
       cat "$2.one"
     fi
     cat "$2.one" >>"$2"
