@@ -294,6 +294,8 @@ local function sorted_keys(t, pred)
   return keys
 end
 
+local NONE = {}
+
 local function append(list, more)
   for i = 1, #more do list[#list + 1] = more[i] end
   return list
@@ -372,7 +374,7 @@ end
 ---@field id string|integer
 ---@field parent rfsm.Def the composite in which it stands; the root is its own
 ---@field model table what it was made of
----@field data any[] the user's data: key, value, key, value ...
+---@field data any[] callbacks and the user's data: key, value, key, value ...
 ---@field proto table metatable of the elements, and what they inherit
 ---@field fqn string of a node
 ---@field is_leaf boolean of a state
@@ -563,7 +565,7 @@ do
   local function new_def(list, kind, model, parent, key)
     local def = {
       kind = kind, index = #list + 1, id = key, parent = parent, model = model,
-      data = {}, proto = false,
+      data = NONE, proto = false,
     }
     list[def.index] = def
     return def
@@ -595,17 +597,22 @@ do
     return false
   end
 
+  local function add_datum(def, key, value)
+    if def.data == NONE then def.data = {} end
+    append(def.data, { key, value })
+  end
+
   -- Takes over a field that is no element of the model: a callback or the user's data.
   local function clone_field(build, def, key, value)
-    local data = def.data
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
       def[key] = value
+      if value then add_datum(def, key, value) end
     elseif key == "initial" and def.kind == "state" then
       add(build.problems, def, key, "connector expected, %s "
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
-      data[#data + 1], data[#data + 2] = key, value
+      add_datum(def, key, value)
       if def.parent == def and ROOT_FIELDS[key] then return end
       check_unknown_field(build, def, key, value)
       if type(value) == "table" and getmetatable(value) == nil then
@@ -876,8 +883,6 @@ end
 ---@field events table<any, true> those that transitions name
 ---@field trail table|false see `is_current`; a plan that one machine has alone has none
 
-local NONE = {}
-
 local compile, compile_transition, run_segment, run_warily, line_to
 
 do
@@ -901,9 +906,6 @@ do
       __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
       events = def.events or nil, _is_internal = def.is_internal or nil,
     }
-    for callback in pairs(CALLBACKS[def.kind]) do -- any order: each stands alone
-      proto[callback] = def[callback] or nil
-    end
     proto.__index = proto
     def.proto = proto
     if def.is_leaf then
@@ -1066,8 +1068,8 @@ end
 -- Machine: an instance of a plan ------------------------------------------------
 --
 -- A machine is a tree of plain tables: children by name, transitions by position or
--- name, `_parent`, `_otrs`, `_mode` and the user's data are raw. Callbacks, `_fqn`,
--- `_id`, `events`, `pn` are inherited from the definition; assigning one shadows it.
+-- name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data are raw. `_fqn`,
+-- `_id`, `events`, `pn` are inherited from the definition.
 --
 -- Where a machine stands is noted in it, and nowhere else: `_mode` of each state,
 -- `_actchild` of each active composite, `_act_leaf`. While it runs:
@@ -1150,7 +1152,7 @@ do
   end
 end
 
--- Gives an element the user's data; a machine keeps its own fields.
+-- Gives an element its callbacks and the user's data; a machine keeps its own fields.
 local function give_data(element, def, copies)
   local data = def.data
   for i = 1, #data, 2 do
@@ -2385,7 +2387,6 @@ local function new_machine(plan)
   }
   local root = plan.nodes[1]
   fsm["_%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
-  fsm.entry, fsm.exit, fsm.doo = root.entry or nil, root.exit or nil, root.doo or nil
   return make_elements(fsm, plan, 2, 1)
 end
 
