@@ -11,10 +11,6 @@ cd "$(dirname "$0")/.." || exit 1
 busted=${BUSTED:-busted} limit=${LIMIT:-300}
 command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 
-# No spec file may take longer, in seconds: one that hangs is a failure.
-LIMIT=${LIMIT:-900}
-command -v timeout >/dev/null && busted="timeout $LIMIT $busted"
-
 # These files need modules in C, which the Lua 5.5 in tools/ cannot load. It is skipped if
 # its Python package is missing.
 NEEDS_C='spec/(bench|extensions|project|proto)_spec'

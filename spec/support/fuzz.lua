@@ -24,10 +24,13 @@ local function names_of_all()
   return names .. " rfsm.checkevents"
 end
 
-local with = os.getenv("RFSM_FUZZ_WITH") or ""
-if with == "all" then with = names_of_all() end
-if with ~= "" then require "rfsm" end -- which finds the older names
-for name in with:gmatch("[%w_.]+") do require(name) end
+local function load_modules(names)
+  if names == "all" then names = names_of_all() end
+  if names ~= "" then require "rfsm" end -- which finds the older names
+  for name in names:gmatch("[%w_.]+") do require(name) end
+end
+
+load_modules(os.getenv("RFSM_FUZZ_WITH") or "")
 
 local charts = require "spec.support.charts"
 local runs = require "spec.support.runs"
