@@ -20,7 +20,7 @@ local function load_core(file)
   return assert(loadfile(file))()
 end
 
-if not arg[2] then measure.fail("usage: LUA bench/compare.lua OLD NEW [WORKLOAD...]") end
+if not arg[2] then measure.fail("usage: LUA bench/compare.lua OLD NEW [NAME ...]") end
 local old, new = load_core(arg[1]), load_core(arg[2])
 
 local names = {}
