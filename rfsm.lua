@@ -2242,6 +2242,8 @@ do
     if fsm._reset_wanted then reset_now(fsm) end
     return true
   end
+
+  STEPPING[mend] = true
 end
 
 local function hibernate(fsm)
