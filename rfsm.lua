@@ -2449,6 +2449,7 @@ end
 
 -- Prints a line for each definition, sorted by FQN.
 local function report_each(fsm, name, form, defs)
+  if fsm[name] == silent then return end
   local names = {}
   for i, def in ipairs(defs) do names[i] = def.fqn end
   sort(names, function(a, b) return natural(a) < natural(b) end)
