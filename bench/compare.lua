@@ -14,9 +14,7 @@ local SECONDS = measure.setting("SECONDS", 0.1) -- per measurement
 
 -- Loads a core from its file, apart from any other.
 local function load_core(file)
-  for name in pairs(package.loaded) do -- any order: each stands alone
-    if name:find("^rfsm") then package.loaded[name] = nil end
-  end
+  measure.forget_modules()
   return assert(loadfile(file))()
 end
 

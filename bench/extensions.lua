@@ -16,9 +16,7 @@ local SECONDS = measure.setting("SECONDS", 0.1) -- per measurement
 
 -- Loads a core, and one module besides; returns the core.
 local function load_alone(module)
-  for name in pairs(package.loaded) do -- any order: each stands alone
-    if name:find("^rfsm") then package.loaded[name] = nil end
-  end
+  measure.forget_modules()
   local rfsm = require "rfsm"
   if module then require(module) end
   return rfsm
