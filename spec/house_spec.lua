@@ -77,6 +77,7 @@ local MODULES = {
   { "rfsm2mermaid", "rfsm.mermaid" },
   { "rfsm_proto", "rfsm.proto" },
   { "rfsm_rtt", "rfsm.rtt" },
+  { "rfsm_snapshot", "rfsm.snapshot" },
 }
 
 -- Requires the names of each module in every order, each order from the beginning, and
