@@ -614,6 +614,27 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
+--- Return the user's data alone, as a snapshot would hold it; also within a step.
+-- @raise if something cannot be saved
+---@param fsm rfsm.Machine
+---@return { data: table?, saved: table? } kept
+---@nodiscard
+function snapshot.take_data(fsm)
+  local kept, chart = {}, chart_of(fsm)
+  if chart.keepers[1] then
+    take_data(fsm, chart, kept, { owner = "", base = 1, seen = {} })
+  end
+  return kept
+end
+
+--- Give a machine such data.
+-- @raise if it is none of its chart
+---@param fsm rfsm.Machine
+---@param kept { data: table?, saved: table? }
+function snapshot.put_data(fsm, kept)
+  set_data(fsm, chart_of(fsm), unpack_data(fsm, kept), unpack_saved(fsm, kept), {})
+end
+
 --- Return the structure of a chart as lines, for `restore` of its snapshots elsewhere.
 ---@param chart rfsm.State|string[] a model, a machine, or such lines
 ---@return string[] lines

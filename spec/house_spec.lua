@@ -78,6 +78,7 @@ local MODULES = {
   { "rfsm_proto", "rfsm.proto" },
   { "rfsm_rtt", "rfsm.rtt" },
   { "rfsm_snapshot", "rfsm.snapshot" },
+  { "rfsm_record", "rfsm.record" },
 }
 
 -- Requires the names of each module in every order, each order from the beginning, and
