@@ -295,13 +295,15 @@ end
 ---@field last integer how many are to be
 ---@field is_dry boolean
 ---@field problem string|nil where the run departs from the recording
+---@field same integer|nil the last iteration before that
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
 
 local function depart(session, form, ...)
-  session.problem = session.problem
-    or ("step %d: "):format(session.at + 1) .. form:format(...)
+  if session.problem then return end
+  session.problem = ("step %d: "):format(session.at + 1) .. form:format(...)
+  session.same = session.at
 end
 
 local function list_text(list)
@@ -551,7 +553,7 @@ local function replay(model, recording, options)
   end)
   if options.watch then options.watch(fsm) end
   run(session, outer)
-  if session.problem then return false, session.problem, session.at end
+  if session.problem then return false, session.problem, session.same end
   return settle(session, model, fsm)
 end
 

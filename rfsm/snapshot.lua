@@ -464,6 +464,9 @@ local function unpack_extensions(fsm, snap)
       fail("ext: no extension of the machine is named '%s'", text_of(name))
     end
     values[name] = unpack(value, 2)
+    if type(values[name]) ~= "table" then
+      fail("ext: table expected for '%s', got %s", name, type(values[name]))
+    end
   end
   return values
 end
