@@ -276,10 +276,15 @@ local function handle(self, tag, stream, group, entries, f)
   return count
 end
 
-local function open_group(self, tag, stream, group)
-  local ok, text = pcall(self.call, self, tag, "XGROUP", "CREATE", stream, group, "0",
-    "MKSTREAM")
-  if not ok and not text:find("^BUSYGROUP") then error(text, 0) end
+-- Returns the entries that a worker has been given and has not done for `idle` ms; the
+-- group of workers is made when it is first needed.
+local function claim(self, tag, stream, group, worker, idle, count)
+  local ok, reply = pcall(self.call, self, tag, "XAUTOCLAIM", stream, group, worker,
+    idle, "0", "COUNT", count)
+  if ok then return reply[2] end
+  if not reply:find("^NOGROUP") then error(reply, 0) end
+  self:call(tag, "XGROUP", "CREATE", stream, group, "0", "MKSTREAM")
+  return {}
 end
 
 --- Hand what machines have emitted to `f(entry)`, at least once each.
@@ -295,17 +300,11 @@ end
 function Fleet:work(group, worker, f, options)
   options = options or {}
   local count, idle, total = options.count or 100, options.idle or 30000, 0
-  self.groups = self.groups or {}
   for tag = 0, self.tags - 1 do
     tag = ("%d"):format(tag)
     local stream = "rfsm:out:{" .. tag .. "}"
-    if not self.groups[stream .. group] then
-      open_group(self, tag, stream, group)
-      self.groups[stream .. group] = true
-    end
-    local left = self:call(tag, "XAUTOCLAIM", stream, group, worker, idle, "0", "COUNT",
-      count)
-    total = total + handle(self, tag, stream, group, left[2], f)
+    local left = claim(self, tag, stream, group, worker, idle, count)
+    total = total + handle(self, tag, stream, group, left, f)
     local new = self:call(tag, "XREADGROUP", "GROUP", group, worker, "COUNT", count,
       "STREAMS", stream, ">")
     total = total + handle(self, tag, stream, group, new and new[1][2] or {}, f)

@@ -481,7 +481,8 @@ return function(host, list)
       if ok then return reply end
       if running then running.fsm, running = nil, nil end
       reply = type(reply) == "table" and (reply.text or reply.err) or text_of(reply)
-      return host.error_reply("ERR " .. name .. ": " .. reply:gsub("[\r\n]+%s*", "; "))
+      reply = reply:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; ")
+      return host.error_reply("ERR " .. name .. ": " .. reply)
     end
   end
   return made

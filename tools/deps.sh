@@ -42,6 +42,9 @@ missing_for_test() { # missing_for_test LUA ...
   has_module lua5.1 socket || echo lua-socket
   has_module lua5.1 luv || echo lua-luv
   has_module lua5.1 readline || echo lua-readline
+  has_module lua5.1 MessagePack || echo lua-messagepack
+  has_module lua5.1 redis || echo lua-redis
+  command -v redis-server >/dev/null 2>&1 || echo redis-server
   command -v dot >/dev/null 2>&1 || echo graphviz
 }
 
