@@ -283,7 +283,9 @@ local function claim(self, tag, stream, group, worker, idle, count)
     idle, "0", "COUNT", count)
   if ok then return reply[2] end
   if not reply:find("^NOGROUP") then error(reply, 0) end
-  self:call(tag, "XGROUP", "CREATE", stream, group, "0", "MKSTREAM")
+  ok, reply = pcall(self.call, self, tag, "XGROUP", "CREATE", stream, group, "0",
+    "MKSTREAM")
+  if not ok and not reply:find("^BUSYGROUP") then error(reply, 0) end -- another's
   return {}
 end
 
