@@ -434,6 +434,7 @@ local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
   transition = { guard = true, effect = true },
 }
+local CONSTRUCTORS = { [State] = "state", [Transition] = "trans", [Connector] = "conn" }
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 local ROOT_FIELDS = {}
@@ -509,7 +510,6 @@ end
 
 -- Warns of a field that looks like one of the library's in other words.
 local function check_unknown_field(build, def, key, value)
-  if type(key) ~= "string" or is_meta(key) then return end
   if def.kind ~= "transition" and not is_callable(value) then return end
   local meant = def.kind == "transition" and key == "event" and "events"
     or advise("field_meant", def.parent == def and "root" or def.kind, key)
@@ -519,19 +519,20 @@ local function check_unknown_field(build, def, key, value)
   end
 end
 
-local function check_root(build, root)
-  local model = root.model
-  for i = 1, 4 do
-    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
-    local printer = model[PRINTERS[i]]
-    if printer and printer ~= true and not is_callable(printer) then
-      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
-        .. got(printer))
-    end
+-- Warns of what would be taken for the user's data, and is more likely a mistake.
+local function check_datum(build, def, key, value)
+  local name = CONSTRUCTORS[value]
+  if type(value) == "table" and getmetatable(value) == nil then
+    check_plain_table(build, def, key, value)
   end
-  if not root.is_leaf and not root.members.initial then
-    add(build.problems, root, nil, "the root needs an initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })")
+  if name then
+    add(build.warnings, def, text_of(key), "rfsm.%s is not called (rfsm.%s{...})", name,
+      name)
+  elseif def.kind == "connector" and (CALLBACKS.state[key]
+    or CALLBACKS.transition[key]) then
+    add(build.warnings, def, key, "a connector has no %s, this one is ignored", key)
+  elseif type(key) == "string" and not is_meta(key) then
+    check_unknown_field(build, def, key, value)
   end
 end
 
@@ -614,10 +615,7 @@ do
     elseif not API_FIELDS[key] then
       add_datum(def, key, value)
       if def.parent == def and ROOT_FIELDS[key] then return end
-      check_unknown_field(build, def, key, value)
-      if type(value) == "table" and getmetatable(value) == nil then
-        check_plain_table(build, def, key, value)
-      end
+      check_datum(build, def, key, value)
     end
   end
 
@@ -1087,10 +1085,35 @@ local function silent() end
 
 local function no_events() return {} end
 
+-- Stands in the list of hooks for the model's own one, the field `slot`.
+local function OWN() end
+
+local OWN_ONLY = { OWN }
+
+-- What a machine lacks is found here. Printers and getevents are not wanted as long as
+-- they are absent; for the rest, these are the values to begin with.
 local OFF = {
   dbg = silent, getevents = no_events, rfsm = "state", type = State.type,
-  new = State.new,
+  new = State.new, _id = "root", _fqn = "root", _preparing = false,
+  _is_fed = false, _is_hooked = false, _reset_wanted = false, _has_failure = false,
+  _spare = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = NONE,
+  _entry_hooks = false, _exit_hooks = false,
 }
+
+-- The fields that a machine has from the start.
+local function own_fields()
+  return {
+    _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
+    _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
+    -- the structure
+    ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
+    -- the run
+    _segment = false, _from = false, _run = "run", _is_plain = false,
+    _is_traced = false, _is_unsettled = false, _is_kept = false,
+    -- the search
+    _search = 0, _searched = {}, _ways = {},
+  }
+end
 
 -- The flags that stand for what a plain machine lacks.
 local FLAG_OF = {
@@ -1157,13 +1180,13 @@ do
   end
 end
 
--- Gives an element its callbacks and the user's data; a machine keeps its own fields.
+-- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
   local data = def.data
   for i = 1, #data, 2 do
     local key, value = data[i], data[i + 1]
     if type(value) == "table" then value = clone_data(copies, value) end
-    if element[key] == nil then element[key] = value end
+    element[key] = value
   end
 end
 
@@ -1352,11 +1375,6 @@ local function collect(fsm, list)
     if events[i] ~= nil then list[#list + 1] = events[i] end
   end
 end
-
--- Stands in the list of hooks for the model's own one, the field `slot`.
-local function OWN() end
-
-local OWN_ONLY = { OWN }
 
 local function run_hooks(fsm, hooks, slot, events)
   for i = 1, #hooks do
@@ -2183,12 +2201,45 @@ local function new_build(plan)
   return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
 end
 
+-- The user's data at the root that has the name of one of the machine's fields is left
+-- out.
+local function drop_taken_names(build, root)
+  local taken, data = own_fields(), root.data
+  root.data = {}
+  for i = 1, #data, 2 do
+    local key = data[i]
+    if taken[key] ~= nil or is_meta(key) and OFF[key] ~= nil then
+      add(build.warnings, root, key, "the machine has a field of this name, this one "
+        .. "is ignored")
+    else
+      append(root.data, { key, data[i + 1] })
+    end
+  end
+end
+
+local function check_root(build, root)
+  local model = root.model
+  for i = 1, 4 do
+    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
+    local printer = model[PRINTERS[i]]
+    if printer and printer ~= true and not is_callable(printer) then
+      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+        .. got(printer))
+    end
+  end
+  if not root.is_leaf and not root.members.initial then
+    add(build.problems, root, nil, "the root needs an initial transition "
+      .. "(rfsm.trans{ src='initial', tgt=... })")
+  end
+end
+
 -- Check, clone, resolve: all that can be said of a model without running anything.
 local function build_plan(model)
   local build = new_build { model = model, nodes = {}, transitions = {}, trail = false }
   local root = new_node(build, "state", model, nil, "root")
   clone_below(build, 1)
   resolve(build, 1)
+  drop_taken_names(build, root)
   check_root(build, root)
   return build
 end
@@ -2205,27 +2256,9 @@ local function plan_of(model)
   return note_plan(model, plan)
 end
 
--- The fields of a machine that are its own from the start.
 local function new_machine(plan)
-  local fsm = {
-    _id = "root", _fqn = "root", _parent = false, _mode = "inactive", _otrs = false,
-    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
-    -- the structure
-    _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
-    -- the run
-    _segment = false, _from = false, _run = "run",
-    _is_plain = false, _is_traced = false,
-    _is_fed = false, _is_hooked = false,
-    _is_unsettled = false, _is_kept = false, _reset_wanted = false,
-    _has_failure = false, _spare = false,
-    -- the hooks
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
-    _entry_hooks = false, _exit_hooks = false,
-    -- the search
-    _search = 0, _searched = {}, _ways = {},
-  }
-  local root = plan.nodes[1]
-  fsm["_%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
+  local fsm = own_fields()
+  fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
   return make_elements(fsm, plan, 2, 1)
 end
 
