@@ -143,7 +143,7 @@ end
 
 --- Sends events and runs until there is nothing to do.
 function helper.post_and_run(fsm, ...)
-  rfsm.send_events(fsm, ...)
+  if select("#", ...) > 0 then rfsm.send_events(fsm, ...) end
   return rfsm.run(fsm)
 end
 
