@@ -389,19 +389,6 @@ describe("a machine", function()
     assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
   end)
 
-  it("has the user's data under any name that no tool reads", function()
-    local data = { _index = 1, _def = 2, _plan_ = 3, ["%data"] = 4, _run = 5, _lca = 6 }
-    local a, tr = state {}, trans { src = "a", tgt = "b", events = { "go" } }
-    for key, value in pairs(data) do a[key], tr[key] = value, value end -- a set
-    local fsm = started { a = a, [5] = tr, _index = 7, _def = 8 }
-    for key, value in pairs(data) do -- any order: a set
-      assert.equal(value, fsm.a[key])
-      assert.equal(value, fsm[5][key])
-    end
-    assert.same({ 7, 8 }, { fsm._index, fsm._def })
-    assert.equal("root.b", leaf_after(fsm, "go"))
-  end)
-
   it("runs in a sandbox without require, loadfile, debug and package", function()
     assert.equal("root.b 1", helper.output_of([[
       local file = assert(io.open("rfsm.lua"))
