@@ -145,14 +145,16 @@ describe("doc/config.ld", function()
   end)
 end)
 
--- The blocks of a document that open with ```lua: { line =, text = } each.
+-- The blocks of a document that open with ```lua: { line =, text = } each. Files, which
+-- begin with their name, are left to spec/documents_spec.lua.
 local function lua_blocks(file)
   local blocks, block, number = {}, nil, 0
   for line in (content(file) .. "\n"):gmatch("(.-)\n") do
     number = number + 1
     if block and line:match("^%s*```") then
       block.text = table.concat(block, "\n")
-      blocks[#blocks + 1], block = block, nil
+      if not block[1]:find("^%-%- %S+%.lua$") then blocks[#blocks + 1] = block end
+      block = nil
     elseif block then
       block[#block + 1] = line
     elseif line:match("^%s*```lua%s*$") then
