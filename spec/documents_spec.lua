@@ -131,3 +131,15 @@ describe("the chart in the README", function()
     end
   end)
 end)
+
+describe("the index of examples in the manual", function()
+  it("has each of them", function()
+    local manual, missing = helper.content("doc/manual.md"), {}
+    local pipe = assert(io.popen("ls -d examples/*.lua examples/hosts/*"))
+    for file in pipe:lines() do
+      if not manual:find("(../" .. file .. ")", 1, true) then missing[#missing + 1] = file end
+    end
+    pipe:close()
+    assert.same({}, missing)
+  end)
+end)
