@@ -1,6 +1,7 @@
--- The documents, followed as a reader does. A `lua` block that begins with "-- NAME.lua"
--- is saved under that name. A block that begins with "$ " is a session: its commands are
--- run beside the saved files, lines after "> " are typed, the rest is the output.
+-- The documents, followed as a reader does. A `lua` block that begins with
+-- "-- NAME.lua" is saved under that name. A block that begins with "$ " is a session: its
+-- commands are run beside the saved files, lines after "> " are typed, the rest is the
+-- output.
 
 local helper = require "spec.helper"
 
@@ -137,7 +138,9 @@ describe("the index of examples in the manual", function()
     local manual, missing = helper.content("doc/manual.md"), {}
     local pipe = assert(io.popen("ls -d examples/*.lua examples/hosts/*"))
     for file in pipe:lines() do
-      if not manual:find("(../" .. file .. ")", 1, true) then missing[#missing + 1] = file end
+      if not manual:find("(../" .. file .. ")", 1, true) then
+        missing[#missing + 1] = file
+      end
     end
     pipe:close()
     assert.same({}, missing)
