@@ -4,7 +4,7 @@
 -- `component_launch_rfsm` into a Lua component of its own. Both are fields of
 -- `rfsm.rtt`. They execute a text in the other Lua, which loads this module there.
 --
--- @module rfsm.rtt_launch
+-- @submodule rfsm.rtt
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"

@@ -135,13 +135,32 @@ describe("the version of the core", function()
   end)
 end)
 
+-- Modules that nobody requires but the library and its tools.
+local IS_PRIVATE = {
+  ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.cli"] = true,
+  ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.sim"] = true,
+  ["rfsm.straight"] = true,
+}
+
 describe("doc/config.ld", function()
-  it("lists the modules", function()
-    local listed, list = {}, content("doc/config.ld"):match("\nfile = (%b{})")
-    for file in list:gmatch("'%.%./(.-)'") do
+  local text = content("doc/config.ld")
+
+  it("lists the public modules", function()
+    local listed, public = {}, {}
+    for file in text:match("\nfile = (%b{})"):gmatch("'%.%./(.-)'") do
       listed[file:gsub("%.lua$", ""):gsub("/", ".")] = file
     end
-    assert.same(modules_of("*.lua", "rfsm/*.lua"), listed)
+    for name, file in pairs(modules_of("*.lua", "rfsm/*.lua")) do
+      public[name] = not IS_PRIVATE[name] and file or nil
+    end
+    assert.same(public, listed)
+  end)
+
+  it("lists the documents", function()
+    local listed, list = {}, text:match("\ntopics = (%b{})")
+    for file in list:gmatch("'(.-)'") do listed[#listed + 1] = "doc/" .. file end
+    table.sort(listed)
+    assert.same(files("doc/*.md"), listed)
   end)
 end)
 
