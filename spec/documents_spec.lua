@@ -1,7 +1,6 @@
 -- The documents, followed as a reader does. A `lua` block that begins with
 -- "-- NAME.lua" is saved under that name. A block that begins with "$ " is a session: its
--- commands are run beside the saved files, lines after "> " are typed, the rest is the
--- output.
+-- commands run beside the saved files, lines after "> " are typed, the rest is output.
 
 local helper = require "spec.helper"
 
