@@ -1,6 +1,6 @@
 -- The documents, followed as a reader does. A `lua` block that begins with
--- "-- NAME.lua" is saved under that name. A block that begins with "$ " is a session: its
--- commands run beside the saved files, lines after "> " are typed, the rest is output.
+-- "-- NAME.lua" is saved under that name. A block that begins with "$ " is a session:
+-- commands to run beside the saved files, after "> " lines to type, and the output.
 
 local helper = require "spec.helper"
 
@@ -144,4 +144,38 @@ describe("the index of examples in the manual", function()
     pipe:close()
     assert.same({}, missing)
   end)
+end)
+
+local UNITS = {
+  us = true, ns = true, ms = true, KiB = true, MiB = true, kB = true, MB = true,
+  x = true, times = true,
+}
+
+-- Returns the figures of a text that doc/performance.md does not have.
+local function unfounded_in(text)
+  local list, performance = {}, " " .. helper.content("doc/performance.md")
+  local function check(number, unit)
+    number = number:gsub("%.$", "")
+    local token = "[^%d.,]" .. number:gsub("%.", "%%.") .. "%f[^%d]"
+    if not performance:find(token) then list[#list + 1] = number .. " " .. unit end
+  end
+  for number, unit in text:gmatch("%f[%d](%d[%d.,]*)%s*(%a+)") do
+    if UNITS[unit] then check(number, unit) end
+  end
+  for number in text:gmatch("%f[%d](%d[%d.,]*)%s*%%") do check(number, "%") end
+  return list
+end
+
+describe("a figure with a unit", function()
+  it("is found unless doc/performance.md has it", function()
+    assert.same({ "7.77 us", "3.7 times", "78.5 %" },
+      unfounded_in("takes 7.77 us, 3.7 times as long, 78.5 % more in 3 rounds"))
+  end)
+
+  for _, document in ipairs { "README.md", "CHANGELOG.md", "doc/howto.md",
+    "doc/manual.md", "doc/checks.md", "doc/emem.md" } do
+    it("in " .. document .. " is one of doc/performance.md", function()
+      assert.same({}, unfounded_in(helper.content(document)))
+    end)
+  end
 end)
