@@ -114,7 +114,7 @@ for _, names in ipairs(MODULES) do
   local global = names[1]
   permutations(names, #names, function(order) try(global, order) end)
 end
-print "done"
+print("done in " .. debug.getinfo(require("rfsm").init, "S").source:match("^@(.*/)"))
 ]]
 
 -- Runs that with the modules on a path, and nothing of this checkout besides.
@@ -149,11 +149,11 @@ local PLACES = {
 
 describe("the names of a module", function()
   it("give one module and its global in every order, beside each other", function()
-    assert.equal("done", every_order("./?.lua;./compat/?.lua", false, false))
+    assert.equal("done in ./", every_order("./?.lua;./compat/?.lua", false, false))
   end)
 
   it("do so in a checkout, once rfsm is loaded", function()
-    assert.equal("done", every_order("./?.lua", true, false))
+    assert.equal("done in ./", every_order("./?.lua", true, false))
   end)
 
   for _, place in ipairs(PLACES) do
@@ -166,13 +166,14 @@ describe("the names of a module", function()
         path = path:gsub("@", folder):gsub("%$", version)
         local output = every_order(path, place.is_rfsm_first, false)
         os.execute("rm -r " .. folder)
-        assert.equal("done", output, table.concat(lines, "\n"))
+        assert.equal("done in " .. path:match("^.*/"), output,
+          table.concat(lines, "\n"))
       end)
     end
   end
 
   it("set no global after RFSM_NO_GLOBALS", function()
-    assert.equal("done", every_order("./?.lua", true, true))
+    assert.equal("done in ./", every_order("./?.lua", true, true))
   end)
 
   it("work alone", function()
