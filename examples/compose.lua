@@ -9,7 +9,8 @@
 
 local rfsm = require "rfsm"
 
-local here = (... or ""):match("^(.*[/\\])") or ""
+local file = ... or "" -- the name of this one
+local here = file:match("^(.*[/\\])") or ""
 local lamp = rfsm.load(here .. "on_off.lua")
 
 return rfsm.state {

@@ -8,7 +8,8 @@
 
 local rfsm = require "rfsm"
 
-local here = (... or ""):match("^(.*[/\\])") or ""
+local file = ... or "" -- the name of this one
+local here = file:match("^(.*[/\\])") or ""
 local lamp = rfsm.load(here .. "on_off.lua")
 
 lamp.dimmed = rfsm.state { entry = function() print("dimmed") end }

@@ -17,6 +17,9 @@ local error, pcall, rawget, rawset, require = error, pcall, rawget, rawset, requ
 local select, setmetatable, tostring, type = select, setmetatable, tostring, type
 local package = package
 
+---@class rfsm.rtt
+---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
+---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 local rfsm_rtt = {}
 
 -- Types: how values of Lua and samples of RTT become each other -----------------

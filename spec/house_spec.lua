@@ -131,11 +131,14 @@ local function every_order(path, is_rfsm_first, has_no_globals)
     tostring(has_no_globals)) .. EVERY_ORDER)
 end
 
--- All names in a row, for one file that holds all modules.
-local function all_names()
-  local rows = {}
-  for i, names in ipairs(MODULES) do rows[i] = table.concat(names, " ") end
-  return table.concat(rows, " ")
+-- All modules in a row, the core first, for one file that holds them.
+local function all_modules()
+  local names = { "rfsm" }
+  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua compat/*.lua "
+    .. "compat/rfsm/*.lua")) do
+    names[#names + 1] = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
+  end
+  return table.concat(names, " ")
 end
 
 -- Where the modules are: the command that puts them into the folder @, and their path.
@@ -143,7 +146,7 @@ local PLACES = {
   { "make install", "make -s install PREFIX=@", "@/share/lua/$/?.lua" },
   { "luarocks make", "luarocks make --deps-mode none --tree @ "
     .. "rockspec/rfsm-dev-1.rockspec", "@/share/lua/5.1/?.lua" },
-  { "make dist", ("make -s dist BUNDLE='%s' DIST=@"):format(all_names()), "@/?.lua",
+  { "make dist", ("make -s dist BUNDLE='%s' DIST=@"):format(all_modules()), "@/?.lua",
     is_rfsm_first = true },
 }
 
