@@ -39,7 +39,7 @@ Timeevent.__index = Timeevent
 
 function Timeevent.__tostring(event) return event.name end
 
--- Makes an object; blames the caller of e_after or e_at for what cannot be a time.
+-- Makes an object. Blames the caller of e_after or e_at for a value that is no time.
 local function new_event(kind, x, id)
   local event = setmetatable({ is_relative = kind == "e_after" }, Timeevent)
   if is_callable(x) then
@@ -185,7 +185,7 @@ local function list_timers(fsm, flag)
   return list
 end
 
--- Arms what could not be armed before, if the clock works.
+-- Arms the timers that could not be armed before, if the clock works.
 local function arm_waiting(fsm)
   local timers = list_timers(fsm, "is_waiting")
   fsm._timeevent.has_waiting = false

@@ -16,10 +16,10 @@ local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 
 local rfsm_emem = {}
 
--- Counts: which events are in them -----------------------------------------------
+-- Counts and the events in them ------------------------------------------------
 --
 -- Leaving a state must find the keys of its counts. LuaJIT does not compile `pairs`, so
--- the metatable of the counts lists the keys, whoever writes them. Objects are not
+-- the metatable of the counts lists all keys that are written. Objects are not
 -- listed: the counts forget an event with its object.
 
 local IS_LISTED = { string = true, number = true, boolean = true }
@@ -49,7 +49,7 @@ local function clear(_, state)
     return
   end
   for i = 1, #keys do
-    if emem[keys[i]] then emem[keys[i]] = 0 end -- else somebody has taken it out
+    if emem[keys[i]] then emem[keys[i]] = 0 end -- false if it was removed
   end
 end
 

@@ -41,7 +41,7 @@ local function has_method(value, name)
   return ok and rfsm.is_callable(method)
 end
 
--- Returns what a port says of itself; an empty table for anything else.
+-- Returns the information of a port; an empty table for anything else.
 local function info_of(port)
   local ok, info = pcall(function() return port:info() end)
   return ok and type(info) == "table" and info or {}

@@ -392,7 +392,7 @@ describe("rfsm.proto", function()
       rfsm.run(busy)
       rfsm.run(lazy)
       local client, push = new_client(server), { type = "event", event = "e", fsm = 2 }
-      assert.same({ "error event: 3 events wait already" },
+      assert.same({ "error event: 3 events are pending already" },
         answers(busy, client, 1, push, push, push, push))
       assert.equal(3, rfsm.check_events(lazy))
       rfsm.reset(lazy)
