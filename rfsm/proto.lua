@@ -264,7 +264,7 @@ local IS_EVENT = { string = true, boolean = true, number = true }
 
 function MESSAGES.event(server, message)
   local event = message.event
-  if not server.allow_send then return "event: not taken, allow_send is off" end
+  if not server.allow_send then return "event: refused, allow_send is off" end
   if not IS_EVENT[type(event)] or event == huge or event == -huge or event ~= event then
     return "event: string, boolean or finite number expected, got "
       .. (type(event) == "number" and rfsm.text_of(event) or type(event))

@@ -371,7 +371,7 @@ describe("rfsm.proto", function()
 
     it("is not taken without allow_send", function()
       local fsm, client = subscribed()
-      assert.same({ "error event: not taken, allow_send is off", OFF },
+      assert.same({ "error event: refused, allow_send is off", OFF },
         answers(fsm, client, 2, { type = "event", event = "e_push" }))
     end)
 
