@@ -21,6 +21,7 @@ SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.straight rfs
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
 endif
+# the address of the repository, for rockspecs of releases: not yet known
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)

@@ -70,14 +70,16 @@ describe("the rockspec", function()
     assert.same(tools_in_tree(), rockspec(DEV).build.install.bin)
   end)
 
-  it("of a release differs in version and source", function()
+  it("of a release differs in version, source and homepage", function()
     local release, dev = {}, rockspec(DEV)
     local text = helper.output_of("arg = { '1.2.3', 'git+https://x.org/100%.git' } "
       .. "dofile 'tools/rockspec.lua'")
     load_in(release, text, "=rockspec")()
     assert.equal("1.2.3-1", release.version)
     assert.same({ url = "git+https://x.org/100%.git", tag = "v1.2.3" }, release.source)
+    assert.equal("https://x.org/100%", release.description.homepage)
     release.version, release.source = dev.version, dev.source
+    release.description.homepage = nil
     assert.same(dev, release)
   end)
 end)
