@@ -1,8 +1,8 @@
 --- Advice: the field, name or event that was probably meant.
 --
--- The core loads this file when it reports its first mistake. Without the file the
--- reports are the same, and the hints are missing. Each function returns a text, empty if
--- there is no hint.
+-- The core loads this file when it reports its first mistake. Without it the reports
+-- are the same, and the hints are missing. Each function returns a text, which is empty
+-- if there is no hint.
 --
 -- @module rfsm.advice
 -- @license BSD-3-Clause
