@@ -212,17 +212,17 @@ local function new_region(given)
   return region, problems
 end
 
-local opening = {} -- Substates whose machines are being made, to find circles
+local in_progress = {} -- Substates of machines that are being made, to find circles
 
 -- Makes the regions of `state`; appends their problems.
 local function new_substates(state, problems)
   local given, substates = state.substates, setmetatable({}, Substates)
-  if opening[given] then
+  if in_progress[given] then
     problems[#problems + 1] = rfsm.location_of(state) .. ": a sequential AND state "
       .. "cannot contain itself"
     return substates
   end
-  opening[given] = true
+  in_progress[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(sorted_names(given)) do
       local region, found = new_region(given[name])
@@ -234,7 +234,7 @@ local function new_substates(state, problems)
       end
     end
   end)
-  opening[given] = nil
+  in_progress[given] = nil
   if not ok then error(failure, 0) end
   return substates
 end

@@ -3,7 +3,7 @@
 --   (initial) --> hall --e_next--> kitchen
 --   both are examples/on_off.lua
 --
--- The file is looked for beside this one: rfsm.load passes the file name on.
+-- The file is found beside this one, because rfsm.load passes the file name.
 --
 -- In rfsm-sim:  run()  ser("e_push")  ser("e_next")  ser("e_push")
 

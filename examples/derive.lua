@@ -1,5 +1,5 @@
--- Deriving: load a base machine and change what is different. Each rfsm.load gives a
--- model of its own, so the base stays as it is.
+-- Deriving: load a base machine and change a part of it. Each rfsm.load returns a
+-- model of its own, so the base does not change.
 --
 --   the base, examples/on_off.lua:  off --e_push--> on --e_push--> off
 --   here: a third state, `dimmed`, between on and off
