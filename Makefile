@@ -15,11 +15,13 @@ PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
 BUNDLE   ?= rfsm rfsm.quick rfsm.straight rfsm.advice
+DIST     ?= dist
 SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.quick rfsm.straight rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
 endif
+# the address of the repository, for rockspecs of releases: not yet known
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
@@ -88,8 +90,8 @@ rockspec:               ## rockspec/ gets the one of release VERSION, from URL
 	$(LUA) tools/rockspec.lua $(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec
 
 dist:                   ## dist/rfsm.lua: the core and the rest of BUNDLE in one file
-	@mkdir -p dist
-	$(LUA) tools/dist.lua $(BUNDLE) > dist/rfsm.lua
+	@mkdir -p $(DIST)
+	$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
 
 size:                   ## the live heap that each of SIZED takes, with LUA
 	@$(LUA) tools/size.lua $(SIZED)

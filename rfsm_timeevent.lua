@@ -2,7 +2,7 @@
 --
 -- Once this module is loaded, each machine initialised afterwards understands the
 -- events `"e_after(T)"` and `"e_at(T)"` in its transitions. A timer is armed when the
--- source of its transition is entered. The event `e_after(T)@F` comes in the first
+-- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
 -- iteration that finds the timer expired, once per entry. F is the FQN of the source.
 --
 -- Most iterations find no timer expired. They read the clock and compare it with the
@@ -39,7 +39,7 @@ Timeevent.__index = Timeevent
 
 function Timeevent.__tostring(event) return event.name end
 
--- Makes an object; blames the caller of e_after or e_at for what cannot be a time.
+-- Makes an object. Blames the caller of e_after or e_at for a value that is no time.
 local function new_event(kind, x, id)
   local event = setmetatable({ is_relative = kind == "e_after" }, Timeevent)
   if is_callable(x) then

@@ -33,7 +33,8 @@ local function print_to(stream)
   end
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`; returns what pcall does.
+-- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
+-- pcall.
 local function with_streams(stream, f, ...)
   local real_print, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()

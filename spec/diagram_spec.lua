@@ -374,10 +374,9 @@ stateDiagram-v2
     local readme = assert(io.open("README.md"))
     local text = readme:read("*a")
     readme:close()
-    local chart = text:match("```lua\n(.-)\nrfsm%.run")
+    local chart = text:match("```lua\n(.-)```")
     local load = rawget(_G, "loadstring") or load
-    assert.equal(text:match("```mermaid\n(.-)```"), encode(load(chart
-      .. "\nreturn fsm")()))
+    assert.equal(text:match("```mermaid\n(.-)```"), encode(helper.init(load(chart)())))
   end)
 
   -- What may stand in a line, and what it declares or uses.

@@ -47,6 +47,7 @@ missing_for_test() { # missing_for_test LUA ...
 
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
+  has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
 }
 
 # Prints the prefix of commands that need root; fails if sudo would ask for a password.

@@ -1,7 +1,7 @@
 -- Prints the rockspec of a release:  LUA tools/rockspec.lua VERSION URL
 --
--- It is the development rockspec with this version, and with the tag of the release in
--- the repository at URL.
+-- It is the development rockspec with this version, with the tag of the release in the
+-- repository at URL, and with the address of that as homepage.
 
 local version, url = arg[1], arg[2]
 if not url or not version:find("^%d+%.%d+%.%d+$") then
@@ -23,4 +23,6 @@ end
 replace('version = "dev%-1"', ('version = "%s-1"'):format(version))
 replace("source = [^\n]*",
   ('source = { url = "%s", tag = "v%s" }'):format(url, version))
+replace('  license = ', ('  homepage = "%s",\n  license = '):format(
+  url:gsub("^git%+", ""):gsub("%.git$", "")))
 io.write(text)
