@@ -15,7 +15,7 @@ tank = { fuel = 0 } -- global, so that you can fill it
 
 return rfsm.state {
   cold = rfsm.state {},
-  running = rfsm.state { entry = function() print("engine running") end },
+  running = rfsm.state { entry = function() print("engine running") end, final = true },
   checked = rfsm.conn {},
   primed = rfsm.conn {},
 

@@ -18,8 +18,8 @@ return rfsm.state {
       end
     end,
   },
-  zero = rfsm.state { entry = function() print("lift off") end },
-  aborted = rfsm.state { entry = function() print("aborted") end },
+  zero = rfsm.state { entry = function() print("lift off") end, final = true },
+  aborted = rfsm.state { entry = function() print("aborted") end, final = true },
 
   rfsm.trans { src = "initial", tgt = "counting" },
   rfsm.trans { src = "counting", tgt = "zero", events = { "e_done" } },

@@ -18,7 +18,7 @@ return rfsm.state {
       end
     end,
   },
-  stopped = rfsm.state { entry = function() print("stopped") end },
+  stopped = rfsm.state { entry = function() print("stopped") end, final = true },
 
   rfsm.trans { src = "initial", tgt = "holding" },
   rfsm.trans { src = "holding", tgt = "stopped", events = { "e_stop" } },

@@ -27,7 +27,7 @@ local grasp = rfsm.state {
 
 return rfsm.state {
   grasp = grasp,
-  carrying = rfsm.state { entry = says("carrying") },
+  carrying = rfsm.state { entry = says("carrying"), final = true },
   home = rfsm.state { entry = says("going home") },
 
   rfsm.trans { src = "initial", tgt = "grasp" },

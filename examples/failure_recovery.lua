@@ -44,7 +44,7 @@ return rfsm.state {
   err = function(_, ...) print("failure: ", ...) end,
 
   robot = robot,
-  dead = rfsm.state { entry = says("power cut") },
+  dead = rfsm.state { entry = says("power cut"), final = true },
 
   rfsm.trans { src = "initial", tgt = "robot" },
   rfsm.trans { src = "robot", tgt = "dead", events = { "e_emergency" } },

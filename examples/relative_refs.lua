@@ -16,7 +16,7 @@ local function says(text) return function() print(text) end end
 
 local drive = rfsm.state {
   slow = rfsm.state { entry = says("slow") },
-  fast = rfsm.state { entry = says("fast") },
+  fast = rfsm.state { entry = says("fast"), final = true },
 
   rfsm.trans { src = "initial", tgt = "slow" },
   rfsm.trans { src = "slow", tgt = "fast", events = { "e_fast" } },

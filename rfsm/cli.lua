@@ -133,34 +133,47 @@ local function check_readable(files)
   end
 end
 
-local function append(lines, texts, file, kind)
-  for _, text in ipairs(texts) do
-    lines[#lines + 1] = file and chart.line(file, text, kind) or text
-  end
+local function append(lines, texts)
+  for _, text in ipairs(texts) do lines[#lines + 1] = text end
 end
 
--- Returns the problems and the warnings of the chart in a file.
-local function review(file)
+-- Appends lines about the chart in a file; returns the gravest severity.
+local function review(lines, file, has_notes)
+  local command = require("rfsm.checks.command")
+  local settings, problem = command.settings_for(file)
+  if not settings then fail("check", { problem }, 2) end
   local model, warnings = load_model(file)
-  if not model then return { warnings }, {} end
-  local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
-  if not ok then return { chart.reason(file, found) }, warnings end
-  local problems = {}
-  append(problems, found, file)
-  append(warnings, warned, file, "warning: ")
-  return problems, warnings
+  if not model then
+    append(lines, { warnings })
+    return "error"
+  end
+  local ok, findings = with_streams(NOWHERE, rfsm_checks.findings, model, settings)
+  if not ok then
+    append(lines, { chart.reason(file, findings) })
+    return "error"
+  end
+  local report, gravest = command.report(file, findings, warnings, has_notes)
+  append(lines, report)
+  return gravest
 end
 
 local check = {
   name = "check", summary = "Report problems and suspicious parts of charts.",
   epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
-    .. "line is wrong or a file cannot be read.",
+    .. "line is wrong or a file cannot be read. A file .rfsmcheck.lua sets severities.",
 }
+
+local function print_codes()
+  print((require("rfsm.checks.command").codes_text():gsub("\n$", "")))
+  os.exit(0)
+end
 
 function check.add_arguments(command)
   add_files(command)
+  command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
+  command:flag("--codes", "list the codes of findings and end"):action(print_codes)
 end
 
 function check.run(options)
@@ -169,11 +182,8 @@ function check.run(options)
   require("rfsm.await")
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local problems, warnings = review(file)
-    append(lines, problems)
-    append(lines, warnings)
-    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, file) end
-    if problems[1] or options.strict and warnings[1] then status = 1 end
+    local gravest = review(lines, file, options.all)
+    if gravest == "error" or options.strict and gravest then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end
   return status
