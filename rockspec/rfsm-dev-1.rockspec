@@ -38,6 +38,7 @@ build = {
     ["rfsm.rtt"] = "rfsm/rtt.lua",
     ["rfsm.rtt_launch"] = "rfsm/rtt_launch.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
+    ["rfsm.quick"] = "rfsm/quick.lua",
     ["rfsm.straight"] = "rfsm/straight.lua",
     -- older names
     ["rfsm2dot"] = "compat/rfsm2dot.lua",
