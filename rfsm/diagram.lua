@@ -10,7 +10,7 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 
-local error, io, ipairs, pairs, rawget, rawset = error, io, ipairs, pairs, rawget, rawset
+local error, io, ipairs, rawget, rawset = error, io, ipairs, rawget, rawset
 local select, tostring, type = select, tostring, type
 local concat = table.concat
 
@@ -30,6 +30,7 @@ local diagram = {}
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.diagram.Node absent at the root
+---@field index? integer among the nodes of the parent
 ---@field nodes rfsm.diagram.Node[] regions, too
 ---@field arrows rfsm.diagram.Arrow[] those with both ends in this composite
 ---@field initial? rfsm.diagram.Node
@@ -52,6 +53,8 @@ local diagram = {}
 ---@field title? string
 ---@field direction string
 ---@field root rfsm.diagram.Node
+---@field nodes rfsm.diagram.Node[] all nodes, parents before children
+---@field by_fqn table<string, rfsm.diagram.Node>
 ---@field arrows rfsm.diagram.Arrow[] those that begin or end at the root
 ---@field all rfsm.diagram.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
@@ -81,18 +84,17 @@ end
 
 local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) end
 
-local WIDTH = 28 -- characters of a line
-local AS_LONG_AS_A_LINE = "^" .. ("[^\128-\191][\128-\191]*"):rep(WIDTH)
+local CHARACTER = "[^\128-\191][\128-\191]*"
 
 -- Appends a word to lines: to the last one if there is room for it.
-local function add_word(lines, word, can_join)
+local function add_word(lines, word, width, can_join)
   local last = lines[#lines]
-  if can_join and last and length_of(last) + 1 + length_of(word) <= WIDTH then
+  if can_join and last and length_of(last) + 1 + length_of(word) <= width then
     lines[#lines] = last .. " " .. word
     return
   end
-  while length_of(word) > WIDTH do
-    local head = word:match(AS_LONG_AS_A_LINE)
+  while length_of(word) > width do
+    local head = word:match("^" .. CHARACTER:rep(width))
     head = head:match("^.+[_./:,;(@-]") or head
     lines[#lines + 1], word = head, word:sub(#head + 1)
   end
@@ -101,17 +103,18 @@ end
 
 --- Return texts in short lines. A text stays in one line if it fits.
 ---@param texts string[]
+---@param width integer characters
 ---@return string[] lines
-function diagram.wrap(texts)
+function diagram.wrap(texts, width)
   local lines = {}
   for _, text in ipairs(texts) do
     for line in (text .. "\n"):gmatch("([^\n]*)\n") do
-      if length_of(line) <= WIDTH then
-        add_word(lines, line, true)
+      if length_of(line) <= width then
+        add_word(lines, line, width, true)
       else
         local is_first = true
         for word in line:gmatch("[^ ]+") do
-          add_word(lines, word, not is_first)
+          add_word(lines, word, width, not is_first)
           is_first = false
         end
       end
@@ -146,10 +149,12 @@ local function read_node(chart, tab, parent, fqn, depth)
     is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
+  chart.nodes[#chart.nodes + 1] = node
   local function read_list(list)
     for _, subtab in ipairs(depth > 0 and list or {}) do
       local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
-      node.nodes[#node.nodes + 1] = subnode
+      subnode.index = #node.nodes + 1
+      node.nodes[subnode.index] = subnode
       if subnode.kind == "initial" then node.initial = subnode end
     end
   end
@@ -175,7 +180,7 @@ local is_inside = diagram.is_inside
 
 -- Returns the node for an FQN, or the drawn one that contains it.
 local function find_node(chart, fqn)
-  while not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
+  while fqn and not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
   return chart.by_fqn[fqn]
 end
 
@@ -226,7 +231,8 @@ local function read_transition(chart, tr, key, text_of)
   if tr.internal then
     src.rows[#src.rows + 1] = concat(parts, " ")
   elseif src ~= tgt or not src.is_cut or tr.src == src.fqn then
-    if tgt.kind == "initial" and not is_inside(src, tgt.parent) then tgt = tgt.parent end
+    local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
+    tgt = is_inner and tgt or tgt.parent
     add_arrow(chart, { key = tr.key or key, src = src, tgt = tgt, parts = parts })
   end
 end
@@ -243,7 +249,7 @@ end
 
 -- Marks the states that an option names in place of those of the machine.
 local function mark_active(chart, active)
-  for _, node in pairs(chart.by_fqn) do node.mode = nil end -- any order
+  for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
     local node = find_node(chart, fqn)
     while node do node.mode, node = "active", node.parent end
@@ -269,7 +275,7 @@ local function read(source, where, options)
   if not is_description(source) then rfsm.check_machine(source, where, 4) end
   options = options_of(options, where)
   local title = options.title
-  local chart = { arrows = {}, all = {}, taken = {}, by_fqn = {} }
+  local chart = { arrows = {}, all = {}, taken = {}, by_fqn = {}, nodes = {} }
   chart.title = title and title ~= "" and clean(tostring(title)) or nil
   chart.direction = options.direction or "TB"
   local tab = is_description(source) and source or marsh.model2tab(source, true)
@@ -278,6 +284,11 @@ local function read(source, where, options)
   if options.active then mark_active(chart, options.active) end
   return chart
 end
+
+--- Return the label of an arrow as one text.
+---@param arrow rfsm.diagram.Arrow
+---@return string label
+function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
 --- Append a line, indented.
 ---@param lines string[]
