@@ -35,6 +35,9 @@ local function quoted(text)
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
 end
 
+-- The id of an FQN or a key in the SVG: a line feed is "\n".
+local function id_of(text) return "id=" .. quoted(diagram.clean(text)) end
+
 local function lines_of(text, width)
   return concat(diagram.wrap({ text }, width), "\n")
 end
@@ -65,12 +68,23 @@ local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0
   .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
   .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
   .. '<FONT POINT-SIZE="9"> %s</FONT></TD></TR></TABLE>>'
-local PLAIN = ', color="#555555", penwidth=1'
-local ACTIVE = ', color="#0072B2", penwidth=2'
+-- What is active or marked; the colours are told apart without red and green.
+local LOOKS = {
+  plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',
+  missed = ', color="#D55E00", fontcolor="#D55E00"', covered = "",
+  traced = ', color="#D55E00", penwidth=2',
+}
 
-local function class_of(node, kind)
-  return (', class="%s%s%s"'):format(kind, node.is_region and " region" or "",
-    node.mode and " " .. node.mode or "")
+local function class_of(element, kind)
+  return (', class="%s%s%s%s"'):format(kind, element.is_region and " region" or "",
+    element.mode and " " .. element.mode or "",
+    element.mark and " " .. element.mark or "")
+end
+
+-- Returns class and look of a state or an arrow.
+local function look_of(element, kind)
+  return class_of(element, kind) .. (element.mode and LOOKS.active or "")
+    .. (element.mark and LOOKS[element.mark] or "")
 end
 
 -- Connectors that arrows across the border of their composite use are rings.
@@ -82,35 +96,44 @@ local function is_on_border(chart, node)
   return false
 end
 
-local function look_of(chart, node)
+local function leaf_text(chart, node)
   if node.kind == "initial" then return INITIAL .. class_of(node, "initial") end
   if node.kind == "connector" then
     return CONNECTOR:format(is_on_border(chart, node) and "white" or "#555555",
       html(node.name)) .. class_of(node, "connector")
   end
-  return "label=" .. state_label(node) .. class_of(node, "state")
+  return "label=" .. state_label(node) .. look_of(node, "state")
     .. (node.is_final and ", peripheries=2" or "")
-    .. (node.mode and ACTIVE .. ', fillcolor="#D6EAF8"' or "")
+    .. (node.is_region and ', style="filled,dashed"' or "")
+    .. (node.mode and ', fillcolor="#D6EAF8"' or "")
 end
 
+local LABEL = 'node [shape=box, style="", penwidth=0, fontsize=10, width=0, height=0, '
+  .. 'margin="0.04,0.03"]'
+
 local function add_labels(lines, depth, composite)
+  local has_labels = false
   for _, arrow in ipairs(composite.arrows) do
     if arrow.label then
-      add(lines, depth, ("%s [id=%s, class=transition, %s]"):format(arrow.label.id,
-        quoted(arrow.key), arrow.label.look))
+      if not has_labels then add(lines, depth, "{ " .. LABEL) end
+      has_labels = true
+      add(lines, depth + 1, ("%s [%s, label=%s%s%s]"):format(arrow.label.id,
+        id_of(arrow.key), arrow.label.text, class_of(arrow, "transition"),
+        arrow.mark == "missed" and ', fontcolor="#D55E00"' or ""))
     end
   end
+  if has_labels then add(lines, depth, "}") end
 end
 
 local function add_node(lines, depth, chart, node)
-  local id = "id=" .. quoted(node.fqn) .. ", "
+  local id = id_of(node.fqn) .. ", "
   if node.kind ~= "composite" then
-    return add(lines, depth, ("%s [%s%s]"):format(node.id, id, look_of(chart, node)))
+    return add(lines, depth, ("%s [%s%s]"):format(node.id, id, leaf_text(chart, node)))
   end
   add(lines, depth, "subgraph cluster_" .. node.id .. " {")
   add(lines, depth + 1, ("graph [%slabel=%s, margin=10, style=%s%s%s]"):format(id,
-    state_label(node), node.is_region and "dashed" or "rounded",
-    class_of(node, "state"), node.mode and ACTIVE or PLAIN))
+    state_label(node), node.is_region and "dashed" or "rounded", LOOKS.plain,
+    look_of(node, "state")))
   for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, chart, subnode) end
   add_labels(lines, depth + 1, node)
   add(lines, depth, "}")
@@ -153,17 +176,13 @@ local function leads_back(arrow)
   return index_in(arrow.src, arrow.home) > index_in(arrow.tgt, arrow.home)
 end
 
-local LABEL = 'shape=box, style="", penwidth=0, fontsize=10, width=0, height=0, '
-  .. 'margin="0.04,0.03", label='
-
 -- Gives an arrow a node for its label, unless it needs none.
 local function place_label(chart, arrow)
   arrow.src.has_loop = arrow.src.has_loop or is_loop(arrow)
   if not (arrow.parts[1] or is_loop(arrow)) then return end
-  local text = arrow.parts[1] and diagram.label_of(arrow) or "any event"
   arrow.label = {
     id = diagram.new_id(chart, arrow.src.id .. "_to_" .. arrow.tgt.id),
-    look = LABEL .. quoted(text),
+    text = quoted(arrow.parts[1] and diagram.label_of(arrow) or "any event"),
   }
 end
 
@@ -173,42 +192,35 @@ end
 
 local function min_length(upper, lower)
   local length = length_of(upper)
-  if upper.look or lower.look then return length end
+  if upper.text or lower.text then return length end
   return crosses_frame(upper, lower) and length + 1 or length
 end
 
--- Adds an edge; `dir` is that of Graphviz, from the upper node to the lower one.
-local function add_edge(lines, id, upper, lower, dir)
-  local text = { "id=" .. quoted(id), "class=transition" }
-  local function tie(attribute, node)
-    if node.kind == "composite" then
-      text[#text + 1] = attribute .. "=cluster_" .. node.id
-    end
-  end
-  tie("ltail", upper)
-  tie("lhead", lower)
+-- Adds an edge of an arrow, from an upper node to a lower one; `half` is "", "/src" or
+-- "/tgt", `dir` that of Graphviz.
+local function add_edge(lines, arrow, half, upper, lower, dir)
   local length = min_length(upper, lower)
-  if length > 1 then text[#text + 1] = "minlen=" .. length end
-  if dir ~= "forward" then text[#text + 1] = "dir=" .. dir end
-  add(lines, 1, ("%s -> %s [%s]"):format(anchor_of(upper, true), anchor_of(lower),
-    concat(text, ", ")))
+  add(lines, 1, ("%s -> %s [%s%s%s%s%s%s]"):format(
+    anchor_of(upper, true), anchor_of(lower), id_of(arrow.key .. half),
+    look_of(arrow, "transition"),
+    upper.kind == "composite" and ", ltail=cluster_" .. upper.id or "",
+    lower.kind == "composite" and ", lhead=cluster_" .. lower.id or "",
+    length > 1 and ", minlen=" .. length or "",
+    dir ~= "forward" and ", dir=" .. dir or ""))
 end
 
+-- Adds the edge of an arrow, or one to its label and one from there. The label of a
+-- loop is below both its ends.
 local function add_arrow(lines, arrow)
-  local src, tgt, key, label = arrow.src, arrow.tgt, arrow.key, arrow.label
+  local src, tgt, label = arrow.src, arrow.tgt, arrow.label
   local is_back = leads_back(arrow)
-  if not label then
-    local upper, lower = is_back and tgt or src, is_back and src or tgt
-    return add_edge(lines, key, upper, lower, is_back and "back" or "forward")
+  local function add_half(half, upper, lower, is_turned, dir)
+    if is_turned then upper, lower = lower, upper end
+    add_edge(lines, arrow, half, upper, lower, dir or is_turned and "back" or "forward")
   end
-  local is_below = is_loop(arrow) or is_back
-  if is_back then
-    add_edge(lines, key .. "/src", label, src, "none")
-  else
-    add_edge(lines, key .. "/src", src, label, "none")
-  end
-  if is_below then return add_edge(lines, key .. "/tgt", tgt, label, "back") end
-  add_edge(lines, key .. "/tgt", label, tgt, "forward")
+  if not label then return add_half("", src, tgt, is_back) end
+  add_half("/src", src, label, is_back, "none")
+  add_half("/tgt", label, tgt, is_back or is_loop(arrow))
 end
 
 local function draw(chart)

@@ -84,4 +84,42 @@ function pictures.odd()
   return model
 end
 
+-- The points of an attribute: { { x, y }, ... }.
+local function points_in(text)
+  local points = {}
+  for x, y in text:gmatch("(%-?[%d.]+),(%-?[%d.]+)") do
+    points[#points + 1] = { tonumber(x), tonumber(y) }
+  end
+  return points
+end
+
+local function box_of(points)
+  local box = { left = 1e9, right = -1e9, top = 1e9, bottom = -1e9 }
+  for _, point in ipairs(points) do
+    box.left, box.right = math.min(box.left, point[1]), math.max(box.right, point[1])
+    box.top, box.bottom = math.min(box.top, point[2]), math.max(box.bottom, point[2])
+  end
+  return box
+end
+
+local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
+  ["#39"] = "'" }
+
+--- The elements of a picture by id, each with a box and, if it is an edge, its ends and
+-- the tip of its arrowhead.
+function pictures.shapes_of(svg)
+  local shapes = {}
+  for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
+    local all, path, head = {}, body:match(' d="([^"]*)"'), nil
+    for points in body:gmatch('points="([^"]*)"') do head = points_in(points) end
+    path = path and points_in(path)
+    for _, list in ipairs { path or {}, head or {} } do
+      for _, point in ipairs(list) do all[#all + 1] = point end
+    end
+    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all),
+      ends = path and { path[1], path[#path] }, tip = head and head[2] }
+  end
+  return shapes
+end
+
 return pictures

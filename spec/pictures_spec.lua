@@ -1,0 +1,136 @@
+-- Pictures of random charts, with regions and odd names, by the real tools.
+
+local diagram = require "rfsm.diagram"
+local helper = require "spec.helper"
+local marsh = require "rfsm.marsh"
+local pictures = require "spec.support.pictures"
+
+local content, file_with = helper.content, helper.file_with
+local seed = tonumber(os.getenv("SEED")) or 1
+
+after_each(helper.remove_files)
+
+-- Reads the output of a command, and its messages.
+local function run(command)
+  local log = file_with("")
+  local pipe = io.popen(command .. " 2>'" .. log .. "'")
+  local text = pipe:read("*a")
+  pipe:close()
+  return text, content(log)
+end
+
+-- The picture of a machine, which Graphviz draws without a word.
+local function svg_of(fsm, options)
+  local file = file_with(require("rfsm.dot").encode(fsm, options))
+  local picture, messages = run("dot -Tsvg '" .. file .. "'")
+  assert.equal("", messages)
+  assert.equal("</svg>\n", picture:sub(-7))
+  return picture
+end
+
+local function random_machine(number) return helper.init(pictures.model(number, 6)) end
+
+-- The nodes by FQN, and the transitions that are arrows, of a full description.
+local function elements_of(tab, fqn, nodes, arrows)
+  nodes[fqn] = tab
+  for _, tr in ipairs(tab.transitions or {}) do
+    if not tr.internal then arrows[#arrows + 1] = tr end
+  end
+  for _, list in ipairs { tab.subnodes or {}, tab.regions or {} } do
+    for _, subtab in ipairs(list) do
+      elements_of(subtab, fqn .. "." .. subtab.id, nodes, arrows)
+    end
+  end
+  return nodes, arrows
+end
+
+local function contains(composite, fqn)
+  return fqn:sub(1, #composite + 1) == composite .. "."
+end
+
+local function is_composite(tab)
+  return tab.subnodes ~= nil or tab.regions ~= nil
+end
+
+-- Names as they are in ids.
+local function id_of(fqn) return (diagram.clean(fqn):gsub("\n", "\\n")) end
+
+-- The composites whose frames are around the middle of a label.
+local function frames_around(box, shapes, nodes)
+  local x, y, list = (box.left + box.right) / 2, (box.top + box.bottom) / 2, {}
+  for fqn, tab in pairs(nodes) do -- any order: sorted
+    local frame = shapes[id_of(fqn)].box
+    if is_composite(tab) and x > frame.left and x < frame.right and y > frame.top
+      and y < frame.bottom then
+      list[#list + 1] = fqn
+    end
+  end
+  table.sort(list)
+  return list
+end
+
+-- The end of an arrow: of a composite that is entered from outside, its frame.
+local function target_of(tr)
+  local composite = tr.tgt:match("^(.*)%.initial$")
+  return composite and not contains(composite, tr.src) and composite or tr.tgt
+end
+
+-- The composites around both ends of a transition.
+local function composites_around(tr, nodes)
+  local list = {}
+  for fqn, tab in pairs(nodes) do -- any order: sorted
+    if is_composite(tab) and contains(fqn, tr.src) and contains(fqn, target_of(tr)) then
+      list[#list + 1] = fqn
+    end
+  end
+  table.sort(list)
+  return list
+end
+
+local function distance_to(box, point)
+  local x, y = point[1], point[2]
+  return math.min(math.abs(x - box.left), math.abs(x - box.right),
+    math.abs(y - box.top), math.abs(y - box.bottom))
+end
+
+local TOUCH = 3 -- points between the end of an arrow and a border
+
+local function check_arrow(tr, shapes, nodes)
+  local label = shapes[id_of(tr.key)]
+  local tail, head = shapes[id_of(tr.key) .. "/src"] or label,
+    shapes[id_of(tr.key) .. "/tgt"] or label
+  if tail ~= label then
+    assert.same(composites_around(tr, nodes), frames_around(label.box, shapes, nodes),
+      tr.key)
+  end
+  local src, tgt = shapes[id_of(tr.src)].box, shapes[id_of(target_of(tr))].box
+  if is_composite(nodes[tr.src]) then
+    assert.is_true(math.min(distance_to(src, tail.ends[1]),
+      distance_to(src, tail.ends[2])) < TOUCH, tr.key .. " begins at its frame")
+  end
+  if is_composite(nodes[target_of(tr)]) then
+    assert.is_true(distance_to(tgt, head.tip) < TOUCH, tr.key .. " ends at its frame")
+  end
+end
+
+describe("Graphviz", function()
+  for number = seed, seed + 9 do
+    it(("puts random chart %d where it belongs"):format(number), function()
+      local fsm = random_machine(number)
+      local nodes, arrows = elements_of(marsh.model2tab(fsm, true), "root", {}, {})
+      local shapes = pictures.shapes_of(svg_of(fsm))
+      for fqn in pairs(nodes) do -- any order
+        assert.is_truthy(shapes[id_of(fqn)], fqn)
+      end
+      for _, tr in ipairs(arrows) do check_arrow(tr, shapes, nodes) end
+    end)
+  end
+
+  it("shows any names as they are", function()
+    local picture = svg_of(helper.init(pictures.odd()), 'T "x" \\ & <i>\nnew')
+    for _, text in ipairs { "q&quot;q", "&lt;b&gt;", "&amp;amp;", "%d", "état",
+      "&lt;&lt;choice&gt;&gt;", "|", "T &quot;x&quot; \\ &amp; &lt;i&gt;", "new" } do
+      assert.is_truthy(picture:find(">" .. text .. "<", 1, true), text)
+    end
+  end)
+end)
