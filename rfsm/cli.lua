@@ -15,7 +15,7 @@ local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
 local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
-local require, select, tonumber = require, select, tonumber
+local require, select, tonumber, type = require, select, tonumber, type
 local io, os = io, os
 local concat = table.concat
 local name_of = chart.name_of
@@ -268,8 +268,45 @@ function viz.add_arguments(command)
   command:option("--active", "draw state FQN as active; may be given for each region")
     :argname("FQN"):count("*")
   command:option("--depth", "draw N levels of states"):argname("N"):convert(to_depth)
+  command:option("--coverage", "mark how often a run came to each place: JSON, as "
+    .. "rfsm_checks.coverage writes it"):argname("JSON")
+  command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "
+    .. "writes them"):argname("JSON")
   command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
     :choices { "TB", "LR" }
+end
+
+-- Returns the JSON values in a file; a problem ends the program.
+local function read_values(file)
+  local handle, problem = io.open(file, "rb")
+  if not handle then fail("viz", { problem }) end
+  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
+  handle:close()
+  if not ok then fail("viz", { file .. ": " .. values }) end
+  return values
+end
+
+local function read_coverage(file)
+  local coverage = read_values(file)[1]
+  local is_coverage = type(coverage) == "table" and type(coverage.states) == "table"
+    and type(coverage.transitions) == "table"
+  if is_coverage then return coverage end
+  fail("viz", { file .. ": an object with \"states\" and \"transitions\" expected" })
+end
+
+-- Returns the places of a run: a record names a transition, or the leaf that is active
+-- after it.
+local function read_trace(file)
+  local trace, leaf = {}, nil
+  for _, record in ipairs(read_values(file)) do
+    if type(record) ~= "table" then record = { transition = record } end
+    trace[#trace + 1] = record.transition
+    if not record.m and record.leaf and record.leaf ~= leaf then
+      leaf = record.leaf
+      trace[#trace + 1] = leaf
+    end
+  end
+  return trace
 end
 
 -- Returns the format; nil and the problem of the command line.
@@ -292,11 +329,15 @@ function viz.run(options, parser)
   local format, problem = find_format(options)
   if not format then parser:error(problem) end
   local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local looks = {
+    depth = options.depth, direction = options.direction,
+    active = options.active[1] and options.active,
+    coverage = options.coverage and read_coverage(options.coverage),
+    trace = options.trace and read_trace(options.trace),
+  }
   local result = concat(encode_all("viz", options.files, function(fsm, title)
-    return exporter.encode(fsm, {
-      title = title, depth = options.depth, direction = options.direction,
-      active = options.active[1] and options.active,
-    })
+    looks.title = title
+    return exporter.encode(fsm, looks)
   end))
   if not IS_TEXT[format] then
     result, problem = require("rfsm.dot").render(result, format)

@@ -44,6 +44,21 @@ function json.encode(fsm)
   }, { indent = true, keyorder = KEY_ORDER })
 end
 
+--- Return the values in a text: of JSON, or of JSON lines.
+-- @raise if the text is no JSON, or dkjson is missing
+---@param text string
+---@return any[] values
+---@nodiscard
+function json.decode_all(text)
+  local decode, values, position = find_dkjson().decode, {}, 1
+  while text:find("%S", position) do
+    local value, after, problem = decode(text, position)
+    if problem then error("no JSON: " .. problem, 0) end
+    values[#values + 1], position = value, after
+  end
+  return values
+end
+
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2json", json) end
 
 return json

@@ -47,7 +47,8 @@ local function random_machines()
       counts = {} }
     model.err, model.warn, model.info = false, false, false
     local fsm = rfsm.init(model)
-    return fsm, #rfsm.mapfsm(function(tr) return tr end, fsm, rfsm.is_trans)
+    return fsm, #rfsm.mapfsm(function(tr) return not tr._is_internal or nil end, fsm,
+      rfsm.is_trans)
   end
 end
 
@@ -361,7 +362,7 @@ stateDiagram-v2
     end
     if line:match("^ *}$") then return -1 end
     if line:match("^ *note right of [%w_]+ : " .. SAFE .. "$") then return 0 end
-    if line:match("^ *[%w_]+ : " .. SAFE .. "$") or line:match("^ *%-%-$") then return 0 end
+    if line:match("^ *[%w_]+ : " .. SAFE .. "$") then return 0 end
     local src, tgt = line:match("^ *(%S+) %-%-> ([%w_]+)$")
     if not src then
       src, tgt = line:match("^ *(%S+) %-%-> ([%w_]+) : " .. SAFE .. "$")

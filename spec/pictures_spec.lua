@@ -134,3 +134,50 @@ describe("Graphviz", function()
     end
   end)
 end)
+
+-- Saves random charts, and one of odd names, in a language; returns the folder.
+local function save_all(language, ending)
+  local folder = os.tmpname()
+  os.remove(folder)
+  os.execute("mkdir '" .. folder .. "'")
+  local encode = require("rfsm." .. language).encode
+  local function save(name, fsm)
+    local file = assert(io.open(("%s/%s.%s"):format(folder, name, ending), "wb"))
+    file:write(encode(fsm, { title = 'T "x" \\ & <i>\nnew', direction = "LR" }))
+    file:close()
+  end
+  for number = seed, seed + 19 do save(number, random_machine(number)) end
+  save("odd", helper.init(pictures.odd()))
+  return folder
+end
+
+-- Runs a command, with the files of a language for FILES, if `program` is installed.
+local function parse(program, command, language, ending)
+  if run("command -v " .. program) == "" then
+    return pending(program .. " is not installed")
+  end
+  local folder = save_all(language, ending)
+  local text, messages = run((command:gsub("FILES", folder .. "/*." .. ending)))
+  os.execute("rm -r '" .. folder .. "'")
+  return text .. messages
+end
+
+describe("PlantUML", function()
+  it("finds no mistake in random charts, or with any names", function()
+    local said = parse("plantuml", "plantuml -checkonly -stdrpt:1 FILES", "plantuml",
+      "puml")
+    assert.equal("", said or "")
+  end)
+end)
+
+describe("Mermaid", function()
+  it("finds no mistake in random charts, or with any names", function()
+    local folder = os.getenv("MERMAID")
+    if not folder then
+      return pending("MERMAID: no folder in which npm has installed mermaid and jsdom")
+    end
+    local said = parse("node", ("cp spec/support/mermaid.mjs '%s' && node "
+      .. "'%s/mermaid.mjs' FILES"):format(folder, folder), "mermaid", "mmd")
+    assert.equal("21 parsed\n", said or "21 parsed\n")
+  end)
+end)
