@@ -275,17 +275,27 @@ local function nearest(name, names)
   return ok and advice.nearest_name(name, names) or ""
 end
 
+local function is_state(node)
+  return node.kind == "leaf" or node.kind == "composite"
+end
+
+-- Returns the state for an FQN given by a user, or the drawn one that contains it.
+local function find_state(chart, fqn, where)
+  local node = find_node(chart, fqn)
+  if node and is_state(node) and (node.fqn == fqn or node.is_cut) then return node end
+  local names = {}
+  for _, other in ipairs(chart.nodes) do
+    names[#names + 1] = is_state(other) and other.fqn or nil
+  end
+  error(("%s: active: no state is named '%s'%s"):format(where, fqn,
+    nearest(fqn, names)), 5)
+end
+
 -- Marks the states that an option names in place of those of the machine.
 local function mark_active(chart, active, where)
   for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
-    local node = find_node(chart, fqn)
-    if not node or node.fqn ~= fqn and not node.is_cut then
-      local names = {}
-      for i, other in ipairs(chart.nodes) do names[i] = other.fqn end
-      error(("%s: active: no state is named '%s'%s"):format(where, fqn,
-        nearest(fqn, names)), 4)
-    end
+    local node = find_state(chart, fqn, where)
     while node do node.mode, node = "active", node.parent end
   end
 end
@@ -313,7 +323,9 @@ local function mark_run(chart, coverage, trace)
     element.mark = steps[key] and "traced" or element.mark
   end
   for _, node in ipairs(chart.nodes) do
-    mark(node, node.rows, node.fqn, coverage and coverage.states)
+    if is_state(node) then
+      mark(node, node.rows, node.fqn, coverage and coverage.states)
+    end
   end
   for _, arrow in ipairs(chart.all) do
     mark(arrow, arrow.parts, arrow.key, coverage and coverage.transitions)

@@ -67,7 +67,7 @@ local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222
 local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0" '
   .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
   .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
-  .. '<FONT POINT-SIZE="9"> %s</FONT></TD></TR></TABLE>>'
+  .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
 -- What is active or marked; the colours are told apart without red and green.
 local LOOKS = {
   plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',

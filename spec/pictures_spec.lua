@@ -4,6 +4,7 @@ local diagram = require "rfsm.diagram"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
 local pictures = require "spec.support.pictures"
+local rfsm = require "rfsm"
 
 local content, file_with = helper.content, helper.file_with
 local seed = tonumber(os.getenv("SEED")) or 1
@@ -132,6 +133,37 @@ describe("Graphviz", function()
       "&lt;&lt;choice&gt;&gt;", "|", "T &quot;x&quot; \\ &amp; &lt;i&gt;", "new" } do
       assert.is_truthy(picture:find(">" .. text .. "<", 1, true), text)
     end
+  end)
+end)
+
+-- The ids in the picture of a machine, and those that Graphviz has given in a file.
+local function compare_ids(fsm, file)
+  local expected, found = {}, pictures.shapes_of(content(file))
+  local nodes, arrows = elements_of(marsh.model2tab(fsm, true), "root", {}, {})
+  for fqn in pairs(nodes) do expected[id_of(fqn)] = true end -- any order
+  for _, tr in ipairs(arrows) do expected[id_of(tr.key)] = true end
+  for id in pairs(expected) do assert.is_truthy(found[id], file .. " lacks " .. id) end
+  for id in pairs(found) do -- any order
+    assert.is_truthy(expected[id:gsub("/%l+$", "")], file .. " has " .. id)
+  end
+end
+
+describe("doc/gallery", function()
+  for path in io.popen("ls examples/*.lua doc/gallery/*.lua"):lines() do
+    local name = path:match("([^/]+)%.lua$")
+    it("has an up to date picture of " .. name, function()
+      local fsm
+      helper.printed(function() fsm = helper.init(rfsm.load(path)) end)
+      compare_ids(fsm, "doc/gallery/" .. name .. ".svg")
+      assert.is_truthy(content("doc/gallery/README.md"):find("(" .. name .. ".svg)", 1,
+        true))
+    end)
+  end
+
+  it("has an up to date picture of the README's chart", function()
+    local text = content("README.md"):match("```lua\n(.-)\nrfsm%.run")
+    local load = rawget(_G, "loadstring") or load
+    compare_ids(load(text .. "\nreturn fsm")(), "doc/gallery/lamp.svg")
   end)
 end)
 

@@ -253,7 +253,8 @@ describe("rfsm-viz", function()
     assert.is_falsy(text:find("searching", 1, true))
     assert.matches('%[id="root.operational",[^\n]*class="state active"', text)
     fails("rfsm-viz --active dim examples/on_off.lua",
-      "rfsm viz: examples/on_off.lua: active: no state is named 'dim'\n")
+      "rfsm viz: examples/on_off.lua: active: no state is named 'dim'"
+        .. hint(" (there are 'root', 'root.off', 'root.on')") .. "\n")
     refuses("rfsm-viz --depth 1.5 examples/on_off.lua",
       "Error: depth: a whole number from 1 expected, got '1.5'")
     refuses("rfsm-viz --direction UP examples/on_off.lua",
@@ -268,7 +269,8 @@ describe("rfsm-viz", function()
     local trace = write_file("trace.json", '{"leaf":"root.off"}\n'
       .. '{"leaf":"root.off"}\n{"transition":"root.trans[2]","leaf":"root.on"}\n')
     text = run("rfsm-viz --trace '" .. trace .. "' examples/on_off.lua")
-    for i, place in ipairs { 'id="root.off"', 'id="root.trans%[2%]"', 'id="root.on"' } do
+    for i, place in ipairs { 'id="root.off"', 'id="root.trans%[2%]"',
+      'id="root.on"' } do
       assert.matches(place .. ",[^\n]*%(step " .. i .. "%)", text)
     end
     for content_of, problem in pairs { -- any order: each stands alone
