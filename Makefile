@@ -31,7 +31,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(CHECKS) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps
+.PHONY: all help sim test lint fuzz bench bench-profile examples doc gallery deps
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -81,6 +81,14 @@ examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc
 	ldoc -c doc/config.ld --fatalwarnings -q .
+
+# lamp.lua is the chart of the README: its first block of Lua, up to where it runs.
+gallery:                ## doc/gallery/: pictures of the examples and of larger charts
+	@set -e; trap 'rm -f lamp.lua' EXIT; \
+	sed -n '/^```lua/,/^rfsm.run/p' README.md | sed '1d; $$s/.*/return fsm/' > lamp.lua; \
+	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
+	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
+	done
 
 deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
