@@ -883,7 +883,7 @@ end
 ---@field events table<any, true> those that transitions name
 ---@field trail table|false see `is_current`; a plan that one machine has alone has none
 
-local compile, compile_transition, run_segment, run_warily, line_to
+local compile, compile_transition, line_to, run_segment, run_warily
 
 do
   -- The order in which the transitions of a node are tried: larger pn first, then the
@@ -905,6 +905,7 @@ do
       ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
       __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
       events = def.events or nil, _is_internal = def.is_internal or nil,
+      __eq = rawequal, -- so that no other one's is ever asked
     }
     proto.__index = proto
     def.proto = proto
@@ -1108,7 +1109,7 @@ local function check_plain(fsm)
     or fsm._run == "run_hooked")
 end
 
-Machine.__index = OFF
+Machine.__index, Machine.__eq = OFF, rawequal
 
 -- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
 -- from the machine while they are off.
@@ -1303,9 +1304,9 @@ local function report_callback(fsm, callback, owner, failure)
     "error executing " .. callback .. " of " .. owner .. ": ", failure)
 end
 
--- The straight code of rfsm/straight.lua; false where it is missing, nil before it was
--- asked for.
-local straight
+-- The functions of rfsm/quick.lua; false where it is missing, nil before it was asked
+-- for.
+local quick, quick_code
 
 -- How many parameters a function has, as far as straight code can tell: one that has
 -- none for the events cannot keep them.
@@ -1388,7 +1389,7 @@ end
 
 -- Choose: which transition do the events enable? .................................
 
-local choose, find_listed, find_transition, matches, path_text
+local choose, enabled, enabled_with, find_transition, matches, path_text, search
 local warn_of_conflict
 
 do
@@ -1422,9 +1423,8 @@ do
 
   -- Is the path through `def` open that leads to `tgt`? Returns the definition of its
   -- first segment, which is another one where a machine has changed the target.
-  local function enabled_with(fsm, def, tgt, events, depth)
-    local node = fsm._nodes[def.tgt.index]
-    if not rawequal(tgt, node) then def = retarget(fsm, def, tgt) end
+  function enabled_with(fsm, def, tgt, events, depth)
+    if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
     if def and def.connector == nil then compile_transition(def) end
     local connector = def and def.connector
     if connector and not find_way(fsm, connector, events, depth) then return nil end
@@ -1433,7 +1433,7 @@ do
 
   -- Is the transition enabled, with all behind it up to a leaf? Its events match.
   -- Returns its definition. `depth` counts the connectors on the way to it.
-  local function enabled(fsm, def, events, depth)
+  function enabled(fsm, def, events, depth)
     local tr = fsm._transitions[def.index]
     local guard = tr.guard
     if guard and not allows(fsm, tr, guard, events) then return nil end
@@ -1515,7 +1515,7 @@ do
   end
 
   -- From the root down to the active leaf, node by node; an outer transition wins.
-  local function search(fsm, leaf, events)
+  function search(fsm, leaf, events)
     local line, is_traced = line_to(leaf), fsm._is_traced
     fsm._search = fsm._search + 1
     if is_traced then
@@ -1532,97 +1532,13 @@ do
     if is_traced then trace(fsm, "TRANSITION", "no enabled paths found") end
   end
 
-  -- May one event alone trigger it?
-  local function is_candidate(def, event)
-    local events = def.events
-    if not events or def.has_predicate then return true end
-    for i = 1, #events do
-      if rawequal(events[i], event) then return true end
-    end
-    return false
-  end
-
-  -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
-  -- order, and is noted when the event first comes. leaf.quick[event] is the only one
-  -- on the list, if it needs no search. Events that the machine does not know have one
-  -- choice, at [OTHER].
-  local OTHER = {}
-
-  local function note_choice(leaf, event)
-    local candidates, line = {}, line_to(leaf)
-    for i = 1, #line do
-      for j = 1, #line[i].otrs do
-        local def = line[i].otrs[j]
-        if def.connector == nil then compile_transition(def) end
-        if is_candidate(def, event) then candidates[#candidates + 1] = def end
-      end
-    end
-    local first = candidates[1]
-    leaf.choices[event] = candidates
-    if not rawequal(event, OTHER) and first and not (candidates[2] or first.connector
-      or first.has_predicate) then
-      leaf.quick[event] = first
-    end
-    return candidates
-  end
-
-  -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
-  -- mostly does; NaN is no event.
-  local function prepare_leaf(leaf)
-    leaf.choices, leaf.quick = {}, {}
-    local leads_somewhere = note_choice(leaf, leaf.done_event)[1] ~= nil
-    leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
-  end
-
-  local function choice_of(fsm, leaf, event)
-    if leaf.choices == NONE then prepare_leaf(leaf) end
-    local choice = leaf.choices[event]
-    if choice then return choice end
-    if not fsm._plan.events[event] then event = OTHER end
-    return leaf.choices[event] or note_choice(leaf, event)
-  end
-
-  -- Returns the first candidate that is enabled.
-  function find_listed(fsm, candidates, events)
-    fsm._search = fsm._search + 1
-    for i = 1, #candidates do
-      local def = candidates[i]
-      local found = (not def.has_predicate or matches(def, events))
-        and enabled(fsm, def, events, 0)
-      if found then return found end
-    end
-  end
-
-  -- Returns the function that does the same by straight code, where there is some.
-  local function find_straight(candidates)
-    candidates.search = candidates.search or straight.search(candidates) or find_listed
-    return candidates.search
-  end
-
-  -- Returns the candidates of all events, nil if there are several lists of them.
-  local function common_choice(fsm, leaf, events)
-    local common = NONE
-    for i = 1, #events do
-      local candidates = choice_of(fsm, leaf, events[i])
-      if candidates[1] and candidates ~= common then
-        if common ~= NONE then return nil end
-        common = candidates
-      end
-    end
-    return common
-  end
-
   -- Returns the transition that the events enable, or nil. A guard may merge something
   -- into the machine: then it is searched again.
   function choose(fsm, events)
     if events[1] == nil then return nil end
     local leaf, plan = fsm._act_leaf["_%def"], fsm._plan
-    local candidates = not fsm._is_traced and common_choice(fsm, leaf, events)
-    local find = search
-    if candidates then
-      find = straight and find_straight(candidates) or find_listed
-    end
-    local def = find(fsm, candidates or leaf, events)
+    local find = not fsm._is_traced and quick_code(fsm) and quick.find or search
+    local def = find(fsm, leaf, events)
     if fsm._plan ~= plan then return choose(fsm, events) end
     return def
   end
@@ -1858,44 +1774,10 @@ local function take(fsm, def, from)
   if not ok then recover(fsm, true, failure) end
 end
 
--- What straight code is made with.
-local PARTS = {
-  compile_transition = compile_transition, find_listed = find_listed,
-  keep_events = keep_events, matches = matches, report_callback = report_callback,
-  run_segment = run_segment, run_state_hooks = run_state_hooks,
-  warn_of_conflict = warn_of_conflict,
-}
-
--- Goes on in detail after the callback that was called last.
-function PARTS.resume(fsm) return resume_segment(fsm, false) end
-
--- Goes on in detail after the exit and the hooks of `state`.
-function PARTS.finish_leaving(fsm, state)
-  finish_exit(fsm, state, nil)
-  return run_parts(fsm, fsm._segment, state._parent, 0)
-end
-
--- Returns the straight code, if there is any.
-local function straight_code()
-  if straight == nil then
-    local make = loadstring and find_module("rfsm.straight")
-    straight = make and make(PARTS) or false
-    if straight then parameters_of = straight.parameters_of end
-  end
-  return straight
-end
-
--- Until a transition has been taken a few times it runs without straight code.
-local USES = 3
-
+-- Takes a segment for the first time.
 function run_warily(fsm, from)
-  local def = fsm._segment
-  def.uses = (def.uses or 0) + 1
-  if def.uses >= USES then
-    local code = straight_code()
-    def.run = code and code.segment(def, false) or run_segment
-    def.run_hooked = code and code.segment(def, true) or run_segment
-  end
+  local def, run = fsm._segment, fsm._run
+  if quick then def[run] = quick.segment(def, run == "run_hooked") end
   return run_segment(fsm, from)
 end
 
@@ -2100,7 +1982,9 @@ do
     return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- One iteration, whatever the machine is like. `events` if they have been gathered.
+  -- One iteration. Returns nil when there is no way in; else whether it counts as a
+  -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
+  -- `events` if they have been gathered.
   local function iterate_fully(fsm, after_free, events)
     events = events or gather(fsm)
     local leaf, counted, idle = fsm._act_leaf, true, false
@@ -2116,96 +2000,10 @@ do
     return counted, is_idle(fsm, idle)
   end
 
-  -- The events, the active leaf and the empty table of an iteration with hooks. No
-  -- leaf: `iterate_fully` is to do it.
-  local function prepare(fsm)
-    if fsm._is_traced then return nil end
-    local events = gather(fsm)
-    if fsm._is_traced then return nil, events end
-    return fsm._act_leaf, events, fsm._intq
-  end
-
-  -- Without events but an e_done that nothing waits for there is a doo cycle in any
-  -- case, now or in the next iteration.
-  local function iterate_doo(fsm, leaf, events)
-    if events[1] ~= nil then events[1] = nil end
-    if leaf._mode == "done" and not fsm._is_unsettled then return true, true end
-    local idle = run_doo(fsm, leaf)
-    if idle and fsm._is_fed then collect(fsm, fsm._intq) end
-    if fsm._is_unsettled then settle(fsm, fsm._curq) end
-    return true, is_idle(fsm, idle)
-  end
-
-  -- Looks for the transition that a single event enables, by straight code. Returns nil
-  -- when there is more to it: see `iterate_further`.
-  local function find_single(fsm, leaf_def, events, event, spare)
-    local choice = leaf_def.choices[event]
-    if not (choice and choice.search) then return nil end
-    fsm._segment = true
-    fsm._curq = events
-    fsm._intq = spare
-    local def = choice.search(fsm, choice, events)
-    if not def or def.connector or not fsm._is_plain then return nil, def or false end
-    return def, fsm._transitions[def.index]
-  end
-
-  -- Goes on where a single event does not lead straight to a leaf. `def` is nil when it
-  -- has not been looked for, `events` is when they have not been gathered.
-  local function iterate_further(fsm, def, leaf, leaf_def, after_free, events)
-    if def == nil then return iterate_fully(fsm, after_free, events) end
-    events = fsm._curq
-    if leaf["_%def"] ~= leaf_def then def = choose(fsm, events) end -- merged
-    local counted, idle = react(fsm, def, leaf, events, after_free)
-    settle(fsm, events)
-    return counted, is_idle(fsm, idle)
-  end
-
-  -- One iteration. Returns nil when there is no way in; else whether it counts as a
-  -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
-  --
-  -- What is written out here is the usual case: there is one event, apart from an
-  -- e_done that nothing waits for, and nobody traces.
-  function iterate(fsm, after_free) -- luacheck: ignore 561 (written out for speed)
-    local leaf, events, spare, gathered = fsm._act_leaf, fsm._intq, fsm._curq, nil
-    if not fsm._is_plain then
-      leaf, events, spare = prepare(fsm)
-      if not leaf then return iterate_fully(fsm, after_free, events) end
-      gathered = events
-    end
-    local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
-    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if event == nil and not gathered then return iterate_doo(fsm, leaf, events) end
-    if next_event ~= nil then return iterate_fully(fsm, after_free, gathered) end
-    local def = leaf_def.quick[event]
-    local tr = def and fsm._transitions[def.index]
-    if not def or tr.guard or tr.tgt ~= fsm._nodes[def.tgt_index] then
-      def, tr = find_single(fsm, leaf_def, events, event, spare)
-      if not def then
-        return iterate_further(fsm, tr, leaf, leaf_def, after_free, gathered)
-      end
-    else
-      fsm._segment = true
-      fsm._curq = events
-      fsm._intq = spare
-    end
-    fsm._from = leaf
-    fsm._segment = def
-    local ok, failure = pcall(def[fsm._run], fsm, leaf, tr)
-    if not ok then recover(fsm, true, failure) end
-    if fsm._is_unsettled then
-      settle(fsm, events)
-    else
-      events[2] = nil
-      events[1] = nil
-      fsm._segment = false
-    end
-    return true, false
-  end
+  iterate = iterate_fully
 
   -- The functions one of which is on the stack while a step is under way.
-  local STEPPING = {
-    [iterate] = true, [iterate_fully] = true, [iterate_further] = true,
-  }
+  local STEPPING = { [iterate_fully] = true }
   local getlocal = getinfo and rawget(_G, "debug").getlocal
 
   -- Is a step of this machine under way on this stack, or in its doo?
@@ -2244,6 +2042,40 @@ do
   end
 
   STEPPING[mend] = true
+
+  -- So many searches are made by a machine before it asks for the quick ones: those
+  -- that run once should not pay for them.
+  local PATIENCE = 8
+
+  local PARTS = {
+    choose = choose, collect = collect, compile_transition = compile_transition,
+    enabled = enabled, enabled_with = enabled_with, gather = gather, is_idle = is_idle,
+    iterate_fully = iterate_fully, keep_events = keep_events, line_to = line_to,
+    matches = matches, react = react, recover = recover, run_doo = run_doo,
+    report_callback = report_callback, run_segment = run_segment, search = search,
+    run_state_hooks = run_state_hooks, settle = settle,
+    warn_of_conflict = warn_of_conflict,
+    -- Goes on in detail after the callback that was called last.
+    resume = function(fsm) return resume_segment(fsm, false) end,
+    -- Goes on in detail after the exit and the hooks of `state`.
+    finish_leaving = function(fsm, state)
+      finish_exit(fsm, state, nil)
+      return run_parts(fsm, fsm._segment, state._parent, 0)
+    end,
+  }
+
+  -- Returns the functions of rfsm/quick.lua, when they are there and pay.
+  function quick_code(fsm)
+    if quick ~= nil or fsm._search < PATIENCE then return quick end
+    PARTS.straight = loadstring and find_module("rfsm.straight")
+    local make = find_module("rfsm.quick")
+    quick = make and make(PARTS) or false
+    if quick then
+      iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
+      for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
+    end
+    return quick
+  end
 end
 
 local function hibernate(fsm)

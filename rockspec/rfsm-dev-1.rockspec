@@ -40,6 +40,7 @@ build = {
     ["rfsm.rtt"] = "rfsm/rtt.lua",
     ["rfsm.rtt_launch"] = "rfsm/rtt_launch.lua",
     ["rfsm.sim"] = "rfsm/sim.lua",
+    ["rfsm.quick"] = "rfsm/quick.lua",
     ["rfsm.sim.commands"] = "rfsm/sim/commands.lua",
     ["rfsm.sim.dry"] = "rfsm/sim/dry.lua",
     ["rfsm.sim.names"] = "rfsm/sim/names.lua",

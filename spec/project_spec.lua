@@ -87,8 +87,8 @@ describe("dist/rfsm.lua", function()
 
   setup(function()
     os.remove(folder)
-    assert(os.execute(("mkdir 'F' && '%s' tools/dist.lua rfsm rfsm.straight rfsm.advice"
-      .. " >'F/rfsm.lua' && cp -r spec 'F'"):gsub("F", folder):format(lua)))
+    assert(os.execute(("mkdir 'F' && '%s' tools/dist.lua rfsm rfsm.quick rfsm.straight "
+      .. "rfsm.advice >'F/rfsm.lua' && cp -r spec 'F'"):gsub("F", folder):format(lua)))
   end)
 
   teardown(function() os.execute("rm -r '" .. folder .. "'") end)
