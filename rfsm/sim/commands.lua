@@ -108,6 +108,14 @@ add("pp()", "print all states as a tree", [[
 [CS] is a composite, [LS] a leaf. The mode is a colour, or a word without colours.]],
 function(sim) print((rfsmpp.fsm2str(sim.fsm):gsub("\n$", ""))) end)
 
+add("view(file)", "keep a picture of the machine up to date", [[
+The ending of the file is the format: svg, png, pdf (by Graphviz) or dot. view(false)
+ends it. Example: view out.svg]],
+function(sim, file)
+  if file ~= false then check("view", file, "string") end
+  sim:draw(file)
+end, { takes_line = true })
+
 add("showfqn()", "print the active state and its mode", "",
 function(sim) sim:print_active() end)
 

@@ -86,7 +86,7 @@ end
 ---@return integer number
 function points.add_watch(sim, text)
   local ok, value = sim.value_of(text)
-  if not ok then error("watch: " .. text_of(value), 0) end
+  if not ok then error(value, 0) end
   sim.points[#sim.points + 1] = { kind = "watch", name = text, value = value }
   return #sim.points
 end

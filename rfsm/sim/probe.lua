@@ -92,7 +92,7 @@ function Probe:note_used(tr, events, by)
     if takes(tr, event) then
       self.is_used[event] = true
       if tr.events and tr.events[1] ~= nil then
-        by[#by + 1] = (rfsm.text_of(event):gsub("^(e_done)@.*", "%1"))
+        by[#by + 1] = (rfsm.text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
     end
   end

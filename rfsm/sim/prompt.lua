@@ -14,7 +14,7 @@ local view = require "rfsm.sim.view"
 local rfsm = require "rfsm"
 
 local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
-local setmetatable, tonumber = setmetatable, tonumber
+local setmetatable, tonumber, type = setmetatable, tonumber, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
@@ -70,12 +70,12 @@ end
 
 -- Returns the command that a line of words means, as a function; nil if there is none.
 local function call_of(sim, text)
-  local name, rest = text:match("^%s*([%a_][%w_]*)%s*(.-)%s*$")
+  local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
+  if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
   local command = name and commands.find(name)
   if not command then return nil end
-  if name == "goto" then rest = rest:gsub("^%((.*)%)$", "%1") end -- a word of Lua
-  local arguments = split(rest)
-  if command.takes_line and rest ~= "" then arguments = { rest } end
+  local arguments = split(rest) -- numbers and booleans are what they look like
+  if command.takes_line and type(arguments[1]) == "string" then arguments = { rest } end
   return function() sim.env[name](unpack(arguments)) end
 end
 
@@ -124,10 +124,12 @@ end
 ---@return boolean? is_incomplete may more text mend it?
 function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
-  local is_bare = text:find("^%s*[%a_][%w_]*%s*$")
+  -- `view /tmp/x.svg` would be a division
+  local is_clear = text:find("^%s*[%a_][%w_]*%s*$")
+    or text:find("^%s*[%a_][%w_]*%s+[%w_/.-]")
   local problem = problem_of_name(sim, text)
   if problem then return false, problem, false end
-  local chunk = is_bare and call_of(sim, text)
+  local chunk = is_clear and call_of(sim, text)
   if not chunk then
     chunk, problem = compile(sim.env, text, chunkname)
     chunk = chunk or not is_incomplete(problem) and call_of(sim, text)

@@ -33,6 +33,7 @@ local complain, text_of = view.complain, rfsm.text_of
 ---@field level boolean|"full" which trace records are shown
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.sim.Point[] breakpoints and expressions that are watched
+---@field picture? string|false file that is kept up to date
 ---@field time? rfsm.sim.Time the simulated clock
 ---@field saved? table[] the functions that `dry` has taken away
 ---@field env table what typed code sees: the commands, then the globals
@@ -96,6 +97,15 @@ function Session:show()
   self:print_queue()
   if self.follows then self:print_timer() end
   points.show_watched(self)
+  if self.picture then self:draw(self.picture) end
+end
+
+--- Keep a picture up to date from now on; false ends that.
+---@param file string|false
+function Session:draw(file)
+  local problem = file and view.draw(self.fsm, file)
+  self.picture = not problem and file
+  if problem then complain("view: " .. problem) end
 end
 
 -- Advances step by step up to a breakpoint.

@@ -80,9 +80,9 @@ function terminal.is_interrupted()
 end
 
 function poll()
-  if terminal.is_interrupted() then
-    error("interrupted!", 2) -- the core knows this text
-  end
+  if not terminal.is_interrupted() then return end
+  print() -- behind the terminal's ^C
+  error("interrupted!", 2) -- the core knows this text
 end
 
 --- Have each Control-C raise an error in the code that runs.

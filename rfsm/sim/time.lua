@@ -67,9 +67,11 @@ end
 ---@param seconds number
 ---@return string text
 function time.text(seconds)
-  return (("%.9f"):format(seconds):gsub("%.?0+$", "")) .. " s"
+  if seconds < 1 then return ("%.6g s"):format(seconds) end
+  return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
 end
 
+-- Lets seconds pass in one leap.
 local function leap(now, seconds)
   local sec, nsec = clock.from_number(seconds)
   now.sec, now.nsec = clock.normalise(now.sec + sec, now.nsec + nsec)
@@ -102,6 +104,7 @@ end
 --- Go to the next timer and run.
 ---@param sim rfsm.sim.Session
 function time.go_to_timer(sim)
+  start(sim)
   local seconds = time.until_timer(sim.fsm)
   if not seconds then error("next: no timer is armed", 0) end
   time.pass(sim, seconds)

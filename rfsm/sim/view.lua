@@ -4,10 +4,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local diagram = require "rfsm.diagram"
 local names = require "rfsm.sim.names"
 
 local getmetatable, io, ipairs, print = getmetatable, io, ipairs, print
-local select, type = select, type
+local require, select, type = require, select, type
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -130,6 +131,23 @@ function view.tree(fsm)
   return concat(lines, "\n")
 end
 
--- The picture ---------------------------------------------------------------------
+-- The picture -----------------------------------------------------------------------
+
+local FORMATS = { svg = true, png = true, pdf = true, dot = true }
+
+--- Draw a machine with its active states into a file.
+---@param fsm rfsm.Machine
+---@param file string its ending is the format
+---@return string? problem in one line
+function view.draw(fsm, file)
+  local dot, format = require "rfsm.dot", (file:match("%.(%w+)$") or ""):lower()
+  if not FORMATS[format] then
+    return "file.svg, .png, .pdf or .dot expected, got '" .. file .. "'"
+  end
+  local picture, problem = dot.encode(fsm), nil
+  if format ~= "dot" then picture, problem = dot.render(picture, format) end
+  if picture then problem = select(2, diagram.write(file, picture)) end
+  return problem
+end
 
 return view
