@@ -9,12 +9,13 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local history = require "rfsm.sim.history"
 local prompt = require "rfsm.sim.prompt"
 local session = require "rfsm.sim.session"
 local terminal = require "rfsm.sim.terminal"
 local view = require "rfsm.sim.view"
 
-local io, ipairs, print = io, ipairs, print
+local io, ipairs, pcall, print = io, ipairs, pcall, print
 local complain = view.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
@@ -33,6 +34,18 @@ local function run_code(sim, texts)
   return true
 end
 
+-- Runs the machine through a recording, up to where it departs; returns whether the
+-- recording could be read.
+local function replay(sim, file)
+  local ok, problem = pcall(history.replay, sim, file)
+  if not ok then complain("rfsm sim: " .. rfsm.text_of(problem)) end
+  if sim.history.count > 0 then
+    print(("replayed %d iterations of %s"):format(sim.history.count, file))
+    sim:show()
+  end
+  return ok or sim.history.count > 0
+end
+
 local function greet(is_terminal)
   print("rFSM simulator v" .. rfsm_sim.VERSION
     .. ", type 'help()' to list available commands")
@@ -44,8 +57,20 @@ end
 ---@class rfsm.sim.Options
 ---@field file string the chart
 ---@field code? string[] Lua to run first
+---@field recording? string file to replay first
+---@field is_dry? boolean without the functions of the chart
 ---@field is_quiet? boolean no banner
 ---@field is_interactive? boolean read commands, also after `code`
+
+-- Brings a session to where the first command is read; returns a status if it ends.
+local function prepare(sim, options)
+  prompt.install(sim)
+  if options.is_dry then sim:set_dry(true) end
+  if options.recording and not replay(sim, options.recording) then return 1 end
+  local code = options.code or {}
+  if not run_code(sim, code) then return 1 end
+  return (sim.is_over or code[1] and not options.is_interactive) and 0
+end
 
 --- Open a chart, run the code given, read commands from stdin.
 ---@param options rfsm.sim.Options
@@ -59,10 +84,8 @@ function rfsm_sim.main(options)
     for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
     return 1
   end
-  prompt.install(sim)
-  local code = options.code or {}
-  if not run_code(sim, code) then return 1 end
-  if sim.is_over or code[1] and not options.is_interactive then return 0 end
+  local status = prepare(sim, options)
+  if status then return status end
   if not options.is_quiet then greet(is_terminal) end
   prompt.converse(sim)
   if is_terminal then print() end -- the shell's prompt has a line of its own

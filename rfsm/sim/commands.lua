@@ -6,6 +6,7 @@
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local rfsmpp = require "rfsmpp"
+local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"
 local points = require "rfsm.sim.points"
 local time = require "rfsm.sim.time"
@@ -52,15 +53,20 @@ local function check(command, value, kind)
   error(("%s: %s expected, got %s"):format(command, kind, type(value)), 0)
 end
 
+local function advance(sim, how, n)
+  history.mark(sim)
+  sim:advance(how, n)
+end
+
 group "Advance"
 
 add("step([n])", "advance by n transitions or doo cycles (1)", [[
 Enters the machine when it is called first. Example: step 3]],
-function(sim, n) sim:advance(rfsm.step, n or 1) end)
+function(sim, n) advance(sim, rfsm.step, n or 1) end)
 
 add("run()", "advance until nothing is left to do", [[
 A doo that is never idle keeps it going: Control-C ends it, and so does a breakpoint.]],
-function(sim) sim:advance(rfsm.run) end)
+function(sim) advance(sim, rfsm.run) end)
 
 add("se(...)", "send events", [[
 They wait in the queue until the next step. `se e_done` stands for the completion of
@@ -74,14 +80,14 @@ add("ses(...)", "send events, then step()", [[
 Example: ses e_push    or, in Lua, ses("e_push")]],
 function(sim, ...)
   sim:send(...)
-  sim:advance(rfsm.step, 1)
+  advance(sim, rfsm.step, 1)
 end, { completes = "events" })
 
 add("ser(...)", "send events, then run()", [[
 Example: ser e_push    or, in Lua, ser("e_push")]],
 function(sim, ...)
   sim:send(...)
-  sim:advance(rfsm.run)
+  advance(sim, rfsm.run)
 end, { completes = "events" })
 
 group "Look"
@@ -180,6 +186,35 @@ function(sim, ...)
   time.go_to_timer(sim)
 end)
 
+group "Back"
+
+add("back([n])", "undo the last n advances (1)", [[
+No function of the chart is called. Variables of the chart keep their values, except
+those that its states `keep`. Events that were sent since are forgotten.]],
+function(sim, n)
+  history.back(sim, n or 1)
+  sim:show()
+end)
+
+add("goto(n)", "go back to where iteration n ended", [[
+history() has the numbers, 0 is the beginning. For the rest see back.]],
+function(sim, n)
+  history.go_to(sim, n)
+  sim:show()
+end)
+
+add("history([n])", "list the last n iterations (20)", [[
+The number, the events, and the active leaf at its end.]],
+function(sim, n) history.show(sim, n or 20) end)
+
+add("record(file)", "write the history to a file, and all that follows", [[
+`rfsm sim --replay file` runs the chart through it. record(false) ends it.
+Example: record run.jsonl]],
+function(sim, file)
+  if file ~= false then check("record", file, "string") end
+  history.save(sim, file or nil)
+end, { takes_line = true })
+
 group "Machine"
 
 add("dry(on)", "leave the functions of the chart out", [[
@@ -189,13 +224,14 @@ function(sim, is_on) sim:set_dry(is_on ~= false) end)
 
 add("reset()", "make the machine as it was at the beginning", "",
 function(sim)
+  history.mark(sim)
   rfsm.reset(sim.fsm)
   sim:show()
 end)
 
 add("reload()", "read the chart's file again", [[
-The machine stays in its state if that is still there, and keeps its queue. No function
-is called. A doo begins anew, timers are not armed.]],
+The machine stays in its state if that is still there, with its queue and its timers. No
+function is called. A doo begins anew, and so does the history.]],
 function(sim) sim:reload() end)
 
 group "This program"

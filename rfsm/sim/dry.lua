@@ -17,6 +17,8 @@ local function idle()
   while true do rfsm.yield(true) end
 end
 
+local function let_pass() return true end
+
 local function put(saved, obj, field, value)
   if not obj[field] then return end
   saved[#saved + 1] = { obj = obj, field = field, value = obj[field] }
@@ -33,7 +35,7 @@ local function take_functions(saved, fsm)
     if owner == state then put(saved, state, "doo", idle) end
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    put(saved, tr, "guard", nil)
+    put(saved, tr, "guard", let_pass)
     put(saved, tr, "effect", nil)
   end
 end

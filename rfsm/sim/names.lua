@@ -103,13 +103,15 @@ function names.nodes(fsm)
   return list, by_name
 end
 
---- Return the texts in a list.
----@param list any[]
----@return string[] texts
-function names.only_texts(list)
+--- List the events that are texts and come from outside.
+---@param fsm rfsm.Machine
+---@return string[] events
+function names.plain_events(fsm)
   local texts = {}
-  for _, value in ipairs(list) do
-    if type(value) == "string" then texts[#texts + 1] = value end
+  for _, event in ipairs((names.events(fsm))) do
+    if type(event) == "string" and not event:find("@", 1, true) then
+      texts[#texts + 1] = event
+    end
   end
   return texts
 end

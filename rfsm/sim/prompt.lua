@@ -14,7 +14,7 @@ local view = require "rfsm.sim.view"
 local rfsm = require "rfsm"
 
 local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local select, setmetatable, tonumber, type = select, setmetatable, tonumber, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
@@ -79,17 +79,20 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
+-- Appends the names of the commands to a list.
+local function command_names(list)
+  for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
+  return list
+end
+
 -- A name alone that does not exist: an event, or a mistake. Returns the complaint.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end
-  local events, set = names.events(sim.fsm)
-  if set[name] then
+  if select(2, names.events(sim.fsm))[name] then
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
-  local words = names.only_texts(events)
-  for _, command in ipairs(commands.list) do words[#words + 1] = command.name end
-  local hint = names.hint(name, words)
+  local hint = names.hint(name, command_names(names.plain_events(sim.fsm)))
   return hint ~= "" and "nothing is named " .. name .. hint or nil
 end
 
@@ -99,10 +102,8 @@ end
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
   if not name then return problem end
-  local words = {}
-  for _, command in ipairs(commands.list) do words[#words + 1] = command.name end
   return ("nothing is named %s%s, help() lists the commands"):format(name,
-    names.hint(name, words))
+    names.hint(name, command_names {}))
 end
 
 -- Calls a chunk; returns whether it worked, or false and one line.
@@ -173,10 +174,8 @@ end
 -- Returns the words that the Tab key may complete after a text.
 local function words_after(sim, before)
   local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "")
-  if command and command.completes == "events" then
-    return names.only_texts((names.events(sim.fsm)))
-  end
-  local words = names.only_texts((names.events(sim.fsm)))
+  local words = names.plain_events(sim.fsm)
+  if command and command.completes == "events" then return words end
   for _, name in ipairs((names.nodes(sim.fsm))) do
     words[#words + 1] = name
     words[#words + 1] = "fsm" .. name:match("%..*")

@@ -10,9 +10,11 @@ local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
 local chart = require "rfsm.chart"
 local dry = require "rfsm.sim.dry"
+local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"
 local points = require "rfsm.sim.points"
 local probe = require "rfsm.sim.probe"
+local snapshot = require "rfsm.snapshot"
 local terminal = require "rfsm.sim.terminal"
 local time = require "rfsm.sim.time"
 local view = require "rfsm.sim.view"
@@ -20,13 +22,14 @@ local view = require "rfsm.sim.view"
 local error, ipairs, pcall, print = error, ipairs, pcall, print
 local rawequal, rawget, select, setmetatable = rawequal, rawget, select, setmetatable
 local type = type
-local huge, max, concat = math.huge, math.max, table.concat
+local huge, concat = math.huge, table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local complain, text_of = view.complain, rfsm.text_of
 
 --- One chart and its prompt.
 ---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
+---@field model rfsm.State that of the machine
 ---@field file string of the chart
 ---@field follows boolean an advance prints what was taken, and the tree
 ---@field tree? string|false the tree that was shown last
@@ -34,6 +37,7 @@ local complain, text_of = view.complain, rfsm.text_of
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.sim.Point[] breakpoints and expressions that are watched
 ---@field picture? string|false file that is kept up to date
+---@field history rfsm.sim.History
 ---@field time? rfsm.sim.Time the simulated clock
 ---@field saved? table[] the functions that `dry` has taken away
 ---@field env table what typed code sees: the commands, then the globals
@@ -57,14 +61,14 @@ local function init_quietly(model)
   return fsm, problems
 end
 
--- Returns a machine, or false and the lines that say why not.
+-- Returns a machine and its model, or false and the lines that say why not.
 local function open(file)
   local model, warnings = chart.load(file)
   if not model then return false, { warnings } end
   for _, warning in ipairs(warnings) do complain(warning) end
   local ok, fsm, problems = pcall(init_quietly, model)
   if not ok then return false, { chart.reason(file, fsm) } end
-  if fsm then return fsm end
+  if fsm then return fsm, model end
   for i = 1, #problems do problems[i] = chart.line(file, problems[i]) end
   return false, problems
 end
@@ -103,7 +107,8 @@ end
 --- Keep a picture up to date from now on; false ends that.
 ---@param file string|false
 function Session:draw(file)
-  local problem = file and view.draw(self.fsm, file)
+  local problem = nil
+  history.pause(self, function() problem = file and view.draw(self.fsm, file) end)
   self.picture = not problem and file
   if problem then complain("view: " .. problem) end
 end
@@ -152,7 +157,7 @@ end
 
 -- Complains of an event that is nil or that no transition names.
 function Session:check_event(event, i)
-  local words = names.only_texts((names.events(self.fsm)))
+  local words = names.plain_events(self.fsm)
   local name = event == nil and self.missing[1]
   if name then
     complain(("nothing is named %s, an event is in quotes%s"):format(name,
@@ -220,46 +225,49 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Puts a machine where another one stands. Returns the name of the state that is gone.
-local function place(fsm, other)
-  local leaf = other._act_leaf
-  if not leaf then return nil end
-  local found = select(2, names.nodes(fsm))[leaf._fqn]
-  if not (found and rfsm.is_leaf(found.node)) then return leaf._fqn end
-  rfsm.set_sta_mode(found.node, leaf._mode)
-  local queue = fsm._intq -- it holds e_init_fsm
-  for i = 1, max(#queue, #other._intq) do queue[i] = other._intq[i] end
+-- Puts a machine where one of an older chart stands. Returns the problem if it cannot.
+local function place(fsm, old)
+  local ok, snap = pcall(snapshot.take, old)
+  if not ok then return snap end
+  local options = { migrate = function() return snap end }
+  local is_put, problem = snapshot.put(fsm, snap, options)
+  local by_name = select(2, names.nodes(fsm))
+  if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
+  snap.data, snap.saved, snap.ext = nil, nil, nil -- of what is gone
+  return (select(2, snapshot.put(fsm, snap, options)))
 end
 
 --- Take the functions of the chart away, or give them back.
 ---@param is_dry boolean
 function Session:set_dry(is_dry)
-  if self.saved then dry.give_back(self.saved) end
-  self.saved = is_dry and dry.take(self.fsm) or nil
+  history.pause(self, function()
+    if self.saved then dry.give_back(self.saved) end
+    self.saved = is_dry and dry.take(self.fsm) or nil
+  end)
 end
 
 --- Use another machine of the chart from now on.
 ---@param fsm rfsm.Machine
-function Session:use(fsm)
-  self.fsm, self.env.fsm = fsm, fsm
+---@param model rfsm.State
+function Session:use(fsm, model)
+  self.fsm, self.env.fsm, self.model = fsm, fsm, model
   if self.saved then self.saved = dry.take(fsm) end
   if self.level then self:set_level(self.level) end
   points.renew(self)
   time.install(self)
+  history.start(self)
 end
 
 --- Read the chart anew. If it has a problem the machine stays.
 function Session:reload()
-  local fsm, problems = open(self.file)
+  local fsm, result = open(self.file)
   if not fsm then
-    for _, problem in ipairs(problems) do complain(problem) end
+    for _, problem in ipairs(result) do complain(problem) end
     return
   end
-  local gone = place(fsm, self.fsm)
-  self:use(fsm)
-  if gone then
-    complain("there is no leaf " .. gone .. " now, the machine begins anew")
-  end
+  local problem = place(fsm, self.fsm)
+  self:use(fsm, result)
+  if problem then complain(text_of(problem) .. ": the machine begins anew") end
   self:show()
 end
 
@@ -273,12 +281,14 @@ local session = {}
 ---@return rfsm.sim.Session? sim
 ---@return string[]? problems
 function session.open(file, follows)
-  local fsm, problems = open(file)
-  if not fsm then return nil, problems end
-  return setmetatable({
-    fsm = fsm, file = file, follows = follows, level = false, hooks = {}, points = {},
-    missing = {}, is_over = false, env = {},
+  local fsm, result = open(file)
+  if not fsm then return nil, result end
+  local sim = setmetatable({
+    fsm = fsm, model = result, file = file, follows = follows, level = false,
+    hooks = {}, points = {}, missing = {}, is_over = false, env = {},
   }, Session)
+  history.start(sim)
+  return sim
 end
 
 return session

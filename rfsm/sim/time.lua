@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
+local history = require "rfsm.sim.history"
 
 local error, ipairs, min, pcall = error, ipairs, math.min, pcall
 local print, rawget = print, rawget
@@ -92,6 +93,7 @@ end
 ---@param seconds number
 function time.pass(sim, seconds)
   start(sim)
+  history.mark(sim)
   repeat
     local step = min(seconds, time.until_timer(sim.fsm) or seconds)
     leap(sim.time, step)
