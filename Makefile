@@ -29,7 +29,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps
+.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -75,6 +75,11 @@ $(LUAS:%=examples-with-%): examples-with-%:
 	$(MAKE) --no-print-directory examples LUA=$*
 
 examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
+
+transcript:             ## run the sessions in README.md and doc/sim.md again, with LUA
+	@for f in README.md doc/sim.md; do \
+	  $(LUA) tools/transcript.lua $$f > $$f.new && mv $$f.new $$f || exit 1; \
+	done
 
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc

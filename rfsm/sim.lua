@@ -49,7 +49,9 @@ end
 local function greet(is_terminal)
   print("rFSM simulator v" .. rfsm_sim.VERSION
     .. ", type 'help()' to list available commands")
-  local advice = is_terminal and terminal.advice()
+  if not is_terminal then return end
+  print("'run' enters the machine, then 'events' lists what it would react to")
+  local advice = terminal.advice()
   if advice then print(advice) end
 end
 

@@ -33,7 +33,7 @@ local function run(arguments, block)
   file:write(input_of(block))
   file:close()
   local pipe = assert(io.popen(("TERM=dumb LUA='%s' tools/rfsm sim %s <%s 2>&1"):format(
-    arg[-1], arguments, name)))
+    os.getenv("LUA") or arg[-1], arguments, name)))
   local output = pipe:read("*a")
   pipe:close()
   os.remove(name)

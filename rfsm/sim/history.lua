@@ -76,10 +76,9 @@ end
 ---@param sim rfsm.sim.Session
 ---@param f fun()
 function history.pause(sim, f)
-  local is_recording = sim.history.recorder ~= nil
   stop(sim.history)
   local ok, failure = pcall(f)
-  if is_recording then continue(sim) end
+  if sim.history.count < LIMIT then continue(sim) end
   if not ok then error(failure, 0) end
 end
 

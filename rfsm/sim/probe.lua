@@ -60,13 +60,14 @@ local function transitions_on(machine, marks)
   return found
 end
 
--- May the transition have fired on this event? A predicate is not asked again.
+-- May the transition have fired on this event? A predicate is not asked again. Without
+-- events it fires on any, but a connector is left whatever the event.
 local function takes(tr, event)
   local events = tr.events or {}
   for i = 1, #events do
     if rawequal(events[i], event) or rfsm.is_callable(events[i]) then return true end
   end
-  return events[1] == nil
+  return events[1] == nil and rfsm.is_state(tr.src)
 end
 
 -- Records ---------------------------------------------------------------------------

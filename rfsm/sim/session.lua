@@ -149,7 +149,7 @@ function Session:print_discarded(events)
   if not (self.follows and events[1] ~= nil) then return end
   for i, event in ipairs(events) do events[i] = view.value(event) end
   print("discarded: " .. concat(events, ", ") .. (self.has_explained and ""
-    or " (why('" .. events[1] .. "') explains)"))
+    or " ('why " .. events[1] .. "' explains)"))
   self.has_explained = true
 end
 

@@ -6,6 +6,7 @@
 local rfsm = require "rfsm"
 local diagram = require "rfsm.diagram"
 local names = require "rfsm.sim.names"
+local rfsmpp = require "rfsmpp"
 
 local getmetatable, io, ipairs, print = getmetatable, io, ipairs, print
 local require, select, type = require, select, type
@@ -118,7 +119,8 @@ function add_state(lines, child, indent)
   local is_active, children = state._mode ~= "inactive", children_of(state)
   local note = is_active and state._mode == "done" and " (done)" or ""
   if not is_active and children[1] then note = " ..." end
-  lines[#lines + 1] = indent .. (is_active and "* " or "  ") .. name .. note
+  name = is_active and rfsmpp.paint("green bright", "* " .. name) or "  " .. name
+  lines[#lines + 1] = indent .. name .. note
   if is_active then add_children(lines, children, indent .. "  ") end
 end
 
