@@ -434,6 +434,7 @@ local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
   transition = { guard = true, effect = true },
 }
+local CONSTRUCTORS = { [State] = "state", [Transition] = "trans", [Connector] = "conn" }
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 local ROOT_FIELDS = {}
@@ -509,7 +510,6 @@ end
 
 -- Warns of a field that looks like one of the library's in other words.
 local function check_unknown_field(build, def, key, value)
-  if type(key) ~= "string" or is_meta(key) then return end
   if def.kind ~= "transition" and not is_callable(value) then return end
   local meant = def.kind == "transition" and key == "event" and "events"
     or advise("field_meant", def.parent == def and "root" or def.kind, key)
@@ -519,19 +519,20 @@ local function check_unknown_field(build, def, key, value)
   end
 end
 
-local function check_root(build, root)
-  local model = root.model
-  for i = 1, 4 do
-    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
-    local printer = model[PRINTERS[i]]
-    if printer and printer ~= true and not is_callable(printer) then
-      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
-        .. got(printer))
-    end
+-- Warns of what would be taken for the user's data, and is more likely a mistake.
+local function check_datum(build, def, key, value)
+  local name = CONSTRUCTORS[value]
+  if type(value) == "table" and getmetatable(value) == nil then
+    check_plain_table(build, def, key, value)
   end
-  if not root.is_leaf and not root.members.initial then
-    add(build.problems, root, nil, "the root needs an initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })")
+  if name then
+    add(build.warnings, def, text_of(key), "rfsm.%s is not called (rfsm.%s{...})", name,
+      name)
+  elseif def.kind == "connector" and (CALLBACKS.state[key]
+    or CALLBACKS.transition[key]) then
+    add(build.warnings, def, key, "a connector has no %s, this one is ignored", key)
+  elseif type(key) == "string" and not is_meta(key) then
+    check_unknown_field(build, def, key, value)
   end
 end
 
@@ -614,10 +615,7 @@ do
     elseif not API_FIELDS[key] then
       add_datum(def, key, value)
       if def.parent == def and ROOT_FIELDS[key] then return end
-      check_unknown_field(build, def, key, value)
-      if type(value) == "table" and getmetatable(value) == nil then
-        check_plain_table(build, def, key, value)
-      end
+      check_datum(build, def, key, value)
     end
   end
 
@@ -975,7 +973,10 @@ end
 -- Returns a plan like this one, for changes: its definitions are new ones.
 local function copy_plan(plan)
   local copies = {}
-  local copy = { model = plan.model, nodes = {}, transitions = {}, trail = false }
+  local copy = {
+    model = plan.model, nodes = {}, transitions = {}, trail = false, first = false,
+    warnings = plan.warnings, created = plan.created, is_changed = plan.is_changed,
+  }
   for _, list in ipairs({ "nodes", "transitions" }) do
     for i, def in ipairs(plan[list]) do
       copies[def] = {}
@@ -984,7 +985,8 @@ local function copy_plan(plan)
   end
   local STRUCTURE = {
     "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
-    "tgt", "events", "pn", "is_internal", "entry", "exit", "doo", "guard", "effect",
+    "tgt", "events", "pn", "written", "is_internal", "entry", "exit", "doo", "guard",
+    "effect",
   }
   for def, new in pairs(copies) do -- any order: each stands alone
     for _, field in ipairs(STRUCTURE) do
@@ -1083,10 +1085,35 @@ local function silent() end
 
 local function no_events() return {} end
 
+-- Stands in the list of hooks for the model's own one, the field `slot`.
+local function OWN() end
+
+local OWN_ONLY = { OWN }
+
+-- What a machine lacks is found here. Printers and getevents are not wanted as long as
+-- they are absent; for the rest, these are the values to begin with.
 local OFF = {
   dbg = silent, getevents = no_events, rfsm = "state", type = State.type,
-  new = State.new,
+  new = State.new, _id = "root", _fqn = "root", _preparing = false,
+  _is_fed = false, _is_hooked = false, _reset_wanted = false, _has_failure = false,
+  _spare = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = NONE,
+  _entry_hooks = false, _exit_hooks = false,
 }
+
+-- The fields that a machine has from the start.
+local function own_fields()
+  return {
+    _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
+    _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
+    -- the structure
+    ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
+    -- the run
+    _segment = false, _from = false, _run = "run", _is_plain = false,
+    _is_traced = false, _is_unsettled = false, _is_kept = false,
+    -- the search
+    _search = 0, _searched = {}, _ways = {},
+  }
+end
 
 -- The flags that stand for what a plain machine lacks.
 local FLAG_OF = {
@@ -1153,13 +1180,13 @@ do
   end
 end
 
--- Gives an element its callbacks and the user's data; a machine keeps its own fields.
+-- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
   local data = def.data
   for i = 1, #data, 2 do
     local key, value = data[i], data[i + 1]
     if type(value) == "table" then value = clone_data(copies, value) end
-    if element[key] == nil then element[key] = value end
+    element[key] = value
   end
 end
 
@@ -1349,11 +1376,6 @@ local function collect(fsm, list)
   end
 end
 
--- Stands in the list of hooks for the model's own one, the field `slot`.
-local function OWN() end
-
-local OWN_ONLY = { OWN }
-
 local function run_hooks(fsm, hooks, slot, events)
   for i = 1, #hooks do
     local hook = hooks[i]
@@ -1452,6 +1474,7 @@ do
     end
     if node.kind == "state" and not node.is_leaf then node = node.members.initial end
     if not node then return nil end
+    def = fsm._plan.transitions[def.index] -- a guard may have merged something
     def.variants = def.variants or {}
     local variant = def.variants[node]
     if not variant then
@@ -2178,12 +2201,45 @@ local function new_build(plan)
   return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
 end
 
+-- The user's data at the root that has the name of one of the machine's fields is left
+-- out.
+local function drop_taken_names(build, root)
+  local taken, data = own_fields(), root.data
+  root.data = {}
+  for i = 1, #data, 2 do
+    local key = data[i]
+    if taken[key] ~= nil or is_meta(key) and OFF[key] ~= nil then
+      add(build.warnings, root, key, "the machine has a field of this name, this one "
+        .. "is ignored")
+    else
+      append(root.data, { key, data[i + 1] })
+    end
+  end
+end
+
+local function check_root(build, root)
+  local model = root.model
+  for i = 1, 4 do
+    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
+    local printer = model[PRINTERS[i]]
+    if printer and printer ~= true and not is_callable(printer) then
+      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+        .. got(printer))
+    end
+  end
+  if not root.is_leaf and not root.members.initial then
+    add(build.problems, root, nil, "the root needs an initial transition "
+      .. "(rfsm.trans{ src='initial', tgt=... })")
+  end
+end
+
 -- Check, clone, resolve: all that can be said of a model without running anything.
 local function build_plan(model)
   local build = new_build { model = model, nodes = {}, transitions = {}, trail = false }
   local root = new_node(build, "state", model, nil, "root")
   clone_below(build, 1)
   resolve(build, 1)
+  drop_taken_names(build, root)
   check_root(build, root)
   return build
 end
@@ -2200,27 +2256,9 @@ local function plan_of(model)
   return note_plan(model, plan)
 end
 
--- The fields of a machine that are its own from the start.
 local function new_machine(plan)
-  local fsm = {
-    _id = "root", _fqn = "root", _parent = false, _mode = "inactive", _otrs = false,
-    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
-    -- the structure
-    _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
-    -- the run
-    _segment = false, _from = false, _run = "run",
-    _is_plain = false, _is_traced = false,
-    _is_fed = false, _is_hooked = false,
-    _is_unsettled = false, _is_kept = false, _reset_wanted = false,
-    _has_failure = false, _spare = false,
-    -- the hooks
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
-    _entry_hooks = false, _exit_hooks = false,
-    -- the search
-    _search = 0, _searched = {}, _ways = {},
-  }
-  local root = plan.nodes[1]
-  fsm["_%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
+  local fsm = own_fields()
+  fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
   return make_elements(fsm, plan, 2, 1)
 end
 
@@ -2317,12 +2355,14 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets what a preproc function may change or take away.
-  local function hand_out_events(fsm)
+  -- Each transition gets what a preproc function may change or take away: what stands
+  -- in the model; after a merge, of which the functions see nothing else, what it has.
+  local function hand_out_events(fsm, merged)
     for i, tr in ipairs(fsm._transitions) do
-      local events = fsm._plan.transitions[i].events
-      tr.events = rawget(tr, "events") or events and append({}, events) or {}
-      tr.pn = tr.pn
+      local def = fsm._plan.transitions[i]
+      local from = not merged and def.written or def
+      tr.events = rawget(tr, "events") or append({}, from.events or {})
+      tr.pn = rawget(tr, "pn") or from.pn or def.pn and false
     end
   end
 
@@ -2343,22 +2383,27 @@ do
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  -- Returns what differs in a transition from its definition; false when nothing does.
-  local function change_of(fsm, tr, def)
-    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or nil
-    local nodes = fsm._nodes
-    if type(events) == "string" then events = { events } end
-    return not (is_same_list(events, def.events or {}) and pn == def.pn
-      and rawequal(tr.src, nodes[def.src.index])
-      and rawequal(tr.tgt, nodes[def.tgt.index]))
-      and { events = events[1] ~= nil and events or false, pn = pn,
-        src = tr.src["_%def"].index, tgt = tr.tgt["_%def"].index }
+  local function own_events(tr)
+    local events = rawget(tr, "events") or {}
+    return type(events) == "string" and { events } or events
   end
 
-  -- Changes a definition of a plan that is the machine's own; returns what is wrong.
-  local function change(def, nodes, changed)
-    def.events, def.pn = changed.events, changed.pn
-    def.src, def.tgt = nodes[changed.src], nodes[changed.tgt]
+  -- Does a transition differ from its definition? "moved" if in one of its ends.
+  local function find_change(fsm, tr, def)
+    local nodes = fsm._nodes
+    if nodes[def.src.index] ~= tr.src or nodes[def.tgt.index] ~= tr.tgt then
+      return "moved"
+    end
+    return not is_same_list(own_events(tr), def.events or {})
+      or (rawget(tr, "pn") or nil) ~= def.pn
+  end
+
+  -- Makes a definition what a transition is; returns what is wrong.
+  local function change(def, tr, nodes)
+    def.written = def.written or { events = def.events, pn = def.pn }
+    local events = own_events(tr)
+    def.events, def.pn = events[1] ~= nil and events, rawget(tr, "pn") or nil
+    def.src, def.tgt = nodes[tr.src["_%def"].index], nodes[tr.tgt["_%def"].index]
     def.is_internal = def.is_internal and def.src == def.tgt
     if def.tgt.kind == "state" and not (def.tgt.is_leaf or def.is_internal) then
       def.tgt = def.tgt.members.initial
@@ -2366,27 +2411,40 @@ do
     return not def.tgt and "tgt: the composite has no initial transition"
   end
 
-  -- The machine gets a plan of its own, in which its transitions are as they are now.
-  -- Returns the problems.
-  local function take_changes(fsm)
-    local plan, own, problems = fsm._plan, nil, {}
+  -- Returns the numbers of the transitions that have been changed, and the plan to note
+  -- it in: that of the model when this is its first machine, since the others will be
+  -- like it, else a copy.
+  local function find_changes(fsm, problems)
+    local plan, changed, is_moved = fsm._plan, {}, false
     for i, tr in ipairs(fsm._transitions) do
       local wrong = wrong_field(fsm, tr)
-      local changed = not wrong and change_of(fsm, tr, plan.transitions[i])
-      wrong = wrong and wrong .. ": set by a preproc function, " .. got(tr[wrong])
-      if changed then
-        own = own or copy_plan(plan)
-        wrong = change(own.transitions[i], own.nodes, changed)
-        tr.tgt = not wrong and fsm._nodes[own.transitions[i].tgt.index]
+      local change_found = not wrong and find_change(fsm, tr, plan.transitions[i])
+      if wrong then
+        problems[#problems + 1] = ("%s: %s: set by a preproc function, %s"):format(
+          rfsm.location_of(tr), wrong, got(tr[wrong]))
       end
-      tr.events, tr.pn = nil, nil
+      changed[#changed + 1] = change_found and i or nil
+      is_moved = is_moved or change_found == "moved"
+    end
+    if problems[1] then return {} end
+    return changed, changed[1] and (is_moved or plan.first ~= fsm) and copy_plan(plan)
+      or plan
+  end
+
+  -- The definitions become what the preproc functions have made of the transitions.
+  local function take_changes(fsm, problems)
+    local changed, plan = find_changes(fsm, problems)
+    for _, i in ipairs(changed) do
+      local tr, def = fsm._transitions[i], plan.transitions[i]
+      local wrong = change(def, tr, plan.nodes)
+      tr.tgt = not wrong and fsm._nodes[def.tgt.index]
       if wrong then problems[#problems + 1] = rfsm.location_of(tr) .. ": " .. wrong end
     end
-    if own and not problems[1] then
-      own.warnings, own.created = plan.warnings, plan.created
-      use_plan(fsm, compile(own))
+    for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
+    if changed[1] and not problems[1] then
+      plan.is_changed = true
+      use_plan(fsm, compile(plan))
     end
-    return problems
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2395,15 +2453,15 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
-    if last < 1 then return problems end
-    hand_out_events(fsm)
+    if last < 1 and not fsm._plan.is_changed then return problems end
+    hand_out_events(fsm, merged)
     for i = 1, last do
       fsm._preparing = i
       local found = rfsm.preproc[i](fsm, merged)
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then append(problems, take_changes(fsm)) end
+    if not outer then take_changes(fsm, problems) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -2440,7 +2498,9 @@ function rfsm.init(model)
   fsm._initialized = true
   report_created(fsm, plan.created)
   list_otrs(fsm, plan)
+  plan.first = plan.first == nil and fsm
   problems = preprocess(fsm)
+  plan.first = false
   if problems[1] then
     fsm._initialized = false
     return refuse_model(model, fsm, problems)
