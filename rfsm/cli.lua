@@ -206,13 +206,17 @@ function sim.add_arguments(command)
   command:option("-e --execute", "run CODE, print the values of an expression, and end")
     :argname("CODE"):count("*")
   command:flag("-i --interactive", "read commands after CODE, too")
+  command:option("-r --replay", "run the chart through the recording in FILE first")
+    :argname("FILE")
+  command:flag("-d --dry", "leave the functions of the chart out")
   command:flag("-q --quiet", "print no banner")
 end
 
 function sim.run(options)
   return require("rfsm.sim").main {
     file = options.file, code = options.execute, is_quiet = options.quiet,
-    is_interactive = options.interactive,
+    is_interactive = options.interactive, recording = options.replay,
+    is_dry = options.dry,
   }
 end
 

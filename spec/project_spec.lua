@@ -62,7 +62,7 @@ end
 
 describe("the rockspec", function()
   it("lists the modules", function()
-    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/checks/*.lua", "compat/*.lua",
+    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/*/*.lua", "compat/*.lua",
       "compat/rfsm/*.lua"), rockspec(DEV).build.modules)
   end)
 
