@@ -23,10 +23,11 @@ endif
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
-NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER)))
+CHECKS   := $(wildcard rfsm/checks/*.lua)
+NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER))) $(CHECKS)
 TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
-FILES    := $(OUTER) $(INNER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
+FILES    := $(OUTER) $(INNER) $(CHECKS) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
 .PHONY: all help sim test lint fuzz bench bench-profile examples doc deps
 .PHONY: rockspec dist size install uninstall clean
@@ -96,9 +97,10 @@ size:                   ## the live heap that each of SIZED takes, with LUA
 
 install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode
 	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \
-	  install -d $$d/rfsm; \
+	  install -d $$d/rfsm/checks; \
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
+	  install -m 644 $(CHECKS) $$d/rfsm/checks; \
 	  $(if $(STRIP),$(STRIP_FILES);) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
@@ -115,7 +117,7 @@ STRIP_FILES = luac=luac$${d\#\#*/}; \
 uninstall:              ## remove the files that install copied, and empty directories
 	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
-	@rmdir $(LUADIRS:%=$(DESTDIR)%/rfsm) 2>/dev/null || true
+	@rmdir $(LUADIRS:%=$(DESTDIR)%/rfsm/checks) $(LUADIRS:%=$(DESTDIR)%/rfsm) 2>/dev/null || true
 	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))
 
 # Not in /usr and /usr/local: these directories are the system's there, also empty.

@@ -11,7 +11,8 @@
 local rfsm = require "rfsm"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local rawget, rawset, select, type = rawget, rawset, select, type
+local rawget, rawset, require, select = rawget, rawset, require, select
+local setmetatable, type = setmetatable, type
 local sort = table.sort
 local is_conn, is_leaf, is_state = rfsm.is_conn, rfsm.is_leaf, rfsm.is_state
 local elements, location_of, text_of = rfsm.elements, rfsm.location_of, rfsm.text_of
@@ -322,6 +323,15 @@ function rfsm_checks.watch(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.watch")
   watch(fsm)
 end
+
+-- Functions in files of their own, which are loaded when they are first asked for.
+local ELSEWHERE = { why = "rfsm.checks.why", enabled = "rfsm.checks.why" }
+
+setmetatable(rfsm_checks, { __index = function(_, name)
+  if not ELSEWHERE[name] then return nil end
+  rfsm_checks[name] = require(ELSEWHERE[name])[name]
+  return rfsm_checks[name]
+end })
 
 local function set_global(name)
   if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, name, rfsm_checks) end

@@ -62,8 +62,8 @@ end
 
 describe("the rockspec", function()
   it("lists the modules", function()
-    assert.same(modules_of("*.lua", "rfsm/*.lua", "compat/*.lua", "compat/rfsm/*.lua"),
-      rockspec(DEV).build.modules)
+    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/checks/*.lua", "compat/*.lua",
+      "compat/rfsm/*.lua"), rockspec(DEV).build.modules)
   end)
 
   it("lists the tools", function()
