@@ -87,7 +87,9 @@ end
 
 local function commands_of(source)
   local names = {}
-  for name in pairs(source.commands) do names[#names + 1] = name end -- any order: sorted
+  for name in pairs(source.commands) do -- any order: sorted
+    names[#names + 1] = name
+  end
   sort(names)
   return names
 end
@@ -128,7 +130,7 @@ local function update_picture(server)
   if server.drawn ~= source.generation then
     server.drawn, server.picture = source.generation, false
     if server.drawing then server.drawing:drop() end
-    server.drawing = source.view and Picture.start(dot.encode(source.view.fsm))
+    server.drawing = source.view and Picture.start(dot.encode(source.view.description))
   end
   local picture = server.drawing and server.drawing:take()
   if not picture then return end
@@ -244,7 +246,7 @@ Hosted.__index = Hosted
 
 function Hosted.commands.send(hosted, message)
   local event = message.event
-  if type(event) == "number" then event = hosted.view.events[event + 1] end
+  if type(event) == "number" then event = hosted.view.outline.values[event + 1] end
   if event == nil then return "event: text or number of an event expected" end
   rfsm.send_events(hosted.view.fsm, event)
   hosted.view.is_dirty = true
@@ -254,7 +256,7 @@ function Hosted:poll()
   if not self.view.fsm._intq[1] then self.view:settle() end
 end
 
-function Hosted:wait() return huge end
+function Hosted.wait() return huge end
 
 function Hosted:describe(message) message.clock = self.view.clock() end
 

@@ -66,7 +66,8 @@ local function init(session, model)
   if model.err == nil then model.err = false end
   if model.info == nil then model.info = false end
   if own_warn == nil then
-    model.warn = function(...) tell(session, "warning", line_of(...)) end
+    model.warn = function(...) tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
+    end
   end
   local fsm, problems = rfsm.init(model)
   if fsm and own_warn == nil then fsm.warn = false end -- the view hears it anyway
@@ -110,7 +111,7 @@ local ACTS = {}
 
 function ACTS.send(session, input)
   local event = input.event
-  if type(event) == "number" then event = session.view.events[event + 1] end
+  if type(event) == "number" then event = session.view.outline.values[event + 1] end
   if event ~= nil then rfsm.send_events(session.view.fsm, event) end
 end
 
@@ -174,7 +175,7 @@ local function is_seconds(x) return type(x) == "number" and x >= 0 and x < 1e9 e
 
 function commands.send(session, message)
   local event = message.event
-  local known = type(event) == "number" and session.view.events[event + 1]
+  local known = type(event) == "number" and session.view.outline.values[event + 1]
   if type(event) ~= "string" and not known then
     return "event: text or number of an event expected"
   end

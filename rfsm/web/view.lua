@@ -11,11 +11,13 @@
 
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local outline = require "rfsm.web.outline"
+local place = require "rfsm.checks.place"
 local marsh = require "rfsm.marsh"
 
-local ipairs, pairs, rawget, select = ipairs, pairs, rawget, select
+local ipairs, rawget, select = ipairs, rawget, select
 local setmetatable, tostring, type = setmetatable, tostring, type
-local concat, remove, sort = table.concat, table.remove, table.sort
+local concat, remove = table.concat, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local text_of, utf8 = rfsm.text_of, marsh.utf8
 
@@ -25,102 +27,57 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 --- What a page is shown of a machine.
 ---@class rfsm.web.View
 ---@field fsm rfsm.Machine
----@field nodes table[] as they are sent
----@field edges table[]
----@field events any[] of the chart, in the order of the tree
+---@field outline rfsm.web.Outline
 ---@field log table[] entries; `first` is the number of log[1]
 ---@field is_dirty boolean something has changed since the last message
 local View = {}
 View.__index = View
 
--- The chart --------------------------------------------------------------------
+-- The machines: that of the view, and those inside its states -----------------------
 
-local function kind_of(node)
-  if rfsm.is_composite(node) then return "composite" end
-  if rfsm.is_state(node) then return "leaf" end
-  return node._id == "initial" and "initial" or "connector"
-end
+-- Returns the FQN that a node has in the description.
+local function path_of(prefix, node) return prefix .. node._fqn:sub(5) end
 
-local function file_and_line(obj) return rfsm.location_of(obj):match("^(.-:%d+): ") end
-
-local function add_node(view, machine, node, region)
-  local parent = node ~= machine and view.number[node._parent] or region.parent
-  local at = #view.nodes
-  view.number[node] = at
-  view.nodes[at + 1] = {
-    name = utf8(text_of(node == machine and region.name or node._id)),
-    fqn = utf8(region.prefix .. node._fqn), kind = kind_of(node), parent = parent,
-    is_region = node == machine and region.parent ~= nil or nil,
-    doo = node.doo and true or nil, file = file_and_line(node),
-  }
-end
-
-local function label_of(tr, events)
-  local parts = { events[1] and concat(events, ", ") or nil }
-  if tr.guard then parts[#parts + 1] = "[guard]" end
-  if tr.effect then parts[#parts + 1] = "/ effect" end
-  return concat(parts, " ")
-end
-
--- Gives an event its number; each is listed once.
-local function add_event(view, event)
-  if view.event_number[event] then return end
-  view.events[#view.events + 1] = event
-  view.event_number[event] = #view.events - 1
-end
-
-local function add_edge(view, tr, by_text)
-  local texts = {}
-  for i, event in ipairs(tr.events or {}) do
-    add_event(view, event)
-    texts[i] = utf8(view.event_text(event))
-  end
-  local text, at = tostring(tr), #view.edges
-  by_text[text] = by_text[text] or at
-  view.edges[at + 1] = {
-    src = view.number[tr.src], tgt = view.number[tr.tgt], label = label_of(tr, texts),
-    internal = tr._is_internal and true or nil, file = file_and_line(tr),
-  }
-end
-
--- The machines inside a state, sorted by name.
-local function regions_of(state)
-  local machines = type(state.substates) == "table" and state.substates or {}
-  local regions = {}
-  for name, machine in pairs(machines) do -- any order: sorted below
-    if rfsm.is_initialized_root(machine) then
-      regions[#regions + 1] = { name = text_of(name), machine = machine }
-    end
-  end
-  sort(regions, function(a, b) return a.name < b.name end)
-  return regions
-end
-
-local add_machine
-
-local function add_regions(view, state, region)
-  for _, inner in ipairs(regions_of(state)) do
-    add_machine(view, inner.machine, {
-      name = inner.name, parent = view.number[state],
-      prefix = region.prefix .. state._fqn .. "/" .. inner.name .. ": ",
-    })
-  end
-end
-
--- Adds a machine, and those inside its states.
-function add_machine(view, machine, region)
+-- Returns the numbers of a machine's transitions by their texts.
+local function edges_by_text(view, machine, prefix)
   local by_text = {}
-  view.machines[#view.machines + 1] = machine
-  view.prefixes[#view.machines] = region.prefix
+  rfsm.mapfsm(function(tr, composite, name)
+    local text = tostring(tr)
+    by_text[text] = by_text[text] or view.outline.edge_of[path_of(prefix, composite)
+      .. (type(name) == "number" and ".trans[%s]" or ".%s"):format(text_of(name))]
+  end, machine, rfsm.is_trans)
+  return by_text
+end
+
+-- Notes the file and line of each node.
+local function add_places(view, machine, prefix)
   for _, node in ipairs(rfsm.elements(machine, rfsm.is_node)) do
-    add_node(view, machine, node, region)
+    local number = view.outline.number_of[path_of(prefix, node)]
+    view.outline.nodes[number + 1].file = rfsm.location_of(node):match("^(.-:%d+): ")
   end
-  for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
-    add_edge(view, tr, by_text)
-  end
-  view:watch(machine, region.prefix, by_text)
+end
+
+--- A machine of a view.
+---@class rfsm.web.Watched
+---@field fsm rfsm.Machine
+---@field prefix string the FQN of its root in the description
+---@field edges table<string, integer> numbers of its transitions by their texts
+---@field path string|false of the transition in the current iteration
+
+local watch
+
+local function add_machine(view, machine, prefix)
+  local watched = {
+    fsm = machine, prefix = prefix, path = false,
+    edges = edges_by_text(view, machine, prefix),
+  }
+  view.machines[#view.machines + 1] = watched
+  add_places(view, machine, prefix)
+  watch(view, watched)
   for _, state in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-    add_regions(view, state, region)
+    for _, region in ipairs(place.regions_of(state)) do
+      add_machine(view, region.machine, path_of(prefix, state) .. "." .. region.name)
+    end
   end
 end
 
@@ -128,7 +85,7 @@ end
 
 local function texts_of(view, events)
   local texts = {}
-  for i = 1, #events do texts[i] = utf8(view.event_text(events[i])) end
+  for i = 1, #events do texts[i] = utf8(view.outline.event_text(events[i])) end
   return texts
 end
 
@@ -153,23 +110,27 @@ local function mark(list, number)
   end
 end
 
-local function mark_active(view, machine)
-  local node = machine._mode ~= "inactive" and machine or nil
+-- Calls f(number) for each active state of a machine, from its root on.
+local function each_active(view, watched, f)
+  local node = rfsm.get_sta_mode(watched.fsm) ~= "inactive" and watched.fsm
   while node do
-    mark(view.seen_nodes, view.number[node])
-    node = node._actchild
+    local number = view.outline.number_of[path_of(watched.prefix, node)]
+    if number then f(number) end -- none, if it was merged in
+    node = rfsm.actchild_get(node)
   end
 end
 
 -- What the records of a trace mean for the page.
 local RECORDS = {}
 
-function RECORDS.EXEC_PATH(view, prefix, _, text)
-  view.path = prefix .. text_of(text):gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
+function RECORDS.EXEC_PATH(_, watched, text)
+  text = text_of(text):gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
+  watched.path = (watched.prefix == "root" and "" or watched.prefix .. ": ") .. text
 end
 
-function RECORDS.EFFECT(view, _, by_text, text)
-  local number = by_text[text]
+function RECORDS.EFFECT(view, watched, text)
+  if view.is_told then view.taken, view.is_told = {}, false end
+  local number = watched.edges[text]
   mark(view.seen_edges, number)
   view.taken[#view.taken + 1] = number
 end
@@ -189,57 +150,48 @@ local function line_of(...)
   return concat(texts, " ")
 end
 
--- The events that the machine sends itself; nobody asks why they did nothing.
-local function is_own(event)
-  return type(event) == "string"
-    and (event == "e_init_fsm" or event:find("^e_done@") ~= nil)
-end
-
+-- Nobody asks why an event that the machine sends itself did nothing.
 local function add_lost(view, events)
   for i = 1, #events do
-    if not is_own(events[i]) then view.lost[#view.lost + 1] = events[i] end
+    if not outline.is_own(events[i]) then view.lost[#view.lost + 1] = events[i] end
   end
 end
 
 -- Notes an iteration; one without events that took no transition is none.
-local function note_step(view, machine, prefix, events)
-  mark_active(view, machine)
-  if view.path then
-    view:note("step", view.path, texts_of(view, events))
+local function note_step(view, watched, events)
+  each_active(view, watched, function(number) mark(view.seen_nodes, number) end)
+  if watched.path then
+    view:note("step", watched.path, texts_of(view, events))
     view.lost, view.why = {}, false
-  elseif machine == view.fsm then
+  elseif watched.fsm == view.fsm then
     add_lost(view, events)
   end
-  view.path, view.is_dirty = false, true
+  watched.path, view.is_dirty = false, true
 end
 
---- Follow a machine.
----@param machine rfsm.Machine
----@param prefix string of the names of its states
----@param by_text table<string, integer> numbers of its transitions by their texts
-function View:watch(machine, prefix, by_text)
-  listen(machine, "dbg", function(id, text)
-    if RECORDS[id] then RECORDS[id](self, prefix, by_text, text) end
+-- Follows a machine through its hooks and printers.
+function watch(view, watched)
+  local fsm = watched.fsm
+  listen(fsm, "dbg", function(id, text)
+    if RECORDS[id] then RECORDS[id](view, watched, text) end
   end)
-  listen(machine, "err", function(...) self:note("error", line_of(...)) end)
-  listen(machine, "warn", function(...) self:note("warning", line_of(...)) end)
-  rfsm.post_step_hook_add(machine, function(_, events)
-    note_step(self, machine, prefix, events)
+  listen(fsm, "err", function(...) view:note("error", line_of(...)) end)
+  listen(fsm, "warn", function(...)
+    view:note("warning", (line_of(...):gsub("^WARNING: ", "")))
   end)
-  rfsm.reset_hook_add(machine, function() self.is_dirty = true end)
+  rfsm.post_step_hook_add(fsm, function(_, events) note_step(view, watched, events) end)
+  rfsm.reset_hook_add(fsm, function() view.is_dirty = true end)
 end
 
 -- The state of now -----------------------------------------------------------------
 
--- Numbers of the active states, from the root down, regions behind their states.
+-- Numbers of the active states, from the root down, those of regions behind.
 local function active_numbers(view)
   local numbers = {}
-  for _, machine in ipairs(view.machines) do
-    local node = machine._mode ~= "inactive" and machine or nil
-    while node do
-      numbers[#numbers + 1] = view.number[node]
-      node = node._actchild
-    end
+  for _, watched in ipairs(view.machines) do
+    each_active(view, watched, function(number)
+      numbers[#numbers + 1] = number
+    end)
   end
   return numbers
 end
@@ -248,7 +200,7 @@ end
 local function enabled_numbers(view)
   local list = rfsm_checks.enabled(view.fsm)
   local numbers = {}
-  for i, event in ipairs(list) do numbers[i] = view.event_number[event] end
+  for i, event in ipairs(list) do numbers[i] = view.outline.event_of[event] end
   return numbers, list.any
 end
 
@@ -280,14 +232,8 @@ end
 --- Return what a page draws once.
 ---@return table chart
 function View:chart()
-  local events = {}
-  for i, event in ipairs(self.events) do
-    local text = utf8(self.event_text(event))
-    local is_done = type(event) == "string" and is_own(event)
-    events[i] = { text = text, kind = is_done and "own"
-      or text:find("^e_a[ft]t?e?r?%(") and "timer" or "event" }
-  end
-  return { nodes = self.nodes, edges = self.edges, events = events }
+  local list = self.outline
+  return { nodes = list.nodes, edges = list.edges, events = list.events }
 end
 
 -- The log entries that no message had.
@@ -303,9 +249,9 @@ end
 
 local function queue_texts(view)
   local texts = {}
-  for i, machine in ipairs(view.machines) do
-    for _, text in ipairs(texts_of(view, machine._intq)) do
-      texts[#texts + 1] = i == 1 and text or view.prefixes[i] .. text
+  for i, watched in ipairs(view.machines) do
+    for _, text in ipairs(texts_of(view, watched.fsm._intq)) do
+      texts[#texts + 1] = i == 1 and text or watched.prefix .. ": " .. text
     end
   end
   return texts
@@ -322,14 +268,15 @@ function View:state(is_full)
     mode = leaf and leaf._mode or "inactive", queue = queue_texts(self),
     enabled = enabled, any = any, why = self.why, is_full = is_full,
     taken = self.taken,
-    states = coverage(self, "nodes"), transitions = coverage(self, "edges"),
+    states = { self.seen_nodes.count, self.state_count },
+    transitions = { self.seen_edges.count, #self.outline.edges },
   }
   if is_full then
     message.log = self.log
-    message.seen_nodes = seen_numbers(self.seen_nodes, #self.nodes)
-    message.seen_edges = seen_numbers(self.seen_edges, #self.edges)
+    message.seen_nodes = seen_numbers(self.seen_nodes, #self.outline.nodes)
+    message.seen_edges = seen_numbers(self.seen_edges, #self.outline.edges)
   else
-    message.log, self.taken = new_entries(self), {}
+    message.log, self.is_told = new_entries(self), true
     message.seen_nodes = take_fresh(self.seen_nodes)
     message.seen_edges = take_fresh(self.seen_edges)
     self.is_dirty = false
@@ -345,12 +292,17 @@ local function new_marks() return { has = {}, count = 0, fresh = {} } end
 ---@return rfsm.web.View view
 function View.new(fsm, clock)
   local view = setmetatable({
-    fsm = fsm, clock = clock, machines = {}, prefixes = {}, number = {}, nodes = {},
-    edges = {}, events = {}, event_number = {}, event_text = marsh.gen_event_text(),
-    log = {}, count = 0, sent = 0, path = false, lost = {}, why = false, taken = {},
-    turn = 0, seen_nodes = new_marks(), seen_edges = new_marks(), is_dirty = true,
+    fsm = fsm, clock = clock, machines = {}, turn = 0, is_dirty = true,
+    description = marsh.model2tab(fsm, true), state_count = 0, log = {}, count = 0,
+    sent = 0, path = false, lost = {}, why = false, taken = {}, is_told = true,
+    seen_nodes = new_marks(), seen_edges = new_marks(),
   }, View)
-  add_machine(view, fsm, { name = "root", prefix = "" })
+  view.outline = outline.read(view.description)
+  for _, node in ipairs(view.outline.nodes) do
+    local is_state = node.kind == "leaf" or node.kind == "composite"
+    view.state_count = view.state_count + (is_state and 1 or 0)
+  end
+  add_machine(view, fsm, "root")
   return view
 end
 
