@@ -13,7 +13,7 @@ local ARGUMENTS = {
   "--disable-background-networking", "--disable-component-update", "--disable-sync",
   "--disable-dev-shm-usage", "--hide-scrollbars",
 }
-local PATIENCE = 60 -- seconds for a command
+local PATIENCE = 20 -- seconds for a command
 
 local Driver = {}
 Driver.__index = Driver
@@ -82,18 +82,11 @@ end
 
 --- Wait until an expression is true in the page.
 function Window:wait(expression)
-  local is_true = self:run_async([[
-    const [expression, done] = arguments, began = Date.now();
-    const look = () => {
-      let value = false;
-      try { value = eval?.(expression); } catch (e) { value = false; }
-      if (value) done(true);
-      else if (Date.now() - began > 20000) done(false);
-      else setTimeout(look, 10);
-    };
-    look();
-  ]], expression)
-  if is_true then return end
+  local deadline = socket.gettime() + PATIENCE
+  while socket.gettime() < deadline do
+    local ok, is_true = pcall(self.run, self, "return Boolean(" .. expression .. ")")
+    if ok and is_true then return end
+  end
   error("still not true: " .. expression .. "\n"
     .. self:run("return document.body.innerText"), 2)
 end
