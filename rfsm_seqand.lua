@@ -101,6 +101,7 @@ end
 ---@field entry? function the user's own
 ---@field exit? function
 ---@field is_forwarded boolean the regions have got the events of this iteration
+---@field is_standing boolean they come from a snapshot, and the entry is run again
 
 -- Calls f(region, ...); the parent machine raises an error when its iteration is over.
 local function try(fsm, f, region, ...)
@@ -155,7 +156,8 @@ end
 local function enter_all(fsm, state, what)
   local regions, ok, failure = state._seqand, true, nil
   if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
-  for i = 1, #regions do try(fsm, step, regions[i]) end
+  for i = 1, regions.is_standing and 0 or #regions do try(fsm, step, regions[i]) end
+  regions.is_standing = false
   if not ok then error(failure, 0) end
 end
 
@@ -193,6 +195,31 @@ local function reset(fsm)
     local regions = state._seqand
     regions.is_forwarded = false
     for i = 1, #regions do try(fsm, rfsm.reset, regions[i]) end
+  end
+end
+
+-- Snapshots hold those of the regions, by the FQN of the state and their names.
+local function save(fsm, how)
+  local kept = nil
+  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+    for i, name in ipairs(state._seqand.names) do
+      local snap = how.take(state._seqand[i])
+      if snap then
+        kept = kept or {}
+        kept[state._fqn] = kept[state._fqn] or {}
+        kept[state._fqn][name] = snap
+      end
+    end
+  end
+  return kept
+end
+
+local function load(fsm, kept, how)
+  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+    local regions, snaps = state._seqand, kept and kept[state._fqn] or {}
+    if type(snaps) ~= "table" then error("table of snapshots expected", 0) end
+    for i, name in ipairs(regions.names) do how.put(regions[i], snaps[name]) end
+    regions.is_standing = how.entries and state == fsm._act_leaf or false
   end
 end
 
@@ -252,7 +279,7 @@ local function new_regions(state)
   add(state.order or {})
   add(sorted_names(state.substates))
   for i = 1, #names do regions[i] = state.substates[names[i]] end
-  regions.names, regions.is_forwarded = names, false
+  regions.names, regions.is_forwarded, regions.is_standing = names, false, false
   return regions
 end
 
@@ -268,6 +295,7 @@ local function prepare_state(fsm, state, problems)
   fsm._has_seqand = true
   rfsm.post_step_hook_add(fsm, end_iteration, "before")
   rfsm.reset_hook_add(fsm, reset)
+  rfsm.snapshot_hook_add(fsm, "seqand", save, load)
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)

@@ -77,6 +77,8 @@ local MODULES = {
   { "rfsm2mermaid", "rfsm.mermaid" },
   { "rfsm_proto", "rfsm.proto" },
   { "rfsm_rtt", "rfsm.rtt" },
+  { "rfsm_snapshot", "rfsm.snapshot" },
+  { "rfsm_record", "rfsm.record" },
 }
 
 -- Requires the names of each module in every order, each order from the beginning, and
