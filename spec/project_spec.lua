@@ -141,7 +141,7 @@ describe("doc/config.ld", function()
     for file in list:gmatch("'%.%./(.-)'") do
       listed[file:gsub("%.lua$", ""):gsub("/", ".")] = file
     end
-    assert.same(modules_of("*.lua", "rfsm/*.lua"), listed)
+    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/checks/*.lua"), listed)
   end)
 end)
 
