@@ -16,8 +16,9 @@
 local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
+local opts = require "rfsm.options"
 local Picture = require "rfsm.web.picture"
-local View = require "rfsm.web.view"
+local Live = require "rfsm.web.live"
 
 local error, io, package, pairs, pcall = error, io, package, pairs, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
@@ -27,7 +28,13 @@ local sort = table.sort
 
 local web = {}
 
-local PORT = 8044
+-- Description, test, default of each option.
+local OPTIONS = {
+  clock = { "function that returns seconds", rfsm.is_callable },
+  host = { "name or address", opts.is_text, "127.0.0.1" },
+  port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
+  title = { "text", opts.is_text },
+}
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -124,14 +131,20 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Has the chart of a new generation drawn; takes a picture that is complete.
-local function update_picture(server)
+-- Has a new chart drawn.
+local function start_picture(server)
   local source = server.source
-  if server.drawn ~= source.generation then
-    server.drawn, server.picture = source.generation, false
-    if server.drawing then server.drawing:drop() end
-    server.drawing = source.view and Picture.start(dot.encode(source.view.description))
-  end
+  local graph = source.view and dot.encode(source.view.description) or ""
+  server.drawn = source.generation
+  if graph == server.graph then return end
+  if server.drawing then server.drawing:drop() end
+  server.graph, server.picture = graph, false
+  server.drawing = graph ~= "" and Picture.start(graph)
+end
+
+-- Takes a picture that is complete.
+local function update_picture(server)
+  if server.drawn ~= server.source.generation then start_picture(server) end
   local picture = server.drawing and server.drawing:take()
   if not picture then return end
   server.picture, server.picture_count = picture, server.picture_count + 1
@@ -173,15 +186,25 @@ local function handle(server, request)
   return answer and answer(server, request) or { status = 405 }
 end
 
+-- A mistake of ours, or of a chart, is no reason to end; Control-C is.
+local function handle_safely(server, request)
+  local ok, reply = pcall(handle, server, request)
+  if ok then return reply end
+  local text = rfsm.text_of(reply)
+  if text:find("interrupted!$") then error(reply, 0) end
+  return { status = 500, body = text .. "\n" }
+end
+
 -- Public functions ------------------------------------------------------------------
 
 -- Sends what has changed to all pages.
 local function send_changes(server)
-  local source, version = server.source, version_of(server)
-  local is_dirty = source.view and source.view.is_dirty
-  if version == server.sent_version and not is_dirty then return end
-  server.http:send_all(state_message(server, version ~= server.sent_version))
+  local view, version = server.source.view, version_of(server)
+  local is_new = version ~= server.sent_version
+  if not (is_new or view and view.is_dirty) then return end
+  server.http:send_all(state_message(server, is_new or view.is_rewritten))
   server.sent_version = version
+  if view then view:set_sent() end
 end
 
 --- Serve what is ready, and wait at most `timeout` seconds for it.
@@ -207,37 +230,53 @@ function Server:close()
   if self.drawing then self.drawing:drop() end
 end
 
-local function find_package(name, package_name)
-  local ok, module = pcall(require, name)
-  if ok and type(module) == "table" then return module end
-  return nil, ("the package %s is missing (on Debian: apt-get install %s)"):format(
-    name == "socket" and "luasocket" or name, package_name)
+-- Returns the options and the packages; nil and a problem.
+local function prepare(options)
+  local settings, problem = opts.read(OPTIONS, options or {})
+  local json, socket
+  if settings then json, problem = opts.find_package("dkjson", "lua-dkjson") end
+  if json then socket, problem = opts.find_package("socket", "lua-socket") end
+  if not socket then return nil, problem end
+  settings.json, settings.gettime = json, socket.gettime
+  return settings
 end
 
 -- Opens the port and reads the page; nil and a problem.
-local function open_server(source, options)
-  local json, problem = find_package("dkjson", "lua-dkjson")
-  local socket = json and find_package("socket", "lua-socket")
-  if not socket then return nil, problem end
-  local page, token
+local function open_server(source, settings)
+  local page, token, problem
   page, problem = find_page()
   if page then token, problem = new_token() end
   if not token then return nil, problem end
   local server = setmetatable({
-    source = source, json = json, token = token, id = token:sub(1, 8),
-    name = options.host, picture = false, picture_count = 0, drawing = false,
-    drawn = false, sent_version = "",
+    source = source, json = settings.json, token = token, id = token:sub(1, 8),
+    name = settings.host, picture = false, picture_count = 0, drawing = false,
+    drawn = false, graph = "", sent_version = "",
   }, Server)
   server.page = page:gsub("{{token}}", token)
   server.page_headers = { ["Content-Security-Policy"] = CSP:format(token) }
   local listener
-  listener, problem = require("rfsm.web.http").listen(options.host or "127.0.0.1",
-    options.port or PORT, function(request) return handle(server, request) end,
-    options.clock)
+  listener, problem = require("rfsm.web.http").listen(settings.host, settings.port,
+    function(request) return handle_safely(server, request) end, settings.clock)
   if not listener then return nil, problem end
   server.http, server.host, server.port = listener, listener.host, listener.port
   server.url = ("http://%s:%d/"):format(server.host, server.port)
   return server
+end
+
+--- How a page is served.
+---@class rfsm.web.Options
+---@field host? string address to listen on, default 127.0.0.1
+---@field port? integer default 8044; 0: one that is free
+---@field title? string of the page
+---@field clock? fun(): number seconds, in place of that of luasocket
+
+-- Returns a clock that begins now.
+local function seconds_from_now()
+  local sec, nsec = clock.read(true)
+  return function()
+    local now_sec, now_nsec = clock.read(true)
+    return now_sec - sec + (now_nsec - nsec) / 1e9
+  end
 end
 
 -- A machine that a program drives; the page watches it and may send events.
@@ -245,8 +284,7 @@ local Hosted = { commands = {} }
 Hosted.__index = Hosted
 
 function Hosted.commands.send(hosted, message)
-  local event = message.event
-  if type(event) == "number" then event = hosted.view.outline.values[event + 1] end
+  local event = hosted.view:event_of(message)
   if event == nil then return "event: text or number of an event expected" end
   rfsm.send_events(hosted.view.fsm, event)
   hosted.view.is_dirty = true
@@ -271,31 +309,48 @@ function Hosted:describe(message) message.clock = self.view.clock() end
 --
 -- @raise when an option is wrong, a package is missing or the port cannot be opened
 ---@param fsm rfsm.Machine
----@param options? { host?: string, port?: integer, title?: string }
+---@param options? rfsm.web.Options
 ---@return rfsm.web.Server server
 function web.serve(fsm, options)
   rfsm.check_machine(fsm, "rfsm.web.serve")
-  options = options or {}
-  local began = clock.read(true)
+  local settings, problem = prepare(options)
+  if not settings then error("rfsm.web.serve: " .. problem, 2) end
   local source = setmetatable({
-    view = View.new(fsm, function() return clock.read(true) - began end),
-    title = options.title or "machine", problems = {}, generation = 1,
+    view = Live.new(fsm, seconds_from_now()),
+    title = settings.title or "machine", problems = {}, generation = 1,
   }, Hosted)
-  local server, problem = open_server(source, options)
+  local server
+  server, problem = open_server(source, settings)
   if not server then error("rfsm.web.serve: " .. problem, 2) end
   return server
 end
 
 --- Serve the page of a chart, which the page drives.
 ---@param file string
----@param options? { host?: string, port?: integer }
+---@param options? rfsm.web.Options
 ---@return rfsm.web.Server? server nil if there is a problem
 ---@return string? problem in one line
 function web.open(file, options)
-  local socket, problem = find_package("socket", "lua-socket")
-  if not socket then return nil, problem end
-  local session = require("rfsm.web.session").open(file, socket.gettime)
-  return open_server(session, options or {})
+  local settings, problem = prepare(options)
+  if not settings then return nil, problem end
+  local session = require("rfsm.web.session").open(file, settings.clock
+    or settings.gettime)
+  return open_server(session, settings)
+end
+
+--- Serve the page of a machine that runs elsewhere and answers by `rfsm.proto`.
+---@param host string
+---@param port integer
+---@param options? rfsm.web.Options
+---@return rfsm.web.Server? server nil if there is a problem
+---@return string? problem in one line
+function web.attach(host, port, options)
+  local settings, remote, problem
+  settings, problem = prepare(options)
+  if not settings then return nil, problem end
+  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now())
+  if not remote then return nil, problem end
+  return open_server(remote, settings)
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_web", web) end

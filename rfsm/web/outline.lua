@@ -16,7 +16,7 @@ local outline = {}
 --- The chart as a page draws it.
 ---@class rfsm.web.Outline
 ---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
----@field edges table[] { key, src, tgt, label, is_internal? }
+---@field edges table[] { key, src, tgt, label, events, is_internal? }
 ---@field events table[] { text, words, is_own }
 ---@field values any[] the events themselves
 ---@field number_of table<any, integer> by FQN of a node
@@ -72,6 +72,12 @@ local function words_of(list, tr)
   return words
 end
 
+local function event_numbers(list, tr)
+  local numbers = {}
+  for i, event in ipairs(tr.events) do numbers[i] = list.event_of[event] end
+  return numbers
+end
+
 local function label_of(tr, words)
   local parts = { words[1] and concat(words, ", ") or nil }
   if tr.guard then parts[#parts + 1] = "[" .. tr.guard .. "]" end
@@ -86,6 +92,7 @@ local function add_edges(list, tab, fqn)
     list.edges[#list.edges + 1] = {
       key = utf8(key), src = list.number_of[tr.src], tgt = list.number_of[tr.tgt],
       label = label_of(tr, words_of(list, tr)), is_internal = tr.internal,
+      events = event_numbers(list, tr),
     }
   end
   for _, subtab in ipairs(tab.subnodes or {}) do

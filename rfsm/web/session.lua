@@ -1,9 +1,11 @@
---- A chart that the page drives: inputs, a clock of its own, back by replay.
+--- A chart that the page drives: turns, a clock of its own, back by replay.
 --
--- All that comes from outside (an event, a step) is an input with its time. To go back,
--- the chart is loaded anew and the inputs are repeated, but the last ones; callbacks
--- run again. When the file has changed, it is loaded anew and all inputs are repeated.
--- What the chart prints goes to the log of the page.
+-- A turn is a command of the page, or a timer that ran out. To go back, what came from
+-- outside is replayed without callbacks. When the file has changed it is loaded anew,
+-- and the machine stands where it stood if the state is still there. What the chart
+-- prints goes to the log of the page.
+--
+-- The file reads in this order: load, turns, commands, what goes on by itself.
 --
 -- @module rfsm.web.session
 -- @license BSD-3-Clause
@@ -11,27 +13,30 @@
 local rfsm = require "rfsm"
 local chart = require "rfsm.chart"
 local clock = require "rfsm.clock"
-local View = require "rfsm.web.view"
+local record = require "rfsm.record"
+local snapshot = require "rfsm.snapshot"
+local Live = require "rfsm.web.live"
 
 local io, ipairs, package, pcall = io, ipairs, package, pcall
 local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
 local type = type
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
 local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_STEPS = 1000 -- of one run
-local MAX_INPUTS = 20000 -- that can be repeated
 local LOOK_TIME = 0.5 -- seconds between two looks at the file
 local TICK = 1e-6 -- seconds are rounded up to these
 
 --- A chart and where it stands.
 ---@class rfsm.web.Session
 ---@field file string
----@field view rfsm.web.View|false false while the chart has a mistake
+---@field view rfsm.web.Live|false false while the chart has a mistake
 ---@field problems string[] those of the chart; empty if it runs
 ---@field generation integer counts the charts that a page has to draw
----@field inputs table[] each { act, at = seconds, turn }
----@field turn integer the commands so far; `back` undoes one
+---@field turns { now: number, count: integer?, queue: any[] }[] where each began
+---@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
+---@field snap table? of the machine before a chart with a mistake
 ---@field now number seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
 local Session = {}
@@ -58,6 +63,7 @@ local function guarded(session, f, ...)
   local ok, result = pcall(f, session, ...)
   rawset(_G, "print", real)
   if ok then return result end
+  if rfsm.text_of(result):find("interrupted!$") then error(result, 0) end
   tell(session, "error", chart.first_line(result))
 end
 
@@ -66,7 +72,8 @@ local function init(session, model)
   if model.err == nil then model.err = false end
   if model.info == nil then model.info = false end
   if own_warn == nil then
-    model.warn = function(...) tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
+    model.warn = function(...)
+      tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
     end
   end
   local fsm, problems = rfsm.init(model)
@@ -95,74 +102,67 @@ local function read(file)
   return text
 end
 
-local function load(session)
-  session.text, session.view, session.early = read(session.file), false, {}
-  clock.set_hook(session.gettime)
-  local fsm, problems = load_machine(session)
-  session.problems = problems or { session.file .. ": it cannot be loaded" }
-  if not fsm then return end
-  session.view = View.new(fsm, function() return session.now end)
-  for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
-end
+-- Turns: each is a command of the page, or a timer -----------------------------------
 
--- Inputs ---------------------------------------------------------------------------
+-- Starts the clock of the machine at its own time.
+local function start_clock(session) session.since = session.real() - session.now end
 
-local ACTS = {}
-
-function ACTS.send(session, input)
-  local event = input.event
-  if type(event) == "number" then event = session.view.outline.values[event + 1] end
-  if event ~= nil then rfsm.send_events(session.view.fsm, event) end
-end
-
-function ACTS.step(session) return rfsm.step(session.view.fsm) end
-
--- The time stands still while an input is carried out, so that it can be repeated.
-local function carry_out(session, input)
-  session.now, session.view.turn = max(session.now, input.at), input.turn
-  clock.set_hook(session.gettime)
-  return guarded(session, ACTS[input.act], input)
-end
-
-local function take_input(session, act, event)
-  local input = { act = act, at = session.now, turn = session.turn, event = event }
-  if #session.inputs < MAX_INPUTS then
-    session.inputs[#session.inputs + 1] = input
+local function begin_turn(session)
+  if session.is_live then
+    session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
   end
-  return carry_out(session, input)
+  clock.set_hook(session.gettime)
+  session.turns[#session.turns + 1] = {
+    now = session.now, count = session.recorder and session.recorder.count,
+    queue = { unpack(session.view.fsm._intq) },
+  }
+  session.view.turn = #session.turns
 end
+
+local function step(session) return rfsm.step(session.view.fsm) end
 
 -- Steps until the machine is idle, or too long.
 local function run(session)
   for _ = 1, MAX_STEPS do
-    local is_idle = take_input(session, "step")
+    local is_idle = guarded(session, step)
     if is_idle == nil then return end
     if is_idle then return session.view:settle() end
   end
   session.view:note("note", ("not idle after %d steps"):format(MAX_STEPS))
 end
 
--- Loads the chart anew, and repeats the inputs up to a turn.
-local function rebuild(session, turn)
-  local inputs = session.inputs
-  session.inputs, session.now, session.turn = {}, 0, 0
-  session.generation = session.generation + 1
-  guarded(session, load)
-  for i, input in ipairs(inputs) do
-    if input.turn > turn then break end
-    session.inputs[i], session.turn = input, input.turn
-    if session.view then carry_out(session, input) end
-  end
-  if session.view and not inputs[1] then run(session) end
-  if session.view then session.view:settle() end
-  session.since = session.real() - session.now
+local function itself(snap) return snap end
+
+-- Returns the place of a machine; nil if it cannot be saved.
+local function take_place(fsm)
+  local ok, snap = pcall(snapshot.take, fsm)
+  return ok and snap or nil
 end
 
-local function begin_turn(session)
-  if session.is_live then
-    session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
+-- Begins with a machine: where another one stood, if the chart still has that state.
+local function begin(session, fsm, snap)
+  session.view = Live.new(fsm, function() return session.now end)
+  for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
+  if not (snap and snapshot.put(fsm, snap, { migrate = itself })) then
+    session.now = 0
+    run(session)
   end
-  session.turn = session.turn + 1
+  local ok, recorder = pcall(record.record, fsm, {})
+  session.recorder = ok and recorder or false
+  start_clock(session)
+end
+
+-- Loads the chart; the place of the machine is kept if that is wanted.
+local function load(session, keeps_place)
+  local snap = keeps_place and (session.view and take_place(session.view.fsm)
+    or session.snap) or nil
+  session.text, session.view, session.early = read(session.file), false, {}
+  session.generation, session.turns = session.generation + 1, {}
+  clock.set_hook(session.gettime)
+  local fsm
+  fsm, session.problems = load_machine(session)
+  session.snap = not fsm and snap or nil
+  if fsm then begin(session, fsm, snap) end
 end
 
 -- Commands of the page ------------------------------------------------------------
@@ -174,20 +174,17 @@ local commands = Session.commands
 local function is_seconds(x) return type(x) == "number" and x >= 0 and x < 1e9 end
 
 function commands.send(session, message)
-  local event = message.event
-  local known = type(event) == "number" and session.view.outline.values[event + 1]
-  if type(event) ~= "string" and not known then
-    return "event: text or number of an event expected"
-  end
-  if type(known) == "string" then event = known end -- numbers change with the chart
+  local event = session.view:event_of(message)
+  if event == nil then return "event: text or number of an event expected" end
   begin_turn(session)
-  take_input(session, "send", event)
+  rfsm.send_events(session.view.fsm, event)
+  session.view.is_dirty = true
   if message.run then run(session) end
 end
 
 function commands.step(session)
   begin_turn(session)
-  if take_input(session, "step") then session.view:settle() end
+  if guarded(session, step) then session.view:settle() end
 end
 
 function commands.run(session)
@@ -195,26 +192,35 @@ function commands.run(session)
   run(session)
 end
 
+-- Undoes the turns after number `to`, without any callback.
 function commands.back(session, message)
-  if #session.inputs >= MAX_INPUTS then return "there is too much to repeat" end
-  local to = message.to or session.turn - 1
-  if type(to) ~= "number" then return "to: number expected" end
-  rebuild(session, to)
+  local to = message.to or #session.turns - 1
+  local turn = session.turns[type(to) == "number" and to + 1]
+  if not (turn and session.recorder) then return "there is no such turn" end
+  session.now = turn.now
+  clock.set_hook(session.gettime)
+  local ok, problem = session.recorder:back(session.recorder.count - turn.count)
+  if not ok then return problem end
+  local fsm = session.view.fsm -- what a page has sent is in no record
+  rfsm.send_events(fsm, unpack(turn.queue, #fsm._intq + 1))
+  for i = #session.turns, to + 1, -1 do session.turns[i] = nil end
+  session.view:go_back(to)
+  start_clock(session)
 end
 
-function commands.reset(session) rebuild(session, 0) end
+function commands.reset(session) guarded(session, load, false) end
 
 function commands.clock(session, message)
-  begin_turn(session)
-  session.is_live = message.live == true
-  session.since = session.real() - session.now
+  if session.is_live then begin_turn(session) end
+  session.is_live, session.view.is_dirty = message.live == true, true
+  start_clock(session)
 end
 
 -- Lets time pass, then runs.
 local function pass(session, seconds)
   begin_turn(session)
   session.now = session.now + seconds
-  session.since = session.real() - session.now
+  start_clock(session)
   run(session)
 end
 
@@ -255,7 +261,7 @@ function Session:poll()
   end
   if self.real() < self.look_at then return end
   self.look_at = self.real() + LOOK_TIME
-  if read(self.file) ~= self.text then rebuild(self, huge) end
+  if read(self.file) ~= self.text then guarded(self, load, true) end
 end
 
 --- Return the seconds until `poll` has something to do.
@@ -269,7 +275,7 @@ end
 function Session:describe(message)
   message.clock, message.live = self.now, self.is_live
   message.timer = next_timer(self) or false
-  message.can_back = self.turn > 0 and #self.inputs < MAX_INPUTS
+  message.can_back = self.recorder ~= false and self.turns[1] ~= nil
 end
 
 --- Open a chart, also one with mistakes.
@@ -279,14 +285,14 @@ end
 function Session.open(file, real)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
-    generation = 0, inputs = {}, turn = 0, now = 0, since = real(), is_live = true,
-    look_at = real() + LOOK_TIME, text = "", early = {},
+    generation = 0, turns = {}, recorder = false, now = 0, since = 0, is_live = true,
+    look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Session)
   function session.gettime()
     local sec = floor(session.now)
     return sec, floor((session.now - sec) * 1e9 + 0.5)
   end
-  rebuild(session, 0)
+  guarded(session, load, false)
   return session
 end
 
