@@ -23,6 +23,8 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local cli = {}
 
+local PROTO_PORT = 44044 -- of rfsm.proto
+
 -- Streams: charts print to stderr ----------------------------------------------
 
 local function print_to(stream)
@@ -126,13 +128,13 @@ end
 -- rfsm check --
 
 -- Ends the program with status 2 if a file cannot be read.
-local function check_readable(files)
+local function check_readable(name, files)
   for _, file in ipairs(files) do
     if file ~= "-" then
       local handle, problem = io.open(file)
-      if not handle then fail("check", { problem }, 2) end
+      if not handle then fail(name, { problem }, 2) end
       local text, why = handle:read(1) -- a directory opens, too
-      if not text and why then fail("check", { file .. ": " .. why }, 2) end
+      if not text and why then fail(name, { file .. ": " .. why }, 2) end
       handle:close()
     end
   end
@@ -182,7 +184,7 @@ function check.add_arguments(command)
 end
 
 function check.run(options)
-  check_readable(options.files)
+  check_readable("check", options.files)
   require("rfsm_timeevent") -- so that their events are known
   require("rfsm.await")
   local lines, status = {}, 0
@@ -362,12 +364,93 @@ function viz.run(options, parser)
   return 0
 end
 
+-- rfsm web, rfsm watch --
+
+-- Calls a function that has no end; Control-C ends it.
+local function until_interrupt(f, ...)
+  local ok, problem = pcall(f, ...)
+  if ok or rfsm.text_of(problem):find("interrupted!$") then return 0 end
+  error(problem, 0)
+end
+
+-- Returns host and port of "HOST:PORT"; nil if it is none.
+local function split_address(text)
+  local host, port = text:match("^(.*):(%d+)$")
+  port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)
+  if port and port <= 65535 then return host or text, port end
+end
+
+local function check_address(parser, text)
+  local host, port = split_address(text)
+  if not host then
+    parser:error(("HOST or HOST:PORT expected, got '%s'"):format(text))
+  end
+  return host, port
+end
+
+local web = {
+  name = "web", summary = "Show a chart, or a machine elsewhere, in the browser.",
+  epilog = "The page is for this machine only, unless --host names another address.",
+}
+
+function web.add_arguments(command)
+  command:argument("file", "the chart: a Lua file that returns a state"):argname("FILE")
+    :args("?")
+  command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
+    :argname("HOST:PORT")
+  command:option("-p --port", "of the page; 0 is one that is free", "8044")
+    :argname("N"):convert(tonumber)
+  command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
+end
+
+function web.run(options, parser)
+  if (options.file == nil) == (options.attach == nil) then
+    parser:error("FILE or --attach expected")
+  end
+  local server, problem
+  local page = { host = options.host, port = options.port }
+  if options.attach then
+    local host, port = check_address(parser, options.attach)
+    server, problem = require("rfsm.web").attach(host, port, page)
+  else
+    check_readable("web", { options.file })
+    server, problem = require("rfsm.web").open(options.file, page)
+  end
+  if not server then fail("web", { problem }) end
+  write("web", "-", server.url .. "\n")
+  return until_interrupt(server.run, server)
+end
+
+local watch = {
+  name = "watch", summary = "Print a machine that runs elsewhere, as it changes.",
+  epilog = "The machine answers by rfsm.proto; its port is 44044 if none is given.",
+}
+
+function watch.add_arguments(command)
+  command:argument("address", "where it answers"):argname("HOST[:PORT]")
+  command:option("-m --machine", "its number at that port", "1"):argname("N")
+    :convert(tonumber)
+  command:option("-n --count", "end after N lines"):argname("N"):convert(tonumber)
+end
+
+function watch.run(options, parser)
+  local client, problem = require("rfsm.subscriber").connect(
+    check_address(parser, options.address))
+  if not client then fail("watch", { problem }) end
+  io.stdout:setvbuf("line")
+  local status = os.execute("test -t 1")
+  return until_interrupt(require("rfsm.watch").run, client, {
+    number = options.machine, count = options.count,
+    is_terminal = status == true or status == 0,
+  })
+end
+
 -- Public functions ------------------------------------------------------------
 
 local COMMANDS = {
   check, sim, viz, new_encoder("json", "JSON"),
   new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
-  new_encoder("mermaid", "Mermaid diagrams"),
+  new_encoder("mermaid", "Mermaid diagrams"), web, watch,
 }
 
 local function find_argparse()
