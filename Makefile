@@ -100,8 +100,8 @@ deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh test $(LUAS)
 	@tools/deps.sh doc
 
-rockspec:               ## rockspec/ gets the one of release VERSION, from URL
-	$(LUA) tools/rockspec.lua $(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec
+rockspec:               ## the lists of the dev rockspec; with VERSION, the rockspec of a release
+	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)
 
 dist:                   ## dist/rfsm.lua: the core and the rest of BUNDLE in one file
 	@mkdir -p $(DIST)
