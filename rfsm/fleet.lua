@@ -10,6 +10,8 @@
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
+local rfsm = require "rfsm"
+
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local rawset, require, setmetatable = rawset, require, setmetatable
 local tonumber, tostring, type = tonumber, tostring, type
@@ -125,7 +127,7 @@ end
 ---@return string key
 ---@return string tag
 function Fleet:key_of(id)
-  id = type(id) == "number" and ("%.14g"):format(id) or tostring(id)
+  id = rfsm.text_of(id)
   local tag = id:match("{([^}]+)}")
   if tag then return id, tag end
   tag = tag_for(self, id)

@@ -11,7 +11,7 @@ local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
-local N = tonumber(os.getenv("RFSM_N")) or 60
+local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
 
