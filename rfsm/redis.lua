@@ -15,10 +15,9 @@ local concat = table.concat
 
 local redis = {}
 
-local MODULES = {
-  "rfsm", "rfsm.straight", "rfsm.advice", "rfsm.clock", "rfsm.plain", "rfsm.snapshot",
-  "rfsm_timeevent", "rfsm_seqand", "rfsm.await", "rfsm.emem", "rfsm.monitor",
-  "rfsm.preview", "rfsm.redis_functions",
+-- Modules that charts require, or get as a field; those that these need come along.
+local ROOTS = {
+  "rfsm.redis_functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
 
 -- While Redis loads a library hardly any global is there; later none can be set, and
@@ -31,7 +30,7 @@ local _G, loadfile, print, io, os, debug, package, require
 local bundled, loaded, charts = {}, {}, {}
 
 function require(name)
-  if not bundled[name] then error("module '" .. name .. "' is not in the bundle", 2) end
+  if not bundled[name] then error("module '" .. name .. "' not found", 2) end
   if loaded[name] == nil then
     loaded[name] = true
     loaded[name] = bundled[name](name) or true
@@ -103,6 +102,22 @@ local function source_of(name)
   error("rfsm.redis: the source of " .. name .. " is missing", 0)
 end
 
+-- Appends the sources of modules, and of those that they name, to a list.
+local function add_modules(parts, names, is_there)
+  for _, name in ipairs(names) do
+    if not is_there[name] then
+      local text, needed = source_of(name), {}
+      is_there[name] = true
+      for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
+        local is_needed = called == "require" or called == "find_module"
+        needed[#needed + 1] = is_needed and other or nil
+      end
+      parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(name, text)
+      add_modules(parts, needed, is_there)
+    end
+  end
+end
+
 --- Return the name of the chart in a file, and the file, of an argument such as
 -- `lamp.lua` or `lamp=old/lamp.lua`.
 ---@param argument string
@@ -142,10 +157,7 @@ function redis.bundle(arguments)
   require "rfsm_timeevent"
   require "rfsm.await"
   local parts = { HEAD }
-  for _, name in ipairs(MODULES) do
-    parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(name,
-      source_of(name))
-  end
+  add_modules(parts, ROOTS, {})
   for _, argument in ipairs(arguments) do
     local name, file = redis.name_of(argument)
     check_chart(file)
