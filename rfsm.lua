@@ -1337,7 +1337,7 @@ end
 
 -- The functions of rfsm/quick.lua; false where it is missing, nil before it was asked
 -- for.
-local quick, quick_code
+local quick, ask_quick
 
 -- How many parameters a function has, as far as straight code can tell: one that has
 -- none for the events cannot keep them.
@@ -1564,7 +1564,7 @@ do
   function choose(fsm, events)
     if events[1] == nil then return nil end
     local leaf, plan = fsm._act_leaf["_%def"], fsm._plan
-    local find = not fsm._is_traced and quick_code(fsm) and quick.find or search
+    local find = quick and not fsm._is_traced and quick.find or search
     local def = find(fsm, leaf, events)
     if fsm._plan ~= plan then return choose(fsm, events) end
     return def
@@ -2023,6 +2023,7 @@ do
   -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
   -- `events` if they have been gathered.
   local function iterate_fully(fsm, after_free, events)
+    if quick == nil then ask_quick() end
     events = events or gather(fsm)
     local leaf, counted, idle = fsm._act_leaf, true, false
     fsm._segment = true
@@ -2081,9 +2082,9 @@ do
 
   STEPPING[mend] = true
 
-  -- So many searches are made by a machine before it asks for the quick ones: those
-  -- that run once should not pay for them.
-  local PATIENCE = 8
+  -- So many iterations come before the quick ones are asked for: a program that does
+  -- little should not pay for them.
+  local patience = 8
 
   local PARTS = {
     choose = choose, collect = collect, compile_transition = compile_transition,
@@ -2102,17 +2103,17 @@ do
     end,
   }
 
-  -- Returns the functions of rfsm/quick.lua, when they are there and pay.
-  function quick_code(fsm)
-    if quick ~= nil or fsm._search < PATIENCE then return quick end
+  -- Gets the functions of rfsm/quick.lua, if they are there, when they pay.
+  function ask_quick()
+    patience = patience - 1
+    if patience > 0 then return end
+    quick = false -- an interrupt while they are loaded leaves it at that
     PARTS.straight = loadstring and find_module("rfsm.straight")
     local make = find_module("rfsm.quick")
-    quick = make and make(PARTS) or false
-    if quick then
-      iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
-      for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
-    end
-    return quick
+    if not make then return end
+    quick = make(PARTS)
+    for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
+    iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
   end
 end
 
