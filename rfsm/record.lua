@@ -111,7 +111,7 @@ end
 ---@field fsm rfsm.Machine
 ---@field m integer? its number; nil for the machine around the others
 ---@field rec rfsm.record.Record|false of the iteration that is under way
----@field guards table<rfsm.Transition, function> those that were replaced
+---@field guards table<rfsm.Transition, { old: function, new: function }>
 
 -- Calls f(fsm, number) for a machine, and then for those in its states.
 local function each_machine(fsm, f)
@@ -128,16 +128,16 @@ local function each_machine(fsm, f)
   visit(fsm, nil)
 end
 
--- Replaces each guard by make(number, guard); returns the old ones.
+-- Replaces each guard by make(number, guard); returns the old and new ones.
 local function replace_guards(fsm, make)
-  local old = {}
+  local guards = {}
   for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     if tr.guard then
-      old[tr] = tr.guard
-      tr.guard = make(i, tr.guard)
+      guards[tr] = { old = tr.guard, new = make(i, tr.guard) }
+      tr.guard = guards[tr].new
     end
   end
-  return old
+  return guards
 end
 
 -- Makes clocks be read through `wrap(read)`. Returns a function that makes them be read
@@ -274,7 +274,9 @@ end
 function Recorder:stop()
   for _, track in ipairs(self.tracks) do
     local fsm = track.fsm
-    for tr, guard in pairs(track.guards) do tr.guard = guard end -- any order
+    for tr, guard in pairs(track.guards) do -- any order: each stands alone
+      if rawequal(tr.guard, guard.new) then tr.guard = guard.old end
+    end
     if track.getevents and rawget(fsm, "getevents") == track.getevents then
       fsm.getevents = track.user_getevents
     end

@@ -62,7 +62,7 @@ end
 
 describe("the rockspec", function()
   it("lists the modules", function()
-    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/checks/*.lua", "compat/*.lua",
+    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/*/*.lua", "compat/*.lua",
       "compat/rfsm/*.lua"), rockspec(DEV).build.modules)
   end)
 
@@ -140,8 +140,9 @@ end)
 -- Modules that nobody requires but the library and its tools.
 local IS_PRIVATE = {
   ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.cli"] = true,
-  ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.quick"] = true,
-  ["rfsm.sim"] = true, ["rfsm.straight"] = true,
+  ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.options"] = true,
+  ["rfsm.quick"] = true, ["rfsm.sim"] = true, ["rfsm.straight"] = true,
+  ["rfsm.subscriber"] = true,
 }
 
 describe("doc/config.ld", function()
