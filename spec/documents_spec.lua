@@ -4,6 +4,8 @@
 
 local helper = require "spec.helper"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local function line_of(command)
   local pipe = assert(io.popen(command))
   local line = pipe:read("*l")
@@ -34,32 +36,41 @@ local function new_folder()
 end
 
 -- Runs a command in a folder as a user of this checkout; returns the lines it prints.
-local function output_of(folder, command, input)
-  local name = helper.file_with(table.concat(input, "\n") .. "\n")
+local function output_of(folder, command)
   local pipe = assert(io.popen(([[
 cd %s && PATH=$PWD/.bin:%s/tools:$PATH LUA=lua LUA_PATH='%s/?.lua;%s/compat/?.lua;;' \
-HOME=/nowhere TERM=dumb sh -c %s <%s 2>&1]]):format(folder, quoted(CHECKOUT), CHECKOUT,
-    CHECKOUT, quoted(command), name)))
+HOME=/nowhere TERM=dumb sh -c %s </dev/null 2>&1]]):format(folder, quoted(CHECKOUT),
+    CHECKOUT, CHECKOUT, quoted(command))))
   local lines = {}
   for line in pipe:lines() do lines[#lines + 1] = line:match("^(.-)%s*$") end
   pipe:close()
   return lines
 end
 
--- Splits a session into { command =, input = {...}, output = {...} }.
+-- Splits a session into { command =, lines = {...} }.
 local function commands_of(text)
-  local commands, current = {}, nil
-  for line in text:gmatch("[^\n]+") do
-    if line:find("^%$ ") then
-      current = { command = line:sub(3), input = {}, output = {} }
-      commands[#commands + 1] = current
+  local commands = {}
+  for line in text:gmatch("([^\n]*)\n") do
+    local command = line:match("^%$ (.*)")
+    local lines = command and {} or commands[#commands].lines
+    if command then
+      commands[#commands + 1] = { command = command, lines = lines }
     else
-      local typed = line:match("^> ?(.*)")
-      local list = typed and current.input or current.output
-      list[#list + 1] = typed or line
+      lines[#lines + 1] = line:match("^(.-)%s*$")
     end
   end
   return commands
+end
+
+-- Returns the lines that a terminal shows for a command. A tool makes those of the
+-- simulator: it types the lines after "> ".
+local function replay(folder, step)
+  if not step.command:find("^rfsm sim ") then return output_of(folder, step.command) end
+  local name = helper.file_with(("```\n$ %s\n%s\n```\n"):format(step.command,
+    table.concat(step.lines, "\n")))
+  local lines = output_of(folder, ("lua %s %s"):format(
+    quoted(CHECKOUT .. "/tools/transcript.lua"), name))
+  return { unpack(lines, 3, #lines - 1) }
 end
 
 -- Returns the blocks of a document: { line =, text =, file =, commands = } each.
@@ -104,7 +115,7 @@ for _, document in ipairs(documents()) do
       end
       for _, step in ipairs(block.commands or {}) do
         it(("sees at line %d: %s"):format(block.line, step.command), function()
-          assert.same(step.output, output_of(folder, step.command, step.input))
+          assert.same(step.lines, replay(folder, step))
         end)
       end
     end
@@ -126,7 +137,7 @@ describe("the chart in the README", function()
       "rfsm dot -o lamp.dot", "rfsm mermaid -o lamp.mmd", "rfsm viz -o lamp.svg",
       "rfsm viz -T plantuml -o lamp.txt", "rfsm check -q -s", "rfsm-check -q",
       "rfsm-viz -o lamp.pdf", "rfsm2json", "rfsm2plantuml", "rfsm-sim -q -e 'pp()'" } do
-      local lines = output_of(folder, command .. " lamp.lua && echo done", {})
+      local lines = output_of(folder, command .. " lamp.lua && echo done")
       assert.equal("done", lines[#lines], command)
     end
   end)
