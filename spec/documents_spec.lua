@@ -4,16 +4,9 @@
 
 local helper = require "spec.helper"
 
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local lines_of = helper.lines_of
 
-local function line_of(command)
-  local pipe = assert(io.popen(command))
-  local line = pipe:read("*l")
-  pipe:close()
-  return line
-end
-
-local CHECKOUT = line_of("pwd")
+local CHECKOUT = lines_of("pwd")[1]
 local LUA = arg[-1]:find("^/") and arg[-1] or CHECKOUT .. "/" .. arg[-1]
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
@@ -37,13 +30,11 @@ end
 
 -- Runs a command in a folder as a user of this checkout; returns the lines it prints.
 local function output_of(folder, command)
-  local pipe = assert(io.popen(([[
+  local lines = lines_of(([[
 cd %s && PATH=$PWD/.bin:%s/tools:$PATH LUA=lua LUA_PATH='%s/?.lua;%s/compat/?.lua;;' \
 HOME=/nowhere TERM=dumb sh -c %s </dev/null 2>&1]]):format(folder, quoted(CHECKOUT),
-    CHECKOUT, CHECKOUT, quoted(command))))
-  local lines = {}
-  for line in pipe:lines() do lines[#lines + 1] = line:match("^(.-)%s*$") end
-  pipe:close()
+    CHECKOUT, CHECKOUT, quoted(command)))
+  for i, line in ipairs(lines) do lines[i] = line:match("^(.-)%s*$") end
   return lines
 end
 
@@ -70,7 +61,9 @@ local function replay(folder, step)
     table.concat(step.lines, "\n")))
   local lines = output_of(folder, ("lua %s %s"):format(
     quoted(CHECKOUT .. "/tools/transcript.lua"), name))
-  return { unpack(lines, 3, #lines - 1) }
+  for _ = 1, 2 do table.remove(lines, 1) end -- the fence and the command
+  lines[#lines] = nil
+  return lines
 end
 
 -- Returns the blocks of a document: { line =, text =, file =, commands = } each.
@@ -91,16 +84,9 @@ local function blocks_of(document)
   return blocks
 end
 
-local function documents()
-  local list, pipe = {}, assert(io.popen("ls *.md doc/*.md"))
-  for file in pipe:lines() do list[#list + 1] = file end
-  pipe:close()
-  return list
-end
-
 after_each(helper.remove_files)
 
-for _, document in ipairs(documents()) do
+for _, document in ipairs(lines_of("ls *.md doc/*.md")) do
   local blocks, folder = blocks_of(document), nil
 
   describe("who follows " .. document, function()
@@ -146,13 +132,11 @@ end)
 describe("the index of examples in the manual", function()
   it("has each of them", function()
     local manual, missing = helper.content("doc/manual.md"), {}
-    local pipe = assert(io.popen("ls -d examples/*.lua examples/hosts/*"))
-    for file in pipe:lines() do
+    for _, file in ipairs(lines_of("ls examples/*.lua examples/hosts/*")) do
       if not manual:find("(../" .. file .. ")", 1, true) then
         missing[#missing + 1] = file
       end
     end
-    pipe:close()
     assert.same({}, missing)
   end)
 end)
