@@ -181,6 +181,27 @@ describe("a fleet", function()
     end
   end)
 
+  it("is whole after a callback that never ended was killed", function()
+    local loop = redis.bundle { "loop=" .. helper.file_with([[
+      return rfsm.state { a = rfsm.state {},
+        b = rfsm.state { entry = function() while true do end end },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_loop" } },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_fine" } } }]]) }
+    local other = servers.start("--busy-reply-threshold 20")
+    local looping = fleet.connect(other:url())
+    assert(looping:load(loop))
+    assert(looping:create(1, "loop"))
+    local caller = io.popen(("redis-cli -p %d FCALL rfsm_send 1 '%s' e_loop 2>&1")
+      :format(other.port, (looping:key_of(1))))
+    local tries = 0
+    repeat tries = tries + 1 until other:cli("FUNCTION KILL") == "OK\n" or tries > 5000
+    assert.matches("killed by user", caller:read("*a"))
+    caller:close()
+    assert.same({ leaf = "root.a", mode = "done", errors = {} },
+      looping:send(1, "e_fine"))
+  end)
+
   it("takes each event exactly once, from 100 clients at once", function()
     local keys = {}
     for i = 1, 1000 do
