@@ -2585,11 +2585,17 @@ function rfsm.send_events(fsm, event, ...)
   if select("#", ...) > 0 then return queue_more(queue, ...) end
 end
 
--- Blames the caller for advancing a machine that is being advanced.
-local function check_between_steps(fsm, where)
-  if mend(fsm) then return end
+--- Raise an error that blames the caller's caller while a step is under way, for
+-- extensions. A step that was cut short is finished.
+---@param fsm rfsm.Machine
+---@param where string the public function
+function rfsm.check_between_steps(fsm, where)
+  check_machine(fsm, where, 4)
+  if not fsm._segment or mend(fsm) then return end
   error(where .. ": the machine is in the middle of a step", 3)
 end
+
+local check_between_steps = rfsm.check_between_steps
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
@@ -2939,6 +2945,32 @@ rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
 --- Take a reset hook away; returns whether it was there.
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
 rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
+
+-- Snapshots: what an extension keeps of a machine, and where the machine stands ....
+
+--- Have snapshots hold what an extension keeps of a machine, under `name`.
+--
+-- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
+-- data, how)` takes it back, also nil, and raises an error for what is none of its own.
+--
+---@type fun(fsm: rfsm.Machine, name: string, save: function, load: function)
+function rfsm.snapshot_hook_add(fsm, name, save, load)
+  check_machine(fsm, "rfsm.snapshot_hook_add")
+  check_function(save, "rfsm.snapshot_hook_add")
+  check_function(load, "rfsm.snapshot_hook_add")
+  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or {}),
+    { { name = name, save = save, load = load } })
+end
+
+--- Reset a machine and have it stand in a leaf, false for none; no callback runs.
+---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
+function rfsm.place(fsm, leaf, mode, queue)
+  check_between_steps(fsm, "rfsm.place")
+  rfsm.reset(fsm)
+  if leaf then move_to(leaf, mode) end
+  fsm._intq = queue
+  check_plain(fsm)
+end
 
 -- Merge: a new element of a live machine ------------------------------------------
 

@@ -23,6 +23,8 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local cli = {}
 
+local PROTO_PORT = 44044 -- of rfsm.proto
+
 -- Streams: charts print to stderr ----------------------------------------------
 
 local function print_to(stream)
@@ -33,7 +35,8 @@ local function print_to(stream)
   end
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`; returns what pcall does.
+-- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
+-- pcall.
 local function with_streams(stream, f, ...)
   local real_print, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -125,59 +128,69 @@ end
 -- rfsm check --
 
 -- Ends the program with status 2 if a file cannot be read.
-local function check_readable(files)
+local function check_readable(name, files)
   for _, file in ipairs(files) do
     if file ~= "-" then
       local handle, problem = io.open(file)
-      if not handle then fail("check", { problem }, 2) end
+      if not handle then fail(name, { problem }, 2) end
       local text, why = handle:read(1) -- a directory opens, too
-      if not text and why then fail("check", { file .. ": " .. why }, 2) end
+      if not text and why then fail(name, { file .. ": " .. why }, 2) end
       handle:close()
     end
   end
 end
 
-local function append(lines, texts, file, kind)
-  for _, text in ipairs(texts) do
-    lines[#lines + 1] = file and chart.line(file, text, kind) or text
-  end
+local function append(lines, texts)
+  for _, text in ipairs(texts) do lines[#lines + 1] = text end
 end
 
--- Returns the problems and the warnings of the chart in a file.
-local function review(file)
+-- Appends lines about the chart in a file; returns the gravest severity.
+local function review(lines, file, has_notes)
+  local command = require("rfsm.checks.command")
+  local settings, problem = command.settings_for(file)
+  if not settings then fail("check", { problem }, 2) end
   local model, warnings = load_model(file)
-  if not model then return { warnings }, {} end
-  local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
-  if not ok then return { chart.reason(file, found) }, warnings end
-  local problems = {}
-  append(problems, found, file)
-  append(warnings, warned, file, "warning: ")
-  return problems, warnings
+  if not model then
+    append(lines, { warnings })
+    return "error"
+  end
+  local ok, findings = with_streams(NOWHERE, rfsm_checks.findings, model, settings)
+  if not ok then
+    append(lines, { chart.reason(file, findings) })
+    return "error"
+  end
+  local report, gravest = command.report(file, findings, warnings, has_notes)
+  append(lines, report)
+  return gravest
 end
 
 local check = {
   name = "check", summary = "Report problems and suspicious parts of charts.",
   epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
-    .. "line is wrong or a file cannot be read.",
+    .. "line is wrong or a file cannot be read. A file .rfsmcheck.lua sets severities.",
 }
+
+local function print_codes()
+  print((require("rfsm.checks.command").codes_text():gsub("\n$", "")))
+  os.exit(0)
+end
 
 function check.add_arguments(command)
   add_files(command)
+  command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
+  command:flag("--codes", "list the codes of findings and end"):action(print_codes)
 end
 
 function check.run(options)
-  check_readable(options.files)
+  check_readable("check", options.files)
   require("rfsm_timeevent") -- so that their events are known
   require("rfsm.await")
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local problems, warnings = review(file)
-    append(lines, problems)
-    append(lines, warnings)
-    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, file) end
-    if problems[1] or options.strict and warnings[1] then status = 1 end
+    local gravest = review(lines, file, options.all)
+    if gravest == "error" or options.strict and gravest then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end
   return status
@@ -195,13 +208,17 @@ function sim.add_arguments(command)
   command:option("-e --execute", "run CODE, print the values of an expression, and end")
     :argname("CODE"):count("*")
   command:flag("-i --interactive", "read commands after CODE, too")
+  command:option("-r --replay", "run the chart through the recording in FILE first")
+    :argname("FILE")
+  command:flag("-d --dry", "leave the functions of the chart out")
   command:flag("-q --quiet", "print no banner")
 end
 
 function sim.run(options)
   return require("rfsm.sim").main {
     file = options.file, code = options.execute, is_quiet = options.quiet,
-    is_interactive = options.interactive,
+    is_interactive = options.interactive, recording = options.replay,
+    is_dry = options.dry,
   }
 end
 
@@ -347,12 +364,93 @@ function viz.run(options, parser)
   return 0
 end
 
+-- rfsm web, rfsm watch --
+
+-- Calls a function that has no end; Control-C ends it.
+local function until_interrupt(f, ...)
+  local ok, problem = pcall(f, ...)
+  if ok or rfsm.text_of(problem):find("interrupted!$") then return 0 end
+  error(problem, 0)
+end
+
+-- Returns host and port of "HOST:PORT"; nil if it is none.
+local function split_address(text)
+  local host, port = text:match("^(.*):(%d+)$")
+  port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)
+  if port and port <= 65535 then return host or text, port end
+end
+
+local function check_address(parser, text)
+  local host, port = split_address(text)
+  if not host then
+    parser:error(("HOST or HOST:PORT expected, got '%s'"):format(text))
+  end
+  return host, port
+end
+
+local web = {
+  name = "web", summary = "Show a chart, or a machine elsewhere, in the browser.",
+  epilog = "The page is for this machine only, unless --host names another address.",
+}
+
+function web.add_arguments(command)
+  command:argument("file", "the chart: a Lua file that returns a state"):argname("FILE")
+    :args("?")
+  command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
+    :argname("HOST:PORT")
+  command:option("-p --port", "of the page; 0 is one that is free", "8044")
+    :argname("N"):convert(tonumber)
+  command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
+end
+
+function web.run(options, parser)
+  if (options.file == nil) == (options.attach == nil) then
+    parser:error("FILE or --attach expected")
+  end
+  local server, problem
+  local page = { host = options.host, port = options.port }
+  if options.attach then
+    local host, port = check_address(parser, options.attach)
+    server, problem = require("rfsm.web").attach(host, port, page)
+  else
+    check_readable("web", { options.file })
+    server, problem = require("rfsm.web").open(options.file, page)
+  end
+  if not server then fail("web", { problem }) end
+  write("web", "-", server.url .. "\n")
+  return until_interrupt(server.run, server)
+end
+
+local watch = {
+  name = "watch", summary = "Print a machine that runs elsewhere, as it changes.",
+  epilog = "The machine answers by rfsm.proto; its port is 44044 if none is given.",
+}
+
+function watch.add_arguments(command)
+  command:argument("address", "where it answers"):argname("HOST[:PORT]")
+  command:option("-m --machine", "its number at that port", "1"):argname("N")
+    :convert(tonumber)
+  command:option("-n --count", "end after N lines"):argname("N"):convert(tonumber)
+end
+
+function watch.run(options, parser)
+  local client, problem = require("rfsm.subscriber").connect(
+    check_address(parser, options.address))
+  if not client then fail("watch", { problem }) end
+  io.stdout:setvbuf("line")
+  local status = os.execute("test -t 1")
+  return until_interrupt(require("rfsm.watch").run, client, {
+    number = options.machine, count = options.count,
+    is_terminal = status == true or status == 0,
+  })
+end
+
 -- Public functions ------------------------------------------------------------
 
 local COMMANDS = {
   check, sim, viz, new_encoder("json", "JSON"),
   new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
-  new_encoder("mermaid", "Mermaid diagrams"),
+  new_encoder("mermaid", "Mermaid diagrams"), web, watch,
 }
 
 local function find_argparse()

@@ -324,7 +324,19 @@ describe("rfsm-check", function()
     assert.same({ expected, "", expected_status }, { out, err, status })
   end
 
-  local WARNED = "^examples/checks.lua:%d+: warning: root.spare: [^\n]*\n$"
+  local RISKY = [[
+    local rfsm = require "rfsm"
+    return rfsm.state {
+      a = rfsm.state {}, spare = rfsm.state {}, k = rfsm.conn {},
+      rfsm.trans { src = "initial", tgt = "a" },
+      rfsm.trans { src = "a", tgt = "k", events = { "e_go" } },
+      rfsm.trans { src = "k", tgt = "a", guard = function() return true end },
+    }
+  ]]
+  local WARNED = "FILE:3: warning: root.spare: unreachable, no path of transitions "
+    .. "leads here (add a transition to it, or remove it) [unreachable]\n"
+  local NOTED = "FILE:3: note: root.k: no way on without a guard for e_go (add a "
+    .. "transition without guard and events, of the least pn) [no-default]\n"
 
   it("says ok to a chart without problems", function()
     assert.equal("examples/on_off.lua: ok\nexamples/seqand.lua: ok\n",
@@ -341,13 +353,50 @@ describe("rfsm-check", function()
 
   it("reports warnings: status 0, 1 if strict, nothing if quiet", function()
     for options, status in pairs { [""] = 0, ["-s"] = 1, ["--strict"] = 1 } do
-      local out, _, actual = run("rfsm-check " .. options .. " examples/checks.lua")
-      assert.matches(WARNED, out)
-      assert.equal(status, actual)
+      checks(RISKY, WARNED, status, options)
     end
     checks("examples/on_off.lua", "FILE: ok\n", 0, "-s")
-    checks("examples/checks.lua", "", 0, "--quiet")
-    checks("examples/checks.lua", "", 1, "-q -s")
+    checks(RISKY, "", 0, "--quiet")
+    checks(RISKY, "", 1, "-q -s")
+  end)
+
+  it("prints notes if they are asked for", function()
+    checks(RISKY, WARNED .. NOTED, 0, "--all")
+  end)
+
+  it("takes severities from the nearest .rfsmcheck.lua", function()
+    write_file(".rfsmcheck.lua", "return { unreachable = 'error' }")
+    checks(RISKY, WARNED:gsub("warning: ", ""), 1)
+    write_file(".rfsmcheck.lua", "return { unreachable = 'off' }")
+    checks(RISKY, "FILE: ok\n", 0)
+    local chart = write_file("chart.lua", RISKY)
+    for text, expected in pairs { -- any order: each stands alone
+      ["return { unreachabel = 'off' }"] = ": no check has the code 'unreachabel'"
+        .. hint " (did you mean 'unreachable'?)",
+      ["return { typo = 'of' }"] = ": typo: 'error', 'warning', 'note' or 'off' "
+        .. "expected, got 'of'",
+      ["return 7"] = ": table of severities expected, got number",
+      ["return {"] = ":1: ",
+    } do
+      local file = write_file(".rfsmcheck.lua", text)
+      local _, err, status = run("rfsm-check '" .. chart .. "'")
+      assert.equal(2, status)
+      assert.equal("rfsm check: " .. file .. expected,
+        (err:sub(1, #file + 12 + #expected)))
+      assert.is_nil(err:find("stack traceback", 1, true))
+    end
+    os.remove(folder .. "/.rfsmcheck.lua")
+  end)
+
+  it("lists the codes", function()
+    local out, _, status = run("rfsm-check --codes")
+    assert.matches("\ndead%-end +warning +a leaf and the composites around it are "
+      .. "never left\n", out)
+    assert.equal(0, status)
+  end)
+
+  it("finds nothing in the examples that is not expected there", function()
+    assert.equal("", (run("rfsm-check examples/*.lua"):gsub("[^\n]*: ok\n", "")))
   end)
 
   it("reports the warnings of init, and undefined globals of the file, once", function()
@@ -400,7 +449,7 @@ describe("rfsm-check", function()
 
   it("tells how to use it, with status 2 if it was not", function()
     refuses("rfsm-check", "Error: missing argument 'files'")
-    refuses("rfsm-check -x y", "Did you mean one of these: '-h' '-q' '-s' '-v'?")
+    refuses("rfsm-check -x y", "Did you mean one of these: '-a' '-h' '-q' '-s' '-v'?")
     local out, _, status = run("rfsm-check --help")
     assert.matches("Usage: rfsm check", out)
     assert.equal(0, status)
