@@ -23,7 +23,14 @@ local diagram = {}
 ---@field depth? integer levels to draw; deeper ones are left out
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.diagram.Coverage
----@field trace? string[] FQNs of states and keys of transitions, in the order of a run
+---@field trace? (string|rfsm.diagram.Step)[] a run; a text is an FQN or a key
+
+--- A step of a run: of a witness by `rfsm_checks.explore`, or one by `rfsm.record`.
+---@class rfsm.diagram.Step
+---@field taken? string[] keys of transitions
+---@field leaf? string FQN of the active leaf then
+---@field m? integer number of a machine in a sequential AND state: not drawn
+---@field record? integer it is the first record, which is no step
 
 --- How often a run came to states, by FQN, and to transitions, by key.
 ---@class rfsm.diagram.Coverage
@@ -300,11 +307,27 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns the numbers of the steps in which each element of a trace was used.
+-- Returns the FQNs and keys that a step came to; nil if it is none of this machine.
+local function places_of(step, leaf)
+  if type(step) == "string" then return { step } end
+  if step.m or step.record then return nil end
+  local places = {}
+  for i, key in ipairs(step.taken or {}) do places[i] = key end
+  if step.leaf ~= leaf then places[#places + 1] = step.leaf or nil end
+  return places
+end
+
+-- Returns the numbers of the steps in which a run came to each FQN or key.
 local function steps_of(trace)
-  local steps = {}
-  for i, key in ipairs(trace or {}) do
-    steps[key] = steps[key] and steps[key] .. ", " .. i or i
+  local steps, count, leaf = {}, 0, nil
+  for _, step in ipairs(trace or {}) do
+    local places = places_of(step, leaf)
+    if places then
+      count, leaf = count + 1, type(step) == "table" and step.leaf or leaf
+    end
+    for _, place in ipairs(places or {}) do
+      steps[place] = steps[place] and steps[place] .. ", " .. count or count
+    end
   end
   return steps
 end

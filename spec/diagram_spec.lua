@@ -186,7 +186,9 @@ for _, language in ipairs(LANGUAGES) do
       local text = exporter.encode(lamp(), {
         coverage = { states = { ["root.off"] = 2 },
           transitions = { ["root.trans[2]"] = 3 } },
-        trace = { "root.off", "root.trans[2]", "root.off" },
+        trace = { { record = 1 }, "root.off", { taken = { "root.trans[2]" } },
+          { m = 1, leaf = "root.on.idle" }, { leaf = "root.off" },
+          { leaf = "root.off" } },
       })
       local plain = text:gsub("#(%d+);", function(n) return string.char(n) end)
       for _, expected in ipairs { "(2×)", "(step 1, 3)", "(never)", "(3×)",
