@@ -11,7 +11,8 @@ local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 
 local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
-local rawset, require, select, tostring, type = rawset, require, select, tostring, type
+local rawset, require, select, tonumber = rawset, require, select, tonumber
+local tostring, type = tostring, type
 local concat = table.concat
 
 local diagram = {}
@@ -152,7 +153,7 @@ end
 
 local function kind_of(tab)
   if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
-  return (tab.subnodes or tab.regions) and "composite" or "leaf"
+  return (tab.subnodes or tab.regions or {})[1] and "composite" or "leaf"
 end
 
 local function rows_of(tab)
@@ -164,14 +165,16 @@ local function rows_of(tab)
   return rows
 end
 
+local MODES = { active = "active", done = "done" }
+
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind = kind_of(tab)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
     kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
-    nodes = {}, arrows = {}, rows = rows_of(tab), mode = tab.mode, is_final = tab.final,
-    is_cut = depth == 0 and kind == "composite" or nil,
+    nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
+    is_final = tab.final, is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -310,7 +313,7 @@ end
 -- Returns the FQNs and keys that a step came to; nil if it is none of this machine.
 local function places_of(step, leaf)
   if type(step) == "string" then return { step } end
-  if step.m or step.record then return nil end
+  if type(step) ~= "table" or step.m or step.record then return nil end
   local places = {}
   for i, key in ipairs(step.taken or {}) do places[i] = key end
   if step.leaf ~= leaf then places[#places + 1] = step.leaf or nil end
@@ -337,7 +340,7 @@ local function mark_run(chart, coverage, trace)
   local steps = steps_of(trace)
   local function mark(element, texts, key, counts)
     if counts then
-      local count = counts[key] or 0
+      local count = tonumber(counts[key]) or 0
       texts[#texts + 1] = count > 0 and ("(%s×)"):format(rfsm.text_of(count))
         or "(never)"
       element.mark = count > 0 and "covered" or "missed"
@@ -384,6 +387,11 @@ local function is_description(value)
   return type(value) == "table" and type(value.id) == "string" and value.type == "state"
 end
 
+local function read_description(chart, tab, depth)
+  chart.root = read_node(chart, tab, nil, "root", depth or 1 / 0)
+  read_transitions(chart, tab, "root", marsh.gen_event_text())
+end
+
 -- Reads a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
 local function read(source, where, options)
@@ -396,8 +404,9 @@ local function read(source, where, options)
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
-  chart.root = read_node(chart, tab, nil, "root", options.depth or 1 / 0)
-  read_transitions(chart, tab, "root", marsh.gen_event_text())
+  if not pcall(read_description, chart, tab, options.depth) then
+    error(where .. ": description by rfsm.marsh expected, got another table", 3)
+  end
   if options.active then mark_active(chart, options.active, where) end
   if options.coverage or options.trace then
     mark_run(chart, options.coverage, options.trace)
