@@ -7,12 +7,13 @@
 -- @module rfsm.diagram
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local marsh = require "rfsm.marsh"
+local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
-local rawset, require, select, tonumber = rawset, require, select, tonumber
-local tostring, type = tostring, type
+local rawset, select, tonumber, tostring = rawset, select, tonumber, tostring
+local type = type
 local concat = table.concat
 
 local diagram = {}
@@ -280,11 +281,6 @@ end
 
 -- Charts --------------------------------------------------------------------------
 
-local function nearest(name, names)
-  local ok, advice = pcall(require, "rfsm.advice")
-  return ok and advice.nearest_name(name, names) or ""
-end
-
 local function is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
 end
@@ -298,7 +294,7 @@ local function find_state(chart, fqn, where)
     names[#names + 1] = is_state(other) and other.fqn or nil
   end
   error(("%s: active: no state is named '%s'%s"):format(where, fqn,
-    nearest(fqn, names)), 5)
+    advice.nearest_name(fqn, names)), 5)
 end
 
 -- Marks the states that an option names in place of those of the machine.

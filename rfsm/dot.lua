@@ -241,6 +241,8 @@ local function add_arrow(lines, arrow)
   add_half("/tgt", label, tgt, is_back or is_loop(arrow))
 end
 
+local LARGE = 500 -- nodes
+
 local function draw(chart)
   local root = chart.root
   for _, arrow in ipairs(chart.all) do place_label(chart, arrow) end
@@ -248,6 +250,8 @@ local function draw(chart)
   root.name = chart.title or root.name
   local lines = { "digraph " .. quoted(root.name) .. " {",
     (HEAD:gsub("DIRECTION", chart.direction)) }
+  -- so that Graphviz takes seconds, not a minute; the picture is hardly wider
+  if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
   add_node(lines, 1, chart, root)
   add_labels(lines, 1, chart)
   for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end
