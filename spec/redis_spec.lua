@@ -84,7 +84,7 @@ describe("a fleet", function()
     assert.equal("{robot:42}\n", server:cli("FCALL rfsm_due 1 {robot:42}"))
   end)
 
-  it("says why", function()
+  it("reports why", function()
     machines:create(1, "lamp")
     machines:create(2, "lamp", { owner = "ghost" })
     local tr = "T={ src='root.off', tgt='root.on', events='e_on' }"
@@ -130,7 +130,7 @@ describe("a fleet", function()
     assert.same({ 1, 1, 1 }, times)
   end)
 
-  it("tells a watcher each active leaf", function()
+  it("reports each active leaf to a watcher", function()
     machines:create(1, "lamp")
     local sender = io.popen(("sleep 0.2; for e in e_on e_off e_on; do redis-cli -p %d "
       .. "FCALL rfsm_send 1 '%s' $e; done"):format(server.port, (machines:key_of(1))))
@@ -229,12 +229,12 @@ describe("a new version of a chart", function()
       .. "odd = "))
   end
 
-  it("takes machines at their next event if it says how, or leaves them", function()
+  it("takes machines at their next event if it can, or leaves them", function()
     local server = servers.start()
     local old = "c=" .. helper.file_with(tick(1))
     local machines = load_charts(server:url(), old)
     machines:create(1, "c")
-    -- a state more, and no word about machines of the old version: they stay
+    -- a state more, and no migration: machines of the old version stay
     machines = load_charts(server:url(), old, "c=" .. helper.file_with(
       tick(10, "third = rfsm.state {}, ")))
     machines:send(1, "e_tick")
