@@ -191,20 +191,26 @@ function helper.remove_files()
   end
 end
 
--- The interpreter that runs this, as the shell can call it.
-local function interpreter()
+--- Returns the interpreter that runs this, as the shell can call it.
+function helper.interpreter()
   local i = 0
   while arg[i - 1] do i = i - 1 end
   return arg[i]
 end
 
+--- Runs a command of the shell; returns the lines that it prints.
+function helper.lines_of(command)
+  local pipe, lines = assert(io.popen(command)), {}
+  for line in pipe:lines() do lines[#lines + 1] = line end
+  pipe:close()
+  return lines
+end
+
 --- Runs a text with a fresh Lua; returns its output.
 function helper.output_of(text)
-  local pipe = assert(io.popen(interpreter() .. " " .. helper.file_with(text)
-    .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return (output:gsub("%s+$", ""))
+  local lines = helper.lines_of(("%s %s 2>&1"):format(helper.interpreter(),
+    helper.file_with(text)))
+  return (table.concat(lines, "\n"):gsub("%s+$", ""))
 end
 
 --- Returns what stands in a file.

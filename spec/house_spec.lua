@@ -4,16 +4,9 @@ local helper = require "spec.helper"
 
 after_each(helper.remove_files)
 
-local function lines_of(command)
-  local pipe, lines = assert(io.popen(command)), {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
-end
-
 -- The tracked files; nil in a tree without git.
 local function tracked()
-  local files = lines_of("git ls-files 2>/dev/null")
+  local files = helper.lines_of("git ls-files 2>/dev/null")
   return files[1] and files
 end
 

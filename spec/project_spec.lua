@@ -5,15 +5,9 @@ local rfsm = require "rfsm"
 
 after_each(helper.remove_files)
 
+local content, lines_of = helper.content, helper.lines_of
 local setfenv = rawget(_G, "setfenv")
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
-
-local function lines_of(command)
-  local pipe, lines = assert(io.popen(command)), {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
-end
 
 -- The files of the project: those that git knows, all in a tree without git.
 local function files(...)
@@ -21,13 +15,6 @@ local function files(...)
   local found = lines_of("git ls-files -- ':(glob)" .. globs .. "' 2>/dev/null")
   if found[1] then return found end
   return lines_of("ls -d " .. table.concat({ ... }, " ") .. " 2>/dev/null")
-end
-
-local function content(name)
-  local file = assert(io.open(name))
-  local text = file:read("*a")
-  file:close()
-  return text
 end
 
 -- Loads a text so that its globals are those of `env`, on every Lua.
@@ -172,22 +159,12 @@ local function promised(block)
   return lines
 end
 
--- Runs `f` while the global print is another one, which modules may look up, too.
-local function with_print(print_fn, f)
-  local real = print
-  rawset(_G, "print", print_fn)
-  local ok, problem = pcall(f)
-  rawset(_G, "print", real)
-  if not ok then error(problem, 0) end
-end
-
 describe("an example", function()
   for _, file in ipairs(files("examples/*.lua")) do
     it(file .. " loads and has no problem", function()
-      local model, fsm = rfsm.load(file), nil
+      local model = rfsm.load(file)
       model.info, model.warn = false, false
-      with_print(function() end, function() fsm = rfsm.init(model) end) -- of the subs
-      assert.is_table(fsm)
+      helper.printed(function() assert.is_table((rfsm.init(model))) end) -- of regions
     end)
   end
 end)
@@ -228,14 +205,12 @@ end)
 local function run_block(env, block, name)
   local lines = {}
   rawset(env, "print", function(...)
-    local texts = { ... }
-    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
-    for line in (table.concat(texts, "\t") .. "\n"):gmatch("(.-)\n") do
+    for line in (table.concat(helper.texts(...), "\t") .. "\n"):gmatch("(.-)\n") do
       lines[#lines + 1] = line:match("^(.-)%s*$")
     end
   end)
   local text = ("\n"):rep(block.line - 1) .. block.text
-  with_print(env.print, load_in(env, text, "@" .. name))
+  helper.with(_G, { print = env.print }, load_in(env, text, "@" .. name))
   return lines
 end
 
