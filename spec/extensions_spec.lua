@@ -163,66 +163,64 @@ local function advance(extension, fsm)
   return (extension.advance or rfsm.run)(fsm)
 end
 
-local ORDER = {}
-for name in pairs(EXTENSIONS) do ORDER[#ORDER + 1] = name end -- any order: sorted
-table.sort(ORDER)
+local function started(extension, model)
+  local fsm = helper.init(model or extension.model())
+  advance(extension, fsm)
+  return fsm
+end
 
-for _, name in ipairs(ORDER) do
-  local extension = EXTENSIONS[name]
+local function used(extension, model)
+  local fsm = started(extension, model)
+  extension.use(fsm)
+  return fsm
+end
 
-  local function started(model)
-    local fsm = helper.init(model or extension.model())
-    advance(extension, fsm)
-    return fsm
-  end
+local function forgetting(extension, fsm)
+  if extension.forget then extension.forget(fsm) end
+  advance(extension, fsm)
+  return fsm
+end
 
-  -- What a machine remembers that was never used.
-  local function fresh_memory() return extension.memory(started()) end
+-- Each returns a machine that must remember nothing.
+local FORGETS = {
+  ["when the state is left and entered again"] = function(extension)
+    local fsm = used(extension)
+    for _, event in ipairs { "e_leave", "e_enter" } do
+      rfsm.send_events(fsm, event)
+      rfsm.step(fsm)
+    end
+    return forgetting(extension, fsm)
+  end,
+  ["at reset"] = function(extension)
+    local fsm = used(extension)
+    rfsm.reset(fsm)
+    return forgetting(extension, fsm)
+  end,
+  ["in a second instance of the model"] = function(extension)
+    local model = extension.model()
+    local second = helper.init(model)
+    used(extension, model)
+    advance(extension, second)
+    return second
+  end,
+  ["in an instance made of the first"] = function(extension)
+    return started(extension, used(extension))
+  end,
+}
 
-  local function used(model)
-    local fsm = started(model)
-    extension.use(fsm)
-    return fsm
-  end
-
+for name, extension in pairs(EXTENSIONS) do -- any order: each stands alone
   describe("rfsm_" .. name, function()
     it("remembers something, as long as its state is active", function()
-      assert.not_equal(fresh_memory(), extension.memory(used()))
+      assert.not_equal(extension.memory(started(extension)),
+        extension.memory(used(extension)))
     end)
 
-    it("forgets it when the state is left and entered again", function()
-      local fsm = used()
-      rfsm.send_events(fsm, "e_leave")
-      rfsm.step(fsm)
-      rfsm.send_events(fsm, "e_enter")
-      rfsm.step(fsm)
-      if extension.forget then extension.forget(fsm) end
-      advance(extension, fsm)
-      assert.equal(fresh_memory(), extension.memory(fsm))
-    end)
-
-    it("forgets it at reset", function()
-      local fsm = used()
-      rfsm.reset(fsm)
-      if extension.forget then extension.forget(fsm) end
-      advance(extension, fsm)
-      assert.equal(fresh_memory(), extension.memory(fsm))
-    end)
-
-    it("shares nothing with a second instance of the model", function()
-      local model = extension.model()
-      local second = helper.init(model)
-      used(model)
-      advance(extension, second)
-      assert.equal(fresh_memory(), extension.memory(second))
-    end)
-
-    it("shares nothing with an instance made of the first", function()
-      local first = used()
-      local second = helper.init(first)
-      advance(extension, second)
-      assert.equal(fresh_memory(), extension.memory(second))
-    end)
+    for when, forget in pairs(FORGETS) do -- any order: as above
+      it("has forgotten it " .. when, function()
+        local fsm = forget(extension)
+        assert.equal(extension.memory(started(extension)), extension.memory(fsm))
+      end)
+    end
   end)
 end
 
@@ -230,16 +228,9 @@ end
 -- when states are left, and at reset, but is of no other machine.
 describe("rfsm_checks", function()
   local function complaints_of(fsm)
-    local lines = {}
-    fsm.warn = function(text) lines[#lines + 1] = text end
+    local lines = helper.said(fsm, "warn")
     helper.post_and_run(fsm, "e_new", "e_none", "e_other")
     return lines
-  end
-
-  local function watched(model)
-    local fsm = helper.init(model)
-    rfsm.run(fsm)
-    return fsm
   end
 
   local function chart()
@@ -249,7 +240,7 @@ describe("rfsm_checks", function()
   end
 
   local function merged(model)
-    local fsm = watched(model)
+    local fsm = helper.started(model)
     assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "out",
       events = { "e_new" } }))
     return fsm
@@ -258,28 +249,21 @@ describe("rfsm_checks", function()
   local OTHER = "WARNING: undeclared event e_other received"
   local NEW = "WARNING: undeclared event e_new received"
 
-  it("knows what was merged, also when states are left", function()
+  it("knows what was merged, also when states are left, and after reset", function()
     local fsm = merged(chart())
     helper.post_and_run(fsm, "e_leave")
     helper.post_and_run(fsm, "e_enter")
     assert.same({ OTHER }, complaints_of(fsm))
-  end)
-
-  it("knows it after reset", function()
-    local fsm = merged(chart())
     rfsm.reset(fsm)
     assert.same({ OTHER }, complaints_of(fsm))
   end)
 
-  it("shares nothing with a second instance of the model", function()
+  it("shares nothing with other instances", function()
     local model = chart()
-    local second = watched(model)
+    local second = helper.started(model)
     merged(model)
     assert.same({ NEW, OTHER }, complaints_of(second))
-  end)
-
-  it("shares nothing with an instance made of the first", function()
-    assert.same({ NEW, OTHER }, complaints_of(watched(merged(chart()))))
+    assert.same({ NEW, OTHER }, complaints_of(helper.started(merged(chart()))))
   end)
 end)
 
