@@ -2,7 +2,7 @@
 --
 -- Once this module is loaded, each machine initialised afterwards understands the
 -- events `"e_after(T)"` and `"e_at(T)"` in its transitions. A timer is armed when the
--- source of its transition is entered. The event `e_after(T)@F` comes in the first
+-- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
 -- iteration that finds the timer expired, once per entry. F is the FQN of the source.
 --
 -- Most iterations find no timer expired. They read the clock and compare it with the
@@ -39,7 +39,7 @@ Timeevent.__index = Timeevent
 
 function Timeevent.__tostring(event) return event.name end
 
--- Makes an object; blames the caller of e_after or e_at for what cannot be a time.
+-- Makes an object. Blames the caller of e_after or e_at for a value that is no time.
 local function new_event(kind, x, id)
   local event = setmetatable({ is_relative = kind == "e_after" }, Timeevent)
   if is_callable(x) then
@@ -235,6 +235,70 @@ local function check_timers(fsm)
   end
 end
 
+-- Snapshots: timers are kept with the time that is left, by their names ----------
+
+local function now_or_raise()
+  local sec, nsec = read(true)
+  if sec then return sec, nsec end
+  error("rfsm_timeevent: the clock failed: " .. text_of(nsec), 0)
+end
+
+local function save(fsm)
+  local left, now, now_nsec = nil, nil, nil
+  for _, timer in ipairs(list_timers(fsm, "is_waiting")) do
+    left = left or {}
+    left[timer.name] = true
+  end
+  for _, timer in ipairs(list_timers(fsm, "is_armed")) do
+    local sec, nsec = timer.sec, timer.nsec
+    if timer.is_relative then
+      if not now then now, now_nsec = now_or_raise() end
+      sec, nsec = clock.normalise(sec - now, nsec - now_nsec)
+    end
+    left = left or {}
+    left[timer.name] = { sec, nsec }
+  end
+  return left
+end
+
+-- Arms a timer of which `left` was kept: seconds and nanoseconds, or true.
+local function load_timer(fsm, timer, left)
+  local sec, nsec, now, now_nsec = left, 0, 0, 0
+  timer.is_armed, timer.is_waiting = false, false
+  if left == nil then return end
+  if left == true then return wait(fsm, timer) end
+  if type(left) == "table" then sec, nsec = left[1], left[2] end
+  if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
+    error("seconds and nanoseconds expected for timer '" .. timer.name .. "'", 0)
+  end
+  if timer.is_relative then now, now_nsec = now_or_raise() end
+  timer.sec, timer.nsec = clock.normalise(sec + now, nsec + now_nsec)
+  timer.is_armed = true
+  local deadline = deadline_of(fsm, timer.is_relative)
+  if is_before(timer, deadline) then set(deadline, timer) end
+end
+
+-- A timer that the chart of a snapshot did not have is armed from now on.
+local function load(fsm, left, how)
+  local own, used = fsm._timeevent, 0
+  left = left or {}
+  own.has_waiting = false
+  set(own.relative, NEVER)
+  set(own.absolute, NEVER)
+  for _, timer in ipairs(list_timers(fsm, "name")) do
+    local kept = left[timer.name]
+    load_timer(fsm, timer, kept)
+    if kept ~= nil then used = used + 1 end
+    if kept == nil and how.is_migrated then arm_all(fsm, { timer }) end
+  end
+  for name in pairs(left) do -- any order: a number
+    used = used - 1
+    if used < 0 and not how.is_migrated then
+      error("no active state has a timer '" .. text_of(name) .. "'", 0)
+    end
+  end
+end
+
 -- Prepare: the events of a model become timers ---------------------------------
 
 -- Makes a machine look for expired timers, and a state arm its own.
@@ -243,6 +307,7 @@ local function prepare_timers(fsm, state)
     fsm._timeevent = { relative = { sec = huge, nsec = 0, soon = huge },
       absolute = { sec = huge, nsec = 0, soon = huge }, count = 0 }
     rfsm.pre_step_hook_add(fsm, check_timers, "before") -- other hooks see the events
+    rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
     state._timers = {}

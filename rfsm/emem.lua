@@ -11,8 +11,9 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
-local rawset, setmetatable, type = rawset, setmetatable, type
+local error, ipairs, next, pairs = error, ipairs, next, pairs
+local rawget, rawset = rawget, rawset
+local setmetatable, type = setmetatable, type
 
 local rfsm_emem = {}
 
@@ -44,6 +45,32 @@ local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
 end
 
+-- Snapshots hold the counts of each state in which an event was received.
+local function save(fsm)
+  local counts = nil
+  for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
+    if state.emem and next(state.emem) ~= nil then
+      local copy = {}
+      for event, n in pairs(state.emem) do copy[event] = n end -- any order: a copy
+      counts = counts or {}
+      counts[state._fqn] = copy
+    end
+  end
+  return counts
+end
+
+local function load(fsm, counts)
+  for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
+    local kept = counts and counts[state._fqn] or {}
+    if type(kept) ~= "table" then error("table of counts expected", 0) end
+    state.emem = setmetatable({}, WEAK)
+    for event, n in pairs(kept) do -- any order: each stands alone
+      if type(n) ~= "number" then error("number of events expected", 0) end
+      state.emem[event] = n
+    end
+  end
+end
+
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   if fsm.emem == false then return end
   for _, state in ipairs(rfsm.elements(merged or fsm, has_emem)) do
@@ -53,6 +80,7 @@ rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
       fsm._has_emem = true
       rfsm.pre_step_hook_add(fsm, count)
       rfsm.reset_hook_add(fsm, reset)
+      rfsm.snapshot_hook_add(fsm, "emem", save, load)
     end
   end
 end

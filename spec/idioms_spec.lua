@@ -201,6 +201,39 @@ describe("a preproc function", function()
     assert.equal(1, asked)
   end)
 
+  local function rename(suffix)
+    return function(fsm)
+      for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+        for i, event in ipairs(tr.events) do tr.events[i] = event .. suffix end
+        if tr.events[1] then tr.pn = (tr.pn or 0) + 1 end
+      end
+    end
+  end
+
+  it("makes of each machine what it makes of the first", function()
+    local chart = model()
+    local first = with_preproc(rename("_2"), function() return helper.init(chart) end)
+    local second = with_preproc(rename("_2"), function() return helper.init(chart) end)
+    local third = with_preproc(rename("_3"), function() return helper.init(chart) end)
+    local fourth = helper.init(chart)
+    local texts = {}
+    for i, fsm in ipairs { first, second, third, fourth } do
+      texts[i] = tostring(fsm[2]):match("tgt=(.*) }")
+    end
+    assert.same({
+      "'root.c.initial', pn=1, events='e_in_2'",
+      "'root.c.initial', pn=1, events='e_in_2'",
+      "'root.c.initial', pn=1, events='e_in_3'",
+      "'root.c.initial', events='e_in'",
+    }, texts)
+    assert.equal(getmetatable(first.a), getmetatable(second.a)) -- one structure
+    assert.is_true(rfsm.fsm_merge(first, first, trans { src = "a", tgt = "k" }))
+    assert.equal(texts[1], tostring(first[2]):match("tgt=(.*) }"))
+    rfsm.run(second)
+    helper.post_and_run(second, "e_in_2")
+    assert.equal("root.c.x", rfsm.get_actleaf_fqn(second))
+  end)
+
   it("adds to the machine with fsm_merge, once, and sees that merged", function()
     local merged, calls = 0, 0
     local fsm = with_preproc(function() calls = calls + 1 end, function()

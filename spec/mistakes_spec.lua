@@ -280,6 +280,15 @@ return rfsm.state { states = { a = rfsm.state {} },
 --> T (a -> ): tgt '': NONE '' in 'root' (there are 'a', 'b', 'initial')
   rfsm.trans { src = "a", tgt = "b", events = function() end },
 --> T.events (a -> b): LIST, got function
+  c = rfsm.state, d = rfsm.conn,
+--W 1: root.c: rfsm.state is not called (rfsm.state{...})
+--W 1: root.d: rfsm.conn is not called (rfsm.conn{...})
+  c = rfsm.conn { entry = function() end }, rfsm.trans { src = "a", tgt = "c" },
+  rfsm.trans { src = "c", tgt = "b" },
+--W 6: root.c.entry: a connector has no entry, this one is ignored
+  _segment = 5, _pre_hooks = {}, _mine = 1,
+--W 1: root._pre_hooks: the machine has a field of this name, this one is ignored
+--W 1: root._segment: the machine has a field of this name, this one is ignored
   rfsm.trans { src = "a", tgt = "b", events = { "e_after(soon)" } },
 --W T.events (a -> b): no loaded extension knows 'e_after(soon)' (require
     "rfsm_timeevent")

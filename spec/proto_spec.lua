@@ -340,7 +340,7 @@ describe("rfsm.proto", function()
 
     it("of another type is refused, any without allow_send", function()
       local fsm, client = subscribed()
-      assert.same({ "error event: not taken, allow_send is off", OFF },
+      assert.same({ "error event: refused, allow_send is off", OFF },
         answers(fsm, client, 2, PUSH))
       fsm, client = subscribed { allow_send = true }
       for text, got in pairs { -- any order: each stands alone
@@ -356,7 +356,7 @@ describe("rfsm.proto", function()
       local server = install { allow_send = true, max_events = 3 }
       local busy, lazy = started(lamp()), started(lamp())
       local push = { type = "event", event = "e", fsm = 2 }
-      assert.same({ "error event: 3 events wait already" },
+      assert.same({ "error event: 3 events are pending already" },
         answers(busy, new_client(server), 1, push, push, push, push))
       assert.equal(3, rfsm.check_events(lazy))
       rfsm.reset(lazy)

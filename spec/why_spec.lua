@@ -1,0 +1,187 @@
+-- why and enabled: what each transition says to events, and which events count.
+
+local bare = require "spec.support.bare"
+local charts = require "spec.support.charts"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+
+local function no() return false end
+
+-- A doo that never ends, so that there is no e_done.
+local function wait() while true do rfsm.yield(true) end end
+
+-- a -> b, -> k -> b or c, and more; k leads on if a guard lets it
+local function machine(members)
+  local model = {
+    a = state { doo = wait }, b = state { doo = wait }, k = conn {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e_b" } },
+    trans { src = "a", tgt = "k", events = { "e_k" } },
+    trans { src = "k", tgt = "b", events = { "e_k" }, guard = no },
+    trans { src = "k", tgt = "a", events = { "e_other" } },
+    trans { src = "b", tgt = "a", events = { "e_b" } },
+  }
+  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+  local fsm = helper.init(state(model))
+  fsm.err = false
+  rfsm.run(fsm)
+  return fsm
+end
+
+local function text_of(fsm, ...)
+  local _, text = rfsm_checks.why(fsm, ...)
+  return (helper.without_file(text))
+end
+
+-- Without the first line, which has the result.
+local function rest_of(fsm, ...) return (text_of(fsm, ...):gsub("^[^\n]*\n", "")) end
+
+describe("why", function()
+  it("names the transition that would be taken, and why the others are not", function()
+    assert.equal(table.concat({
+      "root.trans[2] (a -> b) would be taken on e_b in root.a",
+      "  root.trans[2] (a -> b): would be taken",
+      "  root.trans[3] (a -> k): waits for e_k",
+    }, "\n"), text_of(machine(), "e_b"))
+  end)
+
+  it("names the connector where a path ends, and what its transitions say", function()
+    assert.equal(table.concat({
+      "no transition would be taken on e_k in root.a",
+      "  root.trans[2] (a -> b): waits for e_b",
+      "  root.trans[3] (a -> k): the path ends at root.k",
+      "    root.trans[4] (k -> b): its guard returns false",
+      "    root.trans[5] (k -> a): waits for e_other",
+    }, "\n"), text_of(machine(), "e_k"))
+  end)
+
+  local CASES = {
+    { "a guard that fails", trans { src = "a", tgt = "b", events = { "e_x" },
+      guard = function() error("no", 0) end }, "its guard fails: no" },
+    { "a guard that returns false", trans { src = "a", tgt = "b", events = { "e_x" },
+      guard = no }, "its guard returns false" },
+    { "a transition on any event", trans { src = "a", tgt = "b" }, "would be taken" },
+    { "one that is tried later", trans { src = "a", tgt = "b", pn = -1,
+      events = { "e_x", "e_b" } }, "would be taken" },
+    { "a predicate", trans { src = "a", tgt = "b", events = {
+      function(event) return event == "e_x" end } }, "would be taken" },
+  }
+  for _, case in ipairs(CASES) do
+    it("explains " .. case[1], function()
+      assert.matches("root.trans%[7%] %(a %-> b%): " .. case[3],
+        rest_of(machine { [7] = case[2] }, "e_x"))
+    end)
+  end
+
+  it("names the winner to a transition that loses", function()
+    local fsm = machine { [7] = trans { src = "a", tgt = "b", pn = -1,
+      events = { "e_b" } } }
+    assert.matches("root.trans%[7%] %(a %-> b%): loses to root.trans%[2%] %(a %-> b%)$",
+      text_of(fsm, "e_b"))
+  end)
+
+  it("takes the queue if no event is given", function()
+    local fsm = machine()
+    rfsm.send_events(fsm, "e_b")
+    assert.matches("^root.trans%[2%] %(a %-> b%) would be taken on e_b", text_of(fsm))
+  end)
+
+  it("says that without an event no transition is taken", function()
+    local fsm = machine { [7] = trans { src = "a", tgt = "b" } }
+    assert.matches("^no transition would be taken without an event in root.a",
+      text_of(fsm))
+  end)
+
+  it("tells of the way in before the first entry", function()
+    local fsm = helper.init(state { a = state {},
+      trans { src = "initial", tgt = "a" } })
+    assert.equal("root.trans[1] (initial -> a) would be taken on e_init_fsm in a "
+      .. "machine that was not entered\n  root.trans[1] (initial -> a): would be taken",
+      text_of(fsm))
+  end)
+
+  it("looks into the machines of the active leaf", function()
+    local inner = state { err = false, warn = false, info = false,
+      x = state {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "x", events = { "e_x" } } }
+    local fsm = helper.init(state { par = rfsm.seqand { left = inner },
+      trans { src = "initial", tgt = "par" } })
+    rfsm.run(fsm)
+    local found = rfsm_checks.why(fsm, "e_x")
+    assert.is_false(found.fires)
+    assert.equal("left", found.regions[1].name)
+    assert.equal("root.trans[2] (x -> x)", found.regions[1].why.fires)
+    assert.same({ "e_x", any = false }, (rfsm_checks.enabled(fsm)))
+  end)
+
+  it("blames the caller for what is no machine", function()
+    local _, text = pcall(function() rfsm_checks.why(state {}, "e") end)
+    assert.matches("why_spec.lua:%d+: rfsm_checks.why: initialised fsm expected", text)
+  end)
+end)
+
+describe("enabled", function()
+  it("lists the events that would do something now", function()
+    local events, text = rfsm_checks.enabled(machine())
+    assert.same({ "e_b", any = false }, events)
+    assert.equal("e_b", text)
+  end)
+
+  it("marks that any event would", function()
+    local events, text = rfsm_checks.enabled(machine { [7] = trans { src = "root",
+      tgt = "a", events = {}, pn = -1 } })
+    assert.is_true(events.any)
+    assert.matches("any other event$", text)
+  end)
+end)
+
+-- What the engine itself finds, node by node.
+local function engine_finds(fsm, events)
+  local node = fsm
+  for _ = 1, #rfsm.get_active_conf(fsm) do
+    local path = rfsm.node_find_enabled(fsm, node, events)
+    if path then return path.nextl[1].trans.number end
+    node = node._actchild
+  end
+end
+
+-- Guards of a random chart: by the number of the transition and the event.
+local function guard_of(seed)
+  return function(number)
+    return function(_, events)
+      return (seed + number * 7 + #tostring(events[1])) % 3 > 0
+    end
+  end
+end
+
+local function number_of(fsm, place)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    if rfsm.location_of(tr):find(place, 1, true) then return tr.number end
+  end
+end
+
+describe("why and the engine", function()
+  it("agree on random charts", function()
+    local taken = 0
+    for seed = 1, 150 do
+      local chart = charts.generate(seed)
+      local fsm = rfsm.init(bare.model_of(chart, { guard = guard_of(seed) }))
+      rfsm.step(fsm)
+      for i = 1, fsm._act_leaf and 12 or 0 do
+        local events = { "e" .. i % 4 + 1, i % 3 == 0 and "e1" or nil }
+        local before = rfsm.get_actleaf_fqn(fsm)
+        local found = rfsm_checks.why(fsm, events[1], events[2])
+        local expected = engine_finds(fsm, events)
+        assert.equal(expected, found.fires and number_of(fsm, found.fires) or nil)
+        assert.equal(before, rfsm.get_actleaf_fqn(fsm))
+        if expected then taken = taken + 1 end
+        rfsm.send_events(fsm, events[1], events[2])
+        rfsm.step(fsm)
+      end
+    end
+    assert.is_true(taken > 100)
+  end)
+end)
