@@ -115,6 +115,14 @@ describe("tools/size.lua", function()
     assert.is_true(tonumber(stripped) < tonumber(source))
     assert.matches("^rfsm.marsh +[%d.]+ +[%d.]+$", lines[2])
   end)
+
+  it("shows that the modules of a component of RTT take at most 350 KiB", function()
+    if _VERSION ~= "Lua 5.1" then return end -- that is RTT's Lua
+    local lines = lines_of(("'%s' tools/size.lua rfsm rfsm.rtt rfsm_timeevent rfsmpp")
+      :format(arg[-1]))
+    local source = lines[#lines]:match("^together +([%d.]+)")
+    assert.is_true(tonumber(source) <= 350, source)
+  end)
 end)
 
 describe("the version of the core", function()
