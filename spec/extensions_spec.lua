@@ -32,15 +32,14 @@ require "rfsm.preview"
 local now = 0
 timeevent.set_gettime_hook(function() return now, 0 end)
 
--- (initial) -> a --e_leave--> out --e_enter--> a;  a --events--> found
-local function around(a, tr)
-  tr.src, tr.tgt = "a", "found"
+-- (initial) -> a --e_leave--> out --e_enter--> a;  a --event, or e_none--> found
+local function around(a, event)
   return state {
     warn = false, info = false, a = a, out = state {}, found = state {},
     trans { src = "initial", tgt = "a" },
     trans { src = "a", tgt = "out", events = { "e_leave" } },
     trans { src = "out", tgt = "a", events = { "e_enter" } },
-    trans(tr),
+    trans { src = "a", tgt = "found", events = { event or "e_none" } },
   }
 end
 
@@ -67,11 +66,13 @@ local function converse(fsm, text)
   return last
 end
 
+local function send_x(fsm) helper.post_and_run(fsm, "e_x") end
+
 -- For each extension: a model, what gives it something to remember while a is active,
 -- and what it remembers.
 local EXTENSIONS = {
   timeevent = {
-    model = function() return around(state {}, { events = { "e_after(10)" } }) end,
+    model = function() return around(state {}, "e_after(10)") end,
     use = function(fsm)
       now = now + 6
       rfsm.run(fsm)
@@ -80,40 +81,35 @@ local EXTENSIONS = {
   },
   seqand = {
     model = function()
-      return around(rfsm.seqand { idle_doo = "auto", s = inner_machine() },
-        { events = { "e_none" } })
+      return around(rfsm.seqand { idle_doo = "auto", s = inner_machine() })
     end,
-    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
+    use = send_x,
     memory = function(fsm) return rfsm.get_actleaf_fqn(fsm.a.substates.s) end,
   },
   ext = {
     model = function()
-      return around(rfsm_ext.gen_monitor_state { count = { 0 },
+      return around(rfsm_ext.gen_monitor_state {
+        entry = function(_, self) self.seen = 0 end,
         montab = { e_third = function(_, self)
-          self.seen = (self.seen or 0) + 1
+          self.seen = self.seen + 1
           return false
-        end }, entry = function(_, self) self.seen = 0 end },
-        { events = { "e_third" } })
+        end },
+      }, "e_third")
     end,
     use = function(fsm) rfsm.step(fsm, 5) end,
     memory = function(fsm) return fsm.a.seen > 2 end,
     advance = function(fsm) rfsm.step(fsm, 2) end,
   },
   emem = {
-    model = function() return around(state {}, { events = { "e_none" } }) end,
-    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
-    memory = function(fsm) return fsm.a.emem.e_x or 0 end,
+    model = function() return around(state {}) end,
+    use = send_x, memory = function(fsm) return fsm.a.emem.e_x or 0 end,
   },
   await = {
-    model = function() return around(state {}, { events = { "await(e_x, e_y)" } }) end,
-    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
-    memory = function(fsm)
-      helper.post_and_run(fsm, "e_y")
-      return fsm._act_leaf._id
-    end,
+    model = function() return around(state {}, "await(e_x, e_y)") end,
+    use = send_x, memory = function(fsm) return helper.leaf_after(fsm, "e_y") end,
   },
   proto = {
-    model = function() return around(inner_machine(), { events = { "e_none" } }) end,
+    model = function() return around(inner_machine()) end,
     use = function(fsm) converse(fsm, '{"type":"event","event":"e_x"}') end,
     memory = function(fsm)
       return converse(fsm, '{"type":"subscribe"}'):match('"act_leaf":"([^"]*)"')
@@ -121,8 +117,8 @@ local EXTENSIONS = {
   },
   preview = {
     model = function()
-      local model = around(state {}, { events = { "e_none" },
-        likely = function(fsm) return fsm.is_near end })
+      local model = around(state {})
+      model[4].likely = function(fsm) return fsm.is_near end
       model.found.prepare = function(fsm) fsm.is_prepared = true end
       return model
     end,
@@ -141,11 +137,14 @@ local EXTENSIONS = {
   },
   rtt = {
     model = function()
-      local feed, events = rtt.OutputPort.new("string"), rtt.InputPort.new("string")
-      local out, names = rtt.OutputPort.new("string"), rtt.InputPort.new("string")
-      feed:connect(events)
-      out:connect(names)
-      local model = around(inner_machine(), { events = { "e_none" } })
+      local function connected()
+        local into, out = rtt.InputPort.new("string"), rtt.OutputPort.new("string")
+        out:connect(into)
+        return into, out
+      end
+      local events, feed = connected()
+      local names, out = connected()
+      local model = around(inner_machine())
       model.getevents = rfsm_rtt.gen_read_str_events(events)
       model.post_step_hook = rfsm_rtt.gen_write_fqn(out)
       model.feed, model.names = feed, names
@@ -234,7 +233,7 @@ describe("rfsm_checks", function()
   end
 
   local function chart()
-    local model = around(state {}, { events = { "e_none" } })
+    local model = around(state {})
     model.checkevents = true
     return model
   end

@@ -435,8 +435,7 @@ describe("component_launch_rfsm", function()
     check_leaves("<none> a b", names)
     assert.equal("table", evaluate(exec_str, "type(tlsf)"))
     if _VERSION == "Lua 5.5" then return end -- it has other parameters
-    assert.equal("true",
-      evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
+    assert.equal("true", evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
   end)
 
   it("keeps what nobody needs any more out of memory", function()
