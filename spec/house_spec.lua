@@ -4,6 +4,11 @@ local helper = require "spec.helper"
 
 after_each(helper.remove_files)
 
+<<<<<<< HEAD
+=======
+local lines_of = helper.lines_of
+
+>>>>>>> main
 -- The tracked files; nil in a tree without git.
 local function tracked()
   local files = helper.lines_of("git ls-files 2>/dev/null")
@@ -129,7 +134,11 @@ end
 -- All modules in a row, the core first, for one file that holds them.
 local function all_modules()
   local names = { "rfsm" }
+<<<<<<< HEAD
   for _, file in ipairs(helper.lines_of("ls rfsm?*.lua rfsm/*.lua compat/*.lua "
+=======
+  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua "
+>>>>>>> main
     .. "compat/rfsm/*.lua")) do
     names[#names + 1] = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
   end
