@@ -1,21 +1,12 @@
 -- What several specs need.
 
-local luassert = require "luassert"
 local rfsm = require "rfsm"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local helper = {}
 
--- Rows of specs, replaced fields, errors ------------------------------------------
-
---- Makes a spec of each row, with busted's `it`: a title, the expected value, and a
--- function that returns the value.
-function helper.rows(it, rows)
-  for _, row in ipairs(rows) do
-    it(row[1], function() luassert.same(row[2], row[3]()) end)
-  end
-end
+-- Replaced fields, errors -----------------------------------------------------------
 
 --- Runs f while `t` has these fields; false removes one. Returns the result of f.
 function helper.with(t, fields, f)
@@ -211,14 +202,6 @@ function helper.output_of(text)
   local lines = helper.lines_of(("%s %s 2>&1"):format(helper.interpreter(),
     helper.file_with(text)))
   return (table.concat(lines, "\n"):gsub("%s+$", ""))
-end
-
---- Runs a command of the shell; returns the lines it prints.
-function helper.lines_of(command)
-  local pipe, lines = assert(io.popen(command)), {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
 end
 
 --- Returns what stands in a file.

@@ -4,14 +4,11 @@ local helper = require "spec.helper"
 
 after_each(helper.remove_files)
 
-<<<<<<< HEAD
-=======
 local lines_of = helper.lines_of
 
->>>>>>> main
 -- The tracked files; nil in a tree without git.
 local function tracked()
-  local files = helper.lines_of("git ls-files 2>/dev/null")
+  local files = lines_of("git ls-files 2>/dev/null")
   return files[1] and files
 end
 
@@ -134,11 +131,7 @@ end
 -- All modules in a row, the core first, for one file that holds them.
 local function all_modules()
   local names = { "rfsm" }
-<<<<<<< HEAD
-  for _, file in ipairs(helper.lines_of("ls rfsm?*.lua rfsm/*.lua compat/*.lua "
-=======
   for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua "
->>>>>>> main
     .. "compat/rfsm/*.lua")) do
     names[#names + 1] = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
   end
@@ -165,11 +158,11 @@ describe("the names of a module", function()
 
   for _, place in ipairs(PLACES) do
     local name, command, path = place[1], place[2], place[3]
-    if helper.lines_of("command -v " .. command:match("^%S+"))[1] then
+    if lines_of("command -v " .. command:match("^%S+"))[1] then
       it("do so after " .. name, function()
         local folder, version = os.tmpname(), _VERSION:match("[%d.]+$")
         os.remove(folder)
-        local lines = helper.lines_of("{ " .. command:gsub("@", folder) .. "; } 2>&1")
+        local lines = lines_of("{ " .. command:gsub("@", folder) .. "; } 2>&1")
         path = path:gsub("@", folder):gsub("%$", version)
         local output = every_order(path, place.is_rfsm_first, false)
         os.execute("rm -r " .. folder)

@@ -9,11 +9,6 @@ local content, lines_of = helper.content, helper.lines_of
 local setfenv = rawget(_G, "setfenv")
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
 
-<<<<<<< HEAD
-=======
-local lines_of = helper.lines_of
-
->>>>>>> main
 -- The files of the project: those that git knows, all in a tree without git.
 local function files(...)
   local globs = table.concat({ ... }, "' ':(glob)")
