@@ -15,7 +15,7 @@ local init, started, leaf = helper.init, helper.started, rfsm.get_actleaf_fqn
 local jit = rawget(_G, "jit")
 
 local SEED = tonumber(os.getenv("SEED")) or 1
-local COUNT = tonumber(os.getenv("COUNT")) or 10000
+local COUNT = tonumber(os.getenv("COUNT")) or 5000
 
 -- What several specs need -------------------------------------------------------
 
