@@ -167,9 +167,9 @@ function(sim, n) points.delete(sim, n) end)
 group "Time"
 
 add("clock([s])", "let s simulated seconds pass", [[
-From then on time passes only by clock and next. The machine runs at each timer on the
-way. Without an argument: print the time. clock(false): real time again.
-Example: clock 3.5]],
+From then on time passes only by clock and next. At each timer on the way, and at the
+end, the machine runs, but not for more than 1000 steps. Without an argument: print the
+time. clock(false): real time again. Example: clock 3.5]],
 function(sim, seconds)
   if seconds == nil then return time.show(sim) end
   if seconds == false then return time.use_real(sim) end

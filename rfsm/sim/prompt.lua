@@ -14,7 +14,7 @@ local view = require "rfsm.sim.view"
 local rfsm = require "rfsm"
 
 local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
-local select, setmetatable, tonumber, type = select, setmetatable, tonumber, type
+local select, setmetatable, tonumber = select, setmetatable, tonumber
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
@@ -74,8 +74,8 @@ local function call_of(sim, text)
   if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
   local command = name and commands.find(name)
   if not command then return nil end
-  local arguments = split(rest) -- numbers and booleans are what they look like
-  if command.takes_line and type(arguments[1]) == "string" then arguments = { rest } end
+  local arguments = split(rest)
+  if command.takes_line and rest ~= "" then arguments = { value_of_word(rest) } end
   return function() sim.env[name](unpack(arguments)) end
 end
 
@@ -178,6 +178,7 @@ local function words_after(sim, before)
   if command and command.completes == "events" then return words end
   for _, name in ipairs((names.nodes(sim.fsm))) do
     words[#words + 1] = name
+    words[#words + 1] = name:gsub("^root%.", "")
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
   if command and command.completes == "points" then return words end
