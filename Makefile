@@ -2,7 +2,7 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, test and doc install missing Debian packages if you are root or have password-free
+# sim, fleet, test and doc install missing Debian packages if you are root or have password-free
 # sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
@@ -15,11 +15,13 @@ PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
 BUNDLE   ?= rfsm rfsm.quick rfsm.straight rfsm.advice
+DIST     ?= dist
 SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.quick rfsm.straight rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
 endif
+# the address of the repository, for rockspecs of releases: not yet known
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
@@ -29,7 +31,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps transcript
+.PHONY: all help sim fleet test lint fuzz bench bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -41,6 +43,10 @@ help:                   ## this list
 sim:                    ## open MODEL in the simulator, with LUA
 	@tools/deps.sh sim
 	@$(if $(filter file,$(origin LUA)),,LUA=$(LUA)) tools/rfsm sim $(MODEL)
+
+fleet:                  ## a warehouse whose orders are machines in a Redis server of its own
+	@tools/deps.sh fleet
+	@examples/warehouse/fleet.sh lua5.3
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
@@ -85,17 +91,25 @@ doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc
 	ldoc -c doc/config.ld --fatalwarnings -q .
 
+# lamp.lua is the chart of the README
+gallery:                ## doc/gallery/: pictures of the examples and of larger charts
+	@set -e; trap 'rm -f lamp.lua' EXIT; \
+	sed -n '/^-- lamp.lua/,/^```$$/p' README.md | sed '$$d' > lamp.lua; \
+	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
+	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
+	done
+
 deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
 	@tools/deps.sh test $(LUAS)
 	@tools/deps.sh doc
 
-rockspec:               ## rockspec/ gets the one of release VERSION, from URL
-	$(LUA) tools/rockspec.lua $(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec
+rockspec:               ## the lists of the dev rockspec; with VERSION, the rockspec of a release
+	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)
 
 dist:                   ## dist/rfsm.lua: the core and the rest of BUNDLE in one file
-	@mkdir -p dist
-	$(LUA) tools/dist.lua $(BUNDLE) > dist/rfsm.lua
+	@mkdir -p $(DIST)
+	$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
 
 size:                   ## the live heap that each of SIZED takes, with LUA
 	@$(LUA) tools/size.lua $(SIZED)

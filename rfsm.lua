@@ -15,10 +15,8 @@
 local error, getmetatable, ipairs, loadfile = error, getmetatable, ipairs, loadfile
 local next, pairs, pcall, rawequal, rawget = next, pairs, pcall, rawequal, rawget
 local rawset, require, select, setmetatable = rawset, require, select, setmetatable
-local tostring, type = tostring, type
-local huge = math.huge
+local coroutine, tostring, type = coroutine, tostring, type
 local concat, sort = table.concat, table.sort
-local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
@@ -85,43 +83,51 @@ end
 -- Where the tables of a model were made: table -> "file:line".
 local made_at = setmetatable({}, { __mode = "k" })
 
-local this_file = getinfo and getinfo(1, "S").short_src
-local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
+local define
 
--- Notes the line that called a constructor, `level` functions up. A tail call has left
--- no line; then the level is another's.
-local function note_caller(t, level)
-  if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
-  local caller = getinfo(level + 1, "Sl")
-  if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-    local file = caller.source:match("^@(.*)") or caller.short_src -- which is cut to 60
-    made_at[t] = file .. ":" .. caller.currentline
-  end
-end
+do
+  local this_file = getinfo and getinfo(1, "S").short_src
+  local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
--- A metatable for elements that inherit from `base`, a state or transition.
-local function heir_class(base)
-  local class = getmetatable(base)
-  return {
-    rfsm = class.rfsm, type = class.type, new = class.new, __index = base,
-    __tostring = class.__tostring,
-  }
-end
-
--- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from base.
-local function define(class, name)
-  local function mark(base, t, level)
-    if type(t) ~= "table" then
-      error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
+  -- Notes the line that called a constructor, `level` functions up. A tail call has
+  -- left no line; then the level is another's.
+  local function note_caller(t, level)
+    if not getinfo then return end
+    if knows_tail_calls and getinfo(level, "t").istailcall then return end
+    local caller = getinfo(level + 1, "Sl")
+    if caller and caller.currentline > 0 and caller.short_src ~= this_file then
+      local file = caller.source:match("^@(.*)") or caller.short_src -- cut to 60
+      made_at[t] = file .. ":" .. caller.currentline
     end
-    if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
-    note_caller(t, level + 1)
-    return setmetatable(t, base == class and class or heir_class(base))
   end
-  class.__index = class
-  function class.new(base, t) return (mark(base, t, 2)) end
-  function class.type() return class.rfsm end
-  return setmetatable(class, { __call = function(_, t) return (mark(class, t, 2)) end })
+
+  -- A metatable for elements that inherit from `base`, a state or transition.
+  local function heir_class(base)
+    local class = getmetatable(base)
+    return {
+      rfsm = class.rfsm, type = class.type, new = class.new, __index = base,
+      __tostring = class.__tostring,
+    }
+  end
+
+  -- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from
+  -- base.
+  function define(class, name)
+    local function mark(base, t, level)
+      if type(t) ~= "table" then
+        error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
+      end
+      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
+      note_caller(t, level + 1)
+      return setmetatable(t, base == class and class or heir_class(base))
+    end
+    class.__index = class
+    function class.new(base, t) return (mark(base, t, 2)) end
+    function class.type() return class.rfsm end
+    return setmetatable(class, {
+      __call = function(_, t) return (mark(class, t, 2)) end,
+    })
+  end
 end
 
 --- Mark a table as a state.
@@ -187,7 +193,6 @@ function rfsm.is_node(value)
 end
 
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
-local is_trans = rfsm.is_trans
 
 local function has_nodes(state)
   for key, value in pairs(state) do -- any order: one node decides
@@ -434,105 +439,12 @@ local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
   transition = { guard = true, effect = true },
 }
-local CONSTRUCTORS = { [State] = "state", [Transition] = "trans", [Connector] = "conn" }
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
-local ROOT_FIELDS = {}
-for i = 1, 4 do ROOT_FIELDS[HOOKS[i]], ROOT_FIELDS[PRINTERS[i]] = true, true end
-
--- The engine's own fields that anybody may read: never taken for the user's data.
-local API_FIELDS = {}
-for name in ("_act_leaf _actchild _curq _doo_co _fqn _fsm _id _initialized _intq _mode "
-  .. "_otrs _parent"):gmatch("%S+") do
-  API_FIELDS[name] = true
-end
 
 local function check_callable(build, def, field, value)
   if value and not is_callable(value) then
     add(build.problems, def, field, "function expected, " .. got(value))
-  end
-end
-
--- A node needs a name that a reference can spell and that is no field of its parent.
-local function check_name(build, def)
-  local name, parent = def.id, def.parent
-  if type(name) ~= "string" then
-    add(build.problems, def, nil, "a %s needs a name (name = ...)", def.kind)
-  elseif name == "" or name:find("[.\\]") or is_meta(name) then
-    add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' or "
-      .. "'\\' or start with '_'", def.kind)
-  elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
-    add(build.problems, def, nil, "a %s cannot have this name, it is a field of every "
-      .. (CALLBACKS.state[name] and "state" or "root"), def.kind)
-  elseif name == "initial" and def.kind ~= "connector" then
-    add(build.problems, def, nil, "connector expected, got %s", def.kind)
-  end
-end
-
--- Returns the events of a transition as a list of its own: a list of anything but NaN
--- without holes, or one string. False when there are none.
-local function check_events(build, def, events)
-  if not events then return false end
-  if type(events) == "string" then events = { events } end
-  if type(events) ~= "table" or getmetatable(events) ~= nil then
-    add(build.problems, def, "events", "list of events or a string expected, "
-      .. got(events))
-    return false
-  end
-  local list, count = {}, 0
-  for _ in pairs(events) do count = count + 1 end -- any order: only counted
-  for i = 1, count do
-    local event = events[i]
-    if event == nil then
-      add(build.problems, def, "events", "list of events expected, got a table with "
-        .. "holes or keys")
-      return false
-    elseif event ~= event then
-      add(build.problems, def, "events[" .. i .. "]", "an event cannot be NaN")
-    end
-    list[i] = event
-  end
-  return count > 0 and list
-end
-
--- Warns of a plain table that looks like a state or transition somebody forgot to mark.
-local function check_plain_table(build, def, key, t)
-  local form = rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil and "trans"
-  for _, value in pairs(t) do -- any order: one element decides
-    if not form and (is_node(value) or is_trans(value)) then form = "state" end
-  end
-  if not form then return end
-  local what = form == "trans" and "has 'src' and 'tgt'"
-    or "contains states or transitions"
-  add(build.warnings, def, text_of(key),
-    "a plain table that %s is ignored (did you mean rfsm.%s{...}?)", what, form)
-end
-
--- Warns of a field that looks like one of the library's in other words.
-local function check_unknown_field(build, def, key, value)
-  if def.kind ~= "transition" and not is_callable(value) then return end
-  local meant = def.kind == "transition" and key == "event" and "events"
-    or advise("field_meant", def.parent == def and "root" or def.kind, key)
-  if meant ~= "" and def.model[meant] == nil then
-    add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
-      def.kind, key, meant)
-  end
-end
-
--- Warns of what would be taken for the user's data, and is more likely a mistake.
-local function check_datum(build, def, key, value)
-  local name = CONSTRUCTORS[value]
-  if type(value) == "table" and getmetatable(value) == nil then
-    check_plain_table(build, def, key, value)
-  end
-  if name then
-    add(build.warnings, def, text_of(key), "rfsm.%s is not called (rfsm.%s{...})", name,
-      name)
-  elseif def.kind == "connector" and (CALLBACKS.state[key]
-    or CALLBACKS.transition[key]) then
-    add(build.warnings, def, key, "a connector has no %s, this one is ignored", key)
-  elseif type(key) == "string" and not is_meta(key) then
-    check_unknown_field(build, def, key, value)
   end
 end
 
@@ -549,6 +461,103 @@ end
 local clone_below, new_node, new_transition
 
 do
+  local CONSTRUCTORS = {
+    [State] = "state", [Transition] = "trans", [Connector] = "conn",
+  }
+  local ROOT_FIELDS = {}
+  for i = 1, 4 do ROOT_FIELDS[HOOKS[i]], ROOT_FIELDS[PRINTERS[i]] = true, true end
+
+  -- The engine's own fields that anybody may read: never taken for the user's data.
+  local API_FIELDS = {}
+  for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
+    .. "parent"):gmatch("%S+") do
+    API_FIELDS["_" .. name] = true
+  end
+
+  -- A node needs a name that a reference can spell and that is no field of its parent.
+  local function check_name(build, def)
+    local name, parent = def.id, def.parent
+    if type(name) ~= "string" then
+      add(build.problems, def, nil, "a %s needs a name (name = ...)", def.kind)
+    elseif name == "" or name:find("[.\\]") or is_meta(name) then
+      add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' "
+        .. "or '\\' or start with '_'", def.kind)
+    elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
+      add(build.problems, def, nil, "a %s cannot have this name, it is a field of "
+        .. "every " .. (CALLBACKS.state[name] and "state" or "root"), def.kind)
+    elseif name == "initial" and def.kind ~= "connector" then
+      add(build.problems, def, nil, "connector expected, got %s", def.kind)
+    end
+  end
+
+  -- Returns the events of a transition as a list of its own: a list of anything but NaN
+  -- without holes, or one string. False when there are none.
+  local function check_events(build, def, events)
+    if not events then return false end
+    if type(events) == "string" then events = { events } end
+    if type(events) ~= "table" or getmetatable(events) ~= nil then
+      add(build.problems, def, "events", "list of events or a string expected, "
+        .. got(events))
+      return false
+    end
+    local list, count = {}, 0
+    for _ in pairs(events) do count = count + 1 end -- any order: only counted
+    for i = 1, count do
+      local event = events[i]
+      if event == nil then
+        add(build.problems, def, "events", "list of events expected, got a table with "
+          .. "holes or keys")
+        return false
+      elseif event ~= event then
+        add(build.problems, def, "events[" .. i .. "]", "an event cannot be NaN")
+      end
+      list[i] = event
+    end
+    return count > 0 and list
+  end
+
+  -- Warns of a plain table that looks like a state or transition somebody forgot to
+  -- mark.
+  local function check_plain_table(build, def, key, t)
+    local form = rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil and "trans"
+    for _, value in pairs(t) do -- any order: one element decides
+      if not form and rfsm.is_fsmobj(value) then form = "state" end
+    end
+    if not form then return end
+    local what = form == "trans" and "has 'src' and 'tgt'"
+      or "contains states or transitions"
+    add(build.warnings, def, text_of(key),
+      "a plain table that %s is ignored (did you mean rfsm.%s{...}?)", what, form)
+  end
+
+  -- Warns of a field that looks like one of the library's in other words.
+  local function check_unknown_field(build, def, key, value)
+    if def.kind ~= "transition" and not is_callable(value) then return end
+    local meant = def.kind == "transition" and key == "event" and "events"
+      or advise("field_meant", def.parent == def and "root" or def.kind, key)
+    if meant ~= "" and def.model[meant] == nil then
+      add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
+        def.kind, key, meant)
+    end
+  end
+
+  -- Warns of what would be taken for the user's data, and is more likely a mistake.
+  local function check_datum(build, def, key, value)
+    local name = CONSTRUCTORS[value]
+    if type(value) == "table" and getmetatable(value) == nil then
+      check_plain_table(build, def, key, value)
+    end
+    if name then
+      add(build.warnings, def, text_of(key), "rfsm.%s is not called (rfsm.%s{...})",
+        name, name)
+    elseif def.kind == "connector" and (CALLBACKS.state[key]
+      or CALLBACKS.transition[key]) then
+      add(build.warnings, def, key, "a connector has no %s, this one is ignored", key)
+    elseif type(key) == "string" and not is_meta(key) then
+      check_unknown_field(build, def, key, value)
+    end
+  end
+
   -- Returns the fields of a model element; those of an heir with what it inherits,
   -- which is callbacks and data, no nodes and transitions.
   local function fields_of(model)
@@ -1000,15 +1009,6 @@ local function copy_plan(plan)
   return copy
 end
 
--- The plans of models, kept by their machines; the latest one in any case, for programs
--- that drop each machine before they make the next.
-local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
-
-local function note_plan(model, plan)
-  plans[model], latest_plan = plan, plan
-  return latest_plan
-end
-
 local make_trail, is_current
 
 do
@@ -1239,32 +1239,36 @@ end
 -- asks for it instead of for each of them. The other flags say what is there; they may
 -- be set too long, never too short.
 
--- Prints any values, tab separated: to stderr where there is one, or with the `print`
--- of the moment.
-local function print_line(stream, ...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  local line, io = concat(texts, "\t"), rawget(_G, "io")
-  if stream and io and io[stream] then
-    io[stream]:write(line, "\n")
-  else
-    rawget(_G, "print")(line)
+local DEFAULT_PRINTER, printer_of
+
+do
+  -- Prints any values, tab separated: to stderr where there is one, or with the `print`
+  -- of the moment.
+  local function print_line(stream, ...)
+    local texts = {}
+    for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
+    local line, io = concat(texts, "\t"), rawget(_G, "io")
+    if stream and io and io[stream] then
+      io[stream]:write(line, "\n")
+    else
+      rawget(_G, "print")(line)
+    end
   end
-end
 
-local function to_stdout(...) print_line(nil, ...) end
+  local function to_stdout(...) print_line(nil, ...) end
 
-local function to_stderr(...) print_line("stderr", ...) end
+  local function to_stderr(...) print_line("stderr", ...) end
 
-local DEFAULT_PRINTER = {
-  dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
-}
+  DEFAULT_PRINTER = {
+    dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
+  }
 
--- Returns the function that a printer field means: true prints, false is silent.
-local function printer_of(fsm, name)
-  local printer = fsm[name]
-  if printer == nil then return DEFAULT_PRINTER[name] end
-  return printer == true and to_stdout or printer or silent
+  -- Returns the function that a printer field means: true prints, false is silent.
+  function printer_of(fsm, name)
+    local printer = fsm[name]
+    if printer == nil then return DEFAULT_PRINTER[name] end
+    return printer == true and to_stdout or printer or silent
+  end
 end
 
 --- Keep an error until the iteration is over, for extensions; the first one counts.
@@ -1337,7 +1341,7 @@ local quick, quick_code
 
 -- How many parameters a function has, as far as straight code can tell: one that has
 -- none for the events cannot keep them.
-local parameters_of = setmetatable({}, { __index = function() return huge end })
+local parameters_of = setmetatable({}, { __index = function() return math.huge end })
 
 -- The events table was handed to a function that may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
@@ -1411,7 +1415,7 @@ end
 
 -- Choose: which transition do the events enable? .................................
 
-local choose, enabled, enabled_with, find_transition, matches, path_text, search
+local choose, enabled, enabled_with, find_transition, matches, search
 local warn_of_conflict
 
 do
@@ -1511,10 +1515,10 @@ do
 
   -- The same on a stack of its own. A guard that yields there does not enable.
   local function choose_way_aside(fsm, connector, events)
-    local co = create(choose_way)
-    local ok, way = resume(co, fsm, connector, events, 1)
+    local co = coroutine.create(choose_way)
+    local ok, way = coroutine.resume(co, fsm, connector, events, 1)
     if not ok then error(way, 0) end
-    return status(co) == "dead" and way
+    return coroutine.status(co) == "dead" and way
   end
 
   -- Returns the way out of a connector, or false; it is chosen once a search. While it
@@ -1565,9 +1569,218 @@ do
     if fsm._plan ~= plan then return choose(fsm, events) end
     return def
   end
+end
+
+-- Take: leave, effect, enter ......................................................
+--
+-- One protected call runs a whole path. When a callback in it fails, or an interrupt
+-- strikes, where the machine stands says how far it came, and the rest is run from
+-- there: see `resume_segment`.
+
+local call_alone, complete, enter_machine, finish_exit, recover, resume_segment
+local run_parts, take
+
+do
+  -- What follows when the exit of `state` has run.
+  function finish_exit(fsm, state, hooks)
+    run_state_hooks(fsm, state, hooks)
+    if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
+    if state._doo_co then state._doo_co = nil end
+    if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
+  end
+
+  -- A leaf has done its work.
+  function complete(fsm, leaf)
+    local queue, event = fsm._intq, leaf["_%def"].done_event
+    leaf._mode = "done"
+    if fsm._is_traced then trace(fsm, "RAISED", event) end
+    queue[#queue + 1] = event
+  end
+
+  -- What follows when the entry of `state` has run.
+  local function finish_entry(fsm, state, def)
+    if def.is_leaf then
+      fsm._act_leaf = state
+      if not state.doo then complete(fsm, state) end
+    end
+    if fsm._is_traced then trace(fsm, "STATE_ENTER", state._fqn) end
+  end
+
+  local function leave(fsm, state)
+    local exit, parent = state.exit, state._parent
+    state._mode, parent._actchild = "inactive", nil
+    if exit then exit(fsm, state, "exit") end
+    finish_exit(fsm, state, fsm._exit_hooks)
+  end
+
+  local function enter(fsm, state, def)
+    state._mode, state._parent._actchild = "active", state
+    run_state_hooks(fsm, state, fsm._entry_hooks)
+    local entry = state.entry
+    if entry then entry(fsm, state, "entry") end
+    finish_entry(fsm, state, def)
+  end
+
+  local function trace_exits(fsm, def)
+    if def.is_internal then return end
+    local outermost = def.src
+    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+      outermost = outermost.parent
+    end
+    trace(fsm, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+      def.lca.fqn)
+  end
+
+  local function trace_entries(fsm, def)
+    if def.is_internal then return end
+    local names, node = {}, def.tgt
+    while node ~= def.lca do
+      names[#names + 1], node = node.fqn, node.parent
+    end
+    trace(fsm, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ",
+      concat(names, " > "))
+  end
+
+  local function run_effect(fsm, def)
+    local tr = fsm._transitions[def.index]
+    if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
+    local effect = tr.effect
+    if not effect then return end
+    if parameters_of[effect] > 3 then keep_events(fsm) end
+    effect(fsm, tr, "effect", fsm._curq)
+  end
+
+  -- The parts of the segment `def`: (a) leaves the states from `state` up to the lca,
+  -- (b) runs the effect, (c) enters the states from number `first` on. 0 stands for all
+  -- of it.
+  function run_parts(fsm, def, state, first)
+    local nodes = fsm._nodes
+    local lca = nodes[def.lca.index]
+    if first == 0 then
+      while state ~= lca do
+        leave(fsm, state)
+        state = state._parent
+      end
+      fsm._from = false
+      run_effect(fsm, def)
+      first = 1
+    end
+    if first == 1 and fsm._is_traced then trace_entries(fsm, def) end
+    for i = first, #def.entries do
+      enter(fsm, nodes[def.entries[i].index], def.entries[i])
+    end
+  end
+
+  -- Takes the segment that the machine has noted, beginning at the state `from`.
+  function run_segment(fsm, from)
+    local def = fsm._segment
+    if fsm._is_traced then trace_exits(fsm, def) end
+    if def.is_internal then from = fsm._nodes[def.lca.index] end
+    run_parts(fsm, def, from, 0)
+  end
+
+  -- Takes the segment `def` from the active state `from`, then those that the search
+  -- chose behind it. It calls itself where a loop would keep LuaJIT from making one
+  -- trace of it. `run` names the way: "run", "run_hooked" or "run_traced".
+  local function run_path(fsm, def, from, run)
+    fsm._from = from
+    fsm._segment = def
+    def[run](fsm, from, fsm._transitions[def.index])
+    local connector = def.connector
+    if not connector then return end
+    if fsm._is_traced then run = "run_traced" end
+    return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index], run)
+  end
+
+  -- The number of a node among definitions, which may be those of an older plan.
+  local function number_of(node, defs)
+    for i = 1, #defs do
+      if defs[i].index == node["_%def"].index then return i end
+    end
+  end
+
+  -- Returns which callback was called last when the segment `def` ended early: its
+  -- name, its state, and the number of the entry. "begin": none yet; nil: all have
+  -- been.
+  local function find_callback(fsm, def)
+    local inner, state = innermost(fsm), fsm._from
+    if def.is_internal then return "effect", inner end
+    if state then
+      if state == inner then return "begin", state end
+      while state._parent ~= inner and state ~= fsm do state = state._parent end
+      return state ~= fsm and "exit" or nil, state
+    elseif inner == fsm._nodes[def.lca.index] then
+      return "effect", inner
+    end
+    local number = number_of(inner, def.entries)
+    return number and not fsm._act_leaf and "entry" or nil, inner, number
+  end
+
+  -- No callback is under way: does what is left of the segment.
+  local function redo(fsm, def, what, state)
+    if what then return run_parts(fsm, def, state, 0) end
+    local leaf = fsm._act_leaf
+    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
+  end
+
+  -- What follows the callback that was called last, and the rest of the segment.
+  local function go_on(fsm, def, what, state, number)
+    if what == "exit" then
+      state._mode = "inactive"
+      finish_exit(fsm, state, fsm._exit_hooks)
+      return run_parts(fsm, def, state._parent, 0)
+    elseif what == "entry" then
+      state._mode = "active"
+      finish_entry(fsm, state, def.entries[number])
+    end
+    return run_parts(fsm, def, state, (number or 0) + 1)
+  end
+
+  -- Runs the rest of the segment that is under way, after the callback that was called
+  -- last; that one may have failed.
+  function resume_segment(fsm, has_failed, failure)
+    local def = fsm._segment
+    local what, state, number = find_callback(fsm, def)
+    if not what or what == "begin" then
+      if has_failed then keep_failure(fsm, failure) end
+      return redo(fsm, def, what, state)
+    end
+    local owner = what == "effect" and fsm._transitions[def.index] or state
+    if has_failed and not owner[what] then
+      keep_failure(fsm, failure)
+    elseif has_failed then
+      local name = what == "effect" and tostring(owner) or state._fqn
+      report_callback(fsm, what, name, failure)
+    end
+    return go_on(fsm, def, what, state, number)
+  end
+
+  local function resume_path(fsm, has_failed, failure)
+    resume_segment(fsm, has_failed, failure)
+    local connector = fsm._segment.connector
+    if not connector then return end
+    return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
+      "run_traced")
+  end
+
+  -- Goes on after a failure until the path is at its end. Each failure comes from
+  -- further on in the path than the one before.
+  function recover(fsm, has_failed, failure)
+    local ok, def, from, inner
+    keep_events(fsm)
+    repeat
+      def, from, inner = fsm._segment, fsm._from, innermost(fsm)
+      ok, failure = pcall(resume_path, fsm, has_failed, failure)
+      if not ok and def == fsm._segment and from == fsm._from
+        and inner == innermost(fsm) then
+        error(failure, 0)
+      end
+      has_failed = true
+    until ok
+  end
 
   -- root.a[LS]->root.k[c]->root.b[LS]
-  function path_text(fsm, def)
+  local function path_text(fsm, def)
     local function text(node)
       return ("%s[%s]"):format(node.fqn, rfsm.fsmobj_tochar(fsm._nodes[node.index]))
     end
@@ -1578,260 +1791,59 @@ do
     end
     return concat(texts, "->")
   end
-end
 
--- Take: leave, effect, enter ......................................................
---
--- One protected call runs a whole path. When a callback in it fails, or an interrupt
--- strikes, where the machine stands says how far it came, and the rest is run from
--- there: see `resume_segment`.
-
--- What follows when the exit of `state` has run.
-local function finish_exit(fsm, state, hooks)
-  run_state_hooks(fsm, state, hooks)
-  if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
-  if state._doo_co then state._doo_co = nil end
-  if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
-end
-
--- A leaf has done its work.
-local function complete(fsm, leaf)
-  local queue, event = fsm._intq, leaf["_%def"].done_event
-  leaf._mode = "done"
-  if fsm._is_traced then trace(fsm, "RAISED", event) end
-  queue[#queue + 1] = event
-end
-
--- What follows when the entry of `state` has run.
-local function finish_entry(fsm, state, def)
-  if def.is_leaf then
-    fsm._act_leaf = state
-    if not state.doo then complete(fsm, state) end
-  end
-  if fsm._is_traced then trace(fsm, "STATE_ENTER", state._fqn) end
-end
-
-local function leave(fsm, state)
-  local exit, parent = state.exit, state._parent
-  state._mode, parent._actchild = "inactive", nil
-  if exit then exit(fsm, state, "exit") end
-  finish_exit(fsm, state, fsm._exit_hooks)
-end
-
-local function enter(fsm, state, def)
-  state._mode, state._parent._actchild = "active", state
-  run_state_hooks(fsm, state, fsm._entry_hooks)
-  local entry = state.entry
-  if entry then entry(fsm, state, "entry") end
-  finish_entry(fsm, state, def)
-end
-
-local function trace_exits(fsm, def)
-  if def.is_internal then return end
-  local outermost = def.src
-  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-    outermost = outermost.parent
-  end
-  trace(fsm, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
-    def.lca.fqn)
-end
-
-local function trace_entries(fsm, def)
-  if def.is_internal then return end
-  local names, node = {}, def.tgt
-  while node ~= def.lca do
-    names[#names + 1], node = node.fqn, node.parent
-  end
-  trace(fsm, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", concat(names, " > "))
-end
-
-local function run_effect(fsm, def)
-  local tr = fsm._transitions[def.index]
-  if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
-  local effect = tr.effect
-  if not effect then return end
-  if parameters_of[effect] > 3 then keep_events(fsm) end
-  effect(fsm, tr, "effect", fsm._curq)
-end
-
--- The parts of the segment `def`: (a) leaves the states from `state` up to the lca, (b)
--- runs the effect, (c) enters the states from number `first` on. 0 stands for all of
--- it.
-local function run_parts(fsm, def, state, first)
-  local nodes = fsm._nodes
-  local lca = nodes[def.lca.index]
-  if first == 0 then
-    while state ~= lca do
-      leave(fsm, state)
-      state = state._parent
+  -- Takes the path that starts with `def` in the active state `from`.
+  function take(fsm, def, from)
+    local run = fsm._run
+    if fsm._is_traced then
+      trace(fsm, "EXEC_PATH", path_text(fsm, def))
+      run = "run_traced"
+    elseif from._actchild or from._mode == "inactive" then
+      run = "run_traced" -- a guard has moved the machine
     end
-    fsm._from = false
-    run_effect(fsm, def)
-    first = 1
+    fsm._from = from
+    fsm._segment = def
+    local ok, failure = pcall(run_path, fsm, def, from, run)
+    if not ok then recover(fsm, true, failure) end
   end
-  if first == 1 and fsm._is_traced then trace_entries(fsm, def) end
-  for i = first, #def.entries do
-    enter(fsm, nodes[def.entries[i].index], def.entries[i])
+
+  -- Takes a segment for the first time.
+  function run_warily(fsm, from)
+    local def, run = fsm._segment, fsm._run
+    if quick then def[run] = quick.segment(def, run == "run_hooked") end
+    return run_segment(fsm, from)
   end
-end
 
--- Takes the segment that the machine has noted, beginning at the state `from`.
-function run_segment(fsm, from)
-  local def = fsm._segment
-  if fsm._is_traced then trace_exits(fsm, def) end
-  if def.is_internal then from = fsm._nodes[def.lca.index] end
-  run_parts(fsm, def, from, 0)
-end
-
--- Takes the segment `def` from the active state `from`, then those that the search
--- chose behind it. It calls itself where a loop would keep LuaJIT from making one trace
--- of it. `run` names the way: "run", "run_hooked" or "run_traced".
-local function run_path(fsm, def, from, run)
-  fsm._from = from
-  fsm._segment = def
-  def[run](fsm, from, fsm._transitions[def.index])
-  local connector = def.connector
-  if not connector then return end
-  if fsm._is_traced then run = "run_traced" end
-  return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index], run)
-end
-
--- The number of a node among definitions, which may be those of an older plan.
-local function number_of(node, defs)
-  for i = 1, #defs do
-    if defs[i].index == node["_%def"].index then return i end
+  -- Calls a callback outside of a transition.
+  function call_alone(fsm, state, what)
+    local callback = state[what]
+    if not callback then return end
+    local ok, failure = pcall(callback, fsm, state, what)
+    if not ok then report_callback(fsm, what, state._fqn, failure) end
   end
-end
 
--- Returns which callback was called last when the segment `def` ended early: its name,
--- its state, and the number of the entry. "begin": none yet; nil: all have been.
-local function find_callback(fsm, def)
-  local inner, state = innermost(fsm), fsm._from
-  if def.is_internal then return "effect", inner end
-  if state then
-    if state == inner then return "begin", state end
-    while state._parent ~= inner and state ~= fsm do state = state._parent end
-    return state ~= fsm and "exit" or nil, state
-  elseif inner == fsm._nodes[def.lca.index] then
-    return "effect", inner
+  local function enter_root(fsm)
+    fsm._mode = "active"
+    run_state_hooks(fsm, fsm, fsm._entry_hooks)
+    call_alone(fsm, fsm, "entry")
+    finish_entry(fsm, fsm, fsm._plan.nodes[1])
   end
-  local number = number_of(inner, def.entries)
-  return number and not fsm._act_leaf and "entry" or nil, inner, number
-end
 
--- No callback is under way: does what is left of the segment.
-local function redo(fsm, def, what, state)
-  if what then return run_parts(fsm, def, state, 0) end
-  local leaf = fsm._act_leaf
-  if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
-end
-
--- What follows the callback that was called last, and the rest of the segment.
-local function go_on(fsm, def, what, state, number)
-  if what == "exit" then
-    state._mode = "inactive"
-    finish_exit(fsm, state, fsm._exit_hooks)
-    return run_parts(fsm, def, state._parent, 0)
-  elseif what == "entry" then
-    state._mode = "active"
-    finish_entry(fsm, state, def.entries[number])
-  end
-  return run_parts(fsm, def, state, (number or 0) + 1)
-end
-
--- Runs the rest of the segment that is under way, after the callback that was called
--- last; that one may have failed.
-local function resume_segment(fsm, has_failed, failure)
-  local def = fsm._segment
-  local what, state, number = find_callback(fsm, def)
-  if not what or what == "begin" then
-    if has_failed then keep_failure(fsm, failure) end
-    return redo(fsm, def, what, state)
-  end
-  local owner = what == "effect" and fsm._transitions[def.index] or state
-  if has_failed and not owner[what] then
-    keep_failure(fsm, failure)
-  elseif has_failed then
-    local name = what == "effect" and tostring(owner) or state._fqn
-    report_callback(fsm, what, name, failure)
-  end
-  return go_on(fsm, def, what, state, number)
-end
-
-local function resume_path(fsm, has_failed, failure)
-  resume_segment(fsm, has_failed, failure)
-  local connector = fsm._segment.connector
-  if not connector then return end
-  return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
-    "run_traced")
-end
-
--- Goes on after a failure until the path is at its end. Each failure comes from further
--- on in the path than the one before.
-local function recover(fsm, has_failed, failure)
-  local ok, def, from, inner
-  keep_events(fsm)
-  repeat
-    def, from, inner = fsm._segment, fsm._from, innermost(fsm)
-    ok, failure = pcall(resume_path, fsm, has_failed, failure)
-    if not ok and def == fsm._segment and from == fsm._from
-      and inner == innermost(fsm) then
-      error(failure, 0)
+  -- First entry: the root, then the path from its `initial`; false when none is
+  -- enabled.
+  function enter_machine(fsm, events)
+    local root = fsm._plan.nodes[1]
+    if root.is_leaf then
+      enter_root(fsm)
+      return true
     end
-    has_failed = true
-  until ok
-end
-
--- Takes the path that starts with `def` in the active state `from`.
-local function take(fsm, def, from)
-  local run = fsm._run
-  if fsm._is_traced then
-    trace(fsm, "EXEC_PATH", path_text(fsm, def))
-    run = "run_traced"
-  elseif from._actchild or from._mode == "inactive" then
-    run = "run_traced" -- a guard has moved the machine
-  end
-  fsm._from = from
-  fsm._segment = def
-  local ok, failure = pcall(run_path, fsm, def, from, run)
-  if not ok then recover(fsm, true, failure) end
-end
-
--- Takes a segment for the first time.
-function run_warily(fsm, from)
-  local def, run = fsm._segment, fsm._run
-  if quick then def[run] = quick.segment(def, run == "run_hooked") end
-  return run_segment(fsm, from)
-end
-
--- Calls a callback outside of a transition.
-local function call_alone(fsm, state, what)
-  local callback = state[what]
-  if not callback then return end
-  local ok, failure = pcall(callback, fsm, state, what)
-  if not ok then report_callback(fsm, what, state._fqn, failure) end
-end
-
-local function enter_root(fsm)
-  fsm._mode = "active"
-  run_state_hooks(fsm, fsm, fsm._entry_hooks)
-  call_alone(fsm, fsm, "entry")
-  finish_entry(fsm, fsm, fsm._plan.nodes[1])
-end
-
--- First entry: the root, then the path from its `initial`; false when none is enabled.
-local function enter_machine(fsm, events)
-  local root = fsm._plan.nodes[1]
-  if root.is_leaf then
+    fsm._search = fsm._search + 1
+    local def = find_transition(fsm, root.members.initial, events)
+    if not def then return false end
     enter_root(fsm)
+    take(fsm, def, fsm)
     return true
   end
-  fsm._search = fsm._search + 1
-  local def = find_transition(fsm, root.members.initial, events)
-  if not def then return false end
-  enter_root(fsm)
-  take(fsm, def, fsm)
-  return true
 end
 
 -- Doo ............................................................................
@@ -1839,6 +1851,8 @@ end
 local run_doo
 
 do
+  local create, resume = coroutine.create, coroutine.resume
+
   -- Comes back from a doo's coroutine at its end, before what the doo returned.
   local function ENDED() end
 
@@ -2033,7 +2047,8 @@ do
   function is_stepping(fsm)
     if not fsm._segment then return false end
     local co = fsm._act_leaf and fsm._act_leaf._doo_co
-    if co and (status(co) == "running" or status(co) == "normal") then return true end
+    local status = co and coroutine.status(co)
+    if status == "running" or status == "normal" then return true end
     if not getinfo then return fsm._segment ~= false end
     local level, info = 3, getinfo(3, "f")
     while info do
@@ -2101,25 +2116,17 @@ do
   end
 end
 
-local function hibernate(fsm)
-  if not fsm._is_traced then return true end
-  trace(fsm, "HIBERNATING",
-    "no events, no idle_hook, no doos or doo idle, halting engines")
-  raise_failure(fsm)
-  return true
-end
-
 -- Goes on until `left` iterations were counted or the machine is idle; returns whether
 -- it is. `counted` and `idle` are what the iteration before returned.
 local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then
       left = left - 1
-      if left < 1 or left ~= left then return idle end -- NaN, too
+      if left < 1 then return idle end
     end
-    if idle then
-      local idle_hook = fsm.idle_hook
-      if not idle_hook then return hibernate(fsm) end
+    local idle_hook = idle and fsm.idle_hook
+    if idle and not idle_hook then break end
+    if idle_hook then
       if not is_callable(idle_hook) then
         error("rfsm.step: idle_hook: function expected, " .. got(idle_hook), 0)
       end
@@ -2127,7 +2134,12 @@ local function advance(fsm, left, counted, idle)
     end
     counted, idle = iterate(fsm, not counted)
   end
-  return false
+  if idle and fsm._is_traced then
+    trace(fsm, "HIBERNATING",
+      "no events, no idle_hook, no doos or doo idle, halting engines")
+    raise_failure(fsm)
+  end
+  return idle or false
 end
 
 -- Public functions --------------------------------------------------------------
@@ -2197,69 +2209,80 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. place_of(def, field)
 end
 
-local function new_build(plan)
-  return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
-end
+local build_plan, new_build, new_machine, plan_of
 
--- The user's data at the root that has the name of one of the machine's fields is left
--- out.
-local function drop_taken_names(build, root)
-  local taken, data = own_fields(), root.data
-  root.data = {}
-  for i = 1, #data, 2 do
-    local key = data[i]
-    if taken[key] ~= nil or is_meta(key) and OFF[key] ~= nil then
-      add(build.warnings, root, key, "the machine has a field of this name, this one "
-        .. "is ignored")
-    else
-      append(root.data, { key, data[i + 1] })
+do
+  -- The plans of models, kept by their machines; the latest one in any case, for
+  -- programs that drop each machine before they make the next.
+  local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
+
+  function new_build(plan)
+    return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
+  end
+
+  -- The user's data at the root that has the name of one of the machine's fields is
+  -- left out.
+  local function drop_taken_names(build, root)
+    local taken, data = own_fields(), root.data
+    root.data = {}
+    for i = 1, #data, 2 do
+      local key = data[i]
+      if taken[key] ~= nil or is_meta(key) and OFF[key] ~= nil then
+        add(build.warnings, root, key, "the machine has a field of this name, this one "
+          .. "is ignored")
+      else
+        append(root.data, { key, data[i + 1] })
+      end
     end
   end
-end
 
-local function check_root(build, root)
-  local model = root.model
-  for i = 1, 4 do
-    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
-    local printer = model[PRINTERS[i]]
-    if printer and printer ~= true and not is_callable(printer) then
-      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
-        .. got(printer))
+  local function check_root(build, root)
+    local model = root.model
+    for i = 1, 4 do
+      check_callable(build, root, HOOKS[i], model[HOOKS[i]])
+      local printer = model[PRINTERS[i]]
+      if printer and printer ~= true and not is_callable(printer) then
+        add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+          .. got(printer))
+      end
+    end
+    if not root.is_leaf and not root.members.initial then
+      add(build.problems, root, nil, "the root needs an initial transition "
+        .. "(rfsm.trans{ src='initial', tgt=... })")
     end
   end
-  if not root.is_leaf and not root.members.initial then
-    add(build.problems, root, nil, "the root needs an initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })")
+
+  -- Check, clone, resolve: all that can be said of a model without running anything.
+  function build_plan(model)
+    local build = new_build {
+      model = model, nodes = {}, transitions = {}, trail = false,
+    }
+    local root = new_node(build, "state", model, nil, "root")
+    clone_below(build, 1)
+    resolve(build, 1)
+    drop_taken_names(build, root)
+    check_root(build, root)
+    return build
   end
-end
 
--- Check, clone, resolve: all that can be said of a model without running anything.
-local function build_plan(model)
-  local build = new_build { model = model, nodes = {}, transitions = {}, trail = false }
-  local root = new_node(build, "state", model, nil, "root")
-  clone_below(build, 1)
-  resolve(build, 1)
-  drop_taken_names(build, root)
-  check_root(build, root)
-  return build
-end
+  -- Returns the plan of a model; nil and the problems of a model that can have none.
+  function plan_of(model)
+    local plan = plans[model]
+    if plan and is_current(plan) then return plan end
+    local build = build_plan(model)
+    if build.problems[1] then return nil, lines_of(build.problems) end
+    plan = compile(build.plan)
+    plan.trail = make_trail(plan)
+    plan.warnings, plan.created = build.warnings, build.created
+    plans[model], latest_plan = plan, plan
+    return latest_plan
+  end
 
--- Returns the plan of a model; nil and the problems of a model that can have none.
-local function plan_of(model)
-  local plan = plans[model]
-  if plan and is_current(plan) then return plan end
-  local build = build_plan(model)
-  if build.problems[1] then return nil, lines_of(build.problems) end
-  plan = compile(build.plan)
-  plan.trail = make_trail(plan)
-  plan.warnings, plan.created = build.warnings, build.created
-  return note_plan(model, plan)
-end
-
-local function new_machine(plan)
-  local fsm = own_fields()
-  fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
-  return make_elements(fsm, plan, 2, 1)
+  function new_machine(plan)
+    local fsm = own_fields()
+    fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
+    return make_elements(fsm, plan, 2, 1)
+  end
 end
 
 -- Printers become functions, also the wrong ones, which are reported; what is off is
@@ -2279,67 +2302,71 @@ local function prepare_fields(fsm)
   return fsm
 end
 
--- Prints the lines of a list, which are noted by location.
-local function report_lines(fsm, name, prefix, list)
-  if fsm[name] == silent then return end
-  local lines = lines_of(list)
-  for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
-end
+local report_created, report_dead_ends, report_findings
 
--- Warns of an `initial` that can be closed: then its composite cannot be entered.
-local function check_initial(found, def)
-  for _, tr in ipairs(def.otrs) do
-    if not (tr.events or tr.guard) then return end
+do
+  -- Prints the lines of a list, which are noted by location.
+  local function report_lines(fsm, name, prefix, list)
+    if fsm[name] == silent then return end
+    local lines = lines_of(list)
+    for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
   end
-  if def.id ~= "initial" or not def.otrs[1] then return end
-  add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
-    .. "be entered while none of them is enabled", def.parent.fqn)
-end
 
--- Warns of events such as e_after(1) that no extension has made its own.
-local function check_words(found, def)
-  for _, event in ipairs(def.events or {}) do
-    local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
-    if word then
-      add(found, def, "events", "no loaded extension knows '%s'%s", event,
-        advise("module_of", word))
+  -- Warns of an `initial` that can be closed: then its composite cannot be entered.
+  local function check_initial(found, def)
+    for _, tr in ipairs(def.otrs) do
+      if not (tr.events or tr.guard) then return end
+    end
+    if def.id ~= "initial" or not def.otrs[1] then return end
+    add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
+      .. "be entered while none of them is enabled", def.parent.fqn)
+  end
+
+  -- Warns of events such as e_after(1) that no extension has made its own.
+  local function check_words(found, def)
+    for _, event in ipairs(def.events or {}) do
+      local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
+      if word then
+        add(found, def, "events", "no loaded extension knows '%s'%s", event,
+          advise("module_of", word))
+      end
     end
   end
-end
 
--- Warns of what was found in the model, and in what the preproc functions made of it.
-local function report_findings(fsm, first_node, first_transition)
-  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-  for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
-  for i = first_transition, #plan.transitions do
-    check_words(found, plan.transitions[i])
+  -- Warns of what was found in the model, and in what the preproc functions made of it.
+  function report_findings(fsm, first_node, first_transition)
+    local plan, found = fsm._plan, append({}, fsm._plan.warnings)
+    for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
+    for i = first_transition, #plan.transitions do
+      check_words(found, plan.transitions[i])
+    end
+    report_lines(fsm, "warn", "WARNING: ", found)
   end
-  report_lines(fsm, "warn", "WARNING: ", found)
-end
 
--- Prints a line for each definition, sorted by FQN.
-local function report_each(fsm, name, form, defs)
-  if fsm[name] == silent then return end
-  local names = {}
-  for i, def in ipairs(defs) do names[i] = def.fqn end
-  sort(names, function(a, b) return natural(a) < natural(b) end)
-  for _, fqn in ipairs(names) do report(fsm, name, form:format(fqn)) end
-end
-
--- Warns of the nodes, from number `first` on, that nothing leaves.
-local function report_dead_ends(fsm, first)
-  local dead = {}
-  for i = first, #fsm._plan.nodes do
-    local def = fsm._plan.nodes[i]
-    local has_exit = def.otrs[1] or def.model.final or def.parent == def
-    if not has_exit then dead[#dead + 1] = def end
+  -- Prints a line for each definition, sorted by FQN.
+  local function report_each(fsm, name, form, defs)
+    if fsm[name] == silent then return end
+    local names = {}
+    for i, def in ipairs(defs) do names[i] = def.fqn end
+    sort(names, function(a, b) return natural(a) < natural(b) end)
+    for _, fqn in ipairs(names) do report(fsm, name, form:format(fqn)) end
   end
-  report_each(fsm, "warn", "WARNING: no outgoing transitions from node '%s'", dead)
-  return dead[1] == nil
-end
 
-local function report_created(fsm, created)
-  report_each(fsm, "info", "INFO: created undeclared connector %s", created)
+  -- Warns of the nodes, from number `first` on, that nothing leaves.
+  function report_dead_ends(fsm, first)
+    local dead = {}
+    for i = first, #fsm._plan.nodes do
+      local def = fsm._plan.nodes[i]
+      local has_exit = def.otrs[1] or def.model.final or def.parent == def
+      if not has_exit then dead[#dead + 1] = def end
+    end
+    report_each(fsm, "warn", "WARNING: no outgoing transitions from node '%s'", dead)
+    return dead[1] == nil
+  end
+
+  function report_created(fsm, created)
+    report_each(fsm, "info", "INFO: created undeclared connector %s", created)
+  end
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
@@ -2558,11 +2585,17 @@ function rfsm.send_events(fsm, event, ...)
   if select("#", ...) > 0 then return queue_more(queue, ...) end
 end
 
--- Blames the caller for advancing a machine that is being advanced.
-local function check_between_steps(fsm, where)
-  if mend(fsm) then return end
+--- Raise an error that blames the caller's caller while a step is under way, for
+-- extensions. A step that was cut short is finished.
+---@param fsm rfsm.Machine
+---@param where string the public function
+function rfsm.check_between_steps(fsm, where)
+  check_machine(fsm, where, 4)
+  if not fsm._segment or mend(fsm) then return end
   error(where .. ": the machine is in the middle of a step", 3)
 end
+
+local check_between_steps = rfsm.check_between_steps
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
@@ -2583,7 +2616,7 @@ function rfsm.step(fsm, n)
   elseif type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  return advance(fsm, n, iterate(fsm, false))
+  return advance(fsm, n == n and n or 1, iterate(fsm, false)) -- NaN is 1
 end
 
 --- Advance a machine until no event waits and no doo is busy.
@@ -2595,7 +2628,7 @@ function rfsm.run(fsm)
   local counted, idle = iterate(fsm, false) -- the usual two without a loop: one trace
   if counted and not idle then counted, idle = iterate(fsm, false) end
   if idle and fsm._is_plain and not fsm.idle_hook then return true end
-  return advance(fsm, huge, counted, idle)
+  return advance(fsm, math.huge, counted, idle)
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
@@ -2681,7 +2714,7 @@ function rfsm.mapfsm(f, fsm, pred, depth)
     end
   end
   if rfsm.is_root(fsm) and pred(fsm) then results[1] = f(fsm, fsm, "root") end
-  map_members(fsm, depth or huge)
+  map_members(fsm, depth or math.huge)
   return results
 end
 
@@ -2694,7 +2727,7 @@ end
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
   local function itself(element) return element end
-  if is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
+  if rfsm.is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
   local list = rfsm.mapfsm(itself, obj, pred)
   if not rfsm.is_root(obj) and (not pred or pred(obj)) then
     return append({ obj }, list)
@@ -2929,21 +2962,17 @@ function rfsm.snapshot_hook_add(fsm, name, save, load)
     { { name = name, save = save, load = load } })
 end
 
---- Raise an error that blames the caller's caller while a step is under way, for
--- extensions. A step that was cut short is finished.
-function rfsm.check_between_steps(fsm, where)
-  check_machine(fsm, where, 4)
-  if not fsm._segment or mend(fsm) then return end
-  error(where .. ": the machine is in the middle of a step", 3)
-end
-
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
-  rfsm.check_between_steps(fsm, "rfsm.place")
-  rfsm.reset(fsm)
-  if leaf then move_to(leaf, mode) end
-  fsm._intq = queue
+  check_between_steps(fsm, "rfsm.place")
+  if leaf then
+    move_to(leaf, mode)
+    run_hooks(fsm, fsm._reset_hooks)
+  else
+    reset_now(fsm)
+  end
+  fsm._intq, fsm._curq, fsm._reset_wanted = queue, {}, false
   check_plain(fsm)
 end
 
@@ -3001,7 +3030,7 @@ do
     for _, def in ipairs(plan.nodes) do
       build.mounts[def.model] = append(build.mounts[def.model] or {}, { def })
     end
-    if is_trans(obj) then
+    if rfsm.is_trans(obj) then
       new_transition(build, obj, parent, id)
       if parent.is_leaf then
         add(build.warnings, parent, nil, "a transition inside a leaf state")
@@ -3085,7 +3114,7 @@ do
     local parent_def = plan.nodes[parent["_%def"].index]
     local build = build_merge(plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
-    if is_trans(obj) and not plan.transitions[first_transition] then
+    if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
       append(build.problems, build.warnings) -- in a leaf, and leads nowhere
     end
     local problems = lines_of(build.problems)

@@ -1,4 +1,4 @@
---- The command line: `rfsm check`, `rfsm sim`, `rfsm viz`, `rfsm json` and others.
+--- The command line: `rfsm check`, `rfsm sim`, `rfsm viz`, `rfsm redis` and others.
 --
 -- Output of a chart while it is loaded goes to stderr, so that it is never part of a
 -- result.
@@ -15,13 +15,15 @@ local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
 local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
-local require, select = require, select
+local require, select, tonumber, type = require, select, tonumber, type
 local io, os = io, os
 local concat = table.concat
 local name_of = chart.name_of
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local cli = {}
+
+local PROTO_PORT = 44044 -- of rfsm.proto
 
 -- Streams: charts print to stderr ----------------------------------------------
 
@@ -33,7 +35,8 @@ local function print_to(stream)
   end
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`; returns what pcall does.
+-- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
+-- pcall.
 local function with_streams(stream, f, ...)
   local real_print, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -97,13 +100,18 @@ local function write(name, file, text)
   if not ok then fail(name, { problem }) end
 end
 
+-- The name of a chart in its picture.
+local function title_of(file)
+  return (name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
+end
+
 -- Encodes every chart before anything is written.
 local function encode_all(name, files, encode)
   local texts = {}
   for i, file in ipairs(files) do
     local fsm, problems = load_machine(file)
     if not fsm then fail(name, problems) end
-    local ok, text = with_streams(NOWHERE, encode, fsm, name_of(file))
+    local ok, text = with_streams(NOWHERE, encode, fsm, title_of(file))
     if not ok then fail(name, { chart.reason(file, text) }) end
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
@@ -120,59 +128,69 @@ end
 -- rfsm check --
 
 -- Ends the program with status 2 if a file cannot be read.
-local function check_readable(files)
+local function check_readable(name, files)
   for _, file in ipairs(files) do
     if file ~= "-" then
       local handle, problem = io.open(file)
-      if not handle then fail("check", { problem }, 2) end
+      if not handle then fail(name, { problem }, 2) end
       local text, why = handle:read(1) -- a directory opens, too
-      if not text and why then fail("check", { file .. ": " .. why }, 2) end
+      if not text and why then fail(name, { file .. ": " .. why }, 2) end
       handle:close()
     end
   end
 end
 
-local function append(lines, texts, file, kind)
-  for _, text in ipairs(texts) do
-    lines[#lines + 1] = file and chart.line(file, text, kind) or text
-  end
+local function append(lines, texts)
+  for _, text in ipairs(texts) do lines[#lines + 1] = text end
 end
 
--- Returns the problems and the warnings of the chart in a file.
-local function review(file)
+-- Appends lines about the chart in a file; returns the gravest severity.
+local function review(lines, file, has_notes)
+  local command = require("rfsm.checks.command")
+  local settings, problem = command.settings_for(file)
+  if not settings then fail("check", { problem }, 2) end
   local model, warnings = load_model(file)
-  if not model then return { warnings }, {} end
-  local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
-  if not ok then return { chart.reason(file, found) }, warnings end
-  local problems = {}
-  append(problems, found, file)
-  append(warnings, warned, file, "warning: ")
-  return problems, warnings
+  if not model then
+    append(lines, { warnings })
+    return "error"
+  end
+  local ok, findings = with_streams(NOWHERE, rfsm_checks.findings, model, settings)
+  if not ok then
+    append(lines, { chart.reason(file, findings) })
+    return "error"
+  end
+  local report, gravest = command.report(file, findings, warnings, has_notes)
+  append(lines, report)
+  return gravest
 end
 
 local check = {
   name = "check", summary = "Report problems and suspicious parts of charts.",
   epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
-    .. "line is wrong or a file cannot be read.",
+    .. "line is wrong or a file cannot be read. A file .rfsmcheck.lua sets severities.",
 }
+
+local function print_codes()
+  print((require("rfsm.checks.command").codes_text():gsub("\n$", "")))
+  os.exit(0)
+end
 
 function check.add_arguments(command)
   add_files(command)
+  command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
+  command:flag("--codes", "list the codes of findings and end"):action(print_codes)
 end
 
 function check.run(options)
-  check_readable(options.files)
+  check_readable("check", options.files)
   require("rfsm_timeevent") -- so that their events are known
   require("rfsm.await")
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local problems, warnings = review(file)
-    append(lines, problems)
-    append(lines, warnings)
-    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, file) end
-    if problems[1] or options.strict and warnings[1] then status = 1 end
+    local gravest = review(lines, file, options.all)
+    if gravest == "error" or options.strict and gravest then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end
   return status
@@ -241,16 +259,22 @@ end
 
 -- rfsm viz --
 
-local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid" }
-local IS_TEXT = { dot = true, plantuml = true, mermaid = true }
+local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid", "json" }
+local IS_TEXT = { dot = true, plantuml = true, mermaid = true, json = true }
 local BY_ENDING = {
   dot = "dot", gv = "dot", svg = "svg", png = "png", pdf = "pdf", puml = "plantuml",
-  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid",
+  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid", json = "json",
 }
 
 local viz = {
   name = "viz", summary = "Draw charts.", epilog = "Graphviz lays out the pictures.",
 }
+
+local function to_depth(text)
+  local depth = tonumber(text)
+  if depth and depth >= 1 and depth % 1 == 0 then return depth end
+  return nil, "depth: a whole number from 1 expected, got '" .. text .. "'"
+end
 
 function viz.add_arguments(command)
   add_files(command)
@@ -258,6 +282,48 @@ function viz.add_arguments(command)
     .. "; without it the ending of the output decides, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+  command:option("--active", "draw state FQN as active; may be given for each region")
+    :argname("FQN"):count("*")
+  command:option("--depth", "draw N levels of states"):argname("N"):convert(to_depth)
+  command:option("--coverage", "mark how often a run came to each place: JSON, as "
+    .. "rfsm_checks.coverage writes it"):argname("JSON")
+  command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "
+    .. "writes them"):argname("JSON")
+  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
+    :choices { "TB", "LR" }
+end
+
+-- Returns the JSON values in a file; a problem ends the program.
+local function read_values(file)
+  local handle, problem = io.open(file, "rb")
+  if not handle then fail("viz", { problem }) end
+  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
+  handle:close()
+  if not ok then fail("viz", { file .. ": " .. values }) end
+  return values
+end
+
+local function read_coverage(file)
+  local coverage = read_values(file)[1]
+  local is_coverage = type(coverage) == "table" and type(coverage.states) == "table"
+    and type(coverage.transitions) == "table"
+  if is_coverage then return coverage end
+  fail("viz", { file .. ": an object with \"states\" and \"transitions\" expected" })
+end
+
+-- Returns the places of a run: a record names a transition, or the leaf that is active
+-- after it.
+local function read_trace(file)
+  local trace, leaf = {}, nil
+  for _, record in ipairs(read_values(file)) do
+    if type(record) ~= "table" then record = { transition = record } end
+    trace[#trace + 1] = record.transition
+    if not record.m and record.leaf and record.leaf ~= leaf then
+      leaf = record.leaf
+      trace[#trace + 1] = leaf
+    end
+  end
+  return trace
 end
 
 -- Returns the format; nil and the problem of the command line.
@@ -279,8 +345,17 @@ end
 function viz.run(options, parser)
   local format, problem = find_format(options)
   if not format then parser:error(problem) end
-  local encode = require("rfsm." .. (IS_TEXT[format] and format or "dot")).encode
-  local result = concat(encode_all("viz", options.files, encode))
+  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local looks = {
+    depth = options.depth, direction = options.direction,
+    active = options.active[1] and options.active,
+    coverage = options.coverage and read_coverage(options.coverage),
+    trace = options.trace and read_trace(options.trace),
+  }
+  local result = concat(encode_all("viz", options.files, function(fsm, title)
+    looks.title = title
+    return exporter.encode(fsm, looks)
+  end))
   if not IS_TEXT[format] then
     result, problem = require("rfsm.dot").render(result, format)
     if not result then fail("viz", { problem }) end
@@ -289,12 +364,123 @@ function viz.run(options, parser)
   return 0
 end
 
+-- rfsm redis --
+
+local redis = {
+  name = "redis", summary = "Bundle charts as a library of Redis functions.",
+  epilog = "The name of a chart is that of its file; NAME=FILE gives another one. Of "
+    .. "charts with one name the last is the newest.",
+}
+
+function redis.add_arguments(command)
+  command:argument("files", "Lua files that return a chart"):args("+")
+    :argname("[NAME=]FILE")
+  command:option("-o --output", "file to write; - is stdout"):argname("FILE")
+  command:option("-l --load", "load the library into this server"):argname("URL")
+end
+
+function redis.run(options)
+  local ok, text = with_streams(io.stderr, require("rfsm.redis").bundle, options.files)
+  if not ok then fail("redis", { chart.first_line(text) }) end
+  if options.load then
+    local connected, fleet = pcall(require("rfsm.fleet").connect, options.load)
+    if not connected then fail("redis", { chart.first_line(fleet) }) end
+    local loaded, problem = fleet:load(text)
+    if not loaded then fail("redis", { problem }) end
+  end
+  if options.output or not options.load then
+    write("redis", options.output or "-", text)
+  end
+  return 0
+end
+
+-- rfsm web, rfsm watch --
+
+-- Calls a function that has no end; Control-C ends it.
+local function until_interrupt(f, ...)
+  local ok, problem = pcall(f, ...)
+  if ok or rfsm.text_of(problem):find("interrupted!$") then return 0 end
+  error(problem, 0)
+end
+
+-- Returns host and port of "HOST:PORT"; nil if it is none.
+local function split_address(text)
+  local host, port = text:match("^(.*):(%d+)$")
+  port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)
+  if port and port <= 65535 then return host or text, port end
+end
+
+local function check_address(parser, text)
+  local host, port = split_address(text)
+  if not host then
+    parser:error(("HOST or HOST:PORT expected, got '%s'"):format(text))
+  end
+  return host, port
+end
+
+local web = {
+  name = "web", summary = "Show a chart, or a machine elsewhere, in the browser.",
+  epilog = "The page is for this machine only, unless --host names another address.",
+}
+
+function web.add_arguments(command)
+  command:argument("file", "the chart: a Lua file that returns a state"):argname("FILE")
+    :args("?")
+  command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
+    :argname("HOST:PORT")
+  command:option("-p --port", "of the page; 0 is one that is free", "8044")
+    :argname("N"):convert(tonumber)
+  command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
+end
+
+function web.run(options, parser)
+  if (options.file == nil) == (options.attach == nil) then
+    parser:error("FILE or --attach expected")
+  end
+  local server, problem
+  local page = { host = options.host, port = options.port }
+  if options.attach then
+    local host, port = check_address(parser, options.attach)
+    server, problem = require("rfsm.web").attach(host, port, page)
+  else
+    check_readable("web", { options.file })
+    server, problem = require("rfsm.web").open(options.file, page)
+  end
+  if not server then fail("web", { problem }) end
+  write("web", "-", server.url .. "\n")
+  return until_interrupt(server.run, server)
+end
+
+local watch = {
+  name = "watch", summary = "Print a machine that runs elsewhere, as it changes.",
+  epilog = "The machine answers by rfsm.proto; its port is 44044 if none is given.",
+}
+
+function watch.add_arguments(command)
+  command:argument("address", "where it answers"):argname("HOST[:PORT]")
+  command:option("-m --machine", "its number at that port", "1"):argname("N")
+    :convert(tonumber)
+  command:option("-n --count", "end after N lines"):argname("N"):convert(tonumber)
+end
+
+function watch.run(options, parser)
+  local client, problem = require("rfsm.subscriber").connect(
+    check_address(parser, options.address))
+  if not client then fail("watch", { problem }) end
+  io.stdout:setvbuf("line")
+  local status = os.execute("test -t 1")
+  return until_interrupt(require("rfsm.watch").run, client, {
+    number = options.machine, count = options.count,
+    is_terminal = status == true or status == 0,
+  })
+end
+
 -- Public functions ------------------------------------------------------------
 
 local COMMANDS = {
-  check, sim, viz, new_encoder("json", "JSON"),
+  check, sim, viz, redis, new_encoder("json", "JSON"),
   new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
-  new_encoder("mermaid", "Mermaid diagrams"),
+  new_encoder("mermaid", "Mermaid diagrams"), web, watch,
 }
 
 local function find_argparse()

@@ -54,7 +54,7 @@ local record = { VERSION = 1 }
 ---@field done? true the leaf is done
 ---@field kept? table the user's data, if it has changed
 
-local PATH = { owner = "", base = 0, seen = {} }
+local PATH = { owner = "", base = 0, seen = {}, packed = {} }
 
 -- An event as plain data; one that is none is noted by its type, and not replayed.
 local function pack_event(event)
@@ -297,13 +297,15 @@ end
 ---@field last integer how many are to be
 ---@field is_dry boolean
 ---@field problem string|nil where the run departs from the recording
+---@field same integer|nil the last iteration before that
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
 
 local function depart(session, form, ...)
-  session.problem = session.problem
-    or ("step %d: "):format(session.at + 1) .. form:format(...)
+  if session.problem then return end
+  session.problem = ("step %d: "):format(session.at + 1) .. form:format(...)
+  session.same = session.at
 end
 
 local function list_text(list)
@@ -551,8 +553,9 @@ local function replay(model, recording, options)
     local track = follow(session, machine, number, options)
     outer = outer or track
   end)
+  if options.watch then options.watch(fsm) end
   run(session, outer)
-  if session.problem then return false, session.problem, session.at end
+  if session.problem then return false, session.problem, session.same end
   return settle(session, model, fsm)
 end
 
@@ -642,6 +645,13 @@ local function check_recording(recording)
   return header
 end
 
+--- How a recording is replayed.
+---@class rfsm.record.Options
+---@field to? integer stop after that many iterations
+---@field dry? boolean call no callback
+---@field guards? boolean call guards, too, and compare their results
+---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
+
 --- Run a machine through a recording.
 --
 -- Its callbacks run, but getevents and the clock are those of the recording, and so are
@@ -649,8 +659,7 @@ end
 --
 ---@param model rfsm.State the chart that was recorded
 ---@param recording table[]|string records, or the name of a file
----@param options? { to: integer?, dry: boolean?, guards: boolean? } `to`: stop after
--- that many iterations; `guards`: call them and compare their results
+---@param options? rfsm.record.Options
 ---@return rfsm.Machine|false fsm where it stands then, on the clock of now; false if it
 -- has departed from the recording
 ---@return string? problem the step, and what differs

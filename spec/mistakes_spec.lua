@@ -441,8 +441,8 @@ return rfsm.state { states = { a = rfsm.state {} },
 --> WARNING: chart.lua:6: root.c.entry: a connector has no entry, this one is ignored
 
   _segment = 5, _pre_hooks = {}, _mine = 1,
---> WARNING: chart.lua:1: root._pre_hooks: the machine has a field of this name, this one
-    is ignored
+--> WARNING: chart.lua:1: root._pre_hooks: the machine has a field of this name, this
+    one is ignored
 --> WARNING: chart.lua:1: root._segment: the machine has a field of this name, this one
     is ignored
 
