@@ -258,36 +258,28 @@ local sockets = {} -- of the terminals that are open
 local without = "package.preload['%s'] = function() error('none') end "
 
 -- Opens a chart in a terminal of its own. `type_in` sends keys, as tmux calls them, and
--- waits until the screen shows a text; `close` returns what it shows at the end.
+-- waits until the screen shows a text.
 local function open_terminal(arguments, lua_init)
-  local socket = file_with("")
+  local socket, config = file_with(""), file_with("set -g remain-on-exit on\n")
   os.remove(socket)
-  local tmux = "tmux -f /dev/null -S " .. socket .. " "
-  local function screen() return output_of(tmux .. "capture-pane -p -S -100") end
+  local tmux = "tmux -f " .. config .. " -S " .. socket .. " "
   local terminal = {}
   sockets[#sockets + 1] = socket
 
-  -- As long as a slow machine may need.
-  function terminal.wait_for(text)
-    local before = os.time()
-    while not screen():find(text, 1, true) do
-      assert.is_true(os.time() - before < 30, "no '" .. text .. "' in:\n" .. screen())
-    end
-  end
+  function terminal.screen() return output_of(tmux .. "capture-pane -p -S -100") end
 
   function terminal.type_in(text, ...)
     for _, key in ipairs { ... } do
       os.execute(tmux .. "send-keys '" .. key:gsub("'", "'\\''") .. "'")
     end
-    terminal.wait_for(text)
+    local found = output_of(("timeout 30 sh -c 'until %s capture-pane -p -S -100 "
+      .. "| grep -F \"%s\"; do sleep 0.02; done'"):format(tmux, text))
+    assert.is_true(found ~= "", "no '" .. text .. "' in:\n" .. terminal.screen())
   end
 
-  terminal.screen = screen
-
   os.execute(("LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s new-session -d -x 120 "
-    .. "-y 50 \"tools/rfsm-sim %s; echo status: \\$?; read x\""):format(
-    lua_init or "", LUA, tmux, arguments))
-  terminal.wait_for(">")
+    .. "-y 50 'tools/rfsm-sim %s'"):format(lua_init or "", LUA, tmux, arguments))
+  terminal.type_in(">")
   return terminal
 end
 
@@ -327,7 +319,9 @@ describe("at a terminal", function()
     at.type_in("now", "print('n' .. 'ow') rfsm.run(fsm)", "Enter")
     at.type_in("go on", "C-c", "print('go' .. ' on')", "Enter")
     at.type_in("root.busy on e_busy", "ser e_stop", "Enter", "ser e_busy", "Enter")
-    at.type_in("status: 0", "C-c", "print(2)", "C-c", "C-d")
+    at.type_in("active: root.busy(active)", "C-c")
+    at.type_in("42", "print(2)", "C-c", "6 * 7", "Enter")
+    at.type_in("dead (status 0", "C-d")
     local text = at.screen()
     assert.is_nil(text:find("\n[12]\n"))
     assert.equal(3, select(2, text:gsub("interrupted!", "")))
@@ -338,8 +332,9 @@ describe("at a terminal", function()
     if not pcall(require, "readline") then return end
     local at = open_terminal("-q " .. file_with(BUSY))
     at.type_in("> breakpoint spin", "brea", "Tab", " sp", "Tab", "Enter")
-    at.type_in("> ser e_busy", "ser e_b", "Tab", "C-c")
-    at.type_in("> fsm.idle", "fsm.id", "Tab", "Enter")
+    at.type_in("> ser e_busy", "ser e_b", "Tab")
+    at.type_in("> fsm.idle", "Enter", "fsm.id", "Tab")
+    at.type_in("state root.idle", "Enter")
     assert.matches("1  state root.spin\n.*state root.idle %(inactive%)\n", at.screen())
   end)
 
@@ -350,7 +345,7 @@ describe("at a terminal", function()
     end
     local at = open_terminal("-i -e step " .. HELLO, init)
     at.type_in("active: root.world(done)", "run", "Enter")
-    at.type_in("status: 0", "C-d")
+    at.type_in("dead (status 0", "C-d")
     assert.matches("\nfor line editing and the Tab key, for more than one Control%-C "
       .. "%(on Debian%): apt%-get install lua%-readline lua%-%a+\n", at.screen())
   end)
