@@ -335,7 +335,7 @@ describe("at a terminal", function()
     at.type_in("> ser e_busy", "ser e_b", "Tab")
     at.type_in("> fsm.idle", "Enter", "fsm.id", "Tab")
     at.type_in("state root.idle", "Enter")
-    assert.matches("1  state root.spin\n.*state root.idle %(inactive%)\n", at.screen())
+    assert.matches("1  state root.spin\n.*state root.idle %(done%)\n", at.screen())
   end)
 
   it("goes without luaposix, luv and readline, and names the packages", function()

@@ -8,10 +8,11 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local place = require "rfsm.checks.place"
 
 local ipairs, pairs, type = ipairs, pairs, type
 local sort = table.sort
-local text_of = rfsm.text_of
+local regions_of, text_of = place.regions_of, rfsm.text_of
 
 local names = {}
 
@@ -25,19 +26,6 @@ function names.sorted(set)
   return list
 end
 
---- List the machines inside a state, its regions.
----@param state rfsm.State
----@return { name: string, machine: rfsm.Machine }[] regions sorted by name
-function names.regions_of(state)
-  local machines, regions = state.substates, {}
-  for _, name in ipairs(type(machines) == "table" and names.sorted(machines) or {}) do
-    if rfsm.is_initialized_root(machines[name]) then
-      regions[#regions + 1] = { name = text_of(name), machine = machines[name] }
-    end
-  end
-  return regions
-end
-
 --- Return the name of a node of a machine.
 ---@param prefix string the name of that machine
 ---@param fqn string
@@ -47,7 +35,7 @@ function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 local function add_machines(list, fsm, prefix)
   list[#list + 1] = { fsm = fsm, prefix = prefix }
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(names.regions_of(state)) do
+    for _, region in ipairs(regions_of(state)) do
       add_machines(list, region.machine,
         names.full(prefix, state._fqn) .. "." .. region.name)
     end
