@@ -19,8 +19,8 @@ local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, rawget, rawset, select = pcall, rawget, rawset, select
+local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local pairs, pcall, rawset, select = pairs, pcall, rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat, sort = table.concat, table.sort
 local text_of = rfsm.text_of
@@ -46,7 +46,7 @@ local function fail(form, ...) error({ text = form:format(...) }, 0) end
 ---@field fsm rfsm.Machine|nil made at the first call
 ---@field fingerprint string of its structure
 ---@field blank rfsm.snapshot.Snapshot of a new machine
----@field fields table<table, table> the fields of each element as they were at first
+---@field fields rfsm.redis_functions.Fields[] of each element
 ---@field events table<string, any> what it knows, by text
 ---@field takes_all boolean a transition that any event triggers, or a predicate
 
@@ -99,35 +99,77 @@ local function copy_of(value)
   return copy
 end
 
+-- One machine of a chart serves all: what callbacks have left in its fields, and the
+-- chart does not keep, is taken away before the next one stands there. This runs in
+-- each call, over each field.
+
+--- The fields of an element as they were at first.
+---@class rfsm.redis_functions.Fields
+---@field obj table
+---@field own table<any, any> ANY for what is the engine's, or set by a snapshot
+---@field names any[] the others
+---@field tables table<any, table> those that are plain tables
+
+local ANY = {}
+
 -- Is it a field of a model or the user's data, not one of the engine's?
 local function is_field(key, value)
   return not rfsm.is_meta(key) and key ~= "src" and key ~= "tgt"
     and not rfsm.is_fsmobj(value)
 end
 
--- Notes the fields of all elements, also of machines in states.
-local function note_fields(fields, fsm)
-  for _, obj in ipairs(rfsm.elements(fsm)) do
-    local own = {}
-    fields[obj] = own
-    for key, value in pairs(obj) do -- any order: a copy
-      if is_field(key, value) then own[key] = copy_of(value) end
+local function fields_of(obj)
+  local own, names, tables = { emem = ANY, keep = ANY }, {}, {}
+  for _, name in ipairs(type(obj.keep) == "table" and obj.keep or {}) do
+    own[name] = ANY
+  end
+  for key, value in pairs(obj) do -- any order: each stands alone
+    if own[key] or not is_field(key, value) then
+      own[key] = ANY
+    else
+      own[key], names[#names + 1] = value, key
+      local is_plain = type(value) == "table" and getmetatable(value) == nil
+      if is_plain then tables[key] = copy_of(value) end
     end
-    for _, region in ipairs(obj._seqand or {}) do note_fields(fields, region) end
+  end
+  return { obj = obj, own = own, names = names, tables = tables }
+end
+
+-- Appends the fields of all elements, also of machines in states.
+local function note_fields(list, fsm)
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    list[#list + 1] = fields_of(obj)
+    for _, region in ipairs(obj._seqand or {}) do note_fields(list, region) end
   end
 end
 
--- One machine of a chart serves all: what callbacks have left in its fields, and the
--- chart does not keep, is taken away.
+-- Gives an element the fields back that are not as they were.
+local function restore_fields(fields)
+  local obj, own = fields.obj, fields.own
+  for key, value in pairs(obj) do -- any order: each stands alone
+    if own[key] == nil and is_field(key, value) then rawset(obj, key, nil) end
+  end
+  for key, value in pairs(own) do -- likewise
+    if value ~= ANY then rawset(obj, key, value) end
+  end
+end
+
 local function clean(chart)
-  for obj, own in pairs(chart.fields) do -- any order: each stands alone
-    for key, value in pairs(obj) do
-      if own[key] == nil and is_field(key, value) then rawset(obj, key, nil) end
+  local list = chart.fields
+  for i = 1, #list do
+    local fields = list[i]
+    local own, obj, names, is_same = fields.own, fields.obj, fields.names, true
+    for key, value in next, obj do
+      local was = own[key]
+      if was ~= value and was ~= ANY then is_same = false end
     end
-    for key, value in pairs(own) do
-      if type(value) == "table" or rawget(obj, key) ~= value then
-        rawset(obj, key, copy_of(value))
-      end
+    for j = 1, #names do
+      if obj[names[j]] == nil then is_same = false end
+    end
+    if not is_same then restore_fields(fields) end
+    for key, value in next, fields.tables do
+      own[key] = copy_of(value)
+      rawset(obj, key, own[key])
     end
   end
 end
