@@ -24,6 +24,7 @@ local terminal = {}
 local PERIOD = 10000 -- VM instructions between two looks
 local counter -- luaposix or luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
+local is_pending = false -- an error was raised, and may have been caught by a callback
 local is_busy = false -- C code runs that calls back, and that no error may leave
 
 --- The source of the count.
@@ -87,6 +88,7 @@ end
 function poll()
   if is_busy or not terminal.is_interrupted() then return end
   print() -- behind the terminal's ^C
+  is_pending = true
   error("interrupted!", 2) -- the core knows this text
 end
 
@@ -99,11 +101,22 @@ function terminal.catch_interrupts()
   if jit then jit.off() end -- its code calls no hook
 end
 
+--- Raise the error of Control-C again if it was raised since `settle`.
+function terminal.insist()
+  if is_pending then error("interrupted!", 0) end
+end
+
+--- Forget the Control-C that was raised.
+function terminal.settle() is_pending = false end
+
+--- Is Control-C caught?
+---@return boolean
+function terminal.is_caught() return counter ~= nil end
+
 --- Return a callback that Control-C ends, though it runs in a coroutine of its own.
 ---@param callback function
----@return function callback the same if Control-C is not caught
+---@return function callback
 function terminal.interruptible(callback)
-  if not counter then return callback end
   return function(...)
     sethook(poll, "", PERIOD)
     return callback(...)
