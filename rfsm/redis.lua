@@ -66,7 +66,10 @@ local function register(name, flag)
     callback = function(keys, args)
       if not library then
         local ok, made = pcall(open)
-        if not ok then return redis.error_reply("ERR rfsm: " .. tostring(made)) end
+        if not ok then
+          loaded = {}
+          return redis.error_reply("ERR rfsm: " .. tostring(made))
+        end
         library = made
       end
       return library[name](keys, args)

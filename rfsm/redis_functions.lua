@@ -317,6 +317,10 @@ end
 -- The chart whose machine runs; one that was cut short is not used again.
 local running = nil
 
+local function drop_running()
+  if running then running.fsm, running = nil, nil end
+end
+
 -- Runs a machine until it is idle; one that never is goes on when it is due.
 local function run(machine)
   emitted, printed, running = {}, {}, machine.chart
@@ -519,9 +523,10 @@ return function(host, list)
   end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
+      drop_running() -- the call before was killed
       local ok, reply = pcall(f, host, charts, keys, args)
       if ok then return reply end
-      if running then running.fsm, running = nil, nil end
+      drop_running()
       reply = type(reply) == "table" and (reply.text or reply.err) or text_of(reply)
       reply = reply:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; ")
       return host.error_reply("ERR " .. name .. ": " .. reply)

@@ -84,7 +84,7 @@ describe("a fleet", function()
     assert.equal("{robot:42}\n", server:cli("FCALL rfsm_due 1 {robot:42}"))
   end)
 
-  it("says why", function()
+  it("reports why", function()
     machines:create(1, "lamp")
     machines:create(2, "lamp", { owner = "ghost" })
     local tr = "T={ src='root.off', tgt='root.on', events='e_on' }"
@@ -130,7 +130,7 @@ describe("a fleet", function()
     assert.same({ 1, 1, 1 }, times)
   end)
 
-  it("tells a watcher each active leaf", function()
+  it("reports each active leaf to a watcher", function()
     machines:create(1, "lamp")
     local sender = io.popen(("sleep 0.2; for e in e_on e_off e_on; do redis-cli -p %d "
       .. "FCALL rfsm_send 1 '%s' $e; done"):format(server.port, (machines:key_of(1))))
@@ -181,6 +181,27 @@ describe("a fleet", function()
     end
   end)
 
+  it("is whole after a callback that never ended was killed", function()
+    local loop = redis.bundle { "loop=" .. helper.file_with([[
+      return rfsm.state { a = rfsm.state {},
+        b = rfsm.state { entry = function() while true do end end },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_loop" } },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_fine" } } }]]) }
+    local other = servers.start("--busy-reply-threshold 20")
+    local looping = fleet.connect(other:url())
+    assert(looping:load(loop))
+    assert(looping:create(1, "loop"))
+    local caller = io.popen(("redis-cli -p %d FCALL rfsm_send 1 '%s' e_loop 2>&1")
+      :format(other.port, (looping:key_of(1))))
+    local tries = 0
+    repeat tries = tries + 1 until other:cli("FUNCTION KILL") == "OK\n" or tries > 5000
+    assert.matches("killed by user", caller:read("*a"))
+    caller:close()
+    assert.same({ leaf = "root.a", mode = "done", errors = {} },
+      looping:send(1, "e_fine"))
+  end)
+
   it("takes each event exactly once, from 100 clients at once", function()
     local keys = {}
     for i = 1, 1000 do
@@ -208,12 +229,12 @@ describe("a new version of a chart", function()
       .. "odd = "))
   end
 
-  it("takes machines at their next event if it says how, or leaves them", function()
+  it("takes machines at their next event if it can, or leaves them", function()
     local server = servers.start()
     local old = "c=" .. helper.file_with(tick(1))
     local machines = load_charts(server:url(), old)
     machines:create(1, "c")
-    -- a state more, and no word about machines of the old version: they stay
+    -- a state more, and no migration: machines of the old version stay
     machines = load_charts(server:url(), old, "c=" .. helper.file_with(
       tick(10, "third = rfsm.state {}, ")))
     machines:send(1, "e_tick")

@@ -5,6 +5,8 @@
 -- Nobody pays for three seconds: cancelled. A picker may find a shelf empty: the order
 -- waits for the goods, and asks again each second.
 
+local rfsm = require "rfsm"
+
 return rfsm.state {
   keep = { "item", "tries" }, tries = 0,
 
