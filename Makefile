@@ -2,7 +2,7 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, test and doc install missing Debian packages if you are root or have password-free
+# sim, fleet, test and doc install missing Debian packages if you are root or have password-free
 # sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
@@ -31,7 +31,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test lint fuzz bench bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -43,6 +43,10 @@ help:                   ## this list
 sim:                    ## open MODEL in the simulator, with LUA
 	@tools/deps.sh sim
 	@$(if $(filter file,$(origin LUA)),,LUA=$(LUA)) tools/rfsm sim $(MODEL)
+
+fleet:                  ## a warehouse whose orders are machines in a Redis server of its own
+	@tools/deps.sh fleet
+	@examples/warehouse/fleet.sh lua5.3
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
@@ -79,7 +83,7 @@ $(LUAS:%=examples-with-%): examples-with-%:
 examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 
 transcript:             ## run the sessions in doc/sim.md again, with LUA
-	$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
+	@$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
 
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc

@@ -2998,9 +2998,13 @@ end
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
-  rfsm.reset(fsm)
-  if leaf then move_to(leaf, mode) end
-  fsm._intq = queue
+  if leaf then
+    move_to(leaf, mode)
+    run_hooks(fsm, fsm._reset_hooks)
+  else
+    reset_now(fsm)
+  end
+  fsm._intq, fsm._curq, fsm._reset_wanted = queue, {}, false
   check_plain(fsm)
 end
 

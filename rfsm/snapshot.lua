@@ -196,9 +196,10 @@ end
 
 -- Notes the targets that programs have set.
 local function take_targets(fsm, snap)
-  local defs = fsm._plan.transitions
-  for i, tr in ipairs(fsm._transitions) do
-    if tr.tgt._fqn ~= defs[i].tgt.fqn then
+  local defs, nodes, transitions = fsm._plan.transitions, fsm._nodes, fsm._transitions
+  for i = 1, #transitions do
+    local tr = transitions[i]
+    if tr.tgt ~= nodes[defs[i].tgt.index] then
       local list = snap.targets or {}
       local n = #list
       list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
@@ -488,9 +489,10 @@ local function unpack_targets(fsm, snap)
 end
 
 local function set_targets(fsm, targets)
-  local defs = fsm._plan.transitions
-  for i, tr in ipairs(fsm._transitions) do
-    local node = targets[tr] or fsm._nodes[defs[i].tgt.index]
+  local defs, nodes, transitions = fsm._plan.transitions, fsm._nodes, fsm._transitions
+  for i = 1, #transitions do
+    local tr = transitions[i]
+    local node = targets[tr] or nodes[defs[i].tgt.index]
     if tr.tgt ~= node then tr.tgt = node end
   end
 end
