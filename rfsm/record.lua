@@ -45,6 +45,7 @@ local record = { VERSION = 1 }
 ---@field m? integer number of a machine in a sequential AND state
 ---@field fresh? true the machine was reset before
 ---@field events? any[] of the iteration, before hooks have changed them
+---@field had? table the user's data, if it has changed since the iteration before
 ---@field got? any[] those that getevents returned since the iteration before
 ---@field clock? any[] readings: { seconds, nanoseconds } or { failure }
 ---@field guards? any[] number of a transition, result, number ...: a text is a failure
@@ -87,8 +88,8 @@ local function find_dkjson()
 end
 
 local KEY_ORDER = {
-  "record", "file", "m", "fresh", "events", "got", "clock", "guards", "reset", "sent",
-  "leaf", "done", "kept",
+  "record", "file", "m", "fresh", "had", "events", "got", "clock", "guards", "reset",
+  "sent", "leaf", "done", "kept",
 }
 
 -- Returns a function that appends a record to the sink.
@@ -211,6 +212,13 @@ local function wrap_getevents(track)
   fsm.getevents = track.getevents
 end
 
+-- Notes the data that the chart keeps in a field of the record, if it has changed.
+local function note_kept(track, field)
+  local ok, kept = pcall(snapshot.take_data, track.fsm)
+  if not ok or same(kept, track.kept) then return end
+  track.kept, track.rec[field] = kept, kept
+end
+
 -- Begins the record of an iteration. One that a hook has cut short has none.
 local function begin(recorder, track, events)
   if track.m == nil then
@@ -222,15 +230,9 @@ local function begin(recorder, track, events)
     events = pack_events(events, 1, #events),
   }
   track.got, track.is_fresh, track.first = nil, false, nil
+  note_kept(track, "had")
   wrap_getevents(track)
   if track.m == nil then recorder.unwatch = note_clock(track.rec) end
-end
-
--- Notes the data that the chart keeps, if it has changed.
-local function note_kept(track)
-  local ok, kept = pcall(snapshot.take_data, track.fsm)
-  if not ok or same(kept, track.kept) then return end
-  track.kept, track.rec.kept = kept, kept
 end
 
 -- Notes what followed, and writes the record.
@@ -243,7 +245,7 @@ local function finish(recorder, track)
     note(rec, "sent", pack_event(queue[i]))
   end
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
-  note_kept(track)
+  note_kept(track, "kept")
   track.rec = false
   if track.m == nil then
     recorder.unwatch()
@@ -308,6 +310,11 @@ local function depart(session, form, ...)
   session.same = session.at
 end
 
+-- The text of an error, ours or another's.
+local function reason(failure)
+  return type(failure) == "table" and failure.text or text_of(failure)
+end
+
 local function list_text(list)
   local texts = {}
   for i = 1, list and #list or 0 do
@@ -370,6 +377,7 @@ local function begin_again(session, track, events)
   local rec = next_record(session, track)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
+  if rec.had then snapshot.put_data(track.fsm, rec.had) end
   if track.m == nil then
     unwatch(session)
     session.unwatch = replay_clock(session, rec.clock)
@@ -405,7 +413,7 @@ local function finish_again(session, track)
   if not rec then return end
   if track.m == nil then unwatch(session) end
   local ok, failure = pcall(compare, session, track)
-  if not ok then depart(session, "%s", text_of(failure)) end
+  if not ok then depart(session, "%s", reason(failure)) end
   if session.is_dry then
     fill(session, track.fsm._intq, rec.sent)
     if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
@@ -493,7 +501,7 @@ local function run(session, track)
     if track.is_fresh then rfsm.reset(fsm) end
     local ok, failure = pcall(rfsm.step, fsm)
     if not ok and not rawequal(failure, STOP) then
-      depart(session, "%s", text_of(failure))
+      depart(session, "%s", reason(failure))
     elseif session.at == before then
       depart(session, "the machine takes no step")
     end

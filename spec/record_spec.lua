@@ -220,7 +220,9 @@ end)
 
 describe("a random run", function()
   local function each_run(f)
-    for seed = 1, N do
+    local seeds = { 1545, 5609, 6489, 8328 } -- regions change while they are left
+    for seed = 1, N do seeds[#seeds + 1] = seed end
+    for _, seed in ipairs(seeds) do
       local lines, watch = kept.watcher()
       local sink, recorder = {}, nil
       local fsm = kept.run(seed, function(machine)
