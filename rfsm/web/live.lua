@@ -107,10 +107,11 @@ local function listen(machine, name, note)
   end
 end
 
+-- Returns what a printer was called with, without the id of the record.
 local function line_of(...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  return concat(texts, " ")
+  return (concat(texts, " "):gsub("^%u+:? ", ""):gsub(":  ", ": "))
 end
 
 -- Nobody asks why an event that the machine sends itself did nothing.
@@ -139,10 +140,10 @@ function watch(view, watched)
     if RECORDS[id] then RECORDS[id](view, watched, text) end
   end)
   listen(fsm, "err", function(...) view:note("error", line_of(...)) end)
-  listen(fsm, "warn", function(...)
-    view:note("warning", (line_of(...):gsub("^WARNING: ", "")))
-  end)
-  rfsm.post_step_hook_add(fsm, function(_, events) note_step(view, watched, events) end)
+  listen(fsm, "warn", function(...) view:note("warning", line_of(...)) end)
+  rfsm.post_step_hook_add(fsm, function(_, events)
+    note_step(view, watched, events)
+  end, "before") -- one of the user's may fail
   rfsm.reset_hook_add(fsm, function() view.is_dirty = true end)
 end
 
