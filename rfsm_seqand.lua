@@ -28,7 +28,7 @@ local step, run = rfsm.step, rfsm.run
 ---@field order? any[] names of the regions to advance first; others follow by name
 ---@field step? number how many steps a region advances in each cycle (1)
 ---@field run? boolean run each region instead
----@field idle_doo? boolean|"auto" what the doo yields: idle (true); "auto": if all are
+---@field idle_doo? boolean|"auto" the value that the doo yields (true)
 ---@field seqanddbg? boolean|fun(text: string) print each advance, with `info` or this
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
@@ -59,7 +59,7 @@ local function got(value)
   return "got " .. (is_state(value) and "state" or type(value))
 end
 
--- Returns the wrong field, and what is wrong with it.
+-- Returns a wrong field and its problem.
 local function check_order(order, regions)
   if order == nil then return nil end
   if type(order) ~= "table" or is_state(order) then
@@ -94,8 +94,7 @@ end
 
 -- Run: entry, doo and exit of the state, events ----------------------------------
 
---- What a state needs to run its regions, in its field `_seqand`: a list of them, in
--- the order in which they are advanced.
+--- The regions of a state in the order in which they are advanced; its field `_seqand`.
 ---@class rfsm_seqand.Regions
 ---@field names any[] likewise
 ---@field entry? function the user's own
@@ -128,7 +127,7 @@ local function forward(fsm, regions, events)
   regions.is_forwarded = true
 end
 
--- What the doo yields when all regions were advanced.
+-- Returns the value that the doo yields when all regions were advanced.
 local function idle_flag(state, are_all_idle)
   local flag = state.idle_doo
   if flag == nil then flag = state["idle.doo"] end
@@ -240,17 +239,17 @@ local function new_region(given)
   return region, problems
 end
 
-local opening = {} -- Substates whose machines are being made, to find circles
+local in_progress = {} -- Substates of machines that are being made, to find circles
 
 -- Makes the regions of `state`; appends their problems.
 local function new_substates(state, problems)
   local given, substates = state.substates, setmetatable({}, Substates)
-  if opening[given] then
+  if in_progress[given] then
     problems[#problems + 1] = rfsm.location_of(state) .. ": a sequential AND state "
       .. "cannot contain itself"
     return substates
   end
-  opening[given] = true
+  in_progress[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(sorted_names(given)) do
       local region, found = new_region(given[name])
@@ -262,7 +261,7 @@ local function new_substates(state, problems)
       end
     end
   end)
-  opening[given] = nil
+  in_progress[given] = nil
   if not ok then error(failure, 0) end
   return substates
 end
@@ -323,7 +322,7 @@ local function obstacle(key, value)
   end
 end
 
--- Returns the state; nil and what is wrong with the fields.
+-- Returns the state; nil and the problem of the fields.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
   local state, regions, first = {}, setmetatable({}, Substates), nil

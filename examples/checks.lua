@@ -5,7 +5,8 @@
 --   (initial) --> off --e_push--> on --e_push--> off
 --
 -- In rfsm-sim:  run()  ser("e_push")  ser("e_pusch")
--- and           print(table.concat(rfsm_checks.check(fsm), "\n"))
+-- and, without the field `checks` of the state `spare`,
+--               print(table.concat(rfsm_checks.check(fsm), "\n"))
 
 local rfsm = require "rfsm"
 require "rfsm_checks"
@@ -15,7 +16,8 @@ return rfsm.state {
 
   off = rfsm.state { entry = function() print("dark") end },
   on = rfsm.state { entry = function() print("bright") end },
-  spare = rfsm.state {}, -- the static check finds that nothing leads here
+  -- the static check would find that nothing leads here, if it were not expected
+  spare = rfsm.state { checks = { unreachable = "for a second lamp, to be wired" } },
 
   rfsm.trans { src = "initial", tgt = "off" },
   rfsm.trans { src = "off", tgt = "on", events = { "e_push" } },

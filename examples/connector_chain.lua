@@ -1,5 +1,5 @@
 -- A chain of connectors: one transition in several segments, each with its own effect.
--- Either the whole path is open, or none of it is taken.
+-- The path is taken only if each segment is enabled.
 --
 --   cold --e_start--> (checked) --[fuel]--> (primed) --> running
 --
@@ -15,7 +15,7 @@ tank = { fuel = 0 } -- global, so that you can fill it
 
 return rfsm.state {
   cold = rfsm.state {},
-  running = rfsm.state { entry = function() print("engine running") end },
+  running = rfsm.state { entry = function() print("engine running") end, final = true },
   checked = rfsm.conn {},
   primed = rfsm.conn {},
 

@@ -1,5 +1,5 @@
--- A busy doo: rfsm.yield() without a true value says that there is more to do, so that
--- run() goes on with it. Events are looked at between two cycles.
+-- A busy doo: rfsm.yield() without a true value means that there is more to do, so
+-- run() goes on with it. Events are handled between two cycles.
 --
 --   (initial) --> counting --e_done--> zero
 --                    |
@@ -18,8 +18,8 @@ return rfsm.state {
       end
     end,
   },
-  zero = rfsm.state { entry = function() print("lift off") end },
-  aborted = rfsm.state { entry = function() print("aborted") end },
+  zero = rfsm.state { entry = function() print("lift off") end, final = true },
+  aborted = rfsm.state { entry = function() print("aborted") end, final = true },
 
   rfsm.trans { src = "initial", tgt = "counting" },
   rfsm.trans { src = "counting", tgt = "zero", events = { "e_done" } },

@@ -1,5 +1,5 @@
--- An idle doo: rfsm.yield(true) says that one cycle per call is enough. run() returns
--- after it, and the next call does the next cycle: a periodic control loop.
+-- An idle doo: rfsm.yield(true) means that one cycle per call is enough. run() returns
+-- after it, and the next call runs the next cycle: a periodic control loop.
 --
 --   (initial) --> holding --e_stop--> stopped
 --
@@ -18,7 +18,7 @@ return rfsm.state {
       end
     end,
   },
-  stopped = rfsm.state { entry = function() print("stopped") end },
+  stopped = rfsm.state { entry = function() print("stopped") end, final = true },
 
   rfsm.trans { src = "initial", tgt = "holding" },
   rfsm.trans { src = "holding", tgt = "stopped", events = { "e_stop" } },

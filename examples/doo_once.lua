@@ -10,7 +10,7 @@ return rfsm.state {
   calibrate = rfsm.state {
     doo = function() print("calibrating") end,
   },
-  ready = rfsm.state { entry = function() print("ready") end },
+  ready = rfsm.state { entry = function() print("ready") end, final = true },
 
   rfsm.trans { src = "initial", tgt = "calibrate" },
   rfsm.trans { src = "calibrate", tgt = "ready", events = { "e_done" } },

@@ -1,5 +1,5 @@
--- Exit connectors: a composite offers named ways out, and its user decides where they
--- lead. What happens inside stays inside.
+-- Exit connectors: a composite has named ways out, and the chart around it decides
+-- where they lead.
 --
 --   +- grasp ----------------------------------+
 --   | (initial) --> close --e_firm--> (success) --> carrying
@@ -27,7 +27,7 @@ local grasp = rfsm.state {
 
 return rfsm.state {
   grasp = grasp,
-  carrying = rfsm.state { entry = says("carrying") },
+  carrying = rfsm.state { entry = says("carrying"), final = true },
   home = rfsm.state { entry = says("going home") },
 
   rfsm.trans { src = "initial", tgt = "grasp" },

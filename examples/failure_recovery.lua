@@ -1,5 +1,5 @@
--- A total failure and its recovery: the entry of `working` fails. That is reported, the
--- machine stays consistent, and goes to `safe` until it is repaired.
+-- A total failure and its recovery: the entry of `working` fails. The error is
+-- reported, the machine stays consistent, and goes to `safe` until it is repaired.
 --
 --   (initial) --> +- robot ------------------------------------------+
 --                 | (initial) --> working --e_fault--> safe           |
@@ -44,7 +44,7 @@ return rfsm.state {
   err = function(_, ...) print("failure: ", ...) end,
 
   robot = robot,
-  dead = rfsm.state { entry = says("power cut") },
+  dead = rfsm.state { entry = says("power cut"), final = true },
 
   rfsm.trans { src = "initial", tgt = "robot" },
   rfsm.trans { src = "robot", tgt = "dead", events = { "e_emergency" } },

@@ -1,4 +1,4 @@
--- Priorities: which transition wins when several could be taken.
+-- Priorities: the order of several enabled transitions.
 --
 --   +- work ------------------------+
 --   | (initial) --> a --e_go--> b   |   inside, pn 0 and pn 5
@@ -19,15 +19,17 @@ local work = rfsm.state {
   c = rfsm.state { entry = says("c") },
 
   rfsm.trans { src = "initial", tgt = "a" },
-  rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+    checks = { shadowed = "the larger pn below wins: that is to be shown" } },
   rfsm.trans { src = "a", tgt = "c", events = { "e_go" }, pn = 5 },
   rfsm.trans { src = "c", tgt = "a", events = { "e_back" } },
-  rfsm.trans { src = "a", tgt = "b", events = { "e_stop" }, pn = 99 },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_stop" }, pn = 99,
+    checks = { shadowed = "the outer transition wins: that is to be shown" } },
 }
 
 return rfsm.state {
   work = work,
-  halted = rfsm.state { entry = says("halted") },
+  halted = rfsm.state { entry = says("halted"), final = true },
 
   rfsm.trans { src = "initial", tgt = "work" },
   rfsm.trans { src = "work", tgt = "halted", events = { "e_stop" } },

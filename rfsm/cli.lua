@@ -15,7 +15,7 @@ local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
 local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
-local require, select, tonumber = require, select, tonumber
+local require, select, tonumber, type = require, select, tonumber, type
 local io, os = io, os
 local concat = table.concat
 local name_of = chart.name_of
@@ -35,7 +35,8 @@ local function print_to(stream)
   end
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`; returns what pcall does.
+-- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
+-- pcall.
 local function with_streams(stream, f, ...)
   local real_print, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -99,13 +100,18 @@ local function write(name, file, text)
   if not ok then fail(name, { problem }) end
 end
 
+-- The name of a chart in its picture.
+local function title_of(file)
+  return (name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
+end
+
 -- Encodes every chart before anything is written.
 local function encode_all(name, files, encode)
   local texts = {}
   for i, file in ipairs(files) do
     local fsm, problems = load_machine(file)
     if not fsm then fail(name, problems) end
-    local ok, text = with_streams(NOWHERE, encode, fsm, name_of(file))
+    local ok, text = with_streams(NOWHERE, encode, fsm, title_of(file))
     if not ok then fail(name, { chart.reason(file, text) }) end
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
@@ -134,34 +140,47 @@ local function check_readable(name, files)
   end
 end
 
-local function append(lines, texts, file, kind)
-  for _, text in ipairs(texts) do
-    lines[#lines + 1] = file and chart.line(file, text, kind) or text
-  end
+local function append(lines, texts)
+  for _, text in ipairs(texts) do lines[#lines + 1] = text end
 end
 
--- Returns the problems and the warnings of the chart in a file.
-local function review(file)
+-- Appends lines about the chart in a file; returns the gravest severity.
+local function review(lines, file, has_notes)
+  local command = require("rfsm.checks.command")
+  local settings, problem = command.settings_for(file)
+  if not settings then fail("check", { problem }, 2) end
   local model, warnings = load_model(file)
-  if not model then return { warnings }, {} end
-  local ok, found, warned = with_streams(NOWHERE, rfsm_checks.review, model)
-  if not ok then return { chart.reason(file, found) }, warnings end
-  local problems = {}
-  append(problems, found, file)
-  append(warnings, warned, file, "warning: ")
-  return problems, warnings
+  if not model then
+    append(lines, { warnings })
+    return "error"
+  end
+  local ok, findings = with_streams(NOWHERE, rfsm_checks.findings, model, settings)
+  if not ok then
+    append(lines, { chart.reason(file, findings) })
+    return "error"
+  end
+  local report, gravest = command.report(file, findings, warnings, has_notes)
+  append(lines, report)
+  return gravest
 end
 
 local check = {
   name = "check", summary = "Report problems and suspicious parts of charts.",
   epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
-    .. "line is wrong or a file cannot be read.",
+    .. "line is wrong or a file cannot be read. A file .rfsmcheck.lua sets severities.",
 }
+
+local function print_codes()
+  print((require("rfsm.checks.command").codes_text():gsub("\n$", "")))
+  os.exit(0)
+end
 
 function check.add_arguments(command)
   add_files(command)
+  command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
+  command:flag("--codes", "list the codes of findings and end"):action(print_codes)
 end
 
 function check.run(options)
@@ -170,11 +189,8 @@ function check.run(options)
   require("rfsm.await")
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local problems, warnings = review(file)
-    append(lines, problems)
-    append(lines, warnings)
-    if not (problems[1] or warnings[1]) then append(lines, { "ok" }, file) end
-    if problems[1] or options.strict and warnings[1] then status = 1 end
+    local gravest = review(lines, file, options.all)
+    if gravest == "error" or options.strict and gravest then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end
   return status
@@ -192,13 +208,17 @@ function sim.add_arguments(command)
   command:option("-e --execute", "run CODE, print the values of an expression, and end")
     :argname("CODE"):count("*")
   command:flag("-i --interactive", "read commands after CODE, too")
+  command:option("-r --replay", "run the chart through the recording in FILE first")
+    :argname("FILE")
+  command:flag("-d --dry", "leave the functions of the chart out")
   command:flag("-q --quiet", "print no banner")
 end
 
 function sim.run(options)
   return require("rfsm.sim").main {
     file = options.file, code = options.execute, is_quiet = options.quiet,
-    is_interactive = options.interactive,
+    is_interactive = options.interactive, recording = options.replay,
+    is_dry = options.dry,
   }
 end
 
@@ -239,16 +259,22 @@ end
 
 -- rfsm viz --
 
-local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid" }
-local IS_TEXT = { dot = true, plantuml = true, mermaid = true }
+local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid", "json" }
+local IS_TEXT = { dot = true, plantuml = true, mermaid = true, json = true }
 local BY_ENDING = {
   dot = "dot", gv = "dot", svg = "svg", png = "png", pdf = "pdf", puml = "plantuml",
-  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid",
+  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid", json = "json",
 }
 
 local viz = {
   name = "viz", summary = "Draw charts.", epilog = "Graphviz lays out the pictures.",
 }
+
+local function to_depth(text)
+  local depth = tonumber(text)
+  if depth and depth >= 1 and depth % 1 == 0 then return depth end
+  return nil, "depth: a whole number from 1 expected, got '" .. text .. "'"
+end
 
 function viz.add_arguments(command)
   add_files(command)
@@ -256,6 +282,48 @@ function viz.add_arguments(command)
     .. "; without it the ending of the output decides, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+  command:option("--active", "draw state FQN as active; may be given for each region")
+    :argname("FQN"):count("*")
+  command:option("--depth", "draw N levels of states"):argname("N"):convert(to_depth)
+  command:option("--coverage", "mark how often a run came to each place: JSON, as "
+    .. "rfsm_checks.coverage writes it"):argname("JSON")
+  command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "
+    .. "writes them"):argname("JSON")
+  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
+    :choices { "TB", "LR" }
+end
+
+-- Returns the JSON values in a file; a problem ends the program.
+local function read_values(file)
+  local handle, problem = io.open(file, "rb")
+  if not handle then fail("viz", { problem }) end
+  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
+  handle:close()
+  if not ok then fail("viz", { file .. ": " .. values }) end
+  return values
+end
+
+local function read_coverage(file)
+  local coverage = read_values(file)[1]
+  local is_coverage = type(coverage) == "table" and type(coverage.states) == "table"
+    and type(coverage.transitions) == "table"
+  if is_coverage then return coverage end
+  fail("viz", { file .. ": an object with \"states\" and \"transitions\" expected" })
+end
+
+-- Returns the places of a run: a record names a transition, or the leaf that is active
+-- after it.
+local function read_trace(file)
+  local trace, leaf = {}, nil
+  for _, record in ipairs(read_values(file)) do
+    if type(record) ~= "table" then record = { transition = record } end
+    trace[#trace + 1] = record.transition
+    if not record.m and record.leaf and record.leaf ~= leaf then
+      leaf = record.leaf
+      trace[#trace + 1] = leaf
+    end
+  end
+  return trace
 end
 
 -- Returns the format; nil and the problem of the command line.
@@ -277,8 +345,17 @@ end
 function viz.run(options, parser)
   local format, problem = find_format(options)
   if not format then parser:error(problem) end
-  local encode = require("rfsm." .. (IS_TEXT[format] and format or "dot")).encode
-  local result = concat(encode_all("viz", options.files, encode))
+  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local looks = {
+    depth = options.depth, direction = options.direction,
+    active = options.active[1] and options.active,
+    coverage = options.coverage and read_coverage(options.coverage),
+    trace = options.trace and read_trace(options.trace),
+  }
+  local result = concat(encode_all("viz", options.files, function(fsm, title)
+    looks.title = title
+    return exporter.encode(fsm, looks)
+  end))
   if not IS_TEXT[format] then
     result, problem = require("rfsm.dot").render(result, format)
     if not result then fail("viz", { problem }) end

@@ -10,8 +10,8 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 
-local error, io, ipairs, pairs, rawget, rawset = error, io, ipairs, pairs, rawget, rawset
-local select, tostring, type = select, tostring, type
+local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
+local rawset, require, select, tostring, type = rawset, require, select, tostring, type
 local concat = table.concat
 
 local diagram = {}
@@ -22,6 +22,13 @@ local diagram = {}
 ---@field active? string|string[] FQNs of active states; else those of a live machine
 ---@field depth? integer levels to draw; deeper ones are left out
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
+---@field coverage? rfsm.diagram.Coverage
+---@field trace? string[] FQNs of states and keys of transitions, in the order of a run
+
+--- How often a run came to states, by FQN, and to transitions, by key.
+---@class rfsm.diagram.Coverage
+---@field states table<string, integer>
+---@field transitions table<string, integer>
 
 --- A state, a region, a connector or the dot where a composite begins.
 ---@class rfsm.diagram.Node
@@ -30,11 +37,13 @@ local diagram = {}
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.diagram.Node absent at the root
+---@field index? integer among the nodes of the parent
 ---@field nodes rfsm.diagram.Node[] regions, too
 ---@field arrows rfsm.diagram.Arrow[] those with both ends in this composite
 ---@field initial? rfsm.diagram.Node
 ---@field rows string[] "entry / f", internal transitions and the like
 ---@field mode? "active"|"done"
+---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
 ---@field is_region? true
 ---@field is_cut? true there are nodes in it that are not drawn
@@ -46,12 +55,15 @@ local diagram = {}
 ---@field tgt rfsm.diagram.Node an `initial` where the transition stays inside
 ---@field home? rfsm.diagram.Node the innermost composite around both ends
 ---@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
+---@field mark? "covered"|"missed"|"traced"
 
 --- A machine, ready to be drawn.
 ---@class rfsm.diagram.Chart
 ---@field title? string
 ---@field direction string
 ---@field root rfsm.diagram.Node
+---@field nodes rfsm.diagram.Node[] all nodes, parents before children
+---@field by_fqn table<string, rfsm.diagram.Node>
 ---@field arrows rfsm.diagram.Arrow[] those that begin or end at the root
 ---@field all rfsm.diagram.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
@@ -73,48 +85,57 @@ function diagram.new_id(chart, text)
   return id
 end
 
--- Texts fit for a picture: UTF-8, and no control characters but the line feed.
-local function clean(text)
+--- Return a text fit for a picture: UTF-8, no control characters but the line feed.
+---@param text string
+---@return string
+---@nodiscard
+function diagram.clean(text)
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
   return (text:gsub("[%z\1-\9\11-\31\127]", "\239\191\189"))
 end
 
+local clean = diagram.clean
+
 local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) end
 
-local WIDTH = 28 -- characters of a line
-local AS_LONG_AS_A_LINE = "^" .. ("[^\128-\191][\128-\191]*"):rep(WIDTH)
+local CHARACTER = "[^\128-\191][\128-\191]*"
 
 -- Appends a word to lines: to the last one if there is room for it.
-local function add_word(lines, word, can_join)
+local function add_word(lines, word, width, can_join)
   local last = lines[#lines]
-  if can_join and last and length_of(last) + 1 + length_of(word) <= WIDTH then
+  if can_join and last and length_of(last) + 1 + length_of(word) <= width then
     lines[#lines] = last .. " " .. word
     return
   end
-  while length_of(word) > WIDTH do
-    local head = word:match(AS_LONG_AS_A_LINE)
+  while length_of(word) > width do
+    local head = word:match("^" .. CHARACTER:rep(width))
     head = head:match("^.+[_./:,;(@-]") or head
     lines[#lines + 1], word = head, word:sub(#head + 1)
   end
   lines[#lines + 1] = word
 end
 
---- Return texts in short lines. A text stays in one line if it fits.
+-- Appends a line, in several if it is too long.
+local function add_line(lines, line, width, can_join)
+  if length_of(line) <= width then return add_word(lines, line, width, can_join) end
+  can_join = false
+  for word in line:gmatch("[^ ]+") do
+    add_word(lines, word, width, can_join)
+    can_join = true
+  end
+end
+
+--- Return texts in short lines. One that is short goes on in the line before it.
 ---@param texts string[]
+---@param width integer characters
 ---@return string[] lines
-function diagram.wrap(texts)
+function diagram.wrap(texts, width)
   local lines = {}
   for _, text in ipairs(texts) do
+    local can_join = true
     for line in (text .. "\n"):gmatch("([^\n]*)\n") do
-      if length_of(line) <= WIDTH then
-        add_word(lines, line, true)
-      else
-        local is_first = true
-        for word in line:gmatch("[^ ]+") do
-          add_word(lines, word, not is_first)
-          is_first = false
-        end
-      end
+      add_line(lines, line, width, can_join)
+      can_join = false
     end
   end
   return lines
@@ -141,15 +162,17 @@ local function read_node(chart, tab, parent, fqn, depth)
   local kind = kind_of(tab)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
-    kind = depth > 0 and kind or kind == "composite" and "leaf" or kind, tab = tab,
+    kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
     nodes = {}, arrows = {}, rows = rows_of(tab), mode = tab.mode, is_final = tab.final,
     is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
+  chart.nodes[#chart.nodes + 1] = node
   local function read_list(list)
     for _, subtab in ipairs(depth > 0 and list or {}) do
       local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
-      node.nodes[#node.nodes + 1] = subnode
+      subnode.index = #node.nodes + 1
+      node.nodes[subnode.index] = subnode
       if subnode.kind == "initial" then node.initial = subnode end
     end
   end
@@ -175,7 +198,7 @@ local is_inside = diagram.is_inside
 
 -- Returns the node for an FQN, or the drawn one that contains it.
 local function find_node(chart, fqn)
-  while not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
+  while fqn and not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
   return chart.by_fqn[fqn]
 end
 
@@ -218,66 +241,151 @@ local function add_arrow(chart, arrow)
   chart.all[#chart.all + 1] = arrow
 end
 
--- Reads a transition. One that enters a composite from outside ends at its border, one
--- from inside at its initial, which does not leave the composite.
+-- Reads a transition, unless nothing of it is drawn. One that enters a composite from
+-- outside ends at its border, one from inside at its initial, which does not leave the
+-- composite.
 local function read_transition(chart, tr, key, text_of)
   local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
+  if src == tgt and src.fqn ~= tr.src then return end
   local parts = parts_of(tr, text_of)
   if tr.internal then
     src.rows[#src.rows + 1] = concat(parts, " ")
-  elseif src ~= tgt or not src.is_cut or tr.src == src.fqn then
-    if tgt.kind == "initial" and not is_inside(src, tgt.parent) then tgt = tgt.parent end
-    add_arrow(chart, { key = tr.key or key, src = src, tgt = tgt, parts = parts })
+    return
   end
+  local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
+  add_arrow(chart, { key = tr.key or key, src = src,
+    tgt = is_inner and tgt or tgt.parent, parts = parts })
 end
 
-local function read_transitions(chart, node, text_of)
-  for i, tr in ipairs(not node.is_cut and node.tab.transitions or {}) do
-    read_transition(chart, tr, ("%s.trans[%d]"):format(node.fqn, i), text_of)
+local function read_transitions(chart, tab, fqn, text_of)
+  for i, tr in ipairs(tab.transitions or {}) do
+    read_transition(chart, tr, ("%s.trans[%d]"):format(fqn, i), text_of)
   end
-  for _, subnode in ipairs(node.nodes) do read_transitions(chart, subnode, text_of) end
-  node.tab = nil
+  for _, list in ipairs { tab.subnodes or {}, tab.regions or {} } do
+    for _, subtab in ipairs(list) do
+      read_transitions(chart, subtab, fqn .. "." .. subtab.id, text_of)
+    end
+  end
 end
 
 -- Charts --------------------------------------------------------------------------
 
+local function nearest(name, names)
+  local ok, advice = pcall(require, "rfsm.advice")
+  return ok and advice.nearest_name(name, names) or ""
+end
+
+local function is_state(node)
+  return node.kind == "leaf" or node.kind == "composite"
+end
+
+-- Returns the state for an FQN given by a user, or the drawn one that contains it.
+local function find_state(chart, fqn, where)
+  local node = find_node(chart, fqn)
+  if node and is_state(node) and (node.fqn == fqn or node.is_cut) then return node end
+  local names = {}
+  for _, other in ipairs(chart.nodes) do
+    names[#names + 1] = is_state(other) and other.fqn or nil
+  end
+  error(("%s: active: no state is named '%s'%s"):format(where, fqn,
+    nearest(fqn, names)), 5)
+end
+
 -- Marks the states that an option names in place of those of the machine.
-local function mark_active(chart, active)
-  for _, node in pairs(chart.by_fqn) do node.mode = nil end -- any order
+local function mark_active(chart, active, where)
+  for _, node in ipairs(chart.nodes) do node.mode = nil end
   for _, fqn in ipairs(type(active) == "table" and active or { active }) do
-    local node = find_node(chart, fqn)
+    local node = find_state(chart, fqn, where)
     while node do node.mode, node = "active", node.parent end
   end
 end
 
-local function options_of(options, where)
-  local kind = type(options)
-  if kind == "table" then return options end
-  if kind == "nil" or kind == "string" or kind == "number" then
-    return { title = options }
+-- Returns the numbers of the steps in which each element of a trace was used.
+local function steps_of(trace)
+  local steps = {}
+  for i, key in ipairs(trace or {}) do
+    steps[key] = steps[key] and steps[key] .. ", " .. i or i
   end
-  error(where .. ": title: string expected, got " .. kind, 4)
+  return steps
+end
+
+-- Adds to states and arrows how often a run came there, and in which steps of a trace.
+local function mark_run(chart, coverage, trace)
+  local steps = steps_of(trace)
+  local function mark(element, texts, key, counts)
+    if counts then
+      local count = counts[key] or 0
+      texts[#texts + 1] = count > 0 and ("(%s×)"):format(rfsm.text_of(count))
+        or "(never)"
+      element.mark = count > 0 and "covered" or "missed"
+    end
+    texts[#texts + 1] = steps[key] and "(step " .. steps[key] .. ")"
+    element.mark = steps[key] and "traced" or element.mark
+  end
+  for _, node in ipairs(chart.nodes) do
+    if is_state(node) then
+      mark(node, node.rows, node.fqn, coverage and coverage.states)
+    end
+  end
+  for _, arrow in ipairs(chart.all) do
+    mark(arrow, arrow.parts, arrow.key, coverage and coverage.transitions)
+  end
+end
+
+local TYPES = {
+  { "title", "string", "number" }, { "active", "string", "table" },
+  { "depth", "number" }, { "direction", "string" }, { "coverage", "table" },
+  { "trace", "table" },
+}
+
+-- Returns the options of a public function, checked.
+local function options_of(options, where)
+  if type(options) ~= "table" then options = { title = options } end
+  for _, expected in ipairs(TYPES) do
+    local value = options[expected[1]]
+    local kind = type(value)
+    if value and kind ~= expected[2] and kind ~= expected[3] then
+      error(("%s: %s: %s expected, got %s"):format(where, expected[1], expected[2],
+        kind), 4)
+    end
+  end
+  local direction = options.direction or "TB"
+  if direction ~= "TB" and direction ~= "LR" then
+    error(("%s: direction: 'TB' or 'LR' expected, got '%s'"):format(where, direction),
+      4)
+  end
+  return options
 end
 
 local function is_description(value)
-  return type(value) == "table" and rawget(value, "type") == "state"
+  return type(value) == "table" and type(value.id) == "string" and value.type == "state"
 end
 
 -- Reads a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
 local function read(source, where, options)
-  if not is_description(source) then rfsm.check_machine(source, where, 4) end
+  local is_read = is_description(source)
+  if not is_read then rfsm.check_machine(source, where, 4) end
   options = options_of(options, where)
-  local title = options.title
-  local chart = { arrows = {}, all = {}, taken = {}, by_fqn = {} }
-  chart.title = title and title ~= "" and clean(tostring(title)) or nil
-  chart.direction = options.direction or "TB"
-  local tab = is_description(source) and source or marsh.model2tab(source, true)
+  local title = tostring(options.title or "")
+  local chart = {
+    title = title ~= "" and clean(title) or nil, direction = options.direction or "TB",
+    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
+  }
+  local tab = is_read and source or marsh.model2tab(source, true)
   chart.root = read_node(chart, tab, nil, "root", options.depth or 1 / 0)
-  read_transitions(chart, chart.root, marsh.gen_event_text())
-  if options.active then mark_active(chart, options.active) end
+  read_transitions(chart, tab, "root", marsh.gen_event_text())
+  if options.active then mark_active(chart, options.active, where) end
+  if options.coverage or options.trace then
+    mark_run(chart, options.coverage, options.trace)
+  end
   return chart
 end
+
+--- Return the label of an arrow as one text.
+---@param arrow rfsm.diagram.Arrow
+---@return string label
+function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
 --- Append a line, indented.
 ---@param lines string[]

@@ -1,8 +1,8 @@
 --- A machine as a Graphviz graph.
 --
--- Composites and regions are clusters. A label is a node of its own in the middle of its
--- arrow, so that Graphviz lets nothing run through it, and puts it into the frame of the
--- composite around both ends. All edges point onward in the order of the walk from
+-- Composites and regions are clusters. A label is a node of its own in the middle of
+-- its arrow, so that Graphviz lets nothing run through it. It stands in the frame of
+-- the composite around both ends. All edges point onward in the order of the walk from
 -- `initial`: those of arrows that lead back are reversed, and drawn backwards.
 --
 -- In the SVG each state, connector and transition is an element whose id is its FQN or
@@ -35,7 +35,12 @@ local function quoted(text)
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
 end
 
-local function lines_of(...) return concat(diagram.wrap { ... }, "\n") end
+-- The id of an FQN or a key in the SVG: a line feed is "\n".
+local function id_of(text) return "id=" .. quoted(diagram.clean(text)) end
+
+local function lines_of(text, width)
+  return concat(diagram.wrap({ text }, width), "\n")
+end
 
 -- Lines of HTML, each at the left.
 local function html(text)
@@ -44,10 +49,10 @@ end
 
 -- The name of a state over the rows of what it does.
 local function state_label(node)
-  local name = lines_of(node.name .. (node.is_cut and " …" or ""))
+  local name = lines_of(node.name .. (node.is_cut and " …" or ""), 28)
   if not node.rows[1] then return quoted(name) end
   local rows = {}
-  for i, row in ipairs(node.rows) do rows[i] = lines_of(row) end
+  for i, row in ipairs(node.rows) do rows[i] = lines_of(row, 40) end
   local line = node.kind == "leaf" and "<HR/>" or ""
   return '<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0"><TR><TD>'
     .. html(name):gsub(' ALIGN="LEFT"', "") .. "</TD></TR>" .. line
@@ -57,13 +62,29 @@ end
 
 -- Nodes: composites are clusters ------------------------------------------------
 
-local CONNECTOR = 'shape=circle, label="", width=0.15, height=0.15'
-local INITIAL = CONNECTOR .. ', fillcolor="#222222", color="#222222"'
-local ACTIVE = ', color="#0072B2", penwidth=2, fillcolor="#D6EAF8"'
+local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222", '
+  .. 'fillcolor="#222222"'
+local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0" '
+  .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
+  .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
+  .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
+-- What is active or marked; the colours are told apart without red and green.
+local LOOKS = {
+  plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',
+  missed = ', color="#D55E00", fontcolor="#D55E00"', covered = "",
+  traced = ', color="#D55E00", penwidth=2',
+}
 
-local function class_of(node, kind)
-  return (', class="%s%s%s"'):format(kind, node.is_region and " region" or "",
-    node.mode and " " .. node.mode or "")
+local function class_of(element, kind)
+  return (', class="%s%s%s%s"'):format(kind, element.is_region and " region" or "",
+    element.mode and " " .. element.mode or "",
+    element.mark and " " .. element.mark or "")
+end
+
+-- Returns class and look of a state or an arrow.
+local function look_of(element, kind)
+  return class_of(element, kind) .. (element.mode and LOOKS.active or "")
+    .. (element.mark and LOOKS[element.mark] or "")
 end
 
 -- Connectors that arrows across the border of their composite use are rings.
@@ -75,122 +96,141 @@ local function is_on_border(chart, node)
   return false
 end
 
-local function look_of(chart, node)
+local function leaf_text(chart, node)
   if node.kind == "initial" then return INITIAL .. class_of(node, "initial") end
   if node.kind == "connector" then
-    return CONNECTOR .. ", fontsize=9, xlabel=" .. quoted(lines_of(node.name))
-      .. (is_on_border(chart, node) and "" or ', fillcolor="#555555"')
-      .. class_of(node, "connector")
+    return CONNECTOR:format(is_on_border(chart, node) and "white" or "#555555",
+      html(node.name)) .. class_of(node, "connector")
   end
-  return "label=" .. state_label(node) .. class_of(node, "state")
-    .. (node.is_final and ", peripheries=2" or "") .. (node.mode and ACTIVE or "")
+  return "label=" .. state_label(node) .. look_of(node, "state")
+    .. (node.is_final and ", peripheries=2" or "")
+    .. (node.is_region and ', style="filled,dashed"' or "")
+    .. (node.mode and ', fillcolor="#D6EAF8"' or "")
+end
+
+local LABEL = 'node [shape=box, style="", penwidth=0, fontsize=10, width=0, height=0, '
+  .. 'margin="0.04,0.03"]'
+
+local function add_labels(lines, depth, composite)
+  local has_labels = false
+  for _, arrow in ipairs(composite.arrows) do
+    if arrow.label then
+      if not has_labels then add(lines, depth, "{ " .. LABEL) end
+      has_labels = true
+      add(lines, depth + 1, ("%s [%s, label=%s%s%s]"):format(arrow.label.id,
+        id_of(arrow.key), arrow.label.text, class_of(arrow, "transition"),
+        arrow.mark == "missed" and ', fontcolor="#D55E00"' or ""))
+    end
+  end
+  if has_labels then add(lines, depth, "}") end
 end
 
 local function add_node(lines, depth, chart, node)
-  local id = "id=" .. quoted(node.fqn) .. ", "
+  local id = id_of(node.fqn) .. ", "
   if node.kind ~= "composite" then
-    return add(lines, depth, ("%s [%s%s]"):format(node.id, id, look_of(chart, node)))
+    return add(lines, depth, ("%s [%s%s]"):format(node.id, id, leaf_text(chart, node)))
   end
   add(lines, depth, "subgraph cluster_" .. node.id .. " {")
-  local is_plain = not node.mode
   add(lines, depth + 1, ("graph [%slabel=%s, margin=10, style=%s%s%s]"):format(id,
-    state_label(node), node.is_region and "dashed" or "rounded",
-    class_of(node, "state"), is_plain and ', color="#555555", penwidth=1'
-    or ', color="#0072B2", penwidth=2'))
+    state_label(node), node.is_region and "dashed" or "rounded", LOOKS.plain,
+    look_of(node, "state")))
   for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, chart, subnode) end
-  for _, arrow in ipairs(node.arrows) do
-    if arrow.label_id then add(lines, depth + 1, arrow.label_line) end
-  end
+  add_labels(lines, depth + 1, node)
   add(lines, depth, "}")
 end
 
 -- Arrows ----------------------------------------------------------------------
 
--- The nodes to which the ends of arrows at a composite are tied: its first, its last.
-local function first_of(node)
-  while node.kind == "composite" do node = node.initial or node.nodes[1] end
-  return node.id
-end
-
-local function last_of(node)
-  while node.kind == "composite" do node = node.nodes[#node.nodes] end
-  return node.id
-end
-
--- An arrow from a composite to itself, or into it, leaves by the border.
-local function is_loop(arrow)
-  local src, tgt = arrow.src, arrow.tgt
-  return src.kind == "composite" and (src == tgt or diagram.is_inside(tgt, src))
-end
-
-local function position_of(node, home)
-  while node.parent ~= home do node = node.parent end
-  for i, subnode in ipairs(home and home.nodes or {}) do
-    if subnode == node then return i end
+-- Returns the node to which edges of a node are tied: of a composite the last one for
+-- a tail, the first one for a head.
+local function anchor_of(node, is_tail)
+  while node.kind == "composite" do
+    node = is_tail and node.nodes[#node.nodes] or node.initial or node.nodes[1]
   end
-  return 0
+  return node.id .. (node.kind == "connector" and ":p" or "")
 end
 
--- Does an arrow lead to what comes earlier in the walk?
+-- Returns how many ranks an edge goes down from a node: the labels of loops in a
+-- composite come before those of its own arrows.
+local function length_of(node)
+  local length = 1
+  while node.kind == "composite" do
+    node = node.nodes[#node.nodes]
+    if node.has_loop then length = length + 1 end
+  end
+  return length
+end
+
+-- Does an arrow lead from a node to itself, or into it?
+local function is_loop(arrow)
+  return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
+end
+
+local function index_in(node, home)
+  while node.parent ~= home do node = node.parent end
+  return node.index or 0
+end
+
+-- Does an arrow lead to a node that comes earlier in the walk?
 local function leads_back(arrow)
-  return position_of(arrow.src, arrow.home) > position_of(arrow.tgt, arrow.home)
+  return index_in(arrow.src, arrow.home) > index_in(arrow.tgt, arrow.home)
 end
 
 -- Gives an arrow a node for its label, unless it needs none.
 local function place_label(chart, arrow)
-  local has_text, is_own = arrow.parts[1], arrow.src == arrow.tgt
-  if not (has_text and not is_own or is_loop(arrow)) then return end
-  arrow.label_id = diagram.new_id(chart, arrow.src.id .. "_to_" .. arrow.tgt.id)
-  arrow.label_line = ("%s [id=%s, class=transition, %s]"):format(arrow.label_id,
-    quoted(arrow.key), has_text and 'shape=box, style="", penwidth=0, fontsize=10, '
-    .. 'width=0, height=0, margin="0.04,0.03", label='
-    .. quoted(concat(diagram.wrap(arrow.parts), "\n")) or "shape=point, width=0.02")
+  arrow.src.has_loop = arrow.src.has_loop or is_loop(arrow)
+  if not (arrow.parts[1] or is_loop(arrow)) then return end
+  arrow.label = {
+    id = diagram.new_id(chart, arrow.src.id .. "_to_" .. arrow.tgt.id),
+    text = quoted(arrow.parts[1] and diagram.label_of(arrow) or "any event"),
+  }
 end
 
--- Adds an edge; `src` and `tgt` are { id, cluster } or { id }, `head` is where its arrow
--- is: at "src", at "tgt" or at neither.
-local function add_edge(lines, id, src, tgt, head, attributes)
-  local text = { "id=" .. quoted(id), "class=transition" }
-  local function tail(name, node)
-    if node.kind == "composite" then text[#text + 1] = name .. "=cluster_" .. node.id end
-  end
-  tail("ltail", src)
-  tail("lhead", tgt)
-  if head ~= "tgt" then text[#text + 1] = head == "src" and "dir=back" or "dir=none" end
-  text[#text + 1] = attributes
-  add(lines, 1, ("%s -> %s [%s]"):format(last_of(src), first_of(tgt), concat(text, ", ")))
+local function crosses_frame(a, b)
+  return a.parent ~= b.parent or a.kind == "composite" or b.kind == "composite"
 end
 
+local function min_length(upper, lower)
+  local length = length_of(upper)
+  if upper.text or lower.text then return length end
+  return crosses_frame(upper, lower) and length + 1 or length
+end
+
+-- Adds an edge of an arrow, from an upper node to a lower one; `half` is "", "/src" or
+-- "/tgt", `dir` that of Graphviz.
+local function add_edge(lines, arrow, half, upper, lower, dir)
+  local length = min_length(upper, lower)
+  add(lines, 1, ("%s -> %s [%s%s%s%s%s%s]"):format(
+    anchor_of(upper, true), anchor_of(lower), id_of(arrow.key .. half),
+    look_of(arrow, "transition"),
+    upper.kind == "composite" and ", ltail=cluster_" .. upper.id or "",
+    lower.kind == "composite" and ", lhead=cluster_" .. lower.id or "",
+    length > 1 and ", minlen=" .. length or "",
+    dir ~= "forward" and ", dir=" .. dir or ""))
+end
+
+-- Adds the edge of an arrow, or one to its label and one from there. The label of a
+-- loop is below both its ends.
 local function add_arrow(lines, arrow)
-  local src, tgt, key = arrow.src, arrow.tgt, arrow.key
-  local is_back = is_loop(arrow) and true or leads_back(arrow)
-  if not arrow.label_id then
-    local label = arrow.parts[1]
-      and "label=" .. quoted(concat(diagram.wrap(arrow.parts), "\n")) or nil
-    if is_back then return add_edge(lines, key, tgt, src, "src", label) end
-    return add_edge(lines, key, src, tgt, "tgt", label)
+  local src, tgt, label = arrow.src, arrow.tgt, arrow.label
+  local is_back = leads_back(arrow)
+  local function add_half(half, upper, lower, is_turned, dir)
+    if is_turned then upper, lower = lower, upper end
+    add_edge(lines, arrow, half, upper, lower, dir or is_turned and "back" or "forward")
   end
-  local label = { id = arrow.label_id }
-  if is_loop(arrow) then
-    add_edge(lines, key .. "/src", src, label, "none")
-    return add_edge(lines, key .. "/tgt", tgt, label, "src")
-  elseif is_back then
-    add_edge(lines, key .. "/src", label, src, "none")
-    return add_edge(lines, key .. "/tgt", tgt, label, "src")
-  end
-  add_edge(lines, key .. "/src", src, label, "none")
-  add_edge(lines, key .. "/tgt", label, tgt, "tgt")
+  if not label then return add_half("", src, tgt, is_back) end
+  add_half("/src", src, label, is_back, "none")
+  add_half("/tgt", label, tgt, is_back or is_loop(arrow))
 end
 
 local function draw(chart)
+  local root = chart.root
   for _, arrow in ipairs(chart.all) do place_label(chart, arrow) end
-  local lines = { "digraph " .. quoted(chart.title or chart.root.name) .. " {",
+  root.name = chart.title or root.name
+  local lines = { "digraph " .. quoted(root.name) .. " {",
     (HEAD:gsub("DIRECTION", chart.direction)) }
-  chart.root.name = chart.title or chart.root.name
-  add_node(lines, 1, chart, chart.root)
-  for _, arrow in ipairs(chart.arrows) do
-    if arrow.label_id then add(lines, 1, arrow.label_line) end
-  end
+  add_node(lines, 1, chart, root)
+  add_labels(lines, 1, chart)
   for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end
   add(lines, 0, "}")
   return concat(lines, "\n") .. "\n"

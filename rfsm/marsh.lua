@@ -1,7 +1,7 @@
 --- A machine as plain tables, which exporters and protocols read.
 --
--- All lists are in a fixed order: nodes in that of a walk from `initial`, transitions in
--- that of `rfsm.mapfsm`.
+-- All lists are in a fixed order: nodes in that of a walk from `initial`, transitions
+-- in that of `rfsm.mapfsm`.
 --
 -- The file reads in the order in which a description is made: order of nodes, texts of
 -- callbacks, texts of events, tables, JSON.
@@ -44,7 +44,7 @@ local marsh = {}
 ---@field doc? string that field of the model, for a reader
 ---@field final? true that field of the model
 ---@field mode? "active"|"done" of a live machine
----@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; FQNs in them
+---@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; their FQNs
 -- begin with that of the state and the region's name: "root.arms.left.open"
 
 -- Order: a walk from `initial` ---------------------------------------------------

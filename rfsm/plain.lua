@@ -5,6 +5,7 @@
 --
 --    { "%n", digits }            a number that JSON would spoil
 --    { "%t", key, value, ... }   any other table
+--    { "%p", table }             plain data as it is: a snapshot in a snapshot
 --
 -- @module rfsm.plain
 -- @license BSD-3-Clause
@@ -35,7 +36,8 @@ local fail = plain.fail
 ---@class rfsm.plain.Path
 ---@field owner string such as the FQN of a state
 ---@field base integer how many tables there are around the owner's
----@field seen table<table, true> tables that were packed
+---@field seen table<table, true> tables that have come
+---@field packed table<table, true> tables that are plain data already
 ---@field [integer] any keys
 
 --- Return the location of a value.
@@ -159,6 +161,7 @@ function plain.pack(value, path, depth)
   elseif kind ~= "table" then
     fail("%s: a %s cannot be saved", place_of(path, depth), kind)
   end
+  if path.packed[value] then return { "%p", value } end
   check_table(value, path, depth)
   if not is_plain(value) then return pack_pairs(value, path, depth + 1) end
   local copy = {}
@@ -203,6 +206,8 @@ local function unpack_table(packed, depth)
     return unpack_pairs(packed, depth + 1)
   elseif first == "%n" then
     return unpack_number(packed[2])
+  elseif first == "%p" then
+    return packed[2]
   end
   local t = {}
   for key, value in pairs(packed) do -- any order: each stands alone

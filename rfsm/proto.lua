@@ -88,7 +88,7 @@ local function open_server(server)
     server.clock or socket.gettime
   server.udp, server.json, server.now, server.is_closed = udp, json, 0, false
   server.subscribers = {} -- in the order in which they came
-  -- what it knows of each machine, by number; kept by the machine
+  -- data of each machine, by number; kept by the machine
   server.feeds, server.count = setmetatable({}, { __mode = "v" }), 0
   return setmetatable(server, Server)
 end
@@ -176,7 +176,7 @@ end
 
 local MESSAGES = {}
 
--- Returns the feed of the machine in a message; nil and what is wrong.
+-- Returns the feed of the machine in a message; nil and the problem.
 local function feed_of(server, message, number)
   local feed = server.feeds[number]
   if feed then return feed end
@@ -213,7 +213,7 @@ local IS_EVENT = { string = true, boolean = true, number = true }
 
 function MESSAGES.event(server, message)
   local event = message.event
-  if not server.allow_send then return "event: not taken, allow_send is off" end
+  if not server.allow_send then return "event: refused, allow_send is off" end
   if not IS_EVENT[type(event)] or event == huge or event == -huge or event ~= event then
     return "event: string, boolean or finite number expected, got "
       .. (type(event) == "number" and rfsm.text_of(event) or type(event))
@@ -221,7 +221,7 @@ function MESSAGES.event(server, message)
   local feed, problem = feed_of(server, message, message.fsm or 1)
   if not feed then return problem end
   if #feed.fsm._intq >= server.max_events then
-    return ("event: %d events wait already"):format(#feed.fsm._intq)
+    return ("event: %d events are pending already"):format(#feed.fsm._intq)
   end
   rfsm.send_events(feed.fsm, event)
 end
@@ -343,7 +343,7 @@ end
 -- Public functions ------------------------------------------------------------
 
 local open = {} -- for all machines initialised from now on
-local servers = setmetatable({}, { __mode = "k" }) -- those that somebody still has
+local servers = setmetatable({}, { __mode = "k" }) -- those that are still in use
 
 --- The options of `install`.
 ---@class rfsm.proto.Options

@@ -54,7 +54,7 @@ local record = { VERSION = 1 }
 ---@field done? true the leaf is done
 ---@field kept? table the user's data, if it has changed
 
-local PATH = { owner = "", base = 0, seen = {} }
+local PATH = { owner = "", base = 0, seen = {}, packed = {} }
 
 -- An event as plain data; one that is none is noted by its type, and not replayed.
 local function pack_event(event)
@@ -111,7 +111,7 @@ end
 ---@field fsm rfsm.Machine
 ---@field m integer? its number; nil for the machine around the others
 ---@field rec rfsm.record.Record|false of the iteration that is under way
----@field guards table<rfsm.Transition, function> those that were replaced
+---@field guards table<rfsm.Transition, { old: function, new: function }>
 
 -- Calls f(fsm, number) for a machine, and then for those in its states.
 local function each_machine(fsm, f)
@@ -128,16 +128,16 @@ local function each_machine(fsm, f)
   visit(fsm, nil)
 end
 
--- Replaces each guard by make(number, guard); returns the old ones.
+-- Replaces each guard by make(number, guard); returns the old and new ones.
 local function replace_guards(fsm, make)
-  local old = {}
+  local guards = {}
   for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     if tr.guard then
-      old[tr] = tr.guard
-      tr.guard = make(i, tr.guard)
+      guards[tr] = { old = tr.guard, new = make(i, tr.guard) }
+      tr.guard = guards[tr].new
     end
   end
-  return old
+  return guards
 end
 
 -- Makes clocks be read through `wrap(read)`. Returns a function that makes them be read
@@ -274,7 +274,9 @@ end
 function Recorder:stop()
   for _, track in ipairs(self.tracks) do
     local fsm = track.fsm
-    for tr, guard in pairs(track.guards) do tr.guard = guard end -- any order
+    for tr, guard in pairs(track.guards) do -- any order: each stands alone
+      if rawequal(tr.guard, guard.new) then tr.guard = guard.old end
+    end
     if track.getevents and rawget(fsm, "getevents") == track.getevents then
       fsm.getevents = track.user_getevents
     end
@@ -295,13 +297,15 @@ end
 ---@field last integer how many are to be
 ---@field is_dry boolean
 ---@field problem string|nil where the run departs from the recording
+---@field same integer|nil the last iteration before that
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
 
 local function depart(session, form, ...)
-  session.problem = session.problem
-    or ("step %d: "):format(session.at + 1) .. form:format(...)
+  if session.problem then return end
+  session.problem = ("step %d: "):format(session.at + 1) .. form:format(...)
+  session.same = session.at
 end
 
 local function list_text(list)
@@ -549,8 +553,9 @@ local function replay(model, recording, options)
     local track = follow(session, machine, number, options)
     outer = outer or track
   end)
+  if options.watch then options.watch(fsm) end
   run(session, outer)
-  if session.problem then return false, session.problem, session.at end
+  if session.problem then return false, session.problem, session.same end
   return settle(session, model, fsm)
 end
 
@@ -640,6 +645,13 @@ local function check_recording(recording)
   return header
 end
 
+--- How a recording is replayed.
+---@class rfsm.record.Options
+---@field to? integer stop after that many iterations
+---@field dry? boolean call no callback
+---@field guards? boolean call guards, too, and compare their results
+---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
+
 --- Run a machine through a recording.
 --
 -- Its callbacks run, but getevents and the clock are those of the recording, and so are
@@ -647,8 +659,7 @@ end
 --
 ---@param model rfsm.State the chart that was recorded
 ---@param recording table[]|string records, or the name of a file
----@param options? { to: integer?, dry: boolean?, guards: boolean? } `to`: stop after
--- that many iterations; `guards`: call them and compare their results
+---@param options? rfsm.record.Options
 ---@return rfsm.Machine|false fsm where it stands then, on the clock of now; false if it
 -- has departed from the recording
 ---@return string? problem the step, and what differs

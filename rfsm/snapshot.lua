@@ -32,7 +32,8 @@ local snapshot = { VERSION = 1 }
 ---@field queue? any[] events that wait; absent: none, `e_init_fsm` if there is no leaf
 ---@field data? table<string, table> what `keep` names, by FQN of the state
 ---@field saved? table<string, any> what `save` returned, by FQN of the state
----@field targets? any[] transition number, FQN ...: targets that were changed
+---@field targets? any[] targets that were changed: FQN of the composite in which the
+-- transition stands, its position or name there, FQN of the target, and so on
 ---@field ext? table<string, any> what extensions keep, by their names
 ---@field structure? string[] a line for each element of the chart
 
@@ -126,15 +127,19 @@ local function chart_of(fsm)
   return chart
 end
 
--- Returns the state that an FQN names; nil if there is none.
-local function find_state(fsm, fqn)
-  local state, rest = fsm, fqn:match("^root(.*)$")
-  if rest and rest ~= "" and rest:sub(1, 1) ~= "." then return nil end
+-- Returns the node that an FQN names; nil if there is none.
+local function find_node(fsm, fqn)
+  local node, rest = fsm, type(fqn) == "string" and fqn:match("^root(.*)$")
   for name in (rest or ""):gmatch("[^.]+") do
-    state = not rfsm.is_meta(name) and rawget(state, name)
-    if not rfsm.is_state(state) then return nil end
+    node = not rfsm.is_meta(name) and rawget(node, name)
+    if not rfsm.is_node(node) then return nil end
   end
-  return rest and state._fqn == fqn and state or nil
+  return rest and node._fqn == fqn and node or nil
+end
+
+local function find_state(fsm, fqn)
+  local node = find_node(fsm, fqn)
+  return rfsm.is_state(node) and node or nil
 end
 
 -- Take -------------------------------------------------------------------------
@@ -159,11 +164,11 @@ local function pack_fields(state, path)
   path.owner = state._fqn
   for _, name in ipairs(state.keep or {}) do
     if state[name] ~= nil then
-      fields, path[1] = fields or {}, name
-      fields[name] = pack(state[name], path, 1)
+      fields = fields or {}
+      fields[name] = state[name]
     end
   end
-  return fields
+  return fields and pack(fields, path, 0)
 end
 
 local function pack_saved(fsm, state, path)
@@ -194,9 +199,10 @@ local function take_targets(fsm, snap)
   local defs = fsm._plan.transitions
   for i, tr in ipairs(fsm._transitions) do
     if tr.tgt._fqn ~= defs[i].tgt.fqn then
-      snap.targets = snap.targets or {}
-      local n = #snap.targets
-      snap.targets[n + 1], snap.targets[n + 2] = i, tr.tgt._fqn
+      local list = snap.targets or {}
+      local n = #list
+      list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
+      snap.targets = list
     end
   end
 end
@@ -204,7 +210,12 @@ end
 local take
 
 local function take_extensions(fsm, snap, path)
-  local how = { take = function(region) return take(region, path.base + 4) end }
+  local how = {}
+  function how.take(region)
+    local inner = take(region, path.base + 5)
+    if inner then path.packed[inner] = true end
+    return inner
+  end
   for _, hook in ipairs(fsm._snapshot_hooks or {}) do
     local value = hook.save(fsm, how)
     path.owner = hook.name
@@ -232,7 +243,7 @@ end
 -- that is as after init.
 function take(fsm, base)
   local leaf, chart = fsm._act_leaf, chart_of(fsm)
-  local path = { owner = "", base = base, seen = {} }
+  local path = { owner = "", base = base, seen = {}, packed = {} }
   local snap = { version = snapshot.VERSION, chart = chart.fingerprint }
   if leaf then
     snap.leaf, snap.done = leaf._fqn, leaf._mode == "done" or nil
@@ -270,9 +281,12 @@ end
 local function missing(fsm, snap)
   local list, names = {}, {}
   local function check(fqn)
-    if type(fqn) == "string" and not find_state(fsm, fqn) and not names[fqn] then
+    if type(fqn) == "string" and not find_node(fsm, fqn) and not names[fqn] then
       names[fqn], list[#list + 1] = true, "gone: state " .. fqn
     end
+  end
+  for i, name in ipairs(snap.targets or {}) do
+    if i % 3 ~= 2 then check(name) end
   end
   check(snap.leaf)
   for _, field in ipairs { "data", "saved" } do
@@ -306,8 +320,8 @@ local function renamed(value, rename, depth)
   if type(value) ~= "table" or depth > 20 then return value end
   local copy = {}
   for key, inner in pairs(value) do -- any order: each stands alone
-    if type(key) == "string" then key = renamed_text(key, rename) end
-    copy[key] = renamed(inner, rename, depth + 1)
+    local name = type(key) == "string" and renamed_text(key, rename) or key
+    copy[name] = renamed(inner, rename, depth + 1)
   end
   return copy
 end
@@ -315,8 +329,7 @@ end
 local function renamed_keys(t, rename)
   local copy = {}
   for key, value in pairs(t) do -- any order: each stands alone
-    if type(key) == "string" then key = renamed_fqn(key, rename) end
-    copy[key] = value
+    copy[type(key) == "string" and renamed_fqn(key, rename) or key] = value
   end
   return copy
 end
@@ -325,7 +338,9 @@ local function rename_states(snap, rename)
   local copy = {}
   for key, value in pairs(snap) do copy[key] = value end -- any order: a copy
   copy.leaf = snap.leaf and renamed_fqn(snap.leaf, rename)
-  copy.queue, copy.ext = renamed(snap.queue, rename, 0), renamed(snap.ext, rename, 0)
+  for _, field in ipairs { "queue", "targets", "ext" } do
+    copy[field] = renamed(snap[field], rename, 0)
+  end
   copy.data = snap.data and renamed_keys(snap.data, rename)
   copy.saved = snap.saved and renamed_keys(snap.saved, rename)
   return copy
@@ -344,7 +359,6 @@ local function move(fsm, chart, snap, options)
       difference = list }, 0)
   end
   if options.rename then snap = rename_states(snap, options.rename) end
-  snap.targets = nil -- numbers of other transitions
   if options.migrate then
     local moved = options.migrate(snap, list)
     if moved == false then
@@ -412,20 +426,18 @@ end
 local function unpack_data(fsm, snap)
   local data = {}
   for fqn, fields in pairs(snap.data or {}) do -- any order: each stands alone
-    local state = type(fqn) == "string" and find_state(fsm, fqn)
-    local names = {}
+    local state, names = find_state(fsm, fqn), {}
     for _, name in ipairs(state and keeps(state) and state.keep or {}) do
       names[name] = true
     end
-    if type(fields) ~= "table" then
+    data[fqn] = unpack(fields, 2)
+    if type(data[fqn]) ~= "table" then
       fail("data: table expected for '%s', got %s", text_of(fqn), type(fields))
     end
-    data[fqn] = {}
-    for name, value in pairs(fields) do -- any order: each stands alone
+    for name in pairs(data[fqn]) do -- any order: each stands alone
       if not names[name] then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
       end
-      data[fqn][name] = unpack(value, 3)
     end
   end
   return data
@@ -434,7 +446,7 @@ end
 local function unpack_saved(fsm, snap)
   local saved = {}
   for fqn, value in pairs(snap.saved or {}) do -- any order: each stands alone
-    local state = type(fqn) == "string" and find_state(fsm, fqn)
+    local state = find_state(fsm, fqn)
     if not state or type(state.load) ~= "function" then
       fail("saved: no state '%s' has a function 'load'", text_of(fqn))
     end
@@ -452,23 +464,25 @@ local function unpack_extensions(fsm, snap)
       fail("ext: no extension of the machine is named '%s'", text_of(name))
     end
     values[name] = unpack(value, 2)
+    if type(values[name]) ~= "table" then
+      fail("ext: table expected for '%s', got %s", name, type(values[name]))
+    end
   end
   return values
 end
 
--- Returns the nodes that are targets, by the numbers of transitions.
+-- Returns the nodes that are targets, by transition.
 local function unpack_targets(fsm, snap)
   local targets, list = {}, snap.targets or {}
-  for i = 1, #list, 2 do
-    local tr, node = fsm._transitions[list[i]], nil
-    for _, other in ipairs(fsm._nodes) do
-      if other._fqn == list[i + 1] then node = other end
+  for i = 1, #list, 3 do
+    local state, node = find_state(fsm, list[i]), find_node(fsm, list[i + 2])
+    local id = unpack(list[i + 1], 2)
+    local tr = state and is_scalar(id) and rawget(state, id)
+    if not (rfsm.is_trans(tr) and node) then
+      fail("targets: a transition and a node expected, got '%s' in '%s', '%s'",
+        text_of(id), text_of(list[i]), text_of(list[i + 2]))
     end
-    if not (tr and node) then
-      fail("targets: number of a transition and FQN of a node expected, got %s and %s",
-        text_of(list[i]), text_of(list[i + 1]))
-    end
-    targets[list[i]] = node
+    targets[tr] = node
   end
   return targets
 end
@@ -476,7 +490,7 @@ end
 local function set_targets(fsm, targets)
   local defs = fsm._plan.transitions
   for i, tr in ipairs(fsm._transitions) do
-    local node = targets[i] or fsm._nodes[defs[i].tgt.index]
+    local node = targets[tr] or fsm._nodes[defs[i].tgt.index]
     if tr.tgt ~= node then tr.tgt = node end
   end
 end
@@ -614,24 +628,26 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
---- Return the user's data alone, as a snapshot would hold it; also within a step.
+--- Return what callbacks may have changed, as a snapshot holds it; also within a step.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
----@return { data: table?, saved: table? } kept
+---@return { data: table?, saved: table?, targets: any[]? } kept
 ---@nodiscard
 function snapshot.take_data(fsm)
   local kept, chart = {}, chart_of(fsm)
   if chart.keepers[1] then
-    take_data(fsm, chart, kept, { owner = "", base = 1, seen = {} })
+    take_data(fsm, chart, kept, { owner = "", base = 1, seen = {}, packed = {} })
   end
+  take_targets(fsm, kept)
   return kept
 end
 
---- Give a machine such data.
+--- Give that to a machine.
 -- @raise if it is none of its chart
 ---@param fsm rfsm.Machine
----@param kept { data: table?, saved: table? }
+---@param kept { data: table?, saved: table?, targets: any[]? }
 function snapshot.put_data(fsm, kept)
+  set_targets(fsm, unpack_targets(fsm, kept))
   set_data(fsm, chart_of(fsm), unpack_data(fsm, kept), unpack_saved(fsm, kept), {})
 end
 

@@ -142,13 +142,13 @@ describe("watch", function()
   end)
 end)
 
-describe("check", function()
-  local function findings_of(members)
-    local findings = rfsm_checks.check(chart(members))
-    for i = 1, #findings do findings[i] = helper.without_file(findings[i]) end
-    return findings
-  end
+local function lines_of(model)
+  local lines = rfsm_checks.check(model)
+  for i = 1, #lines do lines[i] = helper.without_file(lines[i]) end
+  return lines
+end
 
+describe("check", function()
   it("takes a machine, and a part of one, too", function()
     local model = chart { c = state {} }
     local findings = rfsm_checks.check(model)
@@ -158,7 +158,7 @@ describe("check", function()
     assert.same(findings, rfsm_checks.check(whole.p))
   end)
 
-  it("says in which file and line", function()
+  it("names file and line", function()
     assert.matches("^spec/checks_spec.lua:%d+: root.c: unreachable",
       rfsm_checks.check(chart { c = state {} })[1])
   end)
@@ -192,90 +192,30 @@ describe("check", function()
   end)
 
   it("reports a state that is called like a printer", function()
-    assert.matches("^root%.info: ", findings_of { info = state {} }[1])
+    assert.matches("^root%.info: ", lines_of(chart { info = state {} })[1])
   end)
 
-  -- c[ (initial) -> x --e_x--> y --e_y--> x ] with transitions around it
-  local function in_composite(outer)
-    return {
-      c = state {
-        x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
-        trans { src = "x", tgt = "y", events = { "e_x" } },
-        trans { src = "y", tgt = "x", events = { "e_y" } },
-      },
-      [4] = trans { src = "a", tgt = "c", events = { "e_c" } },
-      [5] = trans(outer),
-    }
-  end
-
-  local function go(src, tgt, event, fields)
-    fields = fields or {}
-    fields.src, fields.tgt, fields.events = src, tgt, event and { event }
-    return trans(fields)
-  end
-
-  local function x_in_c() return state { x = state {}, go("initial", "x") } end
-
-  local UNREACHABLE = ": unreachable, no path of transitions leads here"
-  local NEVER_TAKEN = ": never taken, %s always comes first"
-  local BY_4, BY_5 = NEVER_TAKEN:format("root.trans[4] (a -> b)"),
-    NEVER_TAKEN:format("root.trans[5] (c -> a)")
-
-  -- A circumstance, the members of a chart, the findings.
-  local CASES = {
-    { "nothing in a sound model", {} },
-    { "the problems of a model that is not valid", { [4] = trans { tgt = "a" } },
-      "root.trans[4]: src is missing, the name of a state or connector expected" },
-    { "a state that nothing leads to, and not what is in it", { c = x_in_c() },
-      "root.c" .. UNREACHABLE },
-    { "a state that only unreachable ones lead to",
-      { c = state {}, d = state {}, [4] = go("c", "d", "e"), [5] = go("d", "c", "e") },
-      "root.c" .. UNREACHABLE, "root.d" .. UNREACHABLE },
-    { "no state that is reached through connectors", {
-      k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c"),
-      [6] = go("c", "a", "e_x") } },
-    { "a connector that leads nowhere", { k = conn {}, [4] = go("a", "k", "e_k") },
-      "root.k: no way out of this connector, so that no transition to it is ever "
-      .. "taken" },
-    { "a state without an exit", { c = state {}, [4] = go("a", "c", "e_c") },
-      "root.c: no exit, neither this state nor one around it is ever left" },
-    { "no state without an exit that is final",
-      { c = state { final = true }, [4] = go("a", "c", "e_c") } },
-    { "no state in a composite that has an exit",
-      { c = x_in_c(), [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_x") } },
-    { "a transition that an outer one always beats",
-      in_composite { src = "c", tgt = "a", events = { "e_x" } },
-      "root.c.trans[2] (x -> y)" .. BY_5 },
-    { "transitions that one on any event beats", in_composite { src = "c", tgt = "a" },
-      "root.c.trans[2] (x -> y)" .. BY_5,
-      "root.c.trans[3] (y -> x)" .. BY_5 },
-    { "none that one with a guard may beat",
-      in_composite { src = "c", tgt = "a", guard = function() end } },
-    { "none beside one on another event",
-      in_composite { src = "c", tgt = "a", events = { "e_z" } } },
-    { "one that a sibling of larger pn always beats",
-      { [4] = go("a", "b", "e_x", { pn = 1 }) }, "root.trans[2] (a -> b)" .. BY_4 },
-    { "none beside one through a connector that may be disabled", {
-      k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }),
-      [5] = go("k", "b", nil, { guard = function() end }) } },
-    { "one that one through a connector always beats",
-      { k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }), [5] = go("k", "b") },
-      "root.trans[2] (a -> b)" .. NEVER_TAKEN:format("root.trans[4] (a -> k)") },
-    { "an e_done@F that never comes", { [4] = go("a", "b", "e_done@root.z") },
-      "root.trans[4] (a -> b): event 'e_done@root.z' never comes, 'root.z' is no leaf "
-      .. "state of this machine" },
-  }
-  for _, case in ipairs(CASES) do
-    it("finds " .. case[1], function()
-      assert.same({ case[3], case[4] }, findings_of(case[2]))
-    end)
-  end
+  it("reports the problems of a model that is not valid", function()
+    assert.same({ "root.trans[4]: src is missing, the name of a state or connector "
+      .. "expected" }, lines_of(chart { [4] = trans { tgt = "a" } }))
+  end)
 
   it("goes through the states in the order of their names", function()
     local members, places = {}, {}
     for name in ("e d b f c"):gmatch("%a") do members[name] = state {} end
-    for i, text in ipairs(findings_of(members)) do places[i] = text:match("^[^:]*") end
+    for i, text in ipairs(lines_of(chart(members))) do
+      places[i] = text:match("^[^:]*")
+    end
     assert.equal("root.c root.d root.e root.f", table.concat(places, " "))
+  end)
+
+  it("looks into the machines of a sequential AND state", function()
+    assert.same({ "root.par.1: root.c: unreachable, no path of transitions leads here "
+      .. "[unreachable]" }, lines_of(chart {
+      par = rfsm.seqand { chart { c = state {} } },
+      [4] = trans { src = "a", tgt = "par", events = "e" },
+      [5] = trans { src = "par", tgt = "a", events = "e" },
+    }))
   end)
 
   it("blames the caller for what is no state", function()
@@ -285,30 +225,274 @@ describe("check", function()
   end)
 end)
 
-describe("review", function()
-  it("has the warnings of init, the findings, and those of regions", function()
-    local region = chart { c = state {} }
-    local model = chart {
-      par = rfsm.seqand { region },
-      [4] = trans { src = "a", tgt = "par", events = "e" },
-      [5] = trans { src = "par", tgt = "a", events = { "e_done" } },
-      [6] = trans { src = "initial", tgt = "b", event = "e" },
-    }
-    local problems, warnings = rfsm_checks.review(model)
-    for i = 1, #warnings do warnings[i] = helper.without_file(warnings[i]) end
-    assert.same({}, problems)
+-- Codes ---------------------------------------------------------------------------
+
+-- All findings, notes among them, as lines; `code`: of that code alone.
+local function findings_of(model, code, settings)
+  local lines = {}
+  for _, finding in ipairs(rfsm_checks.findings(model, settings)) do
+    if not code or finding.code == code then
+      lines[#lines + 1] = finding.place .. ": " .. helper.without_file(finding.text)
+    end
+  end
+  return lines
+end
+
+local function go(src, tgt, event, fields)
+  fields = fields or {}
+  fields.src, fields.tgt = src, tgt
+  fields.events = type(event) == "table" and event or event and { event }
+  return trans(fields)
+end
+
+local function x_in_c() return state { x = state {}, go("initial", "x") } end
+
+local function yes() return true end
+
+-- c[ (initial) -> x --e_x--> y --e_y--> x ] with transitions around it
+local function in_composite(outer)
+  return {
+    c = state { x = state {}, y = state {}, go("initial", "x"), go("x", "y", "e_x"),
+      go("y", "x", "e_y") },
+    [4] = go("a", "c", "e_c"), [5] = trans(outer),
+  }
+end
+
+local UNREACHABLE = ": unreachable, no path of transitions leads here"
+local NEVER_TAKEN = ": never taken, %s always comes first"
+local BY_4, BY_5 = NEVER_TAKEN:format("root.trans[4] (a -> b)"),
+  NEVER_TAKEN:format("root.trans[5] (c -> a)")
+local NO_EXIT = ": no exit, neither this state nor one around it is ever left"
+
+local function via_k(...)
+  local members = { k = conn {}, [4] = go("a", "k", "e_k") }
+  for i, tr in ipairs { ... } do members[4 + i] = tr end
+  return members
+end
+
+local function entered_by(initial)
+  return { c = state { x = state {}, initial }, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "a", "e_x") }
+end
+
+local function busy() while true do rfsm.yield() end end
+
+-- A code, a circumstance, the members of a chart, and the findings of this code: those
+-- that have none are the near twins.
+local CASES = {
+  { "unreachable", "a state that nothing leads to, and not what is in it",
+    { c = x_in_c() }, "root.c" .. UNREACHABLE },
+  { "unreachable", "a state that only unreachable ones lead to",
+    { c = state {}, d = state {}, [4] = go("c", "d", "e"), [5] = go("d", "c", "e") },
+    "root.c" .. UNREACHABLE, "root.d" .. UNREACHABLE },
+  { "unreachable", "no state that is reached through connectors",
+    { k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c"),
+      [6] = go("c", "a", "e_x") } },
+  { "dead-end", "a state without an exit", { c = state {}, [4] = go("a", "c", "e_c") },
+    "root.c" .. NO_EXIT },
+  { "dead-end", "no state without an exit that is final",
+    { c = state { final = true }, [4] = go("a", "c", "e_c") } },
+  { "dead-end", "no state in a composite that has an exit",
+    { c = x_in_c(), [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_x") } },
+  { "connector-end", "a connector that leads nowhere", via_k(),
+    "root.k: no way out of this connector, so that no transition to it is ever taken" },
+  { "connector-end", "no connector that leads on", via_k(go("k", "b")) },
+  { "connector-cycle", "connectors in a circle", {
+    j = conn {}, k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "j"),
+    [6] = go("j", "k", nil, { guard = yes }), [7] = go("j", "b") },
+    "root.j: connectors in a circle: root.j -> root.k -> root.j" },
+  { "connector-cycle", "no circle that a state is in", {
+    j = conn {}, k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "j"),
+    [6] = go("j", "a") } },
+  { "closed-initial", "a composite that a guard can close",
+    entered_by(go("initial", "x", nil, { guard = yes })),
+    "root.c.initial: each transition from here has events or a guard, 'root.c' cannot "
+      .. "be entered on e_c while none of them is enabled" },
+  { "closed-initial", "one that waits for an event that does not lead there",
+    entered_by(go("initial", "x", "e_other")), "root.c.initial: each transition from "
+      .. "here has events or a guard, 'root.c' cannot be entered on e_c while none of "
+      .. "them is enabled" },
+  { "closed-initial", "none that is entered on the events it names",
+    entered_by(go("initial", "x", { "e_b", "e_c" })) },
+  { "no-default", "a connector all of whose transitions have guards",
+    via_k(go("k", "b", nil, { guard = yes }), go("k", "a", nil, { guard = yes })),
+    "root.k: no way on without a guard for e_k" },
+  { "no-default", "a connector that has no transition for an event",
+    via_k(go("k", "b", "e_other")), "root.k: no way on without a guard for e_k" },
+  { "no-default", "none that has a default",
+    via_k(go("k", "b", nil, { guard = yes }), go("k", "a")) },
+  { "shadowed", "a transition that an outer one always beats",
+    in_composite { src = "c", tgt = "a", events = { "e_x" } },
+    "root.c.trans[2] (x -> y)" .. BY_5 },
+  { "shadowed", "transitions that one on any event beats",
+    in_composite { src = "c", tgt = "a" }, "root.c.trans[2] (x -> y)" .. BY_5,
+    "root.c.trans[3] (y -> x)" .. BY_5 },
+  { "shadowed", "none that one with a guard may beat",
+    in_composite { src = "c", tgt = "a", guard = yes } },
+  { "shadowed", "none beside one on another event",
+    in_composite { src = "c", tgt = "a", events = { "e_z" } } },
+  { "shadowed", "one that a sibling of larger pn always beats",
+    { [4] = go("a", "b", "e_x", { pn = 1 }) }, "root.trans[2] (a -> b)" .. BY_4 },
+  { "shadowed", "one that two others beat, each on one of its events",
+    { [4] = go("a", "b", "e_y", { pn = 1 }), [5] = go("a", "a", { "e_x", "e_y" }) },
+    "root.trans[5] (a -> a): never taken, root.trans[2] (a -> b) and root.trans[4] "
+      .. "(a -> b) always come first" },
+  { "shadowed", "none beside one through a connector that may be closed", {
+    k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }),
+    [5] = go("k", "b", nil, { guard = yes }) } },
+  { "shadowed", "one that one through a connector always beats",
+    { k = conn {}, [4] = go("a", "k", "e_x", { pn = 1 }), [5] = go("k", "b") },
+    "root.trans[2] (a -> b)" .. NEVER_TAKEN:format("root.trans[4] (a -> k)") },
+  { "conflict", "guards that may both be true",
+    { [4] = go("a", "b", "e_y", { guard = yes }),
+      [5] = go("a", "a", "e_y", { guard = yes }) },
+    "root.trans[5] (a -> a): enabled together with root.trans[4] (a -> b) on e_y, and "
+      .. "of the same pn" },
+  { "conflict", "events that are partly the same",
+    { [4] = go("a", "a", { "e", "e_x" }) },
+    "root.trans[4] (a -> a): enabled together with root.trans[2] (a -> b) on e_x, and "
+      .. "of the same pn" },
+  { "conflict", "none between different pn",
+    { [4] = go("a", "b", "e_y", { guard = yes, pn = 1 }),
+      [5] = go("a", "a", "e_y", { guard = yes }) } },
+  { "conflict", "none between a guard and a default behind it",
+    { [4] = go("a", "b", "e_y", { guard = yes }), [5] = go("a", "a", "e_y") } },
+  { "endless", "leaves that need no event",
+    { c = state {}, [4] = go("b", "c", "e_done"), [5] = go("c", "b") },
+    "root.b: run never becomes idle, no event is needed on root.b -> root.c "
+      .. "-> root.b" },
+  { "endless", "a leaf that enters itself again", { [4] = go("b", "b", "e_done") },
+    "root.b: run never becomes idle, no event is needed on root.b -> root.b" },
+  { "endless", "none with a guard",
+    { [4] = go("b", "b", "e_done", { guard = yes }) } },
+  { "endless", "none with a doo",
+    { b = state { doo = busy }, [4] = go("b", "b", "e_done") } },
+  { "endless", "none that a callback can leave",
+    { b = state { entry = yes }, [4] = go("b", "b", "e_done") } },
+  { "endless", "none that takes nothing again, an internal one",
+    { [4] = go("b", "internal", "e_done") } },
+  { "never-done", "an e_done@F of no leaf", { [4] = go("a", "b", "e_done@root.z") },
+    "root.trans[4] (a -> b): event 'e_done@root.z' never comes, 'root.z' is no leaf "
+      .. "state of this machine" },
+  { "never-done", "the e_done of a composite, once",
+    { c = x_in_c(), [4] = go("a", "c", "e"), [5] = go("c", "a", "e_done") },
+    "root.trans[5] (c -> a): event 'e_done@root.c' never comes, 'root.c' is no leaf "
+      .. "state of this machine" },
+  { "never-done", "none of a leaf", { [4] = go("a", "b", "e_done@root.b") } },
+  { "never-called", "callbacks of a connector, a state and a transition", {
+    k = conn { entry = yes }, [4] = go("a", "k", "e"), [5] = go("k", "a", nil,
+      { doo = yes }), b = state { guard = yes } },
+    "root.trans[5] (k -> a): the doo of a transition is never called",
+    "root.b: the guard of a state is never called",
+    "root.k: the entry of a connector is never called" },
+  { "never-called", "none where they belong", { b = state { entry = yes },
+    [4] = go("a", "a", "e", { guard = yes, effect = yes }) } },
+  { "typo", "two letters in reverse",
+    { [4] = go("a", "a", "e_start"), [5] = go("b", "b", "e_start"),
+      [6] = go("b", "a", "e_strat") },
+    "root.trans[6] (b -> a): no other transition uses 'e_strat' (did you mean "
+      .. "'e_start'?)" },
+  { "typo", "a letter too many, or another case",
+    { [4] = go("a", "a", { "e_button", "e_Go" }),
+      [5] = go("b", "b", { "e_buttton", "e_go" }) },
+    "root.trans[5] (b -> b): no other transition uses 'e_buttton' (did you mean "
+      .. "'e_button'?)", "root.trans[5] (b -> b): no other transition uses 'e_go' (did "
+      .. "you mean 'e_Go'?)" },
+  { "typo", "none of words of their own",
+    { [4] = go("a", "a", { "e_lock", "e_close", "e_left", "e_goto_a", "e_arm1" }),
+      [5] = go("b", "b", { "e_block", "e_closed", "e_lift", "e_goto_b", "e_arm2" }) } },
+  { "unknown-word", "an event that looks like a call",
+    { [4] = go("a", "b", "every(1)") },
+    "root.trans[4].events (a -> b): no loaded extension knows 'every(1)'" },
+  { "unknown-word", "none of an extension", { [4] = go("a", "b", "e_after(1)") } },
+  { "unknown-field", "a field in other words",
+    { [4] = go("a", "b", "e", { action = yes }) }, "root.trans[4] (a -> b): a "
+      .. "transition has no field 'action' (did you mean 'effect'?)" },
+  { "unknown-field", "none of the user's",
+    { [4] = go("a", "b", "e", { note = "x" }) } },
+  { "unmarked", "a state that was not marked", { c = { x = state {} } },
+    "root.c: a plain table that contains states or transitions is ignored (did you "
+      .. "mean rfsm.state{...}?)" },
+  { "unmarked", "no table of the user's", { c = { x = 1 } } },
+  { "misplaced", "a transition inside a leaf",
+    { b = state { go("root.b", "root.a", "e") } }, "root.b: a transition inside a leaf "
+      .. "state" },
+  { "misplaced", "none around it", { [4] = go("b", "a", "e") } },
+  { "silence", "a code that does not exist, and one without a reason",
+    { b = state { checks = { ["dead-ent"] = "no", typo = "" } } },
+    "root.b: checks: no check has the code 'dead-ent' (did you mean 'dead-end'?)",
+    "root.b: checks['typo']: a reason expected, got an empty string" },
+  { "silence", "none with a reason", { b = state { checks = { typo = "it is" } } } },
+}
+
+describe("the code", function()
+  for _, case in ipairs(CASES) do
+    it(case[1] .. " finds " .. case[2], function()
+      assert.same({ case[4], case[5], case[6] }, findings_of(chart(case[3]), case[1]))
+    end)
+  end
+
+  it("stands for nothing in a sound chart", function()
+    assert.same({}, findings_of(chart()))
+  end)
+end)
+
+describe("each code", function()
+  local function has_case(code, has_finding)
+    for _, case in ipairs(CASES) do
+      if case[1] == code and (case[4] ~= nil) == has_finding then return true end
+    end
+    return false
+  end
+
+  for _, entry in ipairs(require("rfsm.checks.codes").list) do
+    if entry.code ~= "invalid" and entry.code ~= "init" then
+      it("has a chart that shows it, and one that does not: " .. entry.code, function()
+        assert.is_true(has_case(entry.code, true))
+        assert.is_true(has_case(entry.code, false))
+      end)
+    end
+  end
+end)
+
+describe("findings", function()
+  it("have a code, a severity, a place and a hint", function()
     assert.same({
-      "root.trans[6] (initial -> b): a transition has no field 'event' (did you mean "
-      .. "'events'?)",
-      "root.trans[6] (initial -> b): never taken, root.trans[1] (initial -> a) always "
-      .. "comes first",
-      "root.par.1: root.c: unreachable, no path of transitions leads here",
-    }, warnings)
+      code = "unreachable", severity = "warning", place = "root.c",
+      text = "unreachable, no path of transitions leads here",
+      hint = "add a transition to it, or remove it",
+    }, (function()
+      local finding = rfsm_checks.findings(chart { c = state {} })[1]
+      assert.matches("^spec/checks_spec.lua:%d+: $", finding.file)
+      finding.file = nil
+      return finding
+    end)())
   end)
 
-  it("has the problems of a model that is not valid", function()
-    local problems = rfsm_checks.review(chart { [4] = trans { tgt = "a" } })
-    assert.equal(1, #problems)
+  it("are left out where their element expects them, with a reason", function()
+    local function risky(checks)
+      return chart { c = state { checks = checks }, [4] = go("a", "b", "every(1)",
+        { checks = checks }) }
+    end
+    assert.equal(2, #findings_of(risky(nil)))
+    assert.same({},
+      findings_of(risky { unreachable = "later", ["unknown-word"] = "mine" }))
+    assert.equal(2, #findings_of(risky { unreachable = " " }, "silence"))
+  end)
+
+  it("have the severity that a project sets", function()
+    local model = chart { c = state {} }
+    assert.equal("error",
+      rfsm_checks.findings(model, { unreachable = "error" })[1].severity)
+    assert.same({}, rfsm_checks.findings(model, { unreachable = "off" }))
+  end)
+
+  it("refuse a setting that is wrong", function()
+    local _, text = pcall(function()
+      return (rfsm_checks.findings(chart(), { typos = "off" }))
+    end)
+    assert.matches("checks_spec.lua:%d+: rfsm_checks.findings: settings: no check has "
+      .. "the code 'typos' %(did you mean 'typo'%?%)", text)
   end)
 end)
 

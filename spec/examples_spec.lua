@@ -223,10 +223,12 @@ describe("the example", function()
       session("checks", listen, "e_push", "e_pusch"))
   end)
 
-  it("checks has a state that nothing leads to", function()
-    assert.same({ "examples/checks.lua:18: root.spare: unreachable, no path of "
-      .. "transitions leads here" },
-      require("rfsm_checks").check(rfsm.load("examples/checks.lua")))
+  it("checks has a state that nothing leads to, with the reason", function()
+    local model = rfsm.load("examples/checks.lua")
+    assert.same({}, require("rfsm_checks").check(model))
+    model.spare.checks = nil
+    assert.same({ "examples/checks.lua:20: root.spare: unreachable, no path of "
+      .. "transitions leads here [unreachable]" }, require("rfsm_checks").check(model))
   end)
 
   it("emem locks the door after the third wrong code, and counts anew", function()

@@ -1,0 +1,119 @@
+--- The codes of findings: severity, meaning, and the way to mend each.
+--
+-- @module rfsm.checks.codes
+-- @license BSD-3-Clause
+
+local ipairs, pairs, type = ipairs, pairs, type
+local sort = table.sort
+local advice = require "rfsm.advice"
+
+local codes = {}
+
+--- What is known of a code.
+---@class rfsm_checks.Code
+---@field code string
+---@field severity "error"|"warning"|"note"
+---@field meaning string
+---@field hint string
+
+--- All codes, in the order in which the manual lists them.
+---@type rfsm_checks.Code[]
+codes.list = {}
+
+local function define(severity, code, meaning, hint)
+  local entry = { code = code, severity = severity, meaning = meaning, hint = hint }
+  codes.list[#codes.list + 1], codes[code] = entry, entry
+end
+
+define("error", "invalid", "the model cannot become a machine",
+  "correct what the text names")
+define("warning", "unreachable", "no path of transitions leads to a node",
+  "add a transition to it, or remove it")
+define("warning", "dead-end", "a leaf and the composites around it are never left",
+  "add a transition, or declare final = true")
+define("warning", "connector-end", "nothing leaves a connector",
+  "add a transition from it")
+define("warning", "connector-cycle", "connectors lead back to themselves",
+  "a path passes a connector once: lead the cycle through a state")
+define("warning", "closed-initial", "a composite cannot be entered at times",
+  "add an initial transition without guard and events, of the least pn")
+define("note", "no-default", "a connector has no way on for some event if its guards "
+  .. "say no", "add a transition without guard and events, of the least pn")
+define("warning", "shadowed", "a transition is never taken, others are tried earlier",
+  "give it a larger pn or other events, or a guard to the others")
+define("note", "conflict", "two transitions of a node and of equal pn can be enabled "
+  .. "at once", "give them different pn, or guards that exclude each other")
+define("warning", "endless", "run never becomes idle",
+  "let a state of the cycle wait for an event, or have a doo")
+define("warning", "never-done", "an e_done that no leaf sends",
+  "name a leaf state, or a final event of your own")
+define("warning", "never-called", "a callback stands where none is called",
+  "guard and effect belong to transitions; entry, exit and doo to states")
+define("warning", "typo", "an event is one letter from another",
+  "use one name; or silence the finding at this transition")
+define("warning", "unknown-word", "an event such as word(...) that no extension knows",
+  "require the module that knows it")
+define("warning", "unknown-field", "a field looks like one of the library's",
+  "use the name of the library")
+define("warning", "unmarked", "a plain table looks like a state or transition",
+  "use rfsm.state{...} or rfsm.trans{...}")
+define("warning", "misplaced", "an element stands where it is ignored or misread",
+  "move it to the composite around")
+define("warning", "init", "another warning of rfsm.init", "correct what the text names")
+define("warning", "silence", "a field `checks` is wrong",
+  'write checks = { ["a-code"] = "the reason" }')
+
+-- Texts of the core's warnings, and their codes.
+local WARNINGS = {
+  { "has no field '", "unknown-field" },
+  { "a plain table that", "unmarked" },
+  { "a transition inside a leaf state", "misplaced" },
+  { "a connector holds no", "misplaced" },
+  { "never fires here", "never-done" },
+  { "no loaded extension knows", "unknown-word" },
+}
+
+--- Return the code of a warning of the core.
+---@param text string
+---@return string code
+function codes.of_warning(text)
+  for _, pair in ipairs(WARNINGS) do
+    if text:find(pair[1], 1, true) then return pair[2] end
+  end
+  return "init"
+end
+
+local SEVERITIES = { error = true, warning = true, note = true, off = true }
+
+--- Return the hint that a code was misspelt.
+---@param code any
+---@return string hint
+function codes.nearest(code)
+  local names = {}
+  for i, entry in ipairs(codes.list) do names[i] = entry.code end
+  return type(code) == "string" and advice.nearest_name(code, names) or ""
+end
+
+--- Return what is wrong with the settings of a project; nil if nothing is.
+---@param settings any code -> "error"|"warning"|"note"|"off"
+---@return string? problem
+function codes.check_settings(settings)
+  if type(settings) ~= "table" then
+    return "table of severities expected, got " .. type(settings)
+  end
+  local wrong = {}
+  for code, severity in pairs(settings) do -- any order: sorted
+    if not codes[code] or type(codes[code]) ~= "table" or code == "list" then
+      wrong[#wrong + 1] = ("no check has the code '%s'%s"):format(tostring(code),
+        codes.nearest(code))
+    elseif not SEVERITIES[severity] then
+      wrong[#wrong + 1] = ("%s: 'error', 'warning', 'note' or 'off' expected, got %s")
+        :format(code, type(severity) == "string" and "'" .. severity .. "'"
+          or type(severity))
+    end
+  end
+  sort(wrong)
+  return wrong[1]
+end
+
+return codes

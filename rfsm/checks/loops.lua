@@ -1,0 +1,107 @@
+--- Loops: cycles of leaves that need no event from outside, so that run never ends.
+--
+-- @module rfsm.checks.loops
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local structure = require "rfsm.checks.structure"
+
+local ipairs, type = ipairs, type
+local concat = table.concat
+local is_conn = rfsm.is_conn
+
+local loops = {}
+
+-- Does the event trigger `tr`? Nil if a predicate decides.
+local function is_triggered(tr, event)
+  local events = tr.events or {}
+  if events[1] == nil then return true end
+  local answer = false
+  for _, other in ipairs(events) do
+    if other == event then return true end
+    if type(other) == "function" then answer = nil end
+  end
+  return answer
+end
+
+-- Returns the first of the transitions that the event takes; nil if a guard decides.
+local function find_taken(transitions, event)
+  for _, tr in ipairs(transitions) do
+    local is_wanted = is_triggered(tr, event)
+    if is_wanted == nil or is_wanted and tr.guard then return nil, true end
+    if is_wanted then return tr end
+  end
+end
+
+local function line_of(fsm, leaf)
+  local line = { leaf }
+  while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
+  return line
+end
+
+-- Returns the transitions that a leaf without doo takes on its own e_done, and the leaf
+-- where they end; nil if there are none, or a guard decides.
+local function follow(fsm, leaf)
+  local event, path = "e_done@" .. leaf._fqn, {}
+  local tr, is_open
+  for _, node in ipairs(line_of(fsm, leaf)) do
+    tr, is_open = find_taken(node._otrs, event)
+    if tr or is_open then break end
+  end
+  while tr and not tr._is_internal do
+    path[#path + 1] = tr
+    if not is_conn(tr.tgt) then return tr.tgt, path end
+    if path[100] then return nil end -- connectors in a circle
+    tr = find_taken(tr.tgt._otrs, event)
+  end
+end
+
+-- Could a callback send an event that leads out of the cycle? One that a transition
+-- names which is no part of it.
+local function may_be_left(fsm, leaves, taken)
+  local has_callback, has_exit = false, false
+  for _, leaf in ipairs(leaves) do
+    for _, node in ipairs(line_of(fsm, leaf)) do
+      has_callback = has_callback or node.entry or node.exit
+      for _, tr in ipairs(node._otrs) do
+        has_callback = has_callback or taken[tr] and tr.effect
+        has_exit = has_exit or not taken[tr]
+      end
+    end
+  end
+  return has_callback and has_exit
+end
+
+-- Returns the leaves of the cycle that a leaf is on, itself first.
+local function find_cycle(fsm, start)
+  local leaves, taken, leaf = {}, {}, start
+  repeat
+    if leaf.doo or taken[leaf] then return nil end
+    leaves[#leaves + 1], taken[leaf] = leaf, true
+    local next_leaf, path = follow(fsm, leaf)
+    for _, tr in ipairs(path or {}) do taken[tr] = true end
+    leaf = next_leaf
+  until not leaf or leaf == start
+  return leaf and not may_be_left(fsm, leaves, taken) and leaves
+end
+
+--- Find cycles on which a machine never becomes idle.
+---@param fsm rfsm.Machine
+---@param add fun(code: string, obj: table, text: string)
+function loops.check(fsm, add)
+  local reached, is_told = structure.reached(fsm), {}
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    local cycle = reached[leaf] and not is_told[leaf] and find_cycle(fsm, leaf)
+    if cycle then
+      local names = {}
+      for i, other in ipairs(cycle) do
+        names[i], is_told[other] = other._fqn, true
+      end
+      names[#names + 1] = leaf._fqn
+      add("endless", leaf, "run never becomes idle, no event is needed on "
+        .. concat(names, " -> "))
+    end
+  end
+end
+
+return loops

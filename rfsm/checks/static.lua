@@ -1,0 +1,231 @@
+--- Static checks: what is wrong, dead or risky in a chart, as far as its structure
+--- tells.
+--
+-- Each check is a file of its own. It calls `add(code, obj, text)`. Findings are in the
+-- order of the tree. A field `checks` of an element silences those of its own.
+--
+-- @module rfsm.checks.static
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local codes = require "rfsm.checks.codes"
+local place = require "rfsm.checks.place"
+
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local require, select, type = require, select, type
+local sort = table.sort
+
+local static = {}
+
+--- A finding.
+---@class rfsm_checks.Finding
+---@field code string "dead-end"
+---@field severity "error"|"warning"|"note"
+---@field file string "chart.lua:7: "; empty if it is not known
+---@field place string "root.trans[2] (off -> on)", in a region "root.par.left: root.a"
+---@field text string one sentence
+---@field hint string how to mend it
+
+local CHECKS = {
+  "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
+  "rfsm.checks.loops", "rfsm.checks.names",
+}
+
+local function new_finding(code, file, at, text)
+  return { code = code, severity = codes[code].severity, file = file, place = at,
+    text = text, hint = codes[code].hint }
+end
+
+-- Silence: findings that an element expects ........................................
+
+local function silences_of(obj)
+  local silences = obj.checks
+  return type(silences) == "table" and not rfsm.is_fsmobj(silences) and silences or {}
+end
+
+-- Finds codes that do not exist, and those without a reason.
+local function check_silences(obj, add)
+  local wrong = {}
+  for code, reason in pairs(silences_of(obj)) do -- any order: sorted
+    if type(code) ~= "string" or type(codes[code]) ~= "table" or code == "list" then
+      wrong[#wrong + 1] = ("checks: no check has the code '%s'%s"):format(
+        rfsm.text_of(code), codes.nearest(code))
+    elseif type(reason) ~= "string" or not reason:find("%S") then
+      wrong[#wrong + 1] = ("checks['%s']: a reason expected, got %s"):format(code,
+        type(reason) == "string" and "an empty string" or type(reason))
+    end
+  end
+  sort(wrong)
+  for _, text in ipairs(wrong) do add("silence", obj, text) end
+end
+
+local function is_silenced(obj, code)
+  local reason = silences_of(obj)[code]
+  return type(reason) == "string" and reason:find("%S") ~= nil
+end
+
+-- Leaves out the findings of init that an element expects.
+local function drop_silenced(fsm, findings)
+  local is_dropped = {}
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    for code in pairs(silences_of(obj)) do -- any order: a set
+      if is_silenced(obj, code) then
+        local _, events = place.split(rfsm.location_of(obj, "events"))
+        is_dropped[code .. place.of(obj)], is_dropped[code .. events] = true, true
+      end
+    end
+  end
+  local kept = {}
+  for _, finding in ipairs(findings) do
+    if not is_dropped[finding.code .. finding.place] then kept[#kept + 1] = finding end
+  end
+  return kept
+end
+
+-- Checks ..........................................................................
+
+-- Appends the findings about a machine, and about those inside of its leaves.
+local function check_machine(fsm, location, findings)
+  local by_element = {}
+  local function add(code, obj, text)
+    if is_silenced(obj, code) then return end
+    local file, at = place.split(rfsm.location_of(obj))
+    local list = by_element[obj] or {}
+    list[#list + 1] = new_finding(code, file, location .. at, text)
+    by_element[obj] = list
+  end
+  for _, name in ipairs(CHECKS) do require(name).check(fsm, add) end
+  local elements = rfsm.elements(fsm)
+  if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
+  for _, obj in ipairs(elements) do check_silences(obj, add) end
+  for _, obj in ipairs(elements) do
+    for _, finding in ipairs(by_element[obj] or {}) do
+      findings[#findings + 1] = finding
+    end
+  end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    for _, region in ipairs(place.regions_of(state)) do
+      local inner = location .. state._fqn .. "." .. region.name .. ": "
+      check_machine(region.machine, inner, findings)
+    end
+  end
+  return findings
+end
+
+-- Machines of the model ...........................................................
+
+local PRINTERS = { "dbg", "info", "warn", "err" }
+
+--- Make a machine that prints nothing but its warnings, with `warn`. It is made of the
+--- model itself, because transitions may name its root.
+---@param model rfsm.State
+---@param warn function|false
+---@return rfsm.Machine|false fsm
+---@return string[]? problems
+function static.init(model, warn)
+  local own = {}
+  for _, name in ipairs(PRINTERS) do
+    own[name] = model[name]
+    if not rfsm.is_fsmobj(own[name]) then model[name] = name == "warn" and warn end
+  end
+  local ok, fsm, problems = pcall(rfsm.init, model)
+  for _, name in ipairs(PRINTERS) do model[name] = own[name] end
+  if not ok then error(fsm, 0) end
+  return fsm, problems
+end
+
+-- What the checks find in more detail.
+local function is_finding(text)
+  return text:find("^no outgoing transitions from node")
+    or text:find("each transition from here has events or a guard", 1, true)
+    or text:find("'e_done' never fires here", 1, true)
+end
+
+local function add_lines(findings, lines, code_of, location)
+  for _, line in ipairs(lines) do
+    local file, rest = place.split(line)
+    local at, text = rest:match("^(root.-): (.*)$")
+    local code = code_of(line)
+    if code == "invalid" or not is_finding(line) then
+      findings[#findings + 1] = new_finding(code, file, location .. (at or "root"),
+        text or rest)
+    end
+  end
+end
+
+local function invalid() return "invalid" end
+
+-- Appends the early warnings of the machines inside of states.
+local function add_region_warnings(findings, fsm, location)
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    for _, region in ipairs(place.regions_of(state)) do
+      local inner = location .. state._fqn .. "." .. region.name .. ": "
+      add_lines(findings, select(3, rfsm.verify_early(region.machine)),
+        codes.of_warning, inner)
+      add_region_warnings(findings, region.machine, inner)
+    end
+  end
+end
+
+-- Returns all findings about a model: problems, warnings of init, those of the checks.
+local function findings_of_model(model)
+  local findings = {}
+  local is_valid, problems, early = rfsm.verify_early(model)
+  add_lines(findings, problems, invalid, "")
+  if not is_valid then
+    add_lines(findings, early, codes.of_warning, "")
+    return findings
+  end
+  local fsm, found = static.init(model, function(text)
+    text = rfsm.text_of(text):gsub("^WARNING: ", "")
+    add_lines(findings, { text }, codes.of_warning, "")
+  end)
+  add_lines(findings, found or {}, invalid, "")
+  if not fsm then return findings end
+  add_region_warnings(findings, fsm, "")
+  return check_machine(fsm, "", drop_silenced(fsm, findings))
+end
+
+-- Gives findings the severity that a project has set, and drops those that are off.
+local function apply(findings, settings)
+  local kept = {}
+  for _, finding in ipairs(findings) do
+    finding.severity = settings[finding.code] or finding.severity
+    if finding.severity ~= "off" then kept[#kept + 1] = finding end
+  end
+  return kept
+end
+
+--- Find what is wrong, dead or risky in a model.
+--
+-- A finding of an element is left out if its field `checks` has the code, with a
+-- reason. The fields of a project's settings are codes, their values severities or
+-- "off".
+--
+-- @raise if `model` is no state, or a setting is wrong
+---@param model rfsm.State a model, or a machine
+---@param settings? table<string, string>
+---@return rfsm_checks.Finding[] findings in the order of the tree
+---@nodiscard
+function static.findings(model, settings)
+  if not rfsm.is_state(model) then
+    error("rfsm_checks.findings: state expected, got " .. type(model), 2)
+  end
+  local problem = codes.check_settings(settings or {})
+  if problem then error("rfsm_checks.findings: settings: " .. problem, 2) end
+  local is_machine = rfsm.is_initialized_root(model)
+  local findings = is_machine and check_machine(model, "", {})
+    or findings_of_model(model)
+  return apply(findings, settings or {})
+end
+
+--- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a
+--- model have no code: nothing can silence them.
+---@param finding rfsm_checks.Finding
+---@return string line
+function static.line(finding)
+  local code = finding.code ~= "invalid" and " [" .. finding.code .. "]" or ""
+  return finding.file .. finding.place .. ": " .. finding.text .. code
+end
+
+return static

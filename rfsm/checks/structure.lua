@@ -1,0 +1,86 @@
+--- Structure: nodes that nothing reaches or leaves, callbacks that nobody calls.
+--
+-- @module rfsm.checks.structure
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local ipairs = ipairs
+local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
+
+local structure = {}
+
+-- Marks a node that a transition leads to, and the composites that it is in.
+local function mark(reached, pending, node)
+  while not reached[node] do
+    reached[node] = true
+    pending[#pending + 1] = node
+    node = node._parent
+  end
+end
+
+--- Return the set of nodes that some path of transitions leads to.
+---@param fsm rfsm.Machine
+---@return table<table, boolean> reached
+function structure.reached(fsm)
+  local reached, pending = {}, {}
+  mark(reached, pending, fsm)
+  if fsm.initial then mark(reached, pending, fsm.initial) end
+  while pending[1] do
+    local node = pending[#pending]
+    pending[#pending] = nil
+    for _, tr in ipairs(node._otrs) do mark(reached, pending, tr.tgt) end
+  end
+  return reached
+end
+
+local function has_way_out(fsm, state)
+  while not state._otrs[1] do
+    if state == fsm then return false end
+    state = state._parent
+  end
+  return true
+end
+
+-- Finds nodes that nothing leads to, and those that nothing leads away from, but not
+-- in an unreachable composite.
+local function check_node(fsm, node, reached, add)
+  if not reached[node] then
+    if reached[node._parent] then
+      add("unreachable", node, "unreachable, no path of transitions leads here")
+    end
+  elseif is_conn(node) and not node._otrs[1] then
+    add("connector-end", node, "no way out of this connector, so that no transition to "
+      .. "it is ever taken")
+  elseif node ~= fsm and is_leaf(node) and not node.final
+    and not has_way_out(fsm, node) then
+    add("dead-end", node, "no exit, neither this state nor one around it is ever left")
+  end
+end
+
+local NEVER_CALLED = {
+  state = { "guard", "effect" }, transition = { "entry", "exit", "doo" },
+  connector = { "entry", "exit", "doo", "guard", "effect" },
+}
+
+local function check_callbacks(obj, add)
+  local kind = obj:type()
+  for _, field in ipairs(NEVER_CALLED[kind]) do
+    if rfsm.is_callable(obj[field]) then
+      add("never-called", obj, ("the %s of a %s is never called"):format(field, kind))
+    end
+  end
+end
+
+--- Find what is wrong with nodes.
+---@param fsm rfsm.Machine
+---@param add fun(code: string, obj: table, text: string)
+function structure.check(fsm, add)
+  local reached = structure.reached(fsm)
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
+    check_callbacks(obj, add)
+  end
+end
+
+return structure
