@@ -36,6 +36,8 @@ local OPTIONS = {
   title = { "text", opts.is_text },
 }
 
+local MAX_DRAWN = 500 -- nodes
+
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
   .. "frame-ancestors 'none'"
@@ -131,10 +133,11 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Has a new chart drawn.
+-- Has a new chart drawn, unless Graphviz would take too long.
 local function start_picture(server)
   local source = server.source
-  local graph = source.view and dot.encode(source.view.description) or ""
+  local is_drawn = source.view and #source.view.outline.nodes <= MAX_DRAWN
+  local graph = is_drawn and dot.encode(source.view.description) or ""
   server.drawn = source.generation
   if graph == server.graph then return end
   if server.drawing then server.drawing:drop() end

@@ -101,6 +101,7 @@ build = {
     ["rfsmpp"] = "rfsmpp.lua",
   },
   install = {
+    lua = { ["rfsm.web.page"] = "rfsm/web/page.html" },
     bin = {
       ["rfsm"] = "tools/rfsm",
       ["rfsm-check"] = "tools/rfsm-check",

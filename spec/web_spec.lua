@@ -68,7 +68,7 @@ end
 -- Requests ------------------------------------------------------------------------
 
 describe("the server", function()
-  it("has one page, for this origin only and without anything from elsewhere", function()
+  it("has one page, for this origin, with nothing from elsewhere", function()
     local server = open()
     local status, body, reply = http.request(server, "GET", "/?a=b")
     assert.equal(200, status)
@@ -429,7 +429,8 @@ describe("a page", function()
 end)
 
 describe("a chart in a file", function()
-  local BAD = LAMP:gsub('tgt = "off" }', 'tgt = "offf" }'):gsub("function%(%).-end", "7")
+  local BAD = LAMP:gsub('tgt = "off" }', 'tgt = "offf" }')
+    :gsub("function%(%).-end", "7")
 
   it("with mistakes is a page with file and line, until it is mended", function()
     local server, file = open(BAD)

@@ -3,6 +3,7 @@
 #
 #   tools/deps.sh sim           for the simulator
 #   tools/deps.sh test LUA ...  for the tests, on these interpreters
+#   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh doc           for the pages of the API
 #
 # Missing Debian packages are installed if you are root or have password-free sudo.
@@ -51,6 +52,15 @@ missing_for_test() { # missing_for_test LUA ...
   command -v tmux >/dev/null 2>&1 || echo tmux
 }
 
+missing_for_web() {
+  command -v busted >/dev/null 2>&1 || echo lua-busted
+  has_module lua5.1 dkjson || echo lua-dkjson
+  has_module lua5.1 socket || echo lua-socket
+  command -v dot >/dev/null 2>&1 || echo graphviz
+  command -v chromium >/dev/null 2>&1 || echo chromium
+  command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
+}
+
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
   has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
@@ -84,7 +94,7 @@ install_packages() {
 }
 
 case "${1:-}" in
-  sim | test | doc)
+  sim | test | web | doc)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -93,5 +103,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|doc|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|doc|test LUA ..." >&2; exit 2 ;;
 esac

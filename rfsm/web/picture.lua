@@ -16,7 +16,7 @@ local Picture = {}
 Picture.__index = Picture
 
 local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; "
-  .. "dot -Tsvg -o '%s' '%s' >/dev/null 2>&1 </dev/null & echo $!; }"
+  .. "nice dot -Tsvg -o '%s' '%s' >/dev/null 2>&1 </dev/null & echo $!; }"
 
 --- Begin a picture of a graph; without Graphviz none will come.
 ---@param graph string in Graphviz's language
