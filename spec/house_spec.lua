@@ -80,7 +80,6 @@ local MODULES = {
   { "rfsm_snapshot", "rfsm.snapshot" },
   { "rfsm_record", "rfsm.record" },
   { "rfsm_web", "rfsm.web" },
-  { "rfsm_watch", "rfsm.watch" },
 }
 
 -- Requires the names of each module in every order, each order from the beginning, and
