@@ -137,7 +137,7 @@ end
 -- All modules in a row, the core first, for one file that holds them.
 local function all_modules()
   local names = { "rfsm" }
-  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua compat/*.lua "
+  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua "
     .. "compat/rfsm/*.lua")) do
     names[#names + 1] = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
   end

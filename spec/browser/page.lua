@@ -29,8 +29,8 @@ local function open(file, port)
   return keep(assert(web.open(file, { port = port or 0 })))
 end
 
--- On a port that the system gives to no connection, so that it stays free when the server
--- is gone.
+-- On a port that the system gives to no connection: it stays free when the server is
+-- gone.
 local function open_below_ephemeral(file)
   for port = 18044, 19000 do
     local server = web.open(file, { port = port })
@@ -174,8 +174,9 @@ describe("the page", function()
     assert.same({ "open", "open" }, lit())
     assert.equal(2, window:run "return document.querySelectorAll('.region').length")
     window:click "#events .enabled:nth-of-type(3)"
-    window:wait "document.querySelectorAll('#boxes path.taken').length"
+    window:wait "now.log.some(entry => entry.events?.includes('e_grasp'))"
     assert.same({ "closed", "closed" }, lit())
+    assert.equal(2, window:run "return document.querySelectorAll('path.taken').length")
   end)
 
   it("lets no text of a chart become a part of itself", function()
@@ -211,13 +212,13 @@ describe("the page", function()
   it("says that the server is gone, and goes on when it is back", function()
     local port = open_below_ephemeral(CHART).port
     window:open(servers[1].url)
-    window:wait "now.active"
+    window:wait "document.querySelector('.active')"
     window:run "window.isOld = true"
     close_all()
     window:wait "document.body.classList.contains('gone')"
     keep_shot "gone"
     open(CHART, port)
-    window:wait "!window.isOld && now.active"
+    window:wait "!window.isOld && document.querySelector('.active')"
     window:type "4"
     window:wait "now.leaf == 'root.operational.tracking'" -- with the new token
   end)
