@@ -579,3 +579,26 @@ describe("a machine elsewhere", function()
     pipe:close()
   end)
 end)
+
+describe("the command line", function()
+  local function run(command)
+    return helper.output_of(("os.execute(%q)"):format("LUA='" .. arg[-1] .. "' tools/"
+      .. command .. " 2>&1 | tail -1"))
+  end
+
+  for command, expected in pairs { -- any order: each stands alone
+    ["rfsm-web"] = "Error: FILE or --attach expected",
+    ["rfsm-web --attach a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
+    ["rfsm-web --attach localhost:65536"]
+      = "Error: HOST or HOST:PORT expected, got 'localhost:65536'",
+    ["rfsm-web --port 65536 examples/on_off.lua"]
+      = "rfsm web: port: whole number from 0 to 65535 expected, got 65536",
+    ["rfsm-web nothing.lua"] = "rfsm web: nothing.lua: No such file or directory",
+    ["rfsm-web ."] = "rfsm web: .: Is a directory",
+    ["rfsm-watch a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
+  } do
+    it("refuses " .. command .. " in one line", function()
+      assert.equal(expected, run(command))
+    end)
+  end
+end)
