@@ -32,7 +32,9 @@ end
 -- On a port that the system gives to no connection: it stays free when the server is
 -- gone.
 local function open_below_ephemeral(file)
-  for port = 18044, 19000 do
+  local any = web.open(file, { port = 0 })
+  any:close()
+  for port = 18000 + any.port % 1000, 20000 do -- not the same for two of these specs
     local server = web.open(file, { port = port })
     if server then return keep(server) end
   end
