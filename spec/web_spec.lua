@@ -6,6 +6,7 @@ local helper = require "spec.helper"
 local http = require "spec.support.http"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
+local watch = require "rfsm.watch"
 local web = require "rfsm.web"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -92,6 +93,17 @@ describe("the server", function()
         host)
     end
     assert.equal(403, (http.request(server, "GET", "/", {})))
+  end)
+
+  it("refuses what a page of somebody else asks for, but a link", function()
+    local server = open()
+    for site, expected in pairs { -- any order: each stands alone
+      ["cross-site"] = 403, ["same-site"] = 403, ["same-origin"] = 200, none = 200,
+    } do
+      local headers = { "Host: localhost", "Sec-Fetch-Site: " .. site }
+      assert.equal(expected, (http.request(server, "GET", "/chart", headers)), site)
+      assert.equal(200, (http.request(server, "GET", "/", headers)), site)
+    end
   end)
 
   it("takes commands only with the token of its page", function()
@@ -577,6 +589,45 @@ describe("a machine elsewhere", function()
     rfsm.run(fsm)
     assert.equal("root.off (done)\nroot.on (done)\n", pipe:read("*a"))
     pipe:close()
+  end)
+end)
+
+describe("rfsm.watch", function()
+  local GRAPH = { id = "root", type = "state", subnodes = {
+    { id = "initial", type = "connector" }, { id = "off", type = "state" },
+    { id = "on", type = "state", subnodes = { { id = "dim", type = "state" } } },
+  } }
+
+  -- A client that has received these messages.
+  local function client(messages)
+    return { receive = function() return table.remove(messages, 1) end }
+  end
+
+  local function state_message(leaf, fsm)
+    return { type = "rfsm_active_state", fsm = fsm or 1, act_leaf = leaf,
+      act_leaf_state = "done" }
+  end
+
+  it("draws the tree and the log at a terminal", function()
+    local screens = helper.printed(function()
+      watch.run(client { { type = "rfsm_model", fsm = 1, graph = GRAPH },
+        state_message "root.off", state_message "root.on.dim" },
+        { number = 1, count = 2, is_terminal = true })
+    end)
+    assert.equal(3, #screens)
+    local tree, log = screens[3]:match("^\27%[H\27%[J(.-)\n\n(.*)$")
+    assert.equal("* root\n    off\n*   on\n*     dim", tree)
+    assert.equal("root.off (done)\nroot.on.dim (done)", (log:gsub("%d+:%d+:%d+ ", "")))
+  end)
+
+  it("prints a line for each change of its machine in a pipe", function()
+    assert.same({ "not active", "root.off (done)", "refused: subscribe: x" },
+      helper.printed(function()
+        watch.run(client { state_message(false), state_message "root.off",
+          state_message("root.on", 2), { type = "new" }, state_message "root.off",
+          { type = "rfsm_error", text = "subscribe: x" } },
+          { number = 1, count = 3, is_terminal = false })
+      end))
   end)
 end)
 
