@@ -83,10 +83,8 @@ $(LUAS:%=examples-with-%): examples-with-%:
 
 examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 
-transcript:             ## run the sessions in README.md and doc/sim.md again, with LUA
-	@for f in README.md doc/sim.md; do \
-	  $(LUA) tools/transcript.lua $$f > $$f.new && mv $$f.new $$f || exit 1; \
-	done
+transcript:             ## run the sessions in doc/sim.md again, with LUA
+	$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
 
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc

@@ -4,12 +4,7 @@ local helper = require "spec.helper"
 
 after_each(helper.remove_files)
 
-local function lines_of(command)
-  local pipe, lines = assert(io.popen(command)), {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
-end
+local lines_of = helper.lines_of
 
 -- The tracked files; nil in a tree without git.
 local function tracked()
