@@ -4,7 +4,7 @@
 -- @module rfsm.watch
 -- @license BSD-3-Clause
 
-local ipairs, os, print, select = ipairs, os, print, select
+local ipairs, os, select = ipairs, os, select
 local setmetatable = setmetatable
 local concat, remove = table.concat, table.remove
 
