@@ -93,7 +93,9 @@ end
 -- Functions in files of their own, which are loaded when they are first asked for.
 local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
-  findings = "rfsm.checks.static",
+  findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
+  never = "rfsm.checks.properties", always = "rfsm.checks.properties",
+  after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }
 
 setmetatable(rfsm_checks, { __index = function(_, name)

@@ -10,7 +10,6 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local rfsm_checks = require "rfsm_checks"
 local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
@@ -137,7 +136,7 @@ local function append(lines, texts)
 end
 
 -- Appends lines about the chart in a file; returns the gravest severity.
-local function review(lines, file, has_notes)
+local function review(lines, file, options)
   local command = require("rfsm.checks.command")
   local settings, problem = command.settings_for(file)
   if not settings then fail("check", { problem }, 2) end
@@ -146,14 +145,10 @@ local function review(lines, file, has_notes)
     append(lines, { warnings })
     return "error"
   end
-  local ok, findings = with_streams(NOWHERE, rfsm_checks.findings, model, settings)
-  if not ok then
-    append(lines, { chart.reason(file, findings) })
-    return "error"
-  end
-  local report, gravest = command.report(file, findings, warnings, has_notes)
-  append(lines, report)
-  return gravest
+  local ok, report, gravest = with_streams(NOWHERE, command.review, file, model,
+    warnings, settings, options)
+  append(lines, ok and report or { chart.reason(file, report) })
+  return not ok and "error" or gravest
 end
 
 local check = {
@@ -173,6 +168,11 @@ function check.add_arguments(command)
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
   command:flag("--codes", "list the codes of findings and end"):action(print_codes)
+  command:flag("-x --explore", "walk over every configuration, and judge properties")
+  command:option("-k --together", "explore: events in one step, at most")
+    :argname("N"):convert(tonumber)
+  command:option("--configurations --seconds", "explore: stop after so many")
+    :argname("N"):convert(tonumber)
 end
 
 function check.run(options)
@@ -181,7 +181,7 @@ function check.run(options)
   require("rfsm.await")
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local gravest = review(lines, file, options.all)
+    local gravest = review(lines, file, options)
     if gravest == "error" or options.strict and gravest then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end

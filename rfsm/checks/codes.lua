@@ -60,6 +60,20 @@ define("warning", "unmarked", "a plain table looks like a state or transition",
 define("warning", "misplaced", "an element stands where it is ignored or misread",
   "move it to the composite around")
 define("warning", "init", "another warning of rfsm.init", "correct what the text names")
+define("warning", "unreached", "a state that is active in no configuration",
+  "see which guard, priority or event keeps its transitions from being taken")
+define("warning", "untaken", "a transition that no step takes",
+  "see which transition is tried earlier, or which connector is closed")
+define("warning", "stuck", "a configuration that nothing leaves",
+  "add a transition, or declare final = true")
+define("warning", "livelock", "a configuration from which run never becomes idle",
+  "let a state of the cycle wait for an event, or have a doo")
+define("note", "clash", "a connector with several enabled transitions of equal pn",
+  "give them different pn, or guards that exclude each other")
+define("note", "swallowed", "an event is discarded at a closed connector",
+  "give the connector a default, or the event a transition of less pn")
+define("error", "violated", "a property that does not hold",
+  "mend the chart, or the property")
 define("warning", "silence", "a field `checks` is wrong",
   'write checks = { ["a-code"] = "the reason" }')
 
