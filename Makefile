@@ -14,22 +14,24 @@ SEED     ?= 1
 PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
-BUNDLE   ?= rfsm rfsm.straight rfsm.advice
-SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.straight rfsm.emem \
+BUNDLE   ?= rfsm rfsm.quick rfsm.straight rfsm.advice
+DIST     ?= dist
+SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.quick rfsm.straight rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
 endif
+# the address of the repository, for rockspecs of releases: not yet known
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
-CHECKS   := $(wildcard rfsm/checks/*.lua)
-NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER))) $(CHECKS)
+DEEPER   := $(wildcard rfsm/*/*.lua)
+NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER))) $(DEEPER)
 TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
-FILES    := $(OUTER) $(INNER) $(CHECKS) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
+FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
 
-.PHONY: all help sim test lint fuzz bench bench-profile examples doc deps
+.PHONY: all help sim test lint fuzz bench bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -76,31 +78,44 @@ $(LUAS:%=examples-with-%): examples-with-%:
 
 examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 
+transcript:             ## run the sessions in README.md and doc/sim.md again, with LUA
+	@for f in README.md doc/sim.md; do \
+	  $(LUA) tools/transcript.lua $$f > $$f.new && mv $$f.new $$f || exit 1; \
+	done
+
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc
 	ldoc -c doc/config.ld --fatalwarnings -q .
+
+# lamp.lua is the chart of the README: its first block of Lua, up to where it runs.
+gallery:                ## doc/gallery/: pictures of the examples and of larger charts
+	@set -e; trap 'rm -f lamp.lua' EXIT; \
+	sed -n '/^```lua/,/^rfsm.run/p' README.md | sed '1d; $$s/.*/return fsm/' > lamp.lua; \
+	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
+	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
+	done
 
 deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
 	@tools/deps.sh test $(LUAS)
 	@tools/deps.sh doc
 
-rockspec:               ## rockspec/ gets the one of release VERSION, from URL
-	$(LUA) tools/rockspec.lua $(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec
+rockspec:               ## the lists of the dev rockspec; with VERSION, the rockspec of a release
+	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)
 
 dist:                   ## dist/rfsm.lua: the core and the rest of BUNDLE in one file
-	@mkdir -p dist
-	$(LUA) tools/dist.lua $(BUNDLE) > dist/rfsm.lua
+	@mkdir -p $(DIST)
+	$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
 
 size:                   ## the live heap that each of SIZED takes, with LUA
 	@$(LUA) tools/size.lua $(SIZED)
 
 install:                ## copy modules and tools below PREFIX; STRIP=1: as bytecode
 	@set -e; for d in $(LUADIRS:%=$(DESTDIR)%); do \
-	  install -d $$d/rfsm/checks; \
+	  install -d $(addprefix $$d/,$(sort $(dir $(DEEPER)))); \
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
-	  install -m 644 $(CHECKS) $$d/rfsm/checks; \
+	  for f in $(DEEPER); do install -m 644 $$f $$d/$$f; done; \
 	  $(if $(STRIP),$(STRIP_FILES);) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
@@ -117,7 +132,7 @@ STRIP_FILES = luac=luac$${d\#\#*/}; \
 uninstall:              ## remove the files that install copied, and empty directories
 	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
-	@rmdir $(LUADIRS:%=$(DESTDIR)%/rfsm/checks) $(LUADIRS:%=$(DESTDIR)%/rfsm) 2>/dev/null || true
+	@rmdir $(foreach d,$(LUADIRS:%=$(DESTDIR)%),$(addprefix $(d)/,$(sort $(dir $(DEEPER))) rfsm)) 2>/dev/null || true
 	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))
 
 # Not in /usr and /usr/local: these directories are the system's there, also empty.

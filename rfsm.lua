@@ -15,10 +15,8 @@
 local error, getmetatable, ipairs, loadfile = error, getmetatable, ipairs, loadfile
 local next, pairs, pcall, rawequal, rawget = next, pairs, pcall, rawequal, rawget
 local rawset, require, select, setmetatable = rawset, require, select, setmetatable
-local tostring, type = tostring, type
-local huge = math.huge
+local coroutine, tostring, type = coroutine, tostring, type
 local concat, sort = table.concat, table.sort
-local create, resume, status = coroutine.create, coroutine.resume, coroutine.status
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
@@ -85,43 +83,51 @@ end
 -- Where the tables of a model were made: table -> "file:line".
 local made_at = setmetatable({}, { __mode = "k" })
 
-local this_file = getinfo and getinfo(1, "S").short_src
-local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
+local define
 
--- Notes the line that called a constructor, `level` functions up. A tail call has left
--- no line; then the level is another's.
-local function note_caller(t, level)
-  if not getinfo or knows_tail_calls and getinfo(level, "t").istailcall then return end
-  local caller = getinfo(level + 1, "Sl")
-  if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-    local file = caller.source:match("^@(.*)") or caller.short_src -- which is cut to 60
-    made_at[t] = file .. ":" .. caller.currentline
-  end
-end
+do
+  local this_file = getinfo and getinfo(1, "S").short_src
+  local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
--- A metatable for elements that inherit from `base`, a state or transition.
-local function heir_class(base)
-  local class = getmetatable(base)
-  return {
-    rfsm = class.rfsm, type = class.type, new = class.new, __index = base,
-    __tostring = class.__tostring,
-  }
-end
-
--- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from base.
-local function define(class, name)
-  local function mark(base, t, level)
-    if type(t) ~= "table" then
-      error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
+  -- Notes the line that called a constructor, `level` functions up. A tail call has
+  -- left no line; then the level is another's.
+  local function note_caller(t, level)
+    if not getinfo then return end
+    if knows_tail_calls and getinfo(level, "t").istailcall then return end
+    local caller = getinfo(level + 1, "Sl")
+    if caller and caller.currentline > 0 and caller.short_src ~= this_file then
+      local file = caller.source:match("^@(.*)") or caller.short_src -- cut to 60
+      made_at[t] = file .. ":" .. caller.currentline
     end
-    if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
-    note_caller(t, level + 1)
-    return setmetatable(t, base == class and class or heir_class(base))
   end
-  class.__index = class
-  function class.new(base, t) return (mark(base, t, 2)) end
-  function class.type() return class.rfsm end
-  return setmetatable(class, { __call = function(_, t) return (mark(class, t, 2)) end })
+
+  -- A metatable for elements that inherit from `base`, a state or transition.
+  local function heir_class(base)
+    local class = getmetatable(base)
+    return {
+      rfsm = class.rfsm, type = class.type, new = class.new, __index = base,
+      __tostring = class.__tostring,
+    }
+  end
+
+  -- Gives `class` its constructor: X{...}, X:new{...}; base:new{...} inherits from
+  -- base.
+  function define(class, name)
+    local function mark(base, t, level)
+      if type(t) ~= "table" then
+        error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
+      end
+      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- a live one
+      note_caller(t, level + 1)
+      return setmetatable(t, base == class and class or heir_class(base))
+    end
+    class.__index = class
+    function class.new(base, t) return (mark(base, t, 2)) end
+    function class.type() return class.rfsm end
+    return setmetatable(class, {
+      __call = function(_, t) return (mark(class, t, 2)) end,
+    })
+  end
 end
 
 --- Mark a table as a state.
@@ -187,7 +193,6 @@ function rfsm.is_node(value)
 end
 
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
-local is_trans = rfsm.is_trans
 
 local function has_nodes(state)
   for key, value in pairs(state) do -- any order: one node decides
@@ -436,102 +441,10 @@ local CALLBACKS = {
 }
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
-local ROOT_FIELDS = {}
-for i = 1, 4 do ROOT_FIELDS[HOOKS[i]], ROOT_FIELDS[PRINTERS[i]] = true, true end
-
--- The engine's own fields that anybody may read: never taken for the user's data.
-local API_FIELDS = {}
-for name in ("_act_leaf _actchild _curq _doo_co _fqn _fsm _id _initialized _intq _mode "
-  .. "_otrs _parent"):gmatch("%S+") do
-  API_FIELDS[name] = true
-end
 
 local function check_callable(build, def, field, value)
   if value and not is_callable(value) then
     add(build.problems, def, field, "function expected, " .. got(value))
-  end
-end
-
--- A node needs a name that a reference can spell and that is no field of its parent.
-local function check_name(build, def)
-  local name, parent = def.id, def.parent
-  if type(name) ~= "string" then
-    add(build.problems, def, nil, "a %s needs a name (name = ...)", def.kind)
-  elseif name == "" or name:find("[.\\]") or is_meta(name) then
-    add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' or "
-      .. "'\\' or start with '_'", def.kind)
-  elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
-    add(build.problems, def, nil, "a %s cannot have this name, it is a field of every "
-      .. (CALLBACKS.state[name] and "state" or "root"), def.kind)
-  elseif name == "initial" and def.kind ~= "connector" then
-    add(build.problems, def, nil, "connector expected, got %s", def.kind)
-  end
-end
-
--- Returns the events of a transition as a list of its own: a list of anything but NaN
--- without holes, or one string. False when there are none.
-local function check_events(build, def, events)
-  if not events then return false end
-  if type(events) == "string" then events = { events } end
-  if type(events) ~= "table" or getmetatable(events) ~= nil then
-    add(build.problems, def, "events", "list of events or a string expected, "
-      .. got(events))
-    return false
-  end
-  local list, count = {}, 0
-  for _ in pairs(events) do count = count + 1 end -- any order: only counted
-  for i = 1, count do
-    local event = events[i]
-    if event == nil then
-      add(build.problems, def, "events", "list of events expected, got a table with "
-        .. "holes or keys")
-      return false
-    elseif event ~= event then
-      add(build.problems, def, "events[" .. i .. "]", "an event cannot be NaN")
-    end
-    list[i] = event
-  end
-  return count > 0 and list
-end
-
--- Warns of a plain table that looks like a state or transition somebody forgot to mark.
-local function check_plain_table(build, def, key, t)
-  local form = rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil and "trans"
-  for _, value in pairs(t) do -- any order: one element decides
-    if not form and (is_node(value) or is_trans(value)) then form = "state" end
-  end
-  if not form then return end
-  local what = form == "trans" and "has 'src' and 'tgt'"
-    or "contains states or transitions"
-  add(build.warnings, def, text_of(key),
-    "a plain table that %s is ignored (did you mean rfsm.%s{...}?)", what, form)
-end
-
--- Warns of a field that looks like one of the library's in other words.
-local function check_unknown_field(build, def, key, value)
-  if type(key) ~= "string" or is_meta(key) then return end
-  if def.kind ~= "transition" and not is_callable(value) then return end
-  local meant = def.kind == "transition" and key == "event" and "events"
-    or advise("field_meant", def.parent == def and "root" or def.kind, key)
-  if meant ~= "" and def.model[meant] == nil then
-    add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
-      def.kind, key, meant)
-  end
-end
-
-local function check_root(build, root)
-  local model = root.model
-  for i = 1, 4 do
-    check_callable(build, root, HOOKS[i], model[HOOKS[i]])
-    local printer = model[PRINTERS[i]]
-    if printer and printer ~= true and not is_callable(printer) then
-      add(build.problems, root, PRINTERS[i], "function, true or false expected, "
-        .. got(printer))
-    end
-  end
-  if not root.is_leaf and not root.members.initial then
-    add(build.problems, root, nil, "the root needs an initial transition "
-      .. "(rfsm.trans{ src='initial', tgt=... })")
   end
 end
 
@@ -548,6 +461,103 @@ end
 local clone_below, new_node, new_transition
 
 do
+  local CONSTRUCTORS = {
+    [State] = "state", [Transition] = "trans", [Connector] = "conn",
+  }
+  local ROOT_FIELDS = {}
+  for i = 1, 4 do ROOT_FIELDS[HOOKS[i]], ROOT_FIELDS[PRINTERS[i]] = true, true end
+
+  -- The engine's own fields that anybody may read: never taken for the user's data.
+  local API_FIELDS = {}
+  for name in ("act_leaf actchild curq doo_co fqn fsm id initialized intq mode otrs "
+    .. "parent"):gmatch("%S+") do
+    API_FIELDS["_" .. name] = true
+  end
+
+  -- A node needs a name that a reference can spell and that is no field of its parent.
+  local function check_name(build, def)
+    local name, parent = def.id, def.parent
+    if type(name) ~= "string" then
+      add(build.problems, def, nil, "a %s needs a name (name = ...)", def.kind)
+    elseif name == "" or name:find("[.\\]") or is_meta(name) then
+      add(build.problems, def, nil, "the name of a %s must not be empty, contain '.' "
+        .. "or '\\' or start with '_'", def.kind)
+    elseif CALLBACKS.state[name] or parent.parent == parent and ROOT_FIELDS[name] then
+      add(build.problems, def, nil, "a %s cannot have this name, it is a field of "
+        .. "every " .. (CALLBACKS.state[name] and "state" or "root"), def.kind)
+    elseif name == "initial" and def.kind ~= "connector" then
+      add(build.problems, def, nil, "connector expected, got %s", def.kind)
+    end
+  end
+
+  -- Returns the events of a transition as a list of its own: a list of anything but NaN
+  -- without holes, or one string. False when there are none.
+  local function check_events(build, def, events)
+    if not events then return false end
+    if type(events) == "string" then events = { events } end
+    if type(events) ~= "table" or getmetatable(events) ~= nil then
+      add(build.problems, def, "events", "list of events or a string expected, "
+        .. got(events))
+      return false
+    end
+    local list, count = {}, 0
+    for _ in pairs(events) do count = count + 1 end -- any order: only counted
+    for i = 1, count do
+      local event = events[i]
+      if event == nil then
+        add(build.problems, def, "events", "list of events expected, got a table with "
+          .. "holes or keys")
+        return false
+      elseif event ~= event then
+        add(build.problems, def, "events[" .. i .. "]", "an event cannot be NaN")
+      end
+      list[i] = event
+    end
+    return count > 0 and list
+  end
+
+  -- Warns of a plain table that looks like a state or transition somebody forgot to
+  -- mark.
+  local function check_plain_table(build, def, key, t)
+    local form = rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil and "trans"
+    for _, value in pairs(t) do -- any order: one element decides
+      if not form and rfsm.is_fsmobj(value) then form = "state" end
+    end
+    if not form then return end
+    local what = form == "trans" and "has 'src' and 'tgt'"
+      or "contains states or transitions"
+    add(build.warnings, def, text_of(key),
+      "a plain table that %s is ignored (did you mean rfsm.%s{...}?)", what, form)
+  end
+
+  -- Warns of a field that looks like one of the library's in other words.
+  local function check_unknown_field(build, def, key, value)
+    if def.kind ~= "transition" and not is_callable(value) then return end
+    local meant = def.kind == "transition" and key == "event" and "events"
+      or advise("field_meant", def.parent == def and "root" or def.kind, key)
+    if meant ~= "" and def.model[meant] == nil then
+      add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
+        def.kind, key, meant)
+    end
+  end
+
+  -- Warns of what would be taken for the user's data, and is more likely a mistake.
+  local function check_datum(build, def, key, value)
+    local name = CONSTRUCTORS[value]
+    if type(value) == "table" and getmetatable(value) == nil then
+      check_plain_table(build, def, key, value)
+    end
+    if name then
+      add(build.warnings, def, text_of(key), "rfsm.%s is not called (rfsm.%s{...})",
+        name, name)
+    elseif def.kind == "connector" and (CALLBACKS.state[key]
+      or CALLBACKS.transition[key]) then
+      add(build.warnings, def, key, "a connector has no %s, this one is ignored", key)
+    elseif type(key) == "string" and not is_meta(key) then
+      check_unknown_field(build, def, key, value)
+    end
+  end
+
   -- Returns the fields of a model element; those of an heir with what it inherits,
   -- which is callbacks and data, no nodes and transitions.
   local function fields_of(model)
@@ -614,10 +624,7 @@ do
     elseif not API_FIELDS[key] then
       add_datum(def, key, value)
       if def.parent == def and ROOT_FIELDS[key] then return end
-      check_unknown_field(build, def, key, value)
-      if type(value) == "table" and getmetatable(value) == nil then
-        check_plain_table(build, def, key, value)
-      end
+      check_datum(build, def, key, value)
     end
   end
 
@@ -883,7 +890,7 @@ end
 ---@field events table<any, true> those that transitions name
 ---@field trail table|false see `is_current`; a plan that one machine has alone has none
 
-local compile, compile_transition, run_segment, run_warily, line_to
+local compile, compile_transition, line_to, run_segment, run_warily
 
 do
   -- The order in which the transitions of a node are tried: larger pn first, then the
@@ -905,6 +912,7 @@ do
       ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
       __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
       events = def.events or nil, _is_internal = def.is_internal or nil,
+      __eq = rawequal, -- so that no other one's is ever asked
     }
     proto.__index = proto
     def.proto = proto
@@ -974,7 +982,10 @@ end
 -- Returns a plan like this one, for changes: its definitions are new ones.
 local function copy_plan(plan)
   local copies = {}
-  local copy = { model = plan.model, nodes = {}, transitions = {}, trail = false }
+  local copy = {
+    model = plan.model, nodes = {}, transitions = {}, trail = false, first = false,
+    warnings = plan.warnings, created = plan.created, is_changed = plan.is_changed,
+  }
   for _, list in ipairs({ "nodes", "transitions" }) do
     for i, def in ipairs(plan[list]) do
       copies[def] = {}
@@ -983,7 +994,8 @@ local function copy_plan(plan)
   end
   local STRUCTURE = {
     "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
-    "tgt", "events", "pn", "is_internal", "entry", "exit", "doo", "guard", "effect",
+    "tgt", "events", "pn", "written", "is_internal", "entry", "exit", "doo", "guard",
+    "effect",
   }
   for def, new in pairs(copies) do -- any order: each stands alone
     for _, field in ipairs(STRUCTURE) do
@@ -995,15 +1007,6 @@ local function copy_plan(plan)
     end
   end
   return copy
-end
-
--- The plans of models, kept by their machines; the latest one in any case, for programs
--- that drop each machine before they make the next.
-local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
-
-local function note_plan(model, plan)
-  plans[model], latest_plan = plan, plan
-  return latest_plan
 end
 
 local make_trail, is_current
@@ -1082,10 +1085,35 @@ local function silent() end
 
 local function no_events() return {} end
 
+-- Stands in the list of hooks for the model's own one, the field `slot`.
+local function OWN() end
+
+local OWN_ONLY = { OWN }
+
+-- What a machine lacks is found here. Printers and getevents are not wanted as long as
+-- they are absent; for the rest, these are the values to begin with.
 local OFF = {
   dbg = silent, getevents = no_events, rfsm = "state", type = State.type,
-  new = State.new,
+  new = State.new, _id = "root", _fqn = "root", _preparing = false,
+  _is_fed = false, _is_hooked = false, _reset_wanted = false, _has_failure = false,
+  _spare = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = NONE,
+  _entry_hooks = false, _exit_hooks = false,
 }
+
+-- The fields that a machine has from the start.
+local function own_fields()
+  return {
+    _parent = false, _mode = "inactive", _otrs = false, _act_leaf = false,
+    _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
+    -- the structure
+    ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
+    -- the run
+    _segment = false, _from = false, _run = "run", _is_plain = false,
+    _is_traced = false, _is_unsettled = false, _is_kept = false,
+    -- the search
+    _search = 0, _searched = {}, _ways = {},
+  }
+end
 
 -- The flags that stand for what a plain machine lacks.
 local FLAG_OF = {
@@ -1108,7 +1136,7 @@ local function check_plain(fsm)
     or fsm._run == "run_hooked")
 end
 
-Machine.__index = OFF
+Machine.__index, Machine.__eq = OFF, rawequal
 
 -- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
 -- from the machine while they are off.
@@ -1152,13 +1180,13 @@ do
   end
 end
 
--- Gives an element its callbacks and the user's data; a machine keeps its own fields.
+-- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
   local data = def.data
   for i = 1, #data, 2 do
     local key, value = data[i], data[i + 1]
     if type(value) == "table" then value = clone_data(copies, value) end
-    if element[key] == nil then element[key] = value end
+    element[key] = value
   end
 end
 
@@ -1211,32 +1239,36 @@ end
 -- asks for it instead of for each of them. The other flags say what is there; they may
 -- be set too long, never too short.
 
--- Prints any values, tab separated: to stderr where there is one, or with the `print`
--- of the moment.
-local function print_line(stream, ...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  local line, io = concat(texts, "\t"), rawget(_G, "io")
-  if stream and io and io[stream] then
-    io[stream]:write(line, "\n")
-  else
-    rawget(_G, "print")(line)
+local DEFAULT_PRINTER, printer_of
+
+do
+  -- Prints any values, tab separated: to stderr where there is one, or with the `print`
+  -- of the moment.
+  local function print_line(stream, ...)
+    local texts = {}
+    for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
+    local line, io = concat(texts, "\t"), rawget(_G, "io")
+    if stream and io and io[stream] then
+      io[stream]:write(line, "\n")
+    else
+      rawget(_G, "print")(line)
+    end
   end
-end
 
-local function to_stdout(...) print_line(nil, ...) end
+  local function to_stdout(...) print_line(nil, ...) end
 
-local function to_stderr(...) print_line("stderr", ...) end
+  local function to_stderr(...) print_line("stderr", ...) end
 
-local DEFAULT_PRINTER = {
-  dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
-}
+  DEFAULT_PRINTER = {
+    dbg = silent, info = to_stdout, warn = to_stderr, err = to_stderr,
+  }
 
--- Returns the function that a printer field means: true prints, false is silent.
-local function printer_of(fsm, name)
-  local printer = fsm[name]
-  if printer == nil then return DEFAULT_PRINTER[name] end
-  return printer == true and to_stdout or printer or silent
+  -- Returns the function that a printer field means: true prints, false is silent.
+  function printer_of(fsm, name)
+    local printer = fsm[name]
+    if printer == nil then return DEFAULT_PRINTER[name] end
+    return printer == true and to_stdout or printer or silent
+  end
 end
 
 --- Keep an error until the iteration is over, for extensions; the first one counts.
@@ -1303,13 +1335,13 @@ local function report_callback(fsm, callback, owner, failure)
     "error executing " .. callback .. " of " .. owner .. ": ", failure)
 end
 
--- The straight code of rfsm/straight.lua; false where it is missing, nil before it was
--- asked for.
-local straight
+-- The functions of rfsm/quick.lua; false where it is missing, nil before it was asked
+-- for.
+local quick, quick_code
 
 -- How many parameters a function has, as far as straight code can tell: one that has
 -- none for the events cannot keep them.
-local parameters_of = setmetatable({}, { __index = function() return huge end })
+local parameters_of = setmetatable({}, { __index = function() return math.huge end })
 
 -- The events table was handed to a function that may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
@@ -1348,11 +1380,6 @@ local function collect(fsm, list)
   end
 end
 
--- Stands in the list of hooks for the model's own one, the field `slot`.
-local function OWN() end
-
-local OWN_ONLY = { OWN }
-
 local function run_hooks(fsm, hooks, slot, events)
   for i = 1, #hooks do
     local hook = hooks[i]
@@ -1388,7 +1415,7 @@ end
 
 -- Choose: which transition do the events enable? .................................
 
-local choose, find_listed, find_transition, matches, path_text
+local choose, enabled, enabled_with, find_transition, matches, search
 local warn_of_conflict
 
 do
@@ -1422,9 +1449,8 @@ do
 
   -- Is the path through `def` open that leads to `tgt`? Returns the definition of its
   -- first segment, which is another one where a machine has changed the target.
-  local function enabled_with(fsm, def, tgt, events, depth)
-    local node = fsm._nodes[def.tgt.index]
-    if not rawequal(tgt, node) then def = retarget(fsm, def, tgt) end
+  function enabled_with(fsm, def, tgt, events, depth)
+    if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
     if def and def.connector == nil then compile_transition(def) end
     local connector = def and def.connector
     if connector and not find_way(fsm, connector, events, depth) then return nil end
@@ -1433,7 +1459,7 @@ do
 
   -- Is the transition enabled, with all behind it up to a leaf? Its events match.
   -- Returns its definition. `depth` counts the connectors on the way to it.
-  local function enabled(fsm, def, events, depth)
+  function enabled(fsm, def, events, depth)
     local tr = fsm._transitions[def.index]
     local guard = tr.guard
     if guard and not allows(fsm, tr, guard, events) then return nil end
@@ -1452,6 +1478,7 @@ do
     end
     if node.kind == "state" and not node.is_leaf then node = node.members.initial end
     if not node then return nil end
+    def = fsm._plan.transitions[def.index] -- a guard may have merged something
     def.variants = def.variants or {}
     local variant = def.variants[node]
     if not variant then
@@ -1488,10 +1515,10 @@ do
 
   -- The same on a stack of its own. A guard that yields there does not enable.
   local function choose_way_aside(fsm, connector, events)
-    local co = create(choose_way)
-    local ok, way = resume(co, fsm, connector, events, 1)
+    local co = coroutine.create(choose_way)
+    local ok, way = coroutine.resume(co, fsm, connector, events, 1)
     if not ok then error(way, 0) end
-    return status(co) == "dead" and way
+    return coroutine.status(co) == "dead" and way
   end
 
   -- Returns the way out of a connector, or false; it is chosen once a search. While it
@@ -1515,7 +1542,7 @@ do
   end
 
   -- From the root down to the active leaf, node by node; an outer transition wins.
-  local function search(fsm, leaf, events)
+  function search(fsm, leaf, events)
     local line, is_traced = line_to(leaf), fsm._is_traced
     fsm._search = fsm._search + 1
     if is_traced then
@@ -1532,103 +1559,228 @@ do
     if is_traced then trace(fsm, "TRANSITION", "no enabled paths found") end
   end
 
-  -- May one event alone trigger it?
-  local function is_candidate(def, event)
-    local events = def.events
-    if not events or def.has_predicate then return true end
-    for i = 1, #events do
-      if rawequal(events[i], event) then return true end
-    end
-    return false
-  end
-
-  -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
-  -- order, and is noted when the event first comes. leaf.quick[event] is the only one
-  -- on the list, if it needs no search. Events that the machine does not know have one
-  -- choice, at [OTHER].
-  local OTHER = {}
-
-  local function note_choice(leaf, event)
-    local candidates, line = {}, line_to(leaf)
-    for i = 1, #line do
-      for j = 1, #line[i].otrs do
-        local def = line[i].otrs[j]
-        if def.connector == nil then compile_transition(def) end
-        if is_candidate(def, event) then candidates[#candidates + 1] = def end
-      end
-    end
-    local first = candidates[1]
-    leaf.choices[event] = candidates
-    if not rawequal(event, OTHER) and first and not (candidates[2] or first.connector
-      or first.has_predicate) then
-      leaf.quick[event] = first
-    end
-    return candidates
-  end
-
-  -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
-  -- mostly does; NaN is no event.
-  local function prepare_leaf(leaf)
-    leaf.choices, leaf.quick = {}, {}
-    local leads_somewhere = note_choice(leaf, leaf.done_event)[1] ~= nil
-    leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
-  end
-
-  local function choice_of(fsm, leaf, event)
-    if leaf.choices == NONE then prepare_leaf(leaf) end
-    local choice = leaf.choices[event]
-    if choice then return choice end
-    if not fsm._plan.events[event] then event = OTHER end
-    return leaf.choices[event] or note_choice(leaf, event)
-  end
-
-  -- Returns the first candidate that is enabled.
-  function find_listed(fsm, candidates, events)
-    fsm._search = fsm._search + 1
-    for i = 1, #candidates do
-      local def = candidates[i]
-      local found = (not def.has_predicate or matches(def, events))
-        and enabled(fsm, def, events, 0)
-      if found then return found end
-    end
-  end
-
-  -- Returns the function that does the same by straight code, where there is some.
-  local function find_straight(candidates)
-    candidates.search = candidates.search or straight.search(candidates) or find_listed
-    return candidates.search
-  end
-
-  -- Returns the candidates of all events, nil if there are several lists of them.
-  local function common_choice(fsm, leaf, events)
-    local common = NONE
-    for i = 1, #events do
-      local candidates = choice_of(fsm, leaf, events[i])
-      if candidates[1] and candidates ~= common then
-        if common ~= NONE then return nil end
-        common = candidates
-      end
-    end
-    return common
-  end
-
   -- Returns the transition that the events enable, or nil. A guard may merge something
   -- into the machine: then it is searched again.
   function choose(fsm, events)
     if events[1] == nil then return nil end
     local leaf, plan = fsm._act_leaf["_%def"], fsm._plan
-    local candidates = not fsm._is_traced and common_choice(fsm, leaf, events)
-    local find = search
-    if candidates then
-      find = straight and find_straight(candidates) or find_listed
-    end
-    local def = find(fsm, candidates or leaf, events)
+    local find = not fsm._is_traced and quick_code(fsm) and quick.find or search
+    local def = find(fsm, leaf, events)
     if fsm._plan ~= plan then return choose(fsm, events) end
     return def
   end
+end
+
+-- Take: leave, effect, enter ......................................................
+--
+-- One protected call runs a whole path. When a callback in it fails, or an interrupt
+-- strikes, where the machine stands says how far it came, and the rest is run from
+-- there: see `resume_segment`.
+
+local call_alone, complete, enter_machine, finish_exit, recover, resume_segment
+local run_parts, take
+
+do
+  -- What follows when the exit of `state` has run.
+  function finish_exit(fsm, state, hooks)
+    run_state_hooks(fsm, state, hooks)
+    if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
+    if state._doo_co then state._doo_co = nil end
+    if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
+  end
+
+  -- A leaf has done its work.
+  function complete(fsm, leaf)
+    local queue, event = fsm._intq, leaf["_%def"].done_event
+    leaf._mode = "done"
+    if fsm._is_traced then trace(fsm, "RAISED", event) end
+    queue[#queue + 1] = event
+  end
+
+  -- What follows when the entry of `state` has run.
+  local function finish_entry(fsm, state, def)
+    if def.is_leaf then
+      fsm._act_leaf = state
+      if not state.doo then complete(fsm, state) end
+    end
+    if fsm._is_traced then trace(fsm, "STATE_ENTER", state._fqn) end
+  end
+
+  local function leave(fsm, state)
+    local exit, parent = state.exit, state._parent
+    state._mode, parent._actchild = "inactive", nil
+    if exit then exit(fsm, state, "exit") end
+    finish_exit(fsm, state, fsm._exit_hooks)
+  end
+
+  local function enter(fsm, state, def)
+    state._mode, state._parent._actchild = "active", state
+    run_state_hooks(fsm, state, fsm._entry_hooks)
+    local entry = state.entry
+    if entry then entry(fsm, state, "entry") end
+    finish_entry(fsm, state, def)
+  end
+
+  local function trace_exits(fsm, def)
+    if def.is_internal then return end
+    local outermost = def.src
+    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+      outermost = outermost.parent
+    end
+    trace(fsm, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+      def.lca.fqn)
+  end
+
+  local function trace_entries(fsm, def)
+    if def.is_internal then return end
+    local names, node = {}, def.tgt
+    while node ~= def.lca do
+      names[#names + 1], node = node.fqn, node.parent
+    end
+    trace(fsm, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ",
+      concat(names, " > "))
+  end
+
+  local function run_effect(fsm, def)
+    local tr = fsm._transitions[def.index]
+    if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
+    local effect = tr.effect
+    if not effect then return end
+    if parameters_of[effect] > 3 then keep_events(fsm) end
+    effect(fsm, tr, "effect", fsm._curq)
+  end
+
+  -- The parts of the segment `def`: (a) leaves the states from `state` up to the lca,
+  -- (b) runs the effect, (c) enters the states from number `first` on. 0 stands for all
+  -- of it.
+  function run_parts(fsm, def, state, first)
+    local nodes = fsm._nodes
+    local lca = nodes[def.lca.index]
+    if first == 0 then
+      while state ~= lca do
+        leave(fsm, state)
+        state = state._parent
+      end
+      fsm._from = false
+      run_effect(fsm, def)
+      first = 1
+    end
+    if first == 1 and fsm._is_traced then trace_entries(fsm, def) end
+    for i = first, #def.entries do
+      enter(fsm, nodes[def.entries[i].index], def.entries[i])
+    end
+  end
+
+  -- Takes the segment that the machine has noted, beginning at the state `from`.
+  function run_segment(fsm, from)
+    local def = fsm._segment
+    if fsm._is_traced then trace_exits(fsm, def) end
+    if def.is_internal then from = fsm._nodes[def.lca.index] end
+    run_parts(fsm, def, from, 0)
+  end
+
+  -- Takes the segment `def` from the active state `from`, then those that the search
+  -- chose behind it. It calls itself where a loop would keep LuaJIT from making one
+  -- trace of it. `run` names the way: "run", "run_hooked" or "run_traced".
+  local function run_path(fsm, def, from, run)
+    fsm._from = from
+    fsm._segment = def
+    def[run](fsm, from, fsm._transitions[def.index])
+    local connector = def.connector
+    if not connector then return end
+    if fsm._is_traced then run = "run_traced" end
+    return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index], run)
+  end
+
+  -- The number of a node among definitions, which may be those of an older plan.
+  local function number_of(node, defs)
+    for i = 1, #defs do
+      if defs[i].index == node["_%def"].index then return i end
+    end
+  end
+
+  -- Returns which callback was called last when the segment `def` ended early: its
+  -- name, its state, and the number of the entry. "begin": none yet; nil: all have
+  -- been.
+  local function find_callback(fsm, def)
+    local inner, state = innermost(fsm), fsm._from
+    if def.is_internal then return "effect", inner end
+    if state then
+      if state == inner then return "begin", state end
+      while state._parent ~= inner and state ~= fsm do state = state._parent end
+      return state ~= fsm and "exit" or nil, state
+    elseif inner == fsm._nodes[def.lca.index] then
+      return "effect", inner
+    end
+    local number = number_of(inner, def.entries)
+    return number and not fsm._act_leaf and "entry" or nil, inner, number
+  end
+
+  -- No callback is under way: does what is left of the segment.
+  local function redo(fsm, def, what, state)
+    if what then return run_parts(fsm, def, state, 0) end
+    local leaf = fsm._act_leaf
+    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
+  end
+
+  -- What follows the callback that was called last, and the rest of the segment.
+  local function go_on(fsm, def, what, state, number)
+    if what == "exit" then
+      state._mode = "inactive"
+      finish_exit(fsm, state, fsm._exit_hooks)
+      return run_parts(fsm, def, state._parent, 0)
+    elseif what == "entry" then
+      state._mode = "active"
+      finish_entry(fsm, state, def.entries[number])
+    end
+    return run_parts(fsm, def, state, (number or 0) + 1)
+  end
+
+  -- Runs the rest of the segment that is under way, after the callback that was called
+  -- last; that one may have failed.
+  function resume_segment(fsm, has_failed, failure)
+    local def = fsm._segment
+    local what, state, number = find_callback(fsm, def)
+    if not what or what == "begin" then
+      if has_failed then keep_failure(fsm, failure) end
+      return redo(fsm, def, what, state)
+    end
+    local owner = what == "effect" and fsm._transitions[def.index] or state
+    if has_failed and not owner[what] then
+      keep_failure(fsm, failure)
+    elseif has_failed then
+      local name = what == "effect" and tostring(owner) or state._fqn
+      report_callback(fsm, what, name, failure)
+    end
+    return go_on(fsm, def, what, state, number)
+  end
+
+  local function resume_path(fsm, has_failed, failure)
+    resume_segment(fsm, has_failed, failure)
+    local connector = fsm._segment.connector
+    if not connector then return end
+    return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
+      "run_traced")
+  end
+
+  -- Goes on after a failure until the path is at its end. Each failure comes from
+  -- further on in the path than the one before.
+  function recover(fsm, has_failed, failure)
+    local ok, def, from, inner
+    keep_events(fsm)
+    repeat
+      def, from, inner = fsm._segment, fsm._from, innermost(fsm)
+      ok, failure = pcall(resume_path, fsm, has_failed, failure)
+      if not ok and def == fsm._segment and from == fsm._from
+        and inner == innermost(fsm) then
+        error(failure, 0)
+      end
+      has_failed = true
+    until ok
+  end
 
   -- root.a[LS]->root.k[c]->root.b[LS]
-  function path_text(fsm, def)
+  local function path_text(fsm, def)
     local function text(node)
       return ("%s[%s]"):format(node.fqn, rfsm.fsmobj_tochar(fsm._nodes[node.index]))
     end
@@ -1639,294 +1791,59 @@ do
     end
     return concat(texts, "->")
   end
-end
 
--- Take: leave, effect, enter ......................................................
---
--- One protected call runs a whole path. When a callback in it fails, or an interrupt
--- strikes, where the machine stands says how far it came, and the rest is run from
--- there: see `resume_segment`.
-
--- What follows when the exit of `state` has run.
-local function finish_exit(fsm, state, hooks)
-  run_state_hooks(fsm, state, hooks)
-  if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
-  if state._doo_co then state._doo_co = nil end
-  if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
-end
-
--- A leaf has done its work.
-local function complete(fsm, leaf)
-  local queue, event = fsm._intq, leaf["_%def"].done_event
-  leaf._mode = "done"
-  if fsm._is_traced then trace(fsm, "RAISED", event) end
-  queue[#queue + 1] = event
-end
-
--- What follows when the entry of `state` has run.
-local function finish_entry(fsm, state, def)
-  if def.is_leaf then
-    fsm._act_leaf = state
-    if not state.doo then complete(fsm, state) end
-  end
-  if fsm._is_traced then trace(fsm, "STATE_ENTER", state._fqn) end
-end
-
-local function leave(fsm, state)
-  local exit, parent = state.exit, state._parent
-  state._mode, parent._actchild = "inactive", nil
-  if exit then exit(fsm, state, "exit") end
-  finish_exit(fsm, state, fsm._exit_hooks)
-end
-
-local function enter(fsm, state, def)
-  state._mode, state._parent._actchild = "active", state
-  run_state_hooks(fsm, state, fsm._entry_hooks)
-  local entry = state.entry
-  if entry then entry(fsm, state, "entry") end
-  finish_entry(fsm, state, def)
-end
-
-local function trace_exits(fsm, def)
-  if def.is_internal then return end
-  local outermost = def.src
-  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-    outermost = outermost.parent
-  end
-  trace(fsm, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
-    def.lca.fqn)
-end
-
-local function trace_entries(fsm, def)
-  if def.is_internal then return end
-  local names, node = {}, def.tgt
-  while node ~= def.lca do
-    names[#names + 1], node = node.fqn, node.parent
-  end
-  trace(fsm, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", concat(names, " > "))
-end
-
-local function run_effect(fsm, def)
-  local tr = fsm._transitions[def.index]
-  if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
-  local effect = tr.effect
-  if not effect then return end
-  if parameters_of[effect] > 3 then keep_events(fsm) end
-  effect(fsm, tr, "effect", fsm._curq)
-end
-
--- The parts of the segment `def`: (a) leaves the states from `state` up to the lca, (b)
--- runs the effect, (c) enters the states from number `first` on. 0 stands for all of
--- it.
-local function run_parts(fsm, def, state, first)
-  local nodes = fsm._nodes
-  local lca = nodes[def.lca.index]
-  if first == 0 then
-    while state ~= lca do
-      leave(fsm, state)
-      state = state._parent
+  -- Takes the path that starts with `def` in the active state `from`.
+  function take(fsm, def, from)
+    local run = fsm._run
+    if fsm._is_traced then
+      trace(fsm, "EXEC_PATH", path_text(fsm, def))
+      run = "run_traced"
+    elseif from._actchild or from._mode == "inactive" then
+      run = "run_traced" -- a guard has moved the machine
     end
-    fsm._from = false
-    run_effect(fsm, def)
-    first = 1
+    fsm._from = from
+    fsm._segment = def
+    local ok, failure = pcall(run_path, fsm, def, from, run)
+    if not ok then recover(fsm, true, failure) end
   end
-  if first == 1 and fsm._is_traced then trace_entries(fsm, def) end
-  for i = first, #def.entries do
-    enter(fsm, nodes[def.entries[i].index], def.entries[i])
+
+  -- Takes a segment for the first time.
+  function run_warily(fsm, from)
+    local def, run = fsm._segment, fsm._run
+    if quick then def[run] = quick.segment(def, run == "run_hooked") end
+    return run_segment(fsm, from)
   end
-end
 
--- Takes the segment that the machine has noted, beginning at the state `from`.
-function run_segment(fsm, from)
-  local def = fsm._segment
-  if fsm._is_traced then trace_exits(fsm, def) end
-  if def.is_internal then from = fsm._nodes[def.lca.index] end
-  run_parts(fsm, def, from, 0)
-end
-
--- Takes the segment `def` from the active state `from`, then those that the search
--- chose behind it. It calls itself where a loop would keep LuaJIT from making one trace
--- of it. `run` names the way: "run", "run_hooked" or "run_traced".
-local function run_path(fsm, def, from, run)
-  fsm._from = from
-  fsm._segment = def
-  def[run](fsm, from, fsm._transitions[def.index])
-  local connector = def.connector
-  if not connector then return end
-  if fsm._is_traced then run = "run_traced" end
-  return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index], run)
-end
-
--- The number of a node among definitions, which may be those of an older plan.
-local function number_of(node, defs)
-  for i = 1, #defs do
-    if defs[i].index == node["_%def"].index then return i end
+  -- Calls a callback outside of a transition.
+  function call_alone(fsm, state, what)
+    local callback = state[what]
+    if not callback then return end
+    local ok, failure = pcall(callback, fsm, state, what)
+    if not ok then report_callback(fsm, what, state._fqn, failure) end
   end
-end
 
--- Returns which callback was called last when the segment `def` ended early: its name,
--- its state, and the number of the entry. "begin": none yet; nil: all have been.
-local function find_callback(fsm, def)
-  local inner, state = innermost(fsm), fsm._from
-  if def.is_internal then return "effect", inner end
-  if state then
-    if state == inner then return "begin", state end
-    while state._parent ~= inner and state ~= fsm do state = state._parent end
-    return state ~= fsm and "exit" or nil, state
-  elseif inner == fsm._nodes[def.lca.index] then
-    return "effect", inner
+  local function enter_root(fsm)
+    fsm._mode = "active"
+    run_state_hooks(fsm, fsm, fsm._entry_hooks)
+    call_alone(fsm, fsm, "entry")
+    finish_entry(fsm, fsm, fsm._plan.nodes[1])
   end
-  local number = number_of(inner, def.entries)
-  return number and not fsm._act_leaf and "entry" or nil, inner, number
-end
 
--- No callback is under way: does what is left of the segment.
-local function redo(fsm, def, what, state)
-  if what then return run_parts(fsm, def, state, 0) end
-  local leaf = fsm._act_leaf
-  if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
-end
-
--- What follows the callback that was called last, and the rest of the segment.
-local function go_on(fsm, def, what, state, number)
-  if what == "exit" then
-    state._mode = "inactive"
-    finish_exit(fsm, state, fsm._exit_hooks)
-    return run_parts(fsm, def, state._parent, 0)
-  elseif what == "entry" then
-    state._mode = "active"
-    finish_entry(fsm, state, def.entries[number])
-  end
-  return run_parts(fsm, def, state, (number or 0) + 1)
-end
-
--- Runs the rest of the segment that is under way, after the callback that was called
--- last; that one may have failed.
-local function resume_segment(fsm, has_failed, failure)
-  local def = fsm._segment
-  local what, state, number = find_callback(fsm, def)
-  if not what or what == "begin" then
-    if has_failed then keep_failure(fsm, failure) end
-    return redo(fsm, def, what, state)
-  end
-  local owner = what == "effect" and fsm._transitions[def.index] or state
-  if has_failed and not owner[what] then
-    keep_failure(fsm, failure)
-  elseif has_failed then
-    local name = what == "effect" and tostring(owner) or state._fqn
-    report_callback(fsm, what, name, failure)
-  end
-  return go_on(fsm, def, what, state, number)
-end
-
-local function resume_path(fsm, has_failed, failure)
-  resume_segment(fsm, has_failed, failure)
-  local connector = fsm._segment.connector
-  if not connector then return end
-  return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
-    "run_traced")
-end
-
--- Goes on after a failure until the path is at its end. Each failure comes from further
--- on in the path than the one before.
-local function recover(fsm, has_failed, failure)
-  local ok, def, from, inner
-  keep_events(fsm)
-  repeat
-    def, from, inner = fsm._segment, fsm._from, innermost(fsm)
-    ok, failure = pcall(resume_path, fsm, has_failed, failure)
-    if not ok and def == fsm._segment and from == fsm._from
-      and inner == innermost(fsm) then
-      error(failure, 0)
+  -- First entry: the root, then the path from its `initial`; false when none is
+  -- enabled.
+  function enter_machine(fsm, events)
+    local root = fsm._plan.nodes[1]
+    if root.is_leaf then
+      enter_root(fsm)
+      return true
     end
-    has_failed = true
-  until ok
-end
-
--- Takes the path that starts with `def` in the active state `from`.
-local function take(fsm, def, from)
-  local run = fsm._run
-  if fsm._is_traced then
-    trace(fsm, "EXEC_PATH", path_text(fsm, def))
-    run = "run_traced"
-  elseif from._actchild or from._mode == "inactive" then
-    run = "run_traced" -- a guard has moved the machine
-  end
-  fsm._from = from
-  fsm._segment = def
-  local ok, failure = pcall(run_path, fsm, def, from, run)
-  if not ok then recover(fsm, true, failure) end
-end
-
--- What straight code is made with.
-local PARTS = {
-  compile_transition = compile_transition, find_listed = find_listed,
-  keep_events = keep_events, matches = matches, report_callback = report_callback,
-  run_segment = run_segment, run_state_hooks = run_state_hooks,
-  warn_of_conflict = warn_of_conflict,
-}
-
--- Goes on in detail after the callback that was called last.
-function PARTS.resume(fsm) return resume_segment(fsm, false) end
-
--- Goes on in detail after the exit and the hooks of `state`.
-function PARTS.finish_leaving(fsm, state)
-  finish_exit(fsm, state, nil)
-  return run_parts(fsm, fsm._segment, state._parent, 0)
-end
-
--- Returns the straight code, if there is any.
-local function straight_code()
-  if straight == nil then
-    local make = loadstring and find_module("rfsm.straight")
-    straight = make and make(PARTS) or false
-    if straight then parameters_of = straight.parameters_of end
-  end
-  return straight
-end
-
--- Until a transition has been taken a few times it runs without straight code.
-local USES = 3
-
-function run_warily(fsm, from)
-  local def = fsm._segment
-  def.uses = (def.uses or 0) + 1
-  if def.uses >= USES then
-    local code = straight_code()
-    def.run = code and code.segment(def, false) or run_segment
-    def.run_hooked = code and code.segment(def, true) or run_segment
-  end
-  return run_segment(fsm, from)
-end
-
--- Calls a callback outside of a transition.
-local function call_alone(fsm, state, what)
-  local callback = state[what]
-  if not callback then return end
-  local ok, failure = pcall(callback, fsm, state, what)
-  if not ok then report_callback(fsm, what, state._fqn, failure) end
-end
-
-local function enter_root(fsm)
-  fsm._mode = "active"
-  run_state_hooks(fsm, fsm, fsm._entry_hooks)
-  call_alone(fsm, fsm, "entry")
-  finish_entry(fsm, fsm, fsm._plan.nodes[1])
-end
-
--- First entry: the root, then the path from its `initial`; false when none is enabled.
-local function enter_machine(fsm, events)
-  local root = fsm._plan.nodes[1]
-  if root.is_leaf then
+    fsm._search = fsm._search + 1
+    local def = find_transition(fsm, root.members.initial, events)
+    if not def then return false end
     enter_root(fsm)
+    take(fsm, def, fsm)
     return true
   end
-  fsm._search = fsm._search + 1
-  local def = find_transition(fsm, root.members.initial, events)
-  if not def then return false end
-  enter_root(fsm)
-  take(fsm, def, fsm)
-  return true
 end
 
 -- Doo ............................................................................
@@ -1934,6 +1851,8 @@ end
 local run_doo
 
 do
+  local create, resume = coroutine.create, coroutine.resume
+
   -- Comes back from a doo's coroutine at its end, before what the doo returned.
   local function ENDED() end
 
@@ -2100,7 +2019,9 @@ do
     return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- One iteration, whatever the machine is like. `events` if they have been gathered.
+  -- One iteration. Returns nil when there is no way in; else whether it counts as a
+  -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
+  -- `events` if they have been gathered.
   local function iterate_fully(fsm, after_free, events)
     events = events or gather(fsm)
     local leaf, counted, idle = fsm._act_leaf, true, false
@@ -2116,103 +2037,18 @@ do
     return counted, is_idle(fsm, idle)
   end
 
-  -- The events, the active leaf and the empty table of an iteration with hooks. No
-  -- leaf: `iterate_fully` is to do it.
-  local function prepare(fsm)
-    if fsm._is_traced then return nil end
-    local events = gather(fsm)
-    if fsm._is_traced then return nil, events end
-    return fsm._act_leaf, events, fsm._intq
-  end
-
-  -- Without events but an e_done that nothing waits for there is a doo cycle in any
-  -- case, now or in the next iteration.
-  local function iterate_doo(fsm, leaf, events)
-    if events[1] ~= nil then events[1] = nil end
-    if leaf._mode == "done" and not fsm._is_unsettled then return true, true end
-    local idle = run_doo(fsm, leaf)
-    if idle and fsm._is_fed then collect(fsm, fsm._intq) end
-    if fsm._is_unsettled then settle(fsm, fsm._curq) end
-    return true, is_idle(fsm, idle)
-  end
-
-  -- Looks for the transition that a single event enables, by straight code. Returns nil
-  -- when there is more to it: see `iterate_further`.
-  local function find_single(fsm, leaf_def, events, event, spare)
-    local choice = leaf_def.choices[event]
-    if not (choice and choice.search) then return nil end
-    fsm._segment = true
-    fsm._curq = events
-    fsm._intq = spare
-    local def = choice.search(fsm, choice, events)
-    if not def or def.connector or not fsm._is_plain then return nil, def or false end
-    return def, fsm._transitions[def.index]
-  end
-
-  -- Goes on where a single event does not lead straight to a leaf. `def` is nil when it
-  -- has not been looked for, `events` is when they have not been gathered.
-  local function iterate_further(fsm, def, leaf, leaf_def, after_free, events)
-    if def == nil then return iterate_fully(fsm, after_free, events) end
-    events = fsm._curq
-    if leaf["_%def"] ~= leaf_def then def = choose(fsm, events) end -- merged
-    local counted, idle = react(fsm, def, leaf, events, after_free)
-    settle(fsm, events)
-    return counted, is_idle(fsm, idle)
-  end
-
-  -- One iteration. Returns nil when there is no way in; else whether it counts as a
-  -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
-  --
-  -- What is written out here is the usual case: there is one event, apart from an
-  -- e_done that nothing waits for, and nobody traces.
-  function iterate(fsm, after_free) -- luacheck: ignore 561 (written out for speed)
-    local leaf, events, spare, gathered = fsm._act_leaf, fsm._intq, fsm._curq, nil
-    if not fsm._is_plain then
-      leaf, events, spare = prepare(fsm)
-      if not leaf then return iterate_fully(fsm, after_free, events) end
-      gathered = events
-    end
-    local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
-    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if event == nil and not gathered then return iterate_doo(fsm, leaf, events) end
-    if next_event ~= nil then return iterate_fully(fsm, after_free, gathered) end
-    local def = leaf_def.quick[event]
-    local tr = def and fsm._transitions[def.index]
-    if not def or tr.guard or tr.tgt ~= fsm._nodes[def.tgt_index] then
-      def, tr = find_single(fsm, leaf_def, events, event, spare)
-      if not def then
-        return iterate_further(fsm, tr, leaf, leaf_def, after_free, gathered)
-      end
-    else
-      fsm._segment = true
-      fsm._curq = events
-      fsm._intq = spare
-    end
-    fsm._from = leaf
-    fsm._segment = def
-    local ok, failure = pcall(def[fsm._run], fsm, leaf, tr)
-    if not ok then recover(fsm, true, failure) end
-    if fsm._is_unsettled then
-      settle(fsm, events)
-    else
-      events[2] = nil
-      events[1] = nil
-      fsm._segment = false
-    end
-    return true, false
-  end
+  iterate = iterate_fully
 
   -- The functions one of which is on the stack while a step is under way.
-  local STEPPING = {
-    [iterate] = true, [iterate_fully] = true, [iterate_further] = true,
-  }
+  local STEPPING = { [iterate_fully] = true }
   local getlocal = getinfo and rawget(_G, "debug").getlocal
 
   -- Is a step of this machine under way on this stack, or in its doo?
   function is_stepping(fsm)
     if not fsm._segment then return false end
     local co = fsm._act_leaf and fsm._act_leaf._doo_co
-    if co and (status(co) == "running" or status(co) == "normal") then return true end
+    local status = co and coroutine.status(co)
+    if status == "running" or status == "normal" then return true end
     if not getinfo then return fsm._segment ~= false end
     local level, info = 3, getinfo(3, "f")
     while info do
@@ -2244,14 +2080,40 @@ do
   end
 
   STEPPING[mend] = true
-end
 
-local function hibernate(fsm)
-  if not fsm._is_traced then return true end
-  trace(fsm, "HIBERNATING",
-    "no events, no idle_hook, no doos or doo idle, halting engines")
-  raise_failure(fsm)
-  return true
+  -- So many searches are made by a machine before it asks for the quick ones: those
+  -- that run once should not pay for them.
+  local PATIENCE = 8
+
+  local PARTS = {
+    choose = choose, collect = collect, compile_transition = compile_transition,
+    enabled = enabled, enabled_with = enabled_with, gather = gather, is_idle = is_idle,
+    iterate_fully = iterate_fully, keep_events = keep_events, line_to = line_to,
+    matches = matches, react = react, recover = recover, run_doo = run_doo,
+    report_callback = report_callback, run_segment = run_segment, search = search,
+    run_state_hooks = run_state_hooks, settle = settle,
+    warn_of_conflict = warn_of_conflict,
+    -- Goes on in detail after the callback that was called last.
+    resume = function(fsm) return resume_segment(fsm, false) end,
+    -- Goes on in detail after the exit and the hooks of `state`.
+    finish_leaving = function(fsm, state)
+      finish_exit(fsm, state, nil)
+      return run_parts(fsm, fsm._segment, state._parent, 0)
+    end,
+  }
+
+  -- Returns the functions of rfsm/quick.lua, when they are there and pay.
+  function quick_code(fsm)
+    if quick ~= nil or fsm._search < PATIENCE then return quick end
+    PARTS.straight = loadstring and find_module("rfsm.straight")
+    local make = find_module("rfsm.quick")
+    quick = make and make(PARTS) or false
+    if quick then
+      iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
+      for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
+    end
+    return quick
+  end
 end
 
 -- Goes on until `left` iterations were counted or the machine is idle; returns whether
@@ -2260,11 +2122,11 @@ local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then
       left = left - 1
-      if left < 1 or left ~= left then return idle end -- NaN, too
+      if left < 1 then return idle end
     end
-    if idle then
-      local idle_hook = fsm.idle_hook
-      if not idle_hook then return hibernate(fsm) end
+    local idle_hook = idle and fsm.idle_hook
+    if idle and not idle_hook then break end
+    if idle_hook then
       if not is_callable(idle_hook) then
         error("rfsm.step: idle_hook: function expected, " .. got(idle_hook), 0)
       end
@@ -2272,7 +2134,12 @@ local function advance(fsm, left, counted, idle)
     end
     counted, idle = iterate(fsm, not counted)
   end
-  return false
+  if idle and fsm._is_traced then
+    trace(fsm, "HIBERNATING",
+      "no events, no idle_hook, no doos or doo idle, halting engines")
+    raise_failure(fsm)
+  end
+  return idle or false
 end
 
 -- Public functions --------------------------------------------------------------
@@ -2342,54 +2209,80 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. place_of(def, field)
 end
 
-local function new_build(plan)
-  return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
-end
+local build_plan, new_build, new_machine, plan_of
 
--- Check, clone, resolve: all that can be said of a model without running anything.
-local function build_plan(model)
-  local build = new_build { model = model, nodes = {}, transitions = {}, trail = false }
-  local root = new_node(build, "state", model, nil, "root")
-  clone_below(build, 1)
-  resolve(build, 1)
-  check_root(build, root)
-  return build
-end
+do
+  -- The plans of models, kept by their machines; the latest one in any case, for
+  -- programs that drop each machine before they make the next.
+  local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
 
--- Returns the plan of a model; nil and the problems of a model that can have none.
-local function plan_of(model)
-  local plan = plans[model]
-  if plan and is_current(plan) then return plan end
-  local build = build_plan(model)
-  if build.problems[1] then return nil, lines_of(build.problems) end
-  plan = compile(build.plan)
-  plan.trail = make_trail(plan)
-  plan.warnings, plan.created = build.warnings, build.created
-  return note_plan(model, plan)
-end
+  function new_build(plan)
+    return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
+  end
 
--- The fields of a machine that are its own from the start.
-local function new_machine(plan)
-  local fsm = {
-    _id = "root", _fqn = "root", _parent = false, _mode = "inactive", _otrs = false,
-    _act_leaf = false, _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
-    -- the structure
-    _plan = plan, _nodes = false, _transitions = {}, _preparing = false,
-    -- the run
-    _segment = false, _from = false, _run = "run",
-    _is_plain = false, _is_traced = false,
-    _is_fed = false, _is_hooked = false,
-    _is_unsettled = false, _is_kept = false, _reset_wanted = false,
-    _has_failure = false, _spare = false,
-    -- the hooks
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = {},
-    _entry_hooks = false, _exit_hooks = false,
-    -- the search
-    _search = 0, _searched = {}, _ways = {},
-  }
-  local root = plan.nodes[1]
-  fsm["_%def"], fsm._parent, fsm._nodes = root, fsm, { fsm }
-  return make_elements(fsm, plan, 2, 1)
+  -- The user's data at the root that has the name of one of the machine's fields is
+  -- left out.
+  local function drop_taken_names(build, root)
+    local taken, data = own_fields(), root.data
+    root.data = {}
+    for i = 1, #data, 2 do
+      local key = data[i]
+      if taken[key] ~= nil or is_meta(key) and OFF[key] ~= nil then
+        add(build.warnings, root, key, "the machine has a field of this name, this one "
+          .. "is ignored")
+      else
+        append(root.data, { key, data[i + 1] })
+      end
+    end
+  end
+
+  local function check_root(build, root)
+    local model = root.model
+    for i = 1, 4 do
+      check_callable(build, root, HOOKS[i], model[HOOKS[i]])
+      local printer = model[PRINTERS[i]]
+      if printer and printer ~= true and not is_callable(printer) then
+        add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+          .. got(printer))
+      end
+    end
+    if not root.is_leaf and not root.members.initial then
+      add(build.problems, root, nil, "the root needs an initial transition "
+        .. "(rfsm.trans{ src='initial', tgt=... })")
+    end
+  end
+
+  -- Check, clone, resolve: all that can be said of a model without running anything.
+  function build_plan(model)
+    local build = new_build {
+      model = model, nodes = {}, transitions = {}, trail = false,
+    }
+    local root = new_node(build, "state", model, nil, "root")
+    clone_below(build, 1)
+    resolve(build, 1)
+    drop_taken_names(build, root)
+    check_root(build, root)
+    return build
+  end
+
+  -- Returns the plan of a model; nil and the problems of a model that can have none.
+  function plan_of(model)
+    local plan = plans[model]
+    if plan and is_current(plan) then return plan end
+    local build = build_plan(model)
+    if build.problems[1] then return nil, lines_of(build.problems) end
+    plan = compile(build.plan)
+    plan.trail = make_trail(plan)
+    plan.warnings, plan.created = build.warnings, build.created
+    plans[model], latest_plan = plan, plan
+    return latest_plan
+  end
+
+  function new_machine(plan)
+    local fsm = own_fields()
+    fsm["_%def"], fsm._plan, fsm._parent, fsm._nodes = plan.nodes[1], plan, fsm, { fsm }
+    return make_elements(fsm, plan, 2, 1)
+  end
 end
 
 -- Printers become functions, also the wrong ones, which are reported; what is off is
@@ -2409,67 +2302,71 @@ local function prepare_fields(fsm)
   return fsm
 end
 
--- Prints the lines of a list, which are noted by location.
-local function report_lines(fsm, name, prefix, list)
-  if fsm[name] == silent then return end
-  local lines = lines_of(list)
-  for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
-end
+local report_created, report_dead_ends, report_findings
 
--- Warns of an `initial` that can be closed: then its composite cannot be entered.
-local function check_initial(found, def)
-  for _, tr in ipairs(def.otrs) do
-    if not (tr.events or tr.guard) then return end
+do
+  -- Prints the lines of a list, which are noted by location.
+  local function report_lines(fsm, name, prefix, list)
+    if fsm[name] == silent then return end
+    local lines = lines_of(list)
+    for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
   end
-  if def.id ~= "initial" or not def.otrs[1] then return end
-  add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
-    .. "be entered while none of them is enabled", def.parent.fqn)
-end
 
--- Warns of events such as e_after(1) that no extension has made its own.
-local function check_words(found, def)
-  for _, event in ipairs(def.events or {}) do
-    local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
-    if word then
-      add(found, def, "events", "no loaded extension knows '%s'%s", event,
-        advise("module_of", word))
+  -- Warns of an `initial` that can be closed: then its composite cannot be entered.
+  local function check_initial(found, def)
+    for _, tr in ipairs(def.otrs) do
+      if not (tr.events or tr.guard) then return end
+    end
+    if def.id ~= "initial" or not def.otrs[1] then return end
+    add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
+      .. "be entered while none of them is enabled", def.parent.fqn)
+  end
+
+  -- Warns of events such as e_after(1) that no extension has made its own.
+  local function check_words(found, def)
+    for _, event in ipairs(def.events or {}) do
+      local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
+      if word then
+        add(found, def, "events", "no loaded extension knows '%s'%s", event,
+          advise("module_of", word))
+      end
     end
   end
-end
 
--- Warns of what was found in the model, and in what the preproc functions made of it.
-local function report_findings(fsm, first_node, first_transition)
-  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-  for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
-  for i = first_transition, #plan.transitions do
-    check_words(found, plan.transitions[i])
+  -- Warns of what was found in the model, and in what the preproc functions made of it.
+  function report_findings(fsm, first_node, first_transition)
+    local plan, found = fsm._plan, append({}, fsm._plan.warnings)
+    for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
+    for i = first_transition, #plan.transitions do
+      check_words(found, plan.transitions[i])
+    end
+    report_lines(fsm, "warn", "WARNING: ", found)
   end
-  report_lines(fsm, "warn", "WARNING: ", found)
-end
 
--- Prints a line for each definition, sorted by FQN.
-local function report_each(fsm, name, form, defs)
-  if fsm[name] == silent then return end
-  local names = {}
-  for i, def in ipairs(defs) do names[i] = def.fqn end
-  sort(names, function(a, b) return natural(a) < natural(b) end)
-  for _, fqn in ipairs(names) do report(fsm, name, form:format(fqn)) end
-end
-
--- Warns of the nodes, from number `first` on, that nothing leaves.
-local function report_dead_ends(fsm, first)
-  local dead = {}
-  for i = first, #fsm._plan.nodes do
-    local def = fsm._plan.nodes[i]
-    local has_exit = def.otrs[1] or def.model.final or def.parent == def
-    if not has_exit then dead[#dead + 1] = def end
+  -- Prints a line for each definition, sorted by FQN.
+  local function report_each(fsm, name, form, defs)
+    if fsm[name] == silent then return end
+    local names = {}
+    for i, def in ipairs(defs) do names[i] = def.fqn end
+    sort(names, function(a, b) return natural(a) < natural(b) end)
+    for _, fqn in ipairs(names) do report(fsm, name, form:format(fqn)) end
   end
-  report_each(fsm, "warn", "WARNING: no outgoing transitions from node '%s'", dead)
-  return dead[1] == nil
-end
 
-local function report_created(fsm, created)
-  report_each(fsm, "info", "INFO: created undeclared connector %s", created)
+  -- Warns of the nodes, from number `first` on, that nothing leaves.
+  function report_dead_ends(fsm, first)
+    local dead = {}
+    for i = first, #fsm._plan.nodes do
+      local def = fsm._plan.nodes[i]
+      local has_exit = def.otrs[1] or def.model.final or def.parent == def
+      if not has_exit then dead[#dead + 1] = def end
+    end
+    report_each(fsm, "warn", "WARNING: no outgoing transitions from node '%s'", dead)
+    return dead[1] == nil
+  end
+
+  function report_created(fsm, created)
+    report_each(fsm, "info", "INFO: created undeclared connector %s", created)
+  end
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
@@ -2485,12 +2382,14 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets what a preproc function may change or take away.
-  local function hand_out_events(fsm)
+  -- Each transition gets what a preproc function may change or take away: what stands
+  -- in the model; after a merge, of which the functions see nothing else, what it has.
+  local function hand_out_events(fsm, merged)
     for i, tr in ipairs(fsm._transitions) do
-      local events = fsm._plan.transitions[i].events
-      tr.events = rawget(tr, "events") or events and append({}, events) or {}
-      tr.pn = tr.pn
+      local def = fsm._plan.transitions[i]
+      local from = not merged and def.written or def
+      tr.events = rawget(tr, "events") or append({}, from.events or {})
+      tr.pn = rawget(tr, "pn") or from.pn or def.pn and false
     end
   end
 
@@ -2511,22 +2410,27 @@ do
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  -- Returns what differs in a transition from its definition; false when nothing does.
-  local function change_of(fsm, tr, def)
-    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or nil
-    local nodes = fsm._nodes
-    if type(events) == "string" then events = { events } end
-    return not (is_same_list(events, def.events or {}) and pn == def.pn
-      and rawequal(tr.src, nodes[def.src.index])
-      and rawequal(tr.tgt, nodes[def.tgt.index]))
-      and { events = events[1] ~= nil and events or false, pn = pn,
-        src = tr.src["_%def"].index, tgt = tr.tgt["_%def"].index }
+  local function own_events(tr)
+    local events = rawget(tr, "events") or {}
+    return type(events) == "string" and { events } or events
   end
 
-  -- Changes a definition of a plan that is the machine's own; returns what is wrong.
-  local function change(def, nodes, changed)
-    def.events, def.pn = changed.events, changed.pn
-    def.src, def.tgt = nodes[changed.src], nodes[changed.tgt]
+  -- Does a transition differ from its definition? "moved" if in one of its ends.
+  local function find_change(fsm, tr, def)
+    local nodes = fsm._nodes
+    if nodes[def.src.index] ~= tr.src or nodes[def.tgt.index] ~= tr.tgt then
+      return "moved"
+    end
+    return not is_same_list(own_events(tr), def.events or {})
+      or (rawget(tr, "pn") or nil) ~= def.pn
+  end
+
+  -- Makes a definition what a transition is; returns what is wrong.
+  local function change(def, tr, nodes)
+    def.written = def.written or { events = def.events, pn = def.pn }
+    local events = own_events(tr)
+    def.events, def.pn = events[1] ~= nil and events, rawget(tr, "pn") or nil
+    def.src, def.tgt = nodes[tr.src["_%def"].index], nodes[tr.tgt["_%def"].index]
     def.is_internal = def.is_internal and def.src == def.tgt
     if def.tgt.kind == "state" and not (def.tgt.is_leaf or def.is_internal) then
       def.tgt = def.tgt.members.initial
@@ -2534,27 +2438,40 @@ do
     return not def.tgt and "tgt: the composite has no initial transition"
   end
 
-  -- The machine gets a plan of its own, in which its transitions are as they are now.
-  -- Returns the problems.
-  local function take_changes(fsm)
-    local plan, own, problems = fsm._plan, nil, {}
+  -- Returns the numbers of the transitions that have been changed, and the plan to note
+  -- it in: that of the model when this is its first machine, since the others will be
+  -- like it, else a copy.
+  local function find_changes(fsm, problems)
+    local plan, changed, is_moved = fsm._plan, {}, false
     for i, tr in ipairs(fsm._transitions) do
       local wrong = wrong_field(fsm, tr)
-      local changed = not wrong and change_of(fsm, tr, plan.transitions[i])
-      wrong = wrong and wrong .. ": set by a preproc function, " .. got(tr[wrong])
-      if changed then
-        own = own or copy_plan(plan)
-        wrong = change(own.transitions[i], own.nodes, changed)
-        tr.tgt = not wrong and fsm._nodes[own.transitions[i].tgt.index]
+      local change_found = not wrong and find_change(fsm, tr, plan.transitions[i])
+      if wrong then
+        problems[#problems + 1] = ("%s: %s: set by a preproc function, %s"):format(
+          rfsm.location_of(tr), wrong, got(tr[wrong]))
       end
-      tr.events, tr.pn = nil, nil
+      changed[#changed + 1] = change_found and i or nil
+      is_moved = is_moved or change_found == "moved"
+    end
+    if problems[1] then return {} end
+    return changed, changed[1] and (is_moved or plan.first ~= fsm) and copy_plan(plan)
+      or plan
+  end
+
+  -- The definitions become what the preproc functions have made of the transitions.
+  local function take_changes(fsm, problems)
+    local changed, plan = find_changes(fsm, problems)
+    for _, i in ipairs(changed) do
+      local tr, def = fsm._transitions[i], plan.transitions[i]
+      local wrong = change(def, tr, plan.nodes)
+      tr.tgt = not wrong and fsm._nodes[def.tgt.index]
       if wrong then problems[#problems + 1] = rfsm.location_of(tr) .. ": " .. wrong end
     end
-    if own and not problems[1] then
-      own.warnings, own.created = plan.warnings, plan.created
-      use_plan(fsm, compile(own))
+    for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
+    if changed[1] and not problems[1] then
+      plan.is_changed = true
+      use_plan(fsm, compile(plan))
     end
-    return problems
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2563,15 +2480,15 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
-    if last < 1 then return problems end
-    hand_out_events(fsm)
+    if last < 1 and not fsm._plan.is_changed then return problems end
+    hand_out_events(fsm, merged)
     for i = 1, last do
       fsm._preparing = i
       local found = rfsm.preproc[i](fsm, merged)
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then append(problems, take_changes(fsm)) end
+    if not outer then take_changes(fsm, problems) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -2608,7 +2525,9 @@ function rfsm.init(model)
   fsm._initialized = true
   report_created(fsm, plan.created)
   list_otrs(fsm, plan)
+  plan.first = plan.first == nil and fsm
   problems = preprocess(fsm)
+  plan.first = false
   if problems[1] then
     fsm._initialized = false
     return refuse_model(model, fsm, problems)
@@ -2666,11 +2585,17 @@ function rfsm.send_events(fsm, event, ...)
   if select("#", ...) > 0 then return queue_more(queue, ...) end
 end
 
--- Blames the caller for advancing a machine that is being advanced.
-local function check_between_steps(fsm, where)
-  if mend(fsm) then return end
+--- Raise an error that blames the caller's caller while a step is under way, for
+-- extensions. A step that was cut short is finished.
+---@param fsm rfsm.Machine
+---@param where string the public function
+function rfsm.check_between_steps(fsm, where)
+  check_machine(fsm, where, 4)
+  if not fsm._segment or mend(fsm) then return end
   error(where .. ": the machine is in the middle of a step", 3)
 end
+
+local check_between_steps = rfsm.check_between_steps
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
@@ -2691,7 +2616,7 @@ function rfsm.step(fsm, n)
   elseif type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  return advance(fsm, n, iterate(fsm, false))
+  return advance(fsm, n == n and n or 1, iterate(fsm, false)) -- NaN is 1
 end
 
 --- Advance a machine until no event waits and no doo is busy.
@@ -2703,7 +2628,7 @@ function rfsm.run(fsm)
   local counted, idle = iterate(fsm, false) -- the usual two without a loop: one trace
   if counted and not idle then counted, idle = iterate(fsm, false) end
   if idle and fsm._is_plain and not fsm.idle_hook then return true end
-  return advance(fsm, huge, counted, idle)
+  return advance(fsm, math.huge, counted, idle)
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
@@ -2789,7 +2714,7 @@ function rfsm.mapfsm(f, fsm, pred, depth)
     end
   end
   if rfsm.is_root(fsm) and pred(fsm) then results[1] = f(fsm, fsm, "root") end
-  map_members(fsm, depth or huge)
+  map_members(fsm, depth or math.huge)
   return results
 end
 
@@ -2802,7 +2727,7 @@ end
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
   local function itself(element) return element end
-  if is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
+  if rfsm.is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
   local list = rfsm.mapfsm(itself, obj, pred)
   if not rfsm.is_root(obj) and (not pred or pred(obj)) then
     return append({ obj }, list)
@@ -3021,6 +2946,32 @@ rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
 rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
+-- Snapshots: what an extension keeps of a machine, and where the machine stands ....
+
+--- Have snapshots hold what an extension keeps of a machine, under `name`.
+--
+-- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
+-- data, how)` takes it back, also nil, and raises an error for what is none of its own.
+--
+---@type fun(fsm: rfsm.Machine, name: string, save: function, load: function)
+function rfsm.snapshot_hook_add(fsm, name, save, load)
+  check_machine(fsm, "rfsm.snapshot_hook_add")
+  check_function(save, "rfsm.snapshot_hook_add")
+  check_function(load, "rfsm.snapshot_hook_add")
+  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or {}),
+    { { name = name, save = save, load = load } })
+end
+
+--- Reset a machine and have it stand in a leaf, false for none; no callback runs.
+---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
+function rfsm.place(fsm, leaf, mode, queue)
+  check_between_steps(fsm, "rfsm.place")
+  rfsm.reset(fsm)
+  if leaf then move_to(leaf, mode) end
+  fsm._intq = queue
+  check_plain(fsm)
+end
+
 -- Merge: a new element of a live machine ------------------------------------------
 
 -- Makes a machine use another plan, in which its elements have the same positions.
@@ -3075,7 +3026,7 @@ do
     for _, def in ipairs(plan.nodes) do
       build.mounts[def.model] = append(build.mounts[def.model] or {}, { def })
     end
-    if is_trans(obj) then
+    if rfsm.is_trans(obj) then
       new_transition(build, obj, parent, id)
       if parent.is_leaf then
         add(build.warnings, parent, nil, "a transition inside a leaf state")
@@ -3159,7 +3110,7 @@ do
     local parent_def = plan.nodes[parent["_%def"].index]
     local build = build_merge(plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
-    if is_trans(obj) and not plan.transitions[first_transition] then
+    if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
       append(build.problems, build.warnings) -- in a leaf, and leads nowhere
     end
     local problems = lines_of(build.problems)

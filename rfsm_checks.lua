@@ -15,6 +15,16 @@ local rawset, require, setmetatable, type = rawset, require, setmetatable, type
 local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
 
+--- Functions in files of their own, loaded when they are first used.
+---@class rfsm_checks
+---@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[] static
+---@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration all
+---@field why fun(fsm: rfsm.Machine, ...: any): rfsm_checks.Why, string what events do now
+---@field enabled fun(fsm: rfsm.Machine): any[], string events that do something now
+---@field never fun(condition: any): rfsm_checks.Property in no configuration
+---@field always fun(condition: any): rfsm_checks.Property in each configuration
+---@field after fun(event: any): table after(event).reach(condition)
+---@field from fun(condition: any): table from(condition).can_reach(condition)
 local rfsm_checks = {}
 
 -- Watch: events that nobody declared -------------------------------------------

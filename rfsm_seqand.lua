@@ -28,7 +28,7 @@ local step, run = rfsm.step, rfsm.run
 ---@field order? any[] names of the regions to advance first; others follow by name
 ---@field step? number how many steps a region advances in each cycle (1)
 ---@field run? boolean run each region instead
----@field idle_doo? boolean|"auto" what the doo yields: idle (true); "auto": if all are
+---@field idle_doo? boolean|"auto" the value that the doo yields (true)
 ---@field seqanddbg? boolean|fun(text: string) print each advance, with `info` or this
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
@@ -59,7 +59,7 @@ local function got(value)
   return "got " .. (is_state(value) and "state" or type(value))
 end
 
--- Returns the wrong field, and what is wrong with it.
+-- Returns a wrong field and its problem.
 local function check_order(order, regions)
   if order == nil then return nil end
   if type(order) ~= "table" or is_state(order) then
@@ -94,13 +94,13 @@ end
 
 -- Run: entry, doo and exit of the state, events ----------------------------------
 
---- What a state needs to run its regions, in its field `_seqand`: a list of them, in
--- the order in which they are advanced.
+--- The regions of a state in the order in which they are advanced; its field `_seqand`.
 ---@class rfsm_seqand.Regions
 ---@field names any[] likewise
 ---@field entry? function the user's own
 ---@field exit? function
 ---@field is_forwarded boolean the regions have got the events of this iteration
+---@field is_standing boolean they come from a snapshot, and the entry is run again
 
 -- Calls f(region, ...); the parent machine raises an error when its iteration is over.
 local function try(fsm, f, region, ...)
@@ -127,7 +127,7 @@ local function forward(fsm, regions, events)
   regions.is_forwarded = true
 end
 
--- What the doo yields when all regions were advanced.
+-- Returns the value that the doo yields when all regions were advanced.
 local function idle_flag(state, are_all_idle)
   local flag = state.idle_doo
   if flag == nil then flag = state["idle.doo"] end
@@ -155,7 +155,8 @@ end
 local function enter_all(fsm, state, what)
   local regions, ok, failure = state._seqand, true, nil
   if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
-  for i = 1, #regions do try(fsm, step, regions[i]) end
+  for i = 1, regions.is_standing and 0 or #regions do try(fsm, step, regions[i]) end
+  regions.is_standing = false
   if not ok then error(failure, 0) end
 end
 
@@ -196,6 +197,31 @@ local function reset(fsm)
   end
 end
 
+-- Snapshots hold those of the regions, by the FQN of the state and their names.
+local function save(fsm, how)
+  local kept = nil
+  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+    for i, name in ipairs(state._seqand.names) do
+      local snap = how.take(state._seqand[i])
+      if snap then
+        kept = kept or {}
+        kept[state._fqn] = kept[state._fqn] or {}
+        kept[state._fqn][name] = snap
+      end
+    end
+  end
+  return kept
+end
+
+local function load(fsm, kept, how)
+  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
+    local regions, snaps = state._seqand, kept and kept[state._fqn] or {}
+    if type(snaps) ~= "table" then error("table of snapshots expected", 0) end
+    for i, name in ipairs(regions.names) do how.put(regions[i], snaps[name]) end
+    regions.is_standing = how.entries and state == fsm._act_leaf or false
+  end
+end
+
 -- Prepare: each instance gets regions of its own ---------------------------------
 
 -- Fields that tools set on a machine, and that its fresh instance gets.
@@ -213,17 +239,17 @@ local function new_region(given)
   return region, problems
 end
 
-local opening = {} -- Substates whose machines are being made, to find circles
+local in_progress = {} -- Substates of machines that are being made, to find circles
 
 -- Makes the regions of `state`; appends their problems.
 local function new_substates(state, problems)
   local given, substates = state.substates, setmetatable({}, Substates)
-  if opening[given] then
+  if in_progress[given] then
     problems[#problems + 1] = rfsm.location_of(state) .. ": a sequential AND state "
       .. "cannot contain itself"
     return substates
   end
-  opening[given] = true
+  in_progress[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(sorted_names(given)) do
       local region, found = new_region(given[name])
@@ -235,7 +261,7 @@ local function new_substates(state, problems)
       end
     end
   end)
-  opening[given] = nil
+  in_progress[given] = nil
   if not ok then error(failure, 0) end
   return substates
 end
@@ -252,7 +278,7 @@ local function new_regions(state)
   add(state.order or {})
   add(sorted_names(state.substates))
   for i = 1, #names do regions[i] = state.substates[names[i]] end
-  regions.names, regions.is_forwarded = names, false
+  regions.names, regions.is_forwarded, regions.is_standing = names, false, false
   return regions
 end
 
@@ -268,6 +294,7 @@ local function prepare_state(fsm, state, problems)
   fsm._has_seqand = true
   rfsm.post_step_hook_add(fsm, end_iteration, "before")
   rfsm.reset_hook_add(fsm, reset)
+  rfsm.snapshot_hook_add(fsm, "seqand", save, load)
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
@@ -295,7 +322,7 @@ local function obstacle(key, value)
   end
 end
 
--- Returns the state; nil and what is wrong with the fields.
+-- Returns the state; nil and the problem of the fields.
 local function new_state(fields)
   if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
   local state, regions, first = {}, setmetatable({}, Substates), nil

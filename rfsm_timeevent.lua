@@ -2,7 +2,7 @@
 --
 -- Once this module is loaded, each machine initialised afterwards understands the
 -- events `"e_after(T)"` and `"e_at(T)"` in its transitions. A timer is armed when the
--- source of its transition is entered. The event `e_after(T)@F` comes in the first
+-- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
 -- iteration that finds the timer expired, once per entry. F is the FQN of the source.
 --
 -- Most iterations find no timer expired. They read the clock and compare it with the
@@ -39,7 +39,7 @@ Timeevent.__index = Timeevent
 
 function Timeevent.__tostring(event) return event.name end
 
--- Makes an object; blames the caller of e_after or e_at for what cannot be a time.
+-- Makes an object. Blames the caller of e_after or e_at for a value that is no time.
 local function new_event(kind, x, id)
   local event = setmetatable({ is_relative = kind == "e_after" }, Timeevent)
   if is_callable(x) then
@@ -76,7 +76,6 @@ end
 ---@class rfsm_timeevent.Deadlines
 ---@field relative rfsm_timeevent.Deadline of e_after
 ---@field absolute rfsm_timeevent.Deadline of e_at
----@field has_waiting boolean a timer waits for the clock, and `relative` is past
 ---@field count integer how many timers the machine has
 
 ---@class rfsm_timeevent.Deadline
@@ -84,7 +83,7 @@ end
 ---@field nsec number
 ---@field soon number seconds; until then a look at the clock as one number is enough
 
---- A timer; the list of them is the field `_timers` of the source.
+--- A timer; they are the field `_timers` of the source, as a list and by name.
 ---@class rfsm_timeevent.Timer
 ---@field name string of the event that it raises
 ---@field event rfsm_timeevent.Timeevent
@@ -150,7 +149,6 @@ end
 -- Has a timer wait for the clock to work again.
 local function wait(fsm, timer)
   timer.is_armed, timer.is_waiting = false, true
-  fsm._timeevent.has_waiting = true
   set(fsm._timeevent.relative, PAST)
 end
 
@@ -185,13 +183,6 @@ local function list_timers(fsm, flag)
   return list
 end
 
--- Arms what could not be armed before, if the clock works.
-local function arm_waiting(fsm)
-  local timers = list_timers(fsm, "is_waiting")
-  fsm._timeevent.has_waiting = false
-  arm_all(fsm, timers)
-end
-
 -- Disarms and returns the timers of one kind that have expired. Notes the earliest
 -- deadline of the others.
 local function take_expired(fsm, is_relative, now)
@@ -214,7 +205,7 @@ end
 local function raise_expired(fsm, is_relative, deadline)
   local sec, nsec = read(is_relative)
   if not sec then return report_clock(fsm, nsec) end
-  if is_relative and fsm._timeevent.has_waiting then arm_waiting(fsm) end
+  if is_relative then arm_all(fsm, list_timers(fsm, "is_waiting")) end
   if sec < deadline.sec or sec == deadline.sec and nsec <= deadline.nsec then return end
   local events = fsm._curq
   for _, timer in ipairs(take_expired(fsm, is_relative, { sec = sec, nsec = nsec })) do
@@ -244,14 +235,79 @@ local function check_timers(fsm)
   end
 end
 
+-- Snapshots: timers are kept with the time that is left, by their names ----------
+
+local function now_or_raise()
+  local sec, nsec = read(true)
+  if sec then return sec, nsec end
+  error("rfsm_timeevent: the clock failed: " .. text_of(nsec), 0)
+end
+
+local function save(fsm)
+  local left, now, now_nsec = nil, nil, nil
+  for _, timer in ipairs(list_timers(fsm, "is_waiting")) do
+    left = left or {}
+    left[timer.name] = true
+  end
+  for _, timer in ipairs(list_timers(fsm, "is_armed")) do
+    local sec, nsec = timer.sec, timer.nsec
+    if timer.is_relative then
+      if not now then now, now_nsec = now_or_raise() end
+      sec, nsec = clock.normalise(sec - now, nsec - now_nsec)
+    end
+    left = left or {}
+    left[timer.name] = { sec, nsec }
+  end
+  return left
+end
+
+-- Arms a timer of which `left` was kept: seconds and nanoseconds, or true.
+local function load_timer(fsm, timer, left)
+  local sec, nsec, now, now_nsec = left, 0, 0, 0
+  timer.is_armed, timer.is_waiting = false, false
+  if left == nil then return end
+  if left == true then return wait(fsm, timer) end
+  if type(left) == "table" then sec, nsec = left[1], left[2] end
+  if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
+    error("seconds and nanoseconds expected for timer '" .. timer.name .. "'", 0)
+  end
+  if timer.is_relative then now, now_nsec = now_or_raise() end
+  timer.sec, timer.nsec = clock.normalise(sec + now, nsec + now_nsec)
+  timer.is_armed = true
+  local deadline = deadline_of(fsm, timer.is_relative)
+  if is_before(timer, deadline) then set(deadline, timer) end
+end
+
+-- A timer that the chart of a snapshot did not have is armed from now on.
+local function load(fsm, left, how)
+  local own, used = fsm._timeevent, 0
+  left = left or {}
+  own.has_waiting = false
+  set(own.relative, NEVER)
+  set(own.absolute, NEVER)
+  for _, timer in ipairs(list_timers(fsm, "name")) do
+    local kept = left[timer.name]
+    load_timer(fsm, timer, kept)
+    if kept ~= nil then used = used + 1 end
+    if kept == nil and how.is_migrated then arm_all(fsm, { timer }) end
+  end
+  for name in pairs(left) do -- any order: a number
+    used = used - 1
+    if used < 0 and not how.is_migrated then
+      error("no active state has a timer '" .. text_of(name) .. "'", 0)
+    end
+  end
+end
+
 -- Prepare: the events of a model become timers ---------------------------------
 
 -- Makes a machine look for expired timers, and a state arm its own.
 local function prepare_timers(fsm, state)
   if not fsm._timeevent then
     fsm._timeevent = { relative = { sec = huge, nsec = 0, soon = huge },
-      absolute = { sec = huge, nsec = 0, soon = huge }, has_waiting = false, count = 0 }
+      absolute = { sec = huge, nsec = 0, soon = huge }, count = 0 }
     rfsm.pre_step_hook_add(fsm, check_timers, "before") -- other hooks see the events
+    rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
     state._timers = {}
@@ -270,16 +326,11 @@ end
 -- expires together with it, which is the second result.
 local function find_name(timers, event, fqn)
   local name, n = event.name .. "@" .. fqn, 1
-  local i = 1
-  while timers[i] do
-    if timers[i].name == name then
-      if is_same(timers[i].event, event) then return name, timers[i] end
-      n, i = n + 1, 0
-      name = event.name .. "#" .. n .. "@" .. fqn
-    end
-    i = i + 1
+  while timers[name] and not is_same(timers[name].event, event) do
+    n = n + 1
+    name = event.name .. "#" .. n .. "@" .. fqn
   end
-  return name
+  return name, timers[name]
 end
 
 -- Gives `state` a timer for an event; returns the name of the event there.
@@ -290,7 +341,7 @@ local function add_timer(fsm, state, event)
   own.count = own.count + 1
   timer = { name = name, event = event, is_relative = event.is_relative,
     rank = own.count, is_armed = false, is_waiting = false, sec = huge, nsec = 0 }
-  timers[#timers + 1] = timer
+  timers[#timers + 1], timers[name] = timer, timer
   if state._mode ~= "inactive" then arm_all(fsm, { timer }) end -- merged
   return name
 end
@@ -395,10 +446,9 @@ end
 local function earliest_deadline(fsm)
   local least, state = huge, fsm
   if fsm._timeevent then
-    if fsm._timeevent.has_waiting then
-      read_or_raise(true)
-      arm_waiting(fsm)
-    end
+    local waiting = list_timers(fsm, "is_waiting")
+    if waiting[1] then read_or_raise(true) end
+    arm_all(fsm, waiting)
     least = min(remaining(fsm, true), remaining(fsm, false))
   end
   while state do

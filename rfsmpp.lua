@@ -56,6 +56,15 @@ local function paint(is_coloured, colour, text)
   return is_coloured and colour and colour .. text .. RESET or text
 end
 
+--- Return a text in a colour; as it is if colour is not wanted.
+---@param colour string as ansicolors names it: "green bright"
+---@param text string
+---@return string text
+---@nodiscard
+function rfsmpp.paint(colour, text)
+  return paint(is_colour_wanted(), escape(colour), text)
+end
+
 -- Trace: one record, one line ---------------------------------------------------
 
 local to_text

@@ -1,4 +1,4 @@
--- Await: a robot starts when all its parts are ready, in any order, or when told so.
+-- Await: a robot starts when all its parts are ready, in any order, or at e_force.
 --
 --   (initial) --> booting --await(e_arm, e_base, e_camera), e_force--> ready
 --                    ^                                                   |

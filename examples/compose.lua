@@ -3,13 +3,14 @@
 --   (initial) --> hall --e_next--> kitchen
 --   both are examples/on_off.lua
 --
--- The file is looked for beside this one: rfsm.load passes the file name on.
+-- The file is found beside this one, because rfsm.load passes the file name.
 --
 -- In rfsm-sim:  run()  ser("e_push")  ser("e_next")  ser("e_push")
 
 local rfsm = require "rfsm"
 
-local here = (... or ""):match("^(.*[/\\])") or ""
+local file = ... or "" -- the name of this one
+local here = file:match("^(.*[/\\])") or ""
 local lamp = rfsm.load(here .. "on_off.lua")
 
 return rfsm.state {

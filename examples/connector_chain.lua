@@ -1,5 +1,5 @@
 -- A chain of connectors: one transition in several segments, each with its own effect.
--- Either the whole path is open, or none of it is taken.
+-- The path is taken only if each segment is enabled.
 --
 --   cold --e_start--> (checked) --[fuel]--> (primed) --> running
 --

@@ -1,5 +1,5 @@
--- Deriving: load a base machine and change what is different. Each rfsm.load gives a
--- model of its own, so the base stays as it is.
+-- Deriving: load a base machine and change a part of it. Each rfsm.load returns a
+-- model of its own, so the base does not change.
 --
 --   the base, examples/on_off.lua:  off --e_push--> on --e_push--> off
 --   here: a third state, `dimmed`, between on and off
@@ -8,7 +8,8 @@
 
 local rfsm = require "rfsm"
 
-local here = (... or ""):match("^(.*[/\\])") or ""
+local file = ... or "" -- the name of this one
+local here = file:match("^(.*[/\\])") or ""
 local lamp = rfsm.load(here .. "on_off.lua")
 
 lamp.dimmed = rfsm.state { entry = function() print("dimmed") end }

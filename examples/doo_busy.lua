@@ -1,5 +1,5 @@
--- A busy doo: rfsm.yield() without a true value says that there is more to do, so that
--- run() goes on with it. Events are looked at between two cycles.
+-- A busy doo: rfsm.yield() without a true value means that there is more to do, so
+-- run() goes on with it. Events are handled between two cycles.
 --
 --   (initial) --> counting --e_done--> zero
 --                    |

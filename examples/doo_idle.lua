@@ -1,5 +1,5 @@
--- An idle doo: rfsm.yield(true) says that one cycle per call is enough. run() returns
--- after it, and the next call does the next cycle: a periodic control loop.
+-- An idle doo: rfsm.yield(true) means that one cycle per call is enough. run() returns
+-- after it, and the next call runs the next cycle: a periodic control loop.
 --
 --   (initial) --> holding --e_stop--> stopped
 --

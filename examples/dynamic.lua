@@ -1,5 +1,5 @@
 -- Dynamic change: a machine learns a new skill while it runs. rfsm.fsm_merge adds a
--- state and its transitions; afterwards it is as if they had always been there.
+-- state and its transitions.
 --
 --   (initial) --> resting --e_learn--> resting      (adds `dancing`)
 --                  ^   |

@@ -1,5 +1,5 @@
--- Exit connectors: a composite offers named ways out, and its user decides where they
--- lead. What happens inside stays inside.
+-- Exit connectors: a composite has named ways out, and the chart around it decides
+-- where they lead.
 --
 --   +- grasp ----------------------------------+
 --   | (initial) --> close --e_firm--> (success) --> carrying

@@ -1,5 +1,5 @@
--- A total failure and its recovery: the entry of `working` fails. That is reported, the
--- machine stays consistent, and goes to `safe` until it is repaired.
+-- A total failure and its recovery: the entry of `working` fails. The error is
+-- reported, the machine stays consistent, and goes to `safe` until it is repaired.
 --
 --   (initial) --> +- robot ------------------------------------------+
 --                 | (initial) --> working --e_fault--> safe           |

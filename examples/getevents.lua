@@ -1,5 +1,5 @@
--- Events from outside: the machine asks its getevents hook in each iteration. Here it
--- drains a mailbox, as it would drain a port, a socket or a queue.
+-- Events from outside: the machine calls getevents in each iteration. Here it drains a
+-- mailbox, as it would drain a port, a socket or a queue.
 --
 --   (initial) --> idle --e_job--> busy --e_done--> idle
 --

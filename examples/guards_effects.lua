@@ -1,5 +1,5 @@
--- Guards and effects: a guard asks whether a transition may be taken, an effect does
--- what belongs to taking it. A turnstile that counts coins.
+-- Guards and effects: a guard decides if a transition may be taken, an effect runs when
+-- it is taken. A turnstile that counts coins.
 --
 --             +--e_coin / count--+
 --             v                  |

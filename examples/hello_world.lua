@@ -1,4 +1,4 @@
--- Hello, world: one state says "hello" when it is left, the other "world" on entry.
+-- Hello, world: one state prints "hello" in its exit, the other "world" in its entry.
 --
 --      initial
 --         |
@@ -7,8 +7,8 @@
 --         ^                    |
 --         +----- e_restart ----+
 --
--- A leaf state without a doo is done as soon as it is entered, and says so by the event
--- e_done. So the second step leaves hello:
+-- A leaf state without a doo is done when it is entered, and sends the event e_done. So
+-- the second step leaves hello:
 --
 --     rfsm-sim examples/hello_world.lua
 --     > step()

@@ -1,4 +1,4 @@
--- Priorities: which transition wins when several could be taken.
+-- Priorities: the order of several enabled transitions.
 --
 --   +- work ------------------------+
 --   | (initial) --> a --e_go--> b   |   inside, pn 0 and pn 5

@@ -1,12 +1,12 @@
--- Relative references: a parent adds transitions to states deep inside a sub machine,
--- which itself stays as it is.
+-- Relative references: a parent adds transitions to states inside a machine, without a
+-- change of that machine.
 --
 --   +- drive ----------------------+
 --   | (initial) --> slow --e_fast--> fast        (the sub machine)
 --   +------|-----------------------+
 --          +--e_bump--> backing                  (layered on top, by the parent)
 --
--- `.drive.slow` is a path from the composite in which the transition stands.
+-- `.drive.slow` is a path from the composite that contains the transition.
 --
 -- In rfsm-sim:  run()  ser("e_bump")  ser("e_clear")  ser("e_fast")  ser("e_bump")
 

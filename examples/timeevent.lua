@@ -7,7 +7,7 @@
 --                          ^                                         |
 --                          +------------- after walk_seconds --------+
 --
--- Once a minute, whatever is lit, the lights go dark for two seconds.
+-- Once a minute the lights go dark for two seconds.
 --
 -- In rfsm-sim:  run()  ser("e_button")  and then  run()  again and again. The clock is
 -- the best one that is installed (luaposix, luasocket, ...).

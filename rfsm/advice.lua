@@ -1,8 +1,8 @@
---- Advice: what somebody may have meant who wrote a field, a name or an event.
+--- Advice: the field, name or event that was probably meant.
 --
--- The core asks for it when it has a mistake to report, and only then is this file
--- loaded. It does without the file: the mistakes are the same, the hints are missing.
--- Each function returns a text, empty when there is nothing to advise.
+-- The core loads this file when it reports its first mistake. Without it the reports
+-- are the same, and the hints are missing. Each function returns a text, which is empty
+-- if there is no hint.
 --
 -- @module rfsm.advice
 -- @license BSD-3-Clause
@@ -40,7 +40,7 @@ local FIELDS = {
   connector = {},
 }
 
--- What other libraries call the fields, in lower case and without underscores.
+-- Names of the fields in other libraries, in lower case and without underscores.
 local ALIASES = {
   state = {
     enter = "entry", onentry = "entry", onenter = "entry", onexit = "exit",
@@ -72,9 +72,9 @@ local function is_near(a, b)
   return a == b
 end
 
---- Return the field that somebody may have meant.
+--- Return the field that was probably meant.
 ---@param kind "root"|"state"|"transition"|"connector"
----@param key string what stands in the model
+---@param key string the key in the model
 ---@return string field
 function advice.field_meant(kind, key)
   for _, field in ipairs(FIELDS[kind]) do
@@ -104,7 +104,7 @@ end
 
 -- Names -------------------------------------------------------------------------
 
--- Returns the nearest of `names`; nil when none is near.
+-- Returns the nearest of `names`, nil if none is near.
 local function find_nearest(name, names)
   local nearest, least = nil, min(#name, floor(#name / 3) + 2)
   for _, candidate in ipairs(names) do

@@ -10,7 +10,8 @@
 
 local rfsm = require "rfsm"
 
-local ipairs, rawget, rawset, type = ipairs, rawget, rawset, type
+local error, ipairs, next, pairs = error, ipairs, next, pairs
+local rawget, rawset, type = rawget, rawset, type
 local concat = table.concat
 
 local rfsm_await = {}
@@ -67,6 +68,33 @@ local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_await)) do forget(fsm, state) end
 end
 
+-- Snapshots hold the events that were received, by the names of awaits.
+local function save(fsm)
+  local received = nil
+  for _, state in ipairs(rfsm.elements(fsm, has_await)) do
+    for _, await in ipairs(state._await) do
+      if next(await.received) ~= nil then
+        local copy = {}
+        for event in pairs(await.received) do copy[event] = true end -- any order
+        received = received or {}
+        received[await.name] = copy
+      end
+    end
+  end
+  return received
+end
+
+local function load(fsm, received)
+  for _, state in ipairs(rfsm.elements(fsm, has_await)) do
+    forget(fsm, state)
+    for _, await in ipairs(state._await) do
+      local kept = received and received[await.name] or {}
+      if type(kept) ~= "table" then error("set of events expected", 0) end
+      for event in pairs(kept) do note_events(await, { event }, 1) end -- any order
+    end
+  end
+end
+
 -- Prepare: await(...) becomes an event of its own -----------------------------------
 
 -- Splits "e_a, 'e_b'" into names without blanks and quotes; nil if one is empty.
@@ -113,6 +141,7 @@ local function add_await(fsm, state, await)
     fsm._has_await = true
     rfsm.pre_step_hook_add(fsm, check_awaits)
     rfsm.reset_hook_add(fsm, reset)
+    rfsm.snapshot_hook_add(fsm, "await", save, load)
   end
   if not state._await then
     state._await = {}

@@ -14,13 +14,15 @@ local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
 local ipairs, pcall, print, rawget, rawset = ipairs, pcall, print, rawget, rawset
-local require, select = require, select
+local require, select, tonumber, type = require, select, tonumber, type
 local io, os = io, os
 local concat = table.concat
 local name_of = chart.name_of
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local cli = {}
+
+local PROTO_PORT = 44044 -- of rfsm.proto
 
 -- Streams: charts print to stderr ----------------------------------------------
 
@@ -32,7 +34,8 @@ local function print_to(stream)
   end
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`; returns what pcall does.
+-- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
+-- pcall.
 local function with_streams(stream, f, ...)
   local real_print, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -96,13 +99,18 @@ local function write(name, file, text)
   if not ok then fail(name, { problem }) end
 end
 
+-- The name of a chart in its picture.
+local function title_of(file)
+  return (name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
+end
+
 -- Encodes every chart before anything is written.
 local function encode_all(name, files, encode)
   local texts = {}
   for i, file in ipairs(files) do
     local fsm, problems = load_machine(file)
     if not fsm then fail(name, problems) end
-    local ok, text = with_streams(NOWHERE, encode, fsm, name_of(file))
+    local ok, text = with_streams(NOWHERE, encode, fsm, title_of(file))
     if not ok then fail(name, { chart.reason(file, text) }) end
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
@@ -119,13 +127,13 @@ end
 -- rfsm check --
 
 -- Ends the program with status 2 if a file cannot be read.
-local function check_readable(files)
+local function check_readable(name, files)
   for _, file in ipairs(files) do
     if file ~= "-" then
       local handle, problem = io.open(file)
-      if not handle then fail("check", { problem }, 2) end
+      if not handle then fail(name, { problem }, 2) end
       local text, why = handle:read(1) -- a directory opens, too
-      if not text and why then fail("check", { file .. ": " .. why }, 2) end
+      if not text and why then fail(name, { file .. ": " .. why }, 2) end
       handle:close()
     end
   end
@@ -176,7 +184,7 @@ function check.add_arguments(command)
 end
 
 function check.run(options)
-  check_readable(options.files)
+  check_readable("check", options.files)
   require("rfsm_timeevent") -- so that their events are known
   require("rfsm.await")
   local lines, status = {}, 0
@@ -200,13 +208,17 @@ function sim.add_arguments(command)
   command:option("-e --execute", "run CODE, print the values of an expression, and end")
     :argname("CODE"):count("*")
   command:flag("-i --interactive", "read commands after CODE, too")
+  command:option("-r --replay", "run the chart through the recording in FILE first")
+    :argname("FILE")
+  command:flag("-d --dry", "leave the functions of the chart out")
   command:flag("-q --quiet", "print no banner")
 end
 
 function sim.run(options)
   return require("rfsm.sim").main {
     file = options.file, code = options.execute, is_quiet = options.quiet,
-    is_interactive = options.interactive,
+    is_interactive = options.interactive, recording = options.replay,
+    is_dry = options.dry,
   }
 end
 
@@ -247,16 +259,22 @@ end
 
 -- rfsm viz --
 
-local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid" }
-local IS_TEXT = { dot = true, plantuml = true, mermaid = true }
+local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid", "json" }
+local IS_TEXT = { dot = true, plantuml = true, mermaid = true, json = true }
 local BY_ENDING = {
   dot = "dot", gv = "dot", svg = "svg", png = "png", pdf = "pdf", puml = "plantuml",
-  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid",
+  plantuml = "plantuml", mmd = "mermaid", mermaid = "mermaid", json = "json",
 }
 
 local viz = {
   name = "viz", summary = "Draw charts.", epilog = "Graphviz lays out the pictures.",
 }
+
+local function to_depth(text)
+  local depth = tonumber(text)
+  if depth and depth >= 1 and depth % 1 == 0 then return depth end
+  return nil, "depth: a whole number from 1 expected, got '" .. text .. "'"
+end
 
 function viz.add_arguments(command)
   add_files(command)
@@ -264,6 +282,48 @@ function viz.add_arguments(command)
     .. "; without it the ending of the output decides, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+  command:option("--active", "draw state FQN as active; may be given for each region")
+    :argname("FQN"):count("*")
+  command:option("--depth", "draw N levels of states"):argname("N"):convert(to_depth)
+  command:option("--coverage", "mark how often a run came to each place: JSON, as "
+    .. "rfsm_checks.coverage writes it"):argname("JSON")
+  command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "
+    .. "writes them"):argname("JSON")
+  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
+    :choices { "TB", "LR" }
+end
+
+-- Returns the JSON values in a file; a problem ends the program.
+local function read_values(file)
+  local handle, problem = io.open(file, "rb")
+  if not handle then fail("viz", { problem }) end
+  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
+  handle:close()
+  if not ok then fail("viz", { file .. ": " .. values }) end
+  return values
+end
+
+local function read_coverage(file)
+  local coverage = read_values(file)[1]
+  local is_coverage = type(coverage) == "table" and type(coverage.states) == "table"
+    and type(coverage.transitions) == "table"
+  if is_coverage then return coverage end
+  fail("viz", { file .. ": an object with \"states\" and \"transitions\" expected" })
+end
+
+-- Returns the places of a run: a record names a transition, or the leaf that is active
+-- after it.
+local function read_trace(file)
+  local trace, leaf = {}, nil
+  for _, record in ipairs(read_values(file)) do
+    if type(record) ~= "table" then record = { transition = record } end
+    trace[#trace + 1] = record.transition
+    if not record.m and record.leaf and record.leaf ~= leaf then
+      leaf = record.leaf
+      trace[#trace + 1] = leaf
+    end
+  end
+  return trace
 end
 
 -- Returns the format; nil and the problem of the command line.
@@ -285,8 +345,17 @@ end
 function viz.run(options, parser)
   local format, problem = find_format(options)
   if not format then parser:error(problem) end
-  local encode = require("rfsm." .. (IS_TEXT[format] and format or "dot")).encode
-  local result = concat(encode_all("viz", options.files, encode))
+  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local looks = {
+    depth = options.depth, direction = options.direction,
+    active = options.active[1] and options.active,
+    coverage = options.coverage and read_coverage(options.coverage),
+    trace = options.trace and read_trace(options.trace),
+  }
+  local result = concat(encode_all("viz", options.files, function(fsm, title)
+    looks.title = title
+    return exporter.encode(fsm, looks)
+  end))
   if not IS_TEXT[format] then
     result, problem = require("rfsm.dot").render(result, format)
     if not result then fail("viz", { problem }) end
@@ -295,12 +364,93 @@ function viz.run(options, parser)
   return 0
 end
 
+-- rfsm web, rfsm watch --
+
+-- Calls a function that has no end; Control-C ends it.
+local function until_interrupt(f, ...)
+  local ok, problem = pcall(f, ...)
+  if ok or rfsm.text_of(problem):find("interrupted!$") then return 0 end
+  error(problem, 0)
+end
+
+-- Returns host and port of "HOST:PORT"; nil if it is none.
+local function split_address(text)
+  local host, port = text:match("^(.*):(%d+)$")
+  port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)
+  if port and port <= 65535 then return host or text, port end
+end
+
+local function check_address(parser, text)
+  local host, port = split_address(text)
+  if not host then
+    parser:error(("HOST or HOST:PORT expected, got '%s'"):format(text))
+  end
+  return host, port
+end
+
+local web = {
+  name = "web", summary = "Show a chart, or a machine elsewhere, in the browser.",
+  epilog = "The page is for this machine only, unless --host names another address.",
+}
+
+function web.add_arguments(command)
+  command:argument("file", "the chart: a Lua file that returns a state"):argname("FILE")
+    :args("?")
+  command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
+    :argname("HOST:PORT")
+  command:option("-p --port", "of the page; 0 is one that is free", "8044")
+    :argname("N"):convert(tonumber)
+  command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
+end
+
+function web.run(options, parser)
+  if (options.file == nil) == (options.attach == nil) then
+    parser:error("FILE or --attach expected")
+  end
+  local server, problem
+  local page = { host = options.host, port = options.port }
+  if options.attach then
+    local host, port = check_address(parser, options.attach)
+    server, problem = require("rfsm.web").attach(host, port, page)
+  else
+    check_readable("web", { options.file })
+    server, problem = require("rfsm.web").open(options.file, page)
+  end
+  if not server then fail("web", { problem }) end
+  write("web", "-", server.url .. "\n")
+  return until_interrupt(server.run, server)
+end
+
+local watch = {
+  name = "watch", summary = "Print a machine that runs elsewhere, as it changes.",
+  epilog = "The machine answers by rfsm.proto; its port is 44044 if none is given.",
+}
+
+function watch.add_arguments(command)
+  command:argument("address", "where it answers"):argname("HOST[:PORT]")
+  command:option("-m --machine", "its number at that port", "1"):argname("N")
+    :convert(tonumber)
+  command:option("-n --count", "end after N lines"):argname("N"):convert(tonumber)
+end
+
+function watch.run(options, parser)
+  local client, problem = require("rfsm.subscriber").connect(
+    check_address(parser, options.address))
+  if not client then fail("watch", { problem }) end
+  io.stdout:setvbuf("line")
+  local status = os.execute("test -t 1")
+  return until_interrupt(require("rfsm.watch").run, client, {
+    number = options.machine, count = options.count,
+    is_terminal = status == true or status == 0,
+  })
+end
+
 -- Public functions ------------------------------------------------------------
 
 local COMMANDS = {
   check, sim, viz, new_encoder("json", "JSON"),
   new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
-  new_encoder("mermaid", "Mermaid diagrams"),
+  new_encoder("mermaid", "Mermaid diagrams"), web, watch,
 }
 
 local function find_argparse()

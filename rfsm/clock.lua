@@ -18,7 +18,7 @@ local BILLION = 1000000000
 
 local function is_finite(x) return x - x == 0 end
 
---- Carry what is too much from nanoseconds to seconds; either may have a fraction.
+--- Carry whole seconds from nanoseconds to seconds. Both may have a fraction.
 ---@param sec number
 ---@param nsec number
 ---@return number sec
@@ -125,8 +125,8 @@ end
 
 local hook = nil
 
---- The function to read, by whether it should be a clock that nobody sets. It is found
--- when it is first needed.
+--- The function that reads the time, by whether the clock should be monotonic. It is
+-- found when it is first needed.
 ---@type table<boolean, fun(): number, number?>
 clock.in_use = setmetatable({}, { __index = function(in_use, is_monotonic)
   in_use[is_monotonic] = hook or find_clock(is_monotonic)
@@ -148,9 +148,9 @@ function clock.set_hook(gettime)
 end
 
 --- Return the time; an error of the clock is returned, not raised.
----@param is_monotonic boolean a clock that nobody sets, if there is one?
+---@param is_monotonic boolean prefer a clock that is never set?
 ---@return number? sec nil if the clock fails
----@return number|any nsec the reason then
+---@return number|any nsec the error in that case
 function clock.read(is_monotonic)
   local ok, sec, nsec = pcall(clock.in_use[is_monotonic])
   if not ok then

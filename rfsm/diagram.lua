@@ -1,7 +1,8 @@
 --- The common part of all diagrams: identifiers, labels, the ends of arrows.
 --
 -- `rfsm.plantuml`, `rfsm.dot` and `rfsm.mermaid` draw a `Chart`, each in its language.
--- Their functions `encode` and `save` are made here.
+-- It is made of the full description of a machine by `rfsm.marsh`, or of one that came
+-- from elsewhere. Their functions `encode` and `save` are made here.
 --
 -- @module rfsm.diagram
 -- @license BSD-3-Clause
@@ -9,37 +10,65 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 
-local error, io, ipairs, rawget, rawset = error, io, ipairs, rawget, rawset
-local tostring, type = tostring, type
+local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
+local rawset, require, select, tostring, type = rawset, require, select, tostring, type
 local concat = table.concat
 
 local diagram = {}
 
---- A box, a diamond or the dot where a composite begins.
+--- What may be said of a picture. A string in its place is the title.
+---@class rfsm.diagram.Options
+---@field title? string
+---@field active? string|string[] FQNs of active states; else those of a live machine
+---@field depth? integer levels to draw; deeper ones are left out
+---@field direction? "TB"|"LR" from top to bottom, or from left to right
+---@field coverage? rfsm.diagram.Coverage
+---@field trace? string[] FQNs of states and keys of transitions, in the order of a run
+
+--- How often a run came to states, by FQN, and to transitions, by key.
+---@class rfsm.diagram.Coverage
+---@field states table<string, integer>
+---@field transitions table<string, integer>
+
+--- A state, a region, a connector or the dot where a composite begins.
 ---@class rfsm.diagram.Node
 ---@field name string as in the model
+---@field fqn string
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.diagram.Node absent at the root
----@field nodes rfsm.diagram.Node[] sorted by name
+---@field index? integer among the nodes of the parent
+---@field nodes rfsm.diagram.Node[] regions, too
 ---@field arrows rfsm.diagram.Arrow[] those with both ends in this composite
 ---@field initial? rfsm.diagram.Node
+---@field rows string[] "entry / f", internal transitions and the like
+---@field mode? "active"|"done"
+---@field mark? "covered"|"missed"|"traced"
+---@field is_final? true
+---@field is_region? true
+---@field is_cut? true there are nodes in it that are not drawn
 
 --- A transition.
 ---@class rfsm.diagram.Arrow
+---@field key string such as "root.trans[2]"
 ---@field src rfsm.diagram.Node
 ---@field tgt rfsm.diagram.Node an `initial` where the transition stays inside
----@field events string "e1, e2"; empty for any
----@field is_internal? true nothing is left or entered
----@field label string events, "[guard]", "/ effect", "(internal)", if there are any
+---@field home? rfsm.diagram.Node the innermost composite around both ends
+---@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
+---@field mark? "covered"|"missed"|"traced"
 
 --- A machine, ready to be drawn.
 ---@class rfsm.diagram.Chart
 ---@field title? string
+---@field direction string
 ---@field root rfsm.diagram.Node
+---@field nodes rfsm.diagram.Node[] all nodes, parents before children
+---@field by_fqn table<string, rfsm.diagram.Node>
 ---@field arrows rfsm.diagram.Arrow[] those that begin or end at the root
 ---@field all rfsm.diagram.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
+
+-- Text --------------------------------------------------------------------------
 
 --- Return an identifier that nothing else in the drawing has.
 ---@param chart rfsm.diagram.Chart
@@ -56,30 +85,104 @@ function diagram.new_id(chart, text)
   return id
 end
 
--- Texts fit for a picture: UTF-8, and no control characters but the line feed.
-local function clean(text)
+--- Return a text fit for a picture: UTF-8, no control characters but the line feed.
+---@param text string
+---@return string
+---@nodiscard
+function diagram.clean(text)
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
   return (text:gsub("[%z\1-\9\11-\31\127]", "\239\191\189"))
 end
 
-local function kind_of(tab)
-  if tab.type == "state" then return tab.subnodes and "composite" or "leaf" end
-  return tab.id == "initial" and "initial" or "connector"
+local clean = diagram.clean
+
+local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) end
+
+local CHARACTER = "[^\128-\191][\128-\191]*"
+
+-- Appends a word to lines: to the last one if there is room for it.
+local function add_word(lines, word, width, can_join)
+  local last = lines[#lines]
+  if can_join and last and length_of(last) + 1 + length_of(word) <= width then
+    lines[#lines] = last .. " " .. word
+    return
+  end
+  while length_of(word) > width do
+    local head = word:match("^" .. CHARACTER:rep(width))
+    head = head:match("^.+[_./:,;(@-]") or head
+    lines[#lines + 1], word = head, word:sub(#head + 1)
+  end
+  lines[#lines + 1] = word
 end
 
--- Reads a node and those in it; `by_fqn` gets them all.
-local function read_node(chart, by_fqn, tab, parent, fqn)
-  local node = {
-    name = clean(tab.id), id = diagram.new_id(chart, fqn), kind = kind_of(tab),
-    parent = parent, nodes = {}, arrows = {},
-  }
-  by_fqn[fqn] = node
-  for i, subtab in ipairs(tab.subnodes or {}) do
-    node.nodes[i] = read_node(chart, by_fqn, subtab, node, fqn .. "." .. subtab.id)
-    if node.nodes[i].kind == "initial" then node.initial = node.nodes[i] end
+-- Appends a line, in several if it is too long.
+local function add_line(lines, line, width, can_join)
+  if length_of(line) <= width then return add_word(lines, line, width, can_join) end
+  can_join = false
+  for word in line:gmatch("[^ ]+") do
+    add_word(lines, word, width, can_join)
+    can_join = true
   end
+end
+
+--- Return texts in short lines. One that is short goes on in the line before it.
+---@param texts string[]
+---@param width integer characters
+---@return string[] lines
+function diagram.wrap(texts, width)
+  local lines = {}
+  for _, text in ipairs(texts) do
+    local can_join = true
+    for line in (text .. "\n"):gmatch("([^\n]*)\n") do
+      add_line(lines, line, width, can_join)
+      can_join = false
+    end
+  end
+  return lines
+end
+
+-- Nodes ---------------------------------------------------------------------------
+
+local function kind_of(tab)
+  if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
+  return (tab.subnodes or tab.regions) and "composite" or "leaf"
+end
+
+local function rows_of(tab)
+  local rows = {}
+  if tab.doc then return { clean(tab.doc) } end
+  for _, field in ipairs { "entry", "doo", "exit" } do
+    if tab[field] then rows[#rows + 1] = field .. " / " .. clean(tab[field]) end
+  end
+  return rows
+end
+
+-- Reads a node and those in it, to a depth; `by_fqn` gets them all.
+local function read_node(chart, tab, parent, fqn, depth)
+  local kind = kind_of(tab)
+  local node = {
+    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
+    kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
+    nodes = {}, arrows = {}, rows = rows_of(tab), mode = tab.mode, is_final = tab.final,
+    is_cut = depth == 0 and kind == "composite" or nil,
+  }
+  chart.by_fqn[fqn] = node
+  chart.nodes[#chart.nodes + 1] = node
+  local function read_list(list)
+    for _, subtab in ipairs(depth > 0 and list or {}) do
+      local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
+      subnode.index = #node.nodes + 1
+      node.nodes[subnode.index] = subnode
+      if subnode.kind == "initial" then node.initial = subnode end
+    end
+  end
+  read_list(tab.subnodes)
+  read_list(tab.regions)
+  for i = 1, tab.regions and #node.nodes or 0 do node.nodes[i].is_region = true end
   return node
 end
+
+-- Arrows --------------------------------------------------------------------------
 
 --- Is `node` somewhere inside of `composite`?
 ---@param node rfsm.diagram.Node
@@ -93,7 +196,13 @@ end
 
 local is_inside = diagram.is_inside
 
--- Returns the innermost composite that has both ends of an arrow in it; nil when one is
+-- Returns the node for an FQN, or the drawn one that contains it.
+local function find_node(chart, fqn)
+  while fqn and not chart.by_fqn[fqn] do fqn = fqn:match("^(.*)%.") end
+  return chart.by_fqn[fqn]
+end
+
+-- Returns the innermost composite that has both ends of an arrow in it; nil if one is
 -- the root.
 local function find_home(src, tgt)
   local home = src.parent
@@ -101,54 +210,182 @@ local function find_home(src, tgt)
   return home
 end
 
-local function label_of(tr, events)
-  local parts = { events ~= "" and events or nil }
-  if tr.guard then parts[#parts + 1] = "[guard]" end
-  if tr.effect then parts[#parts + 1] = "/ effect" end
-  if tr.internal then parts[#parts + 1] = "(internal)" end
-  return concat(parts, " ")
+local function words_of(tr, text_of)
+  local words = {}
+  for i, event in ipairs(tr.events) do
+    words[i] = clean(tr.words and tr.words[i] or marsh.words_of(text_of(event), tr.src))
+  end
+  return concat(words, ", ")
 end
 
--- A transition that enters a composite from outside ends at its border, one from inside
--- at its initial, which does not leave the composite.
-local function read_arrow(by_fqn, tr, text_of)
-  local src, tgt = by_fqn[tr.src], by_fqn[tr.tgt]
-  if tgt.kind == "initial" and not is_inside(src, tgt.parent) then tgt = tgt.parent end
-  local texts = {}
-  for i = 1, #tr.events do texts[i] = clean(text_of(tr.events[i])) end
-  local events = concat(texts, ", ")
-  return {
-    src = src, tgt = tgt, events = events, is_internal = tr.internal,
-    label = label_of(tr, events),
+local function parts_of(tr, text_of)
+  local events, parts = words_of(tr, text_of), {}
+  local function add(text, format)
+    if text and text ~= "" then parts[#parts + 1] = format:format(clean(text)) end
+  end
+  add(events, "%s")
+  add(tr.doc, "/ %s")
+  if not tr.doc then
+    add(tr.guard, "[%s]")
+    add(tr.effect, "/ %s")
+  end
+  add(tr.pn and tr.pn ~= 0 and rfsm.text_of(tr.pn), "(pn %s)")
+  return parts
+end
+
+local function add_arrow(chart, arrow)
+  local home = find_home(arrow.src, arrow.tgt)
+  arrow.home = home
+  local arrows = (home or chart).arrows
+  arrows[#arrows + 1] = arrow
+  chart.all[#chart.all + 1] = arrow
+end
+
+-- Reads a transition, unless nothing of it is drawn. One that enters a composite from
+-- outside ends at its border, one from inside at its initial, which does not leave the
+-- composite.
+local function read_transition(chart, tr, key, text_of)
+  local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
+  if src == tgt and src.fqn ~= tr.src then return end
+  local parts = parts_of(tr, text_of)
+  if tr.internal then
+    src.rows[#src.rows + 1] = concat(parts, " ")
+    return
+  end
+  local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
+  add_arrow(chart, { key = tr.key or key, src = src,
+    tgt = is_inner and tgt or tgt.parent, parts = parts })
+end
+
+local function read_transitions(chart, tab, fqn, text_of)
+  for i, tr in ipairs(tab.transitions or {}) do
+    read_transition(chart, tr, ("%s.trans[%d]"):format(fqn, i), text_of)
+  end
+  for _, list in ipairs { tab.subnodes or {}, tab.regions or {} } do
+    for _, subtab in ipairs(list) do
+      read_transitions(chart, subtab, fqn .. "." .. subtab.id, text_of)
+    end
+  end
+end
+
+-- Charts --------------------------------------------------------------------------
+
+local function nearest(name, names)
+  local ok, advice = pcall(require, "rfsm.advice")
+  return ok and advice.nearest_name(name, names) or ""
+end
+
+local function is_state(node)
+  return node.kind == "leaf" or node.kind == "composite"
+end
+
+-- Returns the state for an FQN given by a user, or the drawn one that contains it.
+local function find_state(chart, fqn, where)
+  local node = find_node(chart, fqn)
+  if node and is_state(node) and (node.fqn == fqn or node.is_cut) then return node end
+  local names = {}
+  for _, other in ipairs(chart.nodes) do
+    names[#names + 1] = is_state(other) and other.fqn or nil
+  end
+  error(("%s: active: no state is named '%s'%s"):format(where, fqn,
+    nearest(fqn, names)), 5)
+end
+
+-- Marks the states that an option names in place of those of the machine.
+local function mark_active(chart, active, where)
+  for _, node in ipairs(chart.nodes) do node.mode = nil end
+  for _, fqn in ipairs(type(active) == "table" and active or { active }) do
+    local node = find_state(chart, fqn, where)
+    while node do node.mode, node = "active", node.parent end
+  end
+end
+
+-- Returns the numbers of the steps in which each element of a trace was used.
+local function steps_of(trace)
+  local steps = {}
+  for i, key in ipairs(trace or {}) do
+    steps[key] = steps[key] and steps[key] .. ", " .. i or i
+  end
+  return steps
+end
+
+-- Adds to states and arrows how often a run came there, and in which steps of a trace.
+local function mark_run(chart, coverage, trace)
+  local steps = steps_of(trace)
+  local function mark(element, texts, key, counts)
+    if counts then
+      local count = counts[key] or 0
+      texts[#texts + 1] = count > 0 and ("(%s×)"):format(rfsm.text_of(count))
+        or "(never)"
+      element.mark = count > 0 and "covered" or "missed"
+    end
+    texts[#texts + 1] = steps[key] and "(step " .. steps[key] .. ")"
+    element.mark = steps[key] and "traced" or element.mark
+  end
+  for _, node in ipairs(chart.nodes) do
+    if is_state(node) then
+      mark(node, node.rows, node.fqn, coverage and coverage.states)
+    end
+  end
+  for _, arrow in ipairs(chart.all) do
+    mark(arrow, arrow.parts, arrow.key, coverage and coverage.transitions)
+  end
+end
+
+local TYPES = {
+  { "title", "string", "number" }, { "active", "string", "table" },
+  { "depth", "number" }, { "direction", "string" }, { "coverage", "table" },
+  { "trace", "table" },
+}
+
+-- Returns the options of a public function, checked.
+local function options_of(options, where)
+  if type(options) ~= "table" then options = { title = options } end
+  for _, expected in ipairs(TYPES) do
+    local value = options[expected[1]]
+    local kind = type(value)
+    if value and kind ~= expected[2] and kind ~= expected[3] then
+      error(("%s: %s: %s expected, got %s"):format(where, expected[1], expected[2],
+        kind), 4)
+    end
+  end
+  local direction = options.direction or "TB"
+  if direction ~= "TB" and direction ~= "LR" then
+    error(("%s: direction: 'TB' or 'LR' expected, got '%s'"):format(where, direction),
+      4)
+  end
+  return options
+end
+
+local function is_description(value)
+  return type(value) == "table" and type(value.id) == "string" and value.type == "state"
+end
+
+-- Reads a machine or a description for the public function `where`, whose caller is
+-- blamed for errors.
+local function read(source, where, options)
+  local is_read = is_description(source)
+  if not is_read then rfsm.check_machine(source, where, 4) end
+  options = options_of(options, where)
+  local title = tostring(options.title or "")
+  local chart = {
+    title = title ~= "" and clean(title) or nil, direction = options.direction or "TB",
+    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
   }
-end
-
-local function read_arrows(chart, by_fqn, tab, text_of)
-  for _, tr in ipairs(tab.transitions or {}) do
-    local arrow = read_arrow(by_fqn, tr, text_of)
-    local home = find_home(arrow.src, arrow.tgt) or chart
-    home.arrows[#home.arrows + 1] = arrow
-    chart.all[#chart.all + 1] = arrow
+  local tab = is_read and source or marsh.model2tab(source, true)
+  chart.root = read_node(chart, tab, nil, "root", options.depth or 1 / 0)
+  read_transitions(chart, tab, "root", marsh.gen_event_text())
+  if options.active then mark_active(chart, options.active, where) end
+  if options.coverage or options.trace then
+    mark_run(chart, options.coverage, options.trace)
   end
-  for _, subtab in ipairs(tab.subnodes or {}) do
-    read_arrows(chart, by_fqn, subtab, text_of)
-  end
-end
-
--- Reads a machine for the public function `name`; errors blame its caller.
-local function read(fsm, name, title)
-  rfsm.check_machine(fsm, name, 4)
-  local kind = type(title)
-  if kind ~= "nil" and kind ~= "string" and kind ~= "number" then
-    error(name .. ": title: string expected, got " .. kind, 3)
-  end
-  local chart, by_fqn = { arrows = {}, all = {}, taken = {} }, {}
-  chart.title = title and title ~= "" and clean(tostring(title)) or nil
-  local tab = marsh.model2tab(fsm, true)
-  chart.root = read_node(chart, by_fqn, tab, nil, "root")
-  read_arrows(chart, by_fqn, tab, marsh.gen_event_text())
   return chart
 end
+
+--- Return the label of an arrow as one text.
+---@param arrow rfsm.diagram.Arrow
+---@return string label
+function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
 --- Append a line, indented.
 ---@param lines string[]
@@ -172,10 +409,10 @@ function diagram.write(file, text)
   return false, file .. ": " .. (why or why_not)
 end
 
---- The module of a language; both functions want an initialised fsm.
+--- The module of a language. Both functions take an initialised fsm, or a description.
 ---@class rfsm.diagram.Exporter
----@field encode fun(fsm: rfsm.Machine, title?: string): string the diagram as text
----@field save fun(fsm: rfsm.Machine, file: string, title?: string) writes it to a file
+---@field encode fun(fsm: rfsm.Machine, options?: rfsm.diagram.Options): string
+---@field save fun(fsm: rfsm.Machine, file: string, options?: rfsm.diagram.Options)
 
 --- Make the module of a language.
 ---@param name string of the module
@@ -185,12 +422,12 @@ end
 function diagram.exporter(name, global, draw)
   local exporter = {}
 
-  function exporter.encode(fsm, title)
-    return (draw(read(fsm, name .. ".encode", title)))
+  function exporter.encode(fsm, options)
+    return (draw(read(fsm, name .. ".encode", options)))
   end
 
-  function exporter.save(fsm, file, title)
-    local chart, where = read(fsm, name .. ".save", title), name .. ".save: "
+  function exporter.save(fsm, file, options)
+    local chart, where = read(fsm, name .. ".save", options), name .. ".save: "
     if type(file) ~= "string" then
       error(where .. "file name expected, got " .. type(file), 2)
     end

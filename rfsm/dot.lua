@@ -1,8 +1,13 @@
 --- A machine as a Graphviz graph.
 --
--- Composites are clusters. An arrow that leaves or enters a composite as a whole begins
--- or ends at its border. In Graphviz it connects two nodes, and is cut off at the
--- clusters named by `ltail` and `lhead`.
+-- Composites and regions are clusters. A label is a node of its own in the middle of
+-- its arrow, so that Graphviz lets nothing run through it. It stands in the frame of
+-- the composite around both ends. All edges point onward in the order of the walk from
+-- `initial`: those of arrows that lead back are reversed, and drawn backwards.
+--
+-- In the SVG each state, connector and transition is an element whose id is its FQN or
+-- key; the two halves of an arrow with a label are `KEY/src` and `KEY/tgt`. Classes are
+-- `state`, `connector`, `initial`, `region`, `transition`, `active`, `done`.
 --
 -- @module rfsm.dot
 -- @license BSD-3-Clause
@@ -12,100 +17,221 @@ local diagram = require "rfsm.diagram"
 local io, ipairs, os = io, ipairs, os
 local concat, add = table.concat, diagram.add
 
-local HEAD = [=[
-  compound=true
-  fontname="Helvetica"
-  node [shape=box, style=rounded, fontname="Helvetica"]
-  edge [fontname="Helvetica", fontsize=11]]=]
+local FONT = '"Helvetica,Arial,sans-serif"'
+local HEAD = ([=[
+  graph [compound=true, fontname=FONT, fontsize=12, nodesep=0.3, ranksep=0.25]
+  graph [rankdir=DIRECTION, style=rounded, color="#555555"]
+  node [fontname=FONT, fontsize=12, color="#555555", fillcolor=white]
+  node [shape=box, style="rounded,filled", height=0.4, margin="0.15,0.07"]
+  edge [fontname=FONT, fontsize=10, color="#555555", arrowsize=0.7]]=])
+  :gsub("FONT", FONT)
 
 -- Text ------------------------------------------------------------------------
+
+local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
 
 -- A quoted string; Graphviz reads "&amp;" in it as HTML does.
 local function quoted(text)
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
 end
 
+-- The id of an FQN or a key in the SVG: a line feed is "\n".
+local function id_of(text) return "id=" .. quoted(diagram.clean(text)) end
+
+local function lines_of(text, width)
+  return concat(diagram.wrap({ text }, width), "\n")
+end
+
+-- Lines of HTML, each at the left.
+local function html(text)
+  return text:gsub('[&<>"]', CODES):gsub("\n", '<BR ALIGN="LEFT"/>')
+end
+
+-- The name of a state over the rows of what it does.
+local function state_label(node)
+  local name = lines_of(node.name .. (node.is_cut and " …" or ""), 28)
+  if not node.rows[1] then return quoted(name) end
+  local rows = {}
+  for i, row in ipairs(node.rows) do rows[i] = lines_of(row, 40) end
+  local line = node.kind == "leaf" and "<HR/>" or ""
+  return '<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0"><TR><TD>'
+    .. html(name):gsub(' ALIGN="LEFT"', "") .. "</TD></TR>" .. line
+    .. '<TR><TD ALIGN="LEFT" BALIGN="LEFT"><FONT POINT-SIZE="10">'
+    .. html(concat(rows, "\n")) .. '<BR ALIGN="LEFT"/></FONT></TD></TR></TABLE>>'
+end
+
 -- Nodes: composites are clusters ------------------------------------------------
 
-local DOT = "shape=point, width=0.15"
-local DIAMOND = 'shape=diamond, style="", width=0.25, height=0.25, label="", '
-  .. "fontsize=11"
+local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222", '
+  .. 'fillcolor="#222222"'
+local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0" '
+  .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
+  .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
+  .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
+-- What is active or marked; the colours are told apart without red and green.
+local LOOKS = {
+  plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',
+  missed = ', color="#D55E00", fontcolor="#D55E00"', covered = "",
+  traced = ', color="#D55E00", penwidth=2',
+}
 
-local function look_of(node)
-  if node.kind == "initial" then return DOT end
-  local name = quoted(node.name)
-  return node.kind == "connector" and DIAMOND .. ", xlabel=" .. name or "label=" .. name
+local function class_of(element, kind)
+  return (', class="%s%s%s%s"'):format(kind, element.is_region and " region" or "",
+    element.mode and " " .. element.mode or "",
+    element.mark and " " .. element.mark or "")
 end
 
--- An arrow from a composite to itself, or into it, leaves by the border: it goes to a
--- point beside the composite, and from there back in.
-local function is_loop(arrow)
-  local src, tgt = arrow.src, arrow.tgt
-  return src.kind == "composite" and (src == tgt or diagram.is_inside(tgt, src))
+-- Returns class and look of a state or an arrow.
+local function look_of(element, kind)
+  return class_of(element, kind) .. (element.mode and LOOKS.active or "")
+    .. (element.mark and LOOKS[element.mark] or "")
 end
 
--- Gives each such arrow its point; returns the lists of them by composite.
-local function place_points(chart)
-  local points, by_src = {}, {}
+-- Connectors that arrows across the border of their composite use are rings.
+local function is_on_border(chart, node)
   for _, arrow in ipairs(chart.all) do
-    if is_loop(arrow) then
-      points[arrow] = diagram.new_id(chart, arrow.src.id .. "_loop")
-      local list = by_src[arrow.src] or {}
-      by_src[arrow.src] = list
-      list[#list + 1] = points[arrow]
+    local other = arrow.src == node and arrow.tgt or arrow.tgt == node and arrow.src
+    if other and not diagram.is_inside(other, node.parent) then return true end
+  end
+  return false
+end
+
+local function leaf_text(chart, node)
+  if node.kind == "initial" then return INITIAL .. class_of(node, "initial") end
+  if node.kind == "connector" then
+    return CONNECTOR:format(is_on_border(chart, node) and "white" or "#555555",
+      html(node.name)) .. class_of(node, "connector")
+  end
+  return "label=" .. state_label(node) .. look_of(node, "state")
+    .. (node.is_final and ", peripheries=2" or "")
+    .. (node.is_region and ', style="filled,dashed"' or "")
+    .. (node.mode and ', fillcolor="#D6EAF8"' or "")
+end
+
+local LABEL = 'node [shape=box, style="", penwidth=0, fontsize=10, width=0, height=0, '
+  .. 'margin="0.04,0.03"]'
+
+local function add_labels(lines, depth, composite)
+  local has_labels = false
+  for _, arrow in ipairs(composite.arrows) do
+    if arrow.label then
+      if not has_labels then add(lines, depth, "{ " .. LABEL) end
+      has_labels = true
+      add(lines, depth + 1, ("%s [%s, label=%s%s%s]"):format(arrow.label.id,
+        id_of(arrow.key), arrow.label.text, class_of(arrow, "transition"),
+        arrow.mark == "missed" and ', fontcolor="#D55E00"' or ""))
     end
   end
-  return points, by_src
+  if has_labels then add(lines, depth, "}") end
 end
 
-local function add_node(lines, depth, node, points_by_src)
+local function add_node(lines, depth, chart, node)
+  local id = id_of(node.fqn) .. ", "
   if node.kind ~= "composite" then
-    return add(lines, depth, node.id .. " [" .. look_of(node) .. "]")
+    return add(lines, depth, ("%s [%s%s]"):format(node.id, id, leaf_text(chart, node)))
   end
   add(lines, depth, "subgraph cluster_" .. node.id .. " {")
-  add(lines, depth + 1, "label=" .. quoted(node.name) .. " style=rounded")
-  for _, subnode in ipairs(node.nodes) do
-    add_node(lines, depth + 1, subnode, points_by_src)
-  end
+  add(lines, depth + 1, ("graph [%slabel=%s, margin=10, style=%s%s%s]"):format(id,
+    state_label(node), node.is_region and "dashed" or "rounded", LOOKS.plain,
+    look_of(node, "state")))
+  for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, chart, subnode) end
+  add_labels(lines, depth + 1, node)
   add(lines, depth, "}")
-  for _, point in ipairs(points_by_src[node] or {}) do
-    add(lines, depth, point .. " [shape=point, width=0.02]")
-  end
 end
 
 -- Arrows ----------------------------------------------------------------------
 
--- The node to which an arrow of a composite is tied: the dot where it begins, if any.
-local function anchor_of(node)
-  while node.kind == "composite" do node = node.initial or node.nodes[1] end
-  return node.id
+-- Returns the node to which edges of a node are tied: of a composite the last one for
+-- a tail, the first one for a head.
+local function anchor_of(node, is_tail)
+  while node.kind == "composite" do
+    node = is_tail and node.nodes[#node.nodes] or node.initial or node.nodes[1]
+  end
+  return node.id .. (node.kind == "connector" and ":p" or "")
 end
 
-local function add_edge(lines, src, tgt, attributes)
-  local text = attributes[1] and " [" .. concat(attributes, ", ") .. "]" or ""
-  add(lines, 1, src .. " -> " .. tgt .. text)
+-- Returns how many ranks an edge goes down from a node: the labels of loops in a
+-- composite come before those of its own arrows.
+local function length_of(node)
+  local length = 1
+  while node.kind == "composite" do
+    node = node.nodes[#node.nodes]
+    if node.has_loop then length = length + 1 end
+  end
+  return length
 end
 
-local function add_arrow(lines, arrow, point)
-  local src, tgt = arrow.src, arrow.tgt
-  local tail = { arrow.label ~= "" and "label=" .. quoted(arrow.label) or nil }
-  local head = point and {} or tail
-  if src.kind == "composite" then tail[#tail + 1] = "ltail=cluster_" .. src.id end
-  if tgt.kind == "composite" then head[#head + 1] = "lhead=cluster_" .. tgt.id end
-  if not point then return add_edge(lines, anchor_of(src), anchor_of(tgt), tail) end
-  tail[#tail + 1] = "arrowhead=none"
-  add_edge(lines, anchor_of(src), point, tail)
-  add_edge(lines, point, anchor_of(tgt), head)
+-- Does an arrow lead from a node to itself, or into it?
+local function is_loop(arrow)
+  return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
+end
+
+local function index_in(node, home)
+  while node.parent ~= home do node = node.parent end
+  return node.index or 0
+end
+
+-- Does an arrow lead to a node that comes earlier in the walk?
+local function leads_back(arrow)
+  return index_in(arrow.src, arrow.home) > index_in(arrow.tgt, arrow.home)
+end
+
+-- Gives an arrow a node for its label, unless it needs none.
+local function place_label(chart, arrow)
+  arrow.src.has_loop = arrow.src.has_loop or is_loop(arrow)
+  if not (arrow.parts[1] or is_loop(arrow)) then return end
+  arrow.label = {
+    id = diagram.new_id(chart, arrow.src.id .. "_to_" .. arrow.tgt.id),
+    text = quoted(arrow.parts[1] and diagram.label_of(arrow) or "any event"),
+  }
+end
+
+local function crosses_frame(a, b)
+  return a.parent ~= b.parent or a.kind == "composite" or b.kind == "composite"
+end
+
+local function min_length(upper, lower)
+  local length = length_of(upper)
+  if upper.text or lower.text then return length end
+  return crosses_frame(upper, lower) and length + 1 or length
+end
+
+-- Adds an edge of an arrow, from an upper node to a lower one; `half` is "", "/src" or
+-- "/tgt", `dir` that of Graphviz.
+local function add_edge(lines, arrow, half, upper, lower, dir)
+  local length = min_length(upper, lower)
+  add(lines, 1, ("%s -> %s [%s%s%s%s%s%s]"):format(
+    anchor_of(upper, true), anchor_of(lower), id_of(arrow.key .. half),
+    look_of(arrow, "transition"),
+    upper.kind == "composite" and ", ltail=cluster_" .. upper.id or "",
+    lower.kind == "composite" and ", lhead=cluster_" .. lower.id or "",
+    length > 1 and ", minlen=" .. length or "",
+    dir ~= "forward" and ", dir=" .. dir or ""))
+end
+
+-- Adds the edge of an arrow, or one to its label and one from there. The label of a
+-- loop is below both its ends.
+local function add_arrow(lines, arrow)
+  local src, tgt, label = arrow.src, arrow.tgt, arrow.label
+  local is_back = leads_back(arrow)
+  local function add_half(half, upper, lower, is_turned, dir)
+    if is_turned then upper, lower = lower, upper end
+    add_edge(lines, arrow, half, upper, lower, dir or is_turned and "back" or "forward")
+  end
+  if not label then return add_half("", src, tgt, is_back) end
+  add_half("/src", src, label, is_back, "none")
+  add_half("/tgt", label, tgt, is_back or is_loop(arrow))
 end
 
 local function draw(chart)
-  local points, points_by_src = place_points(chart)
-  local lines = { "digraph " .. quoted(chart.title or chart.root.name) .. " {", HEAD }
-  if chart.title then
-    add(lines, 1, "label=" .. quoted(chart.title) .. " labelloc=t")
-  end
-  add_node(lines, 1, chart.root, points_by_src)
-  for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow, points[arrow]) end
+  local root = chart.root
+  for _, arrow in ipairs(chart.all) do place_label(chart, arrow) end
+  root.name = chart.title or root.name
+  local lines = { "digraph " .. quoted(root.name) .. " {",
+    (HEAD:gsub("DIRECTION", chart.direction)) }
+  add_node(lines, 1, chart, root)
+  add_labels(lines, 1, chart)
+  for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end
   add(lines, 0, "}")
   return concat(lines, "\n") .. "\n"
 end

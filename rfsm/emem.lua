@@ -11,49 +11,20 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
+local error, ipairs, next, pairs = error, ipairs, next, pairs
+local rawget, rawset = rawget, rawset
+local setmetatable, type = setmetatable, type
 
 local rfsm_emem = {}
 
--- Counts: which events are in them -----------------------------------------------
---
--- Leaving a state must find the keys of its counts. LuaJIT does not compile `pairs`, so
--- the metatable of the counts lists the keys, whoever writes them. Objects are not
--- listed: the counts forget an event with its object.
-
-local IS_LISTED = { string = true, number = true, boolean = true }
-
--- Writes a key that is new in the counts.
-local function note(emem, event, value)
-  local keys = getmetatable(emem)
-  rawset(emem, event, value)
-  if not IS_LISTED[type(event)] then
-    keys.has_objects = true
-  elseif not keys.is_listed[event] then
-    keys[#keys + 1], keys.is_listed[event] = event, true
-  end
-end
-
-local function new_counts()
-  return setmetatable({}, {
-    __mode = "k", __newindex = note, is_listed = {}, has_objects = false,
-  })
-end
+-- The counts forget an event with its object.
+local WEAK = { __mode = "k" }
 
 local function clear(_, state)
   local emem = state.emem
-  local keys = emem and getmetatable(emem)
-  if type(keys) ~= "table" or not keys.is_listed or keys.has_objects then
-    for event in pairs(emem or {}) do emem[event] = 0 end -- any order: all of them
-    return
-  end
-  for i = 1, #keys do
-    if emem[keys[i]] then emem[keys[i]] = 0 end -- else somebody has taken it out
-  end
+  if not emem then return end
+  for event in pairs(emem) do emem[event] = 0 end -- any order: all of them
 end
-
--- Run and prepare ----------------------------------------------------------------
 
 -- This runs in every iteration.
 local function count(fsm)
@@ -74,15 +45,42 @@ local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
 end
 
+-- Snapshots hold the counts of each state in which an event was received.
+local function save(fsm)
+  local counts = nil
+  for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
+    if state.emem and next(state.emem) ~= nil then
+      local copy = {}
+      for event, n in pairs(state.emem) do copy[event] = n end -- any order: a copy
+      counts = counts or {}
+      counts[state._fqn] = copy
+    end
+  end
+  return counts
+end
+
+local function load(fsm, counts)
+  for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
+    local kept = counts and counts[state._fqn] or {}
+    if type(kept) ~= "table" then error("table of counts expected", 0) end
+    state.emem = setmetatable({}, WEAK)
+    for event, n in pairs(kept) do -- any order: each stands alone
+      if type(n) ~= "number" then error("number of events expected", 0) end
+      state.emem[event] = n
+    end
+  end
+end
+
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   if fsm.emem == false then return end
   for _, state in ipairs(rfsm.elements(merged or fsm, has_emem)) do
-    state.emem = new_counts()
+    state.emem = setmetatable({}, WEAK)
     rfsm.exit_hook_add(fsm, state, clear)
     if not fsm._has_emem then
       fsm._has_emem = true
       rfsm.pre_step_hook_add(fsm, count)
       rfsm.reset_hook_add(fsm, reset)
+      rfsm.snapshot_hook_add(fsm, "emem", save, load)
     end
   end
 end

@@ -14,8 +14,9 @@ local require = require
 local json = {}
 
 local KEY_ORDER = {
-  "version", "type", "id", "src", "tgt", "pn", "events", "internal", "transitions",
-  "subnodes", "graph", "active_leaf", "active_leaf_state",
+  "version", "type", "id", "doc", "mode", "final", "entry", "doo", "exit", "key", "src",
+  "tgt", "pn", "events", "words", "guard", "effect", "internal", "transitions",
+  "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
 }
 
 local function find_dkjson()
@@ -25,7 +26,7 @@ local function find_dkjson()
     .. "(on Debian: apt-get install lua-dkjson)", 0)
 end
 
---- Return a machine, with what is active in it, as JSON.
+--- Return the full description of a machine, and its active leaf, as JSON.
 --
 -- Lists are always arrays, and keys stand in a fixed order.
 --
@@ -38,9 +39,24 @@ function json.encode(fsm)
   local leaf, mode = marsh.actinfo2tab(fsm)
   return find_dkjson().encode({
     version = 2, type = "rfsm_model",
-    graph = marsh.jsontab(fsm),
+    graph = marsh.jsontab(fsm, true),
     active_leaf = leaf and marsh.utf8(leaf), active_leaf_state = mode,
   }, { indent = true, keyorder = KEY_ORDER })
+end
+
+--- Return the values in a text: of JSON, or of JSON lines.
+-- @raise if the text is no JSON, or dkjson is missing
+---@param text string
+---@return any[] values
+---@nodiscard
+function json.decode_all(text)
+  local decode, values, position = find_dkjson().decode, {}, 1
+  while text:find("%S", position) do
+    local value, after, problem = decode(text, position)
+    if problem then error("no JSON: " .. problem, 0) end
+    values[#values + 1], position = value, after
+  end
+  return values
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm2json", json) end

@@ -54,7 +54,7 @@ end
 
 local function add_arrows(lines, depth, composite, diamonds)
   for _, arrow in ipairs(composite.arrows) do
-    local label = arrow.label ~= "" and " : " .. text_of(arrow.label) or ""
+    local label = arrow.parts[1] and " : " .. text_of(diagram.label_of(arrow)) or ""
     add(lines, depth, start_of(arrow.src, diamonds) .. " --> " .. id_of(arrow.tgt)
       .. label)
   end
@@ -65,23 +65,49 @@ local function add_diamond(lines, depth, node)
   if node.kind == "initial" then add(lines, depth, "[*] --> " .. id_of(node)) end
 end
 
-local function name_line(node)
-  return ('state "%s" as %s'):format(text_of(node.name), id_of(node))
+local function add_state(lines, depth, node, ending)
+  add(lines, depth, ('state "%s" as %s%s'):format(text_of(node.name), id_of(node),
+    ending or ""))
+end
+
+-- A composite cannot have rows of its own in Mermaid: they become a note.
+local function add_rows(lines, depth, node)
+  if node.kind == "composite" and node.rows[1] then
+    add(lines, depth, "note right of " .. id_of(node) .. " : "
+      .. text_of(concat(node.rows, "\n")))
+  elseif node.kind == "leaf" then
+    for _, row in ipairs(node.rows) do
+      add(lines, depth, id_of(node) .. " : " .. text_of(row))
+    end
+  end
 end
 
 local function add_members(lines, depth, composite, diamonds)
-  for _, node in ipairs(composite.nodes) do
+  for i, node in ipairs(composite.nodes) do
+    if node.is_region and i > 1 then add(lines, depth, "--") end
     if node.kind == "composite" then
-      add(lines, depth, name_line(node) .. " {")
+      add_state(lines, depth, node, " {")
       add_members(lines, depth + 1, node, diamonds)
       add(lines, depth, "}")
     elseif node.kind == "connector" or diamonds[node] then
       add_diamond(lines, depth, node)
     elseif node.kind == "leaf" then
-      add(lines, depth, name_line(node))
+      add_state(lines, depth, node)
     end
+    add_rows(lines, depth, node)
   end
   add_arrows(lines, depth, composite, diamonds)
+end
+
+-- Marks the states that are active.
+local function add_class(lines, chart)
+  local ids = {}
+  for _, node in ipairs(chart.nodes) do
+    if node.mode and node.parent then ids[#ids + 1] = id_of(node) end
+  end
+  if not ids[1] then return end
+  add(lines, 1, "classDef active fill:#D6EAF8,stroke:#0072B2,stroke-width:2px")
+  add(lines, 1, "class " .. concat(ids, ",") .. " active")
 end
 
 local function draw(chart)
@@ -90,10 +116,15 @@ local function draw(chart)
     lines = { "---", "title: " .. title_of(chart.title), "---" }
   end
   add(lines, 0, "stateDiagram-v2")
-  if root.kind == "leaf" or chart.arrows[1] then add(lines, 1, name_line(root)) end
+  if chart.direction == "LR" then add(lines, 1, "direction LR") end
+  if root.kind == "leaf" or chart.arrows[1] or root.rows[1] then
+    add_state(lines, 1, root)
+    add_rows(lines, 1, root)
+  end
   local diamonds = find_diamonds(chart)
   add_members(lines, 1, root, diamonds)
   add_arrows(lines, 1, chart, diamonds)
+  add_class(lines, chart)
   return concat(lines, "\n") .. "\n"
 end
 

@@ -15,9 +15,11 @@ local monitor = {}
 --- The fields for `gen_monitor_state`. All others become fields of the state.
 ---@class rfsm.monitor.Monitor
 ---@field montab table<any, fun(fsm: rfsm.Machine, state: rfsm.State): any> by event
----@field break_first? boolean send at most one event in each cycle; also `breakfirst`
+---@field break_first? boolean send at most one event in each cycle
+---@field breakfirst? boolean the same
 ---@field entry? function
 ---@field exit? function
+---@field [any] any
 
 -- Numbers first, each ascending, then all other events by their text.
 local function event_before(a, b)
@@ -70,8 +72,8 @@ local OWN = { montab = true, break_first = true, breakfirst = true }
 
 --- Make a state that watches conditions.
 --
--- In each cycle every function of `montab` is called, events sorted, and where it
--- returns a true value its event is sent. The state is never idle.
+-- In each cycle every function of `montab` is called, in the order of its event. If it
+-- returns a true value, the event is sent. The state is never idle.
 --
 -- @usage
 --    watch = monitor.gen_monitor_state { montab = { e_low = battery_is_low } }

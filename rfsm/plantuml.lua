@@ -13,7 +13,7 @@ local concat, add = table.concat, diagram.add
 local function code(character) return ("<U+%04X>"):format(character:byte()) end
 
 local function text_of(text)
-  text = text:gsub('[\\"<&~%%]', code):gsub("/'", "/" .. code("'"))
+  text = text:gsub('[\\"<&~%%]', code):gsub("/'", "/" .. code("'")):gsub("^ +$", code)
   -- two of these in a row begin or end bold, italic, underlined, struck out text
   text = text:gsub("([*/_-])%1", function(one) return one .. code(one) end)
   return (text:gsub("\n", "\\n"))
@@ -30,11 +30,19 @@ end
 local function add_arrows(lines, depth, composite)
   for _, arrow in ipairs(composite.arrows) do
     local is_start = arrow.src.parent == composite
-    local label = arrow.events .. (arrow.is_internal and " (internal)" or "")
-    if label ~= "" then label = " : " .. text_of(label) end
+    local label = arrow.parts[1] and " : " .. text_of(diagram.label_of(arrow)) or ""
     add(lines, depth, end_of(arrow.src, is_start) .. " --> " .. end_of(arrow.tgt)
       .. label)
   end
+end
+
+-- Regions are frames, with a dashed line between them.
+local function add_members(lines, depth, composite, add_node)
+  for i, subnode in ipairs(composite.nodes) do
+    if subnode.is_region and i > 1 then add(lines, depth, "||") end
+    add_node(lines, depth, subnode)
+  end
+  add_arrows(lines, depth, composite)
 end
 
 local function add_node(lines, depth, node)
@@ -42,17 +50,24 @@ local function add_node(lines, depth, node)
   if node.kind == "connector" then
     return add(lines, depth, "state " .. node.id .. " <<choice>>")
   end
-  local head = ('state "%s" as %s'):format(text_of(node.name), node.id)
-  if node.kind == "leaf" then return add(lines, depth, head) end
-  add(lines, depth, head .. " {")
-  for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, subnode) end
-  add_arrows(lines, depth + 1, node)
-  add(lines, depth, "}")
+  local head = ('state "%s" as %s%s'):format(text_of(node.name), node.id,
+    node.mode and " #D6EAF8" or "")
+  if node.kind == "composite" then
+    add(lines, depth, head .. " {")
+    add_members(lines, depth + 1, node, add_node)
+    add(lines, depth, "}")
+  else
+    add(lines, depth, head)
+  end
+  for _, row in ipairs(node.rows) do
+    add(lines, depth, node.id .. " : " .. text_of(row))
+  end
 end
 
 local function draw(chart)
   local lines = { "@startuml" }
   if chart.title then add(lines, 0, "title " .. text_of(chart.title)) end
+  if chart.direction == "LR" then add(lines, 0, "left to right direction") end
   add_node(lines, 0, chart.root)
   add_arrows(lines, 0, chart)
   add(lines, 0, "@enduml")

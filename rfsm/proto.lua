@@ -16,28 +16,18 @@
 
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
+local opts = require "rfsm.options"
 
 local error, pairs, pcall, rawget, rawset = error, pairs, pcall, rawget, rawset
-local require, setmetatable, tonumber = require, setmetatable, tonumber
-local tostring, type = tostring, type
-local floor, huge = math.floor, math.huge
-local concat, remove, sort = table.concat, table.remove, table.sort
+local setmetatable, tonumber, tostring, type = setmetatable, tonumber, tostring, type
+local huge, remove = math.huge, table.remove
+local is_seconds, is_text, is_whole = opts.is_seconds, opts.is_text, opts.is_whole
 
 local proto = {}
 
 local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writes it
 
 -- Options ---------------------------------------------------------------------
-
-local function is_text(x) return type(x) == "string" and x ~= "" end
-
-local function is_whole(least, most)
-  return function(x)
-    return type(x) == "number" and x >= least and x <= most and x == floor(x)
-  end
-end
-
-local function is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
 -- Description, test, default of each.
 local OPTIONS = {
@@ -54,47 +44,6 @@ local OPTIONS = {
   port = { "whole number from 0 to 65535", is_whole(0, 65535), 44044 },
   read_timeout = { "finite number of seconds, not below 0", is_seconds, 0 },
 }
-
-local function got(value)
-  if type(value) == "string" then return ("got string '%s'"):format(value) end
-  return "got " .. (type(value) == "number" and rfsm.text_of(value) or type(value))
-end
-
-local function sorted_names(t)
-  local names = {}
-  for name in pairs(t) do names[#names + 1] = tostring(name) end -- any order: sorted
-  sort(names)
-  return names
-end
-
--- Returns the options with their defaults; nil and what is wrong.
-local function read_options(options)
-  if type(options) ~= "table" then
-    return nil, "table of options expected, " .. got(options)
-  end
-  local settings = {}
-  for _, name in pairs(sorted_names(options)) do
-    local option, value = OPTIONS[name], options[name]
-    if not option then
-      return nil, ("unknown option '%s', expected: %s"):format(name,
-        concat(sorted_names(OPTIONS), ", "))
-    elseif not option[2](value) then
-      return nil, ("%s: %s expected, %s"):format(name, option[1], got(value))
-    end
-    settings[name] = value
-  end
-  for name, option in pairs(OPTIONS) do -- any order: each stands alone
-    if settings[name] == nil then settings[name] = option[3] end
-  end
-  return settings
-end
-
-local function find_package(name, package)
-  local ok, module = pcall(require, name)
-  if ok and type(module) == "table" then return module end
-  return nil, ("the package %s is missing (on Debian: apt-get install %s)"):format(
-    name == "socket" and "luasocket" or name, package)
-end
 
 -- Returns a socket bound to host and port; nil and why not. A name means its IPv4
 -- address, so that "localhost" is the same everywhere.
@@ -128,9 +77,9 @@ end
 -- The settings become fields of the server.
 local function open_server(server)
   local socket, json, udp, problem
-  socket, problem = find_package("socket", "lua-socket")
+  socket, problem = opts.find_package("socket", "lua-socket")
   if not socket then return nil, problem end
-  json, problem = find_package("dkjson", "lua-dkjson")
+  json, problem = opts.find_package("dkjson", "lua-dkjson")
   if not json then return nil, problem end
   udp, problem = bind(socket, server.host, server.port)
   if not udp then return nil, problem end
@@ -139,7 +88,7 @@ local function open_server(server)
     server.clock or socket.gettime
   server.udp, server.json, server.now, server.is_closed = udp, json, 0, false
   server.subscribers = {} -- in the order in which they came
-  -- what it knows of each machine, by number; kept by the machine
+  -- data of each machine, by number; kept by the machine
   server.feeds, server.count = setmetatable({}, { __mode = "v" }), 0
   return setmetatable(server, Server)
 end
@@ -227,7 +176,7 @@ end
 
 local MESSAGES = {}
 
--- Returns the feed of the machine in a message; nil and what is wrong.
+-- Returns the feed of the machine in a message; nil and the problem.
 local function feed_of(server, message, number)
   local feed = server.feeds[number]
   if feed then return feed end
@@ -264,7 +213,7 @@ local IS_EVENT = { string = true, boolean = true, number = true }
 
 function MESSAGES.event(server, message)
   local event = message.event
-  if not server.allow_send then return "event: not taken, allow_send is off" end
+  if not server.allow_send then return "event: refused, allow_send is off" end
   if not IS_EVENT[type(event)] or event == huge or event == -huge or event ~= event then
     return "event: string, boolean or finite number expected, got "
       .. (type(event) == "number" and rfsm.text_of(event) or type(event))
@@ -272,7 +221,7 @@ function MESSAGES.event(server, message)
   local feed, problem = feed_of(server, message, message.fsm or 1)
   if not feed then return problem end
   if #feed.fsm._intq >= server.max_events then
-    return ("event: %d events wait already"):format(#feed.fsm._intq)
+    return ("event: %d events are pending already"):format(#feed.fsm._intq)
   end
   rfsm.send_events(feed.fsm, event)
 end
@@ -330,7 +279,7 @@ local function read_clock(server)
   local ok, now = pcall(server.clock)
   if not ok then return tostring(now) end
   if type(now) ~= "number" or now - now ~= 0 then
-    return "finite number of seconds expected, " .. got(now)
+    return "finite number of seconds expected, " .. opts.got(now)
   end
   server.now = now
 end
@@ -394,7 +343,7 @@ end
 -- Public functions ------------------------------------------------------------
 
 local open = {} -- for all machines initialised from now on
-local servers = setmetatable({}, { __mode = "k" }) -- those that somebody still has
+local servers = setmetatable({}, { __mode = "k" }) -- those that are still in use
 
 --- The options of `install`.
 ---@class rfsm.proto.Options
@@ -421,7 +370,7 @@ local servers = setmetatable({}, { __mode = "k" }) -- those that somebody still 
 ---@param options? rfsm.proto.Options
 ---@return rfsm.proto.Server server
 function proto.install(options)
-  local server, problem = read_options(options == nil and {} or options)
+  local server, problem = opts.read(OPTIONS, options == nil and {} or options)
   if server then server, problem = open_server(server) end
   if not server then error("rfsm.proto.install: " .. problem, 2) end
   servers[server] = true

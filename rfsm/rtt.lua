@@ -17,6 +17,9 @@ local error, pcall, rawget, rawset, require = error, pcall, rawget, rawset, requ
 local select, setmetatable, tostring, type = select, setmetatable, tostring, type
 local package = package
 
+---@class rfsm.rtt
+---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
+---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
 local rfsm_rtt = {}
 
 -- Types: how values of Lua and samples of RTT become each other -----------------
@@ -38,7 +41,7 @@ local function has_method(value, name)
   return ok and rfsm.is_callable(method)
 end
 
--- Returns what a port says of itself; an empty table for anything else.
+-- Returns the information of a port; an empty table for anything else.
 local function info_of(port)
   local ok, info = pcall(function() return port:info() end)
   return ok and type(info) == "table" and info or {}

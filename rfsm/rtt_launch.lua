@@ -4,7 +4,7 @@
 -- `component_launch_rfsm` into a Lua component of its own. Both are fields of
 -- `rfsm.rtt`. They execute a text in the other Lua, which loads this module there.
 --
--- @module rfsm.rtt_launch
+-- @submodule rfsm.rtt
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -226,7 +226,7 @@ end
 
 -- In the Lua of the caller: arguments ----------------------------------------------
 
-local FIELDS = { -- with types, or words for what is not checked
+local FIELDS = { -- with types, or words for values that are not checked
   deployer = "deployer", exec_str = "operation exec_str", env = "table",
   eehook = "boolean", ev_inport = "name", ev_outport = "name", fqn_port = "string",
   fsmfile = "file name", luatype = "string", name = "string", postfile = "file name",
@@ -245,7 +245,7 @@ local function problem_of(kind, value)
   return kind .. " expected, got " .. actual
 end
 
--- Raises what is wrong with the arguments of a launch, of which two must be there.
+-- Raises the first problem of the arguments of a launch. Two of them must be given.
 local function check(args, first, second)
   if type(args) ~= "table" then error("table expected, got " .. type(args), 0) end
   for _, name in ipairs(sorted_names(args)) do
@@ -320,7 +320,7 @@ local function launch_component(args)
   error(why, 0)
 end
 
---- What component_launch_rfsm takes.
+--- The arguments of component_launch_rfsm.
 ---@class rfsm.rtt.Launch
 ---@field name string of the new component
 ---@field fsmfile string the chart

@@ -1,12 +1,10 @@
---- Straight code: what the core runs most, without a loop, without calls of its own.
+--- Straight code: what runs most, without a loop, without calls of its own.
 --
--- The core does without this file: it is slower then, and that is all. It is asked for
--- a transition once that has been taken a few times, and for the candidates of an
--- event. Text is generated for a shape (how many states are left and entered, which of
--- them by what kind of transition), compiled once and bound to positions in the plan;
--- no name of a model is in it. Callbacks are read from the machine where they are
--- called, and after each one the text looks whether dbg has been switched on: then the
--- core goes on.
+-- `rfsm.quick` does without this file: it is slower then, and that is all. Text is
+-- generated for a shape (how many states are left and entered, which of them by what
+-- kind of transition), compiled once and bound to positions in the plan; no name of a
+-- model is in it. Callbacks are read from the machine where they are called, and after
+-- each one the text looks whether dbg has been switched on: then the core goes on.
 --
 -- @module rfsm.straight
 -- @license BSD-3-Clause
@@ -214,20 +212,25 @@ if guard then
   ok, answer = pcall(guard, tr, events)
   if not ok then report_callback(fsm, "guard", tostring(tr), answer) end
 end
-if ok and answer ~= false then]]
+if ok and answer ~= false then
+local def, tgt = d$n, tr.tgt
+if nodes[t$n] ~= tgt then
+  fsm._search = fsm._search + 1
+  def = enabled_with(fsm, def, tgt, events, $level)
+else]]
 
 local NOTE_WAY = [[
 if w$level then
   x$level = x$level or { w$level }
-  x$level[#x$level + 1] = d$n
+  x$level[#x$level + 1] = def
 else
-  w$level = d$n
+  w$level = def
 end]]
 
 local EVALUATED = [[
 if x$level then warn_of_conflict(fsm, c$n, x$level) end
 ways[c$n] = w$level
-if w$level then]]
+def = w$level and def]]
 
 local Search = {}
 Search.__index = Search
@@ -247,13 +250,13 @@ function Search:transition(def, level)
   self:bind("d" .. n, def)
   self:bind("i" .. n, def.index)
   self:bind("t" .. n, def.tgt.index)
-  self.targets[n] = ("transitions[i%d].tgt ~= nodes[t%d]"):format(n, n)
   local is_asked = def.events and (level > 0 or def.has_predicate)
   self:write(is_asked and "if matches(d$n, events) then" or "do", n)
-  self:write(ASK, n)
+  self:write(ASK, n, level)
   if def.connector then self:connector(def.connector, level + 1, n) end
-  self:write(level == 0 and "do return d$n end" or NOTE_WAY, n, level)
-  self:write(def.connector and "end end end" or "end end")
+  self:write("end if def then")
+  self:write(level == 0 and "do return def end" or NOTE_WAY, n, level)
+  self:write("end end end")
 end
 
 -- Writes how the way out of a connector is found, in w<level>. One that is reached a
@@ -280,18 +283,17 @@ function Search:connector(connector, level, n)
 end
 
 -- Returns a function that returns the first of the candidates that is enabled, or false
--- where there are too many. A machine in which one of them has another target does the
--- search without straight code.
+-- where there are too many.
 local function search(parts, candidates)
   local self = setmetatable({
-    parts = parts, count = 0, seen = {}, lines = {}, targets = {},
+    parts = parts, count = 0, seen = {}, lines = {},
     names = {
       "pcall", "tostring", "parameters_of", "keep_events", "report_callback", "matches",
-      "warn_of_conflict", "find_listed",
+      "warn_of_conflict", "enabled_with",
     },
     values = {
       pcall, tostring, parameters_of, parts.keep_events, parts.report_callback,
-      parts.matches, parts.warn_of_conflict, parts.find_listed,
+      parts.matches, parts.warn_of_conflict, parts.enabled_with,
     },
   }, Search)
   for i = 1, #candidates do
@@ -302,8 +304,6 @@ local function search(parts, candidates)
   return (make("search", self.names, self.values, {
     "return function(fsm, candidates, events)",
     "local transitions, nodes = fsm._transitions, fsm._nodes",
-    "if " .. concat(self.targets, " or ") .. " then",
-    "return find_listed(fsm, candidates, events) end",
     "local ways = fsm._ways",
     concat(self.lines, "\n"),
     "end",

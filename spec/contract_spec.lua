@@ -5,6 +5,7 @@ local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+local init, said, leaf_after = helper.init, helper.said, helper.leaf_after
 
 -- initial -> a, and more members.
 local function chart(members)
@@ -13,23 +14,25 @@ local function chart(members)
   return state(members)
 end
 
-local function started(members)
-  local fsm = helper.init(chart(members))
-  rfsm.run(fsm)
-  return fsm
+local function started(members) return helper.started(chart(members)) end
+
+-- Transitions: "a -> b", "a -> b e" with the event e.
+local function tr(text, fields)
+  local result = fields or {}
+  local src, tgt, event = text:match("^(%S+) %-> (%S+) ?(.*)$")
+  result.src, result.tgt, result.events = src, tgt, event ~= "" and { event } or nil
+  return trans(result)
 end
 
-local function lines(list) return table.concat(list, " ") end
+local function closed() return false end
 
 describe("FIX predicates:", function()
-  local PREDICATES = {
-    "is_fsmobj", "is_state", "is_trans", "is_conn", "is_node", "is_composite",
-    "is_leaf", "is_root", "is_initialized_root", "is_nr_node", "is_meta",
-    "fsmobj_tochar",
-  }
-
   it("any value at all may be asked about", function()
-    for _, name in ipairs(PREDICATES) do
+    for _, name in ipairs {
+      "is_fsmobj", "is_state", "is_trans", "is_conn", "is_node", "is_composite",
+      "is_leaf", "is_root", "is_initialized_root", "is_nr_node", "is_meta",
+      "fsmobj_tochar",
+    } do
       assert.is_falsy(rfsm[name](nil))
       local co = coroutine.create(function() end)
       for _, value in ipairs({ false, 0, "x", {}, print, co }) do
@@ -40,136 +43,87 @@ describe("FIX predicates:", function()
 
   it("an answer is never stale", function()
     local s = state {}
-    assert.is_true(rfsm.is_leaf(s))
-    s.child = state {}
-    assert.is_true(rfsm.is_composite(s))
-    assert.equal("CS", rfsm.fsmobj_tochar(s))
-    s.child = nil
-    assert.is_true(rfsm.is_leaf(s))
-    assert.equal("LS", rfsm.fsmobj_tochar(s))
+    for _, is_leaf in ipairs { true, false, true } do
+      s.child = not is_leaf and state {} or nil
+      assert.same({ is_leaf, not is_leaf, is_leaf and "LS" or "CS" },
+        { rfsm.is_leaf(s), rfsm.is_composite(s), rfsm.fsmobj_tochar(s) })
+    end
   end)
 end)
 
-describe("FIX trace:", function()
-  it("none of it costs anything while dbg is off", function()
-    local asked = 0
-    local event = setmetatable({}, { __tostring = function()
-      asked = asked + 1
-      return "event"
-    end })
-    local fsm = started { trans { src = "a", tgt = "a", events = { event } } }
-    helper.post_and_run(fsm, event)
-    assert.equal(0, asked)
-    fsm.dbg = function() end
-    helper.post_and_run(fsm, event)
-    assert.is_true(asked > 0)
-  end)
+it("FIX trace: none of it costs anything while dbg is off", function()
+  local asked = 0
+  local event = setmetatable({}, { __tostring = function()
+    asked = asked + 1
+    return "event"
+  end })
+  local fsm = started { trans { src = "a", tgt = "a", events = { event } } }
+  helper.post_and_run(fsm, event)
+  assert.equal(0, asked)
+  fsm.dbg = function() end
+  helper.post_and_run(fsm, event)
+  assert.is_true(asked > 0)
 end)
 
 describe("FIX ties:", function()
-  local function winner(members)
-    local fsm = started(members)
-    helper.post_and_run(fsm, "e")
-    return rfsm.get_actleaf_fqn(fsm)
+  for name, case in pairs { -- any order: each stands alone
+    ["declared further out first"] = { "root.far", {
+      a = state { x = state {}, near = state {}, tr "initial -> x", tr "x -> near e" },
+      far = state {}, tr ".a.x -> far e",
+    } },
+    ["then position in the table"] = { "root.z",
+      { z = state {}, b = state {}, tr "a -> z e", tr "a -> b e" } },
+    ["then, for transitions with names, sorted by key"] = { "root.z",
+      { z = state {}, b = state {}, t2 = tr "a -> b e", t1 = tr "a -> z e" } },
+  } do
+    it(name, function() assert.equal(case[1], leaf_after(started(case[2]), "e")) end)
   end
-
-  it("declared further out first", function()
-    local inner = state {
-      x = state {}, near = state {}, trans { src = "initial", tgt = "x" },
-      trans { src = "x", tgt = "near", events = "e" },
-    }
-    assert.equal("root.far", winner {
-      a = inner, far = state {}, trans { src = ".a.x", tgt = "far", events = "e" },
-    })
-  end)
-
-  it("then position in the table", function()
-    assert.equal("root.z", winner {
-      z = state {}, b = state {},
-      trans { src = "a", tgt = "z", events = "e" },
-      trans { src = "a", tgt = "b", events = "e" },
-    })
-  end)
-
-  it("then, for transitions with names, sorted by key", function()
-    assert.equal("root.z", winner {
-      z = state {}, b = state {},
-      t2 = trans { src = "a", tgt = "b", events = "e" },
-      t1 = trans { src = "a", tgt = "z", events = "e" },
-    })
-  end)
 end)
 
-describe("FIX guard:", function()
-  it("is called only when the events match", function()
-    local asked = {}
-    local fsm = started {
-      b = state {},
-      trans {
-        src = "a", tgt = "b", events = "e_yes",
-        guard = function(_, events) asked[#asked + 1] = lines(events) end,
-      },
-    }
-    helper.post_and_run(fsm, "e_no")
-    helper.post_and_run(fsm, "e_yes")
-    assert.same({ "e_yes" }, asked)
-  end)
+it("FIX guard: is called only when the events match", function()
+  local asked = {}
+  local fsm = started { b = state {}, tr("a -> b e_yes", {
+    guard = function(_, events) asked[#asked + 1] = table.concat(events, " ") end,
+  }) }
+  helper.post_and_run(fsm, "e_no")
+  helper.post_and_run(fsm, "e_yes")
+  assert.same({ "e_yes" }, asked)
 end)
 
 describe("FIX connectors:", function()
-  local function conflicts(pn)
-    local said = {}
-    local fsm = started {
-      warn = false, k = conn {}, b = state {}, c = state {},
-      trans { src = "a", tgt = "k", events = "e" },
-      trans { src = "k", tgt = "b", pn = pn }, trans { src = "k", tgt = "c" },
-    }
-    fsm.warn = function(text) said[#said + 1] = text end
-    helper.post_and_run(fsm, "e")
-    return said, rfsm.get_actleaf_fqn(fsm)
+  -- What is warned of at three ways from k, by their pn and guards; where it leads.
+  for _, case in ipairs {
+    { "two ways with the same pn: a warning, then one line per target",
+      { {}, {}, { pn = -1 } }, { "b", "c" }, "b" },
+    { "the same of two that come into question after a closed one",
+      { { pn = 1, guard = closed }, {}, {} }, { "c", "d" }, "c" },
+    { "no warning if the pns differ", { { pn = 1 }, {}, { pn = -1 } }, {}, "b" },
+  } do
+    it(case[1], function()
+      local ways = case[2]
+      local fsm = started {
+        warn = false, k = conn {}, b = state {}, c = state {}, d = state {},
+        tr "a -> k e", tr("k -> b", ways[1]), tr("k -> c", ways[2]),
+        tr("k -> d", ways[3]),
+      }
+      local warnings = said(fsm, "warn")
+      assert.equal("root." .. case[4], leaf_after(fsm, "e"))
+      local expected = case[3][1]
+        and { "conflicting transitions from src root.k to" } or {}
+      for i, name in ipairs(case[3]) do expected[i + 1] = "\troot." .. name end
+      assert.same(expected, warnings)
+    end)
   end
 
-  it("two ways with the same pn: a warning, then one line per target", function()
-    local said, leaf = conflicts(nil)
-    assert.same({
-      "conflicting transitions from src root.k to", "\troot.b", "\troot.c",
-    }, said)
-    assert.equal("root.b", leaf)
-  end)
-
-  it("the same of two that come into question after a closed one", function()
-    local said = {}
-    local fsm = started {
-      warn = false, k = conn {}, b = state {}, c = state {}, d = state {},
-      trans { src = "a", tgt = "k", events = "e" },
-      trans { src = "k", tgt = "b", pn = 1, guard = function() return false end },
-      trans { src = "k", tgt = "c" }, trans { src = "k", tgt = "d" },
-    }
-    fsm.warn = function(text) said[#said + 1] = text end
-    helper.post_and_run(fsm, "e")
-    assert.same({
-      "conflicting transitions from src root.k to", "\troot.c", "\troot.d",
-    }, said)
-    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
-  end)
-
-  it("no warning if the pns differ", function()
-    assert.same({}, (conflicts(1)))
-  end)
-
   it("a connector already on the path is not enabled", function()
-    local fsm = started {
-      k = conn {}, l = conn {}, b = state {},
-      trans { src = "a", tgt = "k", events = "e" },
-      trans { src = "k", tgt = "l", pn = 1 }, trans { src = "l", tgt = "k" },
-      trans { src = "k", tgt = "b" },
-    }
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.b", leaf_after(started {
+      k = conn {}, l = conn {}, b = state {}, tr "a -> k e", tr("k -> l", { pn = 1 }),
+      tr "l -> k", tr "k -> b",
+    }, "e"))
   end)
 
   it("a guard that yields enables nothing, however far away it is", function()
-    local members = { err = false, b = state {}, trans { src = "a", tgt = "k1" } }
+    local members = { err = false, b = state {}, tr "a -> k1" }
     for i = 1, 600 do
       members["k" .. i] = conn {}
       members[#members + 1] = trans {
@@ -178,24 +132,21 @@ describe("FIX connectors:", function()
       }
     end
     local fsm = started(members)
-    local co = coroutine.wrap(function() return helper.post_and_run(fsm, "e") end)
-    co()
+    coroutine.wrap(function() return helper.post_and_run(fsm, "e") end)()
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
   end)
 
   it("each connector is evaluated at most once a step", function()
     local asked = 0
-    local members = { b = state {}, trans { src = "a", tgt = "k1", events = "e" } }
+    local members = { b = state {}, tr "a -> k1 e" }
     local function guard() asked = asked + 1 end
     for i = 1, 30 do
       members["k" .. i] = conn {}
-      local tgt = i < 30 and "k" .. i + 1 or "k1" -- a dead end, at last
-      members[#members + 1] = trans { src = "k" .. i, tgt = tgt, guard = guard, pn = 1 }
-      members[#members + 1] = trans { src = "k" .. i, tgt = tgt, guard = guard }
+      local way = ("k%d -> k%d"):format(i, i < 30 and i + 1 or 1) -- a dead end, at last
+      members[#members + 1] = tr(way, { guard = guard, pn = 1 })
+      members[#members + 1] = tr(way, { guard = guard })
     end
-    local fsm = started(members)
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.a", leaf_after(started(members), "e"))
     assert.equal(60, asked)
   end)
 end)
@@ -203,48 +154,29 @@ end)
 describe("FIX surroundings:", function()
   local function failing() error("on purpose", 0) end
 
-  -- Sends e with `fields` on the machine: what the caller gets, and where it is.
-  local function with(fields)
-    local fsm = started { b = state {}, trans { src = "a", tgt = "b", events = "e" } }
-    for name, value in pairs(fields) do fsm[name] = value end -- any order: a set
-    local ok, problem = pcall(function()
-      rfsm.send_events(fsm, "e")
-      rfsm.step(fsm)
-    end)
-    return ok, problem, fsm
-  end
-
   for name, leaf in pairs { getevents = "root.a", pre_step_hook = "root.a",
-    post_step_hook = "root.b" } do -- any order: each stands alone
+    post_step_hook = "root.b", dbg = "root.a" } do -- any order: each stands alone
     it("a failing " .. name .. " reaches the caller, and no event is lost", function()
-      local ok, problem, fsm = with { [name] = failing }
-      assert.is_false(ok)
-      assert.equal("on purpose", problem)
-      assert.equal(leaf, rfsm.get_actleaf_fqn(fsm))
+      local fsm = started { b = state {}, tr "a -> b e" }
+      fsm[name] = failing
+      local ok, problem = pcall(function()
+        rfsm.send_events(fsm, "e")
+        rfsm.step(fsm)
+      end)
+      assert.same({ false, "on purpose" }, { ok, problem })
+      if name ~= "dbg" then assert.equal(leaf, rfsm.get_actleaf_fqn(fsm)) end
       fsm[name] = nil
       assert.is_true(rfsm.run(fsm))
       assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
     end)
   end
 
-  it("a failing dbg loses no event", function()
-    local ok, problem, fsm = with { dbg = failing }
-    assert.is_false(ok)
-    assert.equal("on purpose", problem)
-    fsm.dbg = false
-    rfsm.run(fsm)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-  end)
-
   it("a failing err does not stop a transition", function()
-    local fsm = started {
-      b = state { entry = failing }, trans { src = "a", tgt = "b", events = "e" },
-    }
+    local fsm = started { b = state { entry = failing }, tr "a -> b e" }
     fsm.err = function() error("err failed", 0) end
     rfsm.send_events(fsm, "e")
     local ok, problem = pcall(rfsm.step, fsm)
-    assert.is_false(ok)
-    assert.equal("err failed", problem)
+    assert.same({ false, "err failed" }, { ok, problem })
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
   end)
 
@@ -266,23 +198,17 @@ describe("FIX surroundings:", function()
 end)
 
 describe("FIX queue:", function()
-  it("send_events skips nil and keeps the rest", function()
+  it("send_events skips nil and keeps the rest; getevents may return nil", function()
     local fsm = started {}
     rfsm.send_events(fsm, nil, "e1", nil, "e2", nil)
     assert.same({ "e1", "e2" }, fsm._intq)
-  end)
-
-  it("getevents may return nil", function()
-    local fsm = started { getevents = function() return nil end }
-    assert.is_true(rfsm.run(fsm))
+    assert.is_true(rfsm.run(started { getevents = function() return nil end }))
   end)
 
   for _, name in ipairs({ "send_events", "step", "run", "reset" }) do
     it(name .. " on what is no fsm blames the caller", function()
-      local ok, problem = pcall(function() rfsm[name](state {}) end)
-      assert.is_false(ok)
-      assert.matches("contract_spec.lua:%d+: rfsm." .. name .. ": initialised fsm "
-        .. "expected, got state", problem)
+      assert.matches("^rfsm." .. name .. ": initialised fsm expected, got state",
+        helper.refusal(rfsm[name], state {}))
     end)
   end
 
@@ -291,52 +217,45 @@ describe("FIX queue:", function()
     local fsm = started {
       b = state {}, trans { src = "a", tgt = "b", events = { event } },
     }
-    helper.post_and_run(fsm, {})
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-    helper.post_and_run(fsm, event)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.a", leaf_after(fsm, {}))
+    assert.equal("root.b", leaf_after(fsm, event))
   end)
 
   it("is kept when there is no path from root.initial", function()
-    local is_open, said = false, {}
-    local fsm = helper.init(state {
-      err = function(text) said[#said + 1] = text end,
-      a = state {},
-      trans { src = "initial", tgt = "a", guard = function() return is_open end },
-    })
+    local is_open = false
+    local model = state { a = state {},
+      tr("initial -> a", { guard = function() return is_open end }) }
+    local errors = said(model, "err")
+    local fsm = init(model)
     rfsm.send_events(fsm, "e")
     assert.is_false(rfsm.step(fsm))
     assert.same({ "e_init_fsm", "e" }, fsm._intq)
     assert.same({
       "ERROR: cannot enter: no enabled path from 'root.initial' on events: "
         .. "e_init_fsm, e",
-    }, said)
+    }, errors)
     is_open = true
-    rfsm.run(fsm)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.a", leaf_after(fsm))
   end)
 end)
 
 describe("an entry that is refused", function()
   it("leaves a machine as new when a guard resets it", function()
     local fsm
-    fsm = helper.init(state {
-      err = false, a = state {},
-      trans { src = "initial", tgt = "a", guard = function()
+    fsm = init(state { err = false, a = state {},
+      tr("initial -> a", { guard = function()
         rfsm.reset(fsm)
         return false
-      end },
-    })
+      end }) })
     rfsm.send_events(fsm, "e")
     assert.is_false(rfsm.step(fsm))
     assert.same({ "e_init_fsm" }, fsm._intq)
   end)
 
-  for _, hook in ipairs({ false, function() end }) do
-    local kind = hook and "with a hook" or "plain"
+  for kind, hook in pairs { plain = false, ["with a hook"] = print } do -- any order
     it("ends a run after a doo that exits its state: " .. kind, function()
-      local fsm = helper.init(state {
-        err = false, post_step_hook = hook or nil,
+      local fsm = helper.started(state {
+        err = false, post_step_hook = hook and function() end or nil,
         a = state {
           doo = function(fsm, self)
             rfsm.yield(true)
@@ -344,9 +263,8 @@ describe("an entry that is refused", function()
             rfsm.yield(true)
           end,
         },
-        trans { src = "initial", tgt = "a", events = "e_init_fsm" },
+        tr "initial -> a e_init_fsm",
       })
-      rfsm.run(fsm)
       assert.is_false(rfsm.run(fsm))
       assert.same({ "root" }, rfsm.get_active_conf(fsm))
     end)
@@ -356,7 +274,7 @@ end)
 describe("FIX step:", function()
   it("returns under constant unmatched events, with a doo cycle", function()
     local cycles = 0
-    local fsm = helper.init(chart {
+    local fsm = init(chart {
       getevents = function() return { "e_noise" } end,
       a = state {
         doo = function()
@@ -382,66 +300,43 @@ describe("FIX step:", function()
 
   it("does not grow the stack", function()
     local left = 200000
-    local fsm = started {
+    helper.post_and_run(started {
       b = state {
         entry = function(fsm)
           left = left - 1
           if left > 0 then rfsm.send_events(fsm, "e") end
         end,
       },
-      trans { src = "a", tgt = "b", events = "e" },
-      trans { src = "b", tgt = "b", events = "e" },
-    }
-    helper.post_and_run(fsm, "e")
+      tr "a -> b e", tr "b -> b e",
+    }, "e")
     assert.equal(0, left)
   end)
 end)
 
-describe("FIX reset:", function()
-  it("resets what extensions keep", function()
-    local fsm = started {}
-    local called = 0
-    rfsm.reset_hook_add(fsm, function(machine)
-      assert.equal(fsm, machine)
-      called = called + 1
-    end)
-    rfsm.reset(fsm)
-    assert.equal(1, called)
-  end)
+it("FIX reset: resets what extensions keep", function()
+  local fsm, seen = started {}, {}
+  rfsm.reset_hook_add(fsm, function(machine) seen[#seen + 1] = machine end)
+  rfsm.reset(fsm)
+  assert.equal(1, #seen)
+  assert.equal(fsm, seen[1])
 end)
 
 describe("FIX copying:", function()
-  it("one sub model may be mounted twice", function()
-    local sub = state { x = state {}, trans { src = "initial", tgt = "x" } }
-    local fsm = helper.init(chart { a = sub, b = sub })
-    assert.equal("root.a.x", fsm.a.x._fqn)
-    assert.equal("root.b.x", fsm.b.x._fqn)
-    assert.equal(fsm.b.x, fsm.b[1].tgt)
-  end)
-
-  it("one transition object may be used twice", function()
-    local back = trans { src = "x", tgt = "x", events = "e" }
-    local fsm = helper.init(chart {
-      a = state { x = state {}, trans { src = "initial", tgt = "x" }, back },
-      b = state { x = state {}, back },
-    })
-    assert.equal(fsm.a.x, fsm.a[2].src)
-    assert.equal(fsm.b.x, fsm.b[1].src)
-  end)
-
-  it("one model gives independent machines", function()
-    local model = chart { b = state {}, trans { src = "a", tgt = "b", events = "e" } }
-    local one, two = helper.init(model), helper.init(model)
-    rfsm.run(one)
-    helper.post_and_run(one, "e")
-    rfsm.run(two)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(one))
-    assert.equal("root.a", rfsm.get_actleaf_fqn(two))
+  it("one sub model, or one transition object, may be used twice", function()
+    local back = tr "x -> x e"
+    local sub = state { x = state {}, tr "initial -> x", back }
+    local fsm = init(chart { a = sub, b = sub, c = state { x = state {}, back } })
+    for _, name in ipairs { "a", "b" } do
+      assert.equal(("root.%s.x"):format(name), fsm[name].x._fqn)
+      assert.equal(fsm[name].x, fsm[name][1].tgt)
+      assert.equal(fsm[name].x, fsm[name][2].src)
+    end
+    assert.equal(fsm.c.x, fsm.c[1].src)
   end)
 
   it("plain tables are copied, shared structure kept, all else is shared", function()
     local shared, object = { 1 }, setmetatable({}, {})
-    local fsm = helper.init(chart {
+    local fsm = init(chart {
       data = { one = shared, two = shared, object = object },
       a = state { own = shared },
     })
@@ -453,22 +348,17 @@ describe("FIX copying:", function()
   end)
 
   it("what a model holds under the engine's own names does no harm", function()
-    local own = {}
-    for _, name in ipairs({ "id", "fqn", "parent", "mode", "actchild", "doo_co", "otrs",
-      "is_leaf", "sources", "choices", "ignored", "by_event", "by_any", "done_event",
-      "search", "way", "entry_hooks", "exit_hooks", "lca", "entries", "run", "rank",
-      "is_simple", "initialized", "nodes" }) do
-      own["_" .. name] = { "the user's" }
-    end
     local function marked(element)
-      for name, value in pairs(own) do element[name] = value end
+      for name in ([[id fqn parent mode actchild doo_co otrs is_leaf sources choices
+        ignored by_event by_any done_event search way entry_hooks exit_hooks lca entries
+        run rank is_simple initialized nodes]]):gmatch("%S+") do
+        element["_" .. name] = { "the user's" }
+      end
       return element
     end
     local trace, fsm = helper.traced(marked(state {
       a = marked(state {}), b = marked(state {}), k = marked(conn {}),
-      marked(trans { src = "initial", tgt = "a" }),
-      marked(trans { src = "a", tgt = "k", events = "e" }),
-      marked(trans { src = "k", tgt = "b" }),
+      marked(tr "initial -> a"), marked(tr "a -> k e"), marked(tr "k -> b"),
     }))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e")
@@ -479,26 +369,21 @@ describe("FIX copying:", function()
 
   it("init of an initialised fsm gives a fresh instance of its model", function()
     local fsm = started {}
-    local fresh = helper.init(fsm)
+    local fresh = init(fsm)
     assert.not_equal(fsm, fresh)
-    assert.equal(false, rfsm.get_actleaf_fqn(fresh))
-    rfsm.run(fresh)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fresh))
+    assert.is_false(rfsm.get_actleaf_fqn(fresh))
+    assert.equal("root.a", leaf_after(fresh))
   end)
 
   it("an initialised fsm as a child means its model", function()
-    local sub = started { x = state {} }
-    local fsm = started { a = sub }
+    local fsm = started { a = started { x = state {} } }
     assert.equal("root.a.a", rfsm.get_actleaf_fqn(fsm))
   end)
 end)
 
 describe("FIX load:", function()
   it("no file name is an error, not stdin", function()
-    local ok, problem = pcall(function() return (rfsm.load()) end)
-    assert.is_false(ok)
-    assert.matches("contract_spec.lua:%d+: rfsm.load: file name expected, got nil",
-      problem)
+    assert.equal("rfsm.load: file name expected, got nil", helper.refusal(rfsm.load))
   end)
 
   it("load_str says what is wrong with the text", function()
@@ -512,75 +397,50 @@ end)
 
 describe("FIX fsm_merge:", function()
   local function merged(parent, obj, id)
-    local fsm = started { m = state { x = state {} } }
+    local fsm = started { err = false, m = state { x = state {} } }
     return fsm, rfsm.fsm_merge(fsm, parent and fsm[parent] or fsm, obj, id)
   end
 
-  it("adds a leaf", function()
+  it("adds leaves, connectors and transitions in their place of the order", function()
     local fsm, ok = merged(nil, state {}, "new")
-    assert.is_true(ok)
-    assert.equal("root.new", fsm.new._fqn)
-  end)
-
-  it("adds a connector", function()
-    local fsm, ok = merged("m", conn {}, "k")
-    assert.is_true(ok)
-    assert.equal("root.m.k", fsm.m.k._fqn)
+    assert.same({ true, "root.new" }, { ok, fsm.new._fqn })
+    fsm, ok = merged("m", conn {}, "k")
+    assert.same({ true, "root.m.k" }, { ok, fsm.m.k._fqn })
+    fsm, ok = merged(nil, tr("a -> .m.x e", { pn = 5 }))
+    assert.same({ true, "root.m.x" }, { ok, leaf_after(fsm, "e") })
   end)
 
   it("adds a composite, which can be entered like any other", function()
-    local fsm = merged(nil, state {
-      y = state {}, trans { src = "initial", tgt = "y" },
-    }, "new")
-    assert.is_true((rfsm.fsm_merge(fsm, fsm, trans {
-      src = "a", tgt = "new", events = "e",
-    })))
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.new.y", rfsm.get_actleaf_fqn(fsm))
+    local fsm = merged(nil, state { y = state {}, tr "initial -> y" }, "new")
+    assert.is_true((rfsm.fsm_merge(fsm, fsm, tr "a -> new e")))
+    assert.equal("root.new.y", leaf_after(fsm, "e"))
   end)
 
-  it("adds a transition in its place of the order", function()
-    local fsm, ok = merged(nil, trans { src = "a", tgt = ".m.x", events = "e", pn = 5 })
-    assert.is_true(ok)
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
-  end)
-
-  it("changes nothing when it cannot", function()
-    local fsm, ok, reason = merged(nil, trans { src = "a", tgt = "nowhere" })
-    assert.is_false(ok)
-    assert.equal("rfsm.fsm_merge: the model has 1 problem\n  root.trans[2] (a -> "
-      .. "nowhere): tgt 'nowhere': no state or connector is named 'nowhere' in 'root' "
-      .. "(there are 'a', 'initial', 'm')",
-      (reason:gsub("spec/contract_spec.lua:%d+: ", "")))
-    assert.is_nil(fsm[2])
-  end)
-
-  it("says why", function()
-    local function reason_of(...) return (select(3, merged(...))) end
-    assert.equal("rfsm.fsm_merge: 'root' has a member 'm' already",
-      reason_of(nil, state {}, "m"))
-    assert.equal("rfsm.fsm_merge: a state needs a name", reason_of(nil, state {}))
-    assert.equal("rfsm.fsm_merge: state, transition or connector expected, got table",
-      reason_of(nil, {}, "x"))
-    assert.equal("rfsm.fsm_merge: 'root.a' is an active leaf state",
-      reason_of("a", state {}, "x"))
+  it("changes nothing when it cannot, and says why", function()
+    for text, arguments in pairs { -- any order: each stands alone
+      ["the model has 1 problem\n  root.trans[2] (a -> nowhere): tgt 'nowhere': no "
+        .. "state or connector is named 'nowhere' in 'root' (there are 'a', 'initial', "
+        .. "'m')"] = { nil, tr "a -> nowhere" },
+      ["'root' has a member 'm' already"] = { nil, state {}, "m" },
+      ["a state needs a name"] = { nil, state {} },
+      ["state, transition or connector expected, got table"] = { nil, {}, "x" },
+      ["'root.a' is an active leaf state"] = { "a", state {}, "x" },
+    } do
+      local fsm, ok, reason = merged(arguments[1], arguments[2], arguments[3])
+      assert.is_false(ok)
+      assert.equal("rfsm.fsm_merge: " .. text, helper.without_file(reason))
+      assert.same({}, { fsm[2], fsm.x, fsm.a.x })
+    end
   end)
 end)
 
-describe("FIX mapfsm:", function()
-  it("parents before children, array part first, then names sorted", function()
+it("FIX mapfsm: parents before children, array part first, then names, to a depth",
+  function()
     local model = state {
       b = state { d = conn {}, c = state {} }, a = state {},
-      trans { src = "a", tgt = "b" }, t = trans { src = "b", tgt = "a" },
+      tr "a -> b", t = tr "b -> a",
     }
-    assert.same({ 1, "a", "b", "c", "d", "t" },
-      rfsm.mapfsm(function(_, _, name) return name end, model))
+    local function name_of(_, _, name) return name end
+    assert.same({ 1, "a", "b", "c", "d", "t" }, rfsm.mapfsm(name_of, model))
+    assert.same({ "a", "b" }, rfsm.mapfsm(name_of, model, rfsm.is_node, 1))
   end)
-
-  it("stops at a depth", function()
-    local model = state { a = state { b = state {} } }
-    assert.same({ "a" },
-      rfsm.mapfsm(function(_, _, name) return name end, model, rfsm.is_node, 1))
-  end)
-end)

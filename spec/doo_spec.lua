@@ -1,16 +1,9 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
-local state, trans = rfsm.state, rfsm.trans
-
--- initial -> a (with this doo) --e--> b --e--> a
-local function with_doo(doo, fields)
-  local model = fields or {}
-  model.a, model.b = state { doo = doo }, state {}
-  model[1] = trans { src = "initial", tgt = "a" }
-  model[2] = trans { src = "a", tgt = "b", events = "e" }
-  model[3] = trans { src = "b", tgt = "a", events = "e" }
-  local fsm = helper.init(state(model))
+-- (initial) -> a (with this doo) --e--> b --e_back--> a, entered
+local function with_doo(doo)
+  local fsm = helper.init(helper.chart("e", { a = rfsm.state { doo = doo } }))
   rfsm.step(fsm)
   return fsm
 end
@@ -29,11 +22,8 @@ describe("a doo", function()
     assert.same({ 1, 2 }, trace)
   end)
 
-  it("is not idle after a false yield", function()
+  it("is idle after a true yield, not after a false one", function()
     assert.is_false(rfsm.step(with_doo(function() rfsm.yield(false) end)))
-  end)
-
-  it("is idle after a true yield", function()
     assert.is_true(rfsm.step(with_doo(function() rfsm.yield("anything") end)))
   end)
 
@@ -70,15 +60,13 @@ describe("a doo", function()
     rfsm.run(fsm)
     assert.equal(1, starts)
     helper.post_and_run(fsm, "e")
-    helper.post_and_run(fsm, "e")
+    helper.post_and_run(fsm, "e_back")
     assert.equal(2, starts)
   end)
 
   it("that fails is reported, its state done, without e_done", function()
-    local said = {}
-    local fsm = with_doo(function() error("on purpose", 0) end, {
-      err = function(...) said[#said + 1] = table.concat({ ... }, " ") end,
-    })
+    local fsm = with_doo(function() error("on purpose", 0) end)
+    local said = helper.said(fsm, "err")
     assert.is_true(rfsm.run(fsm))
     assert.same({ "DOO doo program of state 'root.a' failed:  on purpose" }, said)
     assert.equal("done", rfsm.get_sta_mode(fsm.a))
@@ -86,19 +74,17 @@ describe("a doo", function()
   end)
 
   it("may be anything that can be called", function()
-    local called = 0
-    local function call() called = called + 1 end
-    rfsm.run(with_doo(setmetatable({}, { __call = call })))
-    assert.equal(1, called)
+    local trace = {}
+    rfsm.run(with_doo(setmetatable({}, { __call = helper.noting(trace, "called") })))
+    assert.same({ "called" }, trace)
   end)
 
   it("waits while there are events to take", function()
-    local cycles = 0
-    local fsm = with_doo(function() cycles = cycles + 1 end)
+    local trace = {}
+    local fsm = with_doo(helper.noting(trace, "doo"))
     rfsm.send_events(fsm, "e")
     rfsm.step(fsm)
-    assert.equal(0, cycles)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.same({ {}, "root.b" }, { trace, rfsm.get_actleaf_fqn(fsm) })
   end)
 
   it("is dropped by reset", function()

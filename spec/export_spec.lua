@@ -23,7 +23,7 @@ local function machine()
 end
 
 describe("model2tab", function()
-  it("gives the structure as plain tables, nodes sorted by name", function()
+  it("gives the structure as plain tables, in the order of a walk", function()
     local function tr(src, tgt, events, pn)
       return { type = "transition", src = src, tgt = tgt, events = events, pn = pn }
     end
@@ -34,7 +34,6 @@ describe("model2tab", function()
         tr("root.a b", "root.m.initial", { "e_again" }),
       },
       subnodes = {
-        { id = "a b", type = "state" }, { id = "a_b", type = "state" },
         { id = "initial", type = "connector" },
         {
           id = "m", type = "state",
@@ -43,10 +42,11 @@ describe("model2tab", function()
             tr("root.m.x", "root.m.k", { "e1", "e2" }, 2),
           },
           subnodes = {
-            { id = "initial", type = "connector" }, { id = "k", type = "connector" },
-            { id = "x", type = "state" },
+            { id = "initial", type = "connector" }, { id = "x", type = "state" },
+            { id = "k", type = "connector" },
           },
         },
+        { id = "a b", type = "state" }, { id = "a_b", type = "state" },
       },
     }, marsh.model2tab(machine()))
   end)
@@ -56,6 +56,149 @@ describe("model2tab", function()
     assert.is_false(ok)
     assert.matches("export_spec.lua:%d+: rfsm.marsh.model2tab: initialised fsm "
       .. "expected", problem)
+  end)
+end)
+
+-- The ids of the nodes in a composite, in order.
+local function order_of(model)
+  local ids = {}
+  for i, node in ipairs(marsh.model2tab(helper.init(model)).subnodes) do
+    ids[i] = node.id
+  end
+  return table.concat(ids, " ")
+end
+
+describe("the order of nodes", function()
+  it("is that of a walk from initial, nearest first", function()
+    assert.equal("initial z y x w", order_of(state {
+      w = state {}, x = state {}, y = state {}, z = state {},
+      trans { src = "initial", tgt = "z" },
+      trans { src = "x", tgt = "w" }, trans { src = "y", tgt = "z" },
+      trans { src = "z", tgt = "y" }, trans { src = "z", tgt = "x" },
+    }))
+  end)
+
+  it("puts behind it what is entered from outside, then the others by name", function()
+    local fsm = helper.init(state {
+      m = state {
+        a = state {}, b = state {}, c = state {}, d = state {}, e = conn {},
+        trans { src = "initial", tgt = "d" }, trans { src = "e", tgt = "c" },
+      },
+      out = state {}, trans { src = "initial", tgt = "m" },
+      trans { src = "m", tgt = "out" }, trans { src = "out", tgt = ".m.e" },
+    })
+    local ids = {}
+    for i, node in ipairs(marsh.model2tab(fsm).subnodes[2].subnodes) do
+      ids[i] = node.id
+    end
+    assert.same({ "initial", "d", "e", "c", "a", "b" }, ids)
+  end)
+
+  it("takes a transition between inner nodes for one of the composites", function()
+    assert.equal("initial q p", order_of(state {
+      p = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      q = state { y = state {}, trans { src = "initial", tgt = "y" } },
+      trans { src = "initial", tgt = "q" }, trans { src = ".q.y", tgt = ".p.x" },
+    }))
+  end)
+end)
+
+local function near() return true end
+
+local function says(text) return function() return text end end
+
+-- The text of a callback.
+local function text_of(f)
+  return marsh.model2tab(helper.init(state { entry = f }), true).entry
+end
+
+describe("the text of a callback", function()
+  it("is its name, or what it was made by", function()
+    assert.equal("near", text_of(near))
+    assert.equal('says("hello")', text_of(says("hello")))
+    assert.equal("says(2)", text_of(says(2)))
+  end)
+
+  it("is its body if that is short", function()
+    local distance = 1
+    assert.equal("distance > 0", text_of(function() return distance > 0 end))
+    assert.equal("near() near()", text_of(function() near() near() end))
+  end)
+
+  it("is its file and line otherwise", function()
+    assert.matches("^export_spec.lua:%d+$", text_of(function()
+      near()
+    end))
+    assert.matches("^export_spec.lua:%d+$", text_of(function() end))
+    local load = rawget(_G, "loadstring") or load
+    assert.equal("line:2", text_of(load("return\nfunction()\nend")()))
+    assert.equal("rFSM:1", text_of(load("return function()\nend", "=rFSM")()))
+  end)
+
+  it("is its type if there is no more to find", function()
+    assert.equal("function", text_of(print))
+    assert.equal("table", text_of(setmetatable({}, { __call = near })))
+  end)
+end)
+
+describe("the full description", function()
+  it("has the events in words", function()
+    require "rfsm_timeevent"
+    require "rfsm.await"
+    local function words(events)
+      return marsh.model2tab(helper.init(state {
+        a = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", events = events },
+      }), true).transitions[2].words
+    end
+    assert.same({ "done", "after 0.5 s", "at 20 s", "e_go", "e_done@root.b" },
+      words { "e_done", "e_after(0.5)", "e_at(20)", "e_go", "e_done@root.b" })
+    assert.same({ "await(e_a, e_b)", "near", "table 1", "7" },
+      words { "await(e_a, e_b)", near, {}, 7 })
+    local after = require("rfsm_timeevent").e_after
+    assert.same({ "after 3 s", "after x" }, words { after(3), after(near, "x") })
+  end)
+
+  it("has callbacks, docs, priorities and keys", function()
+    local tab = marsh.model2tab(helper.init(state {
+      a = state { entry = near, doo = near, exit = near, doc = "all" },
+      trans { src = "initial", tgt = "a" },
+      go = trans { src = "a", tgt = "internal", guard = near, effect = near, pn = 2,
+        events = "e", doc = "why" },
+      b = state { final = true },
+    }), true)
+    assert.same({ id = "a", type = "state", entry = "near", doo = "near",
+      exit = "near", doc = "all" }, tab.subnodes[2])
+    assert.same({ id = "b", type = "state", final = true }, tab.subnodes[3])
+    assert.same({ type = "transition", src = "root.a", tgt = "root.a", events = { "e" },
+      words = { "e" }, guard = "near", effect = "near", pn = 2, internal = true,
+      key = "root.go", doc = "why" }, tab.transitions[2])
+    assert.equal("root.trans[1]", tab.transitions[1].key)
+  end)
+
+  local function arm()
+    return state { open = state {}, trans { src = "initial", tgt = "open" },
+      info = false, warn = false }
+  end
+
+  it("has the regions of a sequential AND state, with FQNs of their own", function()
+    local fsm = helper.init(state {
+      arms = rfsm.seqand { left = arm(), right = arm(), order = { "right" },
+        exit = near },
+      trans { src = "initial", tgt = "arms" },
+    })
+    rfsm.step(fsm)
+    local arms = marsh.model2tab(fsm, true).subnodes[2]
+    assert.same({ "arms", "near", "active" }, { arms.id, arms.exit, arms.mode })
+    assert.is_nil(arms.doo)
+    assert.same({ id = "right", type = "state", mode = "active",
+      subnodes = { { id = "initial", type = "connector" },
+        { id = "open", type = "state", mode = "done" } },
+      transitions = { { type = "transition", src = "root.arms.right.initial",
+        tgt = "root.arms.right.open", events = {}, words = {},
+        key = "root.arms.right.trans[1]" } } }, arms.regions[1])
+    assert.equal("left", arms.regions[2].id)
+    assert.is_nil(marsh.model2tab(fsm).subnodes[2].regions)
   end)
 end)
 
@@ -98,6 +241,15 @@ describe("rfsm.json", function()
     assert.equal(4, #decoded.graph.subnodes)
   end)
 
+  it("gives the full description", function()
+    local graph = require("dkjson").decode(json.encode(helper.init(state {
+      entry = near, arms = rfsm.seqand { left = state {} },
+      trans { src = "initial", tgt = "arms", guard = near },
+    }))).graph
+    assert.same({ "near", "near", "left" }, { graph.entry, graph.transitions[1].guard,
+      graph.subnodes[2].regions[1].id })
+  end)
+
   it("writes empty lists as arrays", function()
     assert.matches('"events":%[%]', json.encode(machine()))
     local empty = helper.init(state { x = conn {}, initial = conn {} })
@@ -106,7 +258,7 @@ describe("rfsm.json", function()
 
   it("writes the same text each time, internal transitions marked", function()
     assert.equal(json.encode(machine()), json.encode(machine()))
-    assert.matches('"tgt":"root.a",\n *"events":%["e"%],\n *"internal":true',
+    assert.matches('"events":%["e"%],\n *"words":%["e"%],\n *"internal":true',
       json.encode(helper.init(state {
         a = state {}, trans { src = "initial", tgt = "a" },
         trans { src = "a", tgt = "internal", events = "e" },
@@ -161,14 +313,14 @@ describe("rfsm.plantuml", function()
 @startuml
 title T
 state "root" as root {
+  state "m" as root_m {
+    state "x" as root_m_x
+    state root_m_k <<choice>>
+    [*] --> root_m_x
+    root_m_x --> root_m_k : e1, e2 (pn 2)
+  }
   state "a b" as root_a_b
   state "a_b" as root_a_b_2
-  state "m" as root_m {
-    state root_m_k <<choice>>
-    state "x" as root_m_x
-    [*] --> root_m_x
-    root_m_x --> root_m_k : e1, e2
-  }
   [*] --> root_m
   root_m_k --> root_a_b
   root_a_b --> root_m : e_again

@@ -1,22 +1,84 @@
 -- What several specs need.
 
+local luassert = require "luassert"
 local rfsm = require "rfsm"
+
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local helper = {}
 
+-- Rows of specs, replaced fields, errors ------------------------------------------
+
+--- Makes a spec of each row, with busted's `it`: a title, the expected value, and a
+-- function that returns the value.
+function helper.rows(it, rows)
+  for _, row in ipairs(rows) do
+    it(row[1], function() luassert.same(row[2], row[3]()) end)
+  end
+end
+
+--- Runs f while `t` has these fields; false removes one. Returns the result of f.
+function helper.with(t, fields, f)
+  local real = {}
+  for key, value in pairs(fields) do -- any order: distinct keys
+    real[key] = rawget(t, key)
+    rawset(t, key, value or nil)
+  end
+  local ok, result = pcall(f)
+  for key in pairs(fields) do rawset(t, key, real[key]) end -- any order: as above
+  if not ok then error(result, 0) end
+  return result
+end
+
+--- Runs f with one more preproc function; returns its result.
+function helper.with_preproc(preproc, f)
+  table.insert(rfsm.preproc, preproc)
+  local ok, result = pcall(f)
+  table.remove(rfsm.preproc)
+  if not ok then error(result, 0) end
+  return result
+end
+
+--- Returns the text of the error that f(...) raises, which must blame its caller.
+function helper.refusal(f, ...)
+  local arguments, n = { ... }, select("#", ...)
+  local ok, problem = pcall(function() return (f(unpack(arguments, 1, n))) end)
+  if ok then return "accepted" end
+  local text = tostring(problem):match("^[^:\n]*helper%.lua:%d+: (.*)$")
+  return text or "blames another: " .. tostring(problem)
+end
+
+-- What is printed and noted --------------------------------------------------------
+
 --- Runs `f` and returns the lines that it printed.
 function helper.printed(f)
-  local lines, real = {}, print
-  rawset(_G, "print", function(...)
-    local texts = { ... }
-    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
-    lines[#lines + 1] = table.concat(texts, " ")
-  end)
-  local ok, problem = pcall(f)
-  rawset(_G, "print", real)
-  if not ok then error(problem, 0) end
+  local lines = {}
+  helper.with(_G, { print = function(...)
+    lines[#lines + 1] = table.concat(helper.texts(...), " ")
+  end }, f)
   return lines
 end
+
+--- Returns a list of the texts of its arguments.
+function helper.texts(...)
+  local texts = { ... }
+  for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
+  return texts
+end
+
+--- Collects the calls of a printer of a machine or model as lines; with `id` those that
+-- begin with it.
+function helper.said(owner, printer, id)
+  local lines = {}
+  owner[printer] = function(...)
+    if id and (...) ~= id then return end
+    lines[#lines + 1] = table.concat(helper.texts(...), " ")
+  end
+  return lines
+end
+
+--- Returns a function that appends `text` to a list.
+function helper.noting(trace, text) return function() trace[#trace + 1] = text end end
 
 local function noting(trace, what)
   return function(_, state) trace[#trace + 1] = what .. " " .. state._fqn end
@@ -40,6 +102,21 @@ function helper.traced(model)
   return trace, helper.init(model)
 end
 
+-- Machines -------------------------------------------------------------------------
+
+--- (initial) -> a --events--> b --e_back--> a, and more members.
+function helper.chart(events, members)
+  local trans = rfsm.trans
+  local model = {
+    warn = false, info = false, a = rfsm.state {}, b = rfsm.state {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = events },
+    trans { src = "b", tgt = "a", events = { "e_back" } },
+  }
+  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+  return rfsm.state(model)
+end
+
 --- A machine that says nothing about its model.
 function helper.init(model)
   if model.warn == nil then model.warn = false end
@@ -47,9 +124,16 @@ function helper.init(model)
   return (assert(rfsm.init(model)))
 end
 
+--- Such a machine, after its first run.
+function helper.started(model)
+  local fsm = helper.init(model)
+  rfsm.run(fsm)
+  return fsm
+end
+
 --- A problem or warning without the file and line of a spec in it.
 function helper.without_file(text)
-  return (text:gsub("spec/[%w_]+%.lua:%d+: ", ""))
+  return (text:gsub("%.?/?spec/[%w_]+%.lua:%d+: ", ""))
 end
 
 --- Forgets what a list holds.
@@ -59,9 +143,32 @@ end
 
 --- Sends events and runs until there is nothing to do.
 function helper.post_and_run(fsm, ...)
-  rfsm.send_events(fsm, ...)
+  if select("#", ...) > 0 then rfsm.send_events(fsm, ...) end
   return rfsm.run(fsm)
 end
+
+--- Does that, and returns the FQN of the leaf.
+function helper.leaf_after(fsm, ...)
+  helper.post_and_run(fsm, ...)
+  return rfsm.get_actleaf_fqn(fsm)
+end
+
+--- Moves a machine as a story says, and returns the story as it went: "e_x=b +3=a =a".
+-- A move is an event, or several with commas, each time sent and run, or `+...`, with
+-- which `advance` is called, or nothing. Behind = is the id of the leaf then.
+function helper.story(fsm, story, advance)
+  return (story:gsub("(%S*)=%S+", function(move)
+    local events, time = {}, move:match("^%+(.*)")
+    if time then advance(time) end
+    for event in (time and "" or move):gmatch("[^,]+") do
+      events[#events + 1] = event
+    end
+    helper.post_and_run(fsm, unpack(events))
+    return move .. "=" .. (fsm._act_leaf and fsm._act_leaf._id or "none")
+  end))
+end
+
+-- Files and other Luas ---------------------------------------------------------------
 
 local made = {} -- names of files
 

@@ -77,6 +77,8 @@ local MODULES = {
   { "rfsm2mermaid", "rfsm.mermaid" },
   { "rfsm_proto", "rfsm.proto" },
   { "rfsm_rtt", "rfsm.rtt" },
+  { "rfsm_snapshot", "rfsm.snapshot" },
+  { "rfsm_record", "rfsm.record" },
 }
 
 -- Requires the names of each module in every order, each order from the beginning, and
@@ -91,15 +93,16 @@ local function permutations(list, n, f)
   end
 end
 
-local function forget_all()
-  for name in pairs(package.loaded) do
-    if name:find("^rfsm") then package.loaded[name] = nil end
+local function forget(t)
+  for name in pairs(t) do
+    if type(name) == "string" and name:find("^rfsm") then t[name] = nil end
   end
-  for name in pairs(_G) do if name:find("^rfsm") then _G[name] = nil end end
 end
 
 local function try(global, order)
-  forget_all()
+  forget(package.loaded)
+  forget(package.preload)
+  forget(_G)
   if is_rfsm_first then require "rfsm" end
   local expected = require(order[1])
   for _, name in ipairs(order) do
@@ -113,33 +116,69 @@ for _, names in ipairs(MODULES) do
   local global = names[1]
   permutations(names, #names, function(order) try(global, order) end)
 end
-print "done"
+print("done in " .. debug.getinfo(require("rfsm").init, "S").source:match("^@(.*/)"))
 ]]
 
+-- Runs that with the modules on a path, and nothing of this checkout besides.
 local function every_order(path, is_rfsm_first, has_no_globals)
   local rows = {}
   for i, names in ipairs(MODULES) do
     rows[i] = '{"' .. table.concat(names, '", "') .. '"}'
   end
   return helper.output_of(([[
-    package.path = %q .. package.path
+    package.path = %q .. (";" .. package.path .. ";"):gsub(";%%./[^;]*", "")
     local is_rfsm_first, MODULES = %s, { %s }
     RFSM_NO_GLOBALS = %s
   ]]):format(path, tostring(is_rfsm_first), table.concat(rows, ", "),
     tostring(has_no_globals)) .. EVERY_ORDER)
 end
 
+-- All modules in a row, the core first, for one file that holds them.
+local function all_modules()
+  local names = { "rfsm" }
+  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua compat/*.lua "
+    .. "compat/rfsm/*.lua")) do
+    names[#names + 1] = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
+  end
+  return table.concat(names, " ")
+end
+
+-- Where the modules are: the command that puts them into the folder @, and their path.
+local PLACES = {
+  { "make install", "make -s install PREFIX=@", "@/share/lua/$/?.lua" },
+  { "luarocks make", "luarocks make --deps-mode none --tree @ "
+    .. "rockspec/rfsm-dev-1.rockspec", "@/share/lua/5.1/?.lua" },
+  { "make dist", ("make -s dist BUNDLE='%s' DIST=@"):format(all_modules()), "@/?.lua",
+    is_rfsm_first = true },
+}
+
 describe("the names of a module", function()
   it("give one module and its global in every order, beside each other", function()
-    assert.equal("done", every_order("./?.lua;./compat/?.lua;", false, false))
+    assert.equal("done in ./", every_order("./?.lua;./compat/?.lua", false, false))
   end)
 
   it("do so in a checkout, once rfsm is loaded", function()
-    assert.equal("done", every_order("./?.lua;", true, false))
+    assert.equal("done in ./", every_order("./?.lua", true, false))
   end)
 
+  for _, place in ipairs(PLACES) do
+    local name, command, path = place[1], place[2], place[3]
+    if lines_of("command -v " .. command:match("^%S+"))[1] then
+      it("do so after " .. name, function()
+        local folder, version = os.tmpname(), _VERSION:match("[%d.]+$")
+        os.remove(folder)
+        local lines = lines_of("{ " .. command:gsub("@", folder) .. "; } 2>&1")
+        path = path:gsub("@", folder):gsub("%$", version)
+        local output = every_order(path, place.is_rfsm_first, false)
+        os.execute("rm -r " .. folder)
+        assert.equal("done in " .. path:match("^.*/"), output,
+          table.concat(lines, "\n"))
+      end)
+    end
+  end
+
   it("set no global after RFSM_NO_GLOBALS", function()
-    assert.equal("done", every_order("./?.lua;", true, true))
+    assert.equal("done in ./", every_order("./?.lua", true, true))
   end)
 
   it("work alone", function()

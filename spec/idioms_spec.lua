@@ -5,6 +5,8 @@ local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
+local noting, with_preproc, leaf_after =
+  helper.noting, helper.with_preproc, helper.leaf_after
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -29,20 +31,7 @@ local function model(fields)
   return state(t)
 end
 
-local function started(fields)
-  local fsm = helper.init(model(fields))
-  rfsm.run(fsm)
-  return fsm
-end
-
--- Runs `f` with `preproc` among the preproc functions.
-local function with_preproc(preproc, f)
-  table.insert(rfsm.preproc, preproc)
-  local ok, result = pcall(f)
-  table.remove(rfsm.preproc)
-  if not ok then error(result, 0) end
-  return result
-end
+local function started(fields) return helper.started(model(fields)) end
 
 local function sorted(list)
   table.sort(list)
@@ -57,24 +46,27 @@ local function names_of(t, pred)
     if pred(value) and not rfsm.is_meta(key) then names[#names + 1] = tostring(key) end
     key, value = next(t, key)
   end
-  return sorted(names)
+  return table.concat(sorted(names), " ")
 end
 
+-- Marks tables in the way of other libraries; what `type` returns is a kind.
+local function marked(kind, t)
+  local class = { rfsm = true, type = function() return kind end }
+  class.__index = class
+  return setmetatable(t or {}, class)
+end
+
+local function name_of(_, _, name) return name end
+
 describe("a walk over a live machine", function()
-  it("finds nodes by name and transitions by number", function()
-    local fsm = started()
-    assert.same({ "a", "c", "initial", "k" }, names_of(fsm, rfsm.is_node))
-    assert.same({ "initial", "x", "y" }, names_of(fsm.c, rfsm.is_node))
-    assert.same({ "1", "2", "3", "4" }, names_of(fsm, rfsm.is_trans))
-    assert.equal(4, #fsm)
-    local count = 0
-    for i, tr in ipairs(fsm) do
-      count = count + 1
-      assert.equal(tr, rawget(fsm, i))
-    end
-    assert.equal(4, count)
-    assert.equal(fsm[2], (select(2, unpack(fsm))))
-    assert.equal(fsm.c, rawget(fsm, "c"))
+  it("finds nodes by name and transitions by number, in raw tables", function()
+    local fsm, list = started(), {}
+    assert.equal("a c initial k", names_of(fsm, rfsm.is_node))
+    assert.equal("initial x y", names_of(fsm.c, rfsm.is_node))
+    assert.equal("1 2 3 4", names_of(fsm, rfsm.is_trans))
+    for i, tr in ipairs(fsm) do list[i] = tr == rawget(fsm, i) and tr end
+    assert.same({ unpack(fsm) }, list)
+    assert.same({ 4, 4 }, { #fsm, #list })
     assert.equal(fsm.c.x, rawget(rawget(fsm, "c"), "x"))
   end)
 
@@ -95,52 +87,61 @@ describe("a walk over a live machine", function()
       assert.same({}, sorted(others))
     end)
 
-  it("follows the active child until there is none, which is nil", function()
-    local fsm = started()
-    assert.equal(fsm.a, rfsm.actchild_get(fsm))
-    assert.is_nil(fsm.a._actchild)
-    assert.is_nil(rfsm.actchild_get(fsm.a))
-    assert.is_nil(rfsm.actchild_get(fsm.c))
-    helper.post_and_run(fsm, "e_in")
-    local names, at = {}, fsm
-    while at._actchild do
-      at = at._actchild
-      names[#names + 1] = at._id
-    end
-    assert.same({ "c", "x" }, names)
-    assert.is_nil(rfsm.actchild_get(helper.init(model())))
-  end)
+  for _, uses in ipairs { 0, 5 } do
+    it(("follows the active child until there is none, used %d times"):format(uses),
+      function()
+        local fsm, names = started(), {}
+        for _ = 1, uses do
+          helper.post_and_run(fsm, "e_in")
+          helper.post_and_run(fsm, "e_out")
+        end
+        assert.equal(fsm.a, rfsm.actchild_get(fsm))
+        for _, at in ipairs { fsm.a, fsm.c } do
+          assert.same({},
+            { at._actchild, rfsm.actchild_get(at), rawget(at, "_actchild") })
+        end
+        helper.post_and_run(fsm, "e_in")
+        local at = fsm
+        while at._actchild do
+          at = at._actchild
+          names[#names + 1] = at._id
+        end
+        assert.same({ "c", "x" }, names)
+        rfsm.reset(fsm)
+        assert.same({}, { fsm._actchild, rfsm.actchild_get(helper.init(model())) })
+      end)
+  end
 
   it("goes over mapfsm, with the root first as its own parent", function()
-    local fsm, seen = started(), {}
-    rfsm.mapfsm(function(obj, parent, name)
-      seen[#seen + 1] = parent._id .. "/" .. name .. (obj == parent and "=" or "")
-    end, fsm, rfsm.is_state)
-    assert.same({ "root/root=", "root/a", "root/c", "c/x", "c/y" }, seen)
-    seen = {}
-    rfsm.mapfsm(function(_, _, name) seen[#seen + 1] = name end, fsm, rfsm.is_nr_node)
-    assert.same({ "a", "c", "initial", "x", "y", "initial", "k" }, seen)
+    local fsm = started()
+    assert.same({ "root/root=", "root/a", "root/c", "c/x", "c/y" },
+      rfsm.mapfsm(function(obj, up, name)
+        return up._id .. "/" .. name .. (obj == up and "=" or "")
+      end, fsm, rfsm.is_state))
+    assert.same({ "a", "c", "initial", "x", "y", "initial", "k" },
+      rfsm.mapfsm(name_of, fsm, rfsm.is_nr_node))
   end)
 
   it("goes over mapfsm in a plain table, too", function()
-    local seen = {}
-    rfsm.mapfsm(function(_, _, name) seen[#seen + 1] = name end,
-      { b = state { x = state {} }, a = state {}, n = 3 }, rfsm.is_state)
-    assert.same({ "a", "b", "x" }, sorted(seen))
+    local t = { b = state { x = state {} }, trans {}, a = state {}, n = 3 }
+    assert.same({ 1, "a", "b", "x" }, rfsm.mapfsm(name_of, t))
+    assert.same({ "a", "b", "x" }, rfsm.mapfsm(name_of, t, rfsm.is_state))
   end)
 
   it("has a list of results from map_from_to", function()
     local fsm = started()
-    helper.post_and_run(fsm, "e_in")
-    local list = rfsm.map_from_to(fsm, function(_, node) return node._fqn end, fsm.c.x,
-      fsm)
-    assert.same({ "root.c.x", "root.c", "root" }, list)
+    local function fqn_of(_, node) return node._fqn end
+    assert.same({ "root.c.x", "root.c", "root" },
+      rfsm.map_from_to(fsm, fqn_of, fsm.c.x, fsm))
+    assert.same({ "root.c", "root.c.x" }, rfsm.map_from_to(fsm, fqn_of, fsm.c, fsm.c.x))
+    assert.error_matches(function() rfsm.map_from_to(fsm, fqn_of, fsm.a, fsm.c) end,
+      "'root.a' and 'root.c' are not on one line", 1, true)
   end)
 
   it("has a path from node_find_enabled, in segments", function()
-    local fsm = started()
+    local fsm, texts = started(), {}
     helper.post_and_run(fsm, "e_in")
-    local path, texts = rfsm.node_find_enabled(fsm, fsm.c, { "e_out" }), {}
+    local path = rfsm.node_find_enabled(fsm, fsm.c, { "e_out" })
     local at = path
     while at do
       texts[#texts + 1] = at.node._fqn
@@ -164,12 +165,7 @@ describe("a preproc function", function()
           if before then return before(...) end
         end
       end, fsm, rfsm.is_state)
-    end, function()
-      return helper.init(model { a = state { entry = function()
-        trace[#trace + 1] = "own"
-      end } })
-    end)
-    rfsm.run(fsm)
+    end, function() return started { a = state { entry = noting(trace, "own") } } end)
     helper.post_and_run(fsm, "e_in")
     assert.same({ "root", "root.a", "own", "root.c", "root.c.x" }, trace)
   end)
@@ -180,9 +176,10 @@ describe("a preproc function", function()
       rfsm.mapfsm(function(node)
         counts[#counts + 1] = node._id .. #node._otrs
         for _, tr in ipairs(node._otrs) do assert.equal(node, tr.src) end
-      end, fsm, rfsm.is_nr_node)
+      end, fsm, rfsm.is_node)
     end, function() return helper.init(model()) end)
-    assert.equal("a1 c1 initial1 initial1 k1 x1 y0", table.concat(sorted(counts), " "))
+    assert.equal("a1 c1 initial1 initial1 k1 root0 x1 y0",
+      table.concat(sorted(counts), " "))
   end)
 
   it("rewrites events and wraps guards", function()
@@ -198,68 +195,106 @@ describe("a preproc function", function()
       end, fsm, function(obj)
         return rfsm.is_trans(obj) and obj.events and #obj.events > 0
       end)
-    end, function() return helper.init(model()) end)
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_in")
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-    helper.post_and_run(fsm, "e_in_2")
-    assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
+    end, started)
+    assert.equal("root.a", leaf_after(fsm, "e_in"))
+    assert.equal("root.c.x", leaf_after(fsm, "e_in_2"))
     assert.equal(1, asked)
   end)
 
-  it("adds to the machine with fsm_merge, once", function()
-    local calls = 0
-    local fsm = with_preproc(function(fsm)
-      calls = calls + 1
-      if fsm.z then return end
-      assert(rfsm.fsm_merge(fsm, fsm, state {}, "z"))
-      assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "z", events = "e_z" }))
-    end, function() return helper.init(model()) end)
-    assert.is_true(calls < 5)
-    assert.equal(5, #fsm)
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_z")
-    assert.equal("root.z", rfsm.get_actleaf_fqn(fsm))
+  local function rename(suffix)
+    return function(fsm)
+      for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+        for i, event in ipairs(tr.events) do tr.events[i] = event .. suffix end
+        if tr.events[1] then tr.pn = (tr.pn or 0) + 1 end
+      end
+    end
+  end
+
+  it("makes of each machine what it makes of the first", function()
+    local chart = model()
+    local first = with_preproc(rename("_2"), function() return helper.init(chart) end)
+    local second = with_preproc(rename("_2"), function() return helper.init(chart) end)
+    local third = with_preproc(rename("_3"), function() return helper.init(chart) end)
+    local fourth = helper.init(chart)
+    local texts = {}
+    for i, fsm in ipairs { first, second, third, fourth } do
+      texts[i] = tostring(fsm[2]):match("tgt=(.*) }")
+    end
+    assert.same({
+      "'root.c.initial', pn=1, events='e_in_2'",
+      "'root.c.initial', pn=1, events='e_in_2'",
+      "'root.c.initial', pn=1, events='e_in_3'",
+      "'root.c.initial', events='e_in'",
+    }, texts)
+    assert.equal(getmetatable(first.a), getmetatable(second.a)) -- one structure
+    assert.is_true(rfsm.fsm_merge(first, first, trans { src = "a", tgt = "k" }))
+    assert.equal(texts[1], tostring(first[2]):match("tgt=(.*) }"))
+    rfsm.run(second)
+    helper.post_and_run(second, "e_in_2")
+    assert.equal("root.c.x", rfsm.get_actleaf_fqn(second))
+  end)
+
+  it("adds to the machine with fsm_merge, once, and sees that merged", function()
+    local merged, calls = 0, 0
+    local fsm = with_preproc(function() calls = calls + 1 end, function()
+      return with_preproc(function(fsm)
+        if fsm.z then return end
+        merged = merged + 1
+        assert(rfsm.fsm_merge(fsm, fsm, state {}, "z"))
+        assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "z", events = "e_z" }))
+      end, started)
+    end)
+    assert.same({ 1, 3, 5 }, { merged, calls, #fsm })
+    assert.equal("root.z", leaf_after(fsm, "e_z"))
   end)
 end)
 
 describe("a table of somebody else", function()
-  -- Marks tables in the way of other libraries; what `type` says is a kind.
-  local function marked(kind, t)
-    local class = { rfsm = true, type = function() return kind end }
-    class.__index = class
-    return setmetatable(t, class)
-  end
-
   it("with a true rfsm in its metatable is what its type says", function()
-    assert.is_true(rfsm.is_state(marked("state", {})))
-    assert.is_true(rfsm.is_trans(marked("transition", {})))
-    assert.is_true(rfsm.is_conn(marked("connector", {})))
-    assert.is_false(rfsm.is_fsmobj(marked("region", {})))
-    assert.is_true(rfsm.is_composite(marked("state", { a = marked("state", {}) })))
+    assert.is_true(rfsm.is_state(marked "state"))
+    assert.is_true(rfsm.is_trans(marked "transition"))
+    assert.is_true(rfsm.is_conn(marked "connector"))
+    assert.is_false(rfsm.is_fsmobj(marked "region"))
+    assert.is_false(rfsm.is_state(setmetatable({}, { rfsm = true })))
+    assert.is_true(rfsm.is_composite(marked("state", { a = marked "state" })))
   end)
 
   it("is a model, or a part of one", function()
     local trace = {}
     local fsm = started {
-      a = marked("state", { entry = function() trace[#trace + 1] = "a" end }),
+      a = marked("state", { entry = noting(trace, "a") }), k = marked "connector",
       [2] = marked("transition", { src = "a", tgt = "c", events = { "e_in" } }),
+      c = marked("state", { x = state {}, trans { src = "initial", tgt = "x" } }),
     }
-    helper.post_and_run(fsm, "e_in")
-    assert.same({ "a" }, trace)
-    assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.c.x", leaf_after(fsm, "e_in"))
+    assert.equal("root.a", leaf_after(fsm, "e_out"))
+    assert.same({ "a", "a" }, trace)
   end)
 end)
 
-describe("a state made of another one", function()
-  it("inherits its callbacks and data, and replaces some", function()
+describe("base:new{...}", function()
+  it("makes a state that inherits callbacks and data, and replaces some", function()
     local trace = {}
-    local function note(text) return function() trace[#trace + 1] = text end end
-    local base = state { entry = note "base in", exit = note "base out", speed = 3 }
-    local fsm = started { a = base:new { exit = note "own out" } }
+    local base = state { entry = noting(trace, "entry"), exit = noting(trace, "exit"),
+      speed = 1 }
+    local child = base:new { exit = noting(trace, "own exit"), colour = "red" }
+    local grandchild = child:new { speed = 2 }
+    assert.is_true(rfsm.is_state(child) and rfsm.is_state(grandchild))
+    assert.equal("state", grandchild:type())
+    local fsm = started { a = grandchild }
     helper.post_and_run(fsm, "e_in")
-    assert.same({ "base in", "own out" }, trace)
-    assert.equal(3, fsm.a.speed)
+    assert.same({ "entry", "own exit" }, trace)
+    assert.same({ 2, "red" }, { fsm.a.speed, fsm.a.colour })
+    base.entry = noting(trace, "new entry")
+    helper.clear(trace)
+    started { a = grandchild }
+    assert.same({ "new entry" }, trace)
+  end)
+
+  it("makes a transition that inherits", function()
+    local base = trans { src = "a", events = { "e_in" } }
+    local fsm = started { [2] = base:new { tgt = "c" } }
+    assert.equal("root.c.x", leaf_after(fsm, "e_in"))
   end)
 end)
 
@@ -273,15 +308,14 @@ describe("a field of a live machine", function()
       for i = #more, 1, -1 do events[#events + 1] = table.remove(more, i) end
       return events
     end
-    rfsm.run(fsm)
-    assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.c.x", leaf_after(fsm))
   end)
 
   it("post_step_hook or pre_step_hook set to nil removes it, and no other", function()
     for _, field in ipairs { "pre_step_hook", "post_step_hook" } do
       local calls = {}
-      local fsm = started { [field] = function() calls[#calls + 1] = "own" end }
-      rfsm[field .. "_add"](fsm, function() calls[#calls + 1] = "added" end)
+      local fsm = started { [field] = noting(calls, "own") }
+      rfsm[field .. "_add"](fsm, noting(calls, "added"))
       helper.clear(calls)
       fsm[field] = nil
       rfsm.send_events(fsm, "e_none")
@@ -293,14 +327,13 @@ describe("a field of a live machine", function()
 
   it("entry, exit, doo, guard and effect are replaced by tools", function()
     local trace, fsm = {}, started()
-    local function note(text) return function() trace[#trace + 1] = text end end
-    fsm.a.exit, fsm[2].effect, fsm.c.entry = note "exit", note "effect", note "entry"
-    fsm[2].guard, fsm.c.x.doo = note "guard", note "doo"
+    fsm.a.exit, fsm.c.entry = noting(trace, "exit"), noting(trace, "entry")
+    fsm[2].guard, fsm[2].effect = noting(trace, "guard"), noting(trace, "effect")
+    fsm.c.x.doo = noting(trace, "doo")
     helper.post_and_run(fsm, "e_in")
     assert.same({ "guard", "exit", "effect", "entry", "doo" }, trace)
     fsm.c.exit = nil
-    helper.post_and_run(fsm, "e_out")
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.a", leaf_after(fsm, "e_out"))
   end)
 
   it("tgt retargets a transition of a running machine", function()
@@ -308,8 +341,7 @@ describe("a field of a live machine", function()
     helper.post_and_run(fsm, "e_in")
     fsm[2].tgt = fsm.c.y
     helper.post_and_run(fsm, "e_out")
-    helper.post_and_run(fsm, "e_in")
-    assert.equal("root.c.y", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.c.y", leaf_after(fsm, "e_in"))
   end)
 
   it("_intq is the queue, _act_leaf the leaf, events an array of strings", function()
@@ -324,13 +356,6 @@ describe("a field of a live machine", function()
 end)
 
 describe("the file rfsm.lua", function()
-  -- A fresh Lua that runs `loader`, then prints what a C++ host needs.
-  local function output_of(loader)
-    return helper.output_of(loader .. [[
-
-print(type(rawget(_G, "rfsm")), package.loaded.rfsm == rfsm, require("rfsm") == rfsm)]])
-  end
-
   local READ = [[
 local file = assert(io.open("rfsm.lua"))
 local text = file:read("*a")
@@ -341,7 +366,9 @@ assert((loadstring or load)(text, "embedded"))()]]
     ["as a text"] = READ, ["by dofile"] = [[dofile "rfsm.lua"]],
   } do
     it("run " .. what .. " is the global and the module rfsm", function()
-      assert.equal("table\ttrue\ttrue", output_of(loader))
+      assert.equal("table true true", helper.output_of(loader .. [[
+        print(("%s %s %s"):format(type(rawget(_G, "rfsm")),
+          tostring(package.loaded.rfsm == rfsm), tostring(require("rfsm") == rfsm)))]]))
     end)
   end
 end)

@@ -3,98 +3,47 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
+local noting, said, leaf_after = helper.noting, helper.said, helper.leaf_after
+local post_and_run = helper.post_and_run
 
 -- initial -> a --e--> b --e--> a
-local function started(fields)
-  local model = fields or {}
-  model.a, model.b = model.a or state {}, state {}
-  model[1] = trans { src = "initial", tgt = "a" }
-  model[2] = trans { src = "a", tgt = "b", events = "e" }
-  model[3] = trans { src = "b", tgt = "a", events = "e" }
-  local fsm = helper.init(state(model))
-  rfsm.run(fsm)
-  return fsm
+local function started(members)
+  local fsm = helper.chart("e", members)
+  fsm[3] = trans { src = "b", tgt = "a", events = "e" }
+  return helper.started(fsm)
 end
-
-local function texts_of(list)
-  local texts = {}
-  for i = 1, #list do texts[i] = tostring(list[i]) end
-  return texts
-end
-
-local function noting(trace, text) return function() trace[#trace + 1] = text end end
 
 describe("a live machine", function()
-  it("runs a new entry, exit, effect and guard at the next use", function()
-    local trace, fsm = {}, started()
-    fsm.a.exit, fsm.b.entry = noting(trace, "exit"), noting(trace, "entry")
-    fsm[2].effect, fsm[2].guard = noting(trace, "effect"), noting(trace, "guard")
-    helper.post_and_run(fsm, "e")
-    assert.same({ "guard", "exit", "effect", "entry" }, trace)
-  end)
-
-  it("runs a new doo at the next entry", function()
-    local trace, fsm = {}, started()
-    fsm.b.doo = noting(trace, "doo")
-    helper.post_and_run(fsm, "e")
-    assert.same({ "doo" }, trace)
-  end)
-
-  it("completes a leaf whose doo is taken away before it started", function()
+  it("completes a leaf that loses its doo before the start", function()
     local fsm = started { a = state { doo = function() rfsm.yield() end } }
-    helper.post_and_run(fsm, "e")
-    rfsm.send_events(fsm, "e")
-    rfsm.step(fsm)
-    fsm.a.doo = nil
-    rfsm.step(fsm, 2)
-    assert.equal("done", rfsm.get_sta_mode(fsm.a))
-  end)
-
-  it("sends e_done, without an error, when it loses a doo before its start", function()
-    local said = {}
-    local fsm = started {
-      b = state {}, a = state { doo = function() end },
-      err = function(...) said[#said + 1] = table.concat({ ... }, " ") end,
-    }
-    helper.post_and_run(fsm, "e")
+    local errors = said(fsm, "err")
+    post_and_run(fsm, "e")
     rfsm.send_events(fsm, "e")
     rfsm.step(fsm)
     fsm.a.doo = nil
     rfsm.step(fsm)
     assert.same({ "e_done@root.a" }, fsm._intq)
-    assert.same({}, said)
+    assert.same({ "done", {} }, { rfsm.get_sta_mode(fsm.a), errors })
   end)
 
   it("prints its trace from when dbg is true", function()
     local fsm = started()
     fsm.dbg = true
-    local lines = helper.printed(function() helper.post_and_run(fsm, "e") end)
+    local lines = helper.printed(function() post_and_run(fsm, "e") end)
     assert.equal("RAISED e", (lines[1]:gsub("\t", " ")))
     assert.equal("HIBERNATING no events, no idle_hook, no doos or doo idle, halting "
       .. "engines", (lines[#lines]:gsub("\t", " ")))
   end)
 
-  it("traces in full when its getevents is taken away", function()
-    local records, fsm = {}, started()
-    fsm.getevents = function() return {} end
-    fsm.dbg = function(id) records[#records + 1] = id end
-    rfsm.run(fsm)
-    fsm.getevents = nil
-    rfsm.run(fsm)
-    helper.clear(records)
-    helper.post_and_run(fsm, "e")
-    assert.same({ "RAISED", "TRANSITION", "CHECKING", "CHECKING", "EXEC_PATH",
-      "TRANS_EXIT", "STATE_EXIT", "EFFECT", "TRANS_ENTER", "RAISED", "STATE_ENTER",
-      "TRANSITION", "CHECKING", "CHECKING", "TRANSITION", "HIBERNATING" }, records)
-  end)
-
-  it("shows a new leaf as the active one when its trace tells of it", function()
+  it("shows a new leaf as the active one when its entry is traced", function()
     local seen, fsm = {}, started()
     fsm.dbg = function(id)
       if id == "STATE_ENTER" then seen[#seen + 1] = rfsm.get_actleaf_fqn(fsm) end
     end
-    helper.post_and_run(fsm, "e")
+    post_and_run(fsm, "e")
     assert.same({ "root.b" }, seen)
   end)
 
@@ -108,23 +57,13 @@ describe("a live machine", function()
     assert.same({ "e_done@root.a", "e_other" }, fsm._intq)
   end)
 
-  it("asks a new getevents", function()
-    local fsm, asked = started(), 0
-    fsm.getevents = function()
-      asked = asked + 1
-      return asked == 1 and { "e" } or {}
-    end
-    rfsm.run(fsm)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-  end)
-
   it("traces from when dbg is set until it is taken away", function()
-    local ids, fsm = {}, started()
-    fsm.dbg = function(id) ids[#ids + 1] = id end
+    local fsm = started()
+    local records = said(fsm, "dbg")
     rfsm.send_events(fsm, "e_other")
     fsm.dbg = nil
-    helper.post_and_run(fsm, "e")
-    assert.same({ "RAISED" }, ids)
+    post_and_run(fsm, "e")
+    assert.same({ "RAISED e_other" }, records)
   end)
 
   it("has printers that can be called, whatever the model said", function()
@@ -136,19 +75,22 @@ describe("a live machine", function()
 end)
 
 describe("the trace", function()
-  it("has its records in order", function()
-    local records = {}
+  it("has its records in order, also when a getevents was taken away", function()
     local fsm = started()
-    fsm.dbg = function(...) records[#records + 1] = table.concat({ ... }, " ") end
-    helper.post_and_run(fsm, "e")
-    local tr = "T={ src='root.a', tgt='root.b', events='e' }"
+    fsm.getevents = function() return {} end
+    local records = said(fsm, "dbg")
+    rfsm.run(fsm)
+    fsm.getevents = nil
+    rfsm.run(fsm)
+    helper.clear(records)
+    post_and_run(fsm, "e")
     assert.same({
       "RAISED e", "TRANSITION searching transitions for events: e",
       "CHECKING depth: 0 for transitions from root",
       "CHECKING depth: 1 for transitions from root.a",
       "EXEC_PATH root.a[LS]->root.b[LS]",
       "TRANS_EXIT exiting all up to (including): root.a , lca: root",
-      "STATE_EXIT root.a", "EFFECT " .. tr,
+      "STATE_EXIT root.a", "EFFECT T={ src='root.a', tgt='root.b', events='e' }",
       "TRANS_ENTER lca: root down_path:  root.b", "RAISED e_done@root.b",
       "STATE_ENTER root.b",
       "TRANSITION searching transitions for events: e_done@root.b",
@@ -159,18 +101,13 @@ describe("the trace", function()
     }, records)
   end)
 
-  it("tells of the beginning and the end of a doo", function()
-    local records = {}
+  it("has the beginning and the end of a doo", function()
     local fsm = started { a = state { doo = function() rfsm.yield() end } }
-    fsm.dbg = function(...) records[#records + 1] = table.concat({ ... }, " ") end
+    local records = said(fsm, "dbg", "DOO")
     rfsm.reset(fsm)
     rfsm.run(fsm)
-    local doos = {}
-    for _, record in ipairs(records) do
-      if record:find("^DOO") then doos[#doos + 1] = record end
-    end
     assert.same({ "DOO created coroutine for root.a doo",
-      "DOO removing completed coroutine of root.a doo" }, doos)
+      "DOO removing completed coroutine of root.a doo" }, records)
   end)
 end)
 
@@ -183,20 +120,18 @@ describe("a step hook", function()
   end)
 
   it("that an effect sets runs at the end of the same iteration", function()
-    local trace, fsm = {}, started()
-    local count = 0
+    local seen, fsm, count = {}, started(), 0
     fsm[2].effect = function()
       count = count + 1
       if count < 3 then return end
       fsm.post_step_hook = function(_, events)
-        trace[#trace + 1] = texts_of(events)
-        trace[#trace + 1] = rfsm.get_actleaf_fqn(fsm)
+        seen[#seen + 1] = table.concat(events, " ") .. " " .. rfsm.get_actleaf_fqn(fsm)
       end
     end
-    for _ = 1, 4 do helper.post_and_run(fsm, "e") end
+    for _ = 1, 4 do post_and_run(fsm, "e") end
     rfsm.send_events(fsm, "e")
     rfsm.step(fsm)
-    assert.same({ { "e" }, "root.b" }, trace)
+    assert.same({ "e root.b" }, seen)
   end)
 
   it("sees the leaf where a path with a connector ended", function()
@@ -220,18 +155,12 @@ describe("a step hook", function()
     assert.same({ "first", "own", "last" }, trace)
   end)
 
-  it("can be taken out again", function()
+  it("can be taken out again, also by itself", function()
     local trace, fsm = {}, started()
     local hook = noting(trace, "hook")
     rfsm.post_step_hook_add(fsm, hook)
     assert.is_true(rfsm.post_step_hook_rm(fsm, hook))
     assert.is_false(rfsm.post_step_hook_rm(fsm, hook))
-    rfsm.step(fsm)
-    assert.same({}, trace)
-  end)
-
-  it("that takes itself out does not disturb the others", function()
-    local trace, fsm = {}, started()
     local function once()
       trace[#trace + 1] = "once"
       rfsm.pre_step_hook_rm(fsm, once)
@@ -244,43 +173,64 @@ describe("a step hook", function()
   end)
 end)
 
-describe("an entry hook", function()
-  it("runs before the entry and survives a new one", function()
+describe("a state hook", function()
+  it("runs outside of the callbacks, also of new ones", function()
     local trace, fsm = {}, started()
     rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "hook"))
     rfsm.exit_hook_add(fsm, fsm.b, noting(trace, "exit hook"))
     fsm.b.entry, fsm.b.exit = noting(trace, "entry"), noting(trace, "exit")
-    helper.post_and_run(fsm, "e")
-    helper.post_and_run(fsm, "e")
+    post_and_run(fsm, "e")
+    post_and_run(fsm, "e")
     assert.same({ "hook", "entry", "exit", "exit hook" }, trace)
+  end)
+
+  it("runs at once, after those that are there", function()
+    local trace, fsm = {}, started()
+    local function twice()
+      post_and_run(fsm, "e")
+      post_and_run(fsm, "e")
+    end
+    twice()
+    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "one"))
+    post_and_run(fsm, "e")
+    fsm[3].effect = function()
+      rfsm.entry_hook_add(fsm, fsm.a, noting(trace, "now"))
+    end
+    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "two"))
+    twice()
+    assert.same({ "one", "now", "one", "two" }, trace)
+  end)
+
+  it("may change callbacks after an exit that failed", function()
+    local trace, fsm = {}, started { err = false }
+    fsm.a.exit = error
+    rfsm.exit_hook_add(fsm, fsm.a, function() fsm.b.entry = noting(trace, "new") end)
+    assert.equal("root.b", leaf_after(fsm, "e"))
+    assert.same({ "new" }, trace)
   end)
 end)
 
 describe("a call from inside", function()
-  it("to step is an error of the program that made it", function()
-    local said = {}
+  it("to step is an error of the callback that made it", function()
     local fsm = started()
-    fsm.err = function(...) said[#said + 1] = table.concat({ ... }, " ") end
+    local errors = said(fsm, "err")
     fsm.b.entry = function(machine) rfsm.step(machine) end
-    helper.post_and_run(fsm, "e")
-    assert.equal(1, #said)
+    assert.equal("root.b", leaf_after(fsm, "e"))
+    assert.equal(1, #errors)
     assert.matches("live_spec.lua:%d+: rfsm.step: the machine is in the middle of a "
-      .. "step", said[1])
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+      .. "step", errors[1])
   end)
 
   it("to reset takes effect when the iteration is over", function()
-    local fsm = started()
-    local seen
+    local fsm, seen = started(), nil
     fsm.b.entry = function(machine)
       rfsm.reset(machine)
       seen = rfsm.get_active_conf(machine)
     end
     rfsm.send_events(fsm, "e")
     assert.is_false(rfsm.step(fsm))
-    assert.same({ "root", "root.b" }, seen)
-    assert.same({}, rfsm.get_active_conf(fsm))
-    assert.same({ "e_init_fsm" }, fsm._intq)
+    assert.same({ { "root", "root.b" }, {}, { "e_init_fsm" } },
+      { seen, rfsm.get_active_conf(fsm), fsm._intq })
   end)
 
   it("to send_events counts in the next iteration", function()
@@ -294,60 +244,45 @@ describe("a call from inside", function()
   end)
 end)
 
-describe("exit_state", function()
-  it("exits what is active below, the deepest first", function()
-    local trace, fsm = helper.traced(state {
-      a = state { x = state {}, trans { src = "initial", tgt = "x" } },
-      trans { src = "initial", tgt = "a" },
-    })
-    rfsm.run(fsm)
-    helper.clear(trace)
-    rfsm.exit_state(fsm, fsm)
-    assert.same({ "exit root.a.x", "exit root.a" }, trace)
-    assert.same({}, rfsm.get_active_conf(fsm))
-  end)
+it("exit_state exits what is active below, the deepest first", function()
+  local trace, fsm = helper.traced(state {
+    a = state { x = state {}, trans { src = "initial", tgt = "x" } },
+    trans { src = "initial", tgt = "a" },
+  })
+  rfsm.run(fsm)
+  helper.clear(trace)
+  rfsm.exit_state(fsm, fsm)
+  assert.same({ { "exit root.a.x", "exit root.a" }, {} },
+    { trace, rfsm.get_active_conf(fsm) })
 end)
 
 describe("node_find_enabled", function()
-  local function segments_of(path)
-    local texts = {}
-    while path.nextl do
-      texts[#texts + 1] = tostring(path.nextl[1].trans)
-      path = path.nextl[1].next
-    end
-    return texts
-  end
-
-  -- initial -> a --e_go--> k --> b
-  local function through_a_connector()
-    local trace, fsm = helper.traced(state {
-      a = state {}, k = conn {}, b = state {},
-      trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "k", events = { "e_go" } },
-      trans { src = "k", tgt = "b" },
-    })
+  -- initial -> a --e_go--> k --> b, and more
+  local function through_a_connector(members)
+    local trace, fsm = helper.traced(helper.chart("e", {
+      k = conn {}, k1 = conn {}, unpack(members or {
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "k", events = { "e_go" } },
+        trans { src = "k", tgt = "b" },
+      }),
+    }))
     rfsm.run(fsm)
+    helper.clear(trace)
     return fsm, trace
   end
 
-  it("returns the segments of the path, and takes none", function()
+  it("finds a path, and takes none, also from a node that was never active", function()
     local fsm, trace = through_a_connector()
-    helper.clear(trace)
-    assert.same({ "T={ src='root.a', tgt='root.k', events='e_go' }",
-      "T={ src='root.k', tgt='root.b' }" },
-      segments_of(rfsm.node_find_enabled(fsm, fsm.a, { "e_go" })))
-    assert.same({}, trace)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-  end)
-
-  it("tells what leaves a node that has never been active", function()
-    local fsm = through_a_connector()
-    local path = rfsm.node_find_enabled(fsm, fsm.k, { "e" })
-    assert.same({ "T={ src='root.k', tgt='root.b' }" }, segments_of(path))
+    local path = rfsm.node_find_enabled(fsm, fsm.a, { "e_go" })
+    assert.equal(fsm[2], path.nextl[1].trans)
+    assert.equal(fsm[3], path.nextl[1].next.nextl[1].trans)
+    path = rfsm.node_find_enabled(fsm, fsm.k, { "e" })
+    assert.equal(fsm[3], path.nextl[1].trans)
     assert.equal(fsm.k, path.node)
     assert.equal(fsm.b, path.nextl[1].next.node)
     assert.is_false(path.nextl[1].next.nextl)
     assert.is_false(rfsm.node_find_enabled(fsm, fsm.b, { "e" }))
+    assert.same({ {}, "root.a" }, { trace, rfsm.get_actleaf_fqn(fsm) })
   end)
 
   it("leaves the path alone that an effect asks from", function()
@@ -355,32 +290,26 @@ describe("node_find_enabled", function()
     fsm[2].effect = function(machine)
       rfsm.node_find_enabled(machine, machine.initial, { "e" })
     end
-    helper.clear(trace)
-    helper.post_and_run(fsm, "e_go")
+    post_and_run(fsm, "e_go")
     assert.same({ "exit root.a", "effect root.k->root.b", "entry root.b" }, trace)
   end)
 
-  -- initial -> a --e_go--> k --> k1 --e_go--> b, and a guarded way k --> a
   it("leaves the search alone that a guard asks from", function()
-    local is_asking = false
-    local trace, fsm = helper.traced(state {
-      a = state {}, k = conn {}, k1 = conn {}, b = state {},
+    local fsm, trace, is_asking
+    fsm, trace = through_a_connector {
       trans { src = "initial", tgt = "a" },
       trans { src = "a", tgt = "k", events = { "e_go" } },
       trans { src = "k", tgt = "k1" },
-      trans { src = "k", tgt = "a" },
+      trans { src = "k", tgt = "a", guard = function()
+        if not is_asking then
+          is_asking = true
+          rfsm.node_find_enabled(fsm, fsm.k, { "e_other" })
+        end
+        return false
+      end },
       trans { src = "k1", tgt = "b", events = { "e_go" } },
-    })
-    rfsm.run(fsm)
-    fsm[4].guard = function()
-      if not is_asking then
-        is_asking = true
-        rfsm.node_find_enabled(fsm, fsm.k, { "e_other" })
-      end
-      return false
-    end
-    helper.clear(trace)
-    helper.post_and_run(fsm, "e_go")
+    }
+    post_and_run(fsm, "e_go")
     assert.equal("entry root.b", trace[#trace])
   end)
 
@@ -391,64 +320,43 @@ describe("node_find_enabled", function()
   end)
 end)
 
-describe("fsm_merge from inside", function()
+describe("a merge into a live machine", function()
+  -- Why a merge is refused.
+  local function reason(fsm, ...)
+    local ok, text = rfsm.fsm_merge(fsm, ...)
+    assert.is_false(ok)
+    return text
+  end
+
   it("gives a leaf no children while a transition may enter it", function()
-    local fsm, reason = started()
-    fsm[2].effect = function(machine)
-      reason = select(2, rfsm.fsm_merge(machine, machine.b, state {}, "x"))
+    local fsm, found = started { err = false }, {}
+    fsm[2].effect = function() found[1] = reason(fsm, fsm.b, state {}, "x") end
+    assert.equal("root.b", leaf_after(fsm, "e"))
+    fsm = helper.init(helper.chart("e", { err = false,
+      trans { src = "initial", tgt = "a", guard = function()
+        found[2] = reason(fsm, fsm.a, conn {}, "initial")
+      end } }))
+    assert.equal("root.a", leaf_after(fsm))
+    for i, name in ipairs { "b", "a" } do
+      assert.equal("rfsm.fsm_merge: 'root." .. name .. "' is a leaf state, while a "
+        .. "transition is taken", found[i])
     end
-    helper.post_and_run(fsm, "e")
-    assert.equal("rfsm.fsm_merge: 'root.b' is a leaf state, while a transition is "
-      .. "taken", reason)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
   end)
 
   it("gives a leaf children from a guard", function()
-    local fsm, is_merged = started()
+    local fsm, is_merged = started(), false
     fsm[2].guard = function()
-      is_merged = is_merged or rfsm.fsm_merge(fsm, fsm.b, rfsm.conn {}, "initial")
+      is_merged = is_merged or rfsm.fsm_merge(fsm, fsm.b, conn {}, "initial")
       return false
     end
-    helper.post_and_run(fsm, "e")
+    assert.equal("root.a", leaf_after(fsm, "e"))
     assert.is_true(is_merged)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-  end)
-end)
-
-describe("a state hook", function()
-  it("runs at once, after those that are there", function()
-    local trace, fsm = {}, started()
-    helper.post_and_run(fsm, "e")
-    helper.post_and_run(fsm, "e")
-    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "one"))
-    helper.post_and_run(fsm, "e")
-    fsm[3].effect = function()
-      rfsm.entry_hook_add(fsm, fsm.a, noting(trace, "now"))
-    end
-    rfsm.entry_hook_add(fsm, fsm.b, noting(trace, "two"))
-    helper.post_and_run(fsm, "e")
-    helper.post_and_run(fsm, "e")
-    assert.same({ "one", "now", "one", "two" }, trace)
   end)
 
-  it("may change programs after an exit that failed", function()
-    local trace, fsm = {}, started { err = false }
-    fsm.a.exit = error
-    rfsm.exit_hook_add(fsm, fsm.a, function() fsm.b.entry = noting(trace, "new") end)
-    helper.post_and_run(fsm, "e")
-    assert.same({ "new" }, trace)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-  end)
-end)
-
-describe("a merge into a live machine", function()
   it("that is refused leaves a leaf a leaf", function()
-    local fsm = started()
-    fsm.err = false
-    local ok, reason = rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" })
-    assert.is_false(ok)
+    local fsm = started { err = false }
     assert.matches("the model has 3 problems\n.*no state or connector is named 'x' in "
-      .. "'root.b'", reason)
+      .. "'root.b'", reason(fsm, fsm.b, trans { src = "initial", tgt = "x" }))
     assert.is_nil(fsm.b.initial)
     assert.is_true(rfsm.is_leaf(fsm.b))
     rfsm.send_events(fsm, "e")
@@ -457,17 +365,15 @@ describe("a merge into a live machine", function()
   end)
 
   it("that is refused leaves no trace in the next one", function()
-    local fsm, is_refused = started(), true
-    table.insert(rfsm.preproc, function(_, merged)
+    local fsm, is_refused = started { err = false }, true
+    helper.with_preproc(function(_, merged)
       return is_refused and { merged._fqn .. ": refused" } or nil
+    end, function()
+      assert.equal("rfsm.fsm_merge: the model has 1 problem\n  root.d: refused",
+        reason(fsm, fsm, state {}, "d"))
+      is_refused = false
+      assert.is_true((rfsm.fsm_merge(fsm, fsm, conn {}, "k")))
     end)
-    local ok, reason = rfsm.fsm_merge(fsm, fsm, state {}, "d")
-    is_refused = false
-    local is_merged = rfsm.fsm_merge(fsm, fsm, conn {}, "k")
-    table.remove(rfsm.preproc)
-    assert.is_false(ok)
-    assert.equal("rfsm.fsm_merge: the model has 1 problem\n  root.d: refused", reason)
-    assert.is_true(is_merged)
     assert.is_nil(fsm.d)
     assert.equal("root.k", fsm.k._fqn)
     assert.is_true(rfsm.is_conn(fsm.k))
@@ -479,50 +385,28 @@ describe("a merge into a live machine", function()
     assert.is_true(rfsm.fsm_merge(fsm, fsm.b, state {}, "x"))
     assert.is_true(rfsm.fsm_merge(fsm, fsm.b, trans { src = "initial", tgt = "x" }))
     assert.equal(fsm.b.initial, fsm[2].tgt)
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.b.x", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.b.x", leaf_after(fsm, "e"))
   end)
 
-  it("copies plain tables at once", function()
-    local fsm, d = started(), state { data = { 1 } }
+  it("copies plain tables at once, and warns of what is new alone", function()
+    local fsm, d = started { dead = state {} }, state { data = { 1 } }
+    local warnings = said(fsm, "warn")
     assert.is_true(rfsm.fsm_merge(fsm, fsm, d, "d"))
     d.data[1] = 2
     assert.same({ 1 }, fsm.d.data)
+    assert.same({ "WARNING: no outgoing transitions from node 'root.d'" }, warnings)
   end)
 
   it("takes no name of a field that the machine was given", function()
-    local fsm = started()
+    local fsm = started { err = false }
     fsm.d = 5
-    local ok, reason = rfsm.fsm_merge(fsm, fsm, state {}, "d")
-    assert.is_false(ok)
-    assert.equal("rfsm.fsm_merge: 'root' has a member 'd' already", reason)
-  end)
-
-  it("warns of what is new alone", function()
-    local said, fsm = {}, started { dead = state {} }
-    fsm.warn = function(text) said[#said + 1] = text end
-    assert.is_true(rfsm.fsm_merge(fsm, fsm, state {}, "d"))
-    assert.same({ "WARNING: no outgoing transitions from node 'root.d'" }, said)
-  end)
-
-  it("gives a leaf no children while the machine is being entered", function()
-    local fsm, ok, reason
-    fsm = helper.init(state {
-      a = state {},
-      trans { src = "initial", tgt = "a", guard = function()
-        ok, reason = rfsm.fsm_merge(fsm, fsm.a, conn {}, "initial")
-      end },
-    })
-    rfsm.run(fsm)
-    assert.is_false(ok)
-    assert.equal("rfsm.fsm_merge: 'root.a' is a leaf state, while a transition is "
-      .. "taken", reason)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("rfsm.fsm_merge: 'root' has a member 'd' already",
+      reason(fsm, fsm, state {}, "d"))
   end)
 end)
 
-describe("an e_done that nothing waited for", function()
-  it("does not come again later, where something waits for it", function()
+it("an e_done that nothing waited for does not come again where something does",
+  function()
     local fsm = started {
       [4] = trans { src = "b", tgt = "b", events = "e_x" },
       [5] = trans { src = "b", tgt = "a", events = "e_done@root.a" },
@@ -531,82 +415,61 @@ describe("an e_done that nothing waited for", function()
       rfsm.reset(fsm)
       rfsm.step(fsm)
       assert.same({ "e_done@root.a" }, fsm._intq)
-      helper.post_and_run(fsm, "e")
-      helper.post_and_run(fsm, "e_x")
-      helper.post_and_run(fsm, "e_x")
-      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+      post_and_run(fsm, "e")
+      post_and_run(fsm, "e_x")
+      assert.equal("root.b", leaf_after(fsm, "e_x"))
     end
   end)
-end)
 
-describe("an events table", function()
+describe("an events table that was kept stays what it was:", function()
   local kept
 
   local function keep(events) kept[#kept + 1] = events end
 
-  -- initial -> a --e1--> k --> b --e2--> a, with `effect` everywhere
-  local function started_with(effect)
+  -- Keeps those of the effects of initial -> a --e1--> k --> b --e2--> a.
+  local function check(effect, dbg)
     kept = {}
-    local fsm = helper.init(state {
-      err = false, a = state {}, b = state {}, k = conn {},
-      trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "k", events = "e1" },
-      trans { src = "k", tgt = "b", effect = effect },
-      trans { src = "b", tgt = "a", events = "e2", effect = effect },
-    })
-    rfsm.run(fsm)
-    return fsm
+    local fsm = helper.started(helper.chart("e1", {
+      err = false, k = conn {},
+      [2] = trans { src = "a", tgt = "k", events = "e1" },
+      [3] = trans { src = "k", tgt = "b", effect = effect },
+      [4] = trans { src = "b", tgt = "a", events = "e2", effect = effect },
+    }))
+    fsm.dbg = dbg
+    for _, event in ipairs({ "e1", "e2", "e1" }) do post_and_run(fsm, event) end
+    assert.same({ { "e1" }, { "e2" }, { "e1" } }, kept)
   end
 
-  local function kept_after_three(fsm)
-    for _, event in ipairs({ "e1", "e2", "e1" }) do
-      rfsm.send_events(fsm, event)
-      rfsm.run(fsm)
-    end
-    return kept
-  end
-
-  local EFFECTS = {
-    { "with four parameters", function(_, _, _, events) keep(events) end },
-    { "with any number", function(...) keep((select(4, ...))) end },
-    { "that is a table", setmetatable({}, {
+  for name, effect in pairs { -- any order: each stands alone
+    ["with four parameters"] = function(_, _, _, events) keep(events) end,
+    ["with any number"] = function(...) keep((select(4, ...))) end,
+    ["that is a table"] = setmetatable({}, {
       __call = function(_, _, _, _, events) keep(events) end,
-    }) },
-    { "that fails", function(_, _, _, events)
+    }),
+    ["that fails"] = function(_, _, _, events)
       keep(events)
       error("on purpose")
-    end },
-  }
-  it("that was kept stays what it was: by a coroutine", function()
-    local effect = coroutine.wrap(function(...)
-      keep((select(4, ...)))
-      while true do keep((select(4, coroutine.yield()))) end
-    end)
-    assert.same({ { "e1" }, { "e2" }, { "e1" } },
-      kept_after_three(started_with(effect)))
-  end)
-
-  for _, effect in ipairs(EFFECTS) do
-    it("that was kept stays what it was: by an effect " .. effect[1], function()
-      assert.same({ { "e1" }, { "e2" }, { "e1" } },
-        kept_after_three(started_with(effect[2])))
-    end)
-
-    it("that was kept stays what it was, traced: by an effect " .. effect[1], function()
-      local fsm = started_with(effect[2])
-      fsm.dbg = function() end
-      assert.same({ { "e1" }, { "e2" }, { "e1" } }, kept_after_three(fsm))
-    end)
+    end,
+  } do
+    it("by an effect " .. name, function() check(effect) end)
+    it("traced, by an effect " .. name, function() check(effect, function() end) end)
   end
 
+  it("by a coroutine", function()
+    check(coroutine.wrap(function(...)
+      keep((select(4, ...)))
+      while true do keep((select(4, coroutine.yield()))) end
+    end))
+  end)
+
   for _, hook in ipairs({ "pre_step_hook", "post_step_hook" }) do
-    it("that was kept stays what it was: by a " .. hook, function()
-      local fsm = started_with(nil)
+    it("by a " .. hook, function()
+      kept = {}
+      local fsm = started()
       fsm[hook] = function(_, events) if events[1] then keep(events) end end
-      local lists = kept_after_three(fsm)
-      assert.same({ "e1" }, lists[1])
-      assert.same({ "e_done@root.b" }, lists[2])
-      assert.same({ "e2" }, lists[3])
+      post_and_run(fsm, "e")
+      post_and_run(fsm, "e")
+      assert.same({ { "e" }, { "e_done@root.b" }, { "e" }, { "e_done@root.a" } }, kept)
     end)
   end
 end)

@@ -4,25 +4,27 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
+local noting, leaf_after, with_preproc, said =
+  helper.noting, helper.leaf_after, helper.with_preproc, helper.said
 
-local function noting(trace, text) return function() trace[#trace + 1] = text end end
-
--- initial -> a --e_b--> k --> c.x,  c --e_a--> a; each program notes its name.
+-- initial -> a --e_b--> k --> c.x,  c --e_a--> a; each callback notes its name.
 local function new_chart(trace)
-  local function program(name) return noting(trace, name) end
+  local function callback(name) return noting(trace, name) end
   return state {
     info = false, warn = false, data = { 1, { 2 } }, n = 1,
-    a = state { entry = program "entry a", exit = program "exit a", n = 2 },
+    a = state { entry = callback "entry a", exit = callback "exit a", n = 2 },
     k = conn {},
     c = state {
-      entry = program "entry c", exit = program "exit c",
-      x = state { entry = program "entry x", exit = program "exit x" },
+      entry = callback "entry c", exit = callback "exit c",
+      x = state { entry = callback "entry x", exit = callback "exit x" },
       trans { src = "initial", tgt = "x" },
     },
     trans { src = "initial", tgt = "a" },
-    trans { src = "a", tgt = "k", events = { "e_b" }, effect = program "effect" },
-    trans { src = "k", tgt = "c", guard = program "guard" },
+    trans { src = "a", tgt = "k", events = { "e_b" }, effect = callback "effect" },
+    trans { src = "k", tgt = "c", guard = callback "guard" },
     trans { src = "c", tgt = "a", events = { "e_a" } },
   }
 end
@@ -36,9 +38,7 @@ local function round(fsm, trace)
   helper.clear(trace)
   helper.post_and_run(fsm, "e_b")
   helper.post_and_run(fsm, "e_a")
-  local copy = {}
-  for i, text in ipairs(trace) do copy[i] = text end
-  return copy
+  return helper.texts(unpack(trace))
 end
 
 -- The round with other texts in some places.
@@ -57,16 +57,20 @@ local function count_left(weak)
   return count
 end
 
-local function two_machines()
+-- Two machines of a chart, the trace of both, the model; `change` may change the first
+-- before the other is made.
+local function two_machines(change)
   local trace = {}
   local model = new_chart(trace)
-  local one, other = rfsm.init(model), rfsm.init(model)
+  local one = rfsm.init(model)
+  if change then change(one, trace) end
+  local other = rfsm.init(model)
   rfsm.run(one)
   rfsm.run(other)
   return one, other, trace, model
 end
 
--- Each of them replaces one program of the machine; the name of the program.
+-- Each of them replaces one callback of the machine; the name of the callback.
 local REPLACE = {
   ["exit a"] = function(fsm, f) fsm.a.exit = f end,
   ["effect"] = function(fsm, f) fsm[2].effect = f end,
@@ -81,8 +85,7 @@ local REPLACE = {
 describe("machines of one model", function()
   it("stand where their own events led them", function()
     local one, other = two_machines()
-    helper.post_and_run(one, "e_b")
-    assert.equal("root.c.x", rfsm.get_actleaf_fqn(one))
+    assert.equal("root.c.x", leaf_after(one, "e_b"))
     assert.equal("root.a", rfsm.get_actleaf_fqn(other))
     assert.equal("done", rfsm.get_sta_mode(one.c.x))
     assert.equal("inactive", rfsm.get_sta_mode(other.c.x))
@@ -101,28 +104,22 @@ describe("machines of one model", function()
     end)
 
     it("do not meet when the first one got another " .. name .. " before", function()
-      local trace = {}
-      local model = new_chart(trace)
-      local one = rfsm.init(model)
-      replace(one, noting(trace, "new"))
-      local other = rfsm.init(model)
-      rfsm.run(one)
-      rfsm.run(other)
+      local one, other, trace = two_machines(function(one, trace)
+        replace(one, noting(trace, "new"))
+      end)
       assert.same(but { [name] = "new" }, round(one, trace))
       assert.same(ROUND, round(other, trace))
     end)
 
-    for at, program in ipairs(ROUND) do
-      local title = ("use another %s at once when %s sets it"):format(name, program)
-      it(title, function()
+    for at, callback in ipairs(ROUND) do
+      it(("use another %s at once when %s sets it"):format(name, callback), function()
         local one, other, trace = two_machines()
-        local is_set = false
-        REPLACE[program](one, function()
-          trace[#trace + 1] = program
+        local is_set, expected = false, but {}
+        REPLACE[callback](one, function()
+          trace[#trace + 1] = callback
           if not is_set then replace(one, noting(trace, "new")) end
           is_set = true
         end)
-        local expected = but {}
         for i = at + 1, #ROUND do
           if ROUND[i] == name then expected[i] = "new" end
         end
@@ -159,52 +156,41 @@ describe("machines of one model", function()
     assert.is_true(rfsm.fsm_merge(one, one, trans {
       src = "a", tgt = "d", events = { "e_d" },
     }))
-    helper.post_and_run(one, "e_d")
-    helper.post_and_run(other, "e_d")
-    assert.equal("root.d", rfsm.get_actleaf_fqn(one))
-    assert.equal("root.a", rfsm.get_actleaf_fqn(other))
+    assert.equal("root.d", leaf_after(one, "e_d"))
+    assert.equal("root.a", leaf_after(other, "e_d"))
     assert.is_nil(other.d)
   end)
 
   it("have their own copies of plain tables, asked for or not", function()
     local one, other, _, model = two_machines()
     model.data[2][1] = "changed in the model"
-    one.data[1] = "changed in one"
+    one.data[1], one.a.n = "changed in one", 3
     assert.same({ "changed in one", { 2 } }, one.data)
-    assert.same({ 1, { 2 } }, other.data)
-    one.a.n = 3
-    assert.equal(2, other.a.n)
+    assert.same({ { 1, { 2 } }, 2 }, { other.data, other.a.n })
   end)
 
   it("report the same of their model", function()
-    local said = {}
     local model = state {
       a = state {}, trans { src = "initial", tgt = "a", events = { "e" } },
-      warn = function(text) said[#said + 1] = text end,
-      info = function(text) said[#said + 1] = text end,
     }
+    local warnings, infos = said(model, "warn"), said(model, "info")
     rfsm.init(model)
-    local first = table.concat(said, "\n")
-    helper.clear(said)
     rfsm.init(model)
-    assert.equal(first, table.concat(said, "\n"))
-    assert.equal(3, #said)
+    assert.same({ 4, 2 }, { #warnings, #infos })
+    assert.same({ warnings[1], warnings[2] }, { warnings[3], warnings[4] })
+    assert.equal(infos[1], infos[2])
   end)
 
   it("may each be changed by preproc functions", function()
-    local count = 0
-    local function rename(fsm)
+    local count, trace = 0, {}
+    local model = new_chart(trace)
+    local machines = with_preproc(function(fsm)
       count = count + 1
       if count ~= 2 then return end
       fsm[2].events[1] = "e_other"
       fsm[4].events = "e_back"
       fsm.a.entry = false
-    end
-    table.insert(rfsm.preproc, rename)
-    local trace = {}
-    local model = new_chart(trace)
-    local machines = { rfsm.init(model), rfsm.init(model), rfsm.init(model) }
-    table.remove(rfsm.preproc)
+    end, function() return { rfsm.init(model), rfsm.init(model), rfsm.init(model) } end)
     for _, fsm in ipairs(machines) do rfsm.run(fsm) end
     assert.same(ROUND, round(machines[1], trace))
     assert.same({}, round(machines[2], trace))
@@ -216,40 +202,28 @@ describe("machines of one model", function()
   end)
 
   it("may be changed by a preproc function after the first has run", function()
-    local trace = {}
-    local model = new_chart(trace)
-    local one = rfsm.init(model)
-    rfsm.run(one)
+    local one, _, trace, model = two_machines()
     assert.same(ROUND, round(one, trace))
-    table.insert(rfsm.preproc, function(fsm)
+    local other = with_preproc(function(fsm)
       fsm.c.x.entry = noting(trace, "new")
       fsm[2].events = "e_done@root.a"
-    end)
-    local other = rfsm.init(model)
-    table.remove(rfsm.preproc)
+    end, function() return rfsm.init(model) end)
     helper.clear(trace)
     rfsm.run(other)
     assert.same({ "entry a", "guard", "exit a", "effect", "entry c", "new" }, trace)
     assert.same(ROUND, round(one, trace))
   end)
 
-  it("show a preproc function what leaves each node", function()
-    local model, lists = new_chart({}), {}
-    table.insert(rfsm.preproc, function(fsm)
-      lists[#lists + 1] = #fsm.a._otrs .. #fsm._otrs
+  it("have what leaves a node for preproc functions, and as soon as one is changed",
+    function()
+      local lists = {}
+      local one = with_preproc(function(fsm)
+        lists[#lists + 1] = #fsm.a._otrs .. #fsm._otrs
+      end, two_machines)
+      assert.same({ "10", "10" }, lists)
+      one.a.exit = nil
+      assert.same({ one[2] }, one.a._otrs)
     end)
-    local one = rfsm.init(model)
-    rfsm.run(one)
-    rfsm.init(model)
-    table.remove(rfsm.preproc)
-    assert.same({ "10", "10" }, lists)
-  end)
-
-  it("tell what leaves a node as soon as one is changed", function()
-    local one = two_machines()
-    one.a.exit = nil
-    assert.same({ one[2] }, one.a._otrs)
-  end)
 
   it("stand where a tool put them when one is changed", function()
     local one = two_machines()
@@ -288,6 +262,7 @@ describe("machines of one model", function()
     local function change(model, path, key, value)
       for name in path:gmatch("[^.]+") do model = model[tonumber(name) or name] end
       model[key] = value
+      return model
     end
     local changes = {
       { "a", "entry", noting(trace, "new") }, { "c.x", "exit", noting(trace, "new") },
@@ -302,20 +277,18 @@ describe("machines of one model", function()
       { "2", "effect", nil }, { "a", "n", nil }, { "", "n", nil },
       { "", "d", { "a table" } }, { "c", "x", "no state" },
     }
+    local function behaviour(model)
+      local fsm = rfsm.init(model)
+      if not fsm then return "refused" end
+      rfsm.run(fsm)
+      return { round(fsm, trace), rfsm.get_actleaf_fqn(fsm), fsm.n, fsm.data }
+    end
     for _, edit in ipairs(changes) do
-      local model = new_chart(trace)
-      model.err = false
+      local model, plain = new_chart(trace), new_chart(trace)
+      model.err, plain.err = false, false
       local old = rfsm.init(model)
-      change(model, edit[1], edit[2], edit[3])
-      local plain = new_chart(trace)
-      change(plain, edit[1], edit[2], edit[3])
-      plain.err = false
-      local function behaviour(chart)
-        local fsm = rfsm.init(chart)
-        if not fsm then return "refused" end
-        rfsm.run(fsm)
-        return { round(fsm, trace), rfsm.get_actleaf_fqn(fsm), fsm.n, fsm.data }
-      end
+      change(model, unpack(edit, 1, 3))
+      change(plain, unpack(edit, 1, 3))
       local place = edit[1] .. "." .. edit[2]
       assert.same({ place, behaviour(plain) }, { place, behaviour(model) })
       rfsm.run(old)
@@ -337,8 +310,14 @@ describe("machines of one model", function()
 end)
 
 describe("the parts of a machine", function()
+  local trace, fsm
+
+  before_each(function()
+    trace = {}
+    fsm = rfsm.init(new_chart(trace))
+  end)
+
   it("are there before anything ran, always the same", function()
-    local fsm = rfsm.init(new_chart({}))
     assert.equal(fsm.c.x, fsm.c.x)
     assert.equal(fsm, fsm.c.x._parent._parent)
     assert.equal(fsm.c.initial, fsm[3].tgt)
@@ -350,9 +329,7 @@ describe("the parts of a machine", function()
     assert.is_true(rfsm.is_leaf(fsm.a))
   end)
 
-  it("may be put into a mode without a program, for tools", function()
-    local trace = {}
-    local fsm = rfsm.init(new_chart(trace))
+  it("may be put into a mode without a callback, for tools", function()
     rfsm.run(fsm)
     helper.clear(trace)
     rfsm.set_sta_mode(fsm.c.x, "active")
@@ -369,7 +346,6 @@ describe("the parts of a machine", function()
   end)
 
   it("stay where they are in a mode that they have", function()
-    local fsm = rfsm.init(new_chart({}))
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_b")
     rfsm.set_sta_mode(fsm.a, "inactive")
@@ -378,7 +354,6 @@ describe("the parts of a machine", function()
   end)
 
   it("are active, not done, when what was in them is inactive", function()
-    local fsm = rfsm.init(new_chart({}))
     rfsm.run(fsm)
     assert.equal("done", rfsm.get_sta_mode(fsm.a))
     rfsm.set_sta_mode(fsm.a, "inactive")
@@ -389,7 +364,6 @@ describe("the parts of a machine", function()
   end)
 
   it("are none of them active after reset, wherever the machine stood", function()
-    local fsm = rfsm.init(new_chart({}))
     rfsm.run(fsm)
     rfsm.exit_state(fsm, fsm.a)
     assert.same({ "root" }, rfsm.get_active_conf(fsm))
@@ -398,16 +372,12 @@ describe("the parts of a machine", function()
   end)
 
   it("complete in a mode that was set before they were ever entered", function()
-    local fsm = helper.init(state {
-      a = state {}, b = state {}, c = state {},
-      trans { src = "initial", tgt = "a" },
-      trans { src = "b", tgt = "c", events = { "e_done" } },
-    })
+    fsm = helper.init(helper.chart({ "e" }, { c = state {},
+      [4] = trans { src = "b", tgt = "c", events = { "e_done" } } }))
     rfsm.set_sta_mode(fsm.b, "active")
     rfsm.step(fsm)
     assert.same({ "e_done@root.b" }, fsm._intq)
-    rfsm.run(fsm)
-    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.c", leaf_after(fsm))
   end)
 
   it("run a doo on, or anew, as the mode that was set wants it", function()
@@ -416,11 +386,8 @@ describe("the parts of a machine", function()
       starts[#starts + 1] = self._id
       while true do rfsm.yield(true) end
     end
-    local fsm = helper.init(state {
-      a = state { doo = start }, b = state { doo = start },
-      trans { src = "initial", tgt = "a" },
-    })
-    rfsm.run(fsm)
+    fsm = helper.started(helper.chart({ "e" },
+      { a = state { doo = start }, b = state { doo = start } }))
     rfsm.set_sta_mode(fsm.a, "active")
     rfsm.run(fsm)
     assert.same({ "a" }, starts)
@@ -434,16 +401,12 @@ describe("the parts of a machine", function()
 
   it("have the coroutine of a doo while it is not at its end", function()
     for _, ending in ipairs({ function() end, error }) do
-      local fsm = helper.init(state {
-        err = false, b = state {},
-        a = state {
-          doo = function()
-            rfsm.yield(true)
-            ending()
-          end,
-        },
-        trans { src = "initial", tgt = "a" },
-      })
+      fsm = helper.init(helper.chart({ "e" }, { err = false, a = state {
+        doo = function()
+          rfsm.yield(true)
+          ending()
+        end,
+      } }))
       assert.is_nil(fsm.a._doo_co)
       rfsm.step(fsm, 2)
       assert.equal("thread", type(fsm.a._doo_co))
@@ -454,68 +417,62 @@ describe("the parts of a machine", function()
   end)
 
   it("take no mode that is none", function()
-    local fsm = rfsm.init(new_chart({}))
-    local ok, problem = pcall(rfsm.set_sta_mode, fsm.a, "dead")
-    assert.is_false(ok)
-    assert.equal("rfsm.set_sta_mode: 'active', 'done' or 'inactive' expected, got "
-      .. "string 'dead'", problem)
-    ok, problem = pcall(rfsm.set_sta_mode, state {}, "active")
-    assert.is_false(ok)
-    assert.equal("rfsm.set_sta_mode: state of a fsm expected, got state", problem)
+    for _, case in ipairs {
+      { fsm.a, "dead", "'active', 'done' or 'inactive' expected, got string 'dead'" },
+      { state {}, "active", "state of a fsm expected, got state" },
+    } do
+      local _, problem = pcall(rfsm.set_sta_mode, case[1], case[2])
+      assert.equal("rfsm.set_sta_mode: " .. case[3], problem)
+    end
   end)
 
   it("report a callback that cannot be called when it is called", function()
-    local said = {}
-    local fsm = rfsm.init(new_chart({}))
-    fsm.err = function(id, text) said[#said + 1] = id .. " " .. text end
+    local lines = said(fsm, "err")
     fsm.a.entry, fsm[3].guard, fsm[2].effect = 5, true, "x"
     rfsm.run(fsm)
     helper.post_and_run(fsm, "e_b")
-    assert.same({ "ENTRY error executing entry of root.a: ",
-      "GUARD error executing guard of T={ src='root.k', tgt='root.c.initial' }: ",
-    }, said)
     fsm[3].guard = false
-    helper.post_and_run(fsm, "e_b")
-    assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
-    assert.equal("EFFECT error executing effect of T={ src='root.a', tgt='root.k', "
-      .. "events='e_b' }: ", said[3])
+    assert.equal("root.c.x", leaf_after(fsm, "e_b"))
+    for i, expected in ipairs {
+      "ENTRY error executing entry of root.a:  ",
+      "GUARD error executing guard of T={ src='root.k', tgt='root.c.initial' }:  ",
+      "EFFECT error executing effect of T={ src='root.a', tgt='root.k', "
+        .. "events='e_b' }:  ",
+    } do
+      assert.equal(expected, lines[i]:sub(1, #expected))
+    end
+    assert.equal(3, #lines)
   end)
 
   it("refuse a hook or printer that cannot be called when it is set", function()
-    local fsm = rfsm.init(new_chart({}))
-    local function refusal(key, value)
-      local ok, problem = pcall(function() fsm[key] = value end)
-      assert.is_false(ok)
-      return (problem:gsub("^[^:]*:%d+: ", ""))
+    for key, case in pairs { -- any order: each stands alone
+      getevents = { {}, "function expected, got table" },
+      dbg = { "full", "function, true or false expected, got string 'full'" },
+    } do
+      local _, problem = pcall(function() fsm[key] = case[1] end)
+      assert.equal(key .. ": " .. case[2], (problem:gsub("^[^:]*:%d+: ", "")))
     end
-    assert.equal("getevents: function expected, got table", refusal("getevents", {}))
-    assert.equal("dbg: function, true or false expected, got string 'full'",
-      refusal("dbg", "full"))
   end)
 end)
 
-describe("a transition through many states", function()
-  -- The names of the states in `outer`, one in another, and the innermost of them.
-  local function nest(outer, name, depth)
-    local names = {}
-    for i = 1, depth do
-      local inner = state {}
-      names[i] = name .. i
-      outer[names[i]] = inner
-      outer[1] = trans { src = "initial", tgt = names[i] }
-      outer = inner
+it("a transition through many states runs all callbacks in order, a new one at once",
+  function()
+    -- The names of `depth` states in `outer`, one in another.
+    local function nest(outer, name, depth)
+      local names = {}
+      for i = 1, depth do
+        names[i] = name .. i
+        outer[names[i]], outer[1] = state {}, trans { src = "initial", tgt = names[i] }
+        outer = outer[names[i]]
+      end
+      return names
     end
-    return names
-  end
 
-  it("runs all of their programs in order, and a new one at once", function()
-    local a, b = state {}, state {}
+    local a, b, expected = state {}, state {}, {}
     local in_a, in_b = nest(a, "a", 25), nest(b, "b", 25)
     local trace, fsm = helper.traced(state {
       a = a, b = b, trans { src = "initial", tgt = "a" },
-      trans {
-        src = "a", tgt = "b." .. table.concat(in_b, "."), events = { "e" },
-      },
+      trans { src = "a", tgt = "b." .. table.concat(in_b, "."), events = { "e" } },
     })
     rfsm.run(fsm)
     fsm.a.exit = function(_, self)
@@ -523,10 +480,9 @@ describe("a transition through many states", function()
       fsm.b.b1.entry = false
     end
     helper.clear(trace)
-    local expected = {}
-    local function expect(program, root, names, last)
-      local name = root .. "." .. table.concat(names, ".", 1, last)
-      expected[#expected + 1] = program .. " " .. (last > 0 and name or root)
+    local function expect(callback, root, names, last)
+      expected[#expected + 1] = callback .. " " .. root .. (last > 0 and "." or "")
+        .. table.concat(names, ".", 1, last)
     end
     for last = #in_a, 0, -1 do expect("exit", "root.a", in_a, last) end
     expected[#expected + 1] = "effect root.a->" .. fsm[2].tgt._fqn
@@ -536,34 +492,23 @@ describe("a transition through many states", function()
     helper.post_and_run(fsm, "e")
     assert.same(expected, trace)
   end)
-end)
 
 describe("events", function()
   it("have many transitions tried in order until a guard enables one", function()
     local asked = {}
-    local model = state {
-      a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
-    }
-    for i = 2, 61 do
-      model[i] = trans {
-        src = "a", tgt = "b", events = { "e" },
-        guard = function()
-          asked[#asked + 1] = i
-          return i == 60
-        end,
-      }
+    local model = helper.chart { "e_other" }
+    for i = 4, 63 do
+      model[i] = trans { src = "a", tgt = "b", events = { "e" }, guard = function()
+        asked[#asked + 1] = i
+        return i == 62
+      end }
     end
-    local fsm = helper.init(model)
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e")
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-    assert.equal(59, #asked)
-    assert.equal(60, asked[59])
+    assert.equal("root.b", leaf_after(helper.started(model), "e"))
+    assert.same({ 59, 62 }, { #asked, asked[59] })
   end)
 
   it("that nobody waits for are forgotten", function()
-    local fsm = helper.init(new_chart({}))
-    rfsm.run(fsm)
+    local fsm = helper.started(new_chart({}))
     local events = setmetatable({}, { __mode = "k" })
     for i = 1, 20 do
       local event = {}
@@ -575,29 +520,24 @@ describe("events", function()
   end)
 end)
 
--- initial -> a --e_b--> b, with more members.
-local function flat(members)
-  local model = {
-    info = false, warn = false, a = state {}, b = state {}, c = state {},
-    trans { src = "initial", tgt = "a" },
-    trans { src = "a", tgt = "b", events = { "e_b" } },
-  }
+-- The second machine of (initial) -> a --e_b--> b, and more members, at rest.
+local function second(members)
+  local model = helper.chart({ "e_b" }, { c = state {} })
+  model[3] = nil
   for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
-  return state(model)
+  rfsm.init(model)
+  return helper.started(model)
 end
 
--- The second machine of a model, at rest.
-local function second(model)
-  rfsm.init(model)
-  local fsm = rfsm.init(model)
-  rfsm.run(fsm)
-  return fsm
+local function to_b(fields)
+  fields.src, fields.tgt, fields.events = "a", "b", { "e_b" }
+  return trans(fields)
 end
 
 describe("a machine that shares a plan", function()
   it("leaves a doo behind that was taken away while it was busy", function()
     local trace = {}
-    local fsm = second(flat {
+    local fsm = second {
       a = state { doo = function()
         while true do
           trace[#trace + 1] = "doo a"
@@ -605,7 +545,7 @@ describe("a machine that shares a plan", function()
         end
       end },
       b = state { doo = noting(trace, "doo b") },
-    })
+    }
     fsm.a.doo = nil
     helper.post_and_run(fsm, "e_b")
     assert.same({ "doo a", "doo b" }, trace)
@@ -618,80 +558,68 @@ describe("a machine that shares a plan", function()
     assert(rfsm.fsm_merge(fsm, fsm, trans { src = "b", tgt = "c", events = { "e_c" } }))
   end
 
-  local MERGE = {
+  for where, members in pairs { -- any order: each stands alone
     entry = { b = state { entry = merge } }, exit = { a = state { exit = merge } },
-    effect = { [2] = trans {
-      src = "a", tgt = "b", events = { "e_b" }, effect = merge,
-    } },
+    effect = { [2] = to_b { effect = merge } },
     ["post step hook"] = { post_step_hook = merge },
     ["pre step hook"] = { pre_step_hook = merge },
-  }
-
-  for where, members in pairs(MERGE) do -- any order: each stands alone
-    it("is merged into by its own program, the place: " .. where, function()
-      local fsm = second(flat(members))
+  } do
+    it("is merged into by its own callback, the place: " .. where, function()
+      local fsm = second(members)
       fsm.is_ready = true
       helper.post_and_run(fsm, "e_b")
       assert.same({ "root", "root.b" }, rfsm.get_active_conf(fsm))
       assert.equal("done", rfsm.get_sta_mode(fsm.b))
-      helper.post_and_run(fsm, "e_c")
-      assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.c", leaf_after(fsm, "e_c"))
     end)
   end
 
   it("takes another target from the next search on, no other value", function()
-    local said = {}
-    local fsm = second(flat())
-    fsm.err = function(text) said[#said + 1] = text end
-    for _, tgt in ipairs({ "b", 5, false, state {}, flat(), second(flat()).c }) do
+    local fsm = second()
+    local lines = said(fsm, "err")
+    for i, tgt in ipairs({ "b", 5, false, state {}, helper.chart(), second().c }) do
       fsm[2].tgt = tgt
-      helper.post_and_run(fsm, "e_b")
-      assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.a", leaf_after(fsm, "e_b"))
+      assert.equal(i, #lines)
     end
-    assert.equal(6, #said)
     assert.equal("ERROR: tgt of root.a: node of the fsm expected, got string 'b'",
-      said[1])
+      lines[1])
     fsm[2].tgt = fsm.c
-    helper.post_and_run(fsm, "e_b")
-    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("root.c", leaf_after(fsm, "e_b"))
   end)
 
-  it("goes on with a transition whose program asks what others would do", function()
-    local trace = {}
-    local fsm = second(flat())
+  it("goes on with a transition whose callback asks what others would do", function()
+    local trace, fsm = {}, second()
     fsm[2].effect = function()
       fsm.b.entry = noting(trace, "new entry")
       rfsm.node_find_enabled(fsm, fsm.a, { "e_b" })
     end
-    helper.post_and_run(fsm, "e_b")
+    assert.equal("root.b", leaf_after(fsm, "e_b"))
     assert.same({ "new entry" }, trace)
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
   end)
 
   it("names the root alone while a leaf is left", function()
     local conf
-    local fsm = second(flat { a = state { exit = function(fsm)
+    helper.post_and_run(second { a = state { exit = function(fsm)
       conf = rfsm.get_active_conf(fsm)
-    end } })
-    helper.post_and_run(fsm, "e_b")
+    end } }, "e_b")
     assert.same({ "root" }, conf)
   end)
 
   it("is entered anew when a step hook makes its leaf inactive", function()
     for _, dbg in ipairs { false, function() end } do
-      local fsm = second(flat())
+      local fsm = second()
       fsm.dbg = dbg
       fsm.pre_step_hook = function()
         fsm.pre_step_hook = nil
         rfsm.set_sta_mode(fsm.a, "inactive")
       end
-      helper.post_and_run(fsm, "e_b")
-      assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.a", leaf_after(fsm, "e_b"))
     end
   end)
 
   it("lists what leaves a node as it is now", function()
-    local fsm = second(flat())
+    local fsm = second()
     assert.equal(1, #fsm.a._otrs)
     assert.equal(fsm.a._otrs, fsm.a._otrs)
     rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "c", events = { "e_c" }, pn = 1 })
@@ -701,55 +629,32 @@ describe("a machine that shares a plan", function()
 
   it("asks a guard that an earlier one has set", function()
     local trace = {}
-    local fsm = second(flat {
-      [3] = trans { src = "a", tgt = "c", events = { "e_b" } },
-    })
-    fsm[2].guard = function()
-      trace[#trace + 1] = "guard"
-      fsm[3].guard = function()
-        trace[#trace + 1] = "new guard"
+    local fsm = second { [3] = trans { src = "a", tgt = "c", events = { "e_b" } } }
+    local function closed(text, set)
+      return function()
+        trace[#trace + 1] = text
+        if set then set() end
         return false
       end
-      return false
     end
-    helper.post_and_run(fsm, "e_b")
+    fsm[2].guard = closed("guard", function() fsm[3].guard = closed "new guard" end)
+    assert.equal("root.a", leaf_after(fsm, "e_b"))
     assert.same({ "guard", "new guard" }, trace)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
-  end)
-
-  it("leaves others their events when preproc changes its own", function()
-    local model = flat()
-    local one = second(model)
-    local function rename(fsm) fsm[2].events[1] = "e_other" end
-    table.insert(rfsm.preproc, rename)
-    local other = rfsm.init(model)
-    table.remove(rfsm.preproc)
-    rfsm.run(other)
-    for _, fsm in ipairs { one, other } do helper.post_and_run(fsm, "e_b") end
-    assert.equal("root.b", rfsm.get_actleaf_fqn(one))
-    assert.equal("root.a", rfsm.get_actleaf_fqn(other))
-    helper.post_and_run(other, "e_other")
-    assert.equal("root.b", rfsm.get_actleaf_fqn(other))
   end)
 
   it("counts a transition without events or pn that preproc made one", function()
-    local function open(fsm) fsm[2].events, fsm[2].pn = nil, nil end
-    table.insert(rfsm.preproc, open)
-    local fsm = second(flat { [2] = trans {
-      src = "a", tgt = "b", events = { "e_b" }, pn = 5,
-    } })
-    table.remove(rfsm.preproc)
-    helper.post_and_run(fsm, "anything")
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    local fsm = with_preproc(function(fsm) fsm[2].events, fsm[2].pn = nil, nil end,
+      function() return second { [2] = to_b { pn = 5 } } end)
+    assert.equal("root.b", leaf_after(fsm, "anything"))
     assert.equal("T={ src='root.a', tgt='root.b' }", tostring(fsm[2]))
   end)
 
-  it("runs a hook of a state once when it replaces a program", function()
+  it("runs a hook of a state once when it replaces a callback", function()
     local trace = {}
-    local fsm = second(flat {
+    local fsm = second {
       a = state { exit = noting(trace, "exit a") },
       b = state { entry = noting(trace, "entry b") },
-    })
+    }
     local function hook(name)
       return function()
         trace[#trace + 1] = name
@@ -763,53 +668,48 @@ describe("a machine that shares a plan", function()
   end)
 
   it("is traced from where a hook of a state switches dbg on", function()
-    local trace = {}
-    local fsm = second(flat {
+    local lines
+    local fsm = second {
       m = state { x = state {}, trans { src = "initial", tgt = "x" } },
       [2] = trans { src = "a", tgt = "m", events = { "e_b" } },
-    })
+    }
     rfsm.entry_hook_add(fsm, fsm.m, function()
-      fsm.dbg = function(id, what)
-        if id:find("STATE", 1, true) then trace[#trace + 1] = id .. " " .. what end
-      end
+      lines = said(fsm, "dbg", "STATE_ENTER")
     end)
     rfsm.send_events(fsm, "e_b")
     rfsm.step(fsm)
-    assert.same({ "STATE_ENTER root.m", "STATE_ENTER root.m.x" }, trace)
+    assert.same({ "STATE_ENTER root.m", "STATE_ENTER root.m.x" }, lines)
   end)
 
   it("keeps the user's data whatever its name is", function()
-    local fsm = second(flat {
-      a = state { _def = 1, _fsm = 2, _leaf = 3, _choices = { 4 }, _mine = 5 },
-      [2] = trans {
-        src = "a", tgt = "b", events = { "e_b" }, _entries = { 1 }, _run = 6, _lca = 7,
-      },
-      _at = 8, _intq = 9,
-    })
-    helper.post_and_run(fsm, "e_b")
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-    assert.same({ 3, { 4 }, 5 }, { fsm.a._leaf, fsm.a._choices, fsm.a._mine })
-    assert.same({ { 1 }, 6, 7 }, { fsm[2]._entries, fsm[2]._run, fsm[2]._lca })
+    local function marked(element)
+      for name in ("_index _def _plan_ %data _run _lca _leaf _choices _entries _mine")
+        :gmatch("%S+") do element[name] = name end
+      element._fsm, element._at, element._intq = 1, 2, 3
+      return element
+    end
+    local fsm = second(marked { a = marked(state {}), [2] = marked(to_b {}) })
+    assert.equal("root.b", leaf_after(fsm, "e_b"))
+    for _, part in ipairs { fsm.a, fsm[2] } do
+      local values = { part._index, part._def, part._plan_, part["%data"], part._run,
+        part._lca, part._leaf, part._choices, part._entries, part._mine }
+      assert.equal("_index _def _plan_ %data _run _lca _leaf _choices _entries _mine",
+        table.concat(values, " "))
+    end
+    assert.equal("_index _def", fsm._index .. " " .. fsm._def)
   end)
-end)
 
-describe("fsm_merge", function()
-  local function reason(...)
-    local fsm = second(flat { m = state {
+  it("puts no state into itself, no NaN, nothing into a state of others", function()
+    local fsm = second { m = state {
       x = state {}, trans { src = "initial", tgt = "x" },
-    } })
-    return (select(2, rfsm.fsm_merge(fsm, ...)))
-  end
-
-  it("puts no state into itself", function()
-    local fsm = second(flat { m = state {
-      x = state {}, trans { src = "initial", tgt = "x" },
-    } })
-    assert.equal("rfsm.fsm_merge: 'root.m' cannot contain itself",
-      select(2, rfsm.fsm_merge(fsm, fsm.m, fsm.m, "y")))
-    assert.equal("rfsm.fsm_merge: a name expected, got NaN",
-      select(2, rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "b" }, 0 / 0)))
-    assert.equal("rfsm.fsm_merge: parent: a state of the fsm expected, got state",
-      reason(state {}, state {}, "z"))
+    }, err = false }
+    for _, case in ipairs {
+      { "'root.m' cannot contain itself", fsm.m, fsm.m, "y" },
+      { "a name expected, got NaN", fsm, trans { src = "a", tgt = "b" }, 0 / 0 },
+      { "parent: a state of the fsm expected, got state", state {}, state {}, "z" },
+    } do
+      assert.equal("rfsm.fsm_merge: " .. case[1],
+        (select(2, rfsm.fsm_merge(fsm, unpack(case, 2)))))
+    end
   end)
 end)

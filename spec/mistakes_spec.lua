@@ -432,6 +432,20 @@ return rfsm.state { states = { a = rfsm.state {} },
 --> chart.lua:6: root.trans[4].events (a -> b): list of events or a string expected, got
     function
 
+  c = rfsm.state, d = rfsm.conn,
+--> WARNING: chart.lua:1: root.c: rfsm.state is not called (rfsm.state{...})
+--> WARNING: chart.lua:1: root.d: rfsm.conn is not called (rfsm.conn{...})
+
+  c = rfsm.conn { entry = function() end }, rfsm.trans { src = "a", tgt = "c" },
+  rfsm.trans { src = "c", tgt = "b" },
+--> WARNING: chart.lua:6: root.c.entry: a connector has no entry, this one is ignored
+
+  _segment = 5, _pre_hooks = {}, _mine = 1,
+--> WARNING: chart.lua:1: root._pre_hooks: the machine has a field of this name, this
+    one is ignored
+--> WARNING: chart.lua:1: root._segment: the machine has a field of this name, this one
+    is ignored
+
   rfsm.trans { src = "a", tgt = "b", events = { "e_after(soon)" } },
 --> WARNING: chart.lua:6: root.trans[4].events (a -> b): no loaded extension knows
     'e_after(soon)' (require "rfsm_timeevent")

@@ -62,7 +62,7 @@ end
 
 describe("the rockspec", function()
   it("lists the modules", function()
-    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/checks/*.lua", "compat/*.lua",
+    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/*/*.lua", "compat/*.lua",
       "compat/rfsm/*.lua"), rockspec(DEV).build.modules)
   end)
 
@@ -70,14 +70,16 @@ describe("the rockspec", function()
     assert.same(tools_in_tree(), rockspec(DEV).build.install.bin)
   end)
 
-  it("of a release differs in version and source", function()
+  it("of a release differs in version, source and homepage", function()
     local release, dev = {}, rockspec(DEV)
     local text = helper.output_of("arg = { '1.2.3', 'git+https://x.org/100%.git' } "
       .. "dofile 'tools/rockspec.lua'")
     load_in(release, text, "=rockspec")()
     assert.equal("1.2.3-1", release.version)
     assert.same({ url = "git+https://x.org/100%.git", tag = "v1.2.3" }, release.source)
+    assert.equal("https://x.org/100%", release.description.homepage)
     release.version, release.source = dev.version, dev.source
+    release.description.homepage = nil
     assert.same(dev, release)
   end)
 end)
@@ -87,8 +89,8 @@ describe("dist/rfsm.lua", function()
 
   setup(function()
     os.remove(folder)
-    assert(os.execute(("mkdir 'F' && '%s' tools/dist.lua rfsm rfsm.straight rfsm.advice"
-      .. " >'F/rfsm.lua' && cp -r spec 'F'"):gsub("F", folder):format(lua)))
+    assert(os.execute(("mkdir 'F' && '%s' tools/dist.lua rfsm rfsm.quick rfsm.straight "
+      .. "rfsm.advice >'F/rfsm.lua' && cp -r spec 'F'"):gsub("F", folder):format(lua)))
   end)
 
   teardown(function() os.execute("rm -r '" .. folder .. "'") end)
@@ -135,24 +137,46 @@ describe("the version of the core", function()
   end)
 end)
 
+-- Modules that nobody requires but the library and its tools.
+local IS_PRIVATE = {
+  ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.cli"] = true,
+  ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.options"] = true,
+  ["rfsm.quick"] = true, ["rfsm.sim"] = true, ["rfsm.straight"] = true,
+  ["rfsm.subscriber"] = true,
+}
+
 describe("doc/config.ld", function()
-  it("lists the modules", function()
-    local listed, list = {}, content("doc/config.ld"):match("\nfile = (%b{})")
-    for file in list:gmatch("'%.%./(.-)'") do
+  local text = content("doc/config.ld")
+
+  it("lists the public modules", function()
+    local listed, public = {}, {}
+    for file in text:match("\nfile = (%b{})"):gmatch("'%.%./(.-)'") do
       listed[file:gsub("%.lua$", ""):gsub("/", ".")] = file
     end
-    assert.same(modules_of("*.lua", "rfsm/*.lua", "rfsm/checks/*.lua"), listed)
+    for name, file in pairs(modules_of("*.lua", "rfsm/*.lua")) do
+      public[name] = not IS_PRIVATE[name] and file or nil
+    end
+    assert.same(public, listed)
+  end)
+
+  it("lists the documents", function()
+    local listed, list = {}, text:match("\ntopics = (%b{})")
+    for file in list:gmatch("'(.-)'") do listed[#listed + 1] = "doc/" .. file end
+    table.sort(listed)
+    assert.same(files("doc/*.md"), listed)
   end)
 end)
 
--- The blocks of a document that open with ```lua: { line =, text = } each.
+-- The blocks of a document that open with ```lua: { line =, text = } each. Files, which
+-- begin with their name, are left to spec/documents_spec.lua.
 local function lua_blocks(file)
   local blocks, block, number = {}, nil, 0
   for line in (content(file) .. "\n"):gmatch("(.-)\n") do
     number = number + 1
     if block and line:match("^%s*```") then
       block.text = table.concat(block, "\n")
-      blocks[#blocks + 1], block = block, nil
+      if not block[1]:find("^%-%- %S+%.lua$") then blocks[#blocks + 1] = block end
+      block = nil
     elseif block then
       block[#block + 1] = line
     elseif line:match("^%s*```lua%s*$") then

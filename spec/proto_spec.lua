@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local socket = require "socket"
 
 local state, trans = rfsm.state, rfsm.trans
+local init, started, leaf = helper.init, helper.started, rfsm.get_actleaf_fqn
 
 local jit = rawget(_G, "jit")
 
@@ -84,18 +85,15 @@ end
 
 function Client:subscribe(fsm) self:send { type = "subscribe", fsm = fsm } end
 
--- A lamp that answers at a port, and has been entered.
+-- A lamp that answers at a port, and has been entered; one who may talk to it.
 local function served(options)
   local server = install(options)
-  local fsm = helper.init(lamp())
-  rfsm.run(fsm)
-  return fsm, server
+  return started(lamp()), new_client(server), server
 end
 
 -- The same with one who has subscribed and read what that brings.
 local function subscribed(options)
-  local fsm, server = served(options)
-  local client = new_client(server)
+  local fsm, client, server = served(options)
   client:subscribe()
   rfsm.step(fsm)
   client:lines(2)
@@ -114,16 +112,15 @@ local function with_fake_socket(fake, f)
     end
     return own
   end
-  package.loaded.socket = setmetatable({ udp4 = udp4 }, { __index = socket })
-  local ok, problem = pcall(f)
-  package.loaded.socket = socket
-  if not ok then error(problem, 0) end
+  helper.with(package.loaded, {
+    socket = setmetatable({ udp4 = udp4 }, { __index = socket }),
+  }, f)
 end
 
+-- Why install refuses these options.
 local function problem_of(options)
-  local ok, problem = pcall(proto.install, options)
-  assert.is_false(ok)
-  return problem
+  local text = helper.refusal(proto.install, options)
+  return (text:gsub("^rfsm.proto.install: ", ""))
 end
 
 -- Sends to a machine and steps it; returns the n messages that come back.
@@ -134,6 +131,8 @@ local function answers(fsm, client, n, ...)
 end
 
 local OFF, ON = "active_state root.off", "active_state root.on"
+local SUBSCRIBE, HEARTBEAT = { type = "subscribe" }, { type = "heartbeat" }
+local PUSH = { type = "event", event = "e_push" }
 
 describe("rfsm.proto", function()
   before_each(function() now = 1000 end)
@@ -148,17 +147,14 @@ describe("rfsm.proto", function()
 
   describe("a subscription", function()
     it("brings the graph, then the active leaf after each iteration", function()
-      local fsm, server = served { allow_send = true }
-      local client = new_client(server)
+      local fsm, client = served()
       client:subscribe()
-      rfsm.send_events(fsm, "e_push")
-      rfsm.run(fsm)
+      helper.post_and_run(fsm, "e_push")
       assert.same({ "model 1", ON, ON, ON }, client:lines(4))
     end)
 
     it("brings the graph that rfsm.marsh knows", function()
-      local fsm, server = served()
-      local client = new_client(server)
+      local fsm, client = served()
       client:subscribe()
       rfsm.step(fsm)
       local model = client:read()
@@ -177,41 +173,32 @@ describe("rfsm.proto", function()
       end
     end)
 
-    it("is served before the machine has been entered", function()
-      local server = install()
-      local fsm, client = helper.init(lamp()), new_client(server)
-      assert.same({ "model 1", OFF }, answers(fsm, client, 2, { type = "subscribe" }))
+    it("is served before the machine has been entered, or if it cannot be", function()
+      for _, is_closed in ipairs { false, true } do
+        local server, model = install(), lamp()
+        model[1].guard, model.err = function() return not is_closed end, false
+        local fsm, n = init(model), is_closed and 1 or 2
+        assert.same({ "model 1", n == 2 and OFF or nil },
+          answers(fsm, new_client(server), n, SUBSCRIBE))
+        server:close()
+      end
     end)
 
-    it("is served by a machine that cannot be entered", function()
-      local server, model = install(), lamp()
-      model[1].guard = function() return false end
-      model.err = false
-      local fsm, client = helper.init(model), new_client(server)
-      assert.same({ "model 1" }, answers(fsm, client, 1, { type = "subscribe" }))
-    end)
-
-    it("that is repeated brings the graph again, and one copy of all", function()
+    it("that is repeated brings the graph again, and one copy of all; unsubscribe "
+      .. "ends it", function()
       local fsm, client = subscribed()
-      assert.same({ "model 1", OFF }, answers(fsm, client, 2, { type = "subscribe" },
-        { type = "subscribe" }))
-    end)
-
-    it("ends with unsubscribe", function()
-      local fsm, client = subscribed()
+      assert.same({ "model 1", OFF }, answers(fsm, client, 2, SUBSCRIBE, SUBSCRIBE))
       assert.same({}, answers(fsm, client, 0, { type = "unsubscribe" }))
     end)
 
     it("brings the mode of the leaf", function()
       local server = install()
-      local fsm = helper.init(state { warn = false,
-        doo = function() rfsm.yield(true) end })
-      local client = new_client(server)
+      local fsm = init(state { warn = false, doo = function() rfsm.yield(true) end })
+      local client, modes = new_client(server), {}
       client:subscribe()
       rfsm.step(fsm, 3)
       rfsm.step(fsm)
       client:read()
-      local modes = {}
       for i = 1, 3 do modes[i] = client:read().act_leaf_state end
       assert.same({ "active", "active", "done" }, modes)
     end)
@@ -230,8 +217,7 @@ describe("rfsm.proto", function()
       local fsm, client = subscribed()
       rfsm.reset(fsm)
       assert.same({ "active_state false" }, client:lines(1))
-      rfsm.step(fsm)
-      assert.same({ OFF }, client:lines(1))
+      assert.same({ OFF }, answers(fsm, client, 1))
     end)
 
     it("brings the new graph after fsm_merge", function()
@@ -245,24 +231,20 @@ describe("rfsm.proto", function()
     it("reports a graph or a name that is too long for a datagram", function()
       local name = ("x"):rep(2000)
       local server = install { max_datagram = 1024 }
-      local fsm = helper.init(state { warn = false, info = false, [name] = state {},
+      local fsm = init(state { warn = false, info = false, [name] = state {},
         trans { src = "initial", tgt = name } })
       assert.same({ "error model: too long for a datagram",
         "error active_state: too long for a datagram" },
-        answers(fsm, new_client(server), 2, { type = "subscribe" }))
+        answers(fsm, new_client(server), 2, SUBSCRIBE))
     end)
 
     it("reports a graph that cannot be written", function()
-      local real = marsh.jsontab
-      marsh.jsontab = function() error("stack overflow", 0) end
-      local fsm, server = served()
-      local client = new_client(server)
-      client:subscribe()
-      local ok, problem = pcall(rfsm.step, fsm)
-      marsh.jsontab = real
-      assert.is_true(ok, problem)
-      assert.same({ "error model: the graph cannot be written: stack overflow", OFF },
-        client:lines(2))
+      local fsm, client = served()
+      helper.with(marsh, { jsontab = function() error("stack overflow", 0) end },
+        function()
+          assert.same({ "error model: the graph cannot be written: stack overflow",
+            OFF }, answers(fsm, client, 2, SUBSCRIBE))
+        end)
     end)
   end)
 
@@ -270,12 +252,10 @@ describe("rfsm.proto", function()
     it("keeps a subscription, without it that ends after 3 s", function()
       local fsm, client, server = subscribed()
       local dead = new_client(server)
-      dead:subscribe()
-      rfsm.step(fsm)
+      assert.same({ "model 1", OFF }, answers(fsm, dead, 2, SUBSCRIBE))
       client:lines(1)
-      dead:lines(2)
       now = now + 3
-      assert.same({ OFF }, answers(fsm, client, 1, { type = "heartbeat" }))
+      assert.same({ OFF }, answers(fsm, client, 1, HEARTBEAT))
       assert.same({ OFF }, dead:lines(1))
       now = now + 0.001
       assert.same({ OFF }, answers(fsm, client, 1))
@@ -284,7 +264,7 @@ describe("rfsm.proto", function()
 
     it("that waited while nothing ran counts when it is read", function()
       local fsm, client = subscribed()
-      client:send { type = "heartbeat" }
+      client:send(HEARTBEAT)
       now = now + 100
       assert.same({ OFF }, answers(fsm, client, 1))
     end)
@@ -294,28 +274,25 @@ describe("rfsm.proto", function()
       now = now + 2
       rfsm.step(fsm)
       assert.same({ "error heartbeat: not subscribed" },
-        answers(fsm, client, 1, { type = "heartbeat" }))
+        answers(fsm, client, 1, HEARTBEAT))
     end)
 
     it("is not missed when the clock jumps back", function()
       local fsm, client = subscribed()
-      now = now - 500
-      assert.same({ OFF }, answers(fsm, client, 1))
-      now = now + 3
-      assert.same({ OFF }, answers(fsm, client, 1))
-      now = now + 1
-      assert.same({}, answers(fsm, client, 0))
+      for _, case in ipairs { { -500, { OFF } }, { 3, { OFF } }, { 1, {} } } do
+        now = now + case[1]
+        assert.same(case[2], answers(fsm, client, #case[2]))
+      end
     end)
 
     it("is not missed while more waits than a step reads", function()
       local fsm, client, server = subscribed { max_reads = 4 }
       local flood = new_client(server)
       for _ = 1, 4 do flood:send("x") end
-      client:send { type = "heartbeat" }
+      client:send(HEARTBEAT)
       now = now + 4
       rfsm.step(fsm)
-      rfsm.step(fsm)
-      assert.same({ OFF, OFF }, client:lines(2))
+      assert.same({ OFF, OFF }, answers(fsm, client, 2))
     end)
 
     for name, fails in pairs { -- any order: each is a spec of its own
@@ -327,73 +304,60 @@ describe("rfsm.proto", function()
         local fsm, client = subscribed { clock = function()
           return now < 1003 and now or fails()
         end }
-        local complaints = {}
-        fsm.err = function(...) complaints[#complaints + 1] = table.concat({ ... }) end
+        local complaints = helper.said(fsm, "err")
         now = now + 10
         assert.same({ OFF }, answers(fsm, client, 1))
-        assert.matches("^PROTOthe clock failed: ", complaints[1])
+        assert.matches("^PROTO the clock failed: ", complaints[1])
       end)
     end
   end)
 
   describe("an event", function()
-    it("goes to the machine, and the same call acts on it", function()
-      local fsm, client = subscribed { allow_send = true }
-      client:send { type = "event", event = "e_push" }
-      assert.is_true(rfsm.run(fsm))
-      assert.equal("root.on", rfsm.get_actleaf_fqn(fsm))
-    end)
-
-    it("keeps the machine from being idle", function()
-      local fsm, client = subscribed { allow_send = true }
-      client:send { type = "event", event = "e_push" }
-      assert.is_false(rfsm.step(fsm))
-      rfsm.step(fsm)
-      assert.equal("root.on", rfsm.get_actleaf_fqn(fsm))
-    end)
+    it("goes to the machine, which is not idle then, and the same call acts on it",
+      function()
+        local fsm, client = subscribed { allow_send = true }
+        client:send(PUSH)
+        assert.is_false(rfsm.step(fsm))
+        assert.is_true(rfsm.run(fsm))
+        assert.equal("root.on", leaf(fsm))
+        client:send(PUSH)
+        assert.is_true(rfsm.run(fsm))
+        assert.equal("root.off", leaf(fsm))
+      end)
 
     it("can be a number or a boolean, needs no subscription, and is traced", function()
-      local server, model, raised = install { allow_send = true }, lamp(), {}
+      local server, model = install { allow_send = true }, lamp()
       model[2].events, model[3].events = { 7 }, { false }
-      local fsm, client = helper.init(model), new_client(server)
-      rfsm.run(fsm)
-      fsm.dbg = function(id, event)
-        if id == "RAISED" then raised[#raised + 1] = event end
+      local fsm, client = started(model), new_client(server)
+      local raised = helper.said(fsm, "dbg", "RAISED")
+      for _, case in ipairs { { 7, "root.on" }, { false, "root.off" } } do
+        client:send { type = "event", event = case[1] }
+        assert.equal(case[2], helper.leaf_after(fsm))
       end
-      client:send { type = "event", event = 7 }
-      rfsm.run(fsm)
-      assert.equal("root.on", rfsm.get_actleaf_fqn(fsm))
-      client:send { type = "event", event = false }
-      rfsm.run(fsm)
-      assert.equal("root.off", rfsm.get_actleaf_fqn(fsm))
-      assert.same({ 7, "e_done@root.on", false, "e_done@root.off" }, raised)
+      assert.same({ "RAISED 7", "RAISED e_done@root.on", "RAISED false",
+        "RAISED e_done@root.off" }, raised)
     end)
 
-    it("is not taken without allow_send", function()
+    it("of another type is refused, any without allow_send", function()
       local fsm, client = subscribed()
-      assert.same({ "error event: not taken, allow_send is off", OFF },
-        answers(fsm, client, 2, { type = "event", event = "e_push" }))
-    end)
-
-    it("of another type is refused", function()
-      local fsm, client = subscribed { allow_send = true }
-      local wanted = "error event: string, boolean or finite number expected, got "
+      assert.same({ "error event: refused, allow_send is off", OFF },
+        answers(fsm, client, 2, PUSH))
+      fsm, client = subscribed { allow_send = true }
       for text, got in pairs { -- any order: each stands alone
         ["{}"] = "table", ["[1]"] = "table", ["1e999"] = "inf", null = "nil",
       } do
-        assert.same({ wanted .. got, OFF },
+        assert.same({ "error event: string, boolean or finite number expected, got "
+          .. got, OFF },
           answers(fsm, client, 2, '{"type":"event","event":' .. text .. "}"))
       end
     end)
 
     it("for a machine that is not advanced waits, up to a limit", function()
       local server = install { allow_send = true, max_events = 3 }
-      local busy, lazy = helper.init(lamp()), helper.init(lamp())
-      rfsm.run(busy)
-      rfsm.run(lazy)
-      local client, push = new_client(server), { type = "event", event = "e", fsm = 2 }
-      assert.same({ "error event: 3 events wait already" },
-        answers(busy, client, 1, push, push, push, push))
+      local busy, lazy = started(lamp()), started(lamp())
+      local push = { type = "event", event = "e", fsm = 2 }
+      assert.same({ "error event: 3 events are pending already" },
+        answers(busy, new_client(server), 1, push, push, push, push))
       assert.equal(3, rfsm.check_events(lazy))
       rfsm.reset(lazy)
       assert.equal(1, rfsm.check_events(lazy)) -- e_init_fsm
@@ -402,21 +366,15 @@ describe("rfsm.proto", function()
 
   describe("several machines at a port", function()
     local function two()
-      local server = install { allow_send = true }
-      local first, second = helper.init(lamp()), helper.init(lamp())
-      rfsm.run(first)
-      rfsm.run(second)
-      return first, second, new_client(server)
+      local first, client = served { allow_send = true }
+      return first, started(lamp()), client
     end
 
-    it("are numbered in the order of their first steps", function()
-      local first, second, client = two()
-      client:subscribe()
+    it("are numbered in the order of their first steps, reported also later", function()
+      local _, client = subscribed()
+      local third, second = init(lamp()), init(lamp())
       rfsm.step(second)
-      rfsm.step(first)
-      local numbers = {}
-      for i = 1, 4 do numbers[i] = client:read().fsm end
-      assert.same({ 2, 2, 1, 1 }, numbers)
+      assert.same({ "model 2", OFF, "model 3", OFF }, answers(third, client, 4))
     end)
 
     it("are all reported unless a subscription names one", function()
@@ -426,21 +384,13 @@ describe("rfsm.proto", function()
       assert.same({ "model 2", OFF }, answers(second, client, 2))
     end)
 
-    it("are reported when they come later", function()
-      local fsm, client = subscribed()
-      rfsm.step(helper.init(lamp()))
-      assert.same({ "model 2", OFF, OFF }, answers(fsm, client, 3))
-    end)
-
     it("get the events that name them, the first those that name none", function()
       local first, second, client = two()
-      for number, expected in ipairs { { "root.on", "root.off" },
-        { "root.on", "root.on" } } do
-        client:send { type = "event", event = "e_push", fsm = number > 1 and 2 or nil }
-        rfsm.run(first)
-        rfsm.run(second)
-        assert.same(expected,
-          { rfsm.get_actleaf_fqn(first), rfsm.get_actleaf_fqn(second) })
+      for _, case in ipairs { { nil, "root.on", "root.off" },
+        { 2, "root.on", "root.on" } } do
+        client:send { type = "event", event = "e_push", fsm = case[1] }
+        assert.equal(case[2], helper.leaf_after(first))
+        assert.equal(case[3], helper.leaf_after(second))
       end
     end)
 
@@ -454,11 +404,10 @@ describe("rfsm.proto", function()
 
     it("are not kept alive", function()
       local server = install()
-      local kept = setmetatable({ helper.init(lamp()) }, { __mode = "v" })
-      local client = new_client(server)
-      client:subscribe()
+      local kept = setmetatable({ init(lamp()) }, { __mode = "v" })
+      new_client(server):subscribe()
       rfsm.run(kept[1])
-      kept[2] = helper.init(lamp())
+      kept[2] = init(lamp())
       install { fsm = kept[2] }
       collectgarbage()
       collectgarbage()
@@ -466,22 +415,19 @@ describe("rfsm.proto", function()
     end)
 
     it("can have ports of their own, or two", function()
-      local first, second = helper.init(lamp()), helper.init(lamp())
-      local one, other, third = install { fsm = first }, install { fsm = second },
-        install { fsm = second }
-      for server, fsm in pairs { [one] = first, [other] = second, [third] = second } do
-        local client = new_client(server)
-        assert.same({ "model 1", OFF }, answers(fsm, client, 2, { type = "subscribe" }))
-        client:send { type = "unsubscribe" }
-        rfsm.step(fsm)
+      local first, second = init(lamp()), init(lamp())
+      for _, fsm in ipairs { first, second, second } do
+        local client = new_client(install { fsm = fsm })
+        assert.same({ "model 1", OFF }, answers(fsm, client, 2, SUBSCRIBE))
+        assert.same({}, answers(fsm, client, 0, { type = "unsubscribe" }))
       end
     end)
   end)
 
   describe("a datagram without a message", function()
     it("is not answered", function()
-      local fsm, server = served { allow_send = true }
-      assert.same({}, answers(fsm, new_client(server), 0,
+      local fsm, client = served { allow_send = true }
+      assert.same({}, answers(fsm, client, 0,
         "", "x", "[]", "{}", '"subscribe"', '{"type":"subscribe"',
         '{"type":"subscribe"}x', '{"type":"rfsm_error"}', '{"type":"none"}',
         '{"type":["subscribe"]}', '{"type":1}',
@@ -497,9 +443,8 @@ describe("rfsm.proto", function()
     end
 
     it(("does no harm, %d of them, SEED=%d"):format(COUNT, SEED), function()
-      local fsm, server = served { allow_send = true }
-      local client, before = new_client(server), nil
-      local next_datagram = datagrams.generator(SEED)
+      local fsm, client, server = served { allow_send = true }
+      local next_datagram, before = datagrams.generator(SEED), nil
       client.udp:settimeout(0)
       for i = 1, COUNT do
         client.udp:send(next_datagram())
@@ -512,28 +457,24 @@ describe("rfsm.proto", function()
       end
       rfsm.run(fsm)
       assert.is_true(used() - before < 64)
-      assert.equal("root.off", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.off", leaf(fsm))
       local visitor = new_client(server)
-      assert.same({ "model 1", OFF }, answers(fsm, visitor, 2,
-        { type = "event", event = "e_push" }, { type = "subscribe" }))
+      assert.same({ "model 1", OFF }, answers(fsm, visitor, 2, PUSH, SUBSCRIBE))
       assert.same({ ON }, answers(fsm, visitor, 1))
     end)
   end)
 
   describe("a step", function()
     it("reads no more than max_reads datagrams, the rest waits", function()
-      local fsm, server = served { allow_send = true, max_reads = 5 }
-      local client = new_client(server)
+      local fsm, client = served { allow_send = true, max_reads = 5 }
       for _ = 1, 5 do client:send("x") end
-      client:send { type = "event", event = "e_push" }
-      rfsm.run(fsm)
-      assert.equal("root.off", rfsm.get_actleaf_fqn(fsm))
-      rfsm.run(fsm)
-      assert.equal("root.on", rfsm.get_actleaf_fqn(fsm))
+      client:send(PUSH)
+      assert.equal("root.off", helper.leaf_after(fsm))
+      assert.equal("root.on", helper.leaf_after(fsm))
     end)
 
     it("reads once and writes nothing while nobody has subscribed", function()
-      local reads, real = 0, marsh.actinfo2tab
+      local reads = 0
       with_fake_socket({
         receivefrom = function()
           reads = reads + 1
@@ -543,10 +484,8 @@ describe("rfsm.proto", function()
       }, function()
         local fsm = served { clock = function() error("asked") end }
         reads = 0
-        marsh.actinfo2tab = function() error("encoded") end
-        local ok, problem = pcall(rfsm.step, fsm, 5)
-        marsh.actinfo2tab = real
-        assert.is_true(ok, problem)
+        helper.with(marsh, { actinfo2tab = function() error("encoded") end },
+          function() rfsm.step(fsm, 5) end)
         assert.equal(1, reads)
       end)
     end)
@@ -596,8 +535,7 @@ describe("rfsm.proto", function()
       local fsm, client, server = subscribed()
       client.udp:close()
       for _ = 1, 3 do assert.is_boolean(rfsm.step(fsm)) end
-      assert.same({ "model 1", OFF },
-        answers(fsm, new_client(server), 2, { type = "subscribe" }))
+      assert.same({ "model 1", OFF }, answers(fsm, new_client(server), 2, SUBSCRIBE))
     end)
   end)
 
@@ -616,9 +554,8 @@ describe("rfsm.proto", function()
     end)
 
     it("concerns machines initialised afterwards", function()
-      local before = helper.init(lamp())
-      local server = install()
-      local client = new_client(server)
+      local before = init(lamp())
+      local client = new_client(install())
       client:subscribe()
       rfsm.run(before)
       assert.same({}, client:lines(0))
@@ -646,37 +583,31 @@ describe("rfsm.proto", function()
           .. "got 0",
         [{ max_datagram = 1e6 }] = "max_datagram: bytes from 1024 to 65507 expected, "
           .. "got 1000000",
+        localhost = "table of options expected, got string 'localhost'",
       } do
-        local problem = problem_of(options)
-        assert.equal("rfsm.proto.install: " .. text, (problem:gsub("^%S+:%d+: ", "")))
+        assert.equal(text, problem_of(options))
       end
-      local _, problem = pcall(function() proto.install("localhost") end)
-      assert.matches("^[^:]*proto_spec.lua:%d+: rfsm.proto.install: table of options "
-        .. "expected, got string 'localhost'$", problem)
     end)
 
-    it("says when the port is in use", function()
-      local server = install()
-      assert.equal(("rfsm.proto.install: cannot listen on localhost, port %d: address "
-        .. "already in use"):format(server.port), problem_of { port = server.port })
-    end)
-
-    it("says when there is no such host", function()
-      assert.matches("^rfsm.proto.install: cannot listen on x*, port 44044: %S",
+    it("says when the port is in use, or when there is no such host", function()
+      local port = install().port
+      assert.equal(("cannot listen on localhost, port %d: address already in use")
+        :format(port), problem_of { port = port })
+      assert.matches("^cannot listen on x*, port 44044: %S",
         problem_of { host = ("x"):rep(64) })
     end)
 
-    for package_name, text in pairs { -- any order: each is a spec of its own
+    for name, text in pairs { -- any order: each is a spec of its own
       socket = "luasocket is missing (on Debian: apt-get install lua-socket)",
       dkjson = "dkjson is missing (on Debian: apt-get install lua-dkjson)",
     } do
-      it("says what to install without " .. package_name, function()
-        local real = package.loaded[package_name]
-        package.loaded[package_name] = nil
-        package.preload[package_name] = function() error("not there", 0) end
-        local problem = problem_of { port = 0 }
-        package.preload[package_name], package.loaded[package_name] = nil, real
-        assert.equal("rfsm.proto.install: the package " .. text, problem)
+      it("says what to install without " .. name, function()
+        helper.with(package.loaded, { [name] = false }, function()
+          local preload = { [name] = function() error("not there", 0) end }
+          helper.with(package.preload, preload, function()
+            assert.equal("the package " .. text, problem_of { port = 0 })
+          end)
+        end)
       end)
     end
   end)
@@ -684,37 +615,30 @@ describe("rfsm.proto", function()
   describe("uninstall", function()
     it("frees the port, and machines go on without", function()
       local fsm, client, server = subscribed()
-      local port = server.port
       proto.uninstall()
-      rfsm.send_events(fsm, "e_push")
-      assert.is_true(rfsm.run(fsm))
+      assert.is_true(helper.post_and_run(fsm, "e_push"))
       assert.same({}, client:lines(0))
-      assert.equal(port, install { port = port }.port)
+      assert.equal(server.port, install { port = server.port }.port)
     end)
 
     it("may come in the middle of a step", function()
       local model = lamp()
       model.on.entry = function() proto.uninstall() end
-      local server = install { allow_send = true }
-      local fsm = helper.init(model)
-      local client = new_client(server)
-      client:send { type = "event", event = "e_push" }
+      local client = new_client(install { allow_send = true })
+      local fsm = init(model)
+      client:send(PUSH)
       client:subscribe()
-      rfsm.run(fsm)
-      assert.equal("root.on", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.on", helper.leaf_after(fsm))
       rfsm.reset(fsm)
       assert.is_true(rfsm.run(fsm))
     end)
 
     it("is not needed to close one port", function()
       local one, other = install(), install()
-      local fsm = helper.init(lamp())
+      local fsm = init(lamp())
       one:close()
       one:close()
-      local client = new_client(other)
-      client:subscribe()
-      rfsm.step(fsm)
-      assert.same({ "model 1", "active_state root.off" }, client:lines(2))
+      assert.same({ "model 1", OFF }, answers(fsm, new_client(other), 2, SUBSCRIBE))
     end)
   end)
 

@@ -3,7 +3,10 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
-local state, trans = rfsm.state, rfsm.trans
+local state, trans, seqand = rfsm.state, rfsm.trans, rfsm.seqand
+local init, started, run = helper.init, helper.started, helper.post_and_run
+
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- (initial) -> a --e_x--> b --e_x--> a, noting entries and exits as "NAME entry a".
 local function region(trace, name)
@@ -20,6 +23,15 @@ local function region(trace, name)
   }
 end
 
+-- (initial) -> a with these callbacks --e_x--> b with those
+local function plain(a, b, fields)
+  fields = fields or {}
+  fields.warn, fields.info, fields.a, fields.b = false, false, state(a), state(b or {})
+  fields[1] = trans { src = "initial", tgt = "a" }
+  fields[2] = trans { src = "a", tgt = "b", events = { "e_x" } }
+  return state(fields)
+end
+
 -- (initial) -> par --e_leave--> off --e_enter--> par
 local function parent(par)
   return state {
@@ -30,126 +42,92 @@ local function parent(par)
   }
 end
 
+-- One with the regions left and right.
 local function two(trace, fields)
   fields = fields or {}
   fields.left, fields.right = region(trace, "left"), region(trace, "right")
-  return parent(rfsm.seqand(fields))
+  return seqand(fields)
 end
+
+local function started_two(trace, fields) return started(parent(two(trace, fields))) end
 
 -- A region that notes its cycles; each is one doo cycle.
 local function worker(trace, name, cycles)
-  return state {
-    warn = false, info = false,
-    work = state {
-      doo = function()
-        for i = 1, cycles or 1000 do
-          trace[#trace + 1] = name .. " " .. i
-          rfsm.yield(cycles == nil)
-        end
-      end,
-    },
-    trans { src = "initial", tgt = "work" },
-  }
+  return plain { doo = function()
+    for i = 1, cycles or 1000 do
+      trace[#trace + 1] = name .. " " .. i
+      rfsm.yield(cycles == nil)
+    end
+  end }
 end
 
 local function leaves(par)
   local names = {}
-  for _, name in ipairs { "left", "right" } do
-    names[#names + 1] = rfsm.get_actleaf_fqn(par.substates[name]) or "none"
+  for i, name in ipairs { "left", "right" } do
+    local fsm = par.substates[name]
+    names[i] = fsm and rfsm.get_actleaf_fqn(fsm) or "none"
   end
   return table.concat(names, " ")
 end
 
 describe("rfsm.seqand", function()
-  it("is the module rfsm_seqand", function()
-    assert.equal(require "rfsm_seqand", rfsm.seqand)
+  it("is the module rfsm_seqand, and returns a leaf state", function()
+    assert.equal(require "rfsm_seqand", seqand)
+    assert.is_true(rfsm.is_leaf(two {}))
   end)
 
-  it("returns a leaf state", function()
-    assert.is_true(rfsm.is_leaf(rfsm.seqand { left = region({}, "left") }))
+  it("may be called as rfsm.seqand:new and rfsm_seqand.new", function()
+    for _, par in ipairs { seqand:new { left = region({}, "left") },
+      require("rfsm_seqand").new { left = region({}, "left") } } do
+      assert.equal("root.a none", leaves(started(parent(par)).par))
+    end
   end)
-
-  for name, make in pairs { -- any order
-    ["rfsm.seqand:new"] = function(fields) return rfsm.seqand:new(fields) end,
-    ["rfsm_seqand.new"] = require("rfsm_seqand").new,
-  } do
-    it("may be called as " .. name, function()
-      local fsm = helper.init(parent(make { left = region({}, "left") }))
-      rfsm.run(fsm)
-      assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates.left))
-    end)
-  end
 
   it("takes regions at positions, before those with names", function()
     local trace = {}
-    local fsm = helper.init(parent(rfsm.seqand {
+    local fsm = started(parent(seqand {
       order = { 2 }, left = region(trace, "left"), region(trace, "one"),
       region(trace, "two"),
     }))
-    rfsm.run(fsm)
-    assert.same({
-      "two entry root", "two entry a", "one entry root", "one entry a",
-      "left entry root", "left entry a",
-    }, trace)
+    assert.same({ "two entry root", "two entry a", "one entry root", "one entry a",
+      "left entry root", "left entry a" }, trace)
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates[2]))
   end)
 
-  it("leaves the table it is given as it is", function()
-    local fields = { left = region({}, "left") }
-    rfsm.seqand(fields)
+  it("leaves the table it is given as it is, and keeps the user's data", function()
+    local fields = { left = region({}, "left"), colour = "red" }
+    assert.equal("red", init(parent(seqand(fields))).par.colour)
     assert.is_nil(fields.doo)
     assert.is_table(fields.left)
   end)
 
-  it("keeps the user's data", function()
-    local par = rfsm.seqand { left = region({}, "left"), colour = "red" }
-    local fsm = helper.init(parent(par))
-    assert.equal("red", fsm.par.colour)
-  end)
-
-  it("takes initialised machines, too", function()
-    local trace = {}
-    local given = helper.init(region(trace, "left"))
-    local fsm = helper.init(parent(rfsm.seqand { left = given }))
-    rfsm.run(fsm)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates.left))
+  it("takes initialised machines, and what was set on them", function()
+    local given = init(region({}, "left"))
+    local records = helper.said(given, "dbg")
+    assert.equal("root.a none", leaves(started(parent(seqand { left = given })).par))
     assert.is_false(rfsm.get_actleaf_fqn(given))
-  end)
-
-  it("hands on what was set on an initialised machine", function()
-    local given, records = helper.init(region({}, "left")), {}
-    given.dbg = function(id) records[#records + 1] = id end
-    local fsm = helper.init(parent(rfsm.seqand { left = given }))
-    rfsm.step(fsm)
     assert.is_true(#records > 0)
   end)
 
   it("may be the root of a machine", function()
-    local fsm = helper.init(rfsm.seqand {
-      warn = false, info = false,
-      left = region({}, "left"), right = region({}, "right"),
-    })
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_x")
+    local fsm = started(two({}, { warn = false, info = false }))
+    run(fsm, "e_x")
     rfsm.run(fsm)
     assert.equal("root.b root.b", leaves(fsm))
   end)
 
   it("runs regions that are leaves", function()
     local trace = {}
-    local leaf = state { warn = false, entry = function() trace[1] = "in" end,
-      exit = function() trace[2] = "out" end }
-    local fsm = helper.init(parent(rfsm.seqand { left = leaf }))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_leave")
+    local fsm = started(parent(seqand { left = state { warn = false,
+      entry = helper.noting(trace, "in"), exit = helper.noting(trace, "out") } }))
+    run(fsm, "e_leave")
     assert.same({ "in", "out" }, trace)
   end)
 end)
 
 describe("a wrong sequential AND state", function()
   -- What is wrong, and the message, which points at the caller.
-  local CASES = {
-    { "table expected, got nil", nil },
+  for _, case in ipairs {
     { "step: either a number of steps or run = true, not both",
       { step = 2, run = true } },
     { "step: number of steps expected, got string '2'", { step = "2" } },
@@ -166,28 +144,27 @@ describe("a wrong sequential AND state", function()
     { "k: cannot be a connector", { k = rfsm.conn {} } },
     { "doo: is the state's own, and cannot be set", -- the least text
       { state {}, doo = print, substates = {}, run = state {}, k = rfsm.conn {} } },
-  }
-  for _, case in ipairs(CASES) do
+  } do
     it("is refused: " .. case[1], function()
-      local fields = case[2]
-      if fields then fields.left = region({}, "left") end
-      local _, text = pcall(function() return (rfsm.seqand(fields)) end)
-      local place, message = text:match("^(.-:%d+): (.*)$")
-      assert.matches("seqand_spec.lua", place)
-      assert.equal("rfsm.seqand: " .. case[1], message)
+      case[2].left = region({}, "left")
+      assert.equal("rfsm.seqand: " .. case[1], helper.refusal(seqand.new, case[2]))
     end)
   end
 
-  it("is refused for an order without regions", function()
-    local _, text = pcall(function() return (rfsm.seqand { order = { "up" } }) end)
-    assert.matches(": rfsm%.seqand: order%[1%]: name of a region expected, got "
-      .. "string 'up' %(there are none%)$", text)
+  it("is refused without fields, and for an order without regions", function()
+    assert.equal("rfsm.seqand: table expected, got nil", helper.refusal(seqand.new))
+    local _, text = pcall(function() return (seqand { order = { "up" } }) end)
+    assert.matches("seqand_spec.lua:%d+: rfsm%.seqand: order%[1%]: name of a region "
+      .. "expected, got string 'up' %(there are none%)$", text)
   end)
 
+  local function broken(left, tgt)
+    return state { err = false, warn = false, info = false, left = left, a = state {},
+      trans { src = "initial", tgt = tgt } }
+  end
+
   it("with a region that is wrong is a problem of the model, with its place", function()
-    local broken = state { err = false, warn = false, info = false, a = state {},
-      trans { src = "initial", tgt = "b" } }
-    local model = parent(rfsm.seqand { left = broken })
+    local model = parent(seqand { left = broken(nil, "b") })
     model.err = false
     local _, problems = rfsm.init(model)
     assert.equal(1, #problems)
@@ -197,187 +174,115 @@ describe("a wrong sequential AND state", function()
   end)
 
   it("that contains itself is a problem of the model", function()
-    local inner = state { err = false, warn = false, info = false, x = state {},
-      trans { src = "initial", tgt = "x" } }
-    inner.x = rfsm.seqand { left = inner }
+    local inner = broken(nil, "a")
+    inner.a = seqand { left = inner }
     local fsm, problems = rfsm.init(inner)
     assert.is_false(fsm)
     assert.matches("a sequential AND state cannot contain itself", problems[1])
   end)
 end)
 
-describe("entry", function()
-  it("is the user's, then one step of each region in order", function()
+describe("entry and exit", function()
+  local ENTERED = { "right entry root", "right entry a", "left entry root",
+    "left entry a" }
+  local LEFT = { "right exit a", "right exit root", "left exit a", "left exit root" }
+
+  it("are the user's around one step, and the end, of each region in order", function()
     local trace = {}
-    local fsm = helper.init(two(trace, {
-      order = { "right", "left" },
-      entry = function(_, self, what) trace[#trace + 1] = what .. " " .. self._fqn end,
-    }))
+    local function note(_, self, what) trace[#trace + 1] = what .. " " .. self._fqn end
+    local fsm = init(parent(two(trace, { order = { "right", "left" }, entry = note,
+      exit = note })))
     rfsm.step(fsm)
-    assert.same({
-      "entry root.par", "right entry root", "right entry a", "left entry root",
-      "left entry a",
-    }, trace)
+    assert.same({ "entry root.par", unpack(ENTERED) }, trace)
+    rfsm.run(fsm)
+    run(fsm, "e_x")
+    run(fsm, "e_x")
+    helper.clear(trace)
+    run(fsm, "e_leave")
+    LEFT[5] = "exit root.par"
+    assert.same(LEFT, trace)
+    assert.equal("none none", leaves(fsm.par))
+    assert.same({ "e_init_fsm" }, fsm.par.substates.left._intq)
+    helper.clear(trace)
+    run(fsm, "e_enter")
+    assert.same({ "entry root.par", unpack(ENTERED) }, trace)
   end)
 
-  it("of the user that fails goes to err, and the regions are entered", function()
-    local trace, errors = {}, {}
-    local model = two(trace, { entry = function() error("no", 0) end })
-    model.err = function(...) errors[#errors + 1] = table.concat({ ... }) end
-    rfsm.step(helper.init(model))
-    assert.same({ "ENTRYerror executing entry of root.par: no" }, errors)
+  it("of the user that fail go to err, and the regions are entered", function()
+    local trace = {}
+    local model = parent(two(trace, { entry = function() error("no", 0) end }))
+    local errors = helper.said(model, "err")
+    rfsm.step(init(model))
+    assert.same({ "ENTRY error executing entry of root.par:  no" }, errors)
     assert.equal("right entry a", trace[#trace])
   end)
 
-  it("set on the model afterwards is the user's, too", function()
+  it("set on the model, or replaced by a tool, are the user's, too", function()
     local trace = {}
-    local model = two(trace)
-    model.par.entry = function() trace[#trace + 1] = "mine" end
-    rfsm.step(helper.init(model))
+    local model = parent(two(trace))
+    model.par.entry = helper.noting(trace, "mine")
+    local fsm = started(model)
     assert.equal("mine left entry root", trace[1] .. " " .. trace[2])
-  end)
-end)
-
-describe("exit", function()
-  it("leaves the regions in order, then is the user's", function()
-    local trace = {}
-    local fsm = helper.init(two(trace, {
-      exit = function(_, self, what) trace[#trace + 1] = what .. " " .. self._fqn end,
-    }))
-    rfsm.run(fsm)
+    fsm.par.exit = helper.noting(trace, "tool")
     helper.clear(trace)
-    helper.post_and_run(fsm, "e_leave")
-    assert.same({
-      "left exit a", "left exit root", "right exit a", "right exit root",
-      "exit root.par",
-    }, trace)
-  end)
-
-  it("resets the regions", function()
-    local fsm = helper.init(two {})
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_leave")
-    assert.equal("none none", leaves(fsm.par))
-    assert.same({ "e_init_fsm" }, fsm.par.substates.left._intq)
-  end)
-
-  it("does not exit a region that was never entered", function()
-    local exits = 0
-    local closed = state {
-      err = false, warn = false, info = false, a = state {},
-      exit = function() exits = exits + 1 end,
-      trans { src = "initial", tgt = "a", guard = function() return false end },
-    }
-    local fsm = helper.init(parent(rfsm.seqand { left = closed }))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_leave")
-    assert.equal(0, exits)
-  end)
-
-  it("leaves the regions also when a tool has replaced it", function()
-    local trace = {}
-    local fsm = helper.init(two(trace))
-    rfsm.run(fsm)
-    fsm.par.exit = function() trace[#trace + 1] = "tool" end
-    helper.clear(trace)
-    helper.post_and_run(fsm, "e_leave")
+    run(fsm, "e_leave")
     assert.equal("tool left exit a", trace[1] .. " " .. trace[2])
   end)
 
-  it("leaves nothing behind when the state is entered again", function()
+  it("do not exit a region that was never entered", function()
     local trace = {}
-    local fsm = helper.init(two(trace))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_x")
-    helper.post_and_run(fsm, "e_leave")
-    helper.clear(trace)
-    helper.post_and_run(fsm, "e_enter")
-    assert.same({
-      "left entry root", "left entry a", "right entry root", "right entry a",
-    }, trace)
+    local closed = plain({}, {}, { err = false, exit = helper.noting(trace, "exit") })
+    closed[1].guard = function() return false end
+    run(started(parent(seqand { left = closed })), "e_leave")
+    assert.same({}, trace)
   end)
 end)
 
 describe("doo", function()
-  local function trace_of(fields, steps)
-    local trace = {}
-    for _, name in ipairs { "c", "a", "b" } do fields[name] = worker(trace, name) end
-    local fsm = helper.init(parent(rfsm.seqand(fields)))
-    rfsm.step(fsm)
-    for _ = 1, steps or 1 do rfsm.step(fsm) end
-    return trace
-  end
-
-  it("steps each region once, by name", function()
-    assert.same({ "a 1", "b 1", "c 1" }, trace_of {})
-  end)
-
-  it("steps those of order first, a duplicate once", function()
-    assert.same({ "c 1", "a 1", "b 1" }, trace_of { order = { "c", "c" } })
-  end)
-
-  it("steps as often as step says, when the regions are busy", function()
-    local trace = {}
-    local fsm = helper.init(parent(rfsm.seqand {
-      step = 3, a = worker(trace, "a", 9), b = worker(trace, "b", 9),
-    }))
-    rfsm.step(fsm)
-    helper.clear(trace)
-    rfsm.run(fsm)
-    assert.same({ "a 1", "a 2", "a 3", "b 1", "b 2", "b 3" }, trace)
-  end)
-
-  it("runs each region when run is set", function()
-    local trace = {}
-    local fsm = helper.init(parent(rfsm.seqand {
-      run = true, a = worker(trace, "a", 3), b = worker(trace, "b", 2),
-    }))
-    rfsm.run(fsm)
-    assert.same({ "a 1", "a 2", "a 3", "b 1", "b 2" }, trace)
-  end)
-
-  it("advances once per run, since it is idle by default", function()
-    local trace = {}
-    local fsm = helper.init(parent(rfsm.seqand { a = worker(trace, "a", 9) }))
-    rfsm.run(fsm)
-    helper.clear(trace)
-    assert.is_true(rfsm.run(fsm))
-    assert.equal(1, #trace)
-  end)
-
-  for _, field in ipairs { "idle_doo", "idle.doo" } do
-    it("is never idle when " .. field .. " is false", function()
-      local par = rfsm.seqand { a = region({}, "a"), [field] = false }
-      local fsm = helper.init(parent(par))
-      assert.is_false(rfsm.step(fsm, 50))
+  -- The fields, the cycles of each worker, what they note in a run after the entry.
+  for _, case in ipairs {
+    { "steps each region once, by name", {}, { c = 9, a = 9, b = 9 }, "a 1 b 1 c 1" },
+    { "steps those of order first, a duplicate once", { order = { "c", "c" } },
+      { c = 9, a = 9, b = 9 }, "c 1 a 1 b 1" },
+    { "steps as often as step says, while the regions are busy", { step = 3 },
+      { a = 9, b = 9 }, "a 1 a 2 a 3 b 1 b 2 b 3" },
+    { "runs each region when run is set", { run = true }, { a = 3, b = 2 },
+      "a 1 a 2 a 3 b 1 b 2" },
+    { "runs all work in one run when idle_doo is 'auto'", { idle_doo = "auto" },
+      { a = 3, b = 5 }, "a 1 b 1 a 2 b 2 a 3 b 3 b 4 b 5" },
+  } do
+    it(case[1], function()
+      local trace, fields = {}, case[2]
+      for name, cycles in pairs(case[3]) do -- any order: a set
+        fields[name] = worker(trace, name, cycles)
+      end
+      local fsm = init(parent(seqand(fields)))
+      rfsm.step(fsm)
+      assert.is_true(rfsm.run(fsm))
+      assert.equal(case[4], table.concat(trace, " "))
     end)
   end
 
-  it("runs all work in one run when idle_doo is 'auto'", function()
-    local trace = {}
-    local fsm = helper.init(parent(rfsm.seqand {
-      idle_doo = "auto", a = worker(trace, "a", 3), b = worker(trace, "b", 5),
-    }))
-    assert.is_true(rfsm.run(fsm))
-    assert.same({ "a 1", "b 1", "a 2", "b 2", "a 3", "b 3", "b 4", "b 5" }, trace)
-  end)
+  for _, field in ipairs { "idle_doo", "idle.doo" } do
+    it("is never idle when " .. field .. " is false", function()
+      local par = seqand { a = region({}, "a"), [field] = false }
+      assert.is_false(rfsm.step(init(parent(par)), 50))
+    end)
+  end
 
   it("processes an event in the same run when idle_doo is 'auto'", function()
-    local fsm = helper.init(two({}, { idle_doo = "auto" }))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_x", "e_x")
+    local fsm = started_two({}, { idle_doo = "auto" })
+    run(fsm, "e_x", "e_x")
     assert.equal("root.b root.b", leaves(fsm.par))
   end)
 
   it("survives a region whose program fails", function()
-    local errors, trace = {}, {}
-    local bad = state { warn = false, info = false,
-      err = function(id) errors[#errors + 1] = id end,
-      a = state { doo = function() error("no") end },
-      trans { src = "initial", tgt = "a" } }
-    local fsm = helper.init(parent(rfsm.seqand { a = bad, b = worker(trace, "b") }))
+    local trace = {}
+    local bad = plain { doo = function() error("no", 0) end }
+    local errors = helper.said(bad, "err", "DOO")
+    local fsm = init(parent(seqand { a = bad, b = worker(trace, "b") }))
     for _ = 1, 5 do rfsm.run(fsm) end
-    assert.same({ "DOO" }, errors)
+    assert.equal(1, #errors)
     assert.equal("b 4", trace[4])
   end)
 
@@ -385,7 +290,7 @@ describe("doo", function()
     local trace = {}
     local bad = region({}, "bad")
     bad.getevents = function() error("no bus", 0) end
-    local fsm = helper.init(parent(rfsm.seqand { a = bad, b = worker(trace, "b") }))
+    local fsm = init(parent(seqand { a = bad, b = worker(trace, "b") }))
     for _ = 1, 3 do
       assert.error_matches(function() rfsm.step(fsm) end, "no bus")
     end
@@ -395,25 +300,19 @@ describe("doo", function()
 
   it("lets a region reset itself", function()
     local entries, self = 0, nil
-    local model = state { warn = false, info = false,
-      a = state { entry = function(fsm)
-        entries, self = entries + 1, fsm
-      end }, b = state { entry = function() rfsm.reset(self) end },
-      trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "b", events = { "e_x" } } }
-    local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", a = model }))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_x")
+    local fsm = started(parent(seqand { idle_doo = "auto", left = plain({
+      entry = function(fsm) entries, self = entries + 1, fsm end,
+    }, { entry = function() rfsm.reset(self) end }) }))
+    run(fsm, "e_x")
     assert.equal(2, entries)
-    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm.par.substates.a))
+    assert.equal("root.a none", leaves(fsm.par))
   end)
 
   for _, field in ipairs { "andseqdbg", "seqanddbg" } do
     it("prints each advance when " .. field .. " is set", function()
-      local said = {}
-      local model = parent(rfsm.seqand { left = region({}, "left"), [field] = true })
-      model.info = function(text) said[#said + 1] = text end
-      rfsm.run(helper.init(model))
+      local model = parent(seqand { left = region({}, "left"), [field] = true })
+      local said = helper.said(model, "info")
+      started(model)
       assert.equal("SEQAND root.par: left advanced to root.a", said[#said])
     end)
   end
@@ -423,17 +322,18 @@ describe("an event", function()
   local function received_by(fsm, ...)
     local trace = {}
     for _, name in ipairs { "left", "right" } do
-      local machine = fsm.par.substates[name]
-      rfsm.pre_step_hook_add(machine, function(_, events)
+      rfsm.pre_step_hook_add(fsm.par.substates[name], function(_, events)
         for i = 1, #events do trace[#trace + 1] = name .. " " .. events[i] end
       end)
     end
-    helper.post_and_run(fsm, ...)
+    run(fsm, ...)
     return trace
   end
 
-  local function settled(fields)
-    local fsm = helper.init(two({}, fields))
+  local function settled(fields, again)
+    local model = parent(two({}, fields))
+    model[4] = again
+    local fsm = init(model)
     for _ = 1, 3 do rfsm.run(fsm) end
     return fsm
   end
@@ -443,13 +343,14 @@ describe("an event", function()
       received_by(settled(), "e_y", "e_z"))
   end)
 
-  it("from getevents goes to every region", function()
-    local fsm, sent = settled(), false
-    fsm.getevents = function()
-      local events = sent and {} or { "e_y" }
-      sent = true
-      return events
-    end
+  it("from getevents goes to every region, while hooks come and go", function()
+    local fsm, events = settled(), { "e_y" }
+    fsm.getevents = function() return { table.remove(events) } end
+    local function hook() end
+    rfsm.pre_step_hook_add(fsm, function()
+      rfsm.post_step_hook_rm(fsm, hook)
+      rfsm.post_step_hook_add(fsm, hook, "before")
+    end)
     assert.same({ "left e_y", "right e_y" }, received_by(fsm))
   end)
 
@@ -459,51 +360,38 @@ describe("an event", function()
 
   it("that makes the state be entered goes to every region", function()
     local fsm = settled()
-    helper.post_and_run(fsm, "e_leave")
+    run(fsm, "e_leave")
     assert.same({ "left e_init_fsm", "right e_init_fsm", "left e_done@root.a",
       "left e_enter", "left e_x", "right e_done@root.a", "right e_enter", "right e_x" },
       received_by(fsm, "e_enter", "e_x"))
   end)
 
   it("that leaves the state and enters it again goes to every region", function()
-    local model = two {}
-    model[4] = trans { src = "par", tgt = "par", events = { "e_again" } }
-    local fsm = helper.init(model)
-    for _ = 1, 3 do rfsm.run(fsm) end
-    helper.post_and_run(fsm, "e_again", "e_x")
+    local fsm = settled({}, trans { src = "par", tgt = "par", events = { "e_again" } })
+    run(fsm, "e_again", "e_x")
     assert.equal("root.b root.b", leaves(fsm.par))
   end)
 
   it("reaches the regions once, also under events that never end", function()
-    local fsm, count = settled(), 0
+    local fsm, count, expected, trace = settled(), 0, {}, {}
     fsm.getevents = function()
       count = count + 1
-      return { "e_" .. count }
+      return { count }
     end
-    local trace = {}
     rfsm.pre_step_hook_add(fsm.par.substates.left, function(_, events)
       for i = 1, #events do trace[#trace + 1] = events[i] end
     end)
     for _ = 1, 20 do rfsm.step(fsm) end
-    for i = 1, 15 do assert.equal("e_" .. i, trace[i]) end
-  end)
-
-  it("is forwarded while hooks come and go", function()
-    local fsm = settled()
-    local function hook() end
-    rfsm.pre_step_hook_add(fsm, function()
-      rfsm.post_step_hook_rm(fsm, hook)
-      rfsm.post_step_hook_add(fsm, hook, "before")
-    end)
-    assert.same({ "left e_y", "right e_y" }, received_by(fsm, "e_y"))
+    for i = 1, #trace do expected[i] = i end
+    assert.same(expected, trace)
+    assert.is_true(#trace >= 15)
   end)
 
   it("may be anything, and 100,000 in one step are no problem", function()
-    local fsm, sum = settled { run = true }, 0
+    local fsm, sum, storm = settled { run = true }, 0, {}
     rfsm.pre_step_hook_add(fsm.par.substates.right, function(_, events)
       sum = sum + #events
     end)
-    local storm = {}
     for i = 1, 100000 do storm[i] = i end
     fsm.getevents = function()
       local events = storm
@@ -516,89 +404,67 @@ describe("an event", function()
 end)
 
 describe("nesting", function()
-  it("two deep carries events down and leaves from inside out", function()
-    local trace = {}
-    local inner = parent(rfsm.seqand {
-      idle_doo = "auto", leaf = region(trace, "leaf"),
-    })
-    inner[2], inner[3], inner.off = nil, nil, nil
-    local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", inner = inner }))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_x")
-    helper.post_and_run(fsm, "e_leave")
-    assert.same({
-      "leaf entry root", "leaf entry a", "leaf exit a", "leaf entry b", "leaf exit b",
-      "leaf exit root",
-    }, trace)
-  end)
+  local function auto(fields)
+    fields.idle_doo, fields.warn, fields.info = "auto", false, false
+    return seqand(fields)
+  end
 
-  it("directly in another sequential AND state works, too", function()
-    local trace = {}
-    local inner = rfsm.seqand { warn = false, info = false, idle_doo = "auto",
-      leaf = region(trace, "leaf") }
-    local fsm = helper.init(parent(rfsm.seqand { idle_doo = "auto", inner = inner }))
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_x")
-    assert.equal("leaf entry b", trace[#trace])
-  end)
+  for name, wrap in pairs { -- any order: two specs
+    ["in a machine"] = function(par)
+      return state { warn = false, info = false, par = par,
+        trans { src = "initial", tgt = "par" } }
+    end,
+    directly = function(par) return par end,
+  } do
+    it("carries events down and leaves from inside out: " .. name, function()
+      local trace = {}
+      local inner = wrap(auto { leaf = region(trace, "leaf") })
+      local fsm = started(parent(auto { inner = inner }))
+      run(fsm, "e_x")
+      run(fsm, "e_leave")
+      assert.same({ "leaf entry root", "leaf entry a", "leaf exit a", "leaf entry b",
+        "leaf exit b", "leaf exit root" }, trace)
+    end)
+  end
 end)
 
 describe("instances", function()
   it("of one model have regions of their own, a hundred side by side", function()
-    local model, machines = two({}, { idle_doo = "auto" }), {}
-    for i = 1, 100 do
-      machines[i] = helper.init(model)
-      rfsm.run(machines[i])
-    end
-    for i = 1, 100, 2 do helper.post_and_run(machines[i], "e_x") end
-    local wrong = 0
+    local model, machines = parent(two({}, { idle_doo = "auto" })), {}
+    for i = 1, 100 do machines[i] = started(model) end
+    for i = 1, 100, 2 do run(machines[i], "e_x") end
     for i = 1, 100 do
       local expected = i % 2 == 1 and "root.b root.b" or "root.a root.a"
-      if leaves(machines[i].par) ~= expected then wrong = wrong + 1 end
+      assert.equal(expected, leaves(machines[i].par))
     end
-    assert.equal(0, wrong)
   end)
 
   it("of a machine have regions of their own", function()
-    local first = helper.init(two {})
-    local second = helper.init(first)
-    assert.not_equal(first.par.substates.left, second.par.substates.left)
+    local first = init(parent(two {}))
+    assert.not_equal(first.par.substates.left, init(first).par.substates.left)
   end)
 
   it("report what init finds in their regions, by the printer of the region", function()
-    local told = {}
-    local function talking(info)
-      return state { info = info, warn = false, s = state {},
-        trans { src = "initial", tgt = "s" } }
-    end
-    local model = rfsm.seqand {
-      silent = talking(false),
-      told = talking(function(text) told[#told + 1] = text end),
-    }
-    helper.init(model)
-    helper.init(model)
+    local told = plain {}
+    local said = helper.said(told, "info")
+    local model = seqand { silent = plain {}, told = told }
+    init(model)
+    init(model)
     local text = "INFO: created undeclared connector root.initial"
-    assert.same({ text, text }, told)
+    assert.same({ text, text }, said)
   end)
 
-  it("mounted twice in one machine have regions of their own", function()
-    local par = rfsm.seqand { left = region({}, "left"), right = region({}, "right") }
+  it("mounted twice, or merged, have regions of their own", function()
+    local par = two {}
     local model = parent(par)
     model.off = par
-    local fsm = helper.init(model)
-    rfsm.run(fsm)
+    local fsm = started(model)
     assert.equal("root.a root.a", leaves(fsm.par))
     assert.equal("none none", leaves(fsm.off))
-  end)
-
-  it("merged into a live machine run like others", function()
-    local fsm = helper.init(two {})
-    rfsm.run(fsm)
-    local par = rfsm.seqand { left = region({}, "left"), right = region({}, "right") }
     assert.is_true(rfsm.fsm_merge(fsm, fsm, par, "more"))
     assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "par", tgt = "more",
       events = { "e_more" } }))
-    helper.post_and_run(fsm, "e_more")
+    run(fsm, "e_more")
     assert.equal("root.a root.a", leaves(fsm.more))
   end)
 end)
@@ -606,8 +472,7 @@ end)
 describe("reset", function()
   it("resets the regions, without exits", function()
     local trace = {}
-    local fsm = helper.init(two(trace))
-    rfsm.run(fsm)
+    local fsm = started_two(trace)
     helper.clear(trace)
     rfsm.reset(fsm)
     assert.same({}, trace)
@@ -616,13 +481,8 @@ describe("reset", function()
 
   it("of the parent machine by a region comes when the iteration ends", function()
     local fsm
-    local resetter = state { warn = false, info = false, a = state {},
-      b = state { entry = function() rfsm.reset(fsm) end },
-      trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "b", events = { "e_x" } } }
-    fsm = helper.init(parent(rfsm.seqand {
-      left = resetter, right = region({}, "right"),
-    }))
+    fsm = init(parent(seqand { right = region({}, "right"),
+      left = plain({}, { entry = function() rfsm.reset(fsm) end }) }))
     for _ = 1, 3 do rfsm.run(fsm) end
     rfsm.send_events(fsm, "e_x")
     rfsm.step(fsm)
@@ -631,10 +491,7 @@ describe("reset", function()
   end)
 end)
 
-describe("a machine without sequential AND states", function()
-  it("has nothing of this extension", function()
-    local fsm = helper.init(region({}, "plain"))
-    assert.is_nil(fsm._has_seqand)
-    assert.is_nil(fsm.a._seqand)
-  end)
+it("a machine without sequential AND states has nothing of this extension", function()
+  local fsm = init(region({}, "plain"))
+  assert.same({}, { fsm._has_seqand, fsm.a._seqand })
 end)

@@ -80,12 +80,12 @@ local SAID = {
   ["showfqn() step() showfqn()"] = "active: <none>\n" .. AT_HELLO
     .. "active: root.hello(done)\n",
   ["events() run() events()"] = "step() enters the machine\n" .. AT_END
-    .. "e_restart:  root.world -> root.hello\n",
+    .. "e_restart\n",
   ["run() reset() step()"] = AT_END .. "active: <none>\nqueue:  e_init_fsm\n"
     .. AT_HELLO,
   ["run()\nreload()\nfsm.hello\nstep()"] = AT_END .. INFO
-    .. "active: <none>\nqueue:  e_init_fsm\n"
-    .. "state root.hello (inactive)\n" .. AT_HELLO,
+    .. "active: root.world(done)\nqueue:  \nstate root.hello (inactive)\n"
+    .. "active: root.world(done)\nqueue:  \n",
   ["'hello', 'world'\nnil\n= 'three'\n"] = "hello\tworld\nnil\nthree\n",
   ["rfsm.is_root(fsm)\nfsm\nfsm[1]"] = "true\nmachine, active: <none>\n"
     .. "T={ src='root.initial', tgt='root.hello' }\n",

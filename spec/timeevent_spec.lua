@@ -5,7 +5,10 @@ local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
-local e_after, e_at = timeevent.e_after, timeevent.e_at
+local chart, init, started, said =
+  helper.chart, helper.init, helper.started, helper.said
+local e_after, e_at, next_deadline, set_gettime_hook =
+  timeevent.e_after, timeevent.e_at, timeevent.next_deadline, timeevent.set_gettime_hook
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -20,65 +23,43 @@ end
 
 local function clock() return now[1], now[2] end
 
--- (initial) -> a --events--> b --e_back--> a
-local function chart(events)
-  return state {
-    warn = false, info = false, a = state {}, b = state {},
-    trans { src = "initial", tgt = "a" },
-    trans { src = "a", tgt = "b", events = events },
-    trans { src = "b", tgt = "a", events = { "e_back" } },
-  }
-end
-
--- The machine of a chart, after its first run.
-local function started(model)
-  local fsm = helper.init(model)
-  rfsm.run(fsm)
-  return fsm
-end
-
--- Runs, and says where that led.
-local function active_after(fsm, sec, nsec)
-  advance(sec, nsec)
-  rfsm.run(fsm)
-  return fsm._act_leaf._id
-end
-
-local function leaf(fsm) return fsm._act_leaf._id end
-
--- Collects what `fsm` hands to the printer `name`, words joined.
-local function said(fsm, name, id)
-  local lines = {}
-  fsm[name] = function(...)
-    if id and (...) ~= id then return end
-    local texts = { ... }
-    for i = 1, #texts do texts[i] = tostring(texts[i]) end
-    lines[#lines + 1] = table.concat(texts, " ")
-  end
-  return lines
-end
-
-before_each(function()
-  now = { 1000, 0 }
-  timeevent.set_gettime_hook(clock)
-end)
-
--- Moves a machine: "+3" three seconds later, "+0,1" a nanosecond later, "e_x" with that
--- event; "=b" is the leaf that is active then.
-local function check_story(fsm, story)
-  for move, expected in story:gmatch("(%S*)=(%S+)") do
-    local sec, nsec = move:match("^%+([^,]+),?(%d*)$")
-    if sec then advance(tonumber(sec), tonumber(nsec)) end
-    if sec or move == "" then rfsm.run(fsm) else helper.post_and_run(fsm, move) end
-    assert.equal(expected, leaf(fsm), story .. ": " .. move)
-  end
+-- Stories: "+3" is three seconds later, "+0,1" a nanosecond.
+local function check(fsm, story)
+  assert.equal(story, helper.story(fsm, story, function(time)
+    local sec, nsec = time:match("^([^,]+),?(%d*)$")
+    advance(tonumber(sec), tonumber(nsec))
+  end))
 end
 
 local function fail() error("out of order", 0) end
 
+local function run_after(fsm, sec, nsec)
+  advance(sec, nsec)
+  rfsm.run(fsm)
+end
+
+before_each(function()
+  now = { 1000, 0 }
+  set_gettime_hook(clock)
+end)
+
+local function another(src, tgt, event, fields)
+  local tr = trans { src = src, tgt = tgt, events = { event } }
+  for key, value in pairs(fields or {}) do tr[key] = value end -- any order: a set
+  return tr
+end
+
+local function closed() return false end
+
+-- (initial) -> x --e_next--> y
+local function inner()
+  return state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
+    another("x", "y", "e_next") }
+end
+
 describe("a time event", function()
   local callable = setmetatable({}, { __call = function() return 1 end })
-  -- A circumstance, the events from a to b, moves and leaves.
+  -- A circumstance, the events from a to b, moves and leaves, more members.
   for _, case in ipairs {
     { "comes when more time has passed", { "e_after(3)" }, "+3=a +0,1=b" },
     { "may be the only one, as a text", "e_after(3)", "+4=b" },
@@ -98,41 +79,51 @@ describe("a time event", function()
       { e_after(function() return math.huge end) }, "+1e9=a" },
     { "for a negative number comes at once", { e_after(function() return -5 end) },
       "=a +0,1=b" },
+    { "at the time that a function returns",
+      { e_at(function() return now[1] + 5 end) }, "+5=a +0,1=b" },
     { "comes also if the function of another fails", { e_after(fail), "e_after(3)" },
       "+4=b" },
+    { "may be that of the root", { "e_x" }, "+6=b",
+      { [5] = another("root", "b", "e_after(5)") } },
+    { "goes through connectors by the rules for all events", { "e_x" }, "+1=a +0,1=b",
+      { k = conn {}, [5] = another("a", "k", "e_after(1)"),
+        [6] = trans { src = "k", tgt = "b" } } },
+    { "may be one of several, each with its transition", { "e_after(5)" }, "+3=c",
+      { c = state {}, [5] = another("a", "c", "e_after(2)") } },
+    { "of a composite goes on across inner transitions", { "e_after(10)" },
+      "+6=x e_next=y +4=y +0,1=b", { a = inner() } },
   } do
     it(case[1], function()
-      local model = chart(case[2])
-      model[4] = trans { src = "a", tgt = "a", events = { "e_self" } }
-      model.err = false
-      check_story(started(model), case[3])
+      local model = chart(case[2], case[4])
+      model[4], model.err = another("a", "a", "e_self"), false
+      check(started(model), case[3])
     end)
   end
-end)
 
-describe("e_after", function()
-  it("is acted on in the step call that finds it expired", function()
-    local fsm = started(chart { "e_after(3)" })
-    advance(4)
-    rfsm.step(fsm)
-    assert.equal("b", leaf(fsm))
-  end)
+  -- The events as they are written, and as they are in the machine.
+  for _, case in ipairs {
+    { { "e_after(3)" }, { "e_after(3)@root.a" } },
+    { { e_at(1010.5) }, { "e_at(1010.5)@root.a" } },
+    { { e_after(closed, "patience") }, { "e_after(patience)@root.a" } },
+    { { e_after(closed), e_after(fail) },
+      { "e_after(function)@root.a", "e_after(function)#2@root.a" } },
+  } do
+    it("bears the name of its source: " .. case[2][1], function()
+      local model = chart(case[1])
+      model.err = false
+      local first = case[1][1]
+      assert.same(case[2], started(model)[2].events)
+      assert.equal(first, model[2].events[1])
+    end)
+  end
 
-  it("bears the name of the source", function()
-    local fsm = started(chart { "e_after(3)" })
-    assert.same({ "e_after(3)@root.a" }, fsm[2].events)
-  end)
-
-  it("leaves the model as it is", function()
-    local model = chart { "e_after(3)" }
-    started(model)
-    assert.same({ "e_after(3)" }, model[2].events)
-  end)
-
-  it("reaches the effect by its name", function()
+  it("is acted on in the step call that finds it expired, by its name", function()
     local model, seen = chart { "e_after(3)" }, nil
     model[2].effect = function(_, _, _, events) seen = events end
-    active_after(started(model), 4)
+    local fsm = started(model)
+    advance(4)
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
     assert.same({ "e_after(3)@root.a" }, seen)
   end)
 
@@ -142,204 +133,90 @@ describe("e_after", function()
       asked = asked + 1
       return false
     end
-    local fsm = started(model)
-    active_after(fsm, 2)
-    active_after(fsm, 2)
+    check(started(model), "+2=a +2=a")
     assert.equal(1, asked)
   end)
 
-  it("is disarmed when its state is left", function()
-    local model = chart { "e_x" }
-    model[4] = trans { src = "a", tgt = "b", events = { "e_after(1)" } }
-    local fsm = started(model)
-    helper.post_and_run(fsm, "e_x")
-    assert.is_nil(timeevent.next_deadline(fsm))
-  end)
-
-  it("is armed before the entry of the state", function()
-    local armed
-    local model = chart { "e_after(2)" }
-    model.a.entry = function(fsm) armed = timeevent.next_deadline(fsm) end
-    started(model)
-    assert.equal(2 + 1e-9, armed)
-  end)
-
-  it("leaves the arguments of entry and exit alone", function()
+  it("is armed before the entry, and leaves its arguments and exit's alone", function()
     local trace = {}
     local function note(fsm, self, what)
-      trace[#trace + 1] = what .. " " .. self._fqn .. " " .. fsm._id
+      trace[#trace + 1] = ("%s %s %s %s"):format(what, self._fqn, fsm._id,
+        tostring(next_deadline(fsm) == 2 + 1e-9))
     end
     local model = chart { "e_after(2)" }
     model.a.entry, model.a.exit = note, note
-    active_after(started(model), 3)
-    assert.same({ "entry root.a root", "exit root.a root" }, trace)
+    check(started(model), "+3=b")
+    assert.same({ "entry root.a root true", "exit root.a root false" }, trace)
   end)
 
   it("stays when a tool replaces entry and exit of a live machine", function()
-    local fsm = helper.init(chart { "e_after(2)" })
+    local fsm = init(chart { "e_after(2)" })
     fsm.a.entry, fsm.a.exit = function() end, function() end
     rfsm.run(fsm)
-    assert.equal("b", active_after(fsm, 3))
-  end)
-
-  it("fires in a root of its own", function()
-    local model = chart { "e_x" }
-    model[4] = trans { src = "root", tgt = "b", events = { "e_after(5)" } }
-    local fsm = started(model)
-    assert.equal("b", active_after(fsm, 6))
-  end)
-
-  it("goes through connectors by the rules for all events", function()
-    local model = state {
-      a = state {}, b = state {}, k = conn {},
-      trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "k", events = { "e_after(1)" } },
-      trans { src = "k", tgt = "b" },
-    }
-    assert.equal("b", active_after(started(model), 2))
-  end)
-end)
-
-describe("the timer of a composite", function()
-  -- (initial) -> c[ (initial) -> x --e_next--> y ] --e_after(10)--> out
-  local function composite()
-    return state {
-      c = state {
-        x = state {}, y = state {},
-        trans { src = "initial", tgt = "x" },
-        trans { src = "x", tgt = "y", events = { "e_next" } },
-      },
-      out = state {},
-      trans { src = "initial", tgt = "c" },
-      trans { src = "c", tgt = "out", events = { "e_after(10)" } },
-    }
-  end
-
-  it("runs across inner transitions", function()
-    local fsm = started(composite())
-    advance(6)
-    helper.post_and_run(fsm, "e_next")
-    assert.equal("y", active_after(fsm, 4))
-    assert.equal("out", active_after(fsm, 0, 1))
-  end)
-
-  it("has the name of the composite", function()
-    assert.same({ "e_after(10)@root.c" }, started(composite())[2].events)
+    check(fsm, "+3=b")
   end)
 end)
 
 describe("many timers", function()
-  it("may belong to one state, each with its transition", function()
-    local model = chart { "e_after(5)" }
-    model.c = state {}
-    model[4] = trans { src = "a", tgt = "c", events = { "e_after(2)" } }
-    assert.equal("c", active_after(started(model), 3))
-  end)
+  local function effect_events(events, more)
+    local model, seen = chart(events), nil
+    local function effect(_, _, _, found) seen = found end
+    model[2].effect, model[4] = effect, more
+    if more then more.effect = effect end
+    run_after(started(model), 9)
+    return seen
+  end
 
   it("that expire together come in the order of their times, then as declared",
     function()
-      local model, seen = chart { "e_after(3)", "e_after(1)", "e_at(1001)" }, nil
-      model[2].effect = function(_, _, _, events) seen = events end
-      active_after(started(model), 9)
-      assert.same({
-        "e_after(1)@root.a", "e_after(3)@root.a", "e_at(1001)@root.a",
-      }, seen)
+      assert.same({ "e_after(1)@root.a", "e_after(3)@root.a", "e_at(1001)@root.a" },
+        effect_events { "e_after(3)", "e_after(1)", "e_at(1001)" })
     end)
 
   it("with one name at one source are one timer", function()
-    local model, seen = chart { "e_after(1)" }, nil
-    model[4] = trans {
-      src = "a", tgt = "b", events = { "e_after(1)" }, pn = 1,
-      effect = function(_, _, _, events) seen = events end,
-    }
-    active_after(started(model), 2)
-    assert.same({ "e_after(1)@root.a" }, seen)
+    assert.same({ "e_after(1)@root.a" }, effect_events({ "e_after(1)" },
+      another("a", "b", "e_after(1)", { pn = 1 })))
   end)
 
   it("fire in the order of their times, whatever the order of arming", function()
-    local delays, model = {}, chart { "e_x" }
-    for i = 1, 200 do delays[i] = (i * 73) % 199 + 1 end
+    local model, expected = chart { "e_x" }, {}
     for i = 1, 200 do
-      model[i + 3] = trans { src = "a", tgt = "a", guard = function() return false end,
-        events = { ("e_after(%d)"):format(delays[i]) } }
+      local event = ("e_after(%d)"):format((i * 73) % 199 + 1)
+      model[i + 3] = another("a", "a", event, { guard = closed })
     end
     local fsm = started(model)
     local fired = said(fsm, "dbg", "TIMEEVENT")
-    for _ = 1, 200 do active_after(fsm, 1, 1) end
-    local expected = {}
-    for i = 1, 199 do expected[i] = ("TIMEEVENT e_after(%d)@root.a"):format(i) end
+    for i = 1, 200 do
+      run_after(fsm, 1, 1)
+      expected[i] = i < 200 and ("TIMEEVENT e_after(%d)@root.a"):format(i) or nil
+    end
     assert.same(expected, fired)
   end)
 
   it("are disarmed one by one from the middle without disturbing the rest", function()
-    -- two states side by side in a composite: the inner one's timers go, the outer stay
-    local model = state {
-      c = state {
-        x = state {}, y = state {},
-        trans { src = "initial", tgt = "x" },
-        trans { src = "x", tgt = "y", events = { "e_next" } },
-      },
-      trans { src = "initial", tgt = "c" },
-    }
+    -- those of x in c go, those of c stay
+    local model, expected = state { c = inner(), another("initial", "c") }, {}
     for i = 1, 40 do
       local owner = i % 2 == 0 and "c" or ".c.x"
-      model[i + 1] = trans { src = owner, tgt = owner, pn = -1,
-        guard = function() return false end, events = { e_after((i * 17) % 41) } }
+      model[i + 1] = another(owner, owner, e_after((i * 17) % 41),
+        { pn = -1, guard = closed })
     end
     local fsm = started(model)
     helper.post_and_run(fsm, "e_next")
     local fired = said(fsm, "dbg", "TIMEEVENT")
-    active_after(fsm, 100)
-    local expected = {}
+    run_after(fsm, 100)
     for delay = 1, 40 do
       local i = (delay * 29) % 41 -- 17 * 29 = 1 modulo 41
-      if i % 2 == 0 then
-        expected[#expected + 1] = ("TIMEEVENT e_after(%d)@root.c"):format(delay)
-      end
+      expected[#expected + 1] = i % 2 == 0
+        and ("TIMEEVENT e_after(%d)@root.c"):format(delay) or nil
     end
     assert.same(expected, fired)
   end)
-end)
 
-describe("a fraction of a second", function()
-  -- T as written, and the nanoseconds that it is.
-  local FRACTIONS = {
-    { "0.1", 100000000 }, { "0.25", 250000000 }, { "0.9", 900000000 },
-    { "1e-9", 1 }, { "0.000000001", 1 }, { ".5", 500000000 }, { "2.5e-1", 250000000 },
-    { "0.3", 300000000 }, { "0.7", 700000000 }, { "0.123456789", 123456789 },
-    { "0.999999999", 999999999 }, { "0.9999999996", 1000000000 }, { "3.", 3 * BILLION },
-  }
-  for _, fraction in ipairs(FRACTIONS) do
-    local text, ns = fraction[1], fraction[2]
-
-    it("in e_after(" .. text .. ") is exact to the nanosecond", function()
-      local fsm = started(chart { "e_after(" .. text .. ")" })
-      assert.equal("a", active_after(fsm, 0, ns))
-      assert.equal("b", active_after(fsm, 0, 1))
-    end)
-
-    it("in the object e_after(" .. text .. ") is exact to the nanosecond", function()
-      now = { 1700000000, 999999999 }
-      local fsm = started(chart { e_after(tonumber(text)) })
-      assert.equal("a", active_after(fsm, 0, ns))
-      assert.equal("b", active_after(fsm, 0, 1))
-    end)
-  end
-
-  it("of an absolute time is exact in text, however late", function()
-    local fsm = started(chart { "e_at(1700000000.123456789)" })
-    now = { 1700000000, 123456789 }
-    assert.equal("a", active_after(fsm, 0))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-end)
-
-describe("a day of timers in milliseconds", function()
-  it("in a row drifts by nothing", function()
-    -- each entry arms one millisecond; the clock advances by one and a nanosecond
+  it("of a millisecond each, 20,000 in a row, drift by nothing", function()
     local model, count = chart { "e_x" }, 0
-    model[4] = trans { src = "a", tgt = "a", events = { "e_after(0.001)" },
-      effect = function() count = count + 1 end }
+    model[4] = another("a", "a", "e_after(0.001)",
+      { effect = function() count = count + 1 end })
     local fsm = started(model)
     for _ = 1, 20000 do
       advance(0, 1000000)
@@ -347,17 +224,14 @@ describe("a day of timers in milliseconds", function()
       advance(0, 1)
       rfsm.step(fsm, 2)
     end
-    assert.equal(20000, count)
-    assert.same({ 1020, 20000 }, now)
+    assert.same({ 20000, { 1020, 20000 } }, { count, now })
   end)
 
-  it("fires each of a thousand at its millisecond", function()
-    -- 1,000 timers spread over the day, each found at its millisecond and not before
+  it("spread over a day fire each at its millisecond, 1,000 of them", function()
     local model = chart { "e_x" }
     for i = 1, 1000 do
-      model[i + 3] = trans { src = "a", tgt = "a", guard = function() return false end,
-        events = { ("e_after(%d.%03d)"):format(math.floor(i * 86400 / 1000),
-          i * 86400 % 1000) } }
+      model[i + 3] = another("a", "a", ("e_after(%d.%03d)"):format(
+        math.floor(i * 86400 / 1000), i * 86400 % 1000), { guard = closed })
     end
     local fsm, late = started(model), 0
     local fired = said(fsm, "dbg", "TIMEEVENT")
@@ -365,78 +239,65 @@ describe("a day of timers in milliseconds", function()
       now = { 1000 + math.floor(i * 86400 / 1000), (i * 86400) % 1000 * 1000000 }
       rfsm.run(fsm)
       if #fired ~= i - 1 then late = late + 1 end
-      advance(0, 1)
-      rfsm.run(fsm)
+      run_after(fsm, 0, 1)
       if #fired ~= i then late = late + 1 end
     end
     assert.equal(0, late)
   end)
 end)
 
-describe("e_at", function()
-  it("has a name like e_after", function()
-    assert.same({ "e_at(1010.5)@root.a" }, started(chart { e_at(1010.5) })[2].events)
+describe("a fraction of a second", function()
+  -- T as written, and the nanoseconds that it is.
+  for _, case in ipairs {
+    { "0.1", 100000000 }, { "0.25", 250000000 }, { "0.9", 900000000 },
+    { "1e-9", 1 }, { "0.000000001", 1 }, { ".5", 500000000 }, { "2.5e-1", 250000000 },
+    { "0.3", 300000000 }, { "0.7", 700000000 }, { "0.123456789", 123456789 },
+    { "0.999999999", 999999999 }, { "0.9999999996", 1000000000 }, { "3.", 3 * BILLION },
+  } do
+    for i, event in ipairs { ("e_after(%s)"):format(case[1]),
+      e_after(tonumber(case[1])) } do
+      it(("%s is exact to the nanosecond, as a %s"):format(tostring(event),
+        type(event)), function()
+        if i == 2 then now = { 1700000000, 999999999 } end
+        check(started(chart { event }), ("+0,%d=a +0,1=b"):format(case[2]))
+      end)
+    end
+  end
+
+  it("of an absolute time is exact in text, however late", function()
+    local fsm = started(chart { "e_at(1700000000.123456789)" })
+    now = { 1700000000, 123456789 }
+    check(fsm, "=a +0,1=b")
   end)
 end)
 
 describe("a timeout function", function()
-  it("is called with its id at each entry", function()
-    local ids = {}
+  it("is called with its id at each entry, and returns how long that waits", function()
+    local ids, delay = {}, 2
     local fsm = started(chart { e_after(function(id)
       ids[#ids + 1] = id
-      return 1
+      return delay
     end, "patience") })
-    active_after(fsm, 2)
-    helper.post_and_run(fsm, "e_back")
+    check(fsm, "+2=a +0,1=b")
+    delay = 0.5
+    check(fsm, "e_back=a +0,500000000=a +0,1=b")
     assert.same({ "patience", "patience" }, ids)
   end)
 
-  it("says how long this entry waits", function()
-    local delay = 2
-    local fsm = started(chart { e_after(function() return delay end) })
-    assert.equal("b", active_after(fsm, 2, 1))
-    delay = 0.5
-    helper.post_and_run(fsm, "e_back")
-    assert.equal("b", active_after(fsm, 0, 500000001))
-  end)
-
-  it("says at which time, in e_at", function()
-    local fsm = started(chart { e_at(function() return now[1] + 5 end) })
-    assert.equal("a", active_after(fsm, 5))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
-  it("gives the event its id as a name", function()
-    local fsm = started(chart { e_after(function() return 1 end, "patience") })
-    assert.same({ "e_after(patience)@root.a" }, fsm[2].events)
-  end)
-
-  it("without an id has a name of its own beside another", function()
-    local fsm = started(chart {
-      e_after(function() return 1 end), e_after(function() return 2 end),
-    })
-    assert.same({ "e_after(function)@root.a", "e_after(function)#2@root.a" },
-      fsm[2].events)
-  end)
-
-  it("that fails goes to err", function()
-    local fsm = helper.init(chart { e_after(fail, 7) })
-    local errors = said(fsm, "err")
-    rfsm.run(fsm)
-    assert.same({
-      "TIMEEVENT error executing timeout of e_after(7)@root.a:  out of order",
-    }, errors)
-  end)
-
-  for _, case in ipairs {
-    { "nil", nil }, { "string", "3" }, { "NaN", 0 / 0 }, { "boolean", false },
+  local expected = "number of seconds expected, got "
+  for _, case in ipairs { -- how it fails, the function, the reason
+    { "raises", fail, "out of order" },
+    { "returns nil", function() end, expected .. "nil" },
+    { "returns a string", function() return "3" end, expected .. "string" },
+    { "returns NaN", function() return 0 / 0 end, expected .. "NaN" },
+    { "returns a boolean", closed, expected .. "boolean" },
   } do
-    it("that returns " .. case[1] .. " goes to err", function()
-      local fsm = helper.init(chart { e_after(function() return case[2] end) })
+    it("that " .. case[1] .. " is reported to err", function()
+      local fsm = init(chart { e_after(case[2], 7) })
       local errors = said(fsm, "err")
       rfsm.run(fsm)
-      assert.same({ "TIMEEVENT error executing timeout of e_after(function)@root.a:  "
-        .. "number of seconds expected, got " .. case[1] }, errors)
+      assert.same({ "TIMEEVENT error executing timeout of e_after(7)@root.a:  "
+        .. case[3] }, errors)
     end)
   end
 end)
@@ -447,232 +308,177 @@ describe("a time event that is wrong", function()
     "e_after(.)", "e_after(0x10)", "e_after(inf)", "e_at(now)", "e_after(3) s",
   } do
     it("is a plain event and a warning: " .. text, function()
-      local model, warnings = chart { "e_x", text }, {}
-      model.warn = function(line) warnings[#warnings + 1] = line end
+      local model = chart { "e_x", text }
+      local warnings = said(model, "warn")
       local fsm = started(model)
       assert.equal("WARNING: root.trans[2].events (a -> b): '" .. text
         .. "': seconds expected, as in " .. text:match("^e_%a+") .. "(0.5)",
         helper.without_file(warnings[1]))
-      helper.post_and_run(fsm, text)
-      assert.equal("b", leaf(fsm))
+      assert.equal("root.b", helper.leaf_after(fsm, text))
     end)
   end
 
-  it("as an object blames the caller", function()
-    local _, text = pcall(function() return (e_after("3")) end)
-    assert.matches("timeevent_spec.lua:%d+: rfsm_timeevent.e_after: seconds, a number "
-      .. "not below 0, or a function expected, got string", text)
-  end)
-
-  it("as an object is neither negative nor NaN", function()
-    assert.is_false((pcall(e_after, -1)))
+  it("as an object blames the caller, also if it is negative or NaN", function()
+    local text = "seconds, a number not below 0, or a function expected, got "
+    assert.equal("rfsm_timeevent.e_after: " .. text .. "string",
+      helper.refusal(e_after, "3"))
+    assert.equal("rfsm_timeevent.e_after: " .. text .. "-1",
+      helper.refusal(e_after, -1))
     assert.is_false((pcall(e_at, 0 / 0)))
   end)
 
   it("at a connector brings a warning, since nothing arms it", function()
-    local model, said_lines = chart { "e_x" }, {}
-    model.warn = function(text) said_lines[#said_lines + 1] = text end
+    local model = chart { "e_x" }
+    local warnings = said(model, "warn")
     model[1].events = { "e_init_fsm", "e_after(1)" }
     rfsm.init(model)
     assert.equal("WARNING: root.trans[1].events (initial -> a): 'e_after(1)' never "
-      .. "fires here, 'root.initial' is no state", helper.without_file(said_lines[1]))
+      .. "fires here, 'root.initial' is no state", helper.without_file(warnings[1]))
   end)
 end)
 
-describe("is_timeevent", function()
-  for _, case in ipairs {
-    { "e_after(1)", true }, { "e_at(2.5)", true }, { "e_after(1)@root.a", true },
-    { e_after(1), true }, { e_at(print), true }, { "e_x", false },
-    { "e_after", false },
-    { "e_after(x)", false }, { 7, false }, { {}, false }, { print, false },
-  } do
-    it("is " .. tostring(case[2]) .. " for a " .. type(case[1]) .. ": "
-      .. tostring(case[1]):gsub("[:x].*", ""), function()
-      assert.equal(case[2], timeevent.is_timeevent(case[1]))
-    end)
+it("is_timeevent knows objects and texts", function()
+  for _, value in ipairs { "e_after(1)", "e_at(2.5)", "e_after(1)@root.a", e_after(1),
+    e_at(print) } do
+    assert.is_true(timeevent.is_timeevent(value))
   end
-
-  it("is false for nil", function() assert.is_false(timeevent.is_timeevent(nil)) end)
+  for _, value in ipairs { "e_x", "e_after", "e_after(x)", 7, {}, print } do
+    assert.is_false(timeevent.is_timeevent(value))
+  end
+  assert.is_false(timeevent.is_timeevent(nil))
 end)
 
 describe("the gettime hook", function()
-  it("may return nanoseconds in one number", function()
-    local ns = 5 * BILLION + 999999999
-    timeevent.set_gettime_hook(function() return ns end)
-    local fsm = started(chart { "e_after(0.000000001)" })
-    ns = ns + 1
-    rfsm.run(fsm)
-    assert.equal("a", leaf(fsm))
-    ns = ns + 1
-    rfsm.run(fsm)
-    assert.equal("b", leaf(fsm))
-  end)
-
-  it("is exact for nanoseconds up to 2^53", function()
-    local ns = 9007199 * BILLION - 1 -- where a / b rounds up to a whole number
-    timeevent.set_gettime_hook(function() return ns end)
-    local fsm = started(chart { "e_after(0.000000001)" })
-    ns = ns + 1
-    assert.equal("a", active_after(fsm, 0))
-    ns = ns + 1
-    assert.equal("b", active_after(fsm, 0))
-  end)
-
-  it("may return a fraction of a second in the first value", function()
-    local sec = 10
-    timeevent.set_gettime_hook(function() return sec, 0 end)
-    local fsm = started(chart { "e_after(0.25)" })
-    sec = 10.25
-    assert.equal("a", active_after(fsm, 0))
-    sec = 10.5
-    assert.equal("b", active_after(fsm, 0))
-  end)
-
-  it("may return more nanoseconds than a second has", function()
-    local nsec = 0
-    timeevent.set_gettime_hook(function() return 0, nsec end)
-    local fsm = started(chart { "e_after(2)" })
-    nsec = 2 * BILLION + 1
-    assert.equal("b", active_after(fsm, 0))
-  end)
+  -- What it may return: before a, and for a and for b after that, and the event.
+  for _, case in ipairs {
+    { "nanoseconds in one number", 1e-9, { 5999999999 }, { 6000000000 },
+      { 6000000001 } },
+    { "up to 2^53 of them", 1e-9, { 9007199 * BILLION - 1 }, -- where a / b rounds up
+      { 9007199 * BILLION }, { 9007199 * BILLION + 1 } },
+    { "a fraction in the first value", 0.25, { 10, 0 }, { 10.25, 0 }, { 10.5, 0 } },
+    { "more nanoseconds than a second has", 2, { 0, 0 }, { 0, 2 * BILLION },
+      { 0, 2 * BILLION + 1 } },
+  } do
+    it("may return " .. case[1], function()
+      local time = case[3]
+      set_gettime_hook(function() return unpack(time) end)
+      local fsm = started(chart { e_after(case[2]) })
+      time = case[4]
+      check(fsm, "=a")
+      time = case[5]
+      check(fsm, "=b")
+    end)
+  end
 
   it("that wants a clock id is given one", function()
     local ids = {}
-    timeevent.set_gettime_hook(function(id)
+    set_gettime_hook(function(id)
       assert(type(id) == "string", "bad argument #1 to 'gettime'")
       ids[id] = true
       return now[1], now[2]
     end)
-    local fsm = started(chart { "e_after(3)", "e_at(2000)" })
-    assert.equal("a", active_after(fsm, 3))
-    assert.equal("b", active_after(fsm, 0, 1))
+    check(started(chart { "e_after(3)", "e_at(2000)" }), "+3=a +0,1=b")
     assert.same({ CLOCK_MONOTONIC = true }, ids)
   end)
 
   it("must be a function, and blames the caller", function()
-    local _, text = pcall(function() timeevent.set_gettime_hook(5) end)
-    assert.matches("timeevent_spec.lua:%d+: rfsm_timeevent.set_gettime_hook: function "
-      .. "expected, got number", text)
+    assert.equal("rfsm_timeevent.set_gettime_hook: function expected, got number",
+      helper.refusal(set_gettime_hook, 5))
   end)
 end)
 
-describe("a clock", function()
+describe("a clock that fails", function()
   local function broken() error("battery empty", 0) end
 
-  describe("when it fails", function()
-    it("is reported to err, and the step goes on", function()
-      local fsm = started(chart { "e_after(3)" })
-      local errors = said(fsm, "err")
-      timeevent.set_gettime_hook(broken)
-      rfsm.step(fsm)
-      assert.same({ "TIMEEVENT the clock failed:  battery empty" }, errors)
-    end)
+  -- A machine that was started with one clock and goes on with another.
+  local function with_clocks(first, second, events)
+    set_gettime_hook(first)
+    local fsm = init(chart(events or { "e_after(3)" }))
+    local errors = said(fsm, "err")
+    rfsm.run(fsm)
+    set_gettime_hook(second)
+    return fsm, errors
+  end
 
-    it("loses no armed timer", function()
-      local fsm = started(chart { "e_after(3)" })
-      fsm.err = false
-      timeevent.set_gettime_hook(broken)
-      rfsm.step(fsm)
-      timeevent.set_gettime_hook(clock)
-      assert.equal("b", active_after(fsm, 4))
-    end)
+  it("is reported to err, and the step goes on; no armed timer is lost", function()
+    local fsm, errors = with_clocks(clock, broken)
+    rfsm.step(fsm)
+    assert.same({ "TIMEEVENT the clock failed:  battery empty" }, errors)
+    set_gettime_hook(clock)
+    check(fsm, "+4=b")
+  end)
 
-    it("arms on entry what it can later, when it works again", function()
-      timeevent.set_gettime_hook(broken)
-      local fsm = helper.init(chart { "e_after(3)" })
-      fsm.err = false
-      rfsm.run(fsm)
-      timeevent.set_gettime_hook(clock)
-      rfsm.run(fsm)
-      assert.equal("a", active_after(fsm, 3))
-      assert.equal("b", active_after(fsm, 0, 1))
-    end)
+  it("has timers armed later, when it works again", function()
+    check(with_clocks(broken, clock), "=a +3=a +0,1=b")
+    assert.equal(3 + 1e-9, next_deadline((with_clocks(broken, clock))))
+  end)
 
-    it("arms nothing later for a state that was left meanwhile", function()
-      timeevent.set_gettime_hook(broken)
-      local model = chart { "e_after(3)", "e_x" }
-      local fsm = helper.init(model)
-      fsm.err = false
-      rfsm.run(fsm)
-      helper.post_and_run(fsm, "e_x")
-      timeevent.set_gettime_hook(clock)
-      rfsm.run(fsm)
-      assert.is_nil(timeevent.next_deadline(fsm))
-    end)
+  it("has none armed later for a state that was left meanwhile", function()
+    local fsm = with_clocks(broken, broken, { "e_after(3)", "e_x" })
+    check(fsm, "e_x=b") -- other events get through
+    set_gettime_hook(clock)
+    rfsm.run(fsm)
+    assert.is_nil(next_deadline(fsm))
+  end)
 
-    it("still lets other events through", function()
-      local fsm = started(chart { "e_after(3)", "e_x" })
-      fsm.err = false
-      timeevent.set_gettime_hook(broken)
-      helper.post_and_run(fsm, "e_x")
-      assert.equal("b", leaf(fsm))
-    end)
+  it("while err fails, too, raises that and loses nothing", function()
+    local fsm = with_clocks(clock, broken)
+    fsm.err = function() error("no printer", 0) end
+    assert.error_matches(function() rfsm.step(fsm) end, "no printer")
+    set_gettime_hook(clock)
+    check(fsm, "+4=b")
+  end)
 
-    it("and err fails, too, raises that and loses nothing", function()
-      local fsm = started(chart { "e_after(3)" })
-      fsm.err = function() error("no printer", 0) end
-      timeevent.set_gettime_hook(broken)
-      assert.error_matches(function() rfsm.step(fsm) end, "no printer")
-      timeevent.set_gettime_hook(clock)
-      assert.equal("b", active_after(fsm, 4))
-    end)
-
-    for _, case in ipairs {
-      { "a string", "12", nil }, { "NaN", 0 / 0, 0 }, { "infinity", 1, math.huge },
-      { "nothing", nil, nil }, { "a table after a number", 1, {} },
-    } do
-      it("by returning " .. case[1] .. " is reported as such", function()
-        local fsm = started(chart { "e_after(3)" })
-        local errors = said(fsm, "err")
-        timeevent.set_gettime_hook(function() return case[2], case[3] end)
-        rfsm.step(fsm)
-        assert.matches("^TIMEEVENT the clock failed:  ", errors[1])
-      end)
+  it("is raised by next_deadline, also while timers wait for it", function()
+    for _, first in ipairs { clock, broken } do
+      local fsm = with_clocks(first, broken)
+      assert.error_matches(function() next_deadline(fsm) end,
+        "rfsm_timeevent.next_deadline: the clock failed: battery empty")
     end
   end)
+
+  for _, case in ipairs {
+    { "a string", "12", nil }, { "NaN", 0 / 0, 0 }, { "infinity", 1, math.huge },
+    { "nothing", nil, nil }, { "a table after a number", 1, {} },
+  } do
+    it("by returning " .. case[1] .. " is reported as such", function()
+      local fsm, errors = with_clocks(clock, function() return case[2], case[3] end)
+      rfsm.step(fsm)
+      assert.matches("^TIMEEVENT the clock failed:  ", errors[1])
+    end)
+  end
 end)
 
 describe("without a hook", function()
   local MODULES = { "rtp", "posix.time", "posix", "socket" }
   local real_time = os.time
 
-  -- A fresh copy of core and extension, that finds only the clocks in `modules`.
-  local function fresh(modules)
-    local saved = {}
-    for _, name in ipairs { "rfsm", "rfsm_timeevent", "rfsm.clock", unpack(MODULES) } do
-      saved[name], package.loaded[name] = package.loaded[name] or false, nil
-    end
-    for _, name in ipairs(MODULES) do
-      package.preload[name] = function() return modules[name] or error("none") end
-    end
-    local copy = { rfsm = require "rfsm", timeevent = require "rfsm_timeevent" }
-    return copy, function()
-      for name, module in pairs(saved) do -- any order
-        package.loaded[name] = module or nil
-      end
-      for _, name in ipairs(MODULES) do package.preload[name] = nil end
-    end
-  end
-
-  -- Which clocks are read for an e_after and then for an e_at?
+  -- Which clocks are read for an e_after and then for an e_at by a fresh copy of core
+  -- and extension, which finds only the clocks in `modules`?
   local function clocks_read(make_modules)
-    local names = {}
-    local copy, restore = fresh(make_modules(function(name)
+    local names, preload = {}, {}
+    local modules = make_modules(function(name)
       names[#names + 1] = name
       return 5, 0
-    end))
-    local C = copy.rfsm
-    local fsm = C.init(C.state {
-      warn = false, info = false, a = C.state {}, b = C.state {},
-      C.trans { src = "initial", tgt = "a" },
-      C.trans { src = "a", tgt = "b", events = { "e_after(1)", "e_at(99)" } },
-    })
-    C.step(fsm)
-    copy.timeevent.next_deadline(fsm) -- the clocks have been chosen now
-    helper.clear(names)
-    copy.timeevent.next_deadline(fsm)
-    restore()
-    return names
+    end)
+    local hidden = { rfsm = false, rfsm_timeevent = false, ["rfsm.clock"] = false }
+    for _, name in ipairs(MODULES) do
+      hidden[name] = false
+      preload[name] = function() return modules[name] or error("none") end
+    end
+    helper.with(package.preload, preload, function()
+      helper.with(package.loaded, hidden, function()
+        local C, copy = require "rfsm", require "rfsm_timeevent"
+        local fsm = C.init(C.state { warn = false, info = false, a = C.state {},
+          C.trans { src = "initial", tgt = "a" },
+          C.trans { src = "a", tgt = "a", events = { "e_after(1)", "e_at(99)" } } })
+        C.step(fsm)
+        copy.next_deadline(fsm) -- the clocks have been chosen now
+        helper.clear(names)
+        copy.next_deadline(fsm)
+      end)
+    end)
+    return table.concat(names, " ")
   end
 
   after_each(function() os.time = real_time end) -- luacheck: ignore 122
@@ -711,7 +517,7 @@ describe("without a hook", function()
     end },
   } do
     it("the clock is " .. case[1], function()
-      assert.equal(case[2], table.concat(clocks_read(case[3]), " "))
+      assert.equal(case[2], clocks_read(case[3]))
     end)
   end
 end)
@@ -720,7 +526,7 @@ describe("dbg", function()
   it("has a record TIMEEVENT with the name", function()
     local fsm = started(chart { "e_after(3)" })
     local records = said(fsm, "dbg", "TIMEEVENT")
-    active_after(fsm, 4)
+    run_after(fsm, 4)
     assert.same({ "TIMEEVENT e_after(3)@root.a" }, records)
   end)
 
@@ -729,194 +535,117 @@ describe("dbg", function()
     fsm.dbg = function(id) if id == "TIMEEVENT" then error("no printer", 0) end end
     advance(5)
     assert.error_matches(function() rfsm.step(fsm) end, "no printer")
-    assert.equal("b", leaf(fsm))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
   end)
 end)
 
 describe("next_deadline", function()
-  it("is nil when nothing is armed", function()
-    local fsm = started(chart { "e_x" })
-    assert.is_nil(timeevent.next_deadline(fsm))
-  end)
+  -- The events of a, seconds that pass, what is left.
+  for _, case in ipairs {
+    { "is nil when nothing is armed", { "e_x" }, 0, nil },
+    { "is the time until the earliest can fire",
+      { "e_after(3)", "e_after(0.5)", "e_at(1002)" }, 0, 0.5 + 1e-9 },
+    { "shrinks as time passes", { "e_after(3)" }, 2.75, 0.25 + 1e-9 },
+    { "is 0 when a timer has expired", { "e_after(3)" }, 4, 0 },
+  } do
+    it(case[1], function()
+      local fsm = started(chart(case[2]))
+      advance(math.floor(case[3]), case[3] % 1 * BILLION)
+      assert.equal(case[4], next_deadline(fsm))
+    end)
+  end
 
-  it("is nil before the first entry", function()
-    assert.is_nil(timeevent.next_deadline(helper.init(chart { "e_after(1)" })))
-  end)
-
-  it("is the time until the earliest can fire", function()
-    local fsm = started(chart { "e_after(3)", "e_after(0.5)", "e_at(1002)" })
-    assert.equal(0.5 + 1e-9, timeevent.next_deadline(fsm))
-  end)
-
-  it("shrinks as time passes", function()
-    local fsm = started(chart { "e_after(3)" })
-    advance(2, 750000000)
-    assert.equal(0.25 + 1e-9, timeevent.next_deadline(fsm))
-  end)
-
-  it("is 0 when a timer has expired", function()
-    local fsm = started(chart { "e_after(3)" })
-    advance(4)
-    assert.equal(0, timeevent.next_deadline(fsm))
-  end)
+  it("is nil before the first entry, when the state was left, and after reset",
+    function()
+      local fsm = init(chart { "e_after(1)", "e_at(5000)", "e_x" })
+      assert.is_nil(next_deadline(fsm))
+      rfsm.run(fsm)
+      check(fsm, "e_x=b")
+      assert.is_nil(next_deadline(fsm))
+      check(fsm, "e_back=a")
+      rfsm.reset(fsm)
+      assert.is_nil(next_deadline(fsm))
+    end)
 
   it("slept through to the nanosecond finds the event, one less does not", function()
     local fsm = started(chart { "e_after(0.3)" })
-    local ns = math.floor(timeevent.next_deadline(fsm) * BILLION + 0.5)
-    assert.equal("a", active_after(fsm, 0, ns - 1))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
-  it("arms the timers that wait for a clock that works again", function()
-    timeevent.set_gettime_hook(function() error("no") end)
-    local fsm = helper.init(chart { "e_after(3)" })
-    fsm.err = false
-    rfsm.run(fsm)
-    timeevent.set_gettime_hook(clock)
-    assert.equal(3 + 1e-9, timeevent.next_deadline(fsm))
-  end)
-
-  it("raises while they wait for a clock that fails", function()
-    timeevent.set_gettime_hook(function() error("battery empty", 0) end)
-    local fsm = helper.init(chart { "e_after(3)" })
-    fsm.err = false
-    rfsm.run(fsm)
-    assert.error_matches(function() timeevent.next_deadline(fsm) end,
-      "rfsm_timeevent.next_deadline: the clock failed: battery empty")
-  end)
-
-  it("raises when the clock fails", function()
-    local fsm = started(chart { "e_after(3)" })
-    timeevent.set_gettime_hook(function() error("battery empty", 0) end)
-    assert.error_matches(function() timeevent.next_deadline(fsm) end,
-      "rfsm_timeevent.next_deadline: the clock failed: battery empty")
+    local ns = math.floor(next_deadline(fsm) * BILLION + 0.5)
+    check(fsm, ("+0,%d=a +0,1=b"):format(ns - 1))
   end)
 
   it("blames the caller for what is no machine", function()
-    local _, text = pcall(function() return (timeevent.next_deadline {}) end)
-    assert.matches("timeevent_spec.lua:%d+: rfsm_timeevent.next_deadline: initialised "
-      .. "fsm expected, got table", text)
+    assert.equal("rfsm_timeevent.next_deadline: initialised fsm expected, got table",
+      helper.refusal(next_deadline, {}))
   end)
 
   it("counts the timers of machines in an active state's .substates", function()
-    local sub = started(chart { "e_after(3)" })
-    local fsm = started(chart { "e_after(5)" })
+    local sub, fsm = started(chart { "e_after(3)" }), started(chart { "e_after(5)" })
     fsm.a.substates = { sub = sub }
-    assert.equal(3 + 1e-9, timeevent.next_deadline(fsm))
+    assert.equal(3 + 1e-9, next_deadline(fsm))
   end)
 end)
 
-describe("two machines of one model", function()
-  it("have timers of their own", function()
-    local model = chart { e_after(3) }
-    local first = started(model)
-    advance(2)
-    local second = started(model)
-    assert.equal("b", active_after(first, 1, 1))
-    rfsm.run(second)
-    assert.equal("a", leaf(second))
-  end)
+it("two machines of one model have timers of their own", function()
+  local model = chart { e_after(3) }
+  local first = started(model)
+  advance(2)
+  local second = started(model)
+  check(first, "+1,1=b")
+  check(second, "=a")
 end)
 
-describe("reset", function()
-  it("disarms all timers", function()
-    local fsm = started(chart { "e_after(3)", "e_at(5000)" })
-    rfsm.reset(fsm)
-    assert.is_nil(timeevent.next_deadline(fsm))
-  end)
-
-  it("arms anew on the next entry", function()
-    local fsm = started(chart { "e_after(3)" })
-    advance(2)
-    rfsm.reset(fsm)
-    rfsm.run(fsm)
-    assert.equal("a", active_after(fsm, 3))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
+it("reset has the next entry arm anew", function()
+  local fsm = started(chart { "e_after(3)" })
+  advance(2)
+  rfsm.reset(fsm)
+  check(fsm, "=a +3=a +0,1=b")
 end)
 
 describe("fsm_merge", function()
-  it("of a transition from an active state arms its timer then", function()
-    local fsm = started(chart { "e_x" })
-    local tr = trans { src = "a", tgt = "b", events = { "e_after(2)" } }
-    assert.is_true(rfsm.fsm_merge(fsm, fsm, tr))
-    assert.equal("a", active_after(fsm, 2))
-    assert.equal("b", active_after(fsm, 0, 1))
-  end)
-
-  it("of a transition from an inactive state arms it on entry", function()
-    local fsm = started(chart { "e_x" })
-    local tr = trans { src = "b", tgt = "a", events = { "e_after(2)" } }
-    assert.is_true(rfsm.fsm_merge(fsm, fsm, tr))
-    advance(5)
-    helper.post_and_run(fsm, "e_x")
-    assert.equal("b", active_after(fsm, 2))
-    assert.equal("a", active_after(fsm, 0, 1))
-  end)
-
-  it("of a composite arms the timers in it", function()
-    local fsm = started(chart { "e_x" })
-    local c = state {
-      x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
-      trans { src = "x", tgt = "y", events = { "e_after(1)" } },
-    }
-    assert.is_true(rfsm.fsm_merge(fsm, fsm, c, "c"))
-    assert.is_true(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "c",
-      events = { "e_in" } }))
-    helper.post_and_run(fsm, "e_in")
-    assert.equal("y", active_after(fsm, 2))
-  end)
-end)
-
-describe("a machine without time events", function()
-  it("has nothing of this extension", function()
-    local fsm = started(chart { "e_x" })
-    assert.is_nil(fsm._timeevent)
-    assert.is_nil(fsm.a._timers)
-  end)
-
-  it("reads no clock", function()
-    local reads = 0
-    timeevent.set_gettime_hook(function()
-      reads = reads + 1
-      return 0, 0
+  -- What is merged into the root, with names; a story.
+  for _, case in ipairs {
+    { "of a transition from an active state arms its timer then",
+      { { another("a", "b", "e_after(2)") } }, "+2=a +0,1=b" },
+    { "of a transition from an inactive state arms it on entry",
+      { { another("b", "a", "e_after(2)") } }, "+5=a e_x=b +2=b +0,1=a" },
+    { "of a composite arms the timers in it", {
+      { state { x = state {}, y = state {}, trans { src = "initial", tgt = "x" },
+        another("x", "y", "e_after(1)") }, "c" },
+      { another("a", "c", "e_in") },
+    }, "e_in=x +2=y" },
+  } do
+    it(case[1], function()
+      local fsm = started(chart { "e_x" })
+      for _, merged in ipairs(case[2]) do
+        assert.is_true(rfsm.fsm_merge(fsm, fsm, merged[1], merged[2]))
+      end
+      check(fsm, case[3])
     end)
-    reads = 0 -- it was tried
-    helper.post_and_run(started(chart { "e_x" }), "e_x")
-    assert.equal(0, reads)
-  end)
+  end
 end)
 
-describe("while no timer is armed", function()
-  it("reads no clock", function()
-    local fsm = started(chart { "e_after(1)" })
-    active_after(fsm, 2)
-    local reads = 0
-    timeevent.set_gettime_hook(function()
-      reads = reads + 1
-      return 0, 0
-    end)
-    reads = 0 -- it was tried
-    rfsm.run(fsm)
-    assert.equal(0, reads)
-  end)
-
-  it("is still exact when the earliest one has gone", function()
-    local fsm = started(chart { "e_after(3)", "e_x" })
-    helper.post_and_run(fsm, "e_x")
-    assert.is_nil(timeevent.next_deadline(fsm))
-  end)
-end)
-
-describe("a timer that is pending", function()
-  it("costs one reading of the clock in an iteration", function()
-    local fsm, reads = started(chart { "e_after(1)" }), 0
-    timeevent.set_gettime_hook(function()
-      reads = reads + 1
+describe("the cost of an iteration", function()
+  local function reads(fsm)
+    local count = 0
+    set_gettime_hook(function()
+      count = count + 1
       return 1000, 0
     end)
-    reads = 0 -- it was tried
+    count = 0 -- it was tried
     rfsm.step(fsm)
-    assert.equal(1, reads)
+    return count
+  end
+
+  it("is nothing without time events", function()
+    local fsm = started(chart { "e_x" })
+    assert.same({ 0 }, { reads(fsm), fsm._timeevent, fsm.a._timers })
+  end)
+
+  it("is no reading of the clock while no timer is armed, one while one is", function()
+    local fsm = started(chart { "e_after(1)" })
+    assert.equal(1, reads(fsm))
+    set_gettime_hook(clock)
+    check(fsm, "+2=b")
+    assert.equal(0, reads(fsm))
   end)
 end)

@@ -129,7 +129,7 @@ describe("the command line", function()
     local named = run("rfsm-viz '" .. file .. "'")
     local piped, err, status = run("rfsm dot - <'" .. file .. "'")
     assert.same({ "", 0 }, { err, status })
-    assert.equal(named:gsub(file:gsub("%p", "%%%0"), "stdin"), piped)
+    assert.equal(named:gsub('"chart"', '"stdin"'), piped)
   end)
 
   it("keeps what the chart prints out of its output", function()
@@ -212,10 +212,11 @@ describe("rfsm-viz", function()
   end
 
   it("writes each of its formats", function()
-    starts("", 'digraph "examples/on_off.lua" {')
-    starts("-T dot", 'digraph "examples/on_off.lua" {')
-    starts("-T plantuml", "@startuml\ntitle examples/on_off.lua\n")
-    starts("-T mermaid", '---\ntitle: "examples/on_off.lua"\n---\nstateDiagram-v2\n')
+    starts("", 'digraph "on_off" {')
+    starts("-T dot", 'digraph "on_off" {')
+    starts("-T plantuml", "@startuml\ntitle on_off\n")
+    starts("-T mermaid", '---\ntitle: "on_off"\n---\nstateDiagram-v2\n')
+    starts("-T json", '{\n  "version":2')
     starts("-T svg", "<?xml")
     starts("-T png", "\137PNG\r\n")
     starts("-T pdf", "%PDF-1")
@@ -223,13 +224,13 @@ describe("rfsm-viz", function()
 
   it("lists its formats", function()
     assert.is_truthy(run("rfsm-viz --help"):gsub("%s+", " "):find("-T FORMAT, "
-      .. "dot, svg, png, pdf, plantuml, mermaid", 1, true))
+      .. "dot, svg, png, pdf, plantuml, mermaid, json", 1, true))
   end)
 
   it("tells the format by the name of the output", function()
     for ending, expected in pairs { -- any order: each stands alone
       svg = "<?xml", PNG = "\137PNG", pdf = "%PDF", gv = "digraph", dot = "digraph",
-      puml = "@startuml", mmd = "---\n",
+      puml = "@startuml", mmd = "---\n", json = '{\n  "version":2',
     } do
       local file = folder .. "/chart." .. ending
       local _, err = run("rfsm-viz examples/on_off.lua -o '" .. file .. "'")
@@ -240,9 +241,46 @@ describe("rfsm-viz", function()
 
   it("refuses formats that it does not know, with the list", function()
     refuses("rfsm-viz examples/on_off.lua -T gif", "Error: argument for option '-T' "
-      .. "must be one of 'dot', 'svg', 'png', 'pdf', 'plantuml', 'mermaid'")
+      .. "must be one of 'dot', 'svg', 'png', 'pdf', 'plantuml', 'mermaid', 'json'")
     refuses("rfsm-viz examples/on_off.lua -o x.gif", "Error: the ending of 'x.gif' "
-      .. "is no format, -T expected (dot, svg, png, pdf, plantuml, mermaid)")
+      .. "is no format, -T expected (dot, svg, png, pdf, plantuml, mermaid, json)")
+  end)
+
+  it("draws what is active, some levels, from left to right", function()
+    local text = run("rfsm-viz --active root.operational.tracking --depth 1 "
+      .. "--direction LR examples/ball_tracking.lua")
+    assert.is_truthy(text:find("rankdir=LR", 1, true))
+    assert.is_falsy(text:find("searching", 1, true))
+    assert.matches('%[id="root.operational",[^\n]*class="state active"', text)
+    fails("rfsm-viz --active dim examples/on_off.lua",
+      "rfsm viz: examples/on_off.lua: active: no state is named 'dim'"
+        .. hint(" (there are 'root', 'root.off', 'root.on')") .. "\n")
+    refuses("rfsm-viz --depth 1.5 examples/on_off.lua",
+      "Error: depth: a whole number from 1 expected, got '1.5'")
+    refuses("rfsm-viz --direction UP examples/on_off.lua",
+      "Error: argument for option '--direction' must be one of 'TB', 'LR'")
+  end)
+
+  it("marks a run on the diagram", function()
+    local coverage = write_file("coverage.json",
+      '{"states":{"root.on":12},"transitions":{"root.trans[1]":1}}')
+    local text = run("rfsm-viz --coverage '" .. coverage .. "' examples/on_off.lua")
+    assert.is_truthy(text:find("(12×)", 1, true))
+    local trace = write_file("trace.json", '{"leaf":"root.off"}\n'
+      .. '{"leaf":"root.off"}\n{"transition":"root.trans[2]","leaf":"root.on"}\n')
+    text = run("rfsm-viz --trace '" .. trace .. "' examples/on_off.lua")
+    for i, place in ipairs { 'id="root.off"', 'id="root.trans%[2%]"',
+      'id="root.on"' } do
+      assert.matches(place .. ",[^\n]*%(step " .. i .. "%)", text)
+    end
+    for content_of, problem in pairs { -- any order: each stands alone
+      ["[1]"] = 'an object with "states" and "transitions" expected',
+      ["{"] = "no JSON: unterminated object at line 1, column 1",
+    } do
+      local file = write_file("bad.json", content_of)
+      fails("rfsm-viz --coverage '" .. file .. "' examples/on_off.lua",
+        "rfsm viz: " .. file .. ": " .. problem .. "\n")
+    end
   end)
 
   it("refuses several charts in a picture", function()
@@ -411,7 +449,7 @@ describe("rfsm-check", function()
 
   it("tells how to use it, with status 2 if it was not", function()
     refuses("rfsm-check", "Error: missing argument 'files'")
-    refuses("rfsm-check -x y", "Did you mean one of these: '-a' '-h' '-q' '-s' '-v'?")
+    refuses("rfsm-check -y x", "Did you mean one of these: '-a' '-h' '-k' '-q' '-s' '-v' '-x'?")
     local out, _, status = run("rfsm-check --help")
     assert.matches("Usage: rfsm check", out)
     assert.equal(0, status)

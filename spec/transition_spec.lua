@@ -3,13 +3,13 @@ local rfsm = require "rfsm"
 
 local state, trans = rfsm.state, rfsm.trans
 
--- The trace of one event in a machine that has been run before.
-local function trace_of(model, event)
+-- The trace of one event in a machine that has been run before; the machine.
+local function trace_of(model, ...)
   local trace, fsm = helper.traced(model)
   rfsm.run(fsm)
   helper.clear(trace)
-  helper.post_and_run(fsm, event)
-  return trace
+  helper.post_and_run(fsm, ...)
+  return trace, fsm
 end
 
 -- root: a{ x }  b{ y }, with one transition on "e".
@@ -23,78 +23,41 @@ local function two_branches(src, tgt)
 end
 
 describe("a transition", function()
-  it("leaves the deepest first and enters the outermost first", function()
-    assert.same({
-      "exit root.a.x", "exit root.a", "effect root.a.x->root.b.y", "entry root.b",
-      "entry root.b.y",
-    }, trace_of(two_branches(".a.x", ".b.y"), "e"))
-  end)
-
-  it("to a composite goes through its initial, segment by segment", function()
-    assert.same({
-      "exit root.a.x", "exit root.a", "effect root.a->root.b.initial", "entry root.b",
-      "effect root.b.initial->root.b.y", "entry root.b.y",
-    }, trace_of(two_branches("a", "b"), "e"))
-  end)
-
-  it("from a composite to itself leaves it and enters it again", function()
-    assert.same({
-      "exit root.a.x", "exit root.a", "effect root.a->root.a.initial", "entry root.a",
-      "effect root.a.initial->root.a.x", "entry root.a.x",
-    }, trace_of(two_branches("a", "a"), "e"))
-  end)
-
-  it("from a composite into itself leaves it, too", function()
-    assert.same({
-      "exit root.a.x", "exit root.a", "effect root.a->root.a.x", "entry root.a",
-      "entry root.a.x",
-    }, trace_of(two_branches("a", ".a.x"), "e"))
-  end)
-
-  it("from a leaf to itself leaves it and enters it again", function()
-    assert.same({ "exit root.a.x", "effect root.a.x->root.a.x", "entry root.a.x" },
-      trace_of(two_branches(".a.x", ".a.x"), "e"))
-  end)
-
-  it("to an ancestor does not leave it", function()
-    assert.same({
-      "exit root.a.x", "effect root.a.x->root.a.initial",
-      "effect root.a.initial->root.a.x", "entry root.a.x",
-    }, trace_of(two_branches(".a.x", "a"), "e"))
-  end)
-
-  it("to 'initial' does not leave the composite", function()
-    local model = state {
-      a = state {
-        x = state {}, trans { src = "initial", tgt = "x" },
-        trans { src = "x", tgt = "initial", events = "e" },
-      },
-      trans { src = "initial", tgt = "a" },
-    }
-    assert.same({
-      "exit root.a.x", "effect root.a.x->root.a.initial",
-      "effect root.a.initial->root.a.x", "entry root.a.x",
-    }, trace_of(model, "e"))
-  end)
-
-  it("from the root leaves the root active", function()
-    assert.same({
-      "exit root.a.x", "exit root.a", "effect root->root.b.y", "entry root.b",
-      "entry root.b.y",
-    }, trace_of(two_branches("root", ".b.y"), "e"))
-  end)
+  local ENTER_A = "effect a.initial->a.x, entry a.x"
+  -- What it does; its ends; the trace.
+  for _, case in ipairs {
+    { "leaves the deepest first and enters the outermost first", ".a.x", ".b.y",
+      "exit a.x, exit a, effect a.x->b.y, entry b, entry b.y" },
+    { "to a composite goes through its initial, segment by segment", "a", "b",
+      "exit a.x, exit a, effect a->b.initial, entry b, effect b.initial->b.y, "
+        .. "entry b.y" },
+    { "from a composite to itself leaves it and enters it again", "a", "a",
+      "exit a.x, exit a, effect a->a.initial, entry a, " .. ENTER_A },
+    { "from a composite into itself leaves it, too", "a", ".a.x",
+      "exit a.x, exit a, effect a->a.x, entry a, entry a.x" },
+    { "from a leaf to itself leaves it and enters it again", ".a.x", ".a.x",
+      "exit a.x, effect a.x->a.x, entry a.x" },
+    { "to an ancestor does not leave it", ".a.x", "a",
+      "exit a.x, effect a.x->a.initial, " .. ENTER_A },
+    { "to the 'initial' of a composite does not leave that", ".a.x", ".a.initial",
+      "exit a.x, effect a.x->a.initial, " .. ENTER_A },
+    { "from the root leaves the root active", "root", ".b.y",
+      "exit a.x, exit a, effect root->b.y, entry b, entry b.y" },
+  } do
+    it(case[1], function()
+      local trace = trace_of(two_branches(case[2], case[3]), "e")
+      assert.equal(case[4], (table.concat(trace, ", "):gsub("root%.", "")))
+    end)
+  end
 
   it("of an outer state wins whatever the pn of an inner one", function()
     local model = two_branches("a", "b")
-    model.a[2] = trans { src = "x", tgt = "x", events = "e", pn = 100 }
+    model.a[2] = trans { src = "x", tgt = "initial", events = "e", pn = 100 }
     assert.equal("effect root.a->root.b.initial", trace_of(model, "e")[3])
   end)
 
   it("without events fires on its own e_done", function()
-    local trace, fsm = helper.traced(state {
-      a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
-      trans { src = "a", tgt = "b" },
-    })
+    local trace, fsm = helper.traced(helper.chart())
     rfsm.run(fsm)
     assert.same({
       "effect root.initial->root.a", "entry root.a", "exit root.a",
@@ -103,120 +66,76 @@ describe("a transition", function()
   end)
 
   it("is not taken for events that nobody wants, which are dropped", function()
-    local trace, fsm = helper.traced(two_branches("a", "b"))
-    rfsm.run(fsm)
-    helper.clear(trace)
-    helper.post_and_run(fsm, "e_other", "e_more")
-    assert.same({}, trace)
-    assert.same({}, fsm._intq)
+    local trace, fsm = trace_of(two_branches("a", "b"), "e_other", "e_more")
+    assert.same({ {}, {} }, { trace, fsm._intq })
   end)
 
-  it("takes one of several events in a step, the others are dropped", function()
-    local model = two_branches("a", "b")
-    model[3] = trans { src = "b", tgt = "a", events = "e_back" }
-    local _, fsm = helper.traced(model)
-    rfsm.run(fsm)
-    helper.post_and_run(fsm, "e_back", "e")
-    assert.equal("root.b.y", rfsm.get_actleaf_fqn(fsm))
-  end)
-
-  it("gives its effect all events of the step", function()
-    local seen
-    local model = two_branches("a", "b")
-    model[2].effect = function(_, _, what, events)
-      seen = what .. " " .. table.concat(events, " ")
-    end
-    trace_of(model, "e")
-    assert.equal("effect e", seen)
-  end)
+  it("is one for several events in a step, which its effect gets; they are dropped",
+    function()
+      local model, seen = two_branches("a", "b"), nil
+      model[3] = trans { src = "b", tgt = "a", events = "e_back" }
+      model[2].effect = function(_, _, what, events)
+        seen = what .. " " .. table.concat(events, " ")
+      end
+      local _, fsm = trace_of(model, "e_back", "e")
+      assert.equal("effect e_back e", seen)
+      assert.equal("root.b.y", rfsm.get_actleaf_fqn(fsm))
+    end)
 end)
 
-describe("an entry", function()
-  it("sees no active leaf, its own state active", function()
-    local seen
+it("an entry sees no active leaf, its own state active, an exit its leaf still",
+  function()
+    local seen = {}
     local model = two_branches("a", "b")
     model.b.y.entry = function(fsm, y)
-      seen = { fsm._act_leaf, rfsm.get_sta_mode(y), rfsm.get_sta_mode(fsm.a) }
+      seen.entry = { fsm._act_leaf, rfsm.get_sta_mode(y), rfsm.get_sta_mode(fsm.a) }
     end
-    trace_of(model, "e")
-    assert.same({ false, "active", "inactive" }, seen)
-  end)
-end)
-
-describe("an exit", function()
-  it("of a leaf still sees it as the active leaf, its own mode inactive", function()
-    local seen
-    local model = two_branches("a", "b")
     model.a.x.exit = function(fsm, x)
-      seen = { fsm._act_leaf == x, rfsm.get_sta_mode(x) }
+      seen.exit = { fsm._act_leaf == x, rfsm.get_sta_mode(x) }
     end
     trace_of(model, "e")
-    assert.same({ true, "inactive" }, seen)
+    assert.same({
+      entry = { false, "active", "inactive" }, exit = { true, "inactive" },
+    }, seen)
   end)
-end)
 
-describe("a program that raises", function()
-  local function failing() error("on purpose", 0) end
+describe("a callback that raises", function()
+  local TR = "T={ src='root.a.x', tgt='root.b.y', events='e' }"
+  local REST = {
+    "exit root.a.x", "exit root.a", "effect root.a.x->root.b.y",
+    "entry root.b", "entry root.b.y",
+  }
 
-  -- Makes one program fail, and returns what err got and where the machine is.
-  local function failing_at(edit)
-    local said = {}
-    local model = two_branches(".a.x", ".b.y")
-    model.err = function(...) said[#said + 1] = table.concat({ ... }, " ") end
-    edit(model)
-    local trace, fsm = helper.traced(model)
-    rfsm.run(fsm)
-    helper.clear(trace)
-    helper.post_and_run(fsm, "e")
-    return said, trace, rfsm.get_actleaf_fqn(fsm)
+  -- Where it stands, its location in the report, its position in REST.
+  for _, case in ipairs {
+    { "exit", function(model) return model.a.x end, "root.a.x", 1 },
+    { "effect", function(model) return model[2] end, TR, 3 },
+    { "entry", function(model) return model.b end, "root.b", 4 },
+    { "guard", function(model) return model[2] end, TR, 0 },
+  } do
+    it("as " .. case[1] .. " is reported, and the rest goes on", function()
+      local kind, model, expected = case[1], two_branches(".a.x", ".b.y"), {}
+      local said = helper.said(model, "err")
+      case[2](model)[kind] = function() error("on purpose", 0) end
+      local trace, fsm = trace_of(model, "e")
+      assert.same({ ("%s error executing %s of %s:  on purpose"):format(kind:upper(),
+        kind, case[3]) }, said)
+      for i, text in ipairs(kind == "guard" and {} or REST) do
+        if i ~= case[4] then expected[#expected + 1] = text end
+      end
+      assert.same(expected, trace)
+      assert.equal(kind == "guard" and "root.a.x" or "root.b.y",
+        rfsm.get_actleaf_fqn(fsm))
+    end)
   end
 
-  it("as an exit is reported, and the rest goes on", function()
-    local said, trace, leaf = failing_at(function(model) model.a.x.exit = failing end)
-    assert.same({ "EXIT error executing exit of root.a.x:  on purpose" }, said)
-    assert.same({
-      "exit root.a", "effect root.a.x->root.b.y", "entry root.b", "entry root.b.y",
-    }, trace)
-    assert.equal("root.b.y", leaf)
-  end)
-
-  it("as an effect is reported, and the entries go on", function()
-    local said, trace = failing_at(function(model) model[2].effect = failing end)
-    assert.same({
-      "EFFECT error executing effect of T={ src='root.a.x', tgt='root.b.y', "
-        .. "events='e' }:  on purpose",
-    }, said)
-    assert.same({
-      "exit root.a.x", "exit root.a", "entry root.b", "entry root.b.y",
-    }, trace)
-  end)
-
-  it("as an entry is reported, and the inner entries go on", function()
-    local said, trace, leaf = failing_at(function(model) model.b.entry = failing end)
-    assert.same({ "ENTRY error executing entry of root.b:  on purpose" }, said)
-    assert.same({
-      "exit root.a.x", "exit root.a", "effect root.a.x->root.b.y", "entry root.b.y",
-    }, trace)
-    assert.equal("root.b.y", leaf)
-  end)
-
   it("everywhere is reported everywhere, and the machine arrives", function()
-    local said, trace, leaf = failing_at(function(model)
-      model.a.x.exit, model.a.exit = failing, failing
-      model.b.entry, model.b.y.entry = failing, failing
-      model[2].effect = failing
-    end)
-    assert.equal(5, #said)
-    assert.same({}, trace)
-    assert.equal("root.b.y", leaf)
-  end)
-
-  it("as a guard is reported, and does not enable", function()
-    local said, _, leaf = failing_at(function(model) model[2].guard = failing end)
-    assert.same({
-      "GUARD error executing guard of T={ src='root.a.x', tgt='root.b.y', "
-        .. "events='e' }:  on purpose",
-    }, said)
-    assert.equal("root.a.x", leaf)
+    local model = two_branches(".a.x", ".b.y")
+    local said = helper.said(model, "err")
+    local fail = error
+    model.a.x.exit, model.a.exit, model[2].effect = fail, fail, fail
+    model.b.entry, model.b.y.entry = fail, fail
+    local trace, fsm = trace_of(model, "e")
+    assert.same({ 5, {}, "root.b.y" }, { #said, trace, rfsm.get_actleaf_fqn(fsm) })
   end)
 end)

@@ -13,18 +13,22 @@ has_module() { # has_module LUA MODULE
   "$1" -e "require '$2'" >/dev/null 2>&1
 }
 
-# The tool starts if there are a Lua and argparse. With readline it edits lines, with luv
-# Control-C works any number of times: both are wanted for the Lua that is there.
+# The tool starts if there are a Lua and argparse. With readline it edits lines, with
+# luaposix, or luv where a Lua has none, Control-C works any number of times, with dkjson
+# it records: they are wanted for the Lua that is there.
 missing_for_sim() {
-  code='for _, m in ipairs { "argparse", "readline", "luv" } do
+  code='for _, m in ipairs { "argparse", "readline", "dkjson" } do
     if not pcall(require, m) then print("lua-" .. m) end
+  end
+  if not (pcall(require, "posix.signal") or pcall(require, "luv")) then
+    print(_VERSION == "Lua 5.4" and "lua-luv" or "lua-posix")
   end'
   for lua in ${LUA:-} lua5.3 lua5.4 lua luajit lua5.2 lua5.1; do
     command -v "$lua" >/dev/null 2>&1 || continue
     "$lua" -e "$code"
     return
   done
-  echo "lua5.3 lua-argparse lua-ansicolors lua-readline lua-luv"
+  echo "lua5.3 lua-argparse lua-ansicolors lua-readline lua-posix lua-dkjson"
 }
 
 # Interpreters in a folder of their own, such as tools/lua5.5, are not Debian's.
@@ -41,12 +45,15 @@ missing_for_test() { # missing_for_test LUA ...
   has_module lua5.1 dkjson || echo lua-dkjson
   has_module lua5.1 socket || echo lua-socket
   has_module lua5.1 luv || echo lua-luv
+  has_module lua5.1 posix || echo lua-posix
   has_module lua5.1 readline || echo lua-readline
   command -v dot >/dev/null 2>&1 || echo graphviz
+  command -v tmux >/dev/null 2>&1 || echo tmux
 }
 
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
+  has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
 }
 
 # Prints the prefix of commands that need root; fails if sudo would ask for a password.

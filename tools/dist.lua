@@ -5,7 +5,8 @@
 -- the file returns it.
 
 local function read(name)
-  local handle = io.open((name:gsub("%.", "/")) .. ".lua")
+  local file = name:gsub("%.", "/") .. ".lua"
+  local handle = io.open(file) or io.open("compat/" .. file)
   if not handle then return nil end
   local text = handle:read("*a")
   handle:close()

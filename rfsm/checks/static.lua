@@ -32,8 +32,8 @@ local CHECKS = {
 }
 
 local function new_finding(code, file, at, text)
-  return { code = code, severity = codes[code].severity, file = file, place = at,
-    text = text, hint = codes[code].hint }
+  return { code = code, severity = codes.of[code].severity, file = file, place = at,
+    text = text, hint = codes.of[code].hint }
 end
 
 -- Silence: findings that an element expects ........................................
@@ -47,7 +47,7 @@ end
 local function check_silences(obj, add)
   local wrong = {}
   for code, reason in pairs(silences_of(obj)) do -- any order: sorted
-    if type(code) ~= "string" or type(codes[code]) ~= "table" or code == "list" then
+    if not codes.of[code] then
       wrong[#wrong + 1] = ("checks: no check has the code '%s'%s"):format(
         rfsm.text_of(code), codes.nearest(code))
     elseif type(reason) ~= "string" or not reason:find("%S") then

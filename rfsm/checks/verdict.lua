@@ -42,8 +42,8 @@ local function add(result, code, obj, path, text, witness)
   end
   local file = obj and place.split(rfsm.location_of(obj)) or ""
   result.findings[#result.findings + 1] = {
-    code = code, severity = codes[code].severity, file = file, place = path,
-    text = text, hint = codes[code].hint, witness = witness,
+    code = code, severity = codes.of[code].severity, file = file, place = path,
+    text = text, hint = codes.of[code].hint, witness = witness,
   }
 end
 

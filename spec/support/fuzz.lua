@@ -2,18 +2,16 @@
 --
 -- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first, "all" every
 -- one there is: they must not change a thing for charts that do not use them, but for
--- the warnings of rfsm.checkevents, which are left out. RFSM_NO_STRAIGHT=1 does without
--- rfsm/straight.lua. A difference prints the seed, both traces around it, and the chart
--- shrunk to what is needed.
+-- the warnings of rfsm.checkevents, which are left out. RFSM_WITHOUT="rfsm.straight"
+-- names optional modules that are to be missing. A difference prints the seed, both
+-- traces around it, and the chart shrunk to what is needed.
 --
 -- RFSM_INTERRUPTS=1 interrupts each operation instead: see runs.interrupt.
 
 package.path = "./?.lua;" .. package.path
 
-if os.getenv("RFSM_NO_STRAIGHT") then
-  package.preload["rfsm.straight"] = function()
-    error("module 'rfsm.straight' not found", 0)
-  end
+for name in (os.getenv("RFSM_WITHOUT") or ""):gmatch("[%w_.]+") do
+  package.preload[name] = function() error("module '" .. name .. "' not found", 0) end
 end
 
 local function names_of_all()

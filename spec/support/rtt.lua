@@ -45,10 +45,7 @@ local LEVELS = {
 local log_is_dead, last_level, pending = false, "Info", ""
 
 -- Strings of C end at the first zero.
-local function c_string(value)
-  local zero = value:find("\0", 1, true)
-  return zero and value:sub(1, zero - 1) or value
-end
+local function c_string(value) return (value:gsub("%z.*", "")) end
 
 local function check_string(value, what)
   if type(value) == "number" then return tostring(value) end
@@ -59,6 +56,11 @@ end
 local function log(level, text)
   text, pending = pending .. text, ""
   standin.log[#standin.log + 1] = level .. ": " .. (log_is_dead and "" or text)
+end
+
+local function refuse(problem)
+  log("Error", problem)
+  return false
 end
 
 -- Logs an error of Lua; one that is no text is the last thing that is logged.
@@ -84,46 +86,41 @@ function rtt.setLogLevel() end
 
 -- Types and Variables ---------------------------------------------------------
 
-local function is_finite(number) return number - number == 0 end
+local function cut(number) return number < 0 and -floor(-number) or floor(number) end
 
-local function cut(number)
-  return number < 0 and -floor(-number) or floor(number)
-end
-
--- Casts of C, as the machine does them.
+-- Casts of C, as the machine does them; NaN is in no range.
 local function to_int(number)
-  local is_in = is_finite(number) and number > -2147483649 and number < 2147483648
-  return is_in and cut(number) or -2147483648
+  return number > -2147483649 and number < 2147483648 and cut(number) or -2147483648
 end
 
 local function to_uint(number)
-  local is_in = is_finite(number) and number > -2 ^ 63 and number < 2 ^ 63
-  return is_in and cut(number) % 4294967296 or 0
+  return number > -2 ^ 63 and number < 2 ^ 63 and cut(number) % 4294967296 or 0
 end
 
 local function same(value) return value end
 
--- By type: the type of Lua that becomes one, how, and what a new Variable holds. A type
+local function basic(lua, default, convert)
+  return { lua = lua, default = default, convert = convert }
+end
+
+-- By type: the type of Lua that becomes one, what a new Variable holds, and how. A type
 -- that is not basic has no value of Lua; wide integers are converted by others only.
 local BASIC = {
-  bool = { lua = "boolean", default = false, convert = same },
-  char = { lua = "string", default = "\0", convert = function(value)
+  bool = basic("boolean", false, same), string = basic("string", "", c_string),
+  char = basic("string", "\0", function(value)
     return value == "" and "\0" or value:sub(1, 1)
-  end },
-  double = { lua = "number", default = 0, convert = same },
-  float = { lua = "number", default = 0, convert = same },
-  int = { lua = "number", default = 0, convert = to_int },
-  string = { lua = "string", default = "", convert = c_string },
-  uint = { lua = "number", default = 0, convert = to_uint },
+  end),
+  double = basic("number", 0, same), float = basic("number", 0, same),
+  int = basic("number", 0, to_int), uint = basic("number", 0, to_uint),
 }
 for name in ("long int8 uint8 int16 uint16 int32 uint32 int64 uint64"):gmatch("%S+") do
-  BASIC[name] = { lua = "number", default = 0, convert = cut } -- as typekits bring them
+  BASIC[name] = basic("number", 0, cut) -- as typekits bring them
 end
 local WIDE = {
-  llong = { default = 0, convert = cut },
-  ullong = { default = 0, convert = function(number)
+  llong = basic(nil, 0, cut),
+  ullong = basic(nil, 0, function(number)
     return number < 0 and cut(number) + 2 ^ 64 or cut(number)
-  end },
+  end),
 }
 
 local STRUCTS = { -- by type: names of members -> their types
@@ -134,12 +131,6 @@ local STRUCTS = { -- by type: names of members -> their types
   },
 }
 
-local function check_type(name, where)
-  if type(name) ~= "string" or not (BASIC[name] or WIDE[name] or STRUCTS[name]) then
-    error(where .. ": unknown type " .. tostring(name), 3)
-  end
-end
-
 local function default_of(name)
   local simple = BASIC[name] or WIDE[name]
   if simple then return simple.default end
@@ -148,21 +139,29 @@ local function default_of(name)
   return value
 end
 
+-- The default of a type; raises if there is no such type.
+local function checked_default(name, where)
+  if type(name) ~= "string" or not (BASIC[name] or WIDE[name] or STRUCTS[name]) then
+    error(where .. ": unknown type " .. tostring(name), 3)
+  end
+  return default_of(name)
+end
+
 local function copy_of(value)
   if type(value) ~= "table" then return value end
   local result = {}
-  for member, inner in pairs(value) do result[member] = copy_of(inner) end
+  for member, inner in pairs(value) do result[member] = inner end -- none is a table
   return result
 end
 
 -- Returns the value to keep of a value of Lua in something of type `name`.
 local function from_lua(name, value)
-  local basic, kind = BASIC[name], type(value)
+  local simple, kind = BASIC[name], type(value)
   if name == "bool" and kind == "number" then return value ~= 0 end
-  if not basic or basic.lua ~= kind then
+  if not simple or simple.lua ~= kind then
     error(("__lua_todsb: can't convert lua %s to %s variable"):format(kind, name), 3)
   end
-  return basic.convert(value)
+  return simple.convert(value)
 end
 
 -- A Variable holds { name of its type, value }.
@@ -187,14 +186,12 @@ function methods.getType(var) return rawget(var, 1) end
 function methods.toString(var) return ("%.17g"):format(rawget(var, 2)) end
 
 function methods.tolua(var)
-  local name = rawget(var, 1)
-  if BASIC[name] then return rawget(var, 2) end
-  error("Variable.tolua: can't convert type " .. name, 2)
+  if BASIC[rawget(var, 1)] then return rawget(var, 2) end
+  error("Variable.tolua: can't convert type " .. rawget(var, 1), 2)
 end
 
 local function is_numeric(name)
-  return name == "bool" or WIDE[name] ~= nil or BASIC[name] ~= nil
-    and BASIC[name].lua == "number"
+  return name == "bool" or WIDE[name] or BASIC[name] and BASIC[name].lua == "number"
 end
 
 -- Assigns a sample of another type; false when RTT does not convert it.
@@ -228,10 +225,8 @@ end
 
 local function check_member(var, member)
   local struct = STRUCTS[rawget(var, 1)]
-  if not struct or not struct[member] then
-    error("Variable.getMember: indexing failed, no member " .. tostring(member), 3)
-  end
-  return struct[member]
+  if struct and struct[member] then return struct[member] end
+  error("Variable.getMember: indexing failed, no member " .. tostring(member), 3)
 end
 
 function Variable.__index(var, member)
@@ -246,16 +241,13 @@ end
 -- Makes rtt.X with X.new, which can be called where rttlib was loaded.
 local function class(name, new)
   return setmetatable({ new = new }, { __call = function(_, ...)
-    if not current.has_rttlib then
-      error("attempt to call field '" .. name .. "' (a table value)", 2)
-    end
-    return new(...)
+    if current.has_rttlib then return new(...) end
+    error("attempt to call field '" .. name .. "' (a table value)", 2)
   end })
 end
 
 rtt.Variable = class("Variable", function(name, value)
-  check_type(name, "Variable.new")
-  local var = new_variable(name, default_of(name))
+  local var = new_variable(name, checked_default(name, "Variable.new"))
   if value ~= nil then methods.assign(var, value) end
   return var
 end)
@@ -270,8 +262,7 @@ local default_policy -- a Variable
 
 function rtt.globals_get(name)
   if name == "DefaultConnPolicy" then return default_policy end
-  if name == "ORO_SCHED_OTHER" then return 0 end
-  if name == "ORO_SCHED_RT" then return 1 end
+  return name == "ORO_SCHED_OTHER" and 0 or name == "ORO_SCHED_RT" and 1 or nil
 end
 
 local function policy_of(var)
@@ -279,30 +270,14 @@ local function policy_of(var)
   return { type = value.type, size = math.max(value.size, 1), init = value.init }
 end
 
-local function new_connection(policy)
-  return { kind = policy.type, size = policy.size, first = 1, count = 0 }
-end
-
--- Samples are at first, first + 1, ... below size + 1, then from 1 on.
 local function connection_write(connection, value)
-  if connection.kind == DATA then
-    connection.count, connection[1] = 1, value
-  elseif connection.count < connection.size then
-    local place = (connection.first + connection.count - 1) % connection.size + 1
-    connection[place], connection.count = value, connection.count + 1
-  elseif connection.kind == CIRCULAR then
-    connection[connection.first] = value
-    connection.first = connection.first % connection.size + 1
+  local is_data = connection.kind == DATA
+  if is_data or connection.kind == CIRCULAR and #connection == connection.size then
+    table.remove(connection, 1)
   end
-end
-
-local function connection_read(connection)
-  local value = connection[connection.first]
-  connection.count = connection.count - 1
-  if connection.kind ~= DATA then
-    connection.first = connection.first % connection.size + 1
+  if is_data or #connection < connection.size then
+    connection[#connection + 1] = value
   end
-  return value
 end
 
 -- Ports -----------------------------------------------------------------------
@@ -318,6 +293,10 @@ local DEAD = { __index = function()
   error("attempt to index local 'port' (a userdata value)", 2)
 end }
 
+local function is_port(value)
+  return getmetatable(value) == InputPort or getmetatable(value) == OutputPort
+end
+
 local function check_port(port, metatable, where)
   if getmetatable(port) ~= metatable then error(where .. ": port expected", 3) end
 end
@@ -330,28 +309,25 @@ function Port.info(port)
   }
 end
 
--- `last` and `policy` are false as long as there is none.
-local function new_port(metatable, kind, name, desc, where)
-  check_type(kind, where)
-  return setmetatable({
-    type = kind, name = name or "", desc = desc or "", connections = {}, last = nil,
-    component = false, is_event = false, policy = policy_of(default_policy),
-  }, metatable)
+-- Makes rtt.InputPort or rtt.OutputPort. `last` is nil as long as there is none.
+local function port_class(name, metatable)
+  return class(name, function(kind, port_name, desc)
+    checked_default(kind, name .. ".new")
+    return setmetatable({
+      type = kind, name = port_name or "", desc = desc or "", connections = {},
+      component = false, is_event = false, policy = policy_of(default_policy),
+    }, metatable)
+  end)
 end
 
-rtt.InputPort = class("InputPort", function(kind, name, desc)
-  return new_port(InputPort, kind, name, desc, "InputPort.new")
-end)
-
-rtt.OutputPort = class("OutputPort", function(kind, name, desc)
-  return new_port(OutputPort, kind, name, desc, "OutputPort.new")
-end)
+rtt.InputPort = port_class("InputPort", InputPort)
+rtt.OutputPort = port_class("OutputPort", OutputPort)
 
 -- Returns the status, and the sample.
 local function read_sample(port)
   for _, connection in ipairs(port.connections) do
-    if connection.count > 0 then
-      port.last = connection_read(connection)
+    if connection[1] ~= nil then
+      port.last = table.remove(connection, 1)
       return "NewData", port.last
     end
   end
@@ -363,29 +339,24 @@ end
 
 function InputPort.read(port, var)
   check_port(port, InputPort, "InputPort.read")
-  if not is_variable(var) then -- also when it is something else
-    local status, value = read_sample(port)
-    return status, push(port.type, value)
-  end
-  if rawget(var, 1) ~= port.type then
+  if is_variable(var) and rawget(var, 1) ~= port.type then
     log("Error", "trying to read to an incompatible data source")
     return "NoData"
   end
   local status, value = read_sample(port)
+  if not is_variable(var) then return status, push(port.type, value) end
   if status ~= "NoData" then rawset(var, 2, copy_of(value)) end
   return status
 end
 
 function OutputPort.write(port, value)
   check_port(port, OutputPort, "OutputPort.write")
-  if is_variable(value) then
-    if rawget(value, 1) ~= port.type then
-      log("Error", "trying to write from an incompatible data source")
-      return
-    end
+  if not is_variable(value) then
+    value = from_lua(port.type, value)
+  elseif rawget(value, 1) == port.type then
     value = copy_of(rawget(value, 2))
   else
-    value = from_lua(port.type, value)
+    return log("Error", "trying to write from an incompatible data source")
   end
   port.last = value
   for _, connection in ipairs(port.connections) do
@@ -401,12 +372,10 @@ local function connect_ports(port, other, policy)
   if getmetatable(port) == InputPort then out, into = other, port end
   if getmetatable(out) ~= OutputPort or getmetatable(into) ~= InputPort
     or out.type ~= into.type then
-    log("Error", "Port " .. port.name .. " is not compatible with " .. other.name)
-    return false
+    return refuse("Port " .. port.name .. " is not compatible with " .. other.name)
   end
   policy = policy or into.policy
-  local connection = new_connection(policy)
-  connection.from, connection.to = out, into
+  local connection = { kind = policy.type, size = policy.size, from = out, to = into }
   table.insert(out.connections, connection)
   table.insert(into.connections, connection)
   local last = rawget(out, "last")
@@ -416,11 +385,8 @@ end
 
 -- A policy is ignored.
 function Port.connect(port, other)
-  local class_of_other = getmetatable(other)
-  if class_of_other ~= InputPort and class_of_other ~= OutputPort then
-    error("Port.connect: invalid argument 2, expected Port, got userdata", 2)
-  end
-  return connect_ports(port, other)
+  if is_port(other) then return connect_ports(port, other) end
+  error("Port.connect: invalid argument 2, expected Port, got userdata", 2)
 end
 
 local function remove_from(list, value)
@@ -448,9 +414,8 @@ local Property = {}
 Property.__index = Property
 
 rtt.Property = class("Property", function(kind, name, desc)
-  check_type(kind, "Property.new")
   return setmetatable({ type = kind, name = name or "", desc = desc or "",
-    value = default_of(kind) }, Property)
+    value = checked_default(kind, "Property.new") }, Property)
 end)
 
 function Property:get() return push(self.type, self.value) end
@@ -470,69 +435,56 @@ local Operation = {}
 Operation.__index = Operation
 
 function Operation.__call(operation, ...)
-  if select("#", ...) ~= operation.arity then
-    error(("Operation.call: wrong number of args. expected %d, got %d"):format(
-      operation.arity, select("#", ...)), 2)
-  end
-  return operation.f(...)
+  if select("#", ...) == operation.arity then return operation.f(...) end
+  error(("Operation.call: wrong number of args. expected %d, got %d"):format(
+    operation.arity, select("#", ...)), 2)
 end
 
 local function add_operation(owner, name, arity, f)
-  local operation = { name = name, arity = arity, f = f }
-  owner.operations[name] = setmetatable(operation, Operation)
+  owner.operations[name] = setmetatable({ arity = arity, f = f }, Operation)
 end
 
-local function get_operation(owner, name)
-  local operation = rawget(owner, "operations")[name]
-  if operation then return operation end
-  log("Warning", "No such operation in service '" .. owner.name .. "': " .. name)
-  error(("Service_getOperation: service %s has no operation %s"):format(owner.name,
-    name), 3)
-end
-
--- Finds methods first; then operations, as methods, in a Lua that has rttlib.
-local function new_metatable(class_methods)
-  return { __index = function(owner, name)
-    if class_methods[name] then return class_methods[name] end
-    local operation = current.has_rttlib and rawget(owner, "operations")[name]
-    return operation and function(_, ...) return operation(...) end or nil
-  end }
-end
-
+-- What components and services have.
 local Service = {}
-local SERVICE = new_metatable(Service)
-
-local function new_service(name)
-  return setmetatable({ name = name, operations = {} }, SERVICE)
-end
 
 function Service.getName(service) return service.name end
 
 function Service.hasOperation(service, name) return service.operations[name] ~= nil end
 
-function Service.getOperation(service, name) return get_operation(service, name) end
+function Service.getOperation(service, name)
+  if service.operations[name] then return service.operations[name] end
+  log("Warning", "No such operation in service '" .. service.name .. "': " .. name)
+  error(("Service_getOperation: service %s has no operation %s"):format(service.name,
+    name), 2)
+end
+
+-- Finds methods first; then operations, as methods, in a Lua that has rttlib.
+local function new_metatable(class_methods)
+  return { __index = function(owner, name)
+    local method = class_methods[name] or Service[name]
+    if method then return method end
+    local operation = current.has_rttlib and rawget(owner, "operations")[name]
+    return operation and function(_, ...) return operation(...) end or nil
+  end }
+end
+
+local SERVICE = new_metatable(Service)
 
 -- TaskContext: ports, properties, peers ----------------------------------------
 
-local TaskContext = { hasOperation = Service.hasOperation }
+local TaskContext = {}
 local TASK_CONTEXT = new_metatable(TaskContext)
 
 local function new_component(name)
   local component = setmetatable({
     name = name, state = "PreOperational", lua = false, is_triggered = false,
-    activity = { period = 0, due = false, has_thread = true },
+    period = 0, due = false,
     ports = {}, port_names = {}, properties = {}, property_names = {}, peers = {},
     operations = {}, services = {},
     hooks = setmetatable({}, { __mode = "v" }), hook_names = {}, hook_count = 0,
   }, TASK_CONTEXT)
   components[#components + 1] = component
   return component
-end
-
-function TaskContext.getName(component) return component.name end
-
-function TaskContext.getOperation(component, name)
-  return get_operation(component, name)
 end
 
 function TaskContext.getPortNames(component)
@@ -554,10 +506,8 @@ function TaskContext.removePort(component, name)
   remove_from(component.port_names, name)
 end
 
-local function add_port(component, port, name, desc, is_event)
-  if getmetatable(port) ~= InputPort and getmetatable(port) ~= OutputPort then
-    error("addPort: invalid argument, not a Port", 3)
-  end
+function TaskContext.addPort(component, port, name, desc)
+  if not is_port(port) then error("addPort: invalid argument, not a Port", 2) end
   if not port.connections[1] then port.name = name or port.name end
   port.desc = desc or port.desc
   if component.ports[port.name] then
@@ -565,32 +515,25 @@ local function add_port(component, port, name, desc, is_event)
       .. "and replacing previous port with new one.")
     TaskContext.removePort(component, port.name)
   end
-  port.component, port.is_event = component, is_event
+  port.component, port.is_event = component, false
   component.ports[port.name] = port
   table.insert(component.port_names, port.name)
 end
 
-function TaskContext.addPort(component, port, name, desc)
-  add_port(component, port, name, desc, false)
-end
-
 function TaskContext.addEventPort(component, port, name, desc)
   if getmetatable(port) ~= InputPort then error("addEventPort: no InputPort", 2) end
-  add_port(component, port, name, desc, true)
+  TaskContext.addPort(component, port, name, desc)
+  port.is_event = true
 end
 
--- Makes a getter of what a component has under names; it raises for others.
-local function getter(kind, field)
-  return function(component, name)
+-- Getters of what a component has under names; they raise for others.
+for kind, field in pairs { Port = "ports", Property = "properties", Peer = "peers" } do
+  TaskContext["get" .. kind] = function(component, name) -- any order: each alone
     local found = component[field][name]
     if found then return found end
     error(("TaskContext.get%s: no %s %s"):format(kind, kind:lower(), tostring(name)), 2)
   end
 end
-
-TaskContext.getPort = getter("Port", "ports")
-TaskContext.getProperty = getter("Property", "properties")
-TaskContext.getPeer = getter("Peer", "peers")
 
 function TaskContext.addProperty(component, property)
   component.properties[property.name] = property
@@ -617,8 +560,7 @@ end
 
 function TaskContext.provides(component, name)
   if not name then return component end
-  local service = component.services[name]
-  if service then return service end
+  if component.services[name] then return component.services[name] end
   error(("Service.provides: no subservice %s of service %s"):format(tostring(name),
     component.name), 2)
 end
@@ -645,8 +587,7 @@ local function call_function(component, lua, name, wants_result)
   end
   if not wants_result then return true end
   if type(result) == "boolean" then return result end
-  log("Error", where .. name .. " must return a bool but returned a " .. type(result))
-  return false
+  return refuse(where .. name .. " must return a bool but returned a " .. type(result))
 end
 
 -- Calls a hook of the component's program, if there is one.
@@ -663,10 +604,10 @@ function TaskContext.configure(component)
   if component.state ~= "Stopped" and component.state ~= "PreOperational" then
     return false
   end
-  for i, name in ipairs(component.lua and { "lua_string", "lua_file" } or {}) do
+  for _, kind in ipairs(component.lua and { "str", "file" } or {}) do
+    local name = kind == "str" and "lua_string" or "lua_file"
     local value = component.properties[name]:get()
-    local operation = i == 1 and "exec_str" or "exec_file"
-    if value ~= "" then component.operations[operation](value) end
+    if value ~= "" then component.operations["exec_" .. kind](value) end
   end
   local ok = call_hook(component, "configureHook", true)
   component.state = ok and "Stopped" or "PreOperational"
@@ -680,19 +621,18 @@ function TaskContext.start(component)
   return true
 end
 
-function TaskContext.stop(component)
-  if component.state ~= "Running" then return false end
-  component.state = "Stopped"
-  call_hook(component, "stopHook", false)
-  return true
+-- Makes stop and cleanup: they lead from a state to another one, and call a hook.
+local function leave(from, to, hook)
+  return function(component)
+    if component.state ~= from then return false end
+    component.state = to
+    call_hook(component, hook, false)
+    return true
+  end
 end
 
-function TaskContext.cleanup(component)
-  if component.state ~= "Stopped" then return false end
-  component.state = "PreOperational"
-  call_hook(component, "cleanupHook", false)
-  return true
-end
+TaskContext.stop = leave("Running", "Stopped", "stopHook")
+TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 
 -- One turn of the thread: hooks, in every state, then updateHook.
 local function execute(component)
@@ -712,7 +652,7 @@ function standin.spin()
   local i, turns = 1, 0
   while components[i] do
     local component = components[i]
-    if component.is_triggered and component.activity.period == 0 then
+    if component.is_triggered and component.period == 0 then
       turns = turns + 1
       assert(turns <= 10000, "standin.spin: components trigger each other for ever")
       execute(component)
@@ -726,8 +666,8 @@ end
 local function next_due(limit)
   local found
   for _, component in ipairs(components) do
-    local due = component.activity.due
-    if due and due <= limit and not (found and found.activity.due <= due) then
+    local due = component.due
+    if due and due <= limit and not (found and found.due <= due) then
       found = component
     end
   end
@@ -738,13 +678,10 @@ end
 function standin.advance(seconds)
   local limit = now + floor(seconds * BILLION + 0.5)
   standin.spin()
-  local component = next_due(limit)
-  while component do
-    local activity = component.activity
-    now, activity.due = activity.due, activity.due + activity.period
+  for component in next_due, limit do
+    now, component.due = component.due, component.due + component.period
     execute(component)
     standin.spin()
-    component = next_due(limit)
   end
   now = limit
 end
@@ -757,14 +694,15 @@ function rtt.sleep(s, ns) standin.advance(floor(s) + ns / BILLION) end
 
 local function set_period(component, period)
   local ns = floor(period * BILLION + 0.5)
-  component.activity = { period = ns, due = ns > 0 and now + ns }
+  component.period, component.due = ns, ns > 0 and now + ns
   return true
 end
 
--- Operations that each component has.
-local function add_engine_operations(component)
+-- A component with the operations that each one has.
+local function new_engine(name)
+  local component = new_component(name)
   add_operation(component, "trigger", 0, function()
-    if component.activity.period > 0 then return false end
+    if component.period > 0 then return false end
     component.is_triggered = true
     return true
   end)
@@ -775,6 +713,7 @@ local function add_engine_operations(component)
   add_operation(component, "setPeriod", 1, function(period)
     return set_period(component, period)
   end)
+  return component
 end
 
 -- Lua in components: the component, the service, EEHook ------------------------
@@ -809,7 +748,7 @@ end
 
 -- Stands in for rttlib: what its loading does, and the functions that charts use.
 local function new_rttlib(lua)
-  local rttlib = {}
+  local rttlib, globals = {}, lua.globals
   lua.has_rttlib = true
 
   function rttlib.port_clone_conn(port, suffix, name)
@@ -821,7 +760,7 @@ local function new_rttlib(lua)
   end
 
   function rttlib.tc_cleanup()
-    local component = lua.globals.rtt.getTC()
+    local component = globals.rtt.getTC()
     for _, name in ipairs(component:getPortNames()) do
       local port = component:getPort(name)
       component:removePort(name)
@@ -829,16 +768,17 @@ local function new_rttlib(lua)
     end
   end
 
-  lua.globals.rttlib, lua.globals.utils = rttlib, { tab2str = tostring }
-  lua.globals.package.loaded.utils = lua.globals.utils
-  lua.globals.rtt.globals = setmetatable({}, { __index = function(_, name)
+  globals.rttlib, globals.utils = rttlib, { tab2str = tostring }
+  globals.package.loaded.utils = globals.utils
+  globals.rtt.globals = setmetatable({}, { __index = function(_, name)
     return rtt.globals_get(name)
   end })
   return rttlib
 end
 
--- Gives a Lua the module `rtt` of a component.
-local function bind(lua, component)
+-- Makes a Lua with the module `rtt` of a component.
+local function new_lua(component)
+  local lua = lua_state.new()
   local bound = setmetatable({
     getTC = function() return component end, EEHook = eehook_class(component, lua),
   }, { __index = rtt })
@@ -848,28 +788,29 @@ local function bind(lua, component)
   return lua
 end
 
--- Makes an operation of what returns whether it went well, and why not.
-local function add_exec(owner, name, lua, run, where)
-  add_operation(owner, name, 1, function(argument)
-    if type(argument) ~= "string" then
-      error("__lua_todsb: can't convert lua " .. type(argument)
-        .. " to string variable", 2)
-    end
-    local ok, problem = run_in(lua, run, lua, c_string(argument))
-    if not ok then log_failure(where, problem) end
-    return ok
-  end)
-end
-
+-- Adds the operations that run a text or a file, return whether that went well, and log
+-- why not.
 local function add_lua_operations(owner, lua, where)
-  add_exec(owner, "exec_str", lua, lua.run, where)
-  add_exec(owner, "exec_file", lua, lua.run_file, where)
+  for name, run in pairs { exec_str = lua.run, exec_file = lua.run_file } do
+    add_operation(owner, name, 1, function(argument) -- any order: two operations
+      if type(argument) ~= "string" then
+        error("__lua_todsb: can't convert lua " .. type(argument)
+          .. " to string variable", 2)
+      end
+      local ok, problem = run_in(lua, run, lua, c_string(argument))
+      if not ok then log_failure(where, problem) end
+      return ok
+    end)
+  end
 end
 
-local function new_lua_component(name)
-  local component = new_component(name)
-  add_engine_operations(component)
-  component.lua = bind(lua_state.new(), component)
+-- Deployer --------------------------------------------------------------------
+
+local FACTORIES = {} -- by type: what makes a component
+
+FACTORIES["OCL::LuaComponent"] = function(name)
+  local component = new_engine(name)
+  component.lua = new_lua(component)
   add_lua_operations(component, component.lua, "LuaComponent '" .. name .. "': ")
   for _, property in ipairs { "lua_string", "lua_file" } do
     TaskContext.addProperty(component, rtt.Property.new("string", property))
@@ -878,44 +819,27 @@ local function new_lua_component(name)
 end
 
 -- Its pool is not: `tlsf` is all that is different.
-local function new_tlsf_component(name)
-  local component = new_lua_component(name)
+FACTORIES["OCL::LuaTLSFComponent"] = function(name)
+  local component = FACTORIES["OCL::LuaComponent"](name)
   component.lua.globals.tlsf = {
     stats = function() end, trace = function() end, warn = function() end,
   }
   return component
 end
 
-local function new_hello_world(name)
-  local component = new_component(name)
-  add_engine_operations(component)
+FACTORIES["OCL::HelloWorld"] = function(name)
+  local component = new_engine(name)
   TaskContext.addPort(component, rtt.OutputPort.new("string", "the_results"))
   TaskContext.addPort(component, rtt.InputPort.new("string", "the_buffer_port"))
   set_period(component, 0.1)
   return component
 end
 
-local function add_lua_service(component, name)
-  local service = new_service(name)
-  component.services[name] = service
-  service.lua = bind(lua_state.new(), component)
-  add_lua_operations(service, service.lua, "LuaService '" .. component.name .. "': ")
-end
+local DEPLOYER = {} -- its operations
 
--- Deployer --------------------------------------------------------------------
+function DEPLOYER.import(_, _) return true end
 
-local FACTORIES = { -- by type: what makes a component
-  ["OCL::LuaComponent"] = new_lua_component,
-  ["OCL::LuaTLSFComponent"] = new_tlsf_component,
-  ["OCL::HelloWorld"] = new_hello_world,
-}
-
-local function refuse(problem)
-  log("Error", problem)
-  return false
-end
-
-local function load_component(deployer, name, kind)
+function DEPLOYER.loadComponent(deployer, name, kind)
   if deployer.peers[name] then
     return refuse("Failed to load component with name " .. name
       .. ": already present as peer or loaded.")
@@ -926,13 +850,13 @@ local function load_component(deployer, name, kind)
   return true
 end
 
-local function unload_component(deployer, name)
+function DEPLOYER.unloadComponent(deployer, name)
   local component = deployer.peers[name]
   if not component then return refuse("Can't unload component '" .. name .. "'") end
   if component.state == "Running" then
     return refuse("Could not unload Component " .. name .. ": still running.")
   end
-  if component.state == "Stopped" then TaskContext.cleanup(component) end
+  TaskContext.cleanup(component)
   for i = #component.port_names, 1, -1 do
     TaskContext.removePort(component, component.port_names[i])
   end
@@ -941,23 +865,24 @@ local function unload_component(deployer, name)
   return true
 end
 
-local function set_activity(deployer, name, period)
+function DEPLOYER.setActivity(deployer, name, period)
   local component = deployer.peers[name]
   if not component then
     return refuse("Can't create Activity: component " .. name .. " not found.")
-  end
-  if component.state == "Running" then
+  elseif component.state == "Running" then
     return refuse("Can't change activity of component " .. name
       .. " since it is still running.")
   end
   return set_period(component, period)
 end
 
-local function load_service(deployer, name, service)
+function DEPLOYER.loadService(deployer, name, kind)
   local component = deployer.peers[name]
   if not component then return refuse("No such component " .. name) end
-  if service ~= "Lua" then return refuse("No such service " .. service) end
-  add_lua_service(component, service)
+  if kind ~= "Lua" then return refuse("No such service " .. kind) end
+  local service = setmetatable({ name = kind, operations = {} }, SERVICE)
+  component.services[kind] = service
+  add_lua_operations(service, new_lua(component), "LuaService '" .. name .. "': ")
   return true
 end
 
@@ -968,24 +893,25 @@ local function find_port(deployer, path)
   return component and component.ports[port]
 end
 
-local function connect(deployer, from, to, policy)
+function DEPLOYER.connect(deployer, from, to, policy)
   local a, b = find_port(deployer, from), find_port(deployer, to)
   if not a or not b then return refuse("no such port: " .. (a and to or from)) end
   return connect_ports(a, b, policy_of(policy))
 end
 
+local ARITY = {
+  import = 1, loadComponent = 2, unloadComponent = 1, loadService = 2, setActivity = 4,
+  connect = 3,
+}
+
 local function new_deployer()
   local deployer = new_component("Deployer")
   deployer.state = "Running"
-  local function operation(name, arity, f)
-    add_operation(deployer, name, arity, function(...) return f(deployer, ...) end)
+  for name, arity in pairs(ARITY) do -- any order: distinct operations
+    add_operation(deployer, name, arity, function(...)
+      return DEPLOYER[name](deployer, ...)
+    end)
   end
-  operation("import", 1, function() return true end)
-  operation("loadComponent", 2, load_component)
-  operation("unloadComponent", 1, unload_component)
-  operation("loadService", 2, load_service)
-  operation("setActivity", 4, set_activity)
-  operation("connect", 3, connect)
   return deployer
 end
 

@@ -1,0 +1,87 @@
+--- Options of a function: checked by a table of tests, with defaults; packages.
+--
+-- @module rfsm.options
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local pairs, pcall, require, tostring, type = pairs, pcall, require, tostring, type
+local floor, huge = math.floor, math.huge
+local concat, sort = table.concat, table.sort
+
+local options = {}
+
+--- Is it a text with a character in it?
+---@param x any
+---@return boolean
+function options.is_text(x) return type(x) == "string" and x ~= "" end
+
+--- Return a test: is it a whole number in these bounds?
+---@param least number
+---@param most number
+---@return fun(x: any): boolean
+function options.is_whole(least, most)
+  return function(x)
+    return type(x) == "number" and x >= least and x <= most and x == floor(x)
+  end
+end
+
+--- Is it a finite number of seconds, not below 0?
+---@param x any
+---@return boolean
+function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
+
+--- Return the end of a message: "got string 'x'".
+---@param value any
+---@return string
+function options.got(value)
+  if type(value) == "string" then return ("got string '%s'"):format(value) end
+  return "got " .. (type(value) == "number" and rfsm.text_of(value) or type(value))
+end
+
+local function sorted_names(t)
+  local names = {}
+  for name in pairs(t) do names[#names + 1] = tostring(name) end -- any order: sorted
+  sort(names)
+  return names
+end
+
+--- Return the options with their defaults.
+---@param known table<string, any[]> description, test, default of each
+---@param given table
+---@return table? settings nil if one is wrong
+---@return string? problem in one line
+function options.read(known, given)
+  if type(given) ~= "table" then
+    return nil, "table of options expected, " .. options.got(given)
+  end
+  local settings = {}
+  for _, name in pairs(sorted_names(given)) do
+    local option, value = known[name], given[name]
+    if not option then
+      return nil, ("unknown option '%s', expected: %s"):format(name,
+        concat(sorted_names(known), ", "))
+    elseif not option[2](value) then
+      return nil, ("%s: %s expected, %s"):format(name, option[1], options.got(value))
+    end
+    settings[name] = value
+  end
+  for name, option in pairs(known) do -- any order: each stands alone
+    if settings[name] == nil then settings[name] = option[3] end
+  end
+  return settings
+end
+
+--- Load a module that an extension needs.
+---@param name string
+---@param package string that of Debian which has it
+---@return table? module nil if it is missing
+---@return string? problem in one line
+function options.find_package(name, package)
+  local ok, module = pcall(require, name)
+  if ok and type(module) == "table" then return module end
+  return nil, ("the package %s is missing (on Debian: apt-get install %s)"):format(
+    name == "socket" and "luasocket" or name, package)
+end
+
+return options

@@ -1,0 +1,272 @@
+--- The commands of the simulator, each with its help.
+--
+-- @module rfsm.sim.commands
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local rfsmpp = require "rfsmpp"
+local history = require "rfsm.sim.history"
+local names = require "rfsm.sim.names"
+local points = require "rfsm.sim.points"
+local time = require "rfsm.sim.time"
+local view = require "rfsm.sim.view"
+
+local error, ipairs, next, print = error, ipairs, next, print
+local select, type = select, type
+local text_of = rfsm.text_of
+
+local commands = {}
+
+--- A command.
+---@class rfsm.sim.Command
+---@field name string
+---@field usage string "step([n])"
+---@field brief string one line
+---@field text string what else there is to know, and an example
+---@field run fun(sim: rfsm.sim.Session, ...) returns nothing: the prompt would print it
+---@field takes_line? boolean written as words, the rest of the line is one argument
+---@field completes? "events"|"points" what the Tab key knows behind it
+
+commands.list = {}
+local by_name, groups = {}, {}
+
+local function group(title) groups[#groups + 1] = { title = title } end
+
+local function add(usage, brief, text, run, more)
+  local command = more or {}
+  command.name = usage:match("^[%w_]+")
+  command.usage, command.brief, command.text, command.run = usage, brief, text, run
+  by_name[command.name] = command
+  commands.list[#commands.list + 1] = command
+  local last = groups[#groups]
+  last[#last + 1] = command
+end
+
+--- Return the command of a name.
+---@param name string
+---@return rfsm.sim.Command? command
+function commands.find(name) return by_name[name] end
+
+local function check(command, value, kind)
+  if type(value) == kind then return value end
+  error(("%s: %s expected, got %s"):format(command, kind, type(value)), 0)
+end
+
+local function advance(sim, how, n)
+  history.mark(sim)
+  sim:advance(how, n)
+end
+
+group "Advance"
+
+add("step([n])", "advance by n transitions or doo cycles (1)", [[
+Enters the machine when it is called first. Example: step 3]],
+function(sim, n) advance(sim, rfsm.step, n or 1) end)
+
+add("run()", "advance until nothing is left to do", [[
+A doo that is never idle keeps it going: Control-C ends it, and so does a breakpoint.]],
+function(sim) advance(sim, rfsm.run) end)
+
+add("se(...)", "send events", [[
+They wait in the queue until the next step. `se e_done` stands for the completion of
+the active leaf. An event is sent also if no transition names it. Example: se e_a e_b]],
+function(sim, ...)
+  sim:send(...)
+  sim:print_queue()
+end, { completes = "events" })
+
+add("ses(...)", "send events, then step()", [[
+Example: ses e_push    or, in Lua, ses("e_push")]],
+function(sim, ...)
+  sim:send(...)
+  advance(sim, rfsm.step, 1)
+end, { completes = "events" })
+
+add("ser(...)", "send events, then run()", [[
+Example: ser e_push    or, in Lua, ser("e_push")]],
+function(sim, ...)
+  sim:send(...)
+  advance(sim, rfsm.run)
+end, { completes = "events" })
+
+group "Look"
+
+add("events()", "list the events that would do something now", [[
+Guards are called, nothing else is.]],
+function(sim)
+  if not sim.fsm._act_leaf then return print("step() enters the machine") end
+  print((select(2, rfsm_checks.enabled(sim.fsm))))
+end)
+
+add("why(...)", "explain the effect that events would have now", [[
+Each transition from the root to the active leaf answers: it would be taken, or the
+reason why not. Without an event: those in the queue. Example: why e_push]],
+function(sim, ...)
+  print((select(2, rfsm_checks.why(sim.fsm, ...))))
+end, { completes = "events" })
+
+add("tree()", "draw the active states and their siblings", [[
+A star marks active states.]],
+function(sim) print(view.tree(sim.fsm)) end)
+
+add("pp()", "print all states as a tree", [[
+[CS] is a composite, [LS] a leaf. The mode is a colour, or a word without colours.]],
+function(sim) print((rfsmpp.fsm2str(sim.fsm):gsub("\n$", ""))) end)
+
+add("view(file)", "keep a picture of the machine up to date", [[
+The ending of the file is the format: svg, png, pdf (by Graphviz) or dot. view(false)
+ends it. Example: view out.svg]],
+function(sim, file)
+  if file ~= false then check("view", file, "string") end
+  sim:draw(file)
+end, { takes_line = true })
+
+add("showfqn()", "print the active state and its mode", "",
+function(sim) sim:print_active() end)
+
+add("showeq()", "print the events that wait in the queue", "",
+function(sim) sim:print_queue() end)
+
+add("follow(on)", "print what each advance takes, and the tree", [[
+true at a terminal. false: only the active state and the queue, as for a pipe.]],
+function(sim, is_on) sim.follows = is_on ~= false end)
+
+add("dbg(level)", "trace records: false, true or 'full'", [[
+false shows none, true the main ones, 'full' all of them.]],
+function(sim, level) sim:set_level(level) end)
+
+add("add_hook(f)", "call f(fsm) after each advance", "",
+function(sim, hook)
+  if not rfsm.is_callable(hook) then check("add_hook", hook, "function") end
+  sim.hooks[#sim.hooks + 1] = hook
+end)
+
+group "Stop"
+
+add("breakpoint(x)", "stop at a state, a transition or an event", [[
+Without an argument: list them. The machine stops behind the step in which the state
+was entered, the transition taken, or the event received.
+Examples: breakpoint on    breakpoint off -> on    breakpoint e_push]],
+function(sim, what)
+  if what == nil then return points.list(sim) end
+  local n = points.add(sim, what)
+  print(("%d  %s %s"):format(n, sim.points[n].kind, sim.points[n].name))
+end, { completes = "points", takes_line = true })
+
+add("watch(expr)", "show the value of an expression after each advance", [[
+Without an argument: list them. Example: watch tank.fuel]],
+function(sim, text)
+  if text == nil then return points.list(sim) end
+  points.add_watch(sim, check("watch", text, "string"))
+end, { takes_line = true })
+
+add("delete([n])", "remove the breakpoint or expression n, or all", "",
+function(sim, n) points.delete(sim, n) end)
+
+group "Time"
+
+add("clock([s])", "let s simulated seconds pass", [[
+From then on time passes only by clock and next. The machine runs at each timer on the
+way. Without an argument: print the time. clock(false): real time again.
+Example: clock 3.5]],
+function(sim, seconds)
+  if seconds == nil then return time.show(sim) end
+  if seconds == false then return time.use_real(sim) end
+  if check("clock", seconds, "number") < 0 or seconds - seconds ~= 0 then
+    error("clock: seconds, a number not below 0, expected, got " .. text_of(seconds), 0)
+  end
+  time.pass(sim, seconds)
+end)
+
+add("next()", "go to the next timer and run", [[
+The clock is simulated from then on. With a table it is the function of Lua.]],
+function(sim, ...)
+  if ... ~= nil then return next(...) end
+  time.go_to_timer(sim)
+end)
+
+group "Back"
+
+add("back([n])", "undo the last n advances (1)", [[
+No function of the chart is called. Variables of the chart keep their values, except
+those that its states `keep`. Events that were sent since are forgotten.]],
+function(sim, n)
+  history.back(sim, n or 1)
+  sim:show()
+end)
+
+add("goto(n)", "go back to where iteration n ended", [[
+history() has the numbers, 0 is the beginning. For the rest see back.]],
+function(sim, n)
+  history.go_to(sim, n)
+  sim:show()
+end)
+
+add("history([n])", "list the last n iterations (20)", [[
+The number, the events, and the active leaf at its end.]],
+function(sim, n) history.show(sim, n or 20) end)
+
+add("record(file)", "write the history to a file, and all that follows", [[
+`rfsm sim --replay file` runs the chart through it. record(false) ends it.
+Example: record run.jsonl]],
+function(sim, file)
+  if file ~= false then check("record", file, "string") end
+  history.save(sim, file or nil)
+end, { takes_line = true })
+
+group "Machine"
+
+add("dry(on)", "leave the functions of the chart out", [[
+Entries, exits and effects do nothing, guards let pass, a doo goes on until `se e_done`.
+A doo that runs already is not ended. dry(false) brings the functions back.]],
+function(sim, is_on) sim:set_dry(is_on ~= false) end)
+
+add("reset()", "make the machine as it was at the beginning", "",
+function(sim)
+  history.mark(sim)
+  rfsm.reset(sim.fsm)
+  sim:show()
+end)
+
+add("reload()", "read the chart's file again", [[
+The machine stays in its state if that is still there, with its queue and its timers. No
+function is called. A doo begins anew, and so does the history.]],
+function(sim) sim:reload() end)
+
+group "This program"
+
+-- Lua reads `help step` as two names: the prompt makes a call of it.
+local function print_help(command)
+  print(command.usage .. "    " .. command.brief)
+  if command.text ~= "" then print(command.text) end
+end
+
+local CLOSING = [[
+
+'help step' has more. A command is Lua, step(3), or words: step 3, ser e_push.
+'fsm' is the machine, 'rfsm' the library. An expression prints its value.
+Control-C ends what runs, Control-D the program.]]
+
+add("help([c])", "this list, or more about a command", "",
+function(_, name)
+  if name ~= nil then
+    local command = by_name[text_of(name):match("^[%w_]*")]
+    if command then return print_help(command) end
+    local list = {}
+    for _, known in ipairs(commands.list) do list[#list + 1] = known.name end
+    error("help: no command is named " .. text_of(name)
+      .. names.hint(text_of(name), list), 0)
+  end
+  for _, members in ipairs(groups) do
+    print(members.title)
+    for _, command in ipairs(members) do
+      print(("  %-15s%s"):format(command.usage, command.brief))
+    end
+  end
+  print(CLOSING)
+end)
+
+add("quit()", "end, as Control-D does", "", function(sim) sim.is_over = true end)
+
+return commands

@@ -1,0 +1,185 @@
+--- The probe: watches a machine while it is advanced.
+--
+-- Each transition that is taken is printed when it begins, before the lines that its
+-- callbacks print. Afterwards the probe knows which events were discarded, and which
+-- breakpoints were hit.
+--
+-- @module rfsm.sim.probe
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local names = require "rfsm.sim.names"
+local view = require "rfsm.sim.view"
+
+local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetatable
+local type = type
+local concat, insert = table.concat, table.insert
+
+--- A breakpoint, or an expression that is watched.
+---@class rfsm.sim.Point
+---@field kind "state"|"transition"|"event"|"watch"
+---@field name string for a reader; the expression
+---@field value any the FQN, the transition or the event; the last value shown
+---@field fsm? rfsm.Machine of the state
+
+local Probe = {}
+Probe.__index = Probe
+
+-- Paths: the transitions of which they consist ----------------------------------------
+
+local function mark(node) return node._fqn .. "[" .. rfsm.fsmobj_tochar(node) .. "]" end
+
+-- Lists the transitions of a machine by their two ends.
+local function index(fsm)
+  local by_ends = {}
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    if rfsm.is_node(tr.src) and rfsm.is_node(tr.tgt) then
+      local ends = mark(tr.src) .. mark(tr.tgt)
+      by_ends[ends] = by_ends[ends] or {}
+      insert(by_ends[ends], tr)
+    end
+  end
+  return by_ends
+end
+
+-- Splits "root.a[LS]->root.b[LS]" into its nodes, each with its mark.
+local function split(path)
+  local marks = {}
+  for text in (path .. "->"):gmatch("(.-%[%a+%])%->") do marks[#marks + 1] = text end
+  return marks
+end
+
+local function transitions_on(machine, marks)
+  local found = {}
+  machine.by_ends = machine.by_ends or index(machine.fsm)
+  for i = 2, #marks do
+    for _, tr in ipairs(machine.by_ends[marks[i - 1] .. marks[i]] or {}) do
+      found[#found + 1] = tr
+    end
+  end
+  return found
+end
+
+-- May the transition have fired on this event? A predicate is not asked again. Without
+-- events it fires on any, but a connector is left whatever the event.
+local function takes(tr, event)
+  local events = tr.events or {}
+  for i = 1, #events do
+    if rawequal(events[i], event) or rfsm.is_callable(events[i]) then return true end
+  end
+  return events[1] == nil and rfsm.is_state(tr.src)
+end
+
+-- Records ---------------------------------------------------------------------------
+
+-- Is an event one of those that the machine sends itself, and mostly in vain?
+local function is_own(event)
+  return event == "e_init_fsm" or type(event) == "string" and event:find("^e_done@")
+end
+
+function Probe:check_points(kind, value, fsm)
+  for i, point in ipairs(self.sim.points) do
+    if point.kind == kind and rawequal(point.value, value)
+      and (kind ~= "state" or point.fsm == fsm) then
+      self.hits[i], self.is_hit = true, true
+    end
+  end
+end
+
+-- Notes the events that a transition has used; appends their texts to `by`.
+function Probe:note_used(tr, events, by)
+  for i = 1, events and #events or 0 do
+    local event = events[i]
+    if takes(tr, event) then
+      self.is_used[event] = true
+      if tr.events and tr.events[1] ~= nil then
+        by[#by + 1] = (rfsm.text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
+      end
+    end
+  end
+end
+
+function Probe:note_path(machine, path)
+  local marks, by = split(path), {}
+  for i, tr in ipairs(transitions_on(machine, marks)) do
+    self:check_points("transition", tr)
+    self:note_used(tr, machine.events, i == 1 and by or {})
+  end
+  if not self.is_shown then return end
+  for i, text in ipairs(marks) do
+    marks[i] = names.full(machine.prefix, (text:gsub("%[%a+%]$", "")))
+  end
+  print("taken:  " .. concat(marks, " -> ") .. (by[1] and " on " .. concat(by, ", ")
+    or ""))
+end
+
+function Probe:note(machine, id, text)
+  if id == "EXEC_PATH" then
+    self:note_path(machine, text)
+  elseif id == "STATE_ENTER" then
+    self:check_points("state", text, machine.fsm)
+  end
+end
+
+function Probe:note_events(machine, events)
+  machine.events = {}
+  for i = 1, #events do
+    local event = events[i]
+    machine.events[i] = event
+    if rawequal(event, event) and not (self.is_seen[event] or is_own(event)) then
+      self.is_seen[event], self.seen[#self.seen + 1] = true, event
+    end
+    self:check_points("event", event)
+  end
+end
+
+-- Attach and detach -----------------------------------------------------------------
+
+function Probe:attach(machine)
+  local fsm, own = machine.fsm, machine.fsm.dbg
+  machine.own = own
+  function machine.dbg(id, ...)
+    self:note(machine, id, ...)
+    if rfsm.is_callable(own) then return own(id, ...) end
+    if own then print(view.texts("\t", id, ...)) end
+  end
+  function machine.hook(_, events) self:note_events(machine, events) end
+  fsm.dbg = machine.dbg
+  rfsm.pre_step_hook_add(fsm, machine.hook, "after")
+end
+
+--- Stop watching. What somebody has put into `dbg` meanwhile stays.
+function Probe:detach()
+  for _, machine in ipairs(self.machines) do
+    if rawequal(machine.fsm.dbg, machine.dbg) then machine.fsm.dbg = machine.own end
+    rfsm.pre_step_hook_rm(machine.fsm, machine.hook)
+  end
+end
+
+--- List the events that no transition has taken and that no queue holds.
+---@return any[] events in the order in which they came
+function Probe:discarded()
+  local is_pending, list = {}, {}
+  for _, machine in ipairs(self.machines) do
+    for _, event in ipairs(machine.fsm._intq) do is_pending[event] = true end
+  end
+  for _, event in ipairs(self.seen) do
+    if not (self.is_used[event] or is_pending[event]) then list[#list + 1] = event end
+  end
+  return list
+end
+
+local probe = {}
+
+--- Watch the machine of a session and the regions in it.
+---@param sim rfsm.sim.Session
+---@param is_shown boolean print the transitions taken
+---@return table probe
+function probe.attach(sim, is_shown)
+  local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
+    is_seen = {}, seen = {}, is_used = {}, machines = names.machines(sim.fsm) }, Probe)
+  for _, machine in ipairs(self.machines) do self:attach(machine) end
+  return self
+end
+
+return probe

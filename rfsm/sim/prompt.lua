@@ -1,0 +1,222 @@
+--- The prompt of the simulator: Lua, and commands written as words.
+--
+-- An expression prints its value, a statement runs. A line that is no Lua and begins
+-- with a command is split into words: `ser e_push` is `ser("e_push")`.
+--
+-- @module rfsm.sim.prompt
+-- @license BSD-3-Clause
+
+local chart = require "rfsm.chart"
+local commands = require "rfsm.sim.commands"
+local names = require "rfsm.sim.names"
+local terminal = require "rfsm.sim.terminal"
+local view = require "rfsm.sim.view"
+local rfsm = require "rfsm"
+
+local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
+local select, setmetatable, tonumber, type = select, setmetatable, tonumber, type
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local load = rawget(_G, "loadstring") or rawget(_G, "load")
+local setfenv = rawget(_G, "setfenv")
+local complain, first_line = view.complain, chart.first_line
+
+local prompt = {}
+
+-- Compile ---------------------------------------------------------------------------
+
+-- Loads a text so that its globals are those of `env`, on every Lua. The blank is for
+-- 5.1, which takes what starts with an escape (an arrow key) for a compiled chunk.
+local function load_in(env, text, chunkname)
+  local chunk, problem = load(" " .. text, chunkname, "t", env)
+  if chunk and setfenv then setfenv(chunk, env) end
+  return chunk, problem
+end
+
+-- Compiles an expression to a chunk that calls a function with its values: a mere
+-- `return` would be a tail call, after which an error has lost its place.
+local function compile_expression(env, text, chunkname)
+  local chunk, problem = load_in(env, "return " .. text, chunkname)
+  return chunk and load_in(env, "(...)(" .. text .. "\n)", chunkname) or chunk, problem
+end
+
+local function compile(env, text, chunkname)
+  local expression = text:match("^%s*=(.*)")
+  local chunk, problem = compile_expression(env, expression or text, chunkname)
+  if chunk or expression then return chunk, problem end
+  return load_in(env, text, chunkname)
+end
+
+local function is_incomplete(problem)
+  return problem:find("<eof>'?$") ~= nil
+end
+
+-- Words -----------------------------------------------------------------------------
+
+local VALUES = { ["true"] = true, ["false"] = false }
+
+local function value_of_word(word)
+  if VALUES[word] ~= nil then return VALUES[word] end
+  return tonumber(word) or word
+end
+
+local function split(text)
+  local words = {}
+  for word in text:gmatch("[^%s,]+") do
+    words[#words + 1] = value_of_word(word:match("^(['\"])(.*)%1$") and word:sub(2, -2)
+      or word)
+  end
+  return words
+end
+
+-- Returns the command that a line of words means, as a function; nil if there is none.
+local function call_of(sim, text)
+  local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
+  if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
+  local command = name and commands.find(name)
+  if not command then return nil end
+  local arguments = split(rest) -- numbers and booleans are what they look like
+  if command.takes_line and type(arguments[1]) == "string" then arguments = { rest } end
+  return function() sim.env[name](unpack(arguments)) end
+end
+
+-- Appends the names of the commands to a list.
+local function command_names(list)
+  for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
+  return list
+end
+
+-- A name alone that does not exist: an event, or a mistake. Returns the complaint.
+local function problem_of_name(sim, text)
+  local name = text:match("^%s*([%a_][%w_]*)%s*$")
+  if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end
+  if select(2, names.events(sim.fsm))[name] then
+    return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
+  end
+  local hint = names.hint(name, command_names(names.plain_events(sim.fsm)))
+  return hint ~= "" and "nothing is named " .. name .. hint or nil
+end
+
+-- Evaluate --------------------------------------------------------------------------
+
+-- Has a call failed because its function does not exist? Names the nearest command.
+local function explain(sim, problem)
+  local name = problem:find("attempt to call", 1, true) and sim.missing[1]
+  if not name then return problem end
+  return ("nothing is named %s%s, help() lists the commands"):format(name,
+    names.hint(name, command_names {}))
+end
+
+-- Calls a chunk; returns whether it worked, or false and one line.
+local function call(sim, chunk)
+  local release = sim:guard_doos()
+  local ok, failure = pcall(chunk, view.print_values)
+  release()
+  if ok then return true end
+  local problem = first_line(failure):gsub("^.*:%d+: (interrupted!)$", "%1")
+  return false, explain(sim, problem)
+end
+
+--- Run a text.
+---@param sim rfsm.sim.Session
+---@param text string
+---@param chunkname string
+---@return boolean ok
+---@return string? problem in one line
+---@return boolean? is_incomplete may more text mend it?
+function prompt.evaluate(sim, text, chunkname)
+  sim.missing = {}
+  -- `view /tmp/x.svg` would be a division
+  local is_clear = text:find("^%s*[%a_][%w_]*%s*$")
+    or text:find("^%s*[%a_][%w_]*%s+[%w_/.-]")
+  local problem = problem_of_name(sim, text)
+  if problem then return false, problem, false end
+  local chunk = is_clear and call_of(sim, text)
+  if not chunk then
+    chunk, problem = compile(sim.env, text, chunkname)
+    chunk = chunk or not is_incomplete(problem) and call_of(sim, text)
+  end
+  if chunk then return call(sim, chunk) end
+  return false, first_line(problem), is_incomplete(problem)
+end
+
+--- Return the value of an expression.
+---@param sim rfsm.sim.Session
+---@param text string
+---@return boolean ok
+---@return any value the problem, in one line, if it is not ok
+function prompt.value_of(sim, text)
+  local chunk, problem = load_in(sim.env, "return " .. text, "=watch")
+  if not chunk then return false, first_line(problem) end
+  local ok, value = pcall(chunk)
+  return ok, ok and value or not ok and first_line(value) or value
+end
+
+--- Give a session what typed code sees: the commands, then the globals of the chart.
+---@param sim rfsm.sim.Session
+function prompt.install(sim)
+  local env = { fsm = sim.fsm, rfsm = rfsm }
+  for _, command in ipairs(commands.list) do
+    env[command.name] = function(...) return command.run(sim, ...) end
+  end
+  function sim.value_of(text) return prompt.value_of(sim, text) end
+  sim.env = setmetatable(env, {
+    __index = function(_, name)
+      local value = _G[name]
+      if value == nil then sim.missing[#sim.missing + 1] = rfsm.text_of(name) end
+      return value
+    end,
+    __newindex = _G,
+  })
+end
+
+-- Read lines ------------------------------------------------------------------------
+
+-- Returns the words that the Tab key may complete after a text.
+local function words_after(sim, before)
+  local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "")
+  local words = names.plain_events(sim.fsm)
+  if command and command.completes == "events" then return words end
+  for _, name in ipairs((names.nodes(sim.fsm))) do
+    words[#words + 1] = name
+    words[#words + 1] = "fsm" .. name:match("%..*")
+  end
+  if command and command.completes == "points" then return words end
+  for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted
+  for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
+  return words
+end
+
+-- What the Tab key can make of the word behind `before`.
+local function complete(sim, word, before)
+  local set = {}
+  for _, name in ipairs(words_after(sim, before)) do
+    if name:sub(1, #word) == word then set[name] = true end
+  end
+  return names.sorted(set)
+end
+
+-- Evaluates what is typed so far. If more must follow, returns the text and what is
+-- wrong with it as it is, otherwise "".
+local function digest(sim, text)
+  local ok, problem, is_open = prompt.evaluate(sim, text, "=stdin")
+  if ok then return "" end
+  if is_open then return text, problem end
+  complain(problem)
+  return ""
+end
+
+--- Read and evaluate until the end of the input.
+---@param sim rfsm.sim.Session
+function prompt.converse(sim)
+  local read = terminal.new_reader(function(...) return complete(sim, ...) end)
+  local text, problem = "", nil
+  while not sim.is_over do
+    local line, is_dropped = terminal.read(read, text == "" and "> " or ">> ")
+    if line == nil then break end
+    if is_dropped or not line then text = "" end
+    if line then text, problem = digest(sim, text .. line .. "\n") end
+  end
+  if text ~= "" then complain(problem) end
+end
+
+return prompt

@@ -1,0 +1,294 @@
+--- A session of the simulator: a chart, its machine, and how it is advanced.
+--
+-- The file reads in the order in which a session goes: open the chart, advance, send,
+-- other functions, other records, another machine.
+--
+-- @module rfsm.sim.session
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local rfsmpp = require "rfsmpp"
+local chart = require "rfsm.chart"
+local dry = require "rfsm.sim.dry"
+local history = require "rfsm.sim.history"
+local names = require "rfsm.sim.names"
+local points = require "rfsm.sim.points"
+local probe = require "rfsm.sim.probe"
+local snapshot = require "rfsm.snapshot"
+local terminal = require "rfsm.sim.terminal"
+local time = require "rfsm.sim.time"
+local view = require "rfsm.sim.view"
+
+local error, ipairs, pcall, print = error, ipairs, pcall, print
+local rawequal, rawget, select, setmetatable = rawequal, rawget, select, setmetatable
+local type = type
+local huge, concat = math.huge, table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local complain, text_of = view.complain, rfsm.text_of
+
+--- One chart and its prompt.
+---@class rfsm.sim.Session
+---@field fsm rfsm.Machine
+---@field model rfsm.State that of the machine
+---@field file string of the chart
+---@field follows boolean an advance prints what was taken, and the tree
+---@field tree? string|false the tree that was shown last
+---@field level boolean|"full" which trace records are shown
+---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
+---@field points rfsm.sim.Point[] breakpoints and expressions that are watched
+---@field picture? string|false file that is kept up to date
+---@field history rfsm.sim.History
+---@field time? rfsm.sim.Time the simulated clock
+---@field saved? table[] the functions that `dry` has taken away
+---@field env table what typed code sees: the commands, then the globals
+---@field missing string[] globals that the current line reads and that do not exist
+---@field is_over boolean no more lines, please
+local Session = {}
+Session.__index = Session
+
+-- Open a chart ----------------------------------------------------------------------
+
+-- The errors of the chart's own callbacks.
+local function print_err(...) complain(view.texts("\t", ...)) end
+
+-- Initialises `model`, silent about its problems: they are returned.
+local function init_quietly(model)
+  local own_err = model.err
+  if own_err == nil then model.err = false end
+  local fsm, problems = rfsm.init(model)
+  model.err = own_err
+  if fsm and own_err == nil then fsm.err = print_err end
+  return fsm, problems
+end
+
+-- Returns a machine and its model, or false and the lines that say why not.
+local function open(file)
+  local model, warnings = chart.load(file)
+  if not model then return false, { warnings } end
+  for _, warning in ipairs(warnings) do complain(warning) end
+  local ok, fsm, problems = pcall(init_quietly, model)
+  if not ok then return false, { chart.reason(file, fsm) } end
+  if fsm then return fsm, model end
+  for i = 1, #problems do problems[i] = chart.line(file, problems[i]) end
+  return false, problems
+end
+
+-- Advance ---------------------------------------------------------------------------
+
+function Session:print_active()
+  local leaf = self.fsm._act_leaf
+  print("active: " .. (leaf and leaf._fqn .. "(" .. leaf._mode .. ")" or "<none>"))
+end
+
+function Session:print_queue()
+  local queue, texts = self.fsm._intq, {}
+  for i = 1, #queue do texts[i] = text_of(queue[i]) end
+  print("queue:  " .. concat(texts, ", "))
+end
+
+function Session:print_timer()
+  local seconds = time.until_timer(self.fsm)
+  if not seconds then return end
+  print("timer:  in " .. time.text(seconds) .. ", next() goes there")
+end
+
+--- Show where the machine stands.
+function Session:show()
+  local tree = self.follows and view.tree(self.fsm)
+  if tree and tree ~= self.tree then print(tree) end
+  self.tree = tree
+  self:print_active()
+  self:print_queue()
+  if self.follows then self:print_timer() end
+  points.show_watched(self)
+  if self.picture then self:draw(self.picture) end
+end
+
+--- Keep a picture up to date from now on; false ends that.
+---@param file string|false
+function Session:draw(file)
+  local problem = nil
+  history.pause(self, function() problem = file and view.draw(self.fsm, file) end)
+  self.picture = not problem and file
+  if problem then complain("view: " .. problem) end
+end
+
+-- Advances step by step up to a breakpoint.
+local function advance_to_point(watcher, fsm, how, n)
+  local left = how == rfsm.run and huge or n
+  repeat
+    local idle = rfsm.step(fsm)
+    left = left - 1
+  until idle or left < 1 or watcher.is_hit or not fsm._act_leaf
+end
+
+--- Advance by rfsm.step or rfsm.run, and show where that led, also if it failed.
+---@param how function
+---@param n? number
+function Session:advance(how, n)
+  local watcher = probe.attach(self, self.follows and not self.level)
+  local ok, failure
+  if self.points[1] and (n == nil or type(n) == "number") then
+    ok, failure = pcall(advance_to_point, watcher, self.fsm, how, n or 1)
+  else
+    ok, failure = pcall(how, self.fsm, n)
+  end
+  watcher:detach()
+  self:print_discarded(watcher:discarded())
+  self:show()
+  for i, point in ipairs(self.points) do
+    if watcher.hits[i] then
+      print(("stopped at %d: %s %s"):format(i, point.kind, point.name))
+    end
+  end
+  for _, hook in ipairs(self.hooks) do hook(self.fsm) end
+  if not ok then error(failure, 0) end
+end
+
+function Session:print_discarded(events)
+  if not (self.follows and events[1] ~= nil) then return end
+  for i, event in ipairs(events) do events[i] = view.value(event) end
+  print("discarded: " .. concat(events, ", ") .. (self.has_explained and ""
+    or " ('why " .. events[1] .. "' explains)"))
+  self.has_explained = true
+end
+
+-- Events ----------------------------------------------------------------------------
+
+-- Complains of an event that is nil or that no transition names.
+function Session:check_event(event, i)
+  local words = names.plain_events(self.fsm)
+  local name = event == nil and self.missing[1]
+  if name then
+    complain(("nothing is named %s, an event is in quotes%s"):format(name,
+      names.hint(name, words)))
+  elseif event == nil then
+    complain(("event %d is nil"):format(i))
+  elseif not names.is_event(self.fsm, event) then
+    complain(("no transition names the event '%s'%s"):format(view.value(event),
+      type(event) == "string" and names.hint(event, words) or ""))
+  end
+end
+
+--- Send events; `e_done` is that of the active leaf.
+---@param ... any
+function Session:send(...)
+  local leaf, events, n = self.fsm._act_leaf, { ... }, select("#", ...)
+  for i = 1, n do
+    if events[i] == "e_done" and leaf then events[i] = "e_done@" .. leaf._fqn end
+    self:check_event(events[i], i)
+  end
+  rfsm.send_events(self.fsm, unpack(events, 1, n))
+end
+
+--- Have Control-C end a doo that never yields, until the function returned is called.
+---@return fun() release
+function Session:guard_doos()
+  local wrapped = {}
+  for _, machine in ipairs(names.machines(self.fsm)) do
+    for _, state in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
+      local own = state.doo
+      local wrapper = own and terminal.interruptible(own)
+      if wrapper ~= own then
+        state.doo = wrapper
+        wrapped[#wrapped + 1] = { state = state, own = own, wrapper = wrapper }
+      end
+    end
+  end
+  return function()
+    for _, doo in ipairs(wrapped) do
+      if rawequal(doo.state.doo, doo.wrapper) then doo.state.doo = doo.own end
+    end
+  end
+end
+
+-- Other records, another machine ----------------------------------------------------
+
+-- The records that matter most while a chart is written.
+local MAIN_RECORDS = {}
+for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED "
+  .. "TIMEEVENT"):gmatch("%S+") do
+  MAIN_RECORDS[id] = true
+end
+
+--- Choose the trace records that are shown.
+---@param level? boolean|"full"
+function Session:set_level(level)
+  if level == nil then level = true end
+  if level ~= true and level ~= false and level ~= "full" then
+    local what = type(level) == "string" and "string '%s'" or "%s"
+    error("dbg: false, true or 'full' expected, got " .. what:format(text_of(level)), 0)
+  end
+  local ids = level == "full" and {} or MAIN_RECORDS
+  local name = self.file:gsub("^.*/", ""):gsub("%.lua$", "")
+  self.level = level
+  self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
+end
+
+-- Puts a machine where one of an older chart stands. Returns the problem if it cannot.
+local function place(fsm, old)
+  local ok, snap = pcall(snapshot.take, old)
+  if not ok then return snap end
+  local options = { migrate = function() return snap end }
+  local is_put, problem = snapshot.put(fsm, snap, options)
+  local by_name = select(2, names.nodes(fsm))
+  if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
+  snap.data, snap.saved, snap.ext = nil, nil, nil -- of what is gone
+  return (select(2, snapshot.put(fsm, snap, options)))
+end
+
+--- Take the functions of the chart away, or give them back.
+---@param is_dry boolean
+function Session:set_dry(is_dry)
+  history.pause(self, function()
+    if self.saved then dry.give_back(self.saved) end
+    self.saved = is_dry and dry.take(self.fsm) or nil
+  end)
+end
+
+--- Use another machine of the chart from now on.
+---@param fsm rfsm.Machine
+---@param model rfsm.State
+function Session:use(fsm, model)
+  self.fsm, self.env.fsm, self.model = fsm, fsm, model
+  if self.saved then self.saved = dry.take(fsm) end
+  if self.level then self:set_level(self.level) end
+  points.renew(self)
+  time.install(self)
+  history.start(self)
+end
+
+--- Read the chart anew. If it has a problem the machine stays.
+function Session:reload()
+  local fsm, result = open(self.file)
+  if not fsm then
+    for _, problem in ipairs(result) do complain(problem) end
+    return
+  end
+  local problem = place(fsm, self.fsm)
+  self:use(fsm, result)
+  if problem then complain(text_of(problem) .. ": the machine begins anew") end
+  self:show()
+end
+
+-- Public functions --------------------------------------------------------------------
+
+local session = {}
+
+--- Open a chart.
+---@param file string
+---@param follows boolean
+---@return rfsm.sim.Session? sim
+---@return string[]? problems
+function session.open(file, follows)
+  local fsm, result = open(file)
+  if not fsm then return nil, result end
+  local sim = setmetatable({
+    fsm = fsm, model = result, file = file, follows = follows, level = false,
+    hooks = {}, points = {}, missing = {}, is_over = false, env = {},
+  }, Session)
+  history.start(sim)
+  return sim
+end
+
+return session

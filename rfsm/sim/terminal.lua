@@ -1,0 +1,222 @@
+--- The terminal of the simulator: Control-C, and lines typed or piped in.
+--
+-- A reader takes a prompt and returns a line; nil at the end of the input; false if
+-- Control-C dropped the line. Everything here works without luaposix and lua-readline,
+-- only with less comfort.
+--
+-- @module rfsm.sim.terminal
+-- @license BSD-3-Clause
+
+local coroutine, error, io, os = coroutine, error, io, os
+local pcall, print, rawget, require = pcall, print, rawget, require
+local tostring = tostring
+local concat = table.concat
+local sethook = rawget(_G, "debug") and rawget(_G, "debug").sethook
+local jit = rawget(_G, "jit")
+
+local terminal = {}
+
+-- Control-C, any number of times --------------------------------------------------
+--
+-- The interpreter survives one Control-C by itself. luaposix, or luv where a Lua has no
+-- luaposix, counts them, and a debug hook raises an error for each, also in a doo.
+
+local PERIOD = 10000 -- VM instructions between two looks
+local counter -- luaposix or luv, once interrupts are caught
+local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
+
+--- The source of the count.
+---@class rfsm.sim.Counter
+---@field look fun() lets the handler of the signal run
+---@field wait fun(): boolean waits for a key or a signal; is there a key?
+
+local poll
+
+-- luaposix calls the handler from a debug hook of the coroutine that has loaded it:
+-- this one, which is woken to look. LuaJIT has one debug hook for all, and that is gone
+-- then.
+local function posix_counter()
+  local listener = coroutine.create(function()
+    local signal = require "posix.signal"
+    signal.signal(signal.SIGINT, function()
+      count = count + 1
+      if jit then sethook(poll, "", PERIOD) end
+    end)
+    while true do coroutine.yield() end
+  end)
+  if not coroutine.resume(listener) then return nil end
+  local rpoll = require("posix.poll").rpoll
+  return {
+    look = function() coroutine.resume(listener) end,
+    wait = function() return rpoll(0, 1000) == 1 end,
+  }
+end
+
+local function luv_counter()
+  local ok, uv = pcall(require, "luv")
+  if not ok then return nil end
+  uv.new_signal():start("sigint", function() count = count + 1 end)
+  local keys = nil
+  return {
+    look = function() uv.run("nowait") end,
+    wait = function()
+      local is_ready = false
+      keys = keys or uv.new_poll(0)
+      keys:start("r", function() is_ready = true end)
+      uv.run("once")
+      keys:stop()
+      return is_ready
+    end,
+  }
+end
+
+--- Has Control-C been typed since the last look?
+---@return boolean
+function terminal.is_interrupted()
+  if counter then counter.look() end
+  local is_new = count > seen
+  seen = count
+  return is_new
+end
+
+function poll()
+  if not terminal.is_interrupted() then return end
+  print() -- behind the terminal's ^C
+  error("interrupted!", 2) -- the core knows this text
+end
+
+--- Have each Control-C raise an error in the code that runs.
+function terminal.catch_interrupts()
+  if counter or not sethook then return end
+  counter = posix_counter() or luv_counter()
+  if not counter then return end
+  sethook(poll, "", PERIOD)
+  if jit then jit.off() end -- its code calls no hook
+end
+
+--- Return a callback that Control-C ends, though it runs in a coroutine of its own.
+---@param callback function
+---@return function callback the same if Control-C is not caught
+function terminal.interruptible(callback)
+  if not counter then return callback end
+  return function(...)
+    sethook(poll, "", PERIOD)
+    return callback(...)
+  end
+end
+
+-- Lines -----------------------------------------------------------------------------
+
+--- Is a file descriptor a terminal?
+---@param descriptor 0|1 stdin, stdout
+---@return boolean
+function terminal.is_terminal(descriptor)
+  local result = os.execute("test -t " .. descriptor)
+  return result == true or result == 0
+end
+
+-- Reads a line key by key, so that Control-C is noticed at once.
+local function read_keys(readline, prompt)
+  local line, is_done = nil, false
+  readline.handler_install(prompt, function(text)
+    line, is_done = text, true
+    readline.handler_remove()
+  end)
+  while not is_done do
+    if counter.wait() then readline.read_char() end
+    if not is_done and terminal.is_interrupted() then
+      readline.handler_remove()
+      print()
+      return false
+    end
+  end
+  return line
+end
+
+local HISTORY = (os.getenv("HOME") or ".") .. "/.rfsm_sim_history"
+
+-- The history is complete also if the simulator is killed.
+local function keep_line(readline, line)
+  readline.add_history(line)
+  local file = io.open(HISTORY, "a")
+  if not file then return end
+  file:write(line, "\n")
+  file:close()
+end
+
+-- Line editing, history and completion by the readline module; nil without it.
+local function readline_reader(complete)
+  local ok, readline = pcall(require, "readline")
+  if not ok then return nil end
+  readline.set_options { histfile = HISTORY, auto_add = false }
+  readline.set_complete_function(function(text, from, to)
+    readline.set_completion_append_character("")
+    local is_done, matches = pcall(complete, text:sub(from, to), text:sub(1, from - 1))
+    return is_done and matches or {}
+  end)
+  return function(prompt)
+    local line
+    if counter and readline.handler_install then
+      line = read_keys(readline, prompt)
+    else
+      line = readline.readline(prompt)
+    end
+    if line and line:find("%S") then keep_line(readline, line) end
+    return line
+  end
+end
+
+local function prompting_reader(prompt)
+  io.write(prompt)
+  io.flush()
+  local line = io.read()
+  if line == nil and terminal.is_interrupted() then
+    print()
+    return false -- the signal has ended the read, not the input
+  end
+  return line
+end
+
+local function piped_reader() return io.read() end
+
+--- Return the reader for what stdin is.
+---@param complete fun(word: string, before: string): string[] for the Tab key
+---@return fun(prompt: string): string|false|nil reader
+function terminal.new_reader(complete)
+  if not terminal.is_terminal(0) then return piped_reader end
+  return terminal.is_terminal(1) and readline_reader(complete) or prompting_reader
+end
+
+--- Read a line.
+--
+-- Control-C drops the lines before, and a terminal has dropped what stood before it in
+-- this one.
+--
+---@param read fun(prompt: string): string|false|nil
+---@param prompt string
+---@return string|false|nil line
+---@return boolean is_interrupted
+function terminal.read(read, prompt)
+  local ok, line = pcall(read, prompt)
+  if ok then return line, terminal.is_interrupted() end
+  if not tostring(line):find("interrupted!", 1, true) then error(line, 0) end
+  return false, true
+end
+
+--- Return the line that names the packages which a terminal misses; nil if none.
+---@return string? advice
+function terminal.advice()
+  local packages, gains = {}, {}
+  if not pcall(require, "readline") then
+    packages[1], gains[1] = "lua-readline", "line editing and the Tab key"
+  end
+  if not counter then
+    packages[#packages + 1] = _VERSION == "Lua 5.4" and "lua-luv" or "lua-posix"
+    gains[#gains + 1] = "more than one Control-C"
+  end
+  if not packages[1] then return nil end
+  return ("for %s (on Debian): apt-get install %s"):format(concat(gains, ", for "),
+    concat(packages, " "))
+end
+
+return terminal

@@ -1,0 +1,115 @@
+--- The simulated clock of a session.
+--
+-- It goes on from the time of the clock before, so that armed timers keep their
+-- deadlines. Time passes only by `pass` and `go_to_timer`.
+--
+-- @module rfsm.sim.time
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local clock = require "rfsm.clock"
+local history = require "rfsm.sim.history"
+
+local error, ipairs, min, pcall = error, ipairs, math.min, pcall
+local print, rawget = print, rawget
+local text_of, loaded = rfsm.text_of, rawget(_G, "package").loaded
+
+local time = {}
+
+--- The time that has passed, and the times at which the two clocks began.
+---@class rfsm.sim.Time
+---@field sec number
+---@field nsec number
+---@field starts table<boolean, { sec: number, nsec: number }> by whether nobody sets it
+
+--- Have the timers of all machines read the simulated clock, if a session has one.
+---@param sim rfsm.sim.Session
+function time.install(sim)
+  local now = sim.time
+  if not now then return end
+  for _, is_monotonic in ipairs { true, false } do
+    local start = now.starts[is_monotonic]
+    clock.in_use[is_monotonic] = function()
+      return clock.normalise(start.sec + now.sec, start.nsec + now.nsec)
+    end
+  end
+end
+
+local function start(sim)
+  if sim.time then return end
+  local starts = {}
+  for _, is_monotonic in ipairs { true, false } do
+    local sec, nsec = clock.read(is_monotonic)
+    if not sec then error("clock: the clock failed: " .. text_of(nsec), 0) end
+    starts[is_monotonic] = { sec = sec, nsec = nsec }
+  end
+  sim.time = { sec = 0, nsec = 0, starts = starts }
+  time.install(sim)
+end
+
+--- Go on with the clock that was there before.
+---@param sim rfsm.sim.Session
+function time.use_real(sim)
+  sim.time = nil
+  clock.in_use[true], clock.in_use[false] = nil, nil
+end
+
+--- Return the seconds until the next timer can fire.
+---@param fsm rfsm.Machine
+---@return number? seconds nil if none is armed, or if the clock fails
+function time.until_timer(fsm)
+  local timeevent = loaded.rfsm_timeevent
+  if not timeevent then return nil end
+  local ok, seconds = pcall(timeevent.next_deadline, fsm)
+  return ok and seconds or nil
+end
+
+--- Return seconds for a reader.
+---@param seconds number
+---@return string text
+function time.text(seconds)
+  if seconds < 1 then return ("%.6g s"):format(seconds) end
+  return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
+end
+
+-- Lets seconds pass in one leap.
+local function leap(now, seconds)
+  local sec, nsec = clock.from_number(seconds)
+  now.sec, now.nsec = clock.normalise(now.sec + sec, now.nsec + nsec)
+end
+
+--- Print the time.
+---@param sim rfsm.sim.Session
+function time.show(sim)
+  local now = sim.time
+  print("clock:  " .. (now and time.text(now.sec + now.nsec / 1e9) or "real time"))
+end
+
+--- Let simulated seconds pass.
+--
+-- The machine runs at each timer on the way, and at the end.
+--
+---@param sim rfsm.sim.Session
+---@param seconds number
+function time.pass(sim, seconds)
+  start(sim)
+  history.mark(sim)
+  repeat
+    local step = min(seconds, time.until_timer(sim.fsm) or seconds)
+    leap(sim.time, step)
+    seconds = seconds - step
+    time.show(sim)
+    sim:advance(rfsm.run)
+  until seconds <= 0
+end
+
+--- Go to the next timer and run.
+---@param sim rfsm.sim.Session
+function time.go_to_timer(sim)
+  start(sim)
+  local seconds = time.until_timer(sim.fsm)
+  if not seconds then error("next: no timer is armed", 0) end
+  time.pass(sim, seconds)
+end
+
+return time

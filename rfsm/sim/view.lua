@@ -1,0 +1,155 @@
+--- What the simulator shows: values, the tree of states, the picture.
+--
+-- @module rfsm.sim.view
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local diagram = require "rfsm.diagram"
+local names = require "rfsm.sim.names"
+local rfsmpp = require "rfsmpp"
+
+local getmetatable, io, ipairs, print = getmetatable, io, ipairs, print
+local require, select, type = require, select, type
+local concat = table.concat
+local text_of = rfsm.text_of
+
+local view = {}
+
+--- Write a line to stderr, after the text in stdout.
+---@param text string
+function view.complain(text)
+  io.stdout:flush()
+  io.stderr:write(text, "\n")
+end
+
+--- Return values as one text.
+---@param separator string
+---@param ... any
+---@return string text
+function view.texts(separator, ...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
+  return concat(texts, separator)
+end
+
+-- Values --------------------------------------------------------------------------
+
+local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries of a table, tables inside each other
+
+local show
+
+local function show_table(t, depth)
+  local texts, is_item = {}, {}
+  for i = 1, #t do texts[i], is_item[i] = show(t[i], depth + 1), true end
+  for _, key in ipairs(names.sorted(t)) do
+    local name = type(key) == "string" and key or "[" .. show(key, depth + 1) .. "]"
+    if not is_item[key] then
+      texts[#texts + 1] = name .. " = " .. show(t[key], depth + 1)
+    end
+  end
+  if #texts > MAX_SHOWN then texts = { concat(texts, ", ", 1, MAX_SHOWN), "..." } end
+  return texts[1] and "{ " .. concat(texts, ", ") .. " }" or "{}"
+end
+
+local function show_node(node)
+  if rfsm.is_root(node) then
+    return "machine, active: " .. (rfsm.get_actleaf_fqn(node) or "<none>")
+  end
+  local text = node:type() .. " " .. text_of(node._fqn or "without a name")
+  return node._mode and text .. " (" .. node._mode .. ")" or text
+end
+
+-- Returns a value as a person reads it; `depth` counts the tables around it.
+function show(value, depth)
+  if type(value) == "string" and depth > 0 then return ("%q"):format(value) end
+  if rfsm.is_node(value) then return show_node(value) end
+  if type(value) ~= "table" or getmetatable(value) or depth >= MAX_DEPTH then
+    return text_of(value)
+  end
+  return show_table(value, depth)
+end
+
+--- Return a value as a person reads it.
+---@param value any
+---@return string text
+function view.value(value) return show(value, 0) end
+
+--- Print values in one line, if there are any.
+---@param ... any
+function view.print_values(...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = show(select(i, ...), 0) end
+  if texts[1] then print(concat(texts, "\t")) end
+end
+
+-- The tree: active states with their siblings ---------------------------------------
+
+local MAX_SIBLINGS = 12
+
+local add_state
+
+-- Adds the states of a list, all active ones and some of the others.
+local function add_children(lines, children, indent)
+  local hidden = 0
+  for i, child in ipairs(children) do
+    if i <= MAX_SIBLINGS or child.state._mode ~= "inactive" then
+      add_state(lines, child, indent)
+    else
+      hidden = hidden + 1
+    end
+  end
+  if hidden > 0 then
+    lines[#lines + 1] = indent .. "  and " .. hidden .. " more"
+  end
+end
+
+local function children_of(state)
+  local children = {}
+  rfsm.mapfsm(function(child)
+    if child ~= state then children[#children + 1] = { state = child } end
+  end, state, rfsm.is_state, 1)
+  for _, region in ipairs(names.regions_of(state)) do
+    children[#children + 1] = { state = region.machine, name = region.name }
+  end
+  return children
+end
+
+function add_state(lines, child, indent)
+  local state, name = child.state, (child.name or child.state._id):gsub("%c", "?")
+  local is_active, children = state._mode ~= "inactive", children_of(state)
+  local note = is_active and state._mode == "done" and " (done)" or ""
+  if not is_active and children[1] then note = " ..." end
+  name = is_active and rfsmpp.paint("green bright", "* " .. name) or "  " .. name
+  lines[#lines + 1] = indent .. name .. note
+  if is_active then add_children(lines, children, indent .. "  ") end
+end
+
+--- Draw the active states and their siblings as a tree.
+---@param fsm rfsm.Machine
+---@return string tree
+function view.tree(fsm)
+  local lines = {}
+  add_state(lines, { state = fsm }, "")
+  return concat(lines, "\n")
+end
+
+-- The picture -----------------------------------------------------------------------
+
+local FORMATS = { svg = true, png = true, pdf = true, dot = true }
+
+--- Draw a machine with its active states into a file.
+---@param fsm rfsm.Machine
+---@param file string its ending is the format
+---@return string? problem in one line
+function view.draw(fsm, file)
+  local dot, format = require "rfsm.dot", (file:match("%.(%w+)$") or ""):lower()
+  if not FORMATS[format] then
+    return "file.svg, .png, .pdf or .dot expected, got '" .. file .. "'"
+  end
+  local picture, problem = dot.encode(fsm), nil
+  if format ~= "dot" then picture, problem = dot.render(picture, format) end
+  if picture then problem = select(2, diagram.write(file, picture)) end
+  return problem
+end
+
+return view

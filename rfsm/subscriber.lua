@@ -1,0 +1,68 @@
+--- A client of `rfsm.proto`: follows the machines of a host, over UDP.
+--
+-- Needs the packages luasocket and dkjson.
+--
+-- @module rfsm.subscriber
+-- @license BSD-3-Clause
+
+local pcall, require, setmetatable, type = pcall, require, setmetatable, type
+
+local subscriber = {}
+
+local BEAT = 1 -- seconds between two heartbeats; the host waits for three
+
+--- A subscription.
+---@class rfsm.subscriber.Client
+---@field is_heard boolean the host has answered to the last subscription
+local Client = {}
+Client.__index = Client
+
+--- Send a message to the host.
+---@param message table
+function Client:send(message) self.udp:send(self.json.encode(message)) end
+
+-- Subscribes, or says that somebody is still here.
+local function beat(client)
+  if client.clock() < client.due then return end
+  client:send { type = client.is_heard and "heartbeat" or "subscribe" }
+  client.due = client.clock() + BEAT
+end
+
+--- Return the next message, if one comes within some seconds.
+---@param seconds number
+---@return table? message
+function Client:receive(seconds)
+  beat(self)
+  self.udp:settimeout(seconds)
+  local data, problem = self.udp:receive()
+  if problem == "connection refused" then self.is_heard = false end
+  local message = data and self.json.decode(data, 1, nil)
+  if type(message) ~= "table" then return nil end
+  self.is_heard = message.text ~= "heartbeat: not subscribed"
+  if not self.is_heard then self.due = 0 end
+  return message
+end
+
+function Client:close() self.udp:close() end
+
+--- Make a client of a host.
+---@param host string
+---@param port integer
+---@return rfsm.subscriber.Client? client
+---@return string? problem in one line
+function subscriber.connect(host, port)
+  local has_socket, socket = pcall(require, "socket")
+  local has_json, json = pcall(require, "dkjson")
+  if not (has_socket and has_json) then
+    return nil, "the packages luasocket and dkjson are needed (on Debian: apt-get "
+      .. "install lua-socket lua-dkjson)"
+  end
+  local udp = (socket.udp4 or socket.udp)()
+  local is_set, problem = udp:setpeername(host, port)
+  if not is_set then return nil, ("%s: %s"):format(host, problem) end
+  return setmetatable({
+    udp = udp, json = json, clock = socket.gettime, due = 0, is_heard = false,
+  }, Client)
+end
+
+return subscriber

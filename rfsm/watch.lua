@@ -1,0 +1,81 @@
+--- A machine that runs elsewhere, seen through `rfsm.proto`: at a terminal the tree of
+-- states and a log, in a pipe a line for each change.
+--
+-- @module rfsm.watch
+-- @license BSD-3-Clause
+
+local ipairs, os, print, select = ipairs, os, print, select
+local rawget, rawset, setmetatable = rawget, rawset, setmetatable
+local concat, remove = table.concat, table.remove
+
+local watch = {}
+
+local MAX_LOG = 10 -- lines
+
+-- Appends a line for each state: active ones begin with a star.
+local function add_tree(lines, node, fqn, leaf)
+  if node.type ~= "state" then return lines end
+  local is_active = leaf and (leaf .. "."):sub(1, #fqn + 1) == fqn .. "."
+  local indent = ("  "):rep(select(2, fqn:gsub("%.", "")))
+  lines[#lines + 1] = (is_active and "* " or "  ") .. indent .. node.id
+  for _, sub in ipairs(node.subnodes or {}) do
+    add_tree(lines, sub, fqn .. "." .. sub.id, leaf)
+  end
+  return lines
+end
+
+--- What was received so far.
+---@class rfsm.watch.Watch
+---@field graph table? of the machine
+---@field leaf string|false|nil FQN of the active state
+---@field log string[] the last lines
+---@field count integer lines so far
+local Watch = {}
+Watch.__index = Watch
+
+-- Adds a line, unless it says what the last one said.
+local function add(self, text)
+  if text == self.last then return end
+  self.last, self.count = text, self.count + 1
+  self.log[#self.log + 1] = os.date("%H:%M:%S ") .. text
+  if #self.log > MAX_LOG then remove(self.log, 1) end
+  if not self.is_terminal then print(text) end
+end
+
+local TAKE = {}
+
+function TAKE.rfsm_model(self, message) self.graph = message.graph end
+
+function TAKE.rfsm_error(self, message) add(self, "refused: " .. message.text) end
+
+function TAKE.rfsm_active_state(self, message)
+  local leaf = message.act_leaf
+  self.leaf = leaf
+  add(self, leaf and ("%s (%s)"):format(leaf, message.act_leaf_state) or "not active")
+end
+
+-- Clears the screen, and prints the tree and the log.
+local function draw(self)
+  local tree = self.graph and add_tree({}, self.graph, "root", self.leaf) or {}
+  print("\27[H\27[J" .. concat(tree, "\n") .. "\n\n" .. concat(self.log, "\n"))
+end
+
+--- Print a machine as it changes; without an end, unless `count` is given.
+---@param client rfsm.subscriber.Client
+---@param options { number: integer, count: integer?, is_terminal: boolean }
+function watch.run(client, options)
+  local self = setmetatable({ log = {}, count = 0, is_terminal = options.is_terminal },
+    Watch)
+  while self.count < (options.count or 1 / 0) do
+    local message = client:receive(1)
+    local take = message and TAKE[message.type]
+    if take and (message.fsm or options.number) == options.number then
+      take(self, message)
+    end
+    if take and self.is_terminal then draw(self) end
+  end
+end
+
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_watch", watch) end
+
+return watch

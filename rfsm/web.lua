@@ -1,0 +1,358 @@
+--- A machine in the browser: a server for one page, which shows it and takes events.
+--
+-- `serve` hosts the page of a machine from a program of your own, which calls
+-- `server:step` in its loop. `open` serves a chart, which the page drives; `rfsm web`
+-- does that. Needs the packages luasocket and dkjson; pictures need Graphviz.
+--
+-- The server listens on loopback. It takes requests that name it by an address, and
+-- commands that have the token which its page holds.
+--
+-- The file reads in this order: the page, messages, commands, pictures, routes, public
+-- functions.
+--
+-- @module rfsm.web
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local clock = require "rfsm.clock"
+local dot = require "rfsm.dot"
+local opts = require "rfsm.options"
+local Picture = require "rfsm.web.picture"
+local Live = require "rfsm.web.live"
+
+local error, io, package, pairs, pcall = error, io, package, pairs, pcall
+local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
+local type = type
+local huge, min = math.huge, math.min
+local sort = table.sort
+
+local web = {}
+
+-- Description, test, default of each option.
+local OPTIONS = {
+  clock = { "function that returns seconds", rfsm.is_callable },
+  host = { "name or address", opts.is_text, "127.0.0.1" },
+  port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
+  title = { "text", opts.is_text },
+}
+
+local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
+  .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
+  .. "frame-ancestors 'none'"
+
+-- The page ---------------------------------------------------------------------
+
+-- Returns the text of a file that stands beside the modules.
+local function find_page()
+  for template in package.path:gmatch("[^;]+") do
+    local name = template:gsub("%?", "rfsm/web/page"):gsub("%.lua$", ".html")
+    local handle = io.open(name, "rb")
+    if handle then
+      local text = handle:read("*a")
+      handle:close()
+      return text
+    end
+  end
+  return nil, "rfsm/web/page.html is not beside the modules"
+end
+
+-- Returns 128 random bits as text.
+local function new_token()
+  local handle = io.open("/dev/urandom", "rb")
+  local bytes = handle and handle:read(16)
+  if handle then handle:close() end
+  if not bytes then return nil, "/dev/urandom cannot be read" end
+  return (bytes:gsub(".", function(c) return ("%02x"):format(c:byte()) end))
+end
+
+-- Messages to the page -----------------------------------------------------------
+
+--- A page that is served.
+---@class rfsm.web.Server
+---@field url string for the browser
+---@field host string
+---@field port integer
+local Server = {}
+Server.__index = Server
+
+local function message_text(server, kind, message)
+  return ("event: %s\ndata: %s\n\n"):format(kind, server.json.encode(message))
+end
+
+-- Returns the name of the chart that is drawn; a page with another one fetches it.
+local function version_of(server)
+  return ("%s-%d-%d"):format(server.id, server.source.generation, server.picture_count)
+end
+
+local function state_message(server, is_full)
+  local source = server.source
+  local message = source.view and source.view:state(is_full) or { is_full = is_full }
+  message.version, message.server = version_of(server), server.id
+  source:describe(message)
+  return message_text(server, "state", message)
+end
+
+local function commands_of(source)
+  local names = {}
+  for name in pairs(source.commands) do -- any order: sorted
+    names[#names + 1] = name
+  end
+  sort(names)
+  return names
+end
+
+local function chart_reply(server)
+  local source = server.source
+  local chart = source.view and source.view:chart() or {}
+  chart.title, chart.version = source.title, version_of(server)
+  chart.problems, chart.commands = source.problems, commands_of(source)
+  chart.has_picture = server.picture ~= false
+  return { type = "application/json", body = server.json.encode(chart) }
+end
+
+-- Commands from the page ---------------------------------------------------------
+
+-- Returns the command in a request; nil if there is none.
+local function decode(server, text)
+  local ok, message = pcall(server.json.decode, text, 1, nil, nil, nil)
+  return ok and type(message) == "table" and message or nil
+end
+
+local function command_reply(server, request)
+  if request.headers["x-rfsm-token"] ~= server.token then return { status = 403 } end
+  local message = decode(server, request.body)
+  local command = message and server.source.commands[message.command]
+  if not command then return { status = 400, body = "no such command\n" } end
+  if not server.source.view then return { status = 400, body = "no machine\n" } end
+  local problem = command(server.source, message)
+  if problem then return { status = 400, body = problem .. "\n" } end
+  return { status = 204 }
+end
+
+-- Pictures ------------------------------------------------------------------------
+
+-- Has a new chart drawn.
+local function start_picture(server)
+  local source = server.source
+  local graph = source.view and dot.encode(source.view.description) or ""
+  server.drawn = source.generation
+  if graph == server.graph then return end
+  if server.drawing then server.drawing:drop() end
+  server.graph, server.picture = graph, false
+  server.drawing = graph ~= "" and Picture.start(graph)
+end
+
+-- Takes a picture that is complete.
+local function update_picture(server)
+  if server.drawn ~= server.source.generation then start_picture(server) end
+  local picture = server.drawing and server.drawing:take()
+  if not picture then return end
+  server.picture, server.picture_count = picture, server.picture_count + 1
+end
+
+-- Routes --------------------------------------------------------------------------
+
+local ROUTES = {
+  ["/"] = { GET = function(server)
+    return { type = "text/html", body = server.page, headers = server.page_headers }
+  end },
+  ["/chart"] = { GET = chart_reply },
+  ["/picture.svg"] = { GET = function(server)
+    if not server.picture then return { status = 404 } end
+    return { type = "image/svg+xml", body = server.picture }
+  end },
+  ["/events"] = { GET = function(server)
+    return {
+      type = "text/event-stream", is_stream = true,
+      body = "retry: 1000\n\n" .. state_message(server, true),
+    }
+  end },
+  ["/command"] = { POST = command_reply },
+}
+
+-- Does the request name the server as this machine does? A page of somebody else whose
+-- name was made to lead here does not.
+local function is_for(server, host)
+  local name = (host or ""):gsub(":%d+$", "")
+  return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
+    or name:find("^%[[%x:]+%]$") ~= nil
+end
+
+local function handle(server, request)
+  if not is_for(server, request.headers.host) then return { status = 403 } end
+  local route = ROUTES[request.path]
+  if not route then return { status = 404 } end
+  local answer = route[request.method]
+  return answer and answer(server, request) or { status = 405 }
+end
+
+-- A mistake of ours, or of a chart, is no reason to end; Control-C is.
+local function handle_safely(server, request)
+  local ok, reply = pcall(handle, server, request)
+  if ok then return reply end
+  local text = rfsm.text_of(reply)
+  if text:find("interrupted!$") then error(reply, 0) end
+  return { status = 500, body = text .. "\n" }
+end
+
+-- Public functions ------------------------------------------------------------------
+
+-- Sends what has changed to all pages.
+local function send_changes(server)
+  local view, version = server.source.view, version_of(server)
+  local is_new = version ~= server.sent_version
+  if not (is_new or view and view.is_dirty) then return end
+  server.http:send_all(state_message(server, is_new or view.is_rewritten))
+  server.sent_version = version
+  if view then view:set_sent() end
+end
+
+--- Serve what is ready, and wait at most `timeout` seconds for it.
+---@param timeout? number default 0
+function Server:step(timeout)
+  self.source:poll()
+  update_picture(self)
+  send_changes(self)
+  local wait = min(timeout or 0, self.source:wait())
+  if self.drawing and self.drawing.is_pending then wait = min(wait, 0.02) end
+  self.http:step(wait)
+  send_changes(self)
+end
+
+--- Serve until the program ends.
+function Server:run()
+  while true do self:step(huge) end
+end
+
+--- Close the port; again does no harm.
+function Server:close()
+  self.http:close()
+  if self.drawing then self.drawing:drop() end
+end
+
+-- Returns the options and the packages; nil and a problem.
+local function prepare(options)
+  local settings, problem = opts.read(OPTIONS, options or {})
+  local json, socket
+  if settings then json, problem = opts.find_package("dkjson", "lua-dkjson") end
+  if json then socket, problem = opts.find_package("socket", "lua-socket") end
+  if not socket then return nil, problem end
+  settings.json, settings.gettime = json, socket.gettime
+  return settings
+end
+
+-- Opens the port and reads the page; nil and a problem.
+local function open_server(source, settings)
+  local page, token, problem
+  page, problem = find_page()
+  if page then token, problem = new_token() end
+  if not token then return nil, problem end
+  local server = setmetatable({
+    source = source, json = settings.json, token = token, id = token:sub(1, 8),
+    name = settings.host, picture = false, picture_count = 0, drawing = false,
+    drawn = false, graph = "", sent_version = "",
+  }, Server)
+  server.page = page:gsub("{{token}}", token)
+  server.page_headers = { ["Content-Security-Policy"] = CSP:format(token) }
+  local listener
+  listener, problem = require("rfsm.web.http").listen(settings.host, settings.port,
+    function(request) return handle_safely(server, request) end, settings.clock)
+  if not listener then return nil, problem end
+  server.http, server.host, server.port = listener, listener.host, listener.port
+  server.url = ("http://%s:%d/"):format(server.host, server.port)
+  return server
+end
+
+--- How a page is served.
+---@class rfsm.web.Options
+---@field host? string address to listen on, default 127.0.0.1
+---@field port? integer default 8044; 0: one that is free
+---@field title? string of the page
+---@field clock? fun(): number seconds, in place of that of luasocket
+
+-- Returns a clock that begins now.
+local function seconds_from_now()
+  local sec, nsec = clock.read(true)
+  return function()
+    local now_sec, now_nsec = clock.read(true)
+    return now_sec - sec + (now_nsec - nsec) / 1e9
+  end
+end
+
+-- A machine that a program drives; the page watches it and may send events.
+local Hosted = { commands = {} }
+Hosted.__index = Hosted
+
+function Hosted.commands.send(hosted, message)
+  local event = hosted.view:event_of(message)
+  if event == nil then return "event: text or number of an event expected" end
+  rfsm.send_events(hosted.view.fsm, event)
+  hosted.view.is_dirty = true
+end
+
+function Hosted:poll()
+  if not self.view.fsm._intq[1] then self.view:settle() end
+end
+
+function Hosted.wait() return huge end
+
+function Hosted:describe(message) message.clock = self.view.clock() end
+
+--- Serve the page of a machine that your program drives.
+--
+-- @usage
+--    local server = rfsm_web.serve(fsm, { port = 8044 })
+--    while true do
+--      rfsm.run(fsm)
+--      server:step(0.1)
+--    end
+--
+-- @raise when an option is wrong, a package is missing or the port cannot be opened
+---@param fsm rfsm.Machine
+---@param options? rfsm.web.Options
+---@return rfsm.web.Server server
+function web.serve(fsm, options)
+  rfsm.check_machine(fsm, "rfsm.web.serve")
+  local settings, problem = prepare(options)
+  if not settings then error("rfsm.web.serve: " .. problem, 2) end
+  local source = setmetatable({
+    view = Live.new(fsm, seconds_from_now()),
+    title = settings.title or "machine", problems = {}, generation = 1,
+  }, Hosted)
+  local server
+  server, problem = open_server(source, settings)
+  if not server then error("rfsm.web.serve: " .. problem, 2) end
+  return server
+end
+
+--- Serve the page of a chart, which the page drives.
+---@param file string
+---@param options? rfsm.web.Options
+---@return rfsm.web.Server? server nil if there is a problem
+---@return string? problem in one line
+function web.open(file, options)
+  local settings, problem = prepare(options)
+  if not settings then return nil, problem end
+  local session = require("rfsm.web.session").open(file, settings.clock
+    or settings.gettime)
+  return open_server(session, settings)
+end
+
+--- Serve the page of a machine that runs elsewhere and answers by `rfsm.proto`.
+---@param host string
+---@param port integer
+---@param options? rfsm.web.Options
+---@return rfsm.web.Server? server nil if there is a problem
+---@return string? problem in one line
+function web.attach(host, port, options)
+  local settings, remote, problem
+  settings, problem = prepare(options)
+  if not settings then return nil, problem end
+  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now())
+  if not remote then return nil, problem end
+  return open_server(remote, settings)
+end
+
+if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_web", web) end
+
+return web

@@ -1,0 +1,302 @@
+--- A small HTTP server for one page: requests, replies, streams of events.
+--
+-- One `step` reads and writes as far as it can without waiting. Each connection carries
+-- one request. Time, bytes and connections are limited, so that no client can hold up
+-- the others. Needs the package luasocket.
+--
+-- The file reads in this order: limits, requests, replies, connections, the server.
+--
+-- @module rfsm.web.http
+-- @license BSD-3-Clause
+
+local socket = require "socket"
+
+local assert, ipairs, pairs, setmetatable = assert, ipairs, pairs, setmetatable
+local tonumber, tostring = tonumber, tostring
+local huge = math.huge
+local concat, remove, sort = table.concat, table.remove, table.sort
+
+local http = {}
+
+-- Limits ----------------------------------------------------------------------
+
+local MAX_CONNECTIONS = 200 -- a select takes 1024 descriptors
+local MAX_DESCRIPTOR = 1023
+local MAX_STREAMS = 32
+local MAX_HEAD, MAX_BODY = 8192, 16384
+local MAX_PENDING = 4194304 -- bytes that a stream may lag behind
+local REQUEST_TIME = 5 -- seconds until a request must be complete
+local REPLY_TIME = 30 -- seconds until a reply must be read
+local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
+
+-- Requests --------------------------------------------------------------------
+
+--- A request.
+---@class rfsm.web.Request
+---@field method string "GET", "POST"
+---@field path string as sent, up to a question mark
+---@field headers table<string, string> by lower-case name
+---@field body string
+
+local IS_SINGLE = { host = true, ["content-length"] = true }
+
+-- Returns the header fields by their names; nil if a line is none.
+local function parse_headers(lines)
+  local headers = {}
+  for line in lines:gmatch("\r\n([^\r\n]*)") do
+    local name, value = line:match("^([%w_-]+):%s*(.-)%s*$")
+    if not name then return nil end
+    name = name:lower()
+    if IS_SINGLE[name] and headers[name] then return nil end
+    headers[name] = value
+  end
+  return headers
+end
+
+-- Returns the length of the body, or nil and the status of a refusal.
+local function body_length(headers)
+  if headers["transfer-encoding"] then return nil, 501 end
+  local text = headers["content-length"] or "0"
+  if not text:find("^%d+$") then return nil, 400 end
+  local length = tonumber(text)
+  if length > MAX_BODY then return nil, 413 end
+  return length
+end
+
+-- Returns the request in `text`; nil while it is incomplete; nil and the status of a
+-- refusal.
+local function parse_request(text)
+  local stop, body_start = text:find("\r\n\r\n", 1, true)
+  if not stop then return nil, #text > MAX_HEAD and 431 or nil end
+  if stop > MAX_HEAD then return nil, 431 end
+  local line, lines = text:sub(1, stop - 1):match("^([^\r\n]*)(.*)$")
+  local method, target = line:match("^(%u+) (%S+) HTTP/1%.[01]$")
+  local headers = method and parse_headers(lines)
+  if not headers then return nil, 400 end
+  local length, status = body_length(headers)
+  if not length then return nil, status end
+  local body = text:sub(body_start + 1)
+  if #body < length then return nil end
+  return {
+    method = method, path = target:match("^[^?]*"), headers = headers,
+    body = body:sub(1, length),
+  }
+end
+
+-- Replies ---------------------------------------------------------------------
+
+--- The answer to a request.
+---@class rfsm.web.Reply
+---@field status? integer default 200
+---@field type? string default "text/plain"
+---@field body? string of a stream: what it begins with
+---@field headers? table<string, string>
+---@field is_stream? boolean it goes on with what `send_all` sends
+
+local REASONS = {
+  [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
+  [404] = "Not Found", [405] = "Method Not Allowed", [413] = "Content Too Large",
+  [431] = "Request Header Fields Too Large", [500] = "Internal Server Error",
+  [501] = "Not Implemented", [503] = "Service Unavailable",
+}
+
+local COMMON = "Cache-Control: no-store\r\nConnection: close\r\n"
+  .. "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\n"
+
+-- Returns lines of header fields, sorted by name.
+local function header_lines(headers)
+  local lines = {}
+  for name, value in pairs(headers or {}) do -- any order: sorted below
+    lines[#lines + 1] = name .. ": " .. value .. "\r\n"
+  end
+  sort(lines)
+  return concat(lines)
+end
+
+local function reply_text(reply)
+  local status = reply.status or 200
+  local body = reply.body or (status ~= 204 and REASONS[status] .. "\n" or "")
+  local length = reply.is_stream and "" or ("Content-Length: %d\r\n"):format(#body)
+  return ("HTTP/1.1 %d %s\r\nContent-Type: %s; charset=utf-8\r\n"):format(status,
+    REASONS[status], reply.type or "text/plain") .. length .. COMMON
+    .. header_lines(reply.headers) .. "\r\n" .. body
+end
+
+-- Connections: reading, then writing, then closing; or a stream -----------------
+
+--- A connection, with what it has received and what it is still to be sent.
+---@class rfsm.web.Connection
+---@field socket table
+---@field phase "reading"|"writing"|"closing"|"stream"
+---@field received string
+---@field pending string
+---@field deadline number it is dropped then, unless it is a stream
+
+local function new_connection(client, now)
+  client:settimeout(0)
+  client:setoption("tcp-nodelay", true)
+  return {
+    socket = client, phase = "reading", received = "", pending = "",
+    deadline = now + REQUEST_TIME,
+  }
+end
+
+local function count_streams(server)
+  local count = 0
+  for _, connection in ipairs(server.connections) do
+    if connection.phase == "stream" then count = count + 1 end
+  end
+  return count
+end
+
+local function begin_reply(server, connection, reply)
+  if reply.is_stream and count_streams(server) >= MAX_STREAMS then
+    reply = { status = 503 }
+  end
+  connection.pending = reply_text(reply)
+  connection.phase = reply.is_stream and "stream" or "writing"
+  connection.deadline = server.clock() + REPLY_TIME
+end
+
+-- Sends as much as the client takes. Returns false if it is gone.
+local function write(server, connection)
+  local sent, problem, partly = connection.socket:send(connection.pending)
+  connection.pending = connection.pending:sub((sent or partly) + 1)
+  if not sent and problem ~= "timeout" then return false end
+  if connection.phase == "writing" and connection.pending == "" then
+    -- To close with something unread would take the reply back.
+    connection.socket:shutdown("send")
+    connection.phase, connection.deadline = "closing", server.clock() + CLOSING_TIME
+  end
+  return true
+end
+
+-- Reads what is there. Returns false if the client is gone.
+local function read(server, connection)
+  local data, problem, partly = connection.socket:receive(4096)
+  if not data and problem ~= "timeout" and partly == "" then return false end
+  if connection.phase ~= "reading" then return true end -- nothing more is expected
+  connection.received = connection.received .. (data or partly)
+  local request, status = parse_request(connection.received)
+  if not (request or status) then return data ~= nil or problem == "timeout" end
+  connection.received = ""
+  begin_reply(server, connection, request and server.handle(request) or
+    { status = status })
+  return write(server, connection)
+end
+
+-- The server ------------------------------------------------------------------
+
+--- An open port.
+---@class rfsm.web.HttpServer
+---@field host string
+---@field port integer
+---@field connections rfsm.web.Connection[] the oldest first
+local Server = {}
+Server.__index = Server
+
+local function drop(server, connection)
+  connection.socket:close()
+  for i, other in ipairs(server.connections) do
+    if other == connection then return remove(server.connections, i) end
+  end
+end
+
+-- Makes room for one more: the oldest that is no stream has to go.
+local function drop_oldest(server)
+  for _, connection in ipairs(server.connections) do
+    if connection.phase ~= "stream" then return drop(server, connection) end
+  end
+end
+
+local function accept(server)
+  local client = server.socket:accept()
+  while client do
+    if #server.connections >= MAX_CONNECTIONS then drop_oldest(server) end
+    if client:getfd() > MAX_DESCRIPTOR then
+      client:close()
+    else
+      server.connections[#server.connections + 1] =
+        new_connection(client, server.clock())
+    end
+    client = server.socket:accept()
+  end
+end
+
+local function drop_late(server)
+  local now = server.clock()
+  for i = #server.connections, 1, -1 do
+    local connection = server.connections[i]
+    if connection.phase ~= "stream" and now > connection.deadline then
+      drop(server, connection)
+    end
+  end
+end
+
+--- Serve what is ready; wait at most `timeout` seconds for something to be.
+---@param timeout number
+function Server:step(timeout)
+  local readers, writers, by_socket = { self.socket }, {}, {}
+  for i, connection in ipairs(self.connections) do
+    readers[i + 1], by_socket[connection.socket] = connection.socket, connection
+    if connection.pending ~= "" then writers[#writers + 1] = connection.socket end
+  end
+  if timeout == huge then timeout = nil end
+  local readable, writable = socket.select(readers, writers, timeout)
+  for _, client in ipairs(writable) do
+    local connection = by_socket[client]
+    if not write(self, connection) then drop(self, connection) end
+  end
+  for _, client in ipairs(readable) do
+    local connection = by_socket[client]
+    if connection and client:getfd() >= 0 and not read(self, connection) then
+      drop(self, connection)
+    end
+  end
+  accept(self)
+  drop_late(self)
+end
+
+--- Send a text to all streams; one that lags behind too far is dropped.
+---@param text string
+function Server:send_all(text)
+  for i = #self.connections, 1, -1 do
+    local connection = self.connections[i]
+    if connection.phase == "stream" then
+      connection.pending = connection.pending .. text
+      if not write(self, connection) or #connection.pending > MAX_PENDING then
+        drop(self, connection)
+      end
+    end
+  end
+end
+
+--- Close the port and all connections; again does no harm.
+function Server:close()
+  for _, connection in ipairs(self.connections) do connection.socket:close() end
+  self.connections = {}
+  self.socket:close()
+end
+
+--- Open a port.
+---@param host string
+---@param port integer 0: one that is free
+---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
+---@param clock? fun(): number seconds, for the time limits
+---@return rfsm.web.HttpServer? server
+---@return string? problem in one line
+function http.listen(host, port, handle, clock)
+  local listening, problem = socket.bind(host, port, 128)
+  if not listening then
+    return nil, ("cannot listen on %s, port %d: %s"):format(host, port,
+      tostring(problem))
+  end
+  listening:settimeout(0)
+  local address, own_port = listening:getsockname()
+  return setmetatable({
+    socket = assert(listening), host = address, port = tonumber(own_port),
+    handle = handle, clock = clock or socket.gettime, connections = {},
+  }, Server)
+end
+
+return http

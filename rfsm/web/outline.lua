@@ -1,0 +1,119 @@
+--- A described machine as lists: nodes, edges and events with numbers, from 0 on.
+--
+-- The description is that of `rfsm.marsh`, or one that came from elsewhere.
+--
+-- @module rfsm.web.outline
+-- @license BSD-3-Clause
+
+local marsh = require "rfsm.marsh"
+
+local ipairs, type = ipairs, type
+local concat = table.concat
+local utf8 = marsh.utf8
+
+local outline = {}
+
+--- The chart as a page draws it.
+---@class rfsm.web.Outline
+---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
+---@field edges table[] { key, src, tgt, label, events, is_internal? }
+---@field events table[] { text, words, is_own }
+---@field values any[] the events themselves
+---@field number_of table<any, integer> by FQN of a node
+---@field edge_of table<string, integer> by key of a transition
+---@field event_of table<any, integer> by event
+---@field event_text fun(event: any): string
+
+--- Does a machine send this event itself?
+---@param event any
+---@return boolean
+function outline.is_own(event)
+  return type(event) == "string"
+    and (event == "e_init_fsm" or event:find("^e_done@") ~= nil)
+end
+
+local function kind_of(tab)
+  if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
+  return (tab.subnodes or tab.regions) and "composite" or "leaf"
+end
+
+local function add_node(list, tab, fqn, parent, is_region)
+  local number = #list.nodes
+  list.number_of[fqn] = number
+  list.nodes[number + 1] = {
+    name = utf8(tab.id), fqn = utf8(fqn), kind = kind_of(tab), parent = parent,
+    is_region = is_region,
+  }
+  for _, subtab in ipairs(tab.subnodes or {}) do
+    add_node(list, subtab, fqn .. "." .. subtab.id, number)
+  end
+  for _, subtab in ipairs(tab.regions or {}) do
+    add_node(list, subtab, fqn .. "." .. subtab.id, number, true)
+  end
+end
+
+local function add_event(list, event, words)
+  if list.event_of[event] then return end
+  list.event_of[event] = #list.values
+  list.values[#list.values + 1] = event
+  list.events[#list.values] = {
+    text = utf8(list.event_text(event)), words = words, is_own = outline.is_own(event),
+  }
+end
+
+-- Returns the events of a transition in words.
+local function words_of(list, tr)
+  local words = {}
+  for i, event in ipairs(tr.events) do
+    words[i] = utf8(tr.words and tr.words[i]
+      or marsh.words_of(list.event_text(event), tr.src))
+    add_event(list, event, words[i])
+  end
+  return words
+end
+
+local function event_numbers(list, tr)
+  local numbers = {}
+  for i, event in ipairs(tr.events) do numbers[i] = list.event_of[event] end
+  return numbers
+end
+
+local function label_of(tr, words)
+  local parts = { words[1] and concat(words, ", ") or nil }
+  if tr.guard then parts[#parts + 1] = "[" .. tr.guard .. "]" end
+  if tr.effect then parts[#parts + 1] = "/ " .. tr.effect end
+  return utf8(concat(parts, " "))
+end
+
+local function add_edges(list, tab, fqn)
+  for i, tr in ipairs(tab.transitions or {}) do
+    local key = tr.key or ("%s.trans[%d]"):format(fqn, i)
+    list.edge_of[key] = #list.edges
+    list.edges[#list.edges + 1] = {
+      key = utf8(key), src = list.number_of[tr.src], tgt = list.number_of[tr.tgt],
+      label = label_of(tr, words_of(list, tr)), is_internal = tr.internal,
+      events = event_numbers(list, tr),
+    }
+  end
+  for _, subtab in ipairs(tab.subnodes or {}) do
+    add_edges(list, subtab, fqn .. "." .. subtab.id)
+  end
+  for _, subtab in ipairs(tab.regions or {}) do
+    add_edges(list, subtab, fqn .. "." .. subtab.id)
+  end
+end
+
+--- Read a description.
+---@param description rfsm.marsh.Node
+---@return rfsm.web.Outline
+function outline.read(description)
+  local list = {
+    nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
+    event_of = {}, event_text = marsh.gen_event_text(),
+  }
+  add_node(list, description, "root")
+  add_edges(list, description, "root")
+  return list
+end
+
+return outline

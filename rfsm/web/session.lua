@@ -1,0 +1,299 @@
+--- A chart that the page drives: turns, a clock of its own, back by replay.
+--
+-- A turn is a command of the page, or a timer that ran out. To go back, what came from
+-- outside is replayed without callbacks. When the file has changed it is loaded anew,
+-- and the machine stands where it stood if the state is still there. What the chart
+-- prints goes to the log of the page.
+--
+-- The file reads in this order: load, turns, commands, what goes on by itself.
+--
+-- @module rfsm.web.session
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local chart = require "rfsm.chart"
+local clock = require "rfsm.clock"
+local record = require "rfsm.record"
+local snapshot = require "rfsm.snapshot"
+local Live = require "rfsm.web.live"
+
+local io, ipairs, package, pcall = io, ipairs, package, pcall
+local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
+local type = type
+local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local MAX_STEPS = 1000 -- of one run
+local LOOK_TIME = 0.5 -- seconds between two looks at the file
+local TICK = 1e-6 -- seconds are rounded up to these
+
+--- A chart and where it stands.
+---@class rfsm.web.Session
+---@field file string
+---@field view rfsm.web.Live|false false while the chart has a mistake
+---@field problems string[] those of the chart; empty if it runs
+---@field generation integer counts the charts that a page has to draw
+---@field turns { now: number, count: integer?, queue: any[] }[] where each began
+---@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
+---@field snap table? of the machine before a chart with a mistake
+---@field now number seconds since the machine began, as the chart reads them
+---@field is_live boolean does the clock go on by itself?
+local Session = {}
+Session.__index = Session
+
+-- Load: a chart becomes a machine, or a list of problems ----------------------------
+
+local function line_of(...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
+  return concat(texts, "\t")
+end
+
+-- Adds an entry to the log, also before there is one.
+local function tell(session, kind, text)
+  if session.view then return session.view:note(kind, text) end
+  session.early[#session.early + 1] = { kind, text }
+end
+
+-- Calls f(session, ...) while `print` goes to the log; a failure goes there, too.
+local function guarded(session, f, ...)
+  local real = rawget(_G, "print")
+  rawset(_G, "print", function(...) tell(session, "output", line_of(...)) end)
+  local ok, result = pcall(f, session, ...)
+  rawset(_G, "print", real)
+  if ok then return result end
+  if rfsm.text_of(result):find("interrupted!$") then error(result, 0) end
+  tell(session, "error", chart.first_line(result))
+end
+
+local function init(session, model)
+  local own_warn = model.warn
+  if model.err == nil then model.err = false end
+  if model.info == nil then model.info = false end
+  if own_warn == nil then
+    model.warn = function(...)
+      tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
+    end
+  end
+  local fsm, problems = rfsm.init(model)
+  if fsm and own_warn == nil then fsm.warn = false end -- the view hears it anyway
+  return fsm, problems
+end
+
+-- Returns a machine; false and the lines that say why not.
+local function load_machine(session)
+  local model, warnings = chart.load(session.file)
+  if not model then return false, { warnings } end
+  for _, line in ipairs(warnings) do tell(session, "warning", line) end
+  local ok, fsm, problems = pcall(init, session, model)
+  if not ok then return false, { chart.reason(session.file, fsm) } end
+  if fsm then return fsm, {} end
+  for i, problem in ipairs(problems) do
+    problems[i] = chart.line(session.file, problem)
+  end
+  return false, problems
+end
+
+local function read(file)
+  local handle = io.open(file, "rb")
+  local text = handle and handle:read("*a") or ""
+  if handle then handle:close() end
+  return text
+end
+
+-- Turns: each is a command of the page, or a timer -----------------------------------
+
+-- Starts the clock of the machine at its own time.
+local function start_clock(session) session.since = session.real() - session.now end
+
+local function begin_turn(session)
+  if session.is_live then
+    session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
+  end
+  clock.set_hook(session.gettime)
+  session.turns[#session.turns + 1] = {
+    now = session.now, count = session.recorder and session.recorder.count,
+    queue = { unpack(session.view.fsm._intq) },
+  }
+  session.view.turn = #session.turns
+end
+
+local function step(session) return rfsm.step(session.view.fsm) end
+
+-- Steps until the machine is idle, or too long.
+local function run(session)
+  for _ = 1, MAX_STEPS do
+    local is_idle = guarded(session, step)
+    if is_idle == nil then return end
+    if is_idle then return session.view:settle() end
+  end
+  session.view:note("note", ("not idle after %d steps"):format(MAX_STEPS))
+end
+
+local function itself(snap) return snap end
+
+-- Returns the place of a machine; nil if it cannot be saved.
+local function take_place(fsm)
+  local ok, snap = pcall(snapshot.take, fsm)
+  return ok and snap or nil
+end
+
+-- Begins with a machine: where another one stood, if the chart still has that state.
+local function begin(session, fsm, snap)
+  session.view = Live.new(fsm, function() return session.now end)
+  for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
+  if not (snap and snapshot.put(fsm, snap, { migrate = itself })) then
+    session.now = 0
+    run(session)
+  end
+  local ok, recorder = pcall(record.record, fsm, {})
+  session.recorder = ok and recorder or false
+  start_clock(session)
+end
+
+-- Loads the chart; the place of the machine is kept if that is wanted.
+local function load(session, keeps_place)
+  local snap = keeps_place and (session.view and take_place(session.view.fsm)
+    or session.snap) or nil
+  session.text, session.view, session.early = read(session.file), false, {}
+  session.generation, session.turns = session.generation + 1, {}
+  clock.set_hook(session.gettime)
+  local fsm
+  fsm, session.problems = load_machine(session)
+  session.snap = not fsm and snap or nil
+  if fsm then begin(session, fsm, snap) end
+end
+
+-- Commands of the page ------------------------------------------------------------
+
+--- What a page may ask for; each returns nothing, or why not.
+Session.commands = {}
+local commands = Session.commands
+
+local function is_seconds(x) return type(x) == "number" and x >= 0 and x < 1e9 end
+
+function commands.send(session, message)
+  local event = session.view:event_of(message)
+  if event == nil then return "event: text or number of an event expected" end
+  begin_turn(session)
+  rfsm.send_events(session.view.fsm, event)
+  session.view.is_dirty = true
+  if message.run then run(session) end
+end
+
+function commands.step(session)
+  begin_turn(session)
+  if guarded(session, step) then session.view:settle() end
+end
+
+function commands.run(session)
+  begin_turn(session)
+  run(session)
+end
+
+-- Undoes the turns after number `to`, without any callback.
+function commands.back(session, message)
+  local to = message.to or #session.turns - 1
+  local turn = session.turns[type(to) == "number" and to + 1]
+  if not (turn and session.recorder) then return "there is no such turn" end
+  session.now = turn.now
+  clock.set_hook(session.gettime)
+  local ok, problem = session.recorder:back(session.recorder.count - turn.count)
+  if not ok then return problem end
+  local fsm = session.view.fsm -- what a page has sent is in no record
+  rfsm.send_events(fsm, unpack(turn.queue, #fsm._intq + 1))
+  for i = #session.turns, to + 1, -1 do session.turns[i] = nil end
+  session.view:go_back(to)
+  start_clock(session)
+end
+
+function commands.reset(session) guarded(session, load, false) end
+
+function commands.clock(session, message)
+  if session.is_live then begin_turn(session) end
+  session.is_live, session.view.is_dirty = message.live == true, true
+  start_clock(session)
+end
+
+-- Lets time pass, then runs.
+local function pass(session, seconds)
+  begin_turn(session)
+  session.now = session.now + seconds
+  start_clock(session)
+  run(session)
+end
+
+function commands.wait(session, message)
+  if not is_seconds(message.seconds) then return "seconds: number expected" end
+  pass(session, message.seconds)
+end
+
+-- Seconds to the next timer of the chart; nil if there is none.
+local function next_timer(session)
+  local timeevent = package.loaded.rfsm_timeevent
+  if not (timeevent and session.view) then return nil end
+  clock.set_hook(session.gettime)
+  local ok, seconds = pcall(timeevent.next_deadline, session.view.fsm)
+  return ok and seconds or nil
+end
+
+function commands.next(session)
+  local seconds = next_timer(session)
+  if not seconds then return "no timer runs" end
+  pass(session, ceil(seconds / TICK) * TICK)
+end
+
+-- What goes on by itself -------------------------------------------------------------
+
+-- Seconds until the next timer is due by the clock on the wall.
+local function time_left(session)
+  local seconds = session.is_live and next_timer(session)
+  return seconds and session.now + seconds + TICK - (session.real() - session.since)
+end
+
+--- Do what is due: a timer, a look at the file.
+function Session:poll()
+  local left = time_left(self)
+  if left and left <= 0 then
+    begin_turn(self)
+    run(self)
+  end
+  if self.real() < self.look_at then return end
+  self.look_at = self.real() + LOOK_TIME
+  if read(self.file) ~= self.text then guarded(self, load, true) end
+end
+
+--- Return the seconds until `poll` has something to do.
+---@return number
+function Session:wait()
+  return max(0, min(self.look_at - self.real(), time_left(self) or huge))
+end
+
+--- Add what the page shows of a session to a message.
+---@param message table
+function Session:describe(message)
+  message.clock, message.live = self.now, self.is_live
+  message.timer = next_timer(self) or false
+  message.can_back = self.recorder ~= false and self.turns[1] ~= nil
+end
+
+--- Open a chart, also one with mistakes.
+---@param file string
+---@param real fun(): number seconds of the wall's clock
+---@return rfsm.web.Session session
+function Session.open(file, real)
+  local session = setmetatable({
+    file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
+    generation = 0, turns = {}, recorder = false, now = 0, since = 0, is_live = true,
+    look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
+  }, Session)
+  function session.gettime()
+    local sec = floor(session.now)
+    return sec, floor((session.now - sec) * 1e9 + 0.5)
+  end
+  guarded(session, load, false)
+  return session
+end
+
+return Session

@@ -1,0 +1,181 @@
+-- The documents, followed as a reader does. A `lua` block that begins with
+-- "-- NAME.lua" is saved under that name. A block that begins with "$ " is a session:
+-- commands to run beside the saved files, after "> " lines to type, and the output.
+
+local helper = require "spec.helper"
+
+local function line_of(command)
+  local pipe = assert(io.popen(command))
+  local line = pipe:read("*l")
+  pipe:close()
+  return line
+end
+
+local CHECKOUT = line_of("pwd")
+local LUA = arg[-1]:find("^/") and arg[-1] or CHECKOUT .. "/" .. arg[-1]
+
+local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
+
+local function write_file(name, text)
+  local file = assert(io.open(name, "wb"))
+  file:write(text)
+  file:close()
+end
+
+-- Returns an empty folder, in which `lua` is the interpreter that runs this.
+local function new_folder()
+  local folder = os.tmpname()
+  os.remove(folder)
+  assert(os.execute("mkdir -p " .. folder .. "/.bin"))
+  write_file(folder .. "/.bin/lua", ("#!/bin/sh\nexec %s \"$@\"\n"):format(quoted(LUA)))
+  assert(os.execute(("chmod +x %s/.bin/lua; ln -s %s %s/examples"):format(folder,
+    quoted(CHECKOUT .. "/examples"), folder)))
+  return folder
+end
+
+-- Runs a command in a folder as a user of this checkout; returns the lines it prints.
+local function output_of(folder, command, input)
+  local name = helper.file_with(table.concat(input, "\n") .. "\n")
+  local pipe = assert(io.popen(([[
+cd %s && PATH=$PWD/.bin:%s/tools:$PATH LUA=lua LUA_PATH='%s/?.lua;%s/compat/?.lua;;' \
+HOME=/nowhere TERM=dumb sh -c %s <%s 2>&1]]):format(folder, quoted(CHECKOUT), CHECKOUT,
+    CHECKOUT, quoted(command), name)))
+  local lines = {}
+  for line in pipe:lines() do lines[#lines + 1] = line:match("^(.-)%s*$") end
+  pipe:close()
+  return lines
+end
+
+-- Splits a session into { command =, input = {...}, output = {...} }.
+local function commands_of(text)
+  local commands, current = {}, nil
+  for line in text:gmatch("[^\n]+") do
+    if line:find("^%$ ") then
+      current = { command = line:sub(3), input = {}, output = {} }
+      commands[#commands + 1] = current
+    else
+      local typed = line:match("^> ?(.*)")
+      local list = typed and current.input or current.output
+      list[#list + 1] = typed or line
+    end
+  end
+  return commands
+end
+
+-- Returns the blocks of a document: { line =, text =, file =, commands = } each.
+local function blocks_of(document)
+  local blocks, number, block = {}, 0, nil
+  for line in helper.content(document):gmatch("([^\n]*)\n") do
+    number = number + 1
+    if not line:find("^```") then
+      if block then block.text = block.text .. line .. "\n" end
+    elseif block then
+      block.file = block.language == "lua" and block.text:match("^%-%- (%S+%.lua)\n")
+      block.commands = block.text:find("^%$ ") and commands_of(block.text)
+      blocks[#blocks + 1], block = block, nil
+    else
+      block = { line = number + 1, text = "", language = line:sub(4) }
+    end
+  end
+  return blocks
+end
+
+local function documents()
+  local list, pipe = {}, assert(io.popen("ls *.md doc/*.md"))
+  for file in pipe:lines() do list[#list + 1] = file end
+  pipe:close()
+  return list
+end
+
+after_each(helper.remove_files)
+
+for _, document in ipairs(documents()) do
+  local blocks, folder = blocks_of(document), nil
+
+  describe("who follows " .. document, function()
+    setup(function() folder = new_folder() end)
+    teardown(function() os.execute("rm -r " .. folder) end)
+
+    for _, block in ipairs(blocks) do
+      if block.file then
+        it("saves " .. block.file .. " at line " .. block.line, function()
+          write_file(folder .. "/" .. block.file, block.text)
+        end)
+      end
+      for _, step in ipairs(block.commands or {}) do
+        it(("sees at line %d: %s"):format(block.line, step.command), function()
+          assert.same(step.output, output_of(folder, step.command, step.input))
+        end)
+      end
+    end
+  end)
+end
+
+describe("the chart in the README", function()
+  local folder
+
+  setup(function()
+    folder = new_folder()
+    write_file(folder .. "/lamp.lua", blocks_of("README.md")[1].text)
+  end)
+
+  teardown(function() os.execute("rm -r " .. folder) end)
+
+  it("is taken by every command", function()
+    for _, command in ipairs { "rfsm json -o lamp.json", "rfsm plantuml -o lamp.puml",
+      "rfsm dot -o lamp.dot", "rfsm mermaid -o lamp.mmd", "rfsm viz -o lamp.svg",
+      "rfsm viz -T plantuml -o lamp.txt", "rfsm check -q -s", "rfsm-check -q",
+      "rfsm-viz -o lamp.pdf", "rfsm2json", "rfsm2plantuml", "rfsm-sim -q -e 'pp()'" } do
+      local lines = output_of(folder, command .. " lamp.lua && echo done", {})
+      assert.equal("done", lines[#lines], command)
+    end
+  end)
+end)
+
+describe("the index of examples in the manual", function()
+  it("has each of them", function()
+    local manual, missing = helper.content("doc/manual.md"), {}
+    local pipe = assert(io.popen("ls -d examples/*.lua examples/hosts/*"))
+    for file in pipe:lines() do
+      if not manual:find("(../" .. file .. ")", 1, true) then
+        missing[#missing + 1] = file
+      end
+    end
+    pipe:close()
+    assert.same({}, missing)
+  end)
+end)
+
+local UNITS = {
+  us = true, ns = true, ms = true, KiB = true, MiB = true, kB = true, MB = true,
+  x = true, times = true,
+}
+
+-- Returns the figures of a text that doc/performance.md does not have.
+local function unfounded_in(text)
+  local list, performance = {}, " " .. helper.content("doc/performance.md")
+  local function check(number, unit)
+    number = number:gsub("%.$", "")
+    local token = "[^%d.,]" .. number:gsub("%.", "%%.") .. "%f[^%d]"
+    if not performance:find(token) then list[#list + 1] = number .. " " .. unit end
+  end
+  for number, unit in text:gmatch("%f[%d](%d[%d.,]*)%s*(%a+)") do
+    if UNITS[unit] then check(number, unit) end
+  end
+  for number in text:gmatch("%f[%d](%d[%d.,]*)%s*%%") do check(number, "%") end
+  return list
+end
+
+describe("a figure with a unit", function()
+  it("is found unless doc/performance.md has it", function()
+    assert.same({ "7.77 us", "3.7 times", "78.5 %" },
+      unfounded_in("takes 7.77 us, 3.7 times as long, 78.5 % more in 3 rounds"))
+  end)
+
+  for _, document in ipairs { "README.md", "CHANGELOG.md", "doc/howto.md",
+    "doc/manual.md", "doc/checks.md", "doc/emem.md" } do
+    it("in " .. document .. " is one of doc/performance.md", function()
+      assert.same({}, unfounded_in(helper.content(document)))
+    end)
+  end
+end)

@@ -1,0 +1,215 @@
+-- Pictures of random charts, with regions and odd names, by the real tools.
+
+local diagram = require "rfsm.diagram"
+local helper = require "spec.helper"
+local marsh = require "rfsm.marsh"
+local pictures = require "spec.support.pictures"
+local rfsm = require "rfsm"
+
+local content, file_with = helper.content, helper.file_with
+local seed = tonumber(os.getenv("SEED")) or 1
+
+after_each(helper.remove_files)
+
+-- Reads the output of a command, and its messages.
+local function run(command)
+  local log = file_with("")
+  local pipe = io.popen(command .. " 2>'" .. log .. "'")
+  local text = pipe:read("*a")
+  pipe:close()
+  return text, content(log)
+end
+
+-- The picture of a machine, which Graphviz draws without a word.
+local function svg_of(fsm, options)
+  local file = file_with(require("rfsm.dot").encode(fsm, options))
+  local picture, messages = run("dot -Tsvg '" .. file .. "'")
+  assert.equal("", messages)
+  assert.equal("</svg>\n", picture:sub(-7))
+  return picture
+end
+
+local function random_machine(number) return helper.init(pictures.model(number, 6)) end
+
+-- The nodes by FQN, and the transitions that are arrows, of a full description.
+local function elements_of(tab, fqn, nodes, arrows)
+  nodes[fqn] = tab
+  for _, tr in ipairs(tab.transitions or {}) do
+    if not tr.internal then arrows[#arrows + 1] = tr end
+  end
+  for _, list in ipairs { tab.subnodes or {}, tab.regions or {} } do
+    for _, subtab in ipairs(list) do
+      elements_of(subtab, fqn .. "." .. subtab.id, nodes, arrows)
+    end
+  end
+  return nodes, arrows
+end
+
+local function contains(composite, fqn)
+  return fqn:sub(1, #composite + 1) == composite .. "."
+end
+
+local function is_composite(tab)
+  return tab.subnodes ~= nil or tab.regions ~= nil
+end
+
+-- Names as they are in ids.
+local function id_of(fqn) return (diagram.clean(fqn):gsub("\n", "\\n")) end
+
+-- The composites whose frames are around the middle of a label.
+local function frames_around(box, shapes, nodes)
+  local x, y, list = (box.left + box.right) / 2, (box.top + box.bottom) / 2, {}
+  for fqn, tab in pairs(nodes) do -- any order: sorted
+    local frame = shapes[id_of(fqn)].box
+    if is_composite(tab) and x > frame.left and x < frame.right and y > frame.top
+      and y < frame.bottom then
+      list[#list + 1] = fqn
+    end
+  end
+  table.sort(list)
+  return list
+end
+
+-- The end of an arrow: of a composite that is entered from outside, its frame.
+local function target_of(tr)
+  local composite = tr.tgt:match("^(.*)%.initial$")
+  return composite and not contains(composite, tr.src) and composite or tr.tgt
+end
+
+-- The composites around both ends of a transition.
+local function composites_around(tr, nodes)
+  local list = {}
+  for fqn, tab in pairs(nodes) do -- any order: sorted
+    if is_composite(tab) and contains(fqn, tr.src) and contains(fqn, target_of(tr)) then
+      list[#list + 1] = fqn
+    end
+  end
+  table.sort(list)
+  return list
+end
+
+local function distance_to(box, point)
+  local x, y = point[1], point[2]
+  return math.min(math.abs(x - box.left), math.abs(x - box.right),
+    math.abs(y - box.top), math.abs(y - box.bottom))
+end
+
+local TOUCH = 3 -- points between the end of an arrow and a border
+
+local function check_arrow(tr, shapes, nodes)
+  local label = shapes[id_of(tr.key)]
+  local tail, head = shapes[id_of(tr.key) .. "/src"] or label,
+    shapes[id_of(tr.key) .. "/tgt"] or label
+  if tail ~= label then
+    assert.same(composites_around(tr, nodes), frames_around(label.box, shapes, nodes),
+      tr.key)
+  end
+  local src, tgt = shapes[id_of(tr.src)].box, shapes[id_of(target_of(tr))].box
+  if is_composite(nodes[tr.src]) then
+    assert.is_true(math.min(distance_to(src, tail.ends[1]),
+      distance_to(src, tail.ends[2])) < TOUCH, tr.key .. " begins at its frame")
+  end
+  if is_composite(nodes[target_of(tr)]) then
+    assert.is_true(distance_to(tgt, head.tip) < TOUCH, tr.key .. " ends at its frame")
+  end
+end
+
+describe("Graphviz", function()
+  for number = seed, seed + 9 do
+    it(("puts random chart %d where it belongs"):format(number), function()
+      local fsm = random_machine(number)
+      local nodes, arrows = elements_of(marsh.model2tab(fsm, true), "root", {}, {})
+      local shapes = pictures.shapes_of(svg_of(fsm))
+      for fqn in pairs(nodes) do -- any order
+        assert.is_truthy(shapes[id_of(fqn)], fqn)
+      end
+      for _, tr in ipairs(arrows) do check_arrow(tr, shapes, nodes) end
+    end)
+  end
+
+  it("shows any names as they are", function()
+    local picture = svg_of(helper.init(pictures.odd()), 'T "x" \\ & <i>\nnew')
+    for _, text in ipairs { "q&quot;q", "&lt;b&gt;", "&amp;amp;", "%d", "état",
+      "&lt;&lt;choice&gt;&gt;", "|", "T &quot;x&quot; \\ &amp; &lt;i&gt;", "new" } do
+      assert.is_truthy(picture:find(">" .. text .. "<", 1, true), text)
+    end
+  end)
+end)
+
+-- The ids in the picture of a machine, and those that Graphviz has given in a file.
+local function compare_ids(fsm, file)
+  local expected, found = {}, pictures.shapes_of(content(file))
+  local nodes, arrows = elements_of(marsh.model2tab(fsm, true), "root", {}, {})
+  for fqn in pairs(nodes) do expected[id_of(fqn)] = true end -- any order
+  for _, tr in ipairs(arrows) do expected[id_of(tr.key)] = true end
+  for id in pairs(expected) do assert.is_truthy(found[id], file .. " lacks " .. id) end
+  for id in pairs(found) do -- any order
+    assert.is_truthy(expected[id:gsub("/%l+$", "")], file .. " has " .. id)
+  end
+end
+
+describe("doc/gallery", function()
+  for path in io.popen("ls examples/*.lua doc/gallery/*.lua"):lines() do
+    local name = path:match("([^/]+)%.lua$")
+    it("has an up to date picture of " .. name, function()
+      local fsm
+      helper.printed(function() fsm = helper.init(rfsm.load(path)) end)
+      compare_ids(fsm, "doc/gallery/" .. name .. ".svg")
+      assert.is_truthy(content("doc/gallery/README.md"):find("(" .. name .. ".svg)", 1,
+        true))
+    end)
+  end
+
+  it("has an up to date picture of the README's chart", function()
+    local text = content("README.md"):match("```lua\n(.-)\nrfsm%.run")
+    local load = rawget(_G, "loadstring") or load
+    compare_ids(load(text .. "\nreturn fsm")(), "doc/gallery/lamp.svg")
+  end)
+end)
+
+-- Saves random charts, and one of odd names, in a language; returns the folder.
+local function save_all(language, ending)
+  local folder = os.tmpname()
+  os.remove(folder)
+  os.execute("mkdir '" .. folder .. "'")
+  local encode = require("rfsm." .. language).encode
+  local function save(name, fsm)
+    local file = assert(io.open(("%s/%s.%s"):format(folder, name, ending), "wb"))
+    file:write(encode(fsm, { title = 'T "x" \\ & <i>\nnew', direction = "LR" }))
+    file:close()
+  end
+  for number = seed, seed + 19 do save(number, random_machine(number)) end
+  save("odd", helper.init(pictures.odd()))
+  return folder
+end
+
+-- Runs a command, with the files of a language for FILES, if `program` is installed.
+local function parse(program, command, language, ending)
+  if run("command -v " .. program) == "" then
+    return pending(program .. " is not installed")
+  end
+  local folder = save_all(language, ending)
+  local text, messages = run((command:gsub("FILES", folder .. "/*." .. ending)))
+  os.execute("rm -r '" .. folder .. "'")
+  return text .. messages
+end
+
+describe("PlantUML", function()
+  it("finds no mistake in random charts, or with any names", function()
+    local said = parse("plantuml", "plantuml -checkonly -stdrpt:1 FILES", "plantuml",
+      "puml")
+    assert.equal("", said or "")
+  end)
+end)
+
+describe("Mermaid", function()
+  it("finds no mistake in random charts, or with any names", function()
+    local folder = os.getenv("MERMAID")
+    if not folder then
+      return pending("MERMAID: no folder in which npm has installed mermaid and jsdom")
+    end
+    local said = parse("node", ("cp spec/support/mermaid.mjs '%s' && node "
+      .. "'%s/mermaid.mjs' FILES"):format(folder, folder), "mermaid", "mmd")
+    assert.equal("21 parsed\n", said or "21 parsed\n")
+  end)
+end)

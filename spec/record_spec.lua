@@ -1,0 +1,259 @@
+-- Recordings: the same run again, from the events, the clock and the guards.
+--
+-- RFSM_N=10000 makes the random part longer.
+
+local helper = require "spec.helper"
+local json = require "dkjson"
+local kept = require "spec.support.kept"
+local record = require "rfsm.record"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+local timeevent = require "rfsm_timeevent"
+
+local state, trans = rfsm.state, rfsm.trans
+local N = tonumber(os.getenv("RFSM_N")) or 60
+
+after_each(helper.remove_files)
+
+-- idle --e_go--> busy --e_done--> idle; go is guarded by what `sensor` returns
+local function worker(trace, sensor)
+  local function note(text) return function() trace[#trace + 1] = text end end
+  return state {
+    info = false, warn = false, err = false, emem = false, keep = { "count" },
+    count = 0,
+    idle = state { entry = note "idle" },
+    busy = state { entry = function(fsm)
+      trace[#trace + 1] = "busy"
+      fsm.count = fsm.count + 1
+      rfsm.send_events(fsm, "e_own" .. fsm.count)
+    end },
+    trans { src = "initial", tgt = "idle" },
+    trans { src = "idle", tgt = "busy", events = { "e_go" },
+      guard = function() return sensor() end },
+    trans { src = "busy", tgt = "idle", events = { "e_own1", "e_own2" } },
+  }
+end
+
+local function yes() return true end
+
+-- Returns the recording of a run in which the sensor says no the second time.
+local function recorded(sink)
+  local calls, trace = 0, {}
+  local fsm = helper.init(worker(trace, function()
+    calls = calls + 1
+    return calls ~= 2
+  end))
+  local recorder = record.record(fsm, sink)
+  rfsm.run(fsm)
+  for _ = 1, 3 do helper.post_and_run(fsm, "e_go") end
+  return recorder, fsm, trace
+end
+
+describe("a recording", function()
+  it("holds what came from outside, and what followed", function()
+    local sink = {}
+    local recorder, fsm = recorded(sink)
+    assert.equal(1, sink[1].record)
+    assert.same(snapshot.take(helper.init(worker({}, yes))), sink[1].snapshot)
+    assert.same({
+      { events = { "e_init_fsm" }, sent = { "e_done@root.idle" }, leaf = "root.idle",
+        done = true },
+      { events = { "e_done@root.idle" }, leaf = "root.idle", done = true },
+      { leaf = "root.idle", done = true },
+      { events = { "e_go" }, guards = { 2, true }, kept = { data = { root =
+        { count = 1 } } }, sent = { "e_own1", "e_done@root.busy" }, leaf = "root.busy",
+        done = true },
+    }, { sink[2], sink[3], sink[4], sink[5] })
+    assert.same({ 13, 14 }, { recorder.count, #sink })
+    recorder:stop()
+    helper.post_and_run(fsm, "e_go")
+    assert.equal(14, #sink)
+  end)
+
+  it("is replayed with the callbacks, and the guards as they were", function()
+    local sink = {}
+    local _, _, trace = recorded(sink)
+    local again = {}
+    local fsm = assert(record.replay(worker(again, error), sink))
+    assert.same(trace, again)
+    assert.equal(2, fsm.count)
+  end)
+
+  it("is replayed dry: nothing is called", function()
+    local sink, again = {}, {}
+    recorded(sink)
+    local fsm = assert(record.replay(worker(again, error), sink, { dry = true }))
+    assert.same({ {}, 2, "root.idle" }, { again, fsm.count, rfsm.get_actleaf_fqn(fsm) })
+    helper.post_and_run(fsm, "e_go") -- its callbacks are there
+    assert.same({}, again) -- the guard fails
+  end)
+
+  it("is replayed up to an iteration", function()
+    local sink = {}
+    recorded(sink)
+    local fsm = assert(record.replay(worker({}, yes), sink, { dry = true, to = 4 }))
+    assert.same({ "root.busy", 1 }, { rfsm.get_actleaf_fqn(fsm), fsm.count })
+    assert.same({ "e_own1", "e_done@root.busy" }, fsm._intq)
+    assert.equal(false, rfsm.get_actleaf_fqn(assert(
+      record.replay(worker({}, yes), sink, { to = 0 }))))
+  end)
+
+  it("says at which step a callback behaves otherwise", function()
+    local sink = {}
+    recorded(sink)
+    local model = worker({}, yes)
+    model.busy.entry = function(fsm)
+      fsm.count = fsm.count + 1
+      rfsm.send_events(fsm, "e_mine")
+    end
+    assert.same({ false, "step 4: events sent: e_own1, e_done@root.busy expected, "
+      .. "got e_mine, e_done@root.busy", 3 }, { record.replay(model, sink) })
+    assert.same({ false, "step 8: the guard of T={ src='root.idle', tgt='root.busy', "
+      .. "events='e_go' } behaves otherwise", 7 },
+      { record.replay(worker({}, yes), sink, { guards = true }) })
+  end)
+
+  it("says at which step a chart goes another way", function()
+    local sink = {}
+    recorded(sink)
+    sink[5].leaf = "root.idle"
+    assert.same({ false, "step 4: active leaf root.idle(done) expected, got "
+      .. "root.busy(done)", 3 }, { record.replay(worker({}, yes), sink,
+      { dry = true }) })
+    assert.same({ false, "rfsm.record: a recording of format 1 expected" },
+      { record.replay(worker({}, yes), {}) })
+    assert.same({ false, "rfsm.record: record 2: table expected, got number" },
+      { record.replay(worker({}, yes), { sink[1], 7 }) })
+    assert.matches("^rfsm.snapshot: the snapshot is of another chart:\n",
+      select(2, record.replay(state { a = state {}, info = false, warn = false,
+        trans { src = "initial", tgt = "a" } }, sink)))
+  end)
+
+  it("says that an event cannot be replayed", function()
+    local sink = {}
+    local _, fsm = recorded(sink)
+    helper.post_and_run(fsm, print)
+    assert.equal("step 14: an event that is a function cannot be replayed",
+      select(2, record.replay(worker({}, yes), sink, { dry = true })))
+  end)
+
+  it("in a file has a line for each record; one that was cut does not count", function()
+    local file, sink = helper.file_with(""), {}
+    recorded(file)
+    recorded(sink)
+    local text = helper.content(file)
+    assert.equal(14, select(2, text:gsub("\n", "")))
+    assert.matches('^{"record":1,', text)
+    assert.same(json.decode(json.encode(sink)), record.read(file))
+    local cut = helper.file_with(text:sub(1, -9))
+    assert.equal(13, #record.read(cut))
+    assert.equal("root.idle", rfsm.get_actleaf_fqn(assert(
+      record.replay(worker({}, yes), cut, { dry = true }))))
+    local broken = helper.file_with((text:gsub("\n{", "\n?", 1)))
+    assert.matches(":2: a record expected$", select(2, pcall(record.read, broken)))
+  end)
+
+  it("becomes a spec that passes, as long as the chart does that", function()
+    local chart = helper.file_with([[
+      return rfsm.state { info = false, warn = false, a = rfsm.state {},
+        b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = "e_\n" } }]])
+    local sink = {}
+    local fsm = helper.init(rfsm.load(chart))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_\n")
+    local function output_of(text)
+      local name = helper.file_with(text)
+      local pipe = io.popen("f=" .. name .. "; mv $f $f.lua; "
+        .. "busted -o TAP $f.lua 2>&1; rm $f.lua")
+      local output = pipe:read("*a")
+      pipe:close()
+      return output
+    end
+    local text = record.to_spec(sink)
+    assert.matches("ok 1 %- .* takes the steps that were recorded", output_of(text))
+    assert.matches("not ok 1", output_of((text:gsub('leaf = "root.b"', 'leaf = "x"'))))
+  end)
+end)
+
+describe("back", function()
+  it("moves the machine, and forgets what came since", function()
+    local sink = {}
+    local recorder, fsm, trace = recorded(sink)
+    local count = #trace
+    assert.is_true(recorder:back(1))
+    assert.is_true(recorder:back(8))
+    assert.same({ "root.busy", 1, 4, 5, count },
+      { rfsm.get_actleaf_fqn(fsm), fsm.count, recorder.count, #sink, #trace })
+    rfsm.run(fsm)
+    assert.equal("root.idle", rfsm.get_actleaf_fqn(fsm))
+    assert(record.replay(worker({}, yes), sink))
+    assert.is_true(recorder:back(100))
+    assert.same({ false, 0, 1 }, { rfsm.get_actleaf_fqn(fsm), recorder.count, #sink })
+  end)
+
+  it("gives timers the time they had", function()
+    local now = 10
+    timeevent.set_gettime_hook(function() return now, 0 end)
+    local fsm = helper.init(state { info = false, warn = false, a = state {},
+      b = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_after(5)" } } })
+    local recorder = record.record(fsm, {})
+    rfsm.step(fsm)
+    now = 13
+    rfsm.step(fsm)
+    now = 100
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.is_true(recorder:back(1))
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+    assert.equal(2, math.floor(timeevent.next_deadline(fsm)))
+  end)
+
+  it("needs the records", function()
+    local recorder = recorded(function() end)
+    assert.error_matches(function() recorder:back() end,
+      "rfsm.record: back: a recording in a list expected")
+  end)
+end)
+
+describe("a random run", function()
+  local function each_run(f)
+    for seed = 1, N do
+      local lines, watch = kept.watcher()
+      local sink, recorder = {}, nil
+      local fsm = kept.run(seed, function(machine)
+        watch(machine)
+        recorder = record.record(machine, sink)
+      end)
+      f(seed, sink, lines, recorder, fsm)
+    end
+  end
+
+  for name, is_dry in pairs { ["dry"] = true, ["with its callbacks"] = false } do
+    it("goes the same way when it is replayed " .. name, function()
+      each_run(function(seed, sink, lines)
+        local again, watch = kept.watcher()
+        if seed % 2 == 0 then sink = json.decode((json.encode(sink))) end
+        assert(record.replay(kept.model(seed), sink, { dry = is_dry, watch = watch }))
+        assert.same(lines, again, "seed " .. seed)
+      end)
+    end)
+  end
+
+  it("goes back to where it was", function()
+    each_run(function(seed, sink, _, recorder, fsm)
+      local n = seed % recorder.count
+      local records = {}
+      for i = 2, #sink do
+        if not sink[i].m then records[#records + 1] = sink[i] end
+      end
+      local expected = records[recorder.count - n] or {}
+      assert(recorder:back(n))
+      assert.same({ expected.leaf or false, expected.done or false },
+        { rfsm.get_actleaf_fqn(fsm), fsm._act_leaf and fsm._act_leaf._mode == "done" },
+        "seed " .. seed)
+    end)
+  end)
+end)

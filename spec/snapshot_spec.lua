@@ -1,0 +1,409 @@
+-- Snapshots: a machine saved between two steps goes on as if nothing had been.
+--
+-- RFSM_N=10000 makes the random parts longer. RFSM_LUAS names further interpreters.
+
+local helper = require "spec.helper"
+local json = require "dkjson"
+local kept = require "spec.support.kept"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+
+local state, trans = rfsm.state, rfsm.trans
+local N = tonumber(os.getenv("RFSM_N")) or 60
+
+after_each(helper.remove_files)
+
+local function through_json(value) return (json.decode((json.encode(value)))) end
+
+-- Returns a function that takes a value through MessagePack; nil without that module.
+local function message_pack()
+  local ok, mp = pcall(require, "MessagePack")
+  return ok and function(value) return mp.unpack(mp.pack(value)) end or nil
+end
+
+local through_message_pack = message_pack()
+
+-- (initial) -> off --e_on--> on { (initial) -> low --e_up--> high },  on --e_off--> off
+local function lamp(fields)
+  local model = {
+    info = false, warn = false, emem = false, off = state {},
+    on = state {
+      keep = { "count" }, count = 0,
+      entry = function(_, self) self.count = self.count + 1 end,
+      low = state {}, high = state {},
+      trans { src = "initial", tgt = "low" },
+      trans { src = "low", tgt = "high", events = { "e_up" } },
+    },
+    trans { src = "initial", tgt = "off" },
+    trans { src = "off", tgt = "on", events = { "e_on" } },
+    trans { src = "on", tgt = "off", events = { "e_off" } },
+  }
+  for key, value in pairs(fields or {}) do model[key] = value end
+  return state(model)
+end
+
+local function lit()
+  local fsm = helper.init(lamp())
+  helper.post_and_run(fsm, "e_on", "e_other")
+  rfsm.run(fsm)
+  helper.post_and_run(fsm, "e_on")
+  helper.post_and_run(fsm, "e_up")
+  rfsm.send_events(fsm, "e_off", 7, true)
+  return fsm
+end
+
+describe("a snapshot", function()
+  it("holds where the machine stands, its queue and the data that it keeps", function()
+    local snap = snapshot.take(lit())
+    assert.same({
+      version = 1, chart = snap.chart, leaf = "root.on.high", done = true,
+      queue = { "e_off", 7, true }, data = { ["root.on"] = { count = 1 } },
+    }, snap)
+    assert.matches("^%x+$", snap.chart)
+    assert.equal(11, #snap.chart)
+  end)
+
+  it("of a machine that was not entered is empty", function()
+    local fsm = helper.init(lamp())
+    fsm.on.count = nil
+    local snap = snapshot.take(fsm)
+    assert.same({ version = 1, chart = snap.chart }, snap)
+    local again = assert(snapshot.restore(lamp(), snap))
+    rfsm.run(again)
+    assert.equal("root.off", rfsm.get_actleaf_fqn(again))
+  end)
+
+  it("restores a machine without running anything", function()
+    local trace = {}
+    local function note(what) return function() trace[#trace + 1] = what end end
+    local model = lamp { entry = note "root" }
+    model.on.high.entry, model.on.entry = note "high", note "on"
+    local fsm = assert(snapshot.restore(model, through_json(snapshot.take(lit()))))
+    assert.same({}, trace)
+    assert.same({ "root", "root.on", "root.on.high" }, rfsm.get_active_conf(fsm))
+    assert.equal("done", rfsm.get_sta_mode(fsm.on.high))
+    assert.equal(1, fsm.on.count)
+    rfsm.run(fsm)
+    assert.equal("root.off", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("restores a machine that runs the entries if asked", function()
+    local names = {}
+    local model = lamp()
+    local function note(_, self, what) names[#names + 1] = what .. " " .. self._fqn end
+    model.entry, model.on.entry, model.on.high.entry = note, note, note
+    local snap = snapshot.take(lit())
+    assert(snapshot.restore(model, snap, { entries = true }))
+    assert.same({ "entry root", "entry root.on", "entry root.on.high" }, names)
+  end)
+
+  it("is put into a machine that stands elsewhere", function()
+    local fsm = helper.init(lamp())
+    rfsm.run(fsm)
+    assert.is_true(snapshot.put(fsm, snapshot.take(lit())))
+    assert.same(snapshot.take(lit()), snapshot.take(fsm))
+  end)
+
+  it("has what save returned, and load gets it", function()
+    local model = lamp {
+      save = function(fsm) return { fsm.secret } end,
+      load = function(fsm, self, value) fsm.secret, self.loaded = value[1], true end,
+    }
+    local fsm = helper.init(model)
+    fsm.secret = 42
+    local again = assert(snapshot.restore(model, through_json(snapshot.take(fsm))))
+    assert.same({ 42, true }, { again.secret, again.loaded })
+  end)
+
+  it("holds targets that a program has set", function()
+    local fsm = helper.init(lamp())
+    fsm.on[1].tgt = fsm.on.high
+    local again = assert(snapshot.restore(lamp(), snapshot.take(fsm)))
+    assert.equal(again.on.high, again.on[1].tgt)
+    assert.is_true(snapshot.put(again, snapshot.take(helper.init(lamp()))))
+    assert.equal(again.on.low, again.on[1].tgt)
+  end)
+
+  it("of a machine with 20 states takes at most 200 bytes as MessagePack", function()
+    local ok, mp = pcall(require, "MessagePack")
+    if not ok then return end
+    local model = state { info = false, warn = false, emem = false,
+      keep = { "order", "count" }, order = "A-4711", count = 12 }
+    for i = 1, 4 do
+      local group = state { trans { src = "initial", tgt = "station1" } }
+      for j = 1, 4 do group["station" .. j] = state {} end
+      model["area" .. i] = group
+      model[i] = trans { src = i == 1 and "initial" or "area" .. i - 1,
+        tgt = "area" .. i, events = i > 1 and { "e_next" } or nil }
+    end
+    local fsm = helper.init(model)
+    helper.post_and_run(fsm, "e_next")
+    helper.post_and_run(fsm, "e_next")
+    rfsm.send_events(fsm, "e_next", "e_stop")
+    assert.equal("root.area2.station1", rfsm.get_actleaf_fqn(fsm))
+    assert.is_true(#mp.pack(snapshot.take(fsm)) <= 200)
+  end)
+end)
+
+describe("data that a chart keeps", function()
+  local VALUES = {
+    { 1, 2.5, -0.1, 1e300, 2 ^ 53, 123456789012345678, 0.1 + 0.2 },
+    { huge = math.huge, low = -math.huge }, {}, { {}, { {} } }, { n = 3 }, { "%t", 1 },
+    { [5] = "sparse", x = true, [true] = false, [2.5] = "half" }, "a\0b\"\n\255",
+    "%n", { "%n", "7" }, false,
+  }
+
+  it("comes back as it was, also through JSON and MessagePack", function()
+    for _, through in ipairs { through_json, through_message_pack } do
+      for _, value in ipairs(VALUES) do
+        local fsm = helper.init(lamp())
+        fsm.on.count = value
+        local again = assert(snapshot.restore(lamp(), through(snapshot.take(fsm))))
+        assert.same(value, again.on.count)
+      end
+    end
+  end)
+
+  it("keeps integers and floats apart", function()
+    local math_type = rawget(math, "type")
+    if not math_type then return end
+    local fsm = helper.init(lamp())
+    fsm.on.count = { 3, 3 / 1, 123456789012345678, -0.0 }
+    local again = assert(snapshot.restore(lamp(), through_json(snapshot.take(fsm))))
+    local types = {}
+    for i, number in ipairs(again.on.count) do types[i] = math_type(number) end
+    assert.same({ "integer", "float", "integer", "float" }, types)
+  end)
+end)
+
+-- Raises what take says of a machine with this value in its data, or as an event.
+local function refusal(f)
+  local fsm = helper.init(lamp())
+  f(fsm)
+  local ok, text = pcall(snapshot.take, fsm)
+  assert.is_false(ok)
+  return (text:gsub("^.-rfsm.snapshot.take: ", ""):gsub("spec/[%w_]+%.lua:%d+: ", ""))
+end
+
+describe("take names what cannot be saved:", function()
+  local shared = {}
+  local deep = {}
+  for _ = 1, 20 do deep = { deep } end
+  for text, f in pairs {
+    ["queue[2]: an event that is a function cannot be saved, only text, number or "
+      .. "boolean"] = function(fsm) rfsm.send_events(fsm, print) end,
+    ["queue[2]: an event that is a userdata cannot be saved, only text, number or "
+      .. "boolean"] = function(fsm) rfsm.send_events(fsm, io.stdout) end,
+    ["root.on.count.list[2]: a function cannot be saved"] = function(fsm)
+      fsm.on.count = { list = { 1, print } }
+    end,
+    ["root.on.count: a table with a metatable cannot be saved"] = function(fsm)
+      fsm.on.count = setmetatable({}, {})
+    end,
+    ["root.on.count: a key that is a table cannot be saved"] = function(fsm)
+      fsm.on.count = { [shared] = 1 }
+    end,
+    ["root.on.count[2]: this table stands elsewhere in the data, too, and can only "
+      .. "be saved once"] = function(fsm) fsm.on.count = { shared, shared } end,
+    ["root.on.count" .. ("[1]"):rep(11) .. ": a snapshot holds at most 13 tables "
+      .. "inside each other"] = function(fsm) fsm.on.count = deep end,
+    ["save of root.on: no disk"] = function(fsm)
+      fsm.on.save = function() error("no disk", 0) end
+      fsm.on.load = print
+    end,
+    ["root.on: 'save' and 'load' expected, got only one of them"] = function(fsm)
+      fsm.on.save = print
+    end,
+    ["root.on.keep[1]: name of a field with data expected, got 'entry'"] = function(fsm)
+      fsm.on.keep = { "entry" }
+    end,
+    ["root.on.keep: list of names expected, got number"] = function(fsm)
+      fsm.on.keep = 7
+    end,
+  } do
+    it(text, function() assert.equal(text, refusal(f)) end)
+  end
+
+  it("a step under way", function()
+    local fsm, text
+    fsm = helper.init(lamp { entry = function()
+      text = select(2, pcall(snapshot.take, fsm))
+    end })
+    rfsm.run(fsm)
+    assert.matches("rfsm.snapshot.take: the machine is in the middle of a step", text)
+  end)
+end)
+
+describe("a snapshot of another chart", function()
+  local function other()
+    local model = lamp()
+    model.on.high, model.on.full = nil, state {}
+    model.on[2].tgt = "full"
+    return model
+  end
+
+  local snap = snapshot.take(lit(), { structure = true })
+
+  it("is refused with the list of what differs", function()
+    local expected = {
+      "new: root.on.low -> root.on.full on e_up", "new: state root.on.full",
+      "gone: root.on.low -> root.on.high on e_up", "gone: state root.on.high",
+    }
+    local fsm, text, list = snapshot.restore(other(), snap)
+    assert.is_false(fsm)
+    assert.same(expected, list)
+    assert.equal("rfsm.snapshot: the snapshot is of another chart:\n  "
+      .. table.concat(expected, "\n  "), text)
+    assert.same(expected, select(3, snapshot.restore(other(), snapshot.take(lit()),
+      { old = lamp() })))
+  end)
+
+  it("is refused with what is missing if no more is known", function()
+    local bare = snapshot.take(lit())
+    bare.chart = "00000000000"
+    assert.same({ "gone: state root.on.high",
+      "the snapshot holds no structure: that is all that is known" },
+      select(3, snapshot.restore(other(), bare)))
+  end)
+
+  it("moves by a table of new names", function()
+    local fsm = assert(snapshot.restore(other(), snap,
+      { rename = { ["root.on.high"] = "root.on.full" } }))
+    assert.equal("root.on.full", rfsm.get_actleaf_fqn(fsm))
+    assert.equal(1, fsm.on.count)
+  end)
+
+  it("moves by a function, which may refuse", function()
+    local fsm = assert(snapshot.restore(other(), snap, { migrate = function(old, list)
+      assert.equal(4, #list)
+      old.leaf = "root.on.low"
+    end }))
+    assert.equal("root.on.low", rfsm.get_actleaf_fqn(fsm))
+    assert.equal("rfsm.snapshot: migrate refused the snapshot of another chart:",
+      select(2, snapshot.restore(other(), snap,
+        { migrate = function() return false end })):match("[^\n]*"))
+  end)
+end)
+
+describe("a snapshot that is wrong", function()
+  local good = snapshot.take(lit())
+
+  local function with(field, value)
+    local snap = through_json(good)
+    snap[field] = value
+    return snap
+  end
+
+  for _, case in ipairs {
+    { "no table", "text", "snapshot expected, got string" },
+    { "no version", with("version", nil), "snapshot of format 1 expected, got none" },
+    { "version 2", with("version", 2), "snapshot of format 1 expected, got format 2" },
+    { "a composite", with("leaf", "root.on"), "leaf: 'root.on' is a composite" },
+    { "no such leaf", with("leaf", "root.x"), "leaf: no state is 'root.x'" },
+    { "a leaf of another type", with("leaf", 7), "leaf: string expected, got number" },
+    { "an event that is a table", with("queue", { {} }),
+      "queue[1]: event expected, got table" },
+    { "a field too many", with("entry", "x"), "no snapshot has a field 'entry'" },
+    { "data that nobody keeps", with("data", { ["root.on"] = { entry = 1 } }),
+      "data: no state 'root.on' keeps a field 'entry'" },
+    { "data of no state", with("data", { ["root.x"] = { a = 1 } }),
+      "data: no state 'root.x' keeps a field 'a'" },
+    { "an extension that is not there", with("ext", { timers = {} }),
+      "ext: no extension of the machine is named 'timers'" },
+    { "targets that are none", with("targets", { "root", 1, "root.x" }),
+      "targets: a transition and a node expected, got '1' in 'root', 'root.x'" },
+  } do
+    it("is refused: " .. case[1], function()
+      local fsm = helper.init(lamp())
+      rfsm.run(fsm)
+      local before = snapshot.take(fsm)
+      assert.same({ false, "rfsm.snapshot: " .. case[3] },
+        { snapshot.put(fsm, case[2]) })
+      assert.same(before, snapshot.take(fsm))
+    end)
+  end
+
+  -- Changes, cuts or replaces something in a copy of a snapshot.
+  local JUNK = { 0, -1, 1e308, 0 / 0, "", "root", "%t", "%p", true, {}, { {} },
+    { "%p", 7 }, { "%n", "x" }, { "%t", {} } }
+
+  local function spoil(value, random)
+    if type(value) ~= "table" or random(4) == 1 then return JUNK[random(#JUNK)] end
+    local keys = {}
+    for key in pairs(value) do keys[#keys + 1] = key end
+    table.sort(keys, function(a, b) return tostring(a) < tostring(b) end)
+    local key = keys[random(#keys + 1)]
+    if key == nil then
+      value[JUNK[random(3) + 4]] = JUNK[random(#JUNK)]
+    else
+      value[key] = random(5) == 1 and nil or spoil(value[key], random)
+    end
+    return value
+  end
+
+  it("never raises, and leaves no machine half restored", function()
+    local place = 1
+    local function random(n)
+      place = place * 16807 % 2147483647
+      return place % n + 1
+    end
+    local texts = {}
+    for seed = 1, 40 do
+      texts[seed] = json.encode((kept.begin(seed, kept.length(seed))))
+    end
+    for i = 1, N * 10 do
+      local seed = i % 40 + 1
+      local snap = json.decode(texts[seed])
+      for _ = 1, random(3) do snap = spoil(snap, random) end
+      local ok, fsm, text = pcall(snapshot.restore, kept.model(seed), snap)
+      assert(ok, fsm)
+      if fsm then
+        assert.is_true(rfsm.is_initialized_root(fsm))
+        rfsm.step(fsm, 3)
+      else
+        assert.matches("^rfsm.snapshot: ", text)
+        assert.is_nil(text:find("rfsm/%w+%.lua:%d") or text:find("attempt to"), text)
+      end
+    end
+  end)
+end)
+
+describe("a machine restored in the middle of a random run", function()
+  local function each_case(f)
+    for seed = 1, N do
+      local at = seed * 31 % (kept.length(seed) + 1)
+      local snap, trace = kept.begin(seed, at)
+      f(seed, at, snap, trace)
+    end
+  end
+
+  it("has the same trace from there on, through JSON", function()
+    each_case(function(seed, at, snap, trace)
+      assert.same(trace, kept.go_on(seed, at, through_json(snap)), "seed " .. seed)
+    end)
+  end)
+
+  it("has the same trace from there on, through MessagePack", function()
+    if not through_message_pack then return end
+    each_case(function(seed, at, snap, trace)
+      assert.same(trace, kept.go_on(seed, at, through_message_pack(snap)),
+        "seed " .. seed)
+    end)
+  end)
+
+  it("has it in other processes, on other interpreters", function()
+    local lines = {}
+    each_case(function(seed, at, snap, trace)
+      lines[#lines + 1] = json.encode { seed = seed, at = at, snapshot = snap,
+        digest = kept.digest(trace) }
+    end)
+    local file = helper.file_with(table.concat(lines, "\n") .. "\n")
+    for lua in (os.getenv("RFSM_LUAS") or "lua5.1 lua5.4"):gmatch("%S+") do
+      local pipe = assert(io.popen(("%s spec/support/kept.lua <%s 2>&1"):format(lua,
+        file)))
+      local output = pipe:read("*a")
+      pipe:close()
+      assert.equal(N .. " passed\n", output, lua)
+    end
+  end)
+end)

@@ -1,0 +1,355 @@
+-- Random runs for snapshots and recordings: the same seed gives the same chart and the
+-- same operations on every Lua. What callbacks do depends only on data that the chart
+-- keeps, and on what comes from outside.
+--
+-- As a program it reads lines of JSON { seed, at, snapshot, digest } on stdin, restores
+-- each snapshot, does the rest of the run, and compares the digest of its trace:
+--
+--    LUA spec/support/kept.lua < FILE
+
+package.path = "./?.lua;" .. package.path
+
+local rfsm = require "rfsm"
+local timeevent = require "rfsm_timeevent"
+require "rfsm.await"
+require "rfsm.emem"
+local monitor = require "rfsm.monitor"
+local snapshot = require "rfsm.snapshot"
+
+local floor = math.floor
+
+local kept = {}
+
+-- Random numbers (Lehmer's generator, exact in doubles) -----------------------
+
+local Random = {}
+Random.__index = Random
+
+local function new_random(seed)
+  local random = setmetatable({ state = seed * 7919 % 2147483646 + 1 }, Random)
+  for _ = 1, 5 do random:below(2) end
+  return random
+end
+
+-- A whole number from 1 to n.
+function Random:below(n)
+  self.state = self.state * 16807 % 2147483647
+  return floor(self.state / 2147483647 * n) + 1
+end
+
+function Random:chance(percent) return self:below(100) <= percent end
+
+function Random:pick(list) return list[self:below(#list)] end
+
+-- The trace and the clock, of the machine that runs -----------------------------
+
+local trace, now, coming = {}, 0, {} -- now: quarters of a second
+
+local function note(...)
+  local texts = { ... }
+  for i = 1, select("#", ...) do texts[i] = rfsm.text_of(texts[i]) end
+  trace[#trace + 1] = table.concat(texts, " ")
+end
+
+timeevent.set_gettime_hook(function()
+  return 1000 + floor(now / 4), now % 4 * 250000000
+end)
+
+-- Charts ------------------------------------------------------------------------
+
+local EVENTS = { "e1", "e2", "e3", 7, 2.5, true, "e_x@y" }
+
+-- How often something has happened, in data that the root keeps.
+local function bump(fsm, id)
+  fsm.counts[id], fsm.counts.all = (fsm.counts[id] or 0) + 1, (fsm.counts.all or 0) + 1
+  return fsm.counts[id]
+end
+
+local function retarget(fsm, action)
+  local transitions = rfsm.elements(fsm, rfsm.is_trans)
+  local states = rfsm.elements(fsm, rfsm.is_leaf)
+  local tr = transitions[action[2] % #transitions + 1]
+  if tr.tgt ~= tr.src then tr.tgt = states[action[3] % #states + 1] end
+end
+
+local ACTIONS = {
+  send = function(fsm, action) rfsm.send_events(fsm, action[2], action[3]) end,
+  raise = function() error("on purpose", 0) end,
+  reset = function(fsm) rfsm.reset(fsm) end,
+  list = function(fsm, action)
+    fsm.list[#fsm.list + 1] = { [action[2]] = action[3] / 7, x = { action[3] } }
+  end,
+  retarget = retarget,
+}
+
+local function new_actions(random)
+  local actions, a, b = {}, random:pick(EVENTS), random:pick(EVENTS)
+  local all = {
+    { "send", a, b }, { "send", a, b }, { "send", "e_own" }, { "raise" },
+    { "list", random:below(9), random:below(100) }, { "list", "n", random:below(9) },
+    { "retarget", random:below(99), random:below(99) }, { "reset" },
+  }
+  for i = 1, random:below(4) do actions[i] = all[random:below(24)] or false end
+  return actions
+end
+
+local function do_next(fsm, id, actions)
+  local action = actions[(bump(fsm, id) - 1) % #actions + 1]
+  note(id, action and action[1])
+  if action then ACTIONS[action[1]](fsm, action) end
+end
+
+local function new_callback(random, id)
+  local actions = new_actions(random)
+  return function(fsm) do_next(fsm, id, actions) end
+end
+
+local function new_guard(random, id)
+  local n, of_memory = random:below(3) + 1, random:chance(30)
+  return function(tr)
+    local fsm, emem = tr._fsm, tr.src.emem
+    if of_memory then return not (emem and (emem.e1 or 0) % n == 1) end
+    note("guard", id)
+    if fsm.counts[id] == 3 then error("guard on purpose", 0) end
+    return (fsm.counts.all or 0) % n ~= 0
+  end
+end
+
+-- A doo that may be begun anew at each yield.
+local function new_doo(random, id)
+  local actions, cycles = new_actions(random), random:below(5)
+  local idle, ends = random:chance(50), random:chance(60)
+  return function(fsm)
+    while not (ends and (fsm.counts[id] or 0) % cycles == cycles - 1) do
+      do_next(fsm, id, actions)
+      rfsm.yield(idle)
+    end
+    bump(fsm, id)
+  end
+end
+
+local new_machine
+
+local function new_monitor(random, id)
+  local n = random:below(4) + 1
+  return monitor.gen_monitor_state { montab = {
+    e3 = function(fsm) return bump(fsm, id) % n == 0 end,
+  } }
+end
+
+local function new_seqand(random, id, depth)
+  local fields = { idle_doo = random:pick { true, false, "auto" },
+    step = random:chance(40) and random:below(4) or nil }
+  fields.x = new_machine(random, id .. "x", depth + 1)
+  if random:chance(50) then fields.y = new_machine(random, id .. "y", depth + 1) end
+  return rfsm.seqand(fields)
+end
+
+local new_state
+
+local function random_event(random)
+  local kind = random:below(10)
+  if kind == 1 then return ("e_after(%d.25)"):format(random:below(4) - 1) end
+  if kind == 2 then return ("e_at(%d.5)"):format(1000 + random:below(9)) end
+  if kind == 3 then return ("await(e1, %s)"):format(random:pick { "e2", "e_own" }) end
+  if kind == 4 then return "e_done" end
+  if kind == 5 then return "e_own" end
+  return random:pick(EVENTS)
+end
+
+local function add_transitions(random, state, names, id)
+  for i = 1, #names + random:below(3) do
+    local events = { random_event(random) }
+    if random:chance(40) then events[2] = random_event(random) end
+    local src, tgt = random:pick(names), random:pick(names)
+    if src ~= "k" and random:chance(8) then tgt = "internal" end
+    state[#state + 1] = rfsm.trans { src = src, tgt = tgt, events = events,
+      pn = random:chance(20) and random:below(3) or nil,
+      guard = random:chance(35) and new_guard(random, id .. "g" .. i) or nil,
+      effect = random:chance(40) and new_callback(random, id .. "t" .. i) or nil,
+    }
+  end
+end
+
+local function fill_composite(random, state, id, depth, level)
+  local names = {}
+  for i = 1, random:below(2) + 1 do
+    names[i] = ("abc"):sub(i, i)
+    state[names[i]] = new_state(random, id .. names[i], depth, level + 1)
+  end
+  state[1] = rfsm.trans { src = "initial", tgt = names[1] }
+  if random:chance(30) then
+    state.k = rfsm.conn {}
+    state[2] = rfsm.trans { src = "k", tgt = random:pick(names), pn = 1,
+      events = random:chance(50) and { "e1", "e2" } or nil }
+    state[3] = rfsm.trans { src = "k", tgt = random:pick(names) }
+    names[#names + 1] = "k"
+  end
+  add_transitions(random, state, names, id)
+  return state
+end
+
+function new_state(random, id, depth, level)
+  if depth == 0 and random:chance(12) then return new_seqand(random, id, depth) end
+  if random:chance(5) then return new_monitor(random, id) end
+  local state = rfsm.state {
+    entry = random:chance(60) and new_callback(random, id .. "+") or nil,
+    exit = random:chance(50) and new_callback(random, id .. "-") or nil,
+  }
+  if random:chance(20) then state.keep, state.n = { "n" }, random:below(9) end
+  if level < 3 and random:chance(30) then
+    return fill_composite(random, state, id, depth, level)
+  end
+  if random:chance(30) then state.doo = new_doo(random, id .. "!") end
+  return state
+end
+
+-- The root says nothing, and counts what its callbacks do.
+function new_machine(random, id, depth)
+  local root = rfsm.state { info = false, warn = false,
+    err = function(...) note(...) end, keep = { "counts", "list" }, counts = {},
+    list = {} }
+  return fill_composite(random, root, id, depth, 0)
+end
+
+--- Returns the model of a seed.
+function kept.model(seed) return new_machine(new_random(seed), "", 0) end
+
+-- Runs --------------------------------------------------------------------------
+
+--- Returns the operations of a seed.
+function kept.operations(seed)
+  local random, list = new_random(seed + 1000003), {}
+  for i = 1, 8 + random:below(12) do
+    local kind = random:below(10)
+    list[i] = kind < 4 and { "send", random:pick(EVENTS), random:pick(EVENTS) }
+      or kind < 6 and { "wait", random:below(8) } or kind == 6 and { "run", 12 }
+      or kind == 7 and random:chance(30) and { "reset" } or { "step", random:below(3) }
+  end
+  return list
+end
+
+local SHOWN = { STATE_ENTER = true, STATE_EXIT = true, EFFECT = true, EXEC_PATH = true,
+  TIMEEVENT = true, AWAIT = true }
+
+-- Has a machine note what happens.
+local function dress(fsm)
+  fsm.dbg = function(id, ...)
+    if SHOWN[id] or id == "RAISED" then note(id, ...) end
+  end
+  fsm.getevents = function()
+    local events = coming
+    coming = {}
+    return events
+  end
+end
+
+local OPERATIONS = {
+  send = function(fsm, op) rfsm.send_events(fsm, op[2], op[3]) end,
+  wait = function(_, op) now = now + op[2] end,
+  run = function(fsm, op) note("idle", rfsm.step(fsm, op[2])) end,
+  step = function(fsm, op) note("idle", rfsm.step(fsm, op[2])) end,
+  reset = function(fsm) rfsm.reset(fsm) end,
+}
+
+local function note_machine(fsm)
+  local texts = rfsm.get_active_conf(fsm)
+  for i, event in ipairs(fsm._intq) do texts[#texts + 1] = i .. rfsm.text_of(event) end
+  texts[#texts + 1] = fsm._act_leaf and fsm._act_leaf._mode or "out"
+  note(table.concat(texts, ","))
+end
+
+-- Does operations number `first` to `last`; the clock shows what those before set.
+local function run(fsm, operations, first, last)
+  now = 0
+  for i = 1, last do
+    local op = operations[i]
+    coming = i % 4 == 0 and { "e2", 7 } or {}
+    if i >= first then
+      OPERATIONS[op[1]](fsm, op)
+      note_machine(fsm)
+    elseif op[1] == "wait" then
+      now = now + op[2]
+    end
+  end
+end
+
+--- Makes a machine, does operations up to number `at`, and takes a snapshot: returns
+-- it, and the trace of the rest of the run.
+function kept.begin(seed, at)
+  local fsm, operations = assert(rfsm.init(kept.model(seed))), kept.operations(seed)
+  dress(fsm)
+  trace = {}
+  run(fsm, operations, 1, at)
+  local snap = snapshot.take(fsm)
+  trace = {}
+  run(fsm, operations, at + 1, #operations)
+  return snap, trace
+end
+
+--- Restores a snapshot; returns the trace of the rest of the run.
+function kept.go_on(seed, at, snap)
+  local operations = kept.operations(seed)
+  trace = {}
+  run(nil, operations, at + 1, at) -- sets the clock
+  local fsm, problem = snapshot.restore(kept.model(seed), snap)
+  if not fsm then return { problem } end
+  if trace[1] then trace[1] = "restore ran: " .. trace[1] end
+  dress(fsm)
+  run(fsm, operations, at + 1, #operations)
+  return trace
+end
+
+--- Returns a list, and a function that has a machine note there which way it goes.
+function kept.watcher()
+  local lines = {}
+  return lines, function(fsm)
+    fsm.dbg = function(id, ...)
+      if not SHOWN[id] then return end
+      note(id, ...)
+      -- a callback may change a target: then the transition has another text
+      lines[#lines + 1] = id == "EFFECT" and id or trace[#trace]
+    end
+  end
+end
+
+--- Does a whole run; returns the machine. `watch(fsm)` is called before it.
+function kept.run(seed, watch)
+  local fsm, operations = assert(rfsm.init(kept.model(seed))), kept.operations(seed)
+  trace = {}
+  dress(fsm)
+  watch(fsm)
+  run(fsm, operations, 1, #operations)
+  return fsm
+end
+
+--- How many operations a seed has.
+function kept.length(seed) return #kept.operations(seed) end
+
+--- Digests a trace: few digits, the same on every Lua.
+function kept.digest(lines)
+  local hash = 7
+  for _, line in ipairs(lines) do
+    for i = 1, #line do hash = (hash * 257 + line:byte(i)) % 17592186044399 end
+  end
+  return ("%d %.0f"):format(#lines, hash)
+end
+
+local function check_lines()
+  local decode, count = require("dkjson").decode, 0
+  for line in io.lines() do
+    local case = decode(line)
+    local digest = kept.digest(kept.go_on(case.seed, case.at, case.snapshot))
+    if digest ~= case.digest then
+      print(("seed %d at %d: another trace"):format(case.seed, case.at))
+      print(table.concat(kept.go_on(case.seed, case.at, case.snapshot), "\n"))
+      os.exit(1)
+    end
+    count = count + 1
+  end
+  print(count .. " passed")
+end
+
+if arg and arg[0] and arg[0]:find("kept%.lua$") then check_lines() end
+
+return kept

@@ -1,0 +1,125 @@
+-- Models that are hard to draw: random ones of depth 6 with regions, and odd names.
+
+local rfsm = require "rfsm"
+
+local pictures = {}
+
+--- Names that mean something to Lua, Graphviz, PlantUML, Mermaid, Markdown or HTML.
+pictures.ODD_NAMES = {
+  "a b", "a_b", "a-b", "end", 'q"q', "q'q", "l1\nl2", "<b>", "<<choice>>", "[*]", "a:b",
+  "}", "{", "#", "%d", "%% x", "&amp;", "1", " ", "--", "état", "日本", "\255\254", "\1",
+  "tab\t", "note", "graph", "x_", "*b*", "//i//", "__", "~", "state", "subgraph",
+  "`c`", ";", "$x", "|", "/' '/", "||", "[H]", "direction", "class", "root", "<br>",
+  "a -> b", ("long "):rep(12), ("endless"):rep(12), "</TABLE>", "@enduml", "]]>",
+}
+
+-- Random numbers (Lehmer's generator, exact in doubles).
+local function new_random(seed)
+  local value = seed % 2147483646 + 1
+  return function(n)
+    value = value * 16807 % 2147483647
+    return math.floor(value / 2147483647 * n) + 1
+  end
+end
+
+local function add_transitions(model, nodes, random)
+  local events, odd = {}, pictures.ODD_NAMES
+  for i = 1, random(3) - 1 do events[i] = odd[random(#odd)] end
+  local src, tgt = nodes[random(#nodes)], nodes[random(#nodes)]
+  model[#model + 1] = rfsm.trans {
+    src = src, tgt = rfsm.is_state(src) and random(12) == 1 and "internal" or tgt,
+    events = events, pn = random(4) == 1 and random(3) or nil,
+    guard = random(4) == 1 and function() return tgt ~= nil end or nil,
+    effect = random(4) == 1 and print or nil,
+  }
+end
+
+local new_state
+
+-- Adds states, of which some are composites, and connectors; lists all nodes.
+local function add_members(model, nodes, random, depth)
+  local first
+  for _ = 1, random(3) do
+    local name = pictures.ODD_NAMES[random(#pictures.ODD_NAMES)]
+    if not model[name] and name:sub(1, 1) ~= "_" then
+      local node = first and random(5) == 1 and rfsm.conn {}
+        or new_state(nodes, random, depth - 1)
+      model[name], first = node, first or node
+      nodes[#nodes + 1] = node
+    end
+  end
+  model[1] = first and rfsm.trans { src = "initial", tgt = first } or nil
+end
+
+function new_state(nodes, random, depth)
+  if depth > 0 and random(8) == 1 then
+    return rfsm.seqand { left = pictures.model(random(1000), depth - 1),
+      ["a b"] = pictures.model(random(1000), depth - 1) }
+  end
+  local model = rfsm.state { entry = random(3) == 1 and print or nil }
+  if depth > 0 and random(2) == 1 then add_members(model, nodes, random, depth) end
+  return model
+end
+
+--- The random model of a seed.
+function pictures.model(seed, depth)
+  local random, nodes, model = new_random(seed), {}, rfsm.state {}
+  for _ = 1, 5 do random(2) end
+  model.err, model.warn, model.info = false, false, false
+  add_members(model, nodes, random, depth)
+  for _ = 1, nodes[1] and random(2 * #nodes) or 0 do
+    add_transitions(model, nodes, random)
+  end
+  return model
+end
+
+--- A model with an odd name at each of many leaves, and as the event of arrows.
+function pictures.odd()
+  local model = rfsm.state { root = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "root" } }
+  for _, name in ipairs(pictures.ODD_NAMES) do
+    if name:sub(1, 1) ~= "_" then model[name] = rfsm.state {} end
+    model[#model + 1] = rfsm.trans { src = "root", tgt = "root", events = { name } }
+  end
+  return model
+end
+
+-- The points of an attribute: { { x, y }, ... }.
+local function points_in(text)
+  local points = {}
+  for x, y in text:gmatch("(%-?[%d.]+),(%-?[%d.]+)") do
+    points[#points + 1] = { tonumber(x), tonumber(y) }
+  end
+  return points
+end
+
+local function box_of(points)
+  local box = { left = 1e9, right = -1e9, top = 1e9, bottom = -1e9 }
+  for _, point in ipairs(points) do
+    box.left, box.right = math.min(box.left, point[1]), math.max(box.right, point[1])
+    box.top, box.bottom = math.min(box.top, point[2]), math.max(box.bottom, point[2])
+  end
+  return box
+end
+
+local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
+  ["#39"] = "'" }
+
+--- The elements of a picture by id, each with a box and, if it is an edge, its ends and
+-- the tip of its arrowhead.
+function pictures.shapes_of(svg)
+  local shapes = {}
+  for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
+    local all, path, head = {}, body:match(' d="([^"]*)"'), nil
+    for points in body:gmatch('points="([^"]*)"') do head = points_in(points) end
+    path = path and points_in(path)
+    for _, list in ipairs { path or {}, head or {} } do
+      for _, point in ipairs(list) do all[#all + 1] = point end
+    end
+    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all),
+      ends = path and { path[1], path[#path] }, tip = head and head[2] }
+  end
+  return shapes
+end
+
+return pictures

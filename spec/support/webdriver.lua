@@ -1,0 +1,169 @@
+-- A browser for specs: Chromium, driven through chromedriver (the WebDriver protocol).
+--
+-- Both run as processes of this one. While a command is under way, `pump` is called
+-- again and again, so that the page's server can live in the same process.
+
+local dkjson = require "dkjson"
+local socket = require "socket"
+
+local webdriver = {}
+
+local ARGUMENTS = {
+  "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+  "--disable-background-networking", "--disable-component-update", "--disable-sync",
+  "--disable-dev-shm-usage", "--hide-scrollbars",
+}
+local PATIENCE = 20 -- seconds for a command
+
+local Driver = {}
+Driver.__index = Driver
+
+--- Are both programs here?
+function webdriver.is_there()
+  local ok = os.execute("command -v chromedriver chromium >/dev/null 2>&1")
+  return ok == true or ok == 0
+end
+
+-- Reads from a socket until the reply is complete; returns its body.
+local function read_reply(driver, tcp)
+  local received, deadline = "", socket.gettime() + PATIENCE
+  while socket.gettime() < deadline do
+    local data, problem, partly = tcp:receive(65536)
+    received = received .. (data or partly)
+    local head, body = received:match("^(.-)\r\n\r\n(.*)$")
+    local length = head and tonumber(head:lower():match("content%-length:%s*(%d+)"))
+    if length and #body >= length then return body end
+    if problem == "closed" then return body end
+    driver.pump(0.002)
+  end
+  error("the browser does not answer", 0)
+end
+
+local function request(driver, method, path, message)
+  local tcp = assert(socket.connect("127.0.0.1", driver.port))
+  local body = message and dkjson.encode(message) or ""
+  assert(tcp:send(("%s %s HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nContent-Type: "
+    .. "application/json\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%s"):format(
+    method, path, driver.port, #body, body)))
+  tcp:settimeout(0)
+  local text = read_reply(driver, tcp)
+  tcp:close()
+  local value = (dkjson.decode(text, 1, nil) or {}).value
+  if type(value) == "table" and value.error then
+    error(value.error .. ": " .. tostring(value.message):match("[^\n]*"), 0)
+  end
+  return value
+end
+
+--- A window of a browser of its own.
+local Window = {}
+Window.__index = Window
+
+local OBJECT = { __jsontype = "object" }
+
+function Window:call(method, path, message)
+  return request(self.driver, method, "/session/" .. self.id .. path,
+    message or method == "POST" and setmetatable({}, OBJECT) or nil)
+end
+
+function Window:open(url) self:call("POST", "/url", { url = url }) end
+
+--- Run a function body in the page; returns what it returns.
+function Window:run(script, ...)
+  return self:call("POST", "/execute/sync", { script = script,
+    args = setmetatable({ ... }, { __jsontype = "array" }) })
+end
+
+--- The same for one that calls its last argument with the result.
+function Window:run_async(script, ...)
+  return self:call("POST", "/execute/async", { script = script,
+    args = setmetatable({ ... }, { __jsontype = "array" }) })
+end
+
+--- Wait until an expression is true in the page.
+function Window:wait(expression)
+  local deadline = socket.gettime() + PATIENCE
+  while socket.gettime() < deadline do
+    local ok, is_true = pcall(self.run, self, "return Boolean(" .. expression .. ")")
+    if ok and is_true then return end
+  end
+  error("still not true: " .. expression .. "\n"
+    .. self:run("return document.body.innerText"), 2)
+end
+
+--- Click the first element that a CSS selector finds.
+function Window:click(selector)
+  local element = self:call("POST", "/element", { using = "css selector",
+    value = selector })
+  local _, id = next(element) -- its only field
+  self:call("POST", "/element/" .. id .. "/click")
+end
+
+--- Type keys at what has the focus.
+function Window:type(keys)
+  local actions = {}
+  for key in keys:gmatch(".") do
+    actions[#actions + 1] = { type = "keyDown", value = key }
+    actions[#actions + 1] = { type = "keyUp", value = key }
+  end
+  self:call("POST", "/actions",
+    { actions = { { type = "key", id = "keys", actions = actions } } })
+end
+
+--- Send a command of Chromium's own protocol.
+function Window:chromium(command, parameters)
+  return self:call("POST", "/goog/cdp/execute",
+    { cmd = command, params = setmetatable(parameters or {}, OBJECT) })
+end
+
+function Window:resize(width, height)
+  self:chromium("Emulation.setDeviceMetricsOverride",
+    { width = width, height = height, deviceScaleFactor = 1, mobile = false })
+end
+
+--- Return a screenshot as PNG.
+function Window:screenshot()
+  return (require("mime").unb64(self:call("GET", "/screenshot")))
+end
+
+function Window:close()
+  if not self.is_closed then self:call("DELETE", "") end
+  self.is_closed = true
+end
+
+--- Open a window.
+function Driver:window()
+  local value = request(self, "POST", "/session", {
+    capabilities = { alwaysMatch = {
+      browserName = "chrome",
+      timeouts = { script = 30000 },
+      ["goog:chromeOptions"] = { args = ARGUMENTS },
+    } },
+  })
+  local window = setmetatable({ driver = self, id = value.sessionId }, Window)
+  self.windows[#self.windows + 1] = window
+  return window
+end
+
+--- End the browser.
+function Driver:stop()
+  for _, window in ipairs(self.windows) do pcall(window.close, window) end
+  os.execute("kill " .. self.pid .. " 2>/dev/null")
+  self.output:close()
+end
+
+--- Start a driver. `pump(seconds)` is called while it waits.
+function webdriver.start(pump)
+  local output = assert(io.popen("chromedriver --port=0 2>&1 & echo $!"))
+  local pid, port = output:read("*l"), nil
+  for line in output:lines() do
+    port = tonumber(line:match("started successfully on port (%d+)"))
+    if port then break end
+  end
+  assert(port, "chromedriver did not start")
+  return setmetatable({
+    pid = pid, port = port, output = output, windows = {}, pump = pump,
+  }, Driver)
+end
+
+return webdriver
