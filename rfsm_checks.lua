@@ -17,10 +17,11 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 
 --- Functions in files of their own, loaded when they are first used.
 ---@class rfsm_checks
----@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[] static
----@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration all
----@field why fun(fsm: rfsm.Machine, ...: any): rfsm_checks.Why, string what events do now
+---@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[]
+---@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration
+---@field why fun(fsm: rfsm.Machine, ...: any): rfsm_checks.Why, string
 ---@field enabled fun(fsm: rfsm.Machine): any[], string events that do something now
+---@field coverage fun(fsm: rfsm.Machine, earlier?: table): rfsm_checks.Coverage
 ---@field never fun(condition: any): rfsm_checks.Property in no configuration
 ---@field always fun(condition: any): rfsm_checks.Property in each configuration
 ---@field after fun(event: any): table after(event).reach(condition)
@@ -104,6 +105,7 @@ end
 local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
   findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
+  coverage = "rfsm.checks.coverage",
   never = "rfsm.checks.properties", always = "rfsm.checks.properties",
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }

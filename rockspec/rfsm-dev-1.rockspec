@@ -45,6 +45,7 @@ build = {
     ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.checks.codes"] = "rfsm/checks/codes.lua",
     ["rfsm.checks.command"] = "rfsm/checks/command.lua",
+    ["rfsm.checks.coverage"] = "rfsm/checks/coverage.lua",
     ["rfsm.checks.explore"] = "rfsm/checks/explore.lua",
     ["rfsm.checks.graph"] = "rfsm/checks/graph.lua",
     ["rfsm.checks.loops"] = "rfsm/checks/loops.lua",

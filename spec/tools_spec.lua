@@ -449,7 +449,8 @@ describe("rfsm-check", function()
 
   it("tells how to use it, with status 2 if it was not", function()
     refuses("rfsm-check", "Error: missing argument 'files'")
-    refuses("rfsm-check -y x", "Did you mean one of these: '-a' '-h' '-k' '-q' '-s' '-v' '-x'?")
+    refuses("rfsm-check -y x",
+      "Did you mean one of these: '-a' '-h' '-k' '-q' '-s' '-v' '-x'?")
     local out, _, status = run("rfsm-check --help")
     assert.matches("Usage: rfsm check", out)
     assert.equal(0, status)
