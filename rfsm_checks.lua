@@ -22,6 +22,7 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field why fun(fsm: rfsm.Machine, ...: any): rfsm_checks.Why, string
 ---@field enabled fun(fsm: rfsm.Machine): any[], string events that do something now
 ---@field coverage fun(fsm: rfsm.Machine, earlier?: table): rfsm_checks.Coverage
+---@field rehearsal fun(chart: string|rfsm.State): rfsm_checks.Rehearsal for tests
 ---@field never fun(condition: any): rfsm_checks.Property in no configuration
 ---@field always fun(condition: any): rfsm_checks.Property in each configuration
 ---@field after fun(event: any): table after(event).reach(condition)
@@ -105,7 +106,7 @@ end
 local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
   findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
-  coverage = "rfsm.checks.coverage",
+  coverage = "rfsm.checks.coverage", rehearsal = "rfsm.checks.rehearsal",
   never = "rfsm.checks.properties", always = "rfsm.checks.properties",
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }

@@ -179,14 +179,42 @@ function check.add_arguments(command)
   command:flag("-x --explore", "walk over every configuration, and judge properties")
   command:option("-k --together", "explore: events in one step, at most")
     :argname("N"):convert(tonumber)
-  command:option("--configurations --seconds", "explore: stop after so many")
+  command:option("--configurations", "explore: stop after so many")
     :argname("N"):convert(tonumber)
+  command:option("--seconds", "explore: stop after so long"):argname("N")
+    :convert(tonumber)
+  command:option("--tests", "write a spec that takes every transition")
+    :argname("KIND"):choices { "busted" }
+  command:option("-o --output", "tests: file to write; - is stdout", "-")
+    :argname("FILE")
 end
 
-function check.run(options)
+local SUMMARY = "rfsm check: %d of %d transitions in %d steps (at least %d are "
+  .. "needed)\n"
+
+-- Writes tests of one chart.
+local function write_tests(options, parser)
+  local file = options.files[1]
+  if options.files[2] then
+    parser:error("one FILE expected, tests are those of one chart, got "
+      .. #options.files)
+  end
+  local model, problem = load_model(file)
+  if not model then fail("check", { problem }) end
+  local ok, text, result = with_streams(NOWHERE, require("rfsm.checks.tests").busted,
+    file, model)
+  if not ok then fail("check", { chart.reason(file, text) }) end
+  write("check", options.output, text)
+  io.stderr:write(SUMMARY:format(result.taken, result.transitions, result.steps,
+    result.least))
+  return 0
+end
+
+function check.run(options, parser)
   check_readable("check", options.files)
   require("rfsm_timeevent") -- so that their events are known
   require("rfsm.await")
+  if options.tests then return write_tests(options, parser) end
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
     local gravest = review(lines, file, options)
