@@ -55,6 +55,7 @@ build = {
     ["rfsm.checks.place"] = "rfsm/checks/place.lua",
     ["rfsm.checks.properties"] = "rfsm/checks/properties.lua",
     ["rfsm.checks.puppet"] = "rfsm/checks/puppet.lua",
+    ["rfsm.checks.reactions"] = "rfsm/checks/reactions.lua",
     ["rfsm.checks.rehearsal"] = "rfsm/checks/rehearsal.lua",
     ["rfsm.checks.static"] = "rfsm/checks/static.lua",
     ["rfsm.checks.structure"] = "rfsm/checks/structure.lua",

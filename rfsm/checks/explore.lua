@@ -2,8 +2,8 @@
 --
 -- Each step is one `rfsm.step` of a puppet, which the engine runs. From a configuration
 -- it is taken without events from outside, with each event that can have an effect, or
--- with each set of up to `options.together` of them; each time with every choice of the
--- guards and doos that are asked.
+-- with each set of up to `options.together` of them, and with those sets that a path
+-- through connectors needs; each time with every choice of the guards and doos asked.
 --
 -- A configuration is kept as its key, the number of the one it was first reached from,
 -- and the label of that step. The steps are kept as numbers of configurations, those
@@ -185,8 +185,11 @@ local function expand(walk, from, numbers, seen)
   own:numbers_of(walk.keys[from], numbers)
   walk.first[from] = #walk.steps + 1
   if own:is_busy(numbers) then try_events(walk, from, numbers, {}, seen) end
-  local list = own:events_in(numbers)
+  local list, sets = own:events_in(numbers)
   walk:add_wanted(list)
+  for i = 1, #sets do
+    if #sets[i] > walk.together then try_events(walk, from, numbers, sets[i], seen) end
+  end
   each_set(list, 1, walk.together, {}, function(events)
     local has_taken = try_events(walk, from, numbers, copy_of(events), seen)
     if not (has_taken or events[2] ~= nil) then

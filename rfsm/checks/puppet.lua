@@ -9,8 +9,7 @@
 -- its mode, and the events that wait; and the flags. Events that nothing in the leaf
 -- can react to are left out of it.
 --
--- The file reads in this order: the machines, what a leaf can react to, configurations,
--- steps, public functions.
+-- The file reads in this order: the machines, configurations, steps, public functions.
 --
 -- @module rfsm.checks.puppet
 -- @license BSD-3-Clause
@@ -18,13 +17,13 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local place = require "rfsm.checks.place"
+local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local rawequal, setmetatable, tonumber = rawequal, setmetatable, tonumber
 local type = type
 local concat, sort = table.concat, table.sort
-local is_conn = rfsm.is_conn
 
 local puppet = {}
 
@@ -185,7 +184,8 @@ local function new_part(fsm, owner, owner_leaf, prefix)
 end
 
 local function new_known(number)
-  return { number = number, reactions = false, active = {}, done = {}, inactive = {} }
+  return { number = number, reactions = false, sets = false, active = {}, done = {},
+    inactive = {} }
 end
 
 -- Makes a machine a part of the puppet, and then those inside of it.
@@ -212,59 +212,19 @@ local function add_part(self, part)
   end
 end
 
--- What a leaf can react to ........................................................
-
-local add_reactions
-
-local function add_reaction(found, tr, seen)
-  local events = tr.events or {}
-  if events[1] == nil then found.any = true end
-  for _, event in ipairs(events) do
-    if type(event) == "function" then found.has_predicate = true end
-    if not found.set[event] and type(event) ~= "function" then
-      found.set[event], found[#found + 1] = true, event
-    end
-  end
-  if is_conn(tr.tgt) then add_reactions(found, tr.tgt, seen) end
-end
-
--- Collects the events of the transitions from a node, and of those behind connectors.
-function add_reactions(found, node, seen)
-  if seen[node] then return end
-  seen[node] = true
-  for _, tr in ipairs(node._otrs) do add_reaction(found, tr, seen) end
-end
-
--- Returns the events that can have an effect in a leaf, false for no leaf: a list, and
--- a set in it; `any` if any event can.
-local function reactions_of(part, leaf)
-  local known = part.known[leaf]
-  if known.reactions then return known.reactions end
-  local found, seen, node = { set = {}, any = false, has_predicate = false }, {}, leaf
-  if not leaf and part.fsm.initial then add_reactions(found, part.fsm.initial, seen) end
-  if not leaf then found.set.e_init_fsm = true end
-  while node do
-    add_reactions(found, node, seen)
-    node = node ~= part.fsm and node._parent
-  end
-  found.any = found.any or found.has_predicate
-  known.reactions = found
-  return found
-end
-
 -- Configurations ..................................................................
 
 -- Leaves out what has no effect in the leaf, and what is there twice. Of events that
 -- count only as any event at all, one is kept if there is no other.
 local function relevant(part, leaf, events)
-  local reactions, kept, is_kept = reactions_of(part, leaf), {}, {}
+  local known, kept, is_kept = reactions.of(part, leaf), {}, {}
   for i = 1, #events do
     local event = events[i]
-    if (reactions.has_predicate or reactions.set[event]) and not is_kept[event] then
+    if (known.has_predicate or known.set[event]) and not is_kept[event] then
       kept[#kept + 1], is_kept[event] = event, true
     end
   end
-  if leaf and reactions.any and kept[1] == nil then kept[1] = events[1] end
+  if leaf and known.any and kept[1] == nil then kept[1] = events[1] end
   return kept
 end
 
@@ -423,30 +383,50 @@ local function is_internal(event)
 end
 
 -- Appends the events from outside that can have an effect in a stand.
-local function add_outside(self, list, is_listed, reactions)
+local function add_outside(self, list, is_listed, known)
   local function add(event)
     if is_listed[event] or is_internal(event) then return end
     if self.alphabet and not self.alphabet[event] then return end
     is_listed[event], list[#list + 1] = true, event
   end
-  for _, event in ipairs(reactions) do add(event) end
-  if reactions.has_predicate or reactions.any and self.alphabet then
+  for _, event in ipairs(known) do add(event) end
+  if known.has_predicate or known.any and self.alphabet then
     for _, event in ipairs(self.all_events) do add(event) end
   end
-  if reactions.any then add(OTHER) end
+  if known.any then add(OTHER) end
 end
 
---- List the events from outside that can have an effect in a configuration.
+-- Returns the events of a set that come from outside; none if one of them cannot come.
+local function outside_of(self, set)
+  local kept = {}
+  for i = 1, #set do
+    local event = set[i]
+    if self.alphabet and not self.alphabet[event] and not is_internal(event) then
+      return {}
+    end
+    if not is_internal(event) then kept[#kept + 1] = event end
+  end
+  return kept
+end
+
+--- List the events from outside that can have an effect in a configuration, and the
+--- sets of several of them that a path through connectors needs.
+---@return any[] events
+---@return any[][] sets
 function Puppet:events_in(numbers)
-  local list, is_listed, leaf_of = {}, {}, {}
+  local list, sets, is_listed, leaf_of = {}, {}, {}, {}
   for i, part in ipairs(self.parts) do
     local leaf = part.stands[numbers[i]].leaf
     leaf_of[part] = leaf
     if not part.owner or leaf_of[part.owner] == part.owner_leaf then
-      add_outside(self, list, is_listed, reactions_of(part, leaf))
+      add_outside(self, list, is_listed, reactions.of(part, leaf))
+      for _, set in ipairs(reactions.sets_of(part, leaf)) do
+        local kept = outside_of(self, set)
+        if kept[2] ~= nil then sets[#sets + 1] = kept end
+      end
     end
   end
-  return list
+  return list, sets
 end
 
 -- Public functions ................................................................

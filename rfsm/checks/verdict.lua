@@ -125,7 +125,7 @@ local function find_stuck(walk, result)
       if not first then
         add(result, "stuck", walk.puppet.parts[1].fsm, "root", "the machine cannot be "
           .. "entered", {})
-      elseif not (are_final or is_told[text]) then
+      elseif not (are_final or is_told[text] or first.state._parent == first.state) then
         is_told[text] = true
         add(result, "stuck", first.state, text, "nothing happens any more in this "
           .. "configuration", walk:witness(number))
@@ -284,7 +284,7 @@ function verdict.of(model, options)
   find_violations(walk, result, list)
   find_stuck(walk, result)
   find_livelock(walk, result)
-  if not walk.bound then
+  if not walk.bound and walk.keys[2] then
     find_unreached(walk, result)
     find_untaken(walk, result)
   else
