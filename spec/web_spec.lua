@@ -385,8 +385,42 @@ describe("a page", function()
         rfsm.trans { src = "initial", tgt = "busy" },
       }
     ]])
-    local _, first = http.page(server)
+    local page, first = http.page(server)
     assert.equal("note: not idle after 1000 steps", texts_of(first.log)[3])
+    for _ = 1, 12 do -- more than can be undone
+      http.command(server, { command = "run" })
+      page:next()
+    end
+    assert.equal(204, (http.command(server, { command = "back" })))
+    assert.is_false(page:next().can_back)
+  end)
+
+  it("asks guards what is enabled, and goes back past them", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      is_open = false
+      local function guard() return is_open end
+      return rfsm.state {
+        a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" }, guard = guard },
+        rfsm.trans { src = "b", tgt = "a", events = { "e_go" }, guard = guard },
+      }
+    ]])
+    local page, first = http.page(server)
+    assert.same({}, first.enabled)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    assert.same({}, page:next().enabled)
+    rawset(_G, "is_open", true)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    local there = page:next()
+    assert.same({ "root.b", 1 }, { there.leaf, #there.enabled })
+    http.command(server, { command = "back", to = 0 })
+    assert.equal("root.a", page:next().leaf)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    local message = page:next()
+    assert.equal("root.b", message.leaf)
+    rawset(_G, "is_open", nil)
   end)
 
   it("has a clock: it goes on, stands still, and goes to the next timer", function()
