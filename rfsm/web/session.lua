@@ -134,7 +134,7 @@ local function begin_turn(session)
     now = session.now, count = session.recorder and session.recorder.count,
     queue = { unpack(session.view.fsm._intq) },
   }
-  session.view.turn = session.turn
+  session.view:begin_turn(session.turn)
 end
 
 local function step(session) return rfsm.step(session.view.fsm) end
