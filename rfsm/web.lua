@@ -270,7 +270,8 @@ local function open_server(source, settings)
     function(request) return handle_safely(server, request) end, settings.clock)
   if not listener then return nil, problem end
   server.http, server.host, server.port = listener, listener.host, listener.port
-  server.url = ("http://%s:%d/"):format(server.host, server.port)
+  local name = server.host:find(":", 1, true) and "[" .. server.host .. "]"
+  server.url = ("http://%s:%d/"):format(name or server.host, server.port)
   return server
 end
 
