@@ -36,7 +36,7 @@ local OPTIONS = {
   title = { "text", opts.is_text },
 }
 
-local MAX_DRAWN = 500 -- nodes
+local MAX_DRAWN = 2000 -- nodes
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
