@@ -1989,13 +1989,15 @@ do
     if fsm._reset_wanted then reset_now(fsm) end
     if fsm._curq[1] ~= nil then put_back(fsm) end
     local events, spare = fsm._intq, fsm._curq
-    fsm._segment, fsm._is_unsettled = MAY_RAISE, true
+    fsm._segment = MAY_RAISE
     fsm._curq = events
     fsm._intq = spare
     if fsm._is_fed then collect(fsm, events) end
     if not fsm._is_hooked then return events end
+    local has_post_hook = fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook
+    if has_post_hook then fsm._is_unsettled = true end
     if fsm._pre_hooks == OWN_ONLY and not fsm.pre_step_hook then
-      if fsm._post_hooks == OWN_ONLY and not fsm.post_step_hook then
+      if not has_post_hook then
         fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
         check_plain(fsm)
       end

@@ -377,15 +377,6 @@ stateDiagram-v2
     })))
   end)
 
-  it("wrote the picture in the README, of the chart in the README", function()
-    local readme = assert(io.open("README.md"))
-    local text = readme:read("*a")
-    readme:close()
-    local chart = text:match("```lua\n(.-)```")
-    local load = rawget(_G, "loadstring") or load
-    assert.equal(text:match("```mermaid\n(.-)```"), encode(helper.init(load(chart)())))
-  end)
-
   -- What may stand in a line, and what it declares or uses.
   local SAFE = '[%w \128-\255%.,_/@%[%]%(%)#;<br>%-]*'
   local function check_line(line, declared, used)
