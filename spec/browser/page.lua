@@ -271,6 +271,13 @@ return rfsm.state {
     end
   end)
 
+  it("shows why a command was refused", function()
+    visit(CHART)
+    window:run "command('back', { to: 99 })"
+    window:wait "!document.querySelector('#refused').hidden"
+    assert.same({ "there is no such turn" }, texts "#refused")
+  end)
+
   it("names its buttons, and can be used with the keyboard alone", function()
     visit(CHART)
     assert.equal(0, window:run [[
