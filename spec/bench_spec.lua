@@ -1,19 +1,11 @@
 -- The programs of bench/ run and print what they say they do. No figure is looked at.
 
-local function interpreter()
-  local i = 0
-  while arg[i - 1] do i = i - 1 end
-  return arg[i]
-end
+local helper = require "spec.helper"
 
 -- Runs a program of bench/; returns its output, errors and status too, line by line.
 local function output_of(command, settings)
-  local pipe = assert(io.popen(("%s %s bench/%s 2>&1; echo status $?"):format(
-    settings or "", interpreter(), command)))
-  local lines = {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
+  return helper.lines_of(("%s %s bench/%s 2>&1; echo status $?"):format(settings or "",
+    helper.interpreter(), command))
 end
 
 -- Each of `patterns` matches a line, in this order.

@@ -27,11 +27,7 @@ describe("the cheatsheet's block on", function()
   local global_rfsm = rawget(_G, "rfsm") or require "rfsm"
 
   it("models returns the toplevel state", function()
-    local model = run_block [[
-return rfsm.state {
-}
-]]
-    assert.is_true(global_rfsm.is_state(model))
+    assert.is_true(global_rfsm.is_state(run_block "return rfsm.state {\n}"))
   end)
 
   it("states runs entry and exit", function()
@@ -50,15 +46,13 @@ return rfsm.state {
   rfsm.trans{ src='s', tgt='rest', events={ 'e' } },
 }
 ]], globals)
-    local fsm = helper.init(model)
-    global_rfsm.run(fsm)
-    helper.post_and_run(fsm, "e")
+    helper.post_and_run(helper.started(model), "e")
     assert.same({ "do_this", "do_that" }, trace)
   end)
 
   it("transitions takes each of its events", function()
     for _, event in ipairs({ "e_1", "e_2" }) do
-      local fsm = helper.init(run_block [[
+      local fsm = helper.started(run_block [[
 return rfsm.state {
   stateX=rfsm.state{}, stateY=rfsm.state{},
   rfsm.trans{ src='initial', tgt='stateX' }, -- short form
@@ -66,9 +60,7 @@ rfsm.transition{ src='stateX', tgt='stateY',
     events={"e_1", "e_2"} },
 }
 ]])
-      global_rfsm.run(fsm)
-      helper.post_and_run(fsm, event)
-      assert.equal("root.stateY", global_rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.stateY", helper.leaf_after(fsm, event))
     end
   end)
 
@@ -123,14 +115,11 @@ return rfsm.state {
     trans{ src="initial", tgt="sA" },
 }
 ]], { trans = global_rfsm.trans, gettime_func = function() return now, 0 end })
-    local fsm = helper.init(model)
-    global_rfsm.run(fsm)
-    now = 103
-    global_rfsm.run(fsm)
-    assert.equal("root.sA", global_rfsm.get_actleaf_fqn(fsm))
-    now = 104
-    global_rfsm.run(fsm)
-    assert.equal("root.sB", global_rfsm.get_actleaf_fqn(fsm))
+    local fsm = helper.started(model)
+    for _, case in ipairs { { 103, "root.sA" }, { 104, "root.sB" } } do
+      now = case[1]
+      assert.equal(case[2], helper.leaf_after(fsm))
+    end
     require("rfsm_timeevent").set_gettime_hook(nil)
   end)
 
@@ -193,8 +182,7 @@ return rfsm.state {
     trans{ src="moving", tgt="stopped", events={"e_stop"} },
 }
 ]], globals)
-    local fsm = helper.init(model)
-    global_rfsm.run(fsm)
+    local fsm = helper.started(model)
     helper.post_and_run(fsm, "e_start")
     helper.post_and_run(fsm, "e_stop")
     assert.same({ "enable_robot", "start_motor", "compute_next_pos", "stop_motor" },

@@ -4,6 +4,8 @@ local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 -- What is printed by running the chart and then by each further action: a string is an
 -- event to send before `run`, a function is called with the machine.
 local function session(name, ...)
@@ -23,28 +25,10 @@ local function session(name, ...)
   end)
 end
 
-local function content(name)
-  local file = assert(io.open(name))
-  local text = file:read("*a")
-  file:close()
-  return text
-end
-
 local function example_names()
-  local pipe, names = assert(io.popen("ls examples/*.lua")), {}
-  for line in pipe:lines() do names[#names + 1] = line:match("([^/]*)%.lua$") end
-  pipe:close()
+  local names = helper.lines_of("ls examples/*.lua")
+  for i, name in ipairs(names) do names[i] = name:match("([^/]*)%.lua$") end
   return names
-end
-
--- Runs `f` while `require(name)` gives `module`; returns what it returns.
-local function with_module(name, module, f)
-  local before = package.loaded[name]
-  package.loaded[name] = module
-  local ok, result = pcall(f)
-  package.loaded[name] = before
-  if not ok then error(result, 0) end
-  return result
 end
 
 -- What the luv host needs of luv, on a clock that jumps to the next timer.
@@ -92,58 +76,95 @@ end
 
 local INFO = "INFO: created undeclared connector "
 
+-- An action that sets a field of a global of the chart.
+local function set(global, field, value)
+  return function() rawget(_G, global)[field] = value end
+end
+
+local function again() end
+
+local now = 0
+local function wait(seconds) return function() now = now + seconds end end
+
+-- The example, what it does, the lines that it prints, the actions.
+local SESSIONS = {
+  { "hello_world", "prints at an exit and an entry", { "hello", "world", "hello",
+    "world" }, "e_restart" },
+  { "on_off", "gives one event two meanings", { "dark", "bright", "dark" }, "e_push",
+    "e_push" },
+  { "composite_nested", "leaves the composite last", { "amplifier on", "radio on",
+    "radio off", "tape on", "tape off", "amplifier off" }, "e_power", "e_mode",
+    "e_power" },
+  { "connector_chain", "takes all of a path or nothing", { "oil checked",
+    "pump primed", "ignition", "engine running" }, "e_start", set("tank", "fuel", 1),
+    "e_start" },
+  { "connector_split", "decides with a guard", { "to shelf a", "to shelf b" },
+    "e_parcel", set("parcel", "kg", 30), "e_parcel" },
+  { "exit_connector", "leaves by the way out that was taken inside",
+    { "closing fingers", "grasp left", "going home", "closing fingers", "grasp left",
+      "carrying" }, "e_slip", "e_again", "e_firm" },
+  { "relative_refs", "layers transitions on a sub machine", { "slow", "backing off",
+    "slow", "fast" }, "e_bump", "e_clear", "e_fast", "e_bump" },
+  { "priorities", "lets the larger pn win, and an outer transition first", { "a", "c",
+    "a", "halted" }, "e_go", "e_back", "e_stop" },
+  { "doo_once", "goes on when its doo is done", { "calibrating", "ready" } },
+  { "doo_busy", "runs to the end of its doo in one call", { "3", "2", "1",
+    "lift off" } },
+  { "doo_idle", "does one cycle per call", { "control cycle 1", "control cycle 2",
+    "stopped" }, again, "e_stop" },
+  { "guards_effects", "opens when enough is paid", { "paid 1", "paid 2",
+    "please pass" }, "e_push", "e_coin", "e_coin", "e_push", "e_push" },
+  { "getevents", "works off a mailbox", { "waiting", "working", "waiting" },
+    set("mailbox", 1, "e_job") },
+  { "compose", "mounts one chart twice", { "dark", "bright", "dark", "bright" },
+    "e_push", "e_next", "e_push" },
+  { "derive", "changes a base machine", { "dark", "brighter than ever", "dimmed",
+    "dark" }, "e_push", "e_push", "e_push" },
+  { "on_off", "is left as it is by derive", { "dark", "bright", "dark" }, "e_push",
+    "e_push" },
+  { "dynamic", "learns while it runs", { "resting", "learned to dance", "resting",
+    "dancing", "resting" }, "e_music", "e_learn", "e_music" },
+  { "ball_tracking", "follows the ball", { "components: configured", "camera: on",
+    "head: sweep", "head: stop sweeping", "estimator: start", "head: follow",
+    "estimator: stop", "head: sweep", "head: stop sweeping", "camera: off",
+    "head: park" }, "e_ball", "e_lost", "e_stop" },
+  { "rtt", "grasps, and lets go when something slips", { "fingers open",
+    "fingers closing", "fingers open", "fingers closing", "motor holds", "motor off",
+    "fingers open" }, "e_close", "e_open", "e_close", "e_contact", "e_slip" },
+  { "failure_recovery", "reports, brakes and recovers", { "failure:  error executing "
+    .. "entry of root.robot.working:  motor does not turn", "motor off", "brakes on",
+    "brakes off", "motor turns", "motor off", "power cut" },
+    set("motor", "is_broken", false), "e_repaired", "e_emergency" },
+  { "await", "starts when all parts are ready, in any order, or when told so",
+    { "booting", "ready", "booting", "ready" }, "e_camera", "e_arm", "e_base",
+    "e_reboot", "e_arm", "e_force" },
+  { "checks", "warns of the event that is misspelt", { "dark", "bright",
+    "WARNING: undeclared event e_pusch received" }, function(fsm) fsm.warn = print end,
+    "e_push", "e_pusch" },
+  { "emem", "locks the door after the third wrong code, and counts anew", { "closed",
+    "locked", "closed", "open", "closed" }, "e_wrong", "e_wrong", "e_wrong", "e_reset",
+    "e_wrong", "e_right", "e_close", "e_wrong", "e_wrong" },
+  { "preview", "warms the gripper up while an object is near", { "searching",
+    "gripper warms up", "grasping", "searching", "gripper warms up",
+    "gripper warms up", "gripper warms up" }, -- each iteration
+    set("world", "distance", 0.1), "e_grasp", "e_release" },
+  { "seqand", "moves both arms, and begins anew", { INFO .. "root.initial",
+    INFO .. "root.initial", -- of the two arms
+    "right open", "left open", "right closed", "left closed", "right lets go",
+    "left lets go", "stopped", "right open", "left open" }, "e_grasp", "e_stop",
+    "e_start" },
+  { "timeevent", "lights up in time", { "do not walk", "please wait", "walk",
+    "do not walk", "dark", "do not walk", "dark" }, "e_button", wait(0.3), wait(1),
+    wait(59), wait(3), "e_fault" },
+}
+
 describe("the example", function()
-  it("hello_world prints at an exit and an entry", function()
-    assert.same({ "hello", "world", "hello", "world" },
-      session("hello_world", "e_restart"))
-  end)
-
-  it("on_off gives one event two meanings", function()
-    assert.same({ "dark", "bright", "dark" }, session("on_off", "e_push", "e_push"))
-  end)
-
-  it("composite_nested leaves the composite last", function()
-    assert.same({
-      "amplifier on", "radio on", "radio off", "tape on", "tape off", "amplifier off",
-    }, session("composite_nested", "e_power", "e_mode", "e_power"))
-  end)
-
-  it("connector_chain takes all of a path or nothing", function()
-    local function fill() _G.tank.fuel = 1 end -- luacheck: ignore 143
-    assert.same({ "oil checked", "pump primed", "ignition", "engine running" },
-      session("connector_chain", "e_start", fill, "e_start"))
-  end)
-
-  it("connector_split decides with a guard", function()
-    local function weigh_in() _G.parcel.kg = 30 end -- luacheck: ignore 143
-    assert.same({ "to shelf a", "to shelf b" },
-      session("connector_split", "e_parcel", weigh_in, "e_parcel"))
-  end)
-
-  it("exit_connector leaves by the way out that was taken inside", function()
-    assert.same({
-      "closing fingers", "grasp left", "going home", "closing fingers", "grasp left",
-      "carrying",
-    }, session("exit_connector", "e_slip", "e_again", "e_firm"))
-  end)
-
-  it("relative_refs layers transitions on a sub machine", function()
-    assert.same({ "slow", "backing off", "slow", "fast" },
-      session("relative_refs", "e_bump", "e_clear", "e_fast", "e_bump"))
-  end)
-
-  it("priorities lets the larger pn win, and an outer transition first", function()
-    assert.same({ "a", "c", "a", "halted" },
-      session("priorities", "e_go", "e_back", "e_stop"))
-  end)
-
-  it("doo_once goes on when its doo is done", function()
-    assert.same({ "calibrating", "ready" }, session("doo_once"))
-  end)
-
-  it("doo_busy runs to the end of its doo in one call", function()
-    assert.same({ "3", "2", "1", "lift off" }, session("doo_busy"))
-  end)
+  for _, row in ipairs(SESSIONS) do
+    it(row[1] .. " " .. row[2], function()
+      timeevent.set_gettime_hook(function() return now, 0 end)
+      assert.same(row[3], session(row[1], unpack(row, 4)))
+    end)
+  end
 
   it("doo_busy can be interrupted between two cycles", function()
     local lines = helper.printed(function()
@@ -154,75 +175,6 @@ describe("the example", function()
     assert.same({ "3", "2", "aborted" }, lines)
   end)
 
-  it("doo_idle does one cycle per call", function()
-    local function again() end
-    assert.same({ "control cycle 1", "control cycle 2", "stopped" },
-      session("doo_idle", again, "e_stop"))
-  end)
-
-  it("guards_effects opens when enough is paid", function()
-    assert.same({ "paid 1", "paid 2", "please pass" },
-      session("guards_effects", "e_push", "e_coin", "e_coin", "e_push", "e_push"))
-  end)
-
-  it("getevents works off a mailbox", function()
-    local function put_in() _G.mailbox[1] = "e_job" end -- luacheck: ignore 143
-    assert.same({ "waiting", "working", "waiting" }, session("getevents", put_in))
-  end)
-
-  it("compose mounts one chart twice", function()
-    assert.same({ "dark", "bright", "dark", "bright" },
-      session("compose", "e_push", "e_next", "e_push"))
-  end)
-
-  it("derive changes a base machine", function()
-    assert.same({ "dark", "brighter than ever", "dimmed", "dark" },
-      session("derive", "e_push", "e_push", "e_push"))
-  end)
-
-  it("derive leaves the base as it is", function()
-    assert.same({ "dark", "bright", "dark" }, session("on_off", "e_push", "e_push"))
-  end)
-
-  it("dynamic learns while it runs", function()
-    assert.same({ "resting", "learned to dance", "resting", "dancing", "resting" },
-      session("dynamic", "e_music", "e_learn", "e_music"))
-  end)
-
-  it("ball_tracking follows the ball", function()
-    assert.same({
-      "components: configured", "camera: on", "head: sweep", "head: stop sweeping",
-      "estimator: start", "head: follow", "estimator: stop", "head: sweep",
-      "head: stop sweeping", "camera: off", "head: park",
-    }, session("ball_tracking", "e_ball", "e_lost", "e_stop"))
-  end)
-
-  it("rtt grasps, and lets go when something slips", function()
-    assert.same({
-      "fingers open", "fingers closing", "fingers open", "fingers closing",
-      "motor holds", "motor off", "fingers open",
-    }, session("rtt", "e_close", "e_open", "e_close", "e_contact", "e_slip"))
-  end)
-
-  it("failure_recovery reports, brakes and recovers", function()
-    local function repair() _G.motor.is_broken = false end -- luacheck: ignore 143
-    assert.same({
-      "failure:  error executing entry of root.robot.working:  motor does not turn",
-      "motor off", "brakes on", "brakes off", "motor turns", "motor off", "power cut",
-    }, session("failure_recovery", repair, "e_repaired", "e_emergency"))
-  end)
-
-  it("await starts when all parts are ready, in any order, or when told so", function()
-    assert.same({ "booting", "ready", "booting", "ready" },
-      session("await", "e_camera", "e_arm", "e_base", "e_reboot", "e_arm", "e_force"))
-  end)
-
-  it("checks warns of the event that is misspelt", function()
-    local function listen(fsm) fsm.warn = print end
-    assert.same({ "dark", "bright", "WARNING: undeclared event e_pusch received" },
-      session("checks", listen, "e_push", "e_pusch"))
-  end)
-
   it("checks has a state that nothing leads to, with the reason", function()
     local model = rfsm.load("examples/checks.lua")
     assert.same({}, require("rfsm_checks").check(model))
@@ -231,56 +183,23 @@ describe("the example", function()
       .. "transitions leads here [unreachable]" }, require("rfsm_checks").check(model))
   end)
 
-  it("emem locks the door after the third wrong code, and counts anew", function()
-    assert.same({ "closed", "locked", "closed", "open", "closed" },
-      session("emem", "e_wrong", "e_wrong", "e_wrong", "e_reset", "e_wrong", "e_right",
-        "e_close", "e_wrong", "e_wrong"))
-  end)
-
-  it("ext lands when a condition that it monitors holds", function()
+  it("monitor lands when a condition that it monitors holds", function()
     local lines = helper.printed(function()
       local fsm = helper.init(rfsm.load("examples/monitor.lua"))
       rfsm.step(fsm, 3)
-      _G.drone.volt = 10 -- luacheck: ignore 143
+      set("drone", "volt", 10)()
       rfsm.run(fsm)
-      _G.drone.volt = 12 -- luacheck: ignore 143
+      set("drone", "volt", 12)()
       rfsm.send_events(fsm, "e_repaired")
       rfsm.step(fsm)
     end)
     assert.same({ "flying", "landing", "flying" }, lines)
   end)
 
-  it("preview warms the gripper up while an object is near", function()
-    local function approach() _G.world.distance = 0.1 end -- luacheck: ignore 143
-    assert.same({ "searching", "gripper warms up", "grasping", "searching",
-      "gripper warms up", "gripper warms up", "gripper warms up" }, -- each iteration
-      session("preview", approach, "e_grasp", "e_release"))
-  end)
-
-  it("seqand moves both arms, and begins anew", function()
-    assert.same({
-      INFO .. "root.initial", INFO .. "root.initial", -- of the two arms
-      "right open", "left open", "right closed", "left closed", "right lets go",
-      "left lets go", "stopped", "right open", "left open",
-    }, session("seqand", "e_grasp", "e_stop", "e_start"))
-  end)
-
-  it("timeevent lights up in time", function()
-    local now = 0
-    timeevent.set_gettime_hook(function() return now, 0 end)
-    local function wait(seconds) return function() now = now + seconds end end
-    assert.same({
-      "do not walk", "please wait", "walk", "do not walk", "dark", "do not walk",
-      "dark",
-    }, session("timeevent", "e_button", wait(0.3), wait(1), wait(59), wait(3),
-      "e_fault"))
-  end)
-
   it("luv_host sleeps until the next timer can fire", function()
-    local lines = with_module("luv", loop_on_a_false_clock(), function()
-      return helper.printed(function()
-        loadfile("examples/hosts/luv_host.lua")()
-      end)
+    local lines
+    helper.with(package.loaded, { luv = loop_on_a_false_clock() }, function()
+      lines = helper.printed(function() loadfile("examples/hosts/luv_host.lua")() end)
     end)
     assert.same({
       INFO .. "root.initial", INFO .. "root.lights.initial", "do not walk",
@@ -289,11 +208,10 @@ describe("the example", function()
     }, lines)
   end)
 
-  -- A name in quotes is a call of `session` or of `rfsm.load`.
-  it("has an entry here, each of them", function()
-    local text, missing = content("spec/examples_spec.lua"), {}
+  it("has a session or a spec here, each of them", function()
+    local text, missing = helper.content("spec/examples_spec.lua"), {}
     for _, name in ipairs(example_names()) do
-      if not (text:find('session("' .. name .. '"', 1, true)
+      if not (text:find('  { "' .. name .. '", "', 1, true)
         or text:find("examples/" .. name .. ".lua", 1, true)) then
         missing[#missing + 1] = name
       end
@@ -305,10 +223,7 @@ end)
 -- The C host, with each of the Lua libraries that are installed with their headers.
 describe("the host in C", function()
   local function output_of(command)
-    local pipe = assert(io.popen(command .. " 2>&1"))
-    local text = pipe:read("*a")
-    pipe:close()
-    return text
+    return table.concat(helper.lines_of(command .. " 2>&1"), "\n")
   end
 
   for _, lib in ipairs { "lua5.1", "lua5.4" } do
@@ -323,7 +238,7 @@ describe("the host in C", function()
         local output = output_of(program)
         os.remove(program)
         assert.equal("3 states, 2 transitions\ntransition 2 leaves root.off\n"
-          .. "entered root.on\nactive: root.on.bright\n", output)
+          .. "entered root.on\nactive: root.on.bright", output)
       end)
     end
   end

@@ -32,15 +32,14 @@ require "rfsm.preview"
 local now = 0
 timeevent.set_gettime_hook(function() return now, 0 end)
 
--- (initial) -> a --e_leave--> out --e_enter--> a;  a --events--> found
-local function around(a, tr)
-  tr.src, tr.tgt = "a", "found"
+-- (initial) -> a --e_leave--> out --e_enter--> a;  a --event, or e_none--> found
+local function around(a, event)
   return state {
     warn = false, info = false, a = a, out = state {}, found = state {},
     trans { src = "initial", tgt = "a" },
     trans { src = "a", tgt = "out", events = { "e_leave" } },
     trans { src = "out", tgt = "a", events = { "e_enter" } },
-    trans(tr),
+    trans { src = "a", tgt = "found", events = { event or "e_none" } },
   }
 end
 
@@ -67,11 +66,13 @@ local function converse(fsm, text)
   return last
 end
 
+local function send_x(fsm) helper.post_and_run(fsm, "e_x") end
+
 -- For each extension: a model, what gives it something to remember while a is active,
 -- and what it remembers.
 local EXTENSIONS = {
   timeevent = {
-    model = function() return around(state {}, { events = { "e_after(10)" } }) end,
+    model = function() return around(state {}, "e_after(10)") end,
     use = function(fsm)
       now = now + 6
       rfsm.run(fsm)
@@ -80,40 +81,35 @@ local EXTENSIONS = {
   },
   seqand = {
     model = function()
-      return around(rfsm.seqand { idle_doo = "auto", s = inner_machine() },
-        { events = { "e_none" } })
+      return around(rfsm.seqand { idle_doo = "auto", s = inner_machine() })
     end,
-    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
+    use = send_x,
     memory = function(fsm) return rfsm.get_actleaf_fqn(fsm.a.substates.s) end,
   },
   ext = {
     model = function()
-      return around(rfsm_ext.gen_monitor_state { count = { 0 },
+      return around(rfsm_ext.gen_monitor_state {
+        entry = function(_, self) self.seen = 0 end,
         montab = { e_third = function(_, self)
-          self.seen = (self.seen or 0) + 1
+          self.seen = self.seen + 1
           return false
-        end }, entry = function(_, self) self.seen = 0 end },
-        { events = { "e_third" } })
+        end },
+      }, "e_third")
     end,
     use = function(fsm) rfsm.step(fsm, 5) end,
     memory = function(fsm) return fsm.a.seen > 2 end,
     advance = function(fsm) rfsm.step(fsm, 2) end,
   },
   emem = {
-    model = function() return around(state {}, { events = { "e_none" } }) end,
-    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
-    memory = function(fsm) return fsm.a.emem.e_x or 0 end,
+    model = function() return around(state {}) end,
+    use = send_x, memory = function(fsm) return fsm.a.emem.e_x or 0 end,
   },
   await = {
-    model = function() return around(state {}, { events = { "await(e_x, e_y)" } }) end,
-    use = function(fsm) helper.post_and_run(fsm, "e_x") end,
-    memory = function(fsm)
-      helper.post_and_run(fsm, "e_y")
-      return fsm._act_leaf._id
-    end,
+    model = function() return around(state {}, "await(e_x, e_y)") end,
+    use = send_x, memory = function(fsm) return helper.leaf_after(fsm, "e_y") end,
   },
   proto = {
-    model = function() return around(inner_machine(), { events = { "e_none" } }) end,
+    model = function() return around(inner_machine()) end,
     use = function(fsm) converse(fsm, '{"type":"event","event":"e_x"}') end,
     memory = function(fsm)
       return converse(fsm, '{"type":"subscribe"}'):match('"act_leaf":"([^"]*)"')
@@ -121,8 +117,8 @@ local EXTENSIONS = {
   },
   preview = {
     model = function()
-      local model = around(state {}, { events = { "e_none" },
-        likely = function(fsm) return fsm.is_near end })
+      local model = around(state {})
+      model[4].likely = function(fsm) return fsm.is_near end
       model.found.prepare = function(fsm) fsm.is_prepared = true end
       return model
     end,
@@ -141,11 +137,14 @@ local EXTENSIONS = {
   },
   rtt = {
     model = function()
-      local feed, events = rtt.OutputPort.new("string"), rtt.InputPort.new("string")
-      local out, names = rtt.OutputPort.new("string"), rtt.InputPort.new("string")
-      feed:connect(events)
-      out:connect(names)
-      local model = around(inner_machine(), { events = { "e_none" } })
+      local function connected()
+        local into, out = rtt.InputPort.new("string"), rtt.OutputPort.new("string")
+        out:connect(into)
+        return into, out
+      end
+      local events, feed = connected()
+      local names, out = connected()
+      local model = around(inner_machine())
       model.getevents = rfsm_rtt.gen_read_str_events(events)
       model.post_step_hook = rfsm_rtt.gen_write_fqn(out)
       model.feed, model.names = feed, names
@@ -163,66 +162,64 @@ local function advance(extension, fsm)
   return (extension.advance or rfsm.run)(fsm)
 end
 
-local ORDER = {}
-for name in pairs(EXTENSIONS) do ORDER[#ORDER + 1] = name end -- any order: sorted
-table.sort(ORDER)
+local function started(extension, model)
+  local fsm = helper.init(model or extension.model())
+  advance(extension, fsm)
+  return fsm
+end
 
-for _, name in ipairs(ORDER) do
-  local extension = EXTENSIONS[name]
+local function used(extension, model)
+  local fsm = started(extension, model)
+  extension.use(fsm)
+  return fsm
+end
 
-  local function started(model)
-    local fsm = helper.init(model or extension.model())
-    advance(extension, fsm)
-    return fsm
-  end
+local function forgetting(extension, fsm)
+  if extension.forget then extension.forget(fsm) end
+  advance(extension, fsm)
+  return fsm
+end
 
-  -- What a machine remembers that was never used.
-  local function fresh_memory() return extension.memory(started()) end
+-- Each returns a machine that must remember nothing.
+local FORGETS = {
+  ["when the state is left and entered again"] = function(extension)
+    local fsm = used(extension)
+    for _, event in ipairs { "e_leave", "e_enter" } do
+      rfsm.send_events(fsm, event)
+      rfsm.step(fsm)
+    end
+    return forgetting(extension, fsm)
+  end,
+  ["at reset"] = function(extension)
+    local fsm = used(extension)
+    rfsm.reset(fsm)
+    return forgetting(extension, fsm)
+  end,
+  ["in a second instance of the model"] = function(extension)
+    local model = extension.model()
+    local second = helper.init(model)
+    used(extension, model)
+    advance(extension, second)
+    return second
+  end,
+  ["in an instance made of the first"] = function(extension)
+    return started(extension, used(extension))
+  end,
+}
 
-  local function used(model)
-    local fsm = started(model)
-    extension.use(fsm)
-    return fsm
-  end
-
+for name, extension in pairs(EXTENSIONS) do -- any order: each stands alone
   describe("rfsm_" .. name, function()
     it("remembers something, as long as its state is active", function()
-      assert.not_equal(fresh_memory(), extension.memory(used()))
+      assert.not_equal(extension.memory(started(extension)),
+        extension.memory(used(extension)))
     end)
 
-    it("forgets it when the state is left and entered again", function()
-      local fsm = used()
-      rfsm.send_events(fsm, "e_leave")
-      rfsm.step(fsm)
-      rfsm.send_events(fsm, "e_enter")
-      rfsm.step(fsm)
-      if extension.forget then extension.forget(fsm) end
-      advance(extension, fsm)
-      assert.equal(fresh_memory(), extension.memory(fsm))
-    end)
-
-    it("forgets it at reset", function()
-      local fsm = used()
-      rfsm.reset(fsm)
-      if extension.forget then extension.forget(fsm) end
-      advance(extension, fsm)
-      assert.equal(fresh_memory(), extension.memory(fsm))
-    end)
-
-    it("shares nothing with a second instance of the model", function()
-      local model = extension.model()
-      local second = helper.init(model)
-      used(model)
-      advance(extension, second)
-      assert.equal(fresh_memory(), extension.memory(second))
-    end)
-
-    it("shares nothing with an instance made of the first", function()
-      local first = used()
-      local second = helper.init(first)
-      advance(extension, second)
-      assert.equal(fresh_memory(), extension.memory(second))
-    end)
+    for when, forget in pairs(FORGETS) do -- any order: as above
+      it("has forgotten it " .. when, function()
+        local fsm = forget(extension)
+        assert.equal(extension.memory(started(extension)), extension.memory(fsm))
+      end)
+    end
   end)
 end
 
@@ -230,26 +227,19 @@ end
 -- when states are left, and at reset, but is of no other machine.
 describe("rfsm_checks", function()
   local function complaints_of(fsm)
-    local lines = {}
-    fsm.warn = function(text) lines[#lines + 1] = text end
+    local lines = helper.said(fsm, "warn")
     helper.post_and_run(fsm, "e_new", "e_none", "e_other")
     return lines
   end
 
-  local function watched(model)
-    local fsm = helper.init(model)
-    rfsm.run(fsm)
-    return fsm
-  end
-
   local function chart()
-    local model = around(state {}, { events = { "e_none" } })
+    local model = around(state {})
     model.checkevents = true
     return model
   end
 
   local function merged(model)
-    local fsm = watched(model)
+    local fsm = helper.started(model)
     assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "out",
       events = { "e_new" } }))
     return fsm
@@ -258,28 +248,21 @@ describe("rfsm_checks", function()
   local OTHER = "WARNING: undeclared event e_other received"
   local NEW = "WARNING: undeclared event e_new received"
 
-  it("knows what was merged, also when states are left", function()
+  it("knows what was merged, also when states are left, and after reset", function()
     local fsm = merged(chart())
     helper.post_and_run(fsm, "e_leave")
     helper.post_and_run(fsm, "e_enter")
     assert.same({ OTHER }, complaints_of(fsm))
-  end)
-
-  it("knows it after reset", function()
-    local fsm = merged(chart())
     rfsm.reset(fsm)
     assert.same({ OTHER }, complaints_of(fsm))
   end)
 
-  it("shares nothing with a second instance of the model", function()
+  it("shares nothing with other instances", function()
     local model = chart()
-    local second = watched(model)
+    local second = helper.started(model)
     merged(model)
     assert.same({ NEW, OTHER }, complaints_of(second))
-  end)
-
-  it("shares nothing with an instance made of the first", function()
-    assert.same({ NEW, OTHER }, complaints_of(watched(merged(chart()))))
+    assert.same({ NEW, OTHER }, complaints_of(helper.started(merged(chart()))))
   end)
 end)
 

@@ -1,21 +1,12 @@
 -- What several specs need.
 
-local luassert = require "luassert"
 local rfsm = require "rfsm"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local helper = {}
 
--- Rows of specs, replaced fields, errors ------------------------------------------
-
---- Makes a spec of each row, with busted's `it`: a title, the expected value, and a
--- function that returns the value.
-function helper.rows(it, rows)
-  for _, row in ipairs(rows) do
-    it(row[1], function() luassert.same(row[2], row[3]()) end)
-  end
-end
+-- Replaced fields, errors -----------------------------------------------------------
 
 --- Runs f while `t` has these fields; false removes one. Returns the result of f.
 function helper.with(t, fields, f)
@@ -191,28 +182,26 @@ function helper.remove_files()
   end
 end
 
--- The interpreter that runs this, as the shell can call it.
-local function interpreter()
+--- Returns the interpreter that runs this, as the shell can call it.
+function helper.interpreter()
   local i = 0
   while arg[i - 1] do i = i - 1 end
   return arg[i]
 end
 
---- Runs a text with a fresh Lua; returns its output.
-function helper.output_of(text)
-  local pipe = assert(io.popen(interpreter() .. " " .. helper.file_with(text)
-    .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return (output:gsub("%s+$", ""))
-end
-
---- Runs a command of the shell; returns the lines it prints.
+--- Runs a command of the shell; returns the lines that it prints.
 function helper.lines_of(command)
   local pipe, lines = assert(io.popen(command)), {}
   for line in pipe:lines() do lines[#lines + 1] = line end
   pipe:close()
   return lines
+end
+
+--- Runs a text with a fresh Lua; returns its output.
+function helper.output_of(text)
+  local lines = helper.lines_of(("%s %s 2>&1"):format(helper.interpreter(),
+    helper.file_with(text)))
+  return (table.concat(lines, "\n"):gsub("%s+$", ""))
 end
 
 --- Returns what stands in a file.

@@ -21,16 +21,17 @@ end
 -- Runs f(rfsmpp) with an rfsmpp that was loaded with `colours` as the module ansicolors
 -- and with these variables in the environment.
 local function with(colours, variables, f)
-  local loaded, getenv, global = package.loaded, os.getenv, rawget(_G, "rfsmpp")
-  local real = loaded.ansicolors
-  loaded.ansicolors = colours or nil
-  package.preload.ansicolors = function() error("not installed") end
-  rawset(os, "getenv", function(name) return variables[name] end)
-  local ok, result = pcall(function() return f(dofile("rfsmpp.lua")) end)
-  loaded.ansicolors, package.preload.ansicolors = real, nil
-  rawset(os, "getenv", getenv)
-  rawset(_G, "rfsmpp", global)
-  if not ok then error(result, 0) end
+  local result
+  helper.with(package.loaded, { ansicolors = colours or false }, function()
+    local preload = { ansicolors = function() error("not installed") end }
+    helper.with(package.preload, preload, function()
+      helper.with(os, { getenv = function(name) return variables[name] end }, function()
+        helper.with(_G, { rfsmpp = rfsmpp }, function()
+          result = f(dofile("rfsmpp.lua"))
+        end)
+      end)
+    end)
+  end)
   return result
 end
 
@@ -80,21 +81,18 @@ describe("colour", function()
   end
 
   it("of a dbg function is decided when it is made, without a process", function()
-    local popen, execute, variables = io.popen, os.execute, { TERM = "xterm" }
+    local variables, text = { TERM = "xterm" }, nil
     local function fail() error("a process") end
-    rawset(io, "popen", fail)
-    rawset(os, "execute", fail)
-    local ok, line = pcall(with, PACKAGE, variables, function(pp)
-      local text
-      local dbg = pp.gen_dbgcolor("arm", nil, nil, function(made) text = made end)
-      variables.NO_COLOR = "1"
-      dbg("DOO", "root.a")
-      return text
+    helper.with(io, { popen = fail }, function()
+      helper.with(os, { execute = fail }, function()
+        with(PACKAGE, variables, function(pp)
+          local dbg = pp.gen_dbgcolor("arm", nil, nil, function(made) text = made end)
+          variables.NO_COLOR = "1"
+          dbg("DOO", "root.a")
+        end)
+      end)
     end)
-    rawset(io, "popen", popen)
-    rawset(os, "execute", execute)
-    assert.is_true(ok)
-    assert.equal(COLOURED, line)
+    assert.equal(COLOURED, text)
   end)
 
   for id, colour in pairs { -- any order
@@ -173,19 +171,12 @@ describe("gen_dbgcolor", function()
     assert.matches("<unnamed SM>:", lines[1])
   end)
 
-  for _, case in ipairs {
-    { "function expected, got string", { "m", {}, true, "print" } },
-    { "table of ids expected, got string", { "m", "DOO" } },
-  } do
-    it("blames the caller: " .. case[1], function()
-      local a = case[2]
-      local ok, problem = pcall(function()
-        return (rfsmpp.gen_dbgcolor(a[1], a[2], a[3], a[4]))
-      end)
-      assert.is_false(ok)
-      assert.matches("pp_spec.lua:%d+: rfsmpp.gen_dbgcolor: " .. case[1], problem)
-    end)
-  end
+  it("blames the caller", function()
+    assert.equal("rfsmpp.gen_dbgcolor: function expected, got string",
+      helper.refusal(rfsmpp.gen_dbgcolor, "m", {}, true, "print"))
+    assert.equal("rfsmpp.gen_dbgcolor: table of ids expected, got string",
+      helper.refusal(rfsmpp.gen_dbgcolor, "m", "DOO"))
+  end)
 
   it("traces a machine", function()
     local lines, fsm = {}, machine()
@@ -233,15 +224,12 @@ describe("fsm2str", function()
   end)
 
   it("wants an initialised fsm", function()
-    local ok, problem = pcall(function() return (rfsmpp.fsm2str(state {})) end)
-    assert.is_false(ok)
-    assert.matches("pp_spec.lua:%d+: rfsmpp.fsm2str: initialised fsm expected", problem)
+    assert.matches("^rfsmpp.fsm2str: initialised fsm expected",
+      helper.refusal(rfsmpp.fsm2str, state {}))
   end)
 end)
 
-describe("the module", function()
-  it("has its dotted name and its global", function()
-    assert.equal(rfsmpp, require("rfsm.pp"))
-    assert.equal(rfsmpp, rawget(_G, "rfsmpp"))
-  end)
+it("the module has its dotted name and its global", function()
+  assert.equal(rfsmpp, require("rfsm.pp"))
+  assert.equal(rfsmpp, rawget(_G, "rfsmpp"))
 end)

@@ -5,10 +5,9 @@ local rfsm = require "rfsm"
 
 after_each(helper.remove_files)
 
+local content, lines_of = helper.content, helper.lines_of
 local setfenv = rawget(_G, "setfenv")
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
-
-local lines_of = helper.lines_of
 
 -- The files of the project: those that git knows, all in a tree without git.
 local function files(...)
@@ -16,13 +15,6 @@ local function files(...)
   local found = lines_of("git ls-files -- ':(glob)" .. globs .. "' 2>/dev/null")
   if found[1] then return found end
   return lines_of("ls -d " .. table.concat({ ... }, " ") .. " 2>/dev/null")
-end
-
-local function content(name)
-  local file = assert(io.open(name))
-  local text = file:read("*a")
-  file:close()
-  return text
 end
 
 -- Loads a text so that its globals are those of `env`, on every Lua.
@@ -123,6 +115,14 @@ describe("tools/size.lua", function()
     assert.is_true(tonumber(stripped) < tonumber(source))
     assert.matches("^rfsm.marsh +[%d.]+ +[%d.]+$", lines[2])
   end)
+
+  it("shows that the modules of a component of RTT take at most 350 KiB", function()
+    if _VERSION ~= "Lua 5.1" then return end -- that is RTT's Lua
+    local lines = lines_of(("'%s' tools/size.lua rfsm rfsm.rtt rfsm_timeevent rfsmpp")
+      :format(arg[-1]))
+    local source = lines[#lines]:match("^together +([%d.]+)")
+    assert.is_true(tonumber(source) <= 350, source)
+  end)
 end)
 
 describe("the version of the core", function()
@@ -191,22 +191,12 @@ local function promised(block)
   return lines
 end
 
--- Runs `f` while the global print is another one, which modules may look up, too.
-local function with_print(print_fn, f)
-  local real = print
-  rawset(_G, "print", print_fn)
-  local ok, problem = pcall(f)
-  rawset(_G, "print", real)
-  if not ok then error(problem, 0) end
-end
-
 describe("an example", function()
   for _, file in ipairs(files("examples/*.lua")) do
     it(file .. " loads and has no problem", function()
-      local model, fsm = rfsm.load(file), nil
+      local model = rfsm.load(file)
       model.info, model.warn = false, false
-      with_print(function() end, function() fsm = rfsm.init(model) end) -- of the subs
-      assert.is_table(fsm)
+      helper.printed(function() assert.is_table((rfsm.init(model))) end) -- of regions
     end)
   end
 end)
@@ -247,14 +237,12 @@ end)
 local function run_block(env, block, name)
   local lines = {}
   rawset(env, "print", function(...)
-    local texts = { ... }
-    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
-    for line in (table.concat(texts, "\t") .. "\n"):gmatch("(.-)\n") do
+    for line in (table.concat(helper.texts(...), "\t") .. "\n"):gmatch("(.-)\n") do
       lines[#lines + 1] = line:match("^(.-)%s*$")
     end
   end)
   local text = ("\n"):rep(block.line - 1) .. block.text
-  with_print(env.print, load_in(env, text, "@" .. name))
+  helper.with(_G, { print = env.print }, load_in(env, text, "@" .. name))
   return lines
 end
 

@@ -6,11 +6,13 @@ local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
 local rfsm_rtt = require "rfsm.rtt"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local rtt = rtt_helper.rtt
 local samples, write_all, logged =
   rtt_helper.samples, rtt_helper.write_all, rtt_helper.logged
 local refusal, file_with, chart_file =
-  rtt_helper.refusal, rtt_helper.file_with, rtt_helper.chart_file
+  helper.refusal, helper.file_with, rtt_helper.chart_file
 local evaluate, spin, advance = rtt_helper.evaluate, rtt_helper.spin, rtt_helper.advance
 local deploy, load, listen, feed =
   rtt_helper.deploy, rtt_helper.load, rtt_helper.listen, rtt_helper.feed
@@ -42,6 +44,8 @@ return rfsm.state {
   rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
 }]]
 
+local LOGGED = "RTT's log has the reason"
+
 -- Charts that cannot be launched, and what is logged.
 local WRONG_CHARTS = {
   { "is no chart", "return 3", "no valid rfsm in file" },
@@ -55,16 +59,34 @@ return rfsm.state {
 }]], "no machine, problems of the chart: 2" },
 }
 
-local WRONG_ENVS = { -- env, and what is reported
-  { { go = print }, "env: go: " }, { { t = { { 1 } } }, "env: t: " },
-  { { t = { x = 1 } }, "env: t: " }, { { far = math.huge }, "env: far: " },
-  { { "speed" }, "env: 1: " },
+local NAME_AND_VALUE =
+  ": a name and a string, number, boolean or list of these expected"
+local WRONG_ENVS = { -- what is reported, env
+  { "env: go" .. NAME_AND_VALUE, { go = print } },
+  { "env: t" .. NAME_AND_VALUE, { t = { { 1 } } } },
+  { "env: t" .. NAME_AND_VALUE, { t = { x = 1 } } },
+  { "env: far" .. NAME_AND_VALUE, { far = math.huge } },
+  { "env: 1" .. NAME_AND_VALUE, { "speed" } }, { "env: table expected, got number", 3 },
 }
-for _, case in ipairs(WRONG_ENVS) do
-  case[2] = case[2]
-    .. "a name and a string, number, boolean or list of these expected"
+
+-- Makes a spec of each wrong env and chart. refused_env(env) and refused_file(file)
+-- return the reason.
+local function refuses_all(refused_env, refused_file)
+  for _, case in ipairs(WRONG_ENVS) do
+    it("a wrong env: " .. case[1], function()
+      assert.equal(case[1], refused_env(case[2]))
+    end)
+  end
+
+  for _, case in ipairs(WRONG_CHARTS) do
+    it("a chart that " .. case[1], function()
+      assert.equal(LOGGED, refused_file(file_with(case[2])))
+      assert.is_true(#logged(case[3]) > 0)
+      rtt.logl("Error", "the log goes on")
+      assert.equal(1, #logged("the log goes on"))
+    end)
+  end
 end
-WRONG_ENVS[#WRONG_ENVS + 1] = { 3, "env: table expected, got number" }
 
 local ENV = {
   speed = 3.5, name = "it's\n\"quoted\" \\ 100% %s", is_fast = true, is_slow = false,
@@ -74,31 +96,49 @@ local ENV_NAMES = "speed, name, is_fast, is_slow, list[2], list[3], list[4], #li
   .. "count, small == 1e-300"
 local ENV_VALUES = "3.5 it's\n\"quoted\" \\ 100% %s true false 2 y true 4 3 true"
 
+-- The leaf of the machine that was launched there.
+local function leaf_of(exec_str)
+  return evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)")
+end
+
+-- Checks the leaves that came from a port, such as "<none> a b".
+local function check_leaves(expected, port)
+  assert.equal(expected, (table.concat(samples(port), " "):gsub("root%.", "")))
+end
+
+local function has_port(component, name)
+  return (pcall(component.getPort, component, name))
+end
+
 -- Services ---------------------------------------------------------------------
 
 describe("service_launch_rfsm", function()
   local host, exec_str
 
-  before_each(function()
-    host = load("host", "OCL::HelloWorld")
-    assert(deploy("setActivity", "host", 0.01, 0, 0))
-    assert(deploy("loadService", "host", "Lua"))
-    exec_str = host:provides("Lua"):getOperation("exec_str")
-  end)
-
-  local function started()
-    assert(host:configure())
-    assert(host:start())
+  -- A HelloWorld with a Lua service; that, and its exec_str.
+  local function load_host(name)
+    local component = load(name, "OCL::HelloWorld")
+    assert(deploy("setActivity", name, 0.01, 0, 0))
+    assert(deploy("loadService", name, "Lua"))
+    return component, component:provides("Lua"):getOperation("exec_str")
   end
+
+  before_each(function() host, exec_str = load_host("host") end)
 
   local launch = rfsm_rtt.service_launch_rfsm
 
   -- Some updates.
   local function settle() advance(0.1) end
 
+  local function start()
+    assert(host:configure())
+    assert(host:start())
+    settle()
+  end
+
   -- Launches a machine that waits for the start of its component.
   local function launch_waiting(file)
-    launch(file, exec_str, true, nil, { running_only = true })
+    launch(file or chart_file(), exec_str, true, nil, { running_only = true })
     return feed("host.events_in"), listen("host.fqn")
   end
 
@@ -111,94 +151,82 @@ describe("service_launch_rfsm", function()
   end)
 
   it("takes a step at each update of its component", function()
-    local events, names = launch_waiting(chart_file())
-    started()
-    settle()
+    local events, names = launch_waiting()
+    start()
     events:write("e_go")
     settle()
     write_all(events, "e_none", "e_back")
     settle()
-    assert.same({ "<none>", "root.a", "root.b", "root.a" }, samples(names))
+    check_leaves("<none> a b a", names)
   end)
 
   it("does not stop the component when a doo is busy for ever", function()
     local events, names = launch_waiting(file_with(BUSY))
-    started()
-    settle()
+    start()
     local before = tonumber(evaluate(exec_str, "fsm.cycles"))
     settle()
     assert.is_true(before < tonumber(evaluate(exec_str, "fsm.cycles")))
     events:write("e_go")
     settle()
-    assert.same({ "<none>", "root.a", "root.b" }, samples(names))
+    check_leaves("<none> a b", names)
     assert.is_true(host:stop())
   end)
 
   it("steps when trigger() is executed, or runs if it shall", function()
     launch(file_with(THREE), exec_str)
     assert.equal("true", evaluate(exec_str, "trigger()"))
-    assert.equal("root.a", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
-    load("other", "OCL::HelloWorld")
-    deploy("loadService", "other", "Lua")
-    local other = rtt_helper.deployer():getPeer("other"):provides("Lua")
-    launch(file_with(THREE), other:getOperation("exec_str"), false, nil, { run = true })
-    other:getOperation("exec_str")("trigger()")
-    assert.equal("root.c", evaluate(other:getOperation("exec_str"),
-      "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.a", leaf_of(exec_str))
+    local _, other = load_host("other")
+    launch(file_with(THREE), other, false, nil, { run = true })
+    other("trigger()")
+    assert.equal("root.c", leaf_of(other))
   end)
 
   it("has no hook unless it is asked for", function()
     launch(chart_file(), exec_str)
-    started()
-    settle()
+    start()
     assert.equal("nil false", evaluate(exec_str, "eehook, fsm._act_leaf"))
   end)
 
   it("steps in every state of the component", function()
     launch(chart_file(), exec_str, true)
     settle()
-    assert.equal("PreOperational", host:getState())
-    assert.equal("root.a", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("PreOperational root.a", host:getState() .. " " .. leaf_of(exec_str))
   end)
 
   it("steps only while the component runs, with running_only", function()
-    local events = launch_waiting(chart_file())
+    local events = launch_waiting()
     settle()
-    assert.equal("false", evaluate(exec_str, "fsm._act_leaf"))
-    started()
-    settle()
-    assert.equal("root.a", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("false", leaf_of(exec_str))
+    start()
     host:stop()
     events:write("e_go")
     settle()
-    assert.equal("root.a", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.a", leaf_of(exec_str))
   end)
 
   it("has the original's globals, and a hook that a chart cannot remove", function()
-    local _, names = launch_waiting(chart_file())
+    local _, names = launch_waiting()
     assert.equal("true function function string true", evaluate(exec_str,
       "rfsm.is_initialized_root(fsm), type(trigger), type(setfqn), fqn:info().type, "
       .. "eehook ~= nil"))
     exec_str("trigger, eehook, fsm, fqn = nil collectgarbage() collectgarbage()")
-    started()
-    settle()
-    assert.same({ "<none>", "root.a" }, samples(names))
+    start()
+    check_leaves("<none> a", names)
   end)
 
   it("lets the hook be disabled", function()
-    local events, names = launch_waiting(chart_file())
-    started()
-    settle()
+    local events, names = launch_waiting()
+    start()
     exec_str("eehook:disable()")
     events:write("e_go")
     settle()
-    assert.same({ "<none>", "root.a" }, samples(names))
+    check_leaves("<none> a", names)
   end)
 
   it("keeps the hook when a printer raises a table, and logs that as text", function()
-    local events, names = launch_waiting(chart_file())
-    started()
-    settle()
+    local events, names = launch_waiting()
+    start()
     exec_str("fsm.dbg = function() error(setmetatable({}, { __tostring = function() "
       .. "return 'no paper' end })) end")
     events:write("e_go")
@@ -207,7 +235,7 @@ describe("service_launch_rfsm", function()
     events:write("e_back")
     settle()
     assert.is_truthy(logged("no paper")[1]:find("^Error: rfsm.rtt: no paper"))
-    assert.same({ "<none>", "root.a", "root.b", "root.a" }, samples(names))
+    check_leaves("<none> a b a", names)
     rtt.logl("Error", "the log goes on")
     assert.equal(1, #logged("the log goes on"))
   end)
@@ -229,22 +257,21 @@ describe("service_launch_rfsm", function()
     assert.equal("true", evaluate(exec_str, "fsm.warn == print and fsm.err == print"))
   end)
 
-  it("defines env first", function()
-    launch(chart_file("data = { speed, name },"), exec_str, false, ENV)
-    assert.equal(ENV_VALUES, evaluate(exec_str, ENV_NAMES))
-    assert.equal("3.5", evaluate(exec_str, "fsm.data[1]"))
-  end)
-
-  it("sets no global of a module's name when env says so", function()
-    launch(chart_file(), exec_str, true, { RFSM_NO_GLOBALS = true })
-    assert.equal("nil nil true", evaluate(exec_str, "rfsm, rfsm_rtt, fsm ~= nil"))
-  end)
+  it("defines env first, and sets no global of a module's name if env says so",
+    function()
+      launch(chart_file("data = { speed, name },"), exec_str, false, ENV)
+      assert.equal(ENV_VALUES, evaluate(exec_str, ENV_NAMES))
+      assert.equal("3.5", evaluate(exec_str, "fsm.data[1]"))
+      local _, other = load_host("other")
+      launch(chart_file(), other, true, { RFSM_NO_GLOBALS = true })
+      assert.equal("nil nil true", evaluate(other, "rfsm, rfsm_rtt, fsm ~= nil"))
+    end)
 
   it("leaves events to a chart that has a getevents", function()
     launch(chart_file("getevents = function() return mail end,"), exec_str)
-    assert.is_false((pcall(host.getPort, host, "events_in")))
+    assert.is_false(has_port(host, "events_in"))
     exec_str("trigger() mail = { 'e_go' } trigger()")
-    assert.equal("root.b", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.b", leaf_of(exec_str))
   end)
 
   it("has ports of other names as an option", function()
@@ -265,27 +292,16 @@ describe("service_launch_rfsm", function()
       return (refusal(launch, ...):gsub("^rfsm%.rtt%.service_launch_rfsm: ", ""))
     end
 
-    local function nothing_left()
-      assert.is_false((pcall(host.getPort, host, "fqn")))
-      assert.is_false((pcall(host.getPort, host, "events_in")))
-      assert.equal("nil nil", evaluate(exec_str, "fsm, eehook"))
-    end
-
-    local ARGUMENTS = { -- file, exec_str, eehook, text
-      { nil, print, true, "fsmfile: file name expected, got nil" },
-      { false, nil, true, "exec_str: operation exec_str expected, got nil" },
-      { false, print, "updateHook", "eehook: boolean expected, got string" },
-    }
-    for _, case in ipairs(ARGUMENTS) do
-      it(case[4], function()
-        local file = case[1] == false and chart_file() or case[1]
-        assert.equal(case[4], refused(file, case[2], case[3]))
-      end)
-    end
-
-    it("an option that is unknown", function()
-      assert.equal("unknown field 'runs'",
-        refused(chart_file(), print, true, nil, { runs = true }))
+    it("wrong arguments", function()
+      local chart = chart_file()
+      for text, arguments in pairs { -- any order: each stands alone
+        ["fsmfile: file name expected, got nil"] = { nil, print, true },
+        ["exec_str: operation exec_str expected, got nil"] = { chart, nil, true },
+        ["eehook: boolean expected, got string"] = { chart, print, "updateHook" },
+        ["unknown field 'runs'"] = { chart, print, true, nil, { runs = true } },
+      } do
+        assert.equal(text, refused(unpack(arguments, 1, 5)))
+      end
     end)
 
     it("a file that is not there, or no Lua", function()
@@ -294,22 +310,13 @@ describe("service_launch_rfsm", function()
       assert.matches("^fsmfile: [^\n]*:1: ", refused(file_with("return {"), exec_str))
     end)
 
-    for _, case in ipairs(WRONG_ENVS) do
-      it("a wrong env: " .. case[2], function()
-        assert.equal(case[2], refused(chart_file(), exec_str, true, case[1]))
+    refuses_all(function(env) return refused(chart_file(), exec_str, true, env) end,
+      function(file)
+        local reason = refused(file, exec_str, true)
+        assert.is_false(has_port(host, "fqn") or has_port(host, "events_in"))
+        assert.equal("nil nil", evaluate(exec_str, "fsm, eehook"))
+        return reason
       end)
-    end
-
-    for _, case in ipairs(WRONG_CHARTS) do
-      it("a chart that " .. case[1], function()
-        assert.equal("RTT's log has the reason",
-          refused(file_with(case[2]), exec_str, true))
-        assert.is_true(#logged(case[3]) > 0)
-        rtt.logl("Error", "the log goes on")
-        assert.equal(1, #logged("the log goes on"))
-        nothing_left()
-      end)
-    end
 
     it("a port name that is in use, and leaves that port connected", function()
       local own = rtt.InputPort.new("string", "events_in")
@@ -318,7 +325,7 @@ describe("service_launch_rfsm", function()
       refused(chart_file(), exec_str, true, nil, { ev_inport = true })
       assert.equal(1, #logged("'host' has a port 'events_in' already"))
       assert.is_true(out:info().connected)
-      assert.is_false((pcall(host.getPort, host, "fqn")))
+      assert.is_false(has_port(host, "fqn"))
     end)
 
     it("a second machine in one service, and leaves the first alone", function()
@@ -329,8 +336,7 @@ describe("service_launch_rfsm", function()
     end)
 
     it("an operation that fails, or raises", function()
-      assert.equal("RTT's log has the reason",
-        refused(chart_file(), function() return false end))
+      assert.equal(LOGGED, refused(chart_file(), function() return false end))
       assert.equal("no connection",
         refused(chart_file(), function() error("no connection", 0) end))
     end)
@@ -340,12 +346,17 @@ end)
 -- Components -------------------------------------------------------------------
 
 describe("component_launch_rfsm", function()
-  -- Launches with these fields and the usual ones; returns exec_str, too.
-  local function launched(fields)
-    local args = { name = "arm", deployer = rtt_helper.deployer() }
+  -- The usual fields of a launch, and these.
+  local function launch_fields(fields)
+    local args = { name = "arm", fsmfile = false }
     for key, value in pairs(fields or {}) do args[key] = value end -- any order: a set
     args.fsmfile = args.fsmfile or chart_file()
-    local component = rfsm_rtt.component_launch_rfsm(args)
+    return args
+  end
+
+  -- Launches; returns exec_str, too.
+  local function launched(fields)
+    local component = rfsm_rtt.component_launch_rfsm(launch_fields(fields))
     return component, component:getOperation("exec_str")
   end
 
@@ -355,14 +366,22 @@ describe("component_launch_rfsm", function()
     spin()
   end
 
+  -- Launches and starts; returns ports to and from the machine, component and exec_str.
+  local function started(fields, port)
+    local arm, exec_str = launched(fields)
+    local events, names = feed("arm." .. (port or "events_in")), listen("arm.fqn")
+    start(arm)
+    return events, names, arm, exec_str
+  end
+
   it("loads a component with the machine, not configured, the deployer its peer",
     function()
       local arm, exec_str = launched()
       assert.equal("PreOperational", arm:getState())
       assert.same({ "Deployer" }, arm:getPeers())
-      assert.equal("false true", evaluate(exec_str,
-        "rfsm.get_actleaf_fqn(fsm), rttlib ~= nil"))
-      assert.same({ "<none>" }, samples(listen("arm.fqn")))
+      assert.equal("false true", leaf_of(exec_str) .. " "
+        .. evaluate(exec_str, "rttlib ~= nil"))
+      check_leaves("<none>", listen("arm.fqn"))
     end)
 
   it("runs nothing twice when it is configured then", function()
@@ -370,21 +389,18 @@ describe("component_launch_rfsm", function()
       prestr = "n = (n or 0) + 1 "
         .. "function configureHook() m = (m or 0) + 1 return true end",
     }
-    evaluate(exec_str, "fsm")
     assert.is_true(arm:configure())
     assert.equal("1 1", evaluate(exec_str, "n, m"))
     assert.same({}, logged("already in use"))
   end)
 
   it("enters the machine when it is started, and runs it at an event", function()
-    local arm = launched()
-    local events, names = feed("arm.events_in"), listen("arm.fqn")
-    start(arm)
+    local events, names = started()
     events:write("e_go")
     spin()
     write_all(events, "e_back", "e_none")
     spin()
-    assert.same({ "<none>", "root.a", "root.b", "root.a" }, samples(names))
+    check_leaves("<none> a b a", names)
   end)
 
   it("runs until nothing is left to do; with sync an update is a step", function()
@@ -393,41 +409,33 @@ describe("component_launch_rfsm", function()
       sync = true }
     start(arm)
     start(leg)
-    assert.equal("root.c", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
-    assert.equal("root.a", evaluate(exec_leg, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.c root.a", leaf_of(exec_str) .. " " .. leaf_of(exec_leg))
     leg:getOperation("trigger")()
     spin()
-    assert.equal("root.b", evaluate(exec_leg, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.b", leaf_of(exec_leg))
   end)
 
   it("lets time events pass on RTT's clock", function()
     local arm, exec_str = launched {
       prestr = "require('rfsm_timeevent').set_gettime_hook(rtt.getTime)",
-      fsmfile = file_with [[
-return rfsm.state {
-  a = rfsm.state {}, b = rfsm.state {},
-  rfsm.trans { src = "initial", tgt = "a" },
-  rfsm.trans { src = "a", tgt = "b", events = { "e_after(0.2)" } },
-}]] }
+      fsmfile = file_with((THREE:gsub("e_done", "e_after(0.2)", 1))),
+    }
     deploy("setActivity", "arm", 0.01, 0, 0)
     start(arm)
     advance(0.1)
-    assert.equal("root.a", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.a", leaf_of(exec_str))
     advance(0.2)
-    assert.equal("root.b", evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"))
+    assert.equal("root.c", leaf_of(exec_str))
   end)
 
   it("works in a TLSF component, and has its collector run in time", function()
-    local arm, exec_str = launched { luatype = "OCL::LuaTLSFComponent" }
-    local events, names = feed("arm.events_in"), listen("arm.fqn")
-    start(arm)
+    local events, names, _, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
     events:write("e_go")
     spin()
-    assert.same({ "<none>", "root.a", "root.b" }, samples(names))
+    check_leaves("<none> a b", names)
     assert.equal("table", evaluate(exec_str, "type(tlsf)"))
     if _VERSION == "Lua 5.5" then return end -- it has other parameters
-    assert.equal("true",
-      evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
+    assert.equal("true", evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
   end)
 
   it("keeps what nobody needs any more out of memory", function()
@@ -437,53 +445,41 @@ return rfsm.state {
   end)
 
   describe("with ev_inport", function()
-    local function has(component, name)
-      return (pcall(component.getPort, component, name))
-    end
-
-    it("as a name reads events from a port of that name", function()
-      local arm = launched { ev_inport = "commands" }
-      local events, names = feed("arm.commands"), listen("arm.fqn")
-      start(arm)
-      events:write("e_go")
-      spin()
-      assert.same({ "<none>", "root.a", "root.b" }, samples(names))
-    end)
+    it("as a name reads events from a port of that name, and from extra_in_ports",
+      function()
+        for _, port in ipairs { "commands", "alarms" } do
+          local events, names = started({ ev_inport = "commands", prestr = [[
+local port = rtt.InputPort("string", "alarms")
+rtt.getTC():addEventPort(port)
+extra_in_ports = { port }]] }, port)
+          events:write("e_go")
+          spin()
+          check_leaves("<none> a b", names)
+          rtt_helper.reset()
+        end
+      end)
 
     it("false has no port for events", function()
-      assert.is_false(has(launched { ev_inport = false }, "events_in"))
+      assert.is_false(has_port(launched { ev_inport = false }, "events_in"))
     end)
 
     it("not given leaves events to a chart with a getevents, or to a port of that name",
       function()
         local arm = launched { fsmfile = chart_file "getevents = function() end," }
-        assert.is_false(has(arm, "events_in"))
+        assert.is_false(has_port(arm, "events_in"))
         local leg = launched { name = "leg",
           prestr = "rtt.getTC():addPort(rtt.OutputPort('int', 'events_in'))" }
         assert.equal("int", leg:getPort("events_in"):info().type)
       end)
-
-    it("reads the ports in extra_in_ports as well", function()
-      local arm = launched { ev_inport = true, prestr = [[
-local port = rtt.InputPort("string", "alarms")
-rtt.getTC():addEventPort(port)
-extra_in_ports = { port }]] }
-      local alarms, names = feed("arm.alarms"), listen("arm.fqn")
-      start(arm)
-      alarms:write("e_go")
-      spin()
-      assert.same({ "<none>", "root.a", "root.b" }, samples(names))
-    end)
   end)
 
   it("has a port and emit_event for events of the machine with ev_outport", function()
-    local arm, exec_str = launched { ev_outport = true }
+    local _, exec_str = launched { ev_outport = true }
     local out = listen("arm.events_out")
     exec_str("emit_event('e_a', 'e_b')")
     assert.same({ "e_a", "e_b" }, samples(out))
     assert.is_false(exec_str("emit_event({})"))
     assert.equal(1, #logged("string expected, got table"))
-    assert.equal("arm", arm:getName())
   end)
 
   it("runs env, prefile, prestr, the chart, postfile, poststr in turn", function()
@@ -496,62 +492,53 @@ extra_in_ports = { port }]] }
     assert.equal("env prefile prestr postfile poststr", evaluate(exec_str, "words"))
   end)
 
-  it("defines env as values, lists among them", function()
-    local _, exec_str = launched { env = ENV }
+  it("defines env as values, lists among them, and touches no global here", function()
+    local _, exec_str = launched { env = ENV, ev_outport = true }
     assert.equal(ENV_VALUES, evaluate(exec_str, ENV_NAMES))
-  end)
-
-  it("finds the deployer itself, or by the name of a peer", function()
-    local args = { name = "arm", fsmfile = chart_file() }
-    assert.equal("arm", rfsm_rtt.component_launch_rfsm(args):getName())
-    args.name, args.deployer = "leg", "Deployer"
-    assert.equal("leg", rfsm_rtt.component_launch_rfsm(args):getName())
-  end)
-
-  it("touches no global here", function()
-    launched { env = { speed = 3 }, ev_outport = true }
     for _, name in ipairs { "fsm", "updateHook", "trigger", "fqn", "speed" } do
       assert.is_nil(rawget(_G, name))
     end
   end)
 
+  it("finds the deployer itself, by the name of a peer, or as such", function()
+    for name, deployer in pairs { arm = false, leg = "Deployer",
+      foot = rtt_helper.deployer() } do -- any order: each stands alone
+      assert.equal(name, launched { name = name, deployer = deployer or nil }:getName())
+    end
+  end)
+
   it("logs what a printer raises, and goes on", function()
-    local arm, exec_str = launched()
-    local events, names = feed("arm.events_in"), listen("arm.fqn")
-    start(arm)
+    local events, names, _, exec_str = started()
     exec_str("fsm.dbg = function() error({}) end")
     events:write("e_go")
     spin()
     assert.equal(1, #logged("Error: rfsm.rtt: table"))
-    assert.same({ "<none>", "root.a", "root.b" }, samples(names))
+    check_leaves("<none> a b", names)
   end)
 
   it("goes on where it was when it is stopped and started", function()
-    local arm = launched()
-    local events, names = feed("arm.events_in"), listen("arm.fqn")
-    start(arm)
+    local events, names, arm = started()
     arm:stop()
     events:write("e_go")
     spin()
-    assert.same({ "<none>", "root.a" }, samples(names))
+    check_leaves("<none> a", names)
     assert.is_true(arm:start())
     spin()
-    assert.same({ "root.b" }, samples(names))
+    check_leaves("b", names)
   end)
 
   it("bears a clean-up of its ports by rttlib", function()
-    local arm = launched {
+    local _, _, arm = started {
       poststr = "function cleanupHook() rttlib.tc_cleanup() end",
     }
-    start(arm)
     arm:stop()
     assert.is_true(arm:cleanup())
     assert.same({}, arm:getPortNames())
   end)
 
   it("can be unloaded, and its name used again", function()
-    start(launched())
-    rtt_helper.deployer():getPeer("arm"):stop()
+    local _, _, arm = started()
+    arm:stop()
     assert.is_true(deploy("unloadComponent", "arm"))
     assert.equal("PreOperational", launched():getState())
   end)
@@ -565,64 +552,41 @@ extra_in_ports = { port }]] }
       return (text:gsub("^rfsm%.rtt%.component_launch_rfsm: ", ""))
     end
 
-    local function refused_with(fields)
-      local args = { name = "arm", fsmfile = chart_file() }
-      for key, value in pairs(fields) do args[key] = value end -- any order: a set
-      return refused(args)
-    end
+    local function refused_with(fields) return refused(launch_fields(fields)) end
 
-    it("what is no table", function()
+    it("what is no table, and fields that are missing", function()
       assert.equal("table expected, got nil", refused(nil))
       assert.equal("table expected, got string", refused("arm"))
-    end)
-
-    it("fields that are missing", function()
       assert.equal("fsmfile: file name expected, got nil", refused {})
       assert.equal("name: string expected, got nil", refused { fsmfile = chart_file() })
     end)
 
-    local WRONG = {
-      { { name = 3 }, "name: string expected, got number" },
-      { { fsm_file = "x" }, "unknown field 'fsm_file'" },
-      { { "arm" }, "unknown field '1'" },
-      { { luatype = true }, "luatype: string expected, got boolean" },
-      { { sync = "yes" }, "sync: boolean expected, got string" },
-      { { prefile = 1 }, "prefile: file name expected, got number" },
-    }
-    for _, case in ipairs(WRONG) do
-      it("a wrong field: " .. case[2], function()
-        assert.equal(case[2], refused_with(case[1]))
-      end)
-    end
+    it("wrong fields", function()
+      for text, fields in pairs { -- any order: each stands alone
+        ["name: string expected, got number"] = { name = 3 },
+        ["unknown field 'fsm_file'"] = { fsm_file = "x" },
+        ["unknown field '1'"] = { "arm" },
+        ["luatype: string expected, got boolean"] = { luatype = true },
+        ["sync: boolean expected, got string"] = { sync = "yes" },
+        ["prefile: file name expected, got number"] = { prefile = 1 },
+      } do
+        assert.equal(text, refused_with(fields))
+      end
+    end)
 
-    for _, name in ipairs { "fsmfile", "prefile", "postfile" } do
-      it(name .. " that is not there", function()
+    it("files that are not there, and texts that raise", function()
+      for _, name in ipairs { "fsmfile", "prefile", "postfile" } do
         assert.matches("^" .. name .. ": cannot open '?/nowhere/x.lua",
           refused_with { [name] = "/nowhere/x.lua" })
-      end)
-    end
+      end
+      for i, name in ipairs { "prestr", "poststr" } do
+        assert.equal(LOGGED, refused_with { [name] = "error('no gripper', 0)" })
+        assert.equal(i, #logged("no gripper"))
+      end
+    end)
 
-    for _, case in ipairs(WRONG_ENVS) do
-      it("a wrong env: " .. case[2], function()
-        assert.equal(case[2], refused_with { env = case[1] })
-      end)
-    end
-
-    for _, case in ipairs(WRONG_CHARTS) do
-      it("a chart that " .. case[1], function()
-        assert.equal("RTT's log has the reason",
-          refused_with { fsmfile = file_with(case[2]) })
-        assert.is_true(#logged(case[3]) > 0)
-      end)
-    end
-
-    for _, name in ipairs { "prestr", "poststr" } do
-      it(name .. " that raises", function()
-        assert.equal("RTT's log has the reason",
-          refused_with { [name] = "error('no gripper', 0)" })
-        assert.equal(1, #logged("no gripper"))
-      end)
-    end
+    refuses_all(function(env) return refused_with { env = env } end,
+      function(file) return refused_with { fsmfile = file } end)
 
     it("a port name that is in use", function()
       refused_with { ev_inport = true,
@@ -632,34 +596,28 @@ extra_in_ports = { port }]] }
 
     it("a name that a component has, and leaves that one alone", function()
       local arm = launched()
-      assert.equal("RTT's log has the reason", refused_with {})
+      assert.equal(LOGGED, refused_with {})
       assert.same({ "arm" }, rtt_helper.loaded())
       assert.is_true(arm:configure())
     end)
 
-    it("a type that the deployer does not know, or without Lua", function()
-      assert.equal("RTT's log has the reason", refused_with { luatype = "OCL::Lua" })
+    it("a type that the deployer does not know, or without Lua; no deployer", function()
+      assert.equal(LOGGED, refused_with { luatype = "OCL::Lua" })
       assert.matches("has no operation exec_str",
         refused_with { luatype = "OCL::HelloWorld" })
-    end)
-
-    it("a deployer that is none", function()
       assert.matches("no peer nobody", refused_with { deployer = "nobody" })
       assert.matches("getOperation", refused_with { deployer = {} })
     end)
   end)
 end)
 
-describe("a Lua without RTT", function()
-  it("is refused", function()
-    package.loaded.rtt = nil
-    local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
-    local text = refusal(rfsm_rtt.service_launch_rfsm, chart_file(),
-      function(code) assert(load_text(code))() end)
-    package.loaded.rtt = rtt
-    assert.matches("no module 'rtt' in this Lua", text)
-    assert.is_nil(rawget(_G, "fsm"))
+it("a Lua without RTT is refused", function()
+  local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
+  helper.with(package.loaded, { rtt = false }, function()
+    assert.matches("no module 'rtt' in this Lua", refusal(rfsm_rtt.service_launch_rfsm,
+      chart_file(), function(code) assert(load_text(code))() end))
   end)
+  assert.is_nil(rawget(_G, "fsm"))
 end)
 
 describe("examples/hosts/rtt_host.lua #standin", function()

@@ -185,7 +185,7 @@ end)
 describe("entry and exit", function()
   local ENTERED = { "right entry root", "right entry a", "left entry root",
     "left entry a" }
-  local LEFT = { "right exit a", "right exit root", "left exit a", "left exit root" }
+  local LEFT = { "right exit b", "right exit root", "left exit b", "left exit root" }
 
   it("are the user's around one step, and the end, of each region in order", function()
     local trace = {}
@@ -196,7 +196,7 @@ describe("entry and exit", function()
     assert.same({ "entry root.par", unpack(ENTERED) }, trace)
     rfsm.run(fsm)
     run(fsm, "e_x")
-    run(fsm, "e_x")
+    rfsm.run(fsm)
     helper.clear(trace)
     run(fsm, "e_leave")
     LEFT[5] = "exit root.par"

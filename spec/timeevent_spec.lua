@@ -213,30 +213,30 @@ describe("many timers", function()
     assert.same(expected, fired)
   end)
 
-  it("of a millisecond each, 20,000 in a row, drift by nothing", function()
+  it("of a millisecond each, 5,000 in a row, drift by nothing", function()
     local model, count = chart { "e_x" }, 0
     model[4] = another("a", "a", "e_after(0.001)",
       { effect = function() count = count + 1 end })
     local fsm = started(model)
-    for _ = 1, 20000 do
+    for _ = 1, 5000 do
       advance(0, 1000000)
       rfsm.step(fsm)
       advance(0, 1)
       rfsm.step(fsm, 2)
     end
-    assert.same({ 20000, { 1020, 20000 } }, { count, now })
+    assert.same({ 5000, { 1005, 5000 } }, { count, now })
   end)
 
-  it("spread over a day fire each at its millisecond, 1,000 of them", function()
-    local model = chart { "e_x" }
-    for i = 1, 1000 do
+  it("spread over a day fire each at its millisecond, 350 of them", function()
+    local model, STEP = chart { "e_x" }, 246857 -- ms
+    for i = 1, 350 do
       model[i + 3] = another("a", "a", ("e_after(%d.%03d)"):format(
-        math.floor(i * 86400 / 1000), i * 86400 % 1000), { guard = closed })
+        math.floor(i * STEP / 1000), i * STEP % 1000), { guard = closed })
     end
     local fsm, late = started(model), 0
     local fired = said(fsm, "dbg", "TIMEEVENT")
-    for i = 1, 1000 do
-      now = { 1000 + math.floor(i * 86400 / 1000), (i * 86400) % 1000 * 1000000 }
+    for i = 1, 350 do
+      now = { 1000 + math.floor(i * STEP / 1000), i * STEP % 1000 * 1000000 }
       rfsm.run(fsm)
       if #fired ~= i - 1 then late = late + 1 end
       run_after(fsm, 0, 1)

@@ -1,6 +1,9 @@
 -- The command line: rfsm check, viz, json, plantuml, dot, mermaid, and the tools of
 -- their own names.
 
+local helper = require "spec.helper"
+
+local content = helper.content
 local lua = arg and arg[-1] or "lua5.1"
 local folder
 
@@ -9,13 +12,6 @@ local function write_file(name, text)
   handle:write(text)
   handle:close()
   return folder .. "/" .. name
-end
-
-local function content(file)
-  local handle = assert(io.open(file, "rb"))
-  local text = handle:read("*a")
-  handle:close()
-  return text
 end
 
 -- Runs a command line that begins with a tool: stdout, stderr and the status.
@@ -28,15 +24,34 @@ local function run(command)
   return out, content(err), tonumber(content(status))
 end
 
-local function fails(command, expected, expected_status)
-  local out, err, status = run(command)
-  assert.same({ "", expected, expected_status or 1 }, { out, err, status })
+-- Runs one; it must print `out`, then `err`, and end with `status`, 0 if none is given.
+local function check(command, out, err, status)
+  assert.same({ out, err or "", status or 0 }, { run(command) })
 end
+
+local function fails(command, err, status) check(command, "", err, status or 1) end
 
 -- The last line only: the usage stands before it.
 local function refuses(command, expected)
   local out, err, status = run(command)
   assert.same({ "", expected, 2 }, { out, err:match("([^\n]*)\n$"), status })
+end
+
+-- It has a help, and status 2 for what it does not know.
+local function has_help(tool, name)
+  refuses(tool .. " --bogus x", "Error: unknown option '--bogus'")
+  local out, _, status = run(tool .. " --help")
+  assert.matches("Usage: " .. name, out)
+  assert.equal(0, status)
+end
+
+-- Runs `f` while the tools run with this in place of the interpreter.
+local function with_lua(text, f)
+  local real = lua
+  lua = text
+  local ok, problem = pcall(f)
+  lua = real
+  if not ok then error(problem, 0) end
 end
 
 local CHART = [[
@@ -84,10 +99,9 @@ for _, writer in ipairs(WRITERS) do
   describe(writer.tool, function()
     it("writes charts one after the other, also to a file", function()
       local one, file = run(tool .. " examples/on_off.lua"), folder .. "/out.dot"
-      local both, err, status = run(tool .. " examples/on_off.lua examples/on_off.lua")
-      assert.same({ one .. one, "", 0 }, { both, err, status })
-      assert.is_falsy(both:find("\n\n", 1, true))
-      assert.equal("", (run(writer.tool .. " examples/on_off.lua -o '" .. file .. "'")))
+      check(tool .. " examples/on_off.lua examples/on_off.lua", one .. one)
+      assert.is_falsy((one .. one):find("\n\n", 1, true))
+      check(writer.tool .. " examples/on_off.lua -o '" .. file .. "'", "")
       assert.equal(one, content(file))
     end)
 
@@ -102,18 +116,14 @@ for _, writer in ipairs(WRITERS) do
     end)
 
     it("tells how to use it, with status 2 if it was not", function()
-      refuses(writer.tool .. " --bogus x", "Error: unknown option '--bogus'")
-      local out, _, status = run(writer.tool .. " --help")
-      assert.matches("Usage: " .. name, out)
-      assert.equal(0, status)
+      has_help(writer.tool, name)
     end)
 
     if not writer.ending then return end
 
     it("writes each chart to a file of its own", function()
       local a, b = write_file("a.lua", CHART), write_file("b.lua", CHART)
-      local out, err, status = run(("%s '%s' '%s'"):format(writer.tool, a, b))
-      assert.same({ "", "", 0 }, { out, err, status })
+      check(("%s '%s' '%s'"):format(writer.tool, a, b), "")
       for _, file in ipairs { a, b } do
         assert.equal((run(tool .. " '" .. file .. "'")),
           content((file:gsub("lua$", writer.ending))))
@@ -137,9 +147,7 @@ describe("the command line", function()
     local expected = run("rfsm-viz '" .. plain .. "'")
     write_file("chart.lua", "print('one', nil, 2) io.write('two\\n') "
       .. "io.stdout:write('three\\n')\n" .. CHART)
-    local out, err = run("rfsm-viz '" .. plain .. "'")
-    assert.equal(expected, out)
-    assert.equal("one\tnil\t2\ntwo\nthree\n", err)
+    check("rfsm-viz '" .. plain .. "'", expected, "one\tnil\t2\ntwo\nthree\n")
   end)
 
   it("is silent about the machines inside a state", function()
@@ -181,45 +189,40 @@ describe("the command line", function()
 
   it("asks for a file, tells its version", function()
     refuses("rfsm-viz", "Error: missing argument 'files'")
-    assert.equal("rfsm 1.0.0\n", (run("rfsm-viz --version")))
+    check("rfsm-viz --version", "rfsm 1.0.0\n")
   end)
 
   it("runs by a symbolic link from anywhere", function()
     local link = folder .. "/link"
     os.execute(("ln -sf \"$PWD/tools/rfsm-viz\" '%s'"):format(link))
-    local pipe = io.popen(("f=$PWD/examples/on_off.lua; cd / && '%s' \"$f\" 2>&1")
-      :format(link))
-    local out = pipe:read("*a")
-    pipe:close()
-    assert.is_truthy(out:find("e_push", 1, true))
+    local lines = helper.lines_of(("f=$PWD/examples/on_off.lua; cd / && '%s' \"$f\" "
+      .. "2>&1"):format(link))
+    assert.is_truthy(table.concat(lines):find("e_push", 1, true))
   end)
 end)
 
 describe("rfsm2json", function()
   it("names the package to install if dkjson is missing", function()
-    local real = lua
-    lua = "'" .. lua .. "' LUA_INIT='package.preload.dkjson = function() error(0) end'"
-    fails("rfsm2json -o - examples/on_off.lua", "rfsm json: examples/on_off.lua: the "
-      .. "package dkjson is missing (on Debian: apt-get install lua-dkjson)\n")
-    lua = real
+    with_lua("'" .. lua .. "' LUA_INIT='package.preload.dkjson = function() error(0) "
+      .. "end'", function()
+      fails("rfsm2json -o - examples/on_off.lua", "rfsm json: examples/on_off.lua: the "
+        .. "package dkjson is missing (on Debian: apt-get install lua-dkjson)\n")
+    end)
   end)
 end)
 
 describe("rfsm-viz", function()
-  local function starts(command, expected)
-    local out, err, status = run("rfsm-viz examples/on_off.lua " .. command)
-    assert.same({ expected, "", 0 }, { out:sub(1, #expected), err, status })
-  end
-
   it("writes each of its formats", function()
-    starts("", 'digraph "on_off" {')
-    starts("-T dot", 'digraph "on_off" {')
-    starts("-T plantuml", "@startuml\ntitle on_off\n")
-    starts("-T mermaid", '---\ntitle: "on_off"\n---\nstateDiagram-v2\n')
-    starts("-T json", '{\n  "version":2')
-    starts("-T svg", "<?xml")
-    starts("-T png", "\137PNG\r\n")
-    starts("-T pdf", "%PDF-1")
+    for format, expected in pairs { -- any order: each stands alone
+      [""] = 'digraph "on_off" {', ["-T dot"] = 'digraph "on_off" {',
+      ["-T plantuml"] = "@startuml\ntitle on_off\n",
+      ["-T mermaid"] = '---\ntitle: "on_off"\n---\nstateDiagram-v2\n',
+      ["-T json"] = '{\n  "version":2',
+      ["-T svg"] = "<?xml", ["-T png"] = "\137PNG\r\n", ["-T pdf"] = "%PDF-1",
+    } do
+      local out, err, status = run("rfsm-viz examples/on_off.lua " .. format)
+      assert.same({ expected, "", 0 }, { out:sub(1, #expected), err, status })
+    end
   end)
 
   it("lists its formats", function()
@@ -233,17 +236,18 @@ describe("rfsm-viz", function()
       puml = "@startuml", mmd = "---\n", json = '{\n  "version":2',
     } do
       local file = folder .. "/chart." .. ending
-      local _, err = run("rfsm-viz examples/on_off.lua -o '" .. file .. "'")
-      assert.equal("", err)
+      check("rfsm-viz examples/on_off.lua -o '" .. file .. "'", "")
       assert.equal(expected, content(file):sub(1, #expected))
     end
   end)
 
-  it("refuses formats that it does not know, with the list", function()
+  it("refuses unknown formats, and several charts in a picture", function()
     refuses("rfsm-viz examples/on_off.lua -T gif", "Error: argument for option '-T' "
       .. "must be one of 'dot', 'svg', 'png', 'pdf', 'plantuml', 'mermaid', 'json'")
     refuses("rfsm-viz examples/on_off.lua -o x.gif", "Error: the ending of 'x.gif' "
       .. "is no format, -T expected (dot, svg, png, pdf, plantuml, mermaid, json)")
+    refuses("rfsm-viz -T svg examples/on_off.lua examples/on_off.lua",
+      "Error: one FILE expected, svg holds one chart, got 2")
   end)
 
   it("draws what is active, some levels, from left to right", function()
@@ -285,31 +289,19 @@ describe("rfsm-viz", function()
     end
   end)
 
-  it("refuses several charts in a picture", function()
-    refuses("rfsm-viz -T svg examples/on_off.lua examples/on_off.lua",
-      "Error: one FILE expected, svg holds one chart, got 2")
-  end)
-
-  it("says what to install when Graphviz is missing", function()
-    local real = lua
-    local path = io.popen("command -v '" .. lua .. "'"):read("*l")
-    local bin = folder .. "/bin"
+  it("says what to install without Graphviz, and what Graphviz says", function()
+    local path, bin = helper.lines_of("command -v '" .. lua .. "'")[1], folder .. "/bin"
     os.execute(("mkdir '%s' && ln -s $(command -v readlink) $(command -v dirname) '%s'")
       :format(bin, bin))
-    lua = path .. " PATH='" .. bin .. "'"
-    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: Graphviz is missing "
-      .. "(on Debian: apt-get install graphviz)\n")
-    lua = real
-  end)
-
-  it("says what Graphviz says", function()
-    write_file("dot", "#!/bin/sh\necho 'out of ink' >&2\nexit 3\n")
-    os.execute("chmod +x '" .. folder .. "/dot'")
-    local real = lua
-    lua = lua .. " PATH='" .. folder .. "':\"$PATH\""
-    fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: dot: out of ink\n")
-    lua = real
-    os.remove(folder .. "/dot")
+    with_lua(path .. " PATH='" .. bin .. "'", function()
+      fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: Graphviz is missing "
+        .. "(on Debian: apt-get install graphviz)\n")
+    end)
+    os.execute("chmod +x '" .. write_file("bin/dot",
+      "#!/bin/sh\necho 'out of ink' >&2\nexit 3\n") .. "'")
+    with_lua(lua .. " PATH='" .. bin .. "':\"$PATH\"", function()
+      fails("rfsm-viz examples/on_off.lua -T svg", "rfsm viz: dot: out of ink\n")
+    end)
   end)
 end)
 
@@ -341,9 +333,9 @@ describe("rfsm-check", function()
     .. "transition without guard and events, of the least pn) [no-default]\n"
 
   it("says ok to a chart without problems", function()
-    assert.equal("examples/on_off.lua: ok\nexamples/seqand.lua: ok\n",
-      (run("rfsm-check examples/on_off.lua examples/seqand.lua")))
-    assert.equal("stdin: ok\n", (run("rfsm-check - <examples/on_off.lua")))
+    check("rfsm-check examples/on_off.lua examples/seqand.lua",
+      "examples/on_off.lua: ok\nexamples/seqand.lua: ok\n")
+    check("rfsm-check - <examples/on_off.lua", "stdin: ok\n")
   end)
 
   it("reports every problem with its line, with status 1", function()
@@ -497,11 +489,9 @@ describe("rfsm-check", function()
   end)
 
   it("tells how to use it, with status 2 if it was not", function()
+    has_help("rfsm-check", "rfsm check")
     refuses("rfsm-check", "Error: missing argument 'files'")
     refuses("rfsm-check -y x",
       "Did you mean one of these: '-a' '-h' '-k' '-o' '-q' '-s' '-v' '-x'?")
-    local out, _, status = run("rfsm-check --help")
-    assert.matches("Usage: rfsm check", out)
-    assert.equal(0, status)
   end)
 end)

@@ -1,7 +1,7 @@
 #!/bin/sh
-# Runs the specs on each interpreter named, two interpreters at a time. A line is printed
-# as each ends, after the output of its failures. The last line is the sum:
-# "N passed, N failed".
+# Runs the specs on each interpreter named, as many spec files at a time as there are
+# cores. A line is printed as an interpreter ends, after the output of its failures. The
+# last line is the sum: "N passed, N failed".
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
 # sees what another has loaded. It is stopped after LIMIT seconds (300).
@@ -15,51 +15,59 @@ command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 # its Python package is missing.
 NEEDS_C='spec/(bench|extensions|project|proto|web)_spec'
 
-# Adds up the closing lines of a log: "passed failed".
-count() {
-  sed -nE 's/^([0-9]+) success[a-z]* \/ ([0-9]+) failures? \/ ([0-9]+) errors? .*/\1 \2 \3/p' \
-    "$1" | awk '{ passed += $1; failed += $2 + $3 } END { print passed + 0, failed + 0 }'
+# Prints a line "LUA FILE" for each spec file that an interpreter can run.
+list_files() { # list_files LUA
+  files=$(ls spec/*_spec.lua)
+  if [ "$1" = tools/lua5.5 ]; then
+    why=$("$1" -e '' 2>&1) || { echo "$1: skipped, $why" >&2; return 0; }
+    files=$(echo "$files" | grep -vE "$NEEDS_C")
+  fi
+  echo "$files" | sed "s|^|$1 |"
 }
 
-run_one() { # run_one LUA LOG
-  lua=$(command -v "$1") || { echo "$1: not installed"; return 1; }
-  files=$(ls spec/*_spec.lua) options=
-  if [ "$1" = tools/lua5.5 ]; then
-    why=$("$1" -e '' 2>&1) || { echo "$1: skipped, $why"; return 0; }
-    files=$(echo "$files" | grep -vE "$NEEDS_C")
-    options="--filter-out=Graphviz --filter-out=misses"
+# Adds up the closing lines of logs: "passed failed".
+count() {
+  cat /dev/null "$@" 2>/dev/null |
+    sed -nE 's/^([0-9]+) success[a-z]* \/ ([0-9]+) failures? \/ ([0-9]+) errors? .*/\1 \2 \3/p' |
+    awk '{ passed += $1; failed += $2 + $3 } END { print passed + 0, failed + 0 }'
+}
+
+# Runs a file; the last one of an interpreter prints the line.
+run_file() { # run_file LOGS LUA FILE
+  logs=$1/$(basename "$2") log=$1/$(basename "$2")/$(basename "$3") options=
+  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=misses"
+  mkdir "$logs/began" 2>/dev/null && date +%s >"$logs/time"
+  if ! $timeout $busted --lua="$(command -v "$2")" $options "$3" >"$log" 2>&1; then
+    grep -qE '^[0-9]+ success' "$log" || {
+      echo "$2: $3 did not end within $limit s, or crashed"
+      echo "0 successes / 0 failures / 1 error / 0 pending"
+    } >>"$log"
+    cat "$log"
   fi
-  began=$(date +%s)
-  : >"$2"
-  for file in $files; do
-    if ! $timeout $busted --lua="$lua" $options "$file" >"$2.one" 2>&1; then
-      grep -qE '^[0-9]+ success' "$2.one" || {
-        echo "$1: $file did not end within $limit s, or crashed"
-        echo "0 successes / 0 failures / 1 error / 0 pending"
-      } >>"$2.one"
-      cat "$2.one"
-    fi
-    cat "$2.one" >>"$2"
-  done
+  mv "$log" "$log.done"
+  # shellcheck disable=SC2012
+  [ "$(ls "$logs" | grep -c '\.done$')" = "$(grep -c . "$logs/files")" ] || return 0
+  mkdir "$logs/ended" 2>/dev/null || return 0
+  time=$(($(date +%s) - $(cat "$logs/time")))
   # shellcheck disable=SC2046
-  set -- "$1" $(count "$2")
-  echo "$1: $2 passed, $3 failed, $(($(date +%s) - began)) s"
+  set -- "$2" $(count "$logs"/*.done)
+  echo "$1: $2 passed, $3 failed, $time s"
 }
 
 if [ "${1:-}" = --one ]; then
-  run_one "$2" "$3/$(basename "$2")"
+  run_file "$2" "$3" "$4"
   exit
 fi
 
 logs=$(mktemp -d)
-trap 'rm -rf "$logs" "$logs.all"' EXIT
-printf '%s\n' "$@" | xargs -P 2 -I '{}' "$0" --one '{}' "$logs" || {
-  echo "an interpreter could not be run"
-  exit 1
-}
-rm -f "$logs"/*.one
-cat /dev/null "$logs"/* >"$logs.all" 2>/dev/null
+trap 'rm -rf "$logs"' EXIT
+for lua in "$@"; do
+  command -v "$lua" >/dev/null || { echo "$lua: not installed" >&2; exit 1; }
+  mkdir "$logs/$(basename "$lua")"
+  list_files "$lua" | tee "$logs/$(basename "$lua")/files"
+done >"$logs/files"
+xargs -P "$(getconf _NPROCESSORS_ONLN || echo 2)" -n 2 "$0" --one "$logs" <"$logs/files"
 # shellcheck disable=SC2046
-set -- $(count "$logs.all")
+set -- $(count "$logs"/*/*.done)
 echo "$1 passed, $2 failed"
 [ "$2" = 0 ] && [ "$1" != 0 ]

@@ -42,7 +42,7 @@ local LEVELS = {
   Info = true, Debug = true, RealTime = true,
 }
 
-local log_is_dead, last_level, pending = false, "Info", ""
+local log_is_dead, pending = false, ""
 
 -- Strings of C end at the first zero.
 local function c_string(value) return (value:gsub("%z.*", "")) end
@@ -73,16 +73,11 @@ end
 -- A bad argument raises when those before it are in the buffer already.
 function rtt.logl(level, ...)
   if not LEVELS[level] then error("unknown loglevel " .. tostring(level), 2) end
-  last_level = level
   for i = 1, select("#", ...) do
     pending = pending .. check_string((select(i, ...)), "logl")
   end
   log(level, "")
 end
-
-function rtt.log(...) rtt.logl(last_level, ...) end
-
-function rtt.setLogLevel() end
 
 -- Types and Variables ---------------------------------------------------------
 
@@ -123,12 +118,8 @@ local WIDE = {
   end),
 }
 
-local STRUCTS = { -- by type: names of members -> their types
-  ConnPolicy = {
-    type = "int", size = "int", lock_policy = "int", init = "bool", pull = "bool",
-    buffer_policy = "int", mandatory = "bool", transport = "int", data_size = "int",
-    name_id = "string",
-  },
+local STRUCTS = { -- by type: names of members -> their types; those that users set
+  ConnPolicy = { type = "int", size = "int", init = "bool", name_id = "string" },
 }
 
 local function default_of(name)
@@ -261,8 +252,7 @@ local DATA, CIRCULAR = 0, 2
 local default_policy -- a Variable
 
 function rtt.globals_get(name)
-  if name == "DefaultConnPolicy" then return default_policy end
-  return name == "ORO_SCHED_OTHER" and 0 or name == "ORO_SCHED_RT" and 1 or nil
+  return name == "DefaultConnPolicy" and default_policy or nil
 end
 
 local function policy_of(var)
@@ -414,7 +404,7 @@ local Property = {}
 Property.__index = Property
 
 rtt.Property = class("Property", function(kind, name, desc)
-  return setmetatable({ type = kind, name = name or "", desc = desc or "",
+  return setmetatable({ type = kind, name = name, desc = desc,
     value = checked_default(kind, "Property.new") }, Property)
 end)
 
@@ -423,10 +413,6 @@ function Property:get() return push(self.type, self.value) end
 function Property:set(value)
   self.value = is_variable(value) and copy_of(rawget(value, 2))
     or from_lua(self.type, value)
-end
-
-function Property:info()
-  return { name = self.name, desc = self.desc, type = self.type }
 end
 
 -- Operations and services -----------------------------------------------------
@@ -479,7 +465,7 @@ local function new_component(name)
   local component = setmetatable({
     name = name, state = "PreOperational", lua = false, is_triggered = false,
     period = 0, due = false,
-    ports = {}, port_names = {}, properties = {}, property_names = {}, peers = {},
+    ports = {}, port_names = {}, properties = {}, peers = {},
     operations = {}, services = {},
     hooks = setmetatable({}, { __mode = "v" }), hook_names = {}, hook_count = 0,
   }, TASK_CONTEXT)
@@ -537,10 +523,7 @@ end
 
 function TaskContext.addProperty(component, property)
   component.properties[property.name] = property
-  table.insert(component.property_names, property.name)
 end
-
-function TaskContext.getPropertyNames(component) return component.property_names end
 
 function TaskContext.addPeer(component, peer)
   component.peers[peer.name] = peer
@@ -698,20 +681,12 @@ local function set_period(component, period)
   return true
 end
 
--- A component with the operations that each one has.
+-- A component with the operation that each one has.
 local function new_engine(name)
   local component = new_component(name)
   add_operation(component, "trigger", 0, function()
-    if component.period > 0 then return false end
-    component.is_triggered = true
-    return true
-  end)
-  add_operation(component, "update", 0, function() return false end)
-  add_operation(component, "isRunning", 0, function()
-    return component.state == "Running"
-  end)
-  add_operation(component, "setPeriod", 1, function(period)
-    return set_period(component, period)
+    component.is_triggered = component.period == 0
+    return component.is_triggered
   end)
   return component
 end
@@ -837,8 +812,6 @@ end
 
 local DEPLOYER = {} -- its operations
 
-function DEPLOYER.import(_, _) return true end
-
 function DEPLOYER.loadComponent(deployer, name, kind)
   if deployer.peers[name] then
     return refuse("Failed to load component with name " .. name
@@ -900,8 +873,7 @@ function DEPLOYER.connect(deployer, from, to, policy)
 end
 
 local ARITY = {
-  import = 1, loadComponent = 2, unloadComponent = 1, loadService = 2, setActivity = 4,
-  connect = 3,
+  loadComponent = 2, unloadComponent = 1, loadService = 2, setActivity = 4, connect = 3,
 }
 
 local function new_deployer()
@@ -924,7 +896,7 @@ function rtt.getTC() return main end
 --- Starts again: a process with a deployer and nothing else.
 function standin.reset()
   now, components = 0, {}
-  standin.log, log_is_dead, last_level, pending = {}, false, "Info", ""
+  standin.log, log_is_dead, pending = {}, false, ""
   current = { has_rttlib = false, globals = { rtt = rtt, package = package } }
   default_policy = new_variable("ConnPolicy", default_of("ConnPolicy"))
   main = new_component("lua")

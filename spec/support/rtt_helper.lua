@@ -8,8 +8,6 @@ local rtt = real or require "spec.support.rtt"
 
 package.loaded.rtt = rtt
 
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-
 local standin = rtt.standin
 
 local rtt_helper = { rtt = rtt, is_standin = standin ~= nil }
@@ -185,33 +183,19 @@ end
 -- How many Variables a call makes.
 function rtt_helper.counting_variables(f)
   local count = 0
-  rtt.Variable.new = function(...)
+  helper.with(rtt.Variable, { new = function(...)
     count = count + 1
     return Variable(...)
-  end
-  local ok, problem = pcall(f)
-  rtt.Variable.new = Variable
-  if not ok then error(problem, 0) end
+  end }, f)
   return count
 end
 
 -- Charts and calls ------------------------------------------------------------------
 
--- Text of the error that f raises, which must blame its caller: this file.
-function rtt_helper.refusal(f, ...)
-  local arguments, n = { ... }, select("#", ...)
-  local ok, problem = pcall(function() f(unpack(arguments, 1, n)) end)
-  if ok then return "accepted" end
-  local text = tostring(problem):match("^[^:\n]*rtt_helper%.lua:%d+: (.*)$")
-  return text or "blames another: " .. tostring(problem)
-end
-
-rtt_helper.file_with = helper.file_with
-
 -- The file of a chart, with more fields of the root:
 -- (initial) -> a --e_go--> b --e_back--> a
 function rtt_helper.chart_file(fields)
-  return rtt_helper.file_with([[
+  return helper.file_with([[
 local rfsm = require "rfsm"
 return rfsm.state {
   ]] .. (fields or "") .. [[
