@@ -78,19 +78,17 @@ $(LUAS:%=examples-with-%): examples-with-%:
 
 examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 
-transcript:             ## run the sessions in README.md and doc/sim.md again, with LUA
-	@for f in README.md doc/sim.md; do \
-	  $(LUA) tools/transcript.lua $$f > $$f.new && mv $$f.new $$f || exit 1; \
-	done
+transcript:             ## run the sessions in doc/sim.md again, with LUA
+	$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
 
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc
 	ldoc -c doc/config.ld --fatalwarnings -q .
 
-# lamp.lua is the chart of the README: its first block of Lua, up to where it runs.
+# lamp.lua is the chart of the README
 gallery:                ## doc/gallery/: pictures of the examples and of larger charts
 	@set -e; trap 'rm -f lamp.lua' EXIT; \
-	sed -n '/^```lua/,/^rfsm.run/p' README.md | sed '1d; $$s/.*/return fsm/' > lamp.lua; \
+	sed -n '/^-- lamp.lua/,/^```$$/p' README.md | sed '$$d' > lamp.lua; \
 	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
 	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
 	done

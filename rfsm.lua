@@ -20,7 +20,10 @@ local concat, sort = table.concat, table.sort
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
-local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
+---@class rfsm
+---@field seqand fun(t: table): rfsm.State
+---@field pp table the module rfsmpp
+local rfsm = { _VERSION = "rfsm 1.0.0" }
 
 -- Model elements: constructors, predicates, order -----------------------------
 
@@ -30,47 +33,56 @@ local rfsm = { _VERSION = "rfsm 1.0.0", yield = coroutine.yield }
 -- coroutine; a true value that it yields means that it is idle.
 --
 ---@class rfsm.State
----@field entry? fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
----@field exit? fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
----@field doo? fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
+---@field entry? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
+---@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
+---@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
 ---@field final? boolean a leaf that is meant to be the end
+---@field getevents? false|fun(fsm: rfsm.Machine): any[]? this and the rest: root only
+---@field dbg? boolean|fun(id: string, ...)
+---@field info? boolean|fun(...)
+---@field warn? boolean|fun(...)
+---@field err? boolean|fun(...)
+---@field idle_hook? false|fun(fsm: rfsm.Machine) called instead of returning when idle
+---@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
+---@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field [string|integer] any
+
 local State = { rfsm = "state" }
 
---- An edge from one state or connector to another.
----@class rfsm.Transition
+--- An edge from one state or connector to another, as the user writes it.
+---@class rfsm.Edge
 ---@field src string|rfsm.State|rfsm.Connector source; a node after init
 ---@field tgt string|rfsm.State|rfsm.Connector target; a node after init
----@field events? any[]|string any one of them triggers; none: any event does
----@field guard? fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
----@field effect? fun(fsm: rfsm.Machine, tr: rfsm.Transition, what: string, list: any[])
+---@field events? false|any[]|string any one of them triggers; none: any event does
+---@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
+---@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])
 ---@field pn? number priority among the transitions of a node, larger first (0)
----@field _fsm rfsm.Machine the machine, after init
+---@field [string] any
+
+--- The same in a machine.
+---@class rfsm.Transition : rfsm.Edge
+---@field _fsm rfsm.Machine
+
 local Transition = { rfsm = "transition" }
 
 --- A point where transitions meet; never active.
 ---@class rfsm.Connector
+---@field [string] any
+
 local Connector = { rfsm = "connector" }
 
 --- A model made ready to run by `rfsm.init`; the root state of its own tree.
 ---@class rfsm.Machine : rfsm.State
----@field getevents fun(): any[]? asked for new events in each iteration
----@field dbg fun(id: string, ...) trace records
----@field info fun(...)
----@field warn fun(...)
----@field err fun(...)
----@field idle_hook? fun(fsm: rfsm.Machine) called instead of returning when idle
----@field pre_step_hook? fun(fsm: rfsm.Machine, events: any[])
----@field post_step_hook? fun(fsm: rfsm.Machine, events: any[])
 ---@field _act_leaf rfsm.State|false the innermost active state
 ---@field _intq any[] events that wait for the next iteration
 ---@field _curq any[] events of the running iteration
+
 local Machine = { rfsm = "state" }
 
 local KINDS = { state = "state", transition = "transition", connector = "connector" }
 
--- Returns the kind of a model element, nil for anything else. A table of somebody
--- else's counts if its metatable has a true `rfsm` and its method `type` names a kind.
+-- Returns the kind of a model element, nil for any other value. A table of another
+-- library counts if its metatable has a true `rfsm` and its method `type` names a kind.
 local function kind_of(value)
   local class = getmetatable(value)
   local mark = type(class) == "table" and rawget(class, "rfsm")
@@ -79,6 +91,18 @@ local function kind_of(value)
   local ok, kind = pcall(function() return KINDS[value:type()] end)
   return ok and kind or nil
 end
+
+---@class rfsm.StateConstructor
+---@field new fun(self: any, t: rfsm.State): rfsm.State
+---@overload fun(t: rfsm.State): rfsm.State
+
+---@class rfsm.TransitionConstructor
+---@field new fun(self: any, t: rfsm.Edge): rfsm.Transition
+---@overload fun(t: rfsm.Edge): rfsm.Transition
+
+---@class rfsm.ConnectorConstructor
+---@field new fun(self: any, t: table): rfsm.Connector
+---@overload fun(t: table): rfsm.Connector
 
 -- Where the tables of a model were made: table -> "file:line".
 local made_at = setmetatable({}, { __mode = "k" })
@@ -138,26 +162,24 @@ end
 -- @usage
 --    local on = rfsm.state { entry = function() lamp(true) end }
 --
----@param t table fields, substates by name, transitions at 1, 2, ...
----@return rfsm.State state the same table
----@overload fun(t: table): rfsm.State
+---@type rfsm.StateConstructor
 rfsm.state = define(State, "state")
 rfsm.sista, rfsm.csta = rfsm.state, rfsm.state
 rfsm.simple_state, rfsm.composite_state = rfsm.state, rfsm.state
 
 --- Mark a table as a transition; `transition` is the same function.
----@param t table
----@return rfsm.Transition transition the same table
----@overload fun(t: table): rfsm.Transition
+---@type rfsm.TransitionConstructor
 rfsm.trans = define(Transition, "trans")
 rfsm.transition = rfsm.trans
 
 --- Mark a table as a connector; `connector` is the same function.
----@param t table
----@return rfsm.Connector connector the same table
----@overload fun(t: table): rfsm.Connector
+---@type rfsm.ConnectorConstructor
 rfsm.conn = define(Connector, "conn")
 rfsm.connector = rfsm.conn
+
+--- Suspend a doo until the next doo cycle; a true value means idle.
+---@type fun(idle?: boolean): rfsm.Machine, rfsm.State, "doo"
+rfsm.yield = coroutine.yield
 
 --- Is `key` one of the engine's own (a leading underscore)?
 ---@param key any
@@ -360,27 +382,27 @@ end
 -- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
 -- never raises. They come in the order of the walk; `init` sorts them by location.
 
---- What one `init` or `fsm_merge` works on. A plan is what machines of a model share.
+--- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
 ---@class rfsm.Build
----@field plan rfsm.Plan what is being built
+---@field plan rfsm.Plan the result
 ---@field problems { at: string, file?: string, text: string }[]
 ---@field warnings { at: string, file?: string, text: string }[]
----@field created rfsm.Def[] `initial` connectors that nobody declared
+---@field created rfsm.Def[] `initial` connectors that are not declared
 ---@field mounts table<table, rfsm.Def[]> model node -> its clones
 
---- The definition of a node or transition: what is known of it before anything runs.
+--- The definition of a node or transition: all that is known before a machine runs.
 --
--- The machines of a model share it. In a machine the element's own table holds what is
--- the machine's own, and inherits the rest from `proto`.
+-- The machines of a model share it. The table of an element in a machine holds the
+-- fields of that machine, and inherits the rest from `proto`.
 --
 ---@class rfsm.Def
 ---@field kind "state"|"transition"|"connector"
 ---@field index integer its position among the nodes or transitions of the plan
 ---@field id string|integer
----@field parent rfsm.Def the composite in which it stands; the root is its own
----@field model table what it was made of
+---@field parent rfsm.Def its composite; the root is its own
+---@field model table its source in the model
 ---@field data any[] callbacks and the user's data: key, value, key, value ...
----@field proto table metatable of the elements, and what they inherit
+---@field proto table metatable of the elements
 ---@field fqn string of a node
 ---@field is_leaf boolean of a state
 ---@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
@@ -396,7 +418,8 @@ local function find_module(name)
   end
 end
 
--- Returns what rfsm/advice.lua has to say on a topic, nothing where it is missing.
+-- Returns the hint of rfsm/advice.lua on a topic, an empty text if there is no such
+-- file.
 local is_advised = true
 
 local function advise(topic, ...)
@@ -427,7 +450,7 @@ local function add(list, def, field, text, ...)
   }
 end
 
--- Describes a value that is not what was expected.
+-- Describes an unexpected value.
 local function got(value)
   local kind = kind_of(value) or type(value)
   if kind == "string" then return "got string '" .. value .. "'" end
@@ -558,8 +581,8 @@ do
     end
   end
 
-  -- Returns the fields of a model element; those of an heir with what it inherits,
-  -- which is callbacks and data, no nodes and transitions.
+  -- Returns the fields of a model element. An heir inherits callbacks and data, no
+  -- nodes and transitions.
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
@@ -597,7 +620,7 @@ do
     return def
   end
 
-  -- True when the model of `def` is already open above it: the walk would never end.
+  -- Is the model of `def` also the model of an ancestor? The walk would never end.
   local function is_inside_itself(def)
     local above = def
     while above.parent ~= above do
@@ -859,8 +882,8 @@ do
     resolve_e_done(build, def)
   end
 
-  -- Resolves the transitions from number `first` on. One inside a leaf whose references
-  -- lead nowhere is dropped.
+  -- Resolves the transitions from number `first` on. Inside a leaf, one with a wrong
+  -- reference is dropped.
   function resolve(build, first)
     local transitions, kept = build.plan.transitions, first - 1
     for i = first, #transitions do create_initial(build, transitions[i]) end
@@ -878,16 +901,16 @@ end
 
 -- Compile: the structure becomes lists, shared by all machines of the model ------
 --
--- At init that is only which transitions leave a node. The rest is made when a leaf is
--- searched, a transition taken for the first time, so that what never runs takes
--- neither time nor memory. Callbacks are not compiled: each is read where it is called.
+-- At init only the transitions of each node are listed. The rest is made when a leaf is
+-- searched or a transition is taken for the first time, so that unused parts take
+-- neither time nor memory. Callbacks are not compiled: each is read when it is called.
 
---- What machines of a model share.
+--- The structure that machines of a model share.
 ---@class rfsm.Plan
----@field model rfsm.State what it was made of
+---@field model rfsm.State its source
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
----@field events table<any, true> those that transitions name
+---@field events table<any, true> the events that transitions name
 ---@field trail table|false see `is_current`; a plan that one machine has alone has none
 
 local compile, compile_transition, line_to, run_segment, run_warily
@@ -905,7 +928,7 @@ do
 
   local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-  -- Makes the metatable of the elements: what is absent from them is looked up here.
+  -- Makes the metatable of the elements, in which absent fields are looked up.
   local function make_proto(def)
     local class = CLASSES[def.kind]
     local proto = {
@@ -921,8 +944,8 @@ do
     end
   end
 
-  -- Gives each node the list of the transitions that leave it, in order, and forgets
-  -- what was made of another structure.
+  -- Gives each node the list of its outgoing transitions, in order, and removes the
+  -- notes of an older structure.
   function compile(plan)
     local nodes, transitions, events = plan.nodes, plan.transitions, {}
     for i = 1, #nodes do
@@ -943,8 +966,8 @@ do
     return plan
   end
 
-  -- The nearest ancestor of both ends that stays active: what it contains is left and
-  -- entered. The root stays active also under a transition of its own.
+  -- Returns the nearest ancestor of both ends that stays active. States in it are left
+  -- and entered. The root also stays active under a transition of its own.
   local function find_lca(src, tgt)
     local a, b = src.parent, tgt.parent
     while a ~= b do
@@ -953,7 +976,8 @@ do
     return a
   end
 
-  -- Lists what a transition enters, outermost first, and notes what a run reads of it.
+  -- Lists the states that a transition enters, outermost first, and notes the fields
+  -- that a run reads.
   function compile_transition(def)
     local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
     local state = tgt.kind == "state" and tgt or tgt.parent
@@ -967,7 +991,7 @@ do
       def.has_predicate = def.has_predicate or type(def.events[i]) == "function"
     end
     def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
-    def.connector = tgt.kind == "connector" and tgt -- last: it says that all is there
+    def.connector = tgt.kind == "connector" and tgt -- last: the others are set
     return def
   end
 
@@ -1049,7 +1073,7 @@ do
     return { ids = ids, tables = tables, trail = trail, plain = plain }
   end
 
-  -- Is the model still what the plan was made of?
+  -- Is the model still the same as when the plan was made?
   function is_current(plan)
     local noted = plan.trail
     local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
@@ -1078,7 +1102,7 @@ end
 -- `_actchild` of each active composite, `_act_leaf`. While it runs:
 --
 --   _segment  false: no step is under way. A transition: that segment is being taken.
---             true: something else is, a search or a doo
+--             true: a search or a doo is under way
 --   _from     while a segment leaves states: the state from which it started
 
 local function silent() end
@@ -1115,13 +1139,13 @@ local function own_fields()
   }
 end
 
--- The flags that stand for what a plain machine lacks.
+-- The flags for the fields that a plain machine lacks.
 local FLAG_OF = {
   dbg = "_is_traced", getevents = "_is_fed", pre_step_hook = "_is_hooked",
   post_step_hook = "_is_hooked",
 }
 
--- The machines there are: one look tells for any value at all whether it is one.
+-- All machines, so that one access decides if a value is one.
 local machines = setmetatable({}, { __mode = "k" })
 
 -- A hook that is set while an iteration goes on runs at its end.
@@ -1155,7 +1179,7 @@ end
 local clone_data
 
 do
-  -- Returns what stands for `value` in the copy; a plain table is filled in later.
+  -- Returns the copy of `value`. A plain table is filled later.
   local function copy_of(copies, value, pending)
     if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
     if not copies[value] then
@@ -1229,21 +1253,19 @@ end
 
 -- Run: collect events, choose, take, doo ----------------------------------------
 --
--- What holds here: between two iterations exactly one leaf is active, or none before
--- the first entry. No error of a state's or transition's callback passes through: it
--- goes to `err`. Hooks and getevents are called when the machine is consistent, so
--- theirs reach the caller at once; those of printers are kept until the iteration is
--- over.
+-- Invariants: between two iterations exactly one leaf is active, or none before the
+-- first entry. Errors of callbacks are reported to `err`. Hooks and getevents are
+-- called when the machine is consistent, so their errors are raised at once. Errors of
+-- printers are kept until the iteration is over.
 --
--- Most machines are plain: no dbg, getevents or hook. `_is_plain` says so, and a step
--- asks for it instead of for each of them. The other flags say what is there; they may
--- be set too long, never too short.
+-- Most machines are plain: no dbg, getevents or hook. A step checks `_is_plain` in
+-- place of each of them. The other flags may be set too long, never too short.
 
 local DEFAULT_PRINTER, printer_of
 
 do
-  -- Prints any values, tab separated: to stderr where there is one, or with the `print`
-  -- of the moment.
+  -- Prints any values, separated by tabs: to stderr if there is one, else with the
+  -- current `print`.
   local function print_line(stream, ...)
     local texts = {}
     for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
@@ -1271,9 +1293,9 @@ do
   end
 end
 
---- Keep an error until the iteration is over, for extensions; the first one counts.
+--- Keep an error until the iteration is over, for extensions.
 --
--- `step` raises it then. Between two steps it is raised by the next one.
+-- `step` raises it then. Between two steps the next one does. The first error counts.
 --
 ---@param fsm rfsm.Machine
 ---@param failure any
@@ -1291,7 +1313,7 @@ local function raise_failure(fsm)
   error(failure, 0)
 end
 
---- Hand a record to one of a machine's printers, for extensions.
+--- Call one of a machine's printers, for extensions.
 --
 -- An error of the printer is kept until the iteration is over.
 --
@@ -1337,13 +1359,13 @@ end
 
 -- The functions of rfsm/quick.lua; false where it is missing, nil before it was asked
 -- for.
-local quick, quick_code
+local quick, ask_quick
 
--- How many parameters a function has, as far as straight code can tell: one that has
--- none for the events cannot keep them.
+-- The number of parameters of a function, if straight code can find it. A function
+-- without a parameter for the events cannot keep them.
 local parameters_of = setmetatable({}, { __index = function() return math.huge end })
 
--- The events table was handed to a function that may have kept it.
+-- A function got the list of events and may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
 
 local function empty(events)
@@ -1362,7 +1384,7 @@ local function put_back(fsm)
   fsm._curq = {}
 end
 
--- Appends what getevents returns to a list.
+-- Appends the events of getevents to a list.
 local function collect(fsm, list)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then
@@ -1396,7 +1418,7 @@ local function run_hooks(fsm, hooks, slot, events)
   end
 end
 
--- Calls what extensions want done when a state is entered or left: `hooks` is false, or
+-- Calls the hooks of extensions for the entry or exit of a state. `hooks` is false, or
 -- has a list for the state.
 local function run_state_hooks(fsm, state, hooks)
   hooks = hooks and hooks[state]
@@ -1413,7 +1435,7 @@ local function innermost(fsm)
   return state
 end
 
--- Choose: which transition do the events enable? .................................
+-- Choose: the transition that the events enable .....................................
 
 local choose, enabled, enabled_with, find_transition, matches, search
 local warn_of_conflict
@@ -1447,8 +1469,8 @@ do
     return false
   end
 
-  -- Is the path through `def` open that leads to `tgt`? Returns the definition of its
-  -- first segment, which is another one where a machine has changed the target.
+  -- Is the path through `def` to `tgt` enabled? Returns the definition of its first
+  -- segment, another one if the machine has changed the target.
   function enabled_with(fsm, def, tgt, events, depth)
     if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
     if def and def.connector == nil then compile_transition(def) end
@@ -1457,8 +1479,8 @@ do
     return def
   end
 
-  -- Is the transition enabled, with all behind it up to a leaf? Its events match.
-  -- Returns its definition. `depth` counts the connectors on the way to it.
+  -- Is the transition enabled, with a path up to a leaf? Its events match. Returns its
+  -- definition. `depth` counts the connectors before it.
   function enabled(fsm, def, events, depth)
     local tr = fsm._transitions[def.index]
     local guard = tr.guard
@@ -1497,7 +1519,7 @@ do
   end
 
   -- The way out of a connector: the first of its transitions that is enabled. Further
-  -- ones of the same priority are asked only to warn of a conflict.
+  -- ones of the same priority are searched only to warn of a conflict.
   local function choose_way(fsm, connector, events, depth)
     local ways = {}
     for i = 1, #connector.otrs do
@@ -1521,8 +1543,8 @@ do
     return coroutine.status(co) == "dead" and way
   end
 
-  -- Returns the way out of a connector, or false; it is chosen once a search. While it
-  -- is being evaluated it counts as closed, so that cycles end.
+  -- Returns the way out of a connector, or false. It is chosen once a search. During
+  -- its evaluation a connector counts as not enabled, so that cycles end.
   function find_way(fsm, connector, events, depth)
     local searched, ways = fsm._searched, fsm._ways
     if searched[connector] == fsm._search then return ways[connector] end
@@ -1564,7 +1586,7 @@ do
   function choose(fsm, events)
     if events[1] == nil then return nil end
     local leaf, plan = fsm._act_leaf["_%def"], fsm._plan
-    local find = not fsm._is_traced and quick_code(fsm) and quick.find or search
+    local find = quick and not fsm._is_traced and quick.find or search
     local def = find(fsm, leaf, events)
     if fsm._plan ~= plan then return choose(fsm, events) end
     return def
@@ -1573,15 +1595,14 @@ end
 
 -- Take: leave, effect, enter ......................................................
 --
--- One protected call runs a whole path. When a callback in it fails, or an interrupt
--- strikes, where the machine stands says how far it came, and the rest is run from
--- there: see `resume_segment`.
+-- One protected call runs a whole path. If a callback fails, or on an interrupt, the
+-- modes of the states show how far the path was run. `resume_segment` runs the rest.
 
 local call_alone, complete, enter_machine, finish_exit, recover, resume_segment
 local run_parts, take
 
 do
-  -- What follows when the exit of `state` has run.
+  -- Completes the exit of `state` after its callback.
   function finish_exit(fsm, state, hooks)
     run_state_hooks(fsm, state, hooks)
     if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
@@ -1597,7 +1618,7 @@ do
     queue[#queue + 1] = event
   end
 
-  -- What follows when the entry of `state` has run.
+  -- Completes the entry of `state` after its callback.
   local function finish_entry(fsm, state, def)
     if def.is_leaf then
       fsm._act_leaf = state
@@ -1681,7 +1702,7 @@ do
 
   -- Takes the segment `def` from the active state `from`, then those that the search
   -- chose behind it. It calls itself where a loop would keep LuaJIT from making one
-  -- trace of it. `run` names the way: "run", "run_hooked" or "run_traced".
+  -- trace of it. `run` is "run", "run_hooked" or "run_traced".
   local function run_path(fsm, def, from, run)
     fsm._from = from
     fsm._segment = def
@@ -1716,14 +1737,14 @@ do
     return number and not fsm._act_leaf and "entry" or nil, inner, number
   end
 
-  -- No callback is under way: does what is left of the segment.
+  -- Runs the rest of the segment. No callback is under way.
   local function redo(fsm, def, what, state)
     if what then return run_parts(fsm, def, state, 0) end
     local leaf = fsm._act_leaf
     if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
   end
 
-  -- What follows the callback that was called last, and the rest of the segment.
+  -- Completes the last callback, then runs the rest of the segment.
   local function go_on(fsm, def, what, state, number)
     if what == "exit" then
       state._mode = "inactive"
@@ -1736,8 +1757,8 @@ do
     return run_parts(fsm, def, state, (number or 0) + 1)
   end
 
-  -- Runs the rest of the segment that is under way, after the callback that was called
-  -- last; that one may have failed.
+  -- Runs the rest of the segment that is under way, after its last callback, which may
+  -- have failed.
   function resume_segment(fsm, has_failed, failure)
     local def = fsm._segment
     local what, state, number = find_callback(fsm, def)
@@ -1853,7 +1874,7 @@ local run_doo
 do
   local create, resume = coroutine.create, coroutine.resume
 
-  -- Comes back from a doo's coroutine at its end, before what the doo returned.
+  -- Returned by a doo's coroutine at its end, before the results of the doo.
   local function ENDED() end
 
   local function doo_body(doo, fsm, state) return ENDED, doo(fsm, state, "doo") end
@@ -1869,7 +1890,7 @@ do
     return true
   end
 
-  -- What follows when the doo ended.
+  -- Completes a doo that has ended.
   local function end_doo(fsm, leaf)
     leaf._doo_co = nil
     complete(fsm, leaf)
@@ -1879,7 +1900,7 @@ do
     return true
   end
 
-  -- What follows a cycle of the doo; true when it is idle or done.
+  -- Completes a doo cycle. Returns true if the doo is idle or done.
   local function finish_cycle(fsm, leaf, ok, idle)
     fsm._segment = false
     if not ok then return fail_doo(fsm, leaf, idle) end
@@ -1938,14 +1959,13 @@ end
 local is_stepping, iterate, mend
 
 do
-  -- The note while hooks and getevents are called. If one raises the note stays;
-  -- without `debug` nobody could tell then that no step is under way.
+  -- The note while hooks and getevents are called. It stays if one raises an error.
+  -- Without `debug` a step would seem to be under way then.
   local MAY_RAISE = getinfo ~= nil
 
-  -- The end of an iteration in which something was kept, failed, asked for, or that has
-  -- hooks. The events table is emptied and will be a queue again; one that a function
-  -- may have kept is left to it. What post step hooks get is used: `gather` must not
-  -- find it.
+  -- The end of an iteration with hooks, kept events, an error or a wanted reset. The
+  -- list of events is emptied and becomes a queue again, unless a function may have
+  -- kept it. The list that post step hooks get is used: `gather` must not find it.
   local function settle(fsm, events)
     local hooks = fsm._post_hooks
     if fsm._reset_wanted then reset_now(fsm) end
@@ -1963,19 +1983,21 @@ do
     if fsm._has_failure then raise_failure(fsm) end
   end
 
-  -- Returns the events of the iteration: what is queued, then what getevents returns,
-  -- then what the hooks have made of it.
+  -- Returns the current events: those of the queue, then those of getevents, as changed
+  -- by the hooks.
   local function gather(fsm)
     if fsm._reset_wanted then reset_now(fsm) end
     if fsm._curq[1] ~= nil then put_back(fsm) end
     local events, spare = fsm._intq, fsm._curq
-    fsm._segment, fsm._is_unsettled = MAY_RAISE, true
+    fsm._segment = MAY_RAISE
     fsm._curq = events
     fsm._intq = spare
     if fsm._is_fed then collect(fsm, events) end
     if not fsm._is_hooked then return events end
+    local has_post_hook = fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook
+    if has_post_hook then fsm._is_unsettled = true end
     if fsm._pre_hooks == OWN_ONLY and not fsm.pre_step_hook then
-      if fsm._post_hooks == OWN_ONLY and not fsm.post_step_hook then
+      if not has_post_hook then
         fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
         check_plain(fsm)
       end
@@ -1996,8 +2018,8 @@ do
     raise_failure(fsm)
   end
 
-  -- What follows a search: the transition is taken. There is none: a doo cycle is run,
-  -- if there was no event or the iteration before did not count. Returns as `iterate`.
+  -- Takes the transition that a search has found. If there is none, a doo cycle is run,
+  -- unless events came and the last iteration counted. Returns as `iterate`.
   local function react(fsm, def, leaf, events, after_free)
     if def and not rawequal(fsm._act_leaf, leaf) then -- a guard has moved the machine
       leaf = innermost(fsm)
@@ -2019,10 +2041,11 @@ do
     return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- One iteration. Returns nil when there is no way in; else whether it counts as a
-  -- step, and if its doo cycle was idle. `after_free`: the one before did not count.
-  -- `events` if they have been gathered.
+  -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
+  -- as a step and whether its doo cycle was idle. `after_free`: the last one did not
+  -- count. `events` if they were gathered.
   local function iterate_fully(fsm, after_free, events)
+    if quick == nil then ask_quick() end
     events = events or gather(fsm)
     local leaf, counted, idle = fsm._act_leaf, true, false
     fsm._segment = true
@@ -2039,7 +2062,7 @@ do
 
   iterate = iterate_fully
 
-  -- The functions one of which is on the stack while a step is under way.
+  -- While a step is under way, one of these functions is on the stack.
   local STEPPING = { [iterate_fully] = true }
   local getlocal = getinfo and rawget(_G, "debug").getlocal
 
@@ -2081,9 +2104,9 @@ do
 
   STEPPING[mend] = true
 
-  -- So many searches are made by a machine before it asks for the quick ones: those
-  -- that run once should not pay for them.
-  local PATIENCE = 8
+  -- So many iterations come before the quick ones are asked for: a program that does
+  -- little should not pay for them.
+  local patience = 8
 
   local PARTS = {
     choose = choose, collect = collect, compile_transition = compile_transition,
@@ -2102,22 +2125,22 @@ do
     end,
   }
 
-  -- Returns the functions of rfsm/quick.lua, when they are there and pay.
-  function quick_code(fsm)
-    if quick ~= nil or fsm._search < PATIENCE then return quick end
+  -- Gets the functions of rfsm/quick.lua, if they are there, when they pay.
+  function ask_quick()
+    patience = patience - 1
+    if patience > 0 then return end
+    quick = false -- an interrupt while they are loaded leaves it at that
     PARTS.straight = loadstring and find_module("rfsm.straight")
     local make = find_module("rfsm.quick")
-    quick = make and make(PARTS) or false
-    if quick then
-      iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
-      for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
-    end
-    return quick
+    if not make then return end
+    quick = make(PARTS)
+    for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
+    iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
   end
 end
 
--- Goes on until `left` iterations were counted or the machine is idle; returns whether
--- it is. `counted` and `idle` are what the iteration before returned.
+-- Iterates until `left` iterations counted or the machine is idle. Returns whether it
+-- is idle. `counted` and `idle` are the results of the last iteration.
 local function advance(fsm, left, counted, idle)
   while counted ~= nil do
     if counted then
@@ -2147,7 +2170,7 @@ end
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
 ---@param where string the public function, such as "rfsm.step"
----@param level? integer whom to blame: 3, the default, for the caller's caller
+---@param level? integer the function to blame: 3, the default, for the caller's caller
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] or getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
     return
@@ -2285,8 +2308,8 @@ do
   end
 end
 
--- Printers become functions, also the wrong ones, which are reported; what is off is
--- absent, so that setting it is noticed.
+-- Printers become functions. Wrong ones are reported. Those that are off are absent, so
+-- that an assignment is noticed.
 local function prepare_fields(fsm)
   for i = 2, 4 do
     local name = PRINTERS[i]
@@ -2305,14 +2328,14 @@ end
 local report_created, report_dead_ends, report_findings
 
 do
-  -- Prints the lines of a list, which are noted by location.
+  -- Prints the lines of a list, sorted by location.
   local function report_lines(fsm, name, prefix, list)
     if fsm[name] == silent then return end
     local lines = lines_of(list)
     for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
   end
 
-  -- Warns of an `initial` that can be closed: then its composite cannot be entered.
+  -- Warns of an `initial` that may not be enabled: its composite has no entry then.
   local function check_initial(found, def)
     for _, tr in ipairs(def.otrs) do
       if not (tr.events or tr.guard) then return end
@@ -2333,7 +2356,7 @@ do
     end
   end
 
-  -- Warns of what was found in the model, and in what the preproc functions made of it.
+  -- Reports the warnings of the model, also after the preproc functions.
   function report_findings(fsm, first_node, first_transition)
     local plan, found = fsm._plan, append({}, fsm._plan.warnings)
     for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
@@ -2373,8 +2396,8 @@ end
 --
 -- They run after names are resolved and before events are indexed, and may change
 -- `events`, `pn`, `src`, `tgt` and callbacks. `rfsm.fsm_merge` calls them again with
--- what it added. A list of texts "place: what is wrong" that one returns counts among
--- the model's problems.
+-- the element that it added. A list of texts "location: problem" that one returns
+-- counts among the model's problems.
 --
 ---@type (fun(fsm: rfsm.Machine, merged?: table): string[]?)[]
 rfsm.preproc = {}
@@ -2401,7 +2424,7 @@ do
     return true
   end
 
-  -- The field to which a preproc function has given a value that is none for it.
+  -- Returns the field that got a wrong value from a preproc function.
   local function wrong_field(fsm, tr)
     local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or 0
     if type(events) ~= "table" and type(events) ~= "string" then return "events" end
@@ -2494,7 +2517,7 @@ do
   end
 end
 
--- A model that is wrong: hands the problems to `err`.
+-- Reports the problems of a model to `err`.
 local function refuse_model(model, fsm, problems)
   local err = model.err
   if err and err ~= true and not is_callable(err) then err = nil end
@@ -2506,13 +2529,13 @@ end
 
 --- Check a model and make a machine of it.
 --
--- The model is not touched and may be used again. All its problems are handed to `err`
--- in one text, sorted by location.
+-- The model is not touched and may be used again. All its problems are reported
+-- to `err` in one text, sorted by location.
 --
 -- @raise when `model` is no state
 ---@param model rfsm.State a root state, or a machine for a fresh one of the same model
----@return rfsm.Machine|false fsm false when the model has problems
----@return string[]? problems each "file:line: place: what is wrong"
+---@return rfsm.Machine? fsm false when the model has problems
+---@return string[]? problems each "file:line: location: problem"
 ---@nodiscard
 function rfsm.init(model)
   if not is_state(model) then
@@ -2544,7 +2567,7 @@ end
 --- Check a model without making a machine of it.
 ---@param model rfsm.State
 ---@return boolean is_valid
----@return string[] problems each "file:line: place: what is wrong"
+---@return string[] problems each "file:line: location: problem"
 ---@return string[] warnings
 function rfsm.verify_early(model)
   if not is_state(model) then
@@ -2569,7 +2592,7 @@ local function queue_more(queue, ...)
   end
 end
 
---- Send events to a machine; they wait in the queue until the next iteration, in order.
+--- Send events to a machine. They are pending until the next iteration, in order.
 --
 -- @usage
 --    rfsm.send_events(fsm, "e_start", "e_ready")
@@ -2599,13 +2622,13 @@ local check_between_steps = rfsm.check_between_steps
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
--- Returns earlier when it is idle. Errors of states and transitions go to `err`; an
--- error of a step hook or getevents reaches the caller at once, that of a printer when
--- the iteration is over.
+-- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
+-- step hooks and getevents are raised at once, those of printers when the iteration is
+-- over.
 --
 ---@param fsm rfsm.Machine
 ---@param n? number at least 1, default 1
----@return boolean idle true when there is nothing left to do
+---@return boolean idle true if there is nothing left to do
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._segment then check_between_steps(fsm, "rfsm.step") end
@@ -2647,7 +2670,7 @@ function rfsm.reset(fsm)
   fsm._is_kept, fsm._is_unsettled = false, fsm._has_failure
 end
 
---- Move what getevents returns to the queue.
+--- Move the events of getevents to the queue.
 ---@param fsm rfsm.Machine
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
@@ -2699,7 +2722,7 @@ end
 ---@param fsm table a machine, a model, or any table of elements
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@param depth? integer how many levels, default all
----@return any[] results what f returned, in order, without nils
+---@return any[] results those of f, in order, without nils
 function rfsm.mapfsm(f, fsm, pred, depth)
   check_function(f, "rfsm.mapfsm")
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
@@ -2718,7 +2741,7 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   return results
 end
 
---- List an element, if `pred` accepts it, and what is below it, for extensions.
+--- List an element and those below it that `pred` accepts, for extensions.
 --
 -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
 --
@@ -2743,7 +2766,7 @@ end
 ---@param f fun(fsm: rfsm.Machine, state: rfsm.State): any
 ---@param from rfsm.State where to begin
 ---@param to rfsm.State an ancestor or descendant of `from`
----@return any[] results what f returned, in order, without nils
+---@return any[] results those of f, in order, without nils
 function rfsm.map_from_to(fsm, f, from, to)
   check_machine(fsm, "rfsm.map_from_to")
   check_function(f, "rfsm.map_from_to")
@@ -2766,10 +2789,10 @@ function rfsm.map_from_to(fsm, f, from, to)
   return results
 end
 
---- Find the path that events would enable from one node; nothing is taken.
+--- Find the path that events would enable from one node, and do not take it.
 --
--- A path is { node, nextl }: `nextl` lists the way on as { trans, next }, and is false
--- at the leaf where the path ends.
+-- A path is { node, nextl }: `nextl` is a list of { trans, next }, and false at the
+-- leaf at the end of the path.
 --
 ---@param fsm rfsm.Machine
 ---@param node rfsm.State|rfsm.Connector
@@ -2916,14 +2939,14 @@ rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
 --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
 --
 -- It may change the list of events. The machine's own `pre_step_hook` is among the
--- hooks, and stays replaceable. The place, "after" (default) or "before", is relative
--- to the hooks that are there.
+-- hooks, and stays replaceable. `place`, "after" (default) or "before", is relative to
+-- the other hooks.
 --
 ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
 rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks",
   "_is_hooked")
 
---- Take a pre step hook away; returns whether it was there.
+--- Remove a pre step hook. Return whether it was there.
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
 rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
   "pre_step_hook")
@@ -2933,16 +2956,16 @@ rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
 rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks",
   "_is_hooked")
 
---- Take a post step hook away; returns whether it was there.
+--- Remove a post step hook. Return whether it was there.
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
 rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
   "post_step_hook")
 
---- Have `hook(fsm)` called when the machine is reset: for what an extension keeps.
+--- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
 ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
 rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
 
---- Take a reset hook away; returns whether it was there.
+--- Remove a reset hook. Return whether it was there.
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
 rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
@@ -3092,12 +3115,12 @@ do
   --- Add a state, connector or transition to a live machine.
   --
   -- From the next iteration on the machine behaves as if it had been there at `init`.
-  -- When it cannot be added `err` is told why, and nothing has changed.
+  -- If it cannot be added, the reason is reported to `err`, and nothing has changed.
   --
   ---@param fsm rfsm.Machine
   ---@param parent rfsm.State the state of the machine that gets it
   ---@param obj rfsm.State|rfsm.Connector|rfsm.Transition it is cloned, as `init` does
-  ---@param id? string name, which only a transition may lack
+  ---@param id? string name; optional for a transition
   ---@return boolean is_merged
   ---@return string? reason why not
   function rfsm.fsm_merge(fsm, parent, obj, id)

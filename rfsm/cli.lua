@@ -339,19 +339,11 @@ local function read_coverage(file)
   fail("viz", { file .. ": an object with \"states\" and \"transitions\" expected" })
 end
 
--- Returns the places of a run: a record names a transition, or the leaf that is active
--- after it.
+-- Returns the steps of a run: a list of them, or one a line.
 local function read_trace(file)
-  local trace, leaf = {}, nil
-  for _, record in ipairs(read_values(file)) do
-    if type(record) ~= "table" then record = { transition = record } end
-    trace[#trace + 1] = record.transition
-    if not record.m and record.leaf and record.leaf ~= leaf then
-      leaf = record.leaf
-      trace[#trace + 1] = leaf
-    end
-  end
-  return trace
+  local values = read_values(file)
+  return values[2] == nil and type(values[1]) == "table" and values[1][1] and values[1]
+    or values
 end
 
 -- Returns the format; nil and the problem of the command line.

@@ -7,11 +7,13 @@
 -- @module rfsm.diagram
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local marsh = require "rfsm.marsh"
+local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
-local rawset, require, select, tostring, type = rawset, require, select, tostring, type
+local rawset, select, tonumber, tostring = rawset, select, tonumber, tostring
+local type = type
 local concat = table.concat
 
 local diagram = {}
@@ -23,7 +25,14 @@ local diagram = {}
 ---@field depth? integer levels to draw; deeper ones are left out
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
 ---@field coverage? rfsm.diagram.Coverage
----@field trace? string[] FQNs of states and keys of transitions, in the order of a run
+---@field trace? (string|rfsm.diagram.Step)[] a run; a text is an FQN or a key
+
+--- A step of a run: of a witness by `rfsm_checks.explore`, or one by `rfsm.record`.
+---@class rfsm.diagram.Step
+---@field taken? string[] keys of transitions
+---@field leaf? string FQN of the active leaf then
+---@field m? integer number of a machine in a sequential AND state: not drawn
+---@field record? integer it is the first record, which is no step
 
 --- How often a run came to states, by FQN, and to transitions, by key.
 ---@class rfsm.diagram.Coverage
@@ -145,7 +154,7 @@ end
 
 local function kind_of(tab)
   if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
-  return (tab.subnodes or tab.regions) and "composite" or "leaf"
+  return (tab.subnodes or tab.regions or {})[1] and "composite" or "leaf"
 end
 
 local function rows_of(tab)
@@ -157,14 +166,16 @@ local function rows_of(tab)
   return rows
 end
 
+local MODES = { active = "active", done = "done" }
+
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind = kind_of(tab)
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
     kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
-    nodes = {}, arrows = {}, rows = rows_of(tab), mode = tab.mode, is_final = tab.final,
-    is_cut = depth == 0 and kind == "composite" or nil,
+    nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
+    is_final = tab.final, is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -270,11 +281,6 @@ end
 
 -- Charts --------------------------------------------------------------------------
 
-local function nearest(name, names)
-  local ok, advice = pcall(require, "rfsm.advice")
-  return ok and advice.nearest_name(name, names) or ""
-end
-
 local function is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
 end
@@ -288,7 +294,7 @@ local function find_state(chart, fqn, where)
     names[#names + 1] = is_state(other) and other.fqn or nil
   end
   error(("%s: active: no state is named '%s'%s"):format(where, fqn,
-    nearest(fqn, names)), 5)
+    advice.nearest_name(fqn, names)), 5)
 end
 
 -- Marks the states that an option names in place of those of the machine.
@@ -300,11 +306,27 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns the numbers of the steps in which each element of a trace was used.
+-- Returns the FQNs and keys that a step came to; nil if it is none of this machine.
+local function places_of(step, leaf)
+  if type(step) == "string" then return { step } end
+  if type(step) ~= "table" or step.m or step.record then return nil end
+  local places = {}
+  for i, key in ipairs(step.taken or {}) do places[i] = key end
+  if step.leaf ~= leaf then places[#places + 1] = step.leaf or nil end
+  return places
+end
+
+-- Returns the numbers of the steps in which a run came to each FQN or key.
 local function steps_of(trace)
-  local steps = {}
-  for i, key in ipairs(trace or {}) do
-    steps[key] = steps[key] and steps[key] .. ", " .. i or i
+  local steps, count, leaf = {}, 0, nil
+  for _, step in ipairs(trace or {}) do
+    local places = places_of(step, leaf)
+    if places then
+      count, leaf = count + 1, type(step) == "table" and step.leaf or leaf
+    end
+    for _, place in ipairs(places or {}) do
+      steps[place] = steps[place] and steps[place] .. ", " .. count or count
+    end
   end
   return steps
 end
@@ -314,7 +336,7 @@ local function mark_run(chart, coverage, trace)
   local steps = steps_of(trace)
   local function mark(element, texts, key, counts)
     if counts then
-      local count = counts[key] or 0
+      local count = tonumber(counts[key]) or 0
       texts[#texts + 1] = count > 0 and ("(%s×)"):format(rfsm.text_of(count))
         or "(never)"
       element.mark = count > 0 and "covered" or "missed"
@@ -361,6 +383,11 @@ local function is_description(value)
   return type(value) == "table" and type(value.id) == "string" and value.type == "state"
 end
 
+local function read_description(chart, tab, depth)
+  chart.root = read_node(chart, tab, nil, "root", depth or 1 / 0)
+  read_transitions(chart, tab, "root", marsh.gen_event_text())
+end
+
 -- Reads a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
 local function read(source, where, options)
@@ -373,8 +400,9 @@ local function read(source, where, options)
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
-  chart.root = read_node(chart, tab, nil, "root", options.depth or 1 / 0)
-  read_transitions(chart, tab, "root", marsh.gen_event_text())
+  if not pcall(read_description, chart, tab, options.depth) then
+    error(where .. ": description by rfsm.marsh expected, got another table", 3)
+  end
   if options.active then mark_active(chart, options.active, where) end
   if options.coverage or options.trace then
     mark_run(chart, options.coverage, options.trace)

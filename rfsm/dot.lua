@@ -15,6 +15,7 @@
 local diagram = require "rfsm.diagram"
 
 local io, ipairs, os = io, ipairs, os
+local max, min = math.max, math.min
 local concat, add = table.concat, diagram.add
 
 local FONT = '"Helvetica,Arial,sans-serif"'
@@ -141,11 +142,33 @@ end
 
 -- Arrows ----------------------------------------------------------------------
 
--- Returns the node to which edges of a node are tied: of a composite the last one for
+local function index_in(node, home)
+  while node.parent ~= home do node = node.parent end
+  return node.index or 0
+end
+
+-- Returns how many ranks a node takes, about, and notes the lowest node of composites.
+local function measure(node)
+  if node.kind ~= "composite" then return 1 end
+  local below, tops, height = {}, {}, 0
+  for _, arrow in ipairs(node.arrows) do
+    local i, j = index_in(arrow.src, node), index_in(arrow.tgt, node)
+    local list = below[min(i, j)] or {}
+    below[min(i, j)], list[#list + 1] = list, max(i, j)
+  end
+  for i, subnode in ipairs(node.nodes) do
+    local bottom = (tops[i] or 0) + measure(subnode)
+    if bottom >= height then height, node.lowest = bottom, subnode end
+    for _, j in ipairs(below[i] or {}) do tops[j] = max(tops[j] or 0, bottom + 1) end
+  end
+  return height
+end
+
+-- Returns the node to which edges of a node are tied: of a composite the lowest one for
 -- a tail, the first one for a head.
 local function anchor_of(node, is_tail)
   while node.kind == "composite" do
-    node = is_tail and node.nodes[#node.nodes] or node.initial or node.nodes[1]
+    node = is_tail and node.lowest or node.initial or node.nodes[1]
   end
   return node.id .. (node.kind == "connector" and ":p" or "")
 end
@@ -155,7 +178,7 @@ end
 local function length_of(node)
   local length = 1
   while node.kind == "composite" do
-    node = node.nodes[#node.nodes]
+    node = node.lowest
     if node.has_loop then length = length + 1 end
   end
   return length
@@ -164,11 +187,6 @@ end
 -- Does an arrow lead from a node to itself, or into it?
 local function is_loop(arrow)
   return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
-end
-
-local function index_in(node, home)
-  while node.parent ~= home do node = node.parent end
-  return node.index or 0
 end
 
 -- Does an arrow lead to a node that comes earlier in the walk?
@@ -223,12 +241,17 @@ local function add_arrow(lines, arrow)
   add_half("/tgt", label, tgt, is_back or is_loop(arrow))
 end
 
+local LARGE = 500 -- nodes
+
 local function draw(chart)
   local root = chart.root
   for _, arrow in ipairs(chart.all) do place_label(chart, arrow) end
+  measure(root)
   root.name = chart.title or root.name
   local lines = { "digraph " .. quoted(root.name) .. " {",
     (HEAD:gsub("DIRECTION", chart.direction)) }
+  -- so that Graphviz takes seconds, not a minute; the picture is hardly wider
+  if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
   add_node(lines, 1, chart, root)
   add_labels(lines, 1, chart)
   for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end

@@ -70,31 +70,33 @@ local function add_state(lines, depth, node, ending)
     ending or ""))
 end
 
--- A composite cannot have rows of its own in Mermaid: they become a note.
-local function add_rows(lines, depth, node)
-  if node.kind == "composite" and node.rows[1] then
-    add(lines, depth, "note right of " .. id_of(node) .. " : "
-      .. text_of(concat(node.rows, "\n")))
-  elseif node.kind == "leaf" then
-    for _, row in ipairs(node.rows) do
-      add(lines, depth, id_of(node) .. " : " .. text_of(row))
-    end
+local function add_leaf(lines, depth, node)
+  add_state(lines, depth, node)
+  for _, row in ipairs(node.rows) do
+    add(lines, depth, id_of(node) .. " : " .. text_of(row))
   end
+end
+
+-- A composite cannot have rows of its own in Mermaid: they become a note.
+local function add_composite(lines, depth, node, add_members, diamonds)
+  add_state(lines, depth, node, " {")
+  add_members(lines, depth + 1, node, diamonds)
+  add(lines, depth, "}")
+  if not node.rows[1] then return end
+  add(lines, depth, "note right of " .. id_of(node) .. " : "
+    .. text_of(concat(node.rows, "\n")))
 end
 
 local function add_members(lines, depth, composite, diamonds)
   for i, node in ipairs(composite.nodes) do
     if node.is_region and i > 1 then add(lines, depth, "--") end
     if node.kind == "composite" then
-      add_state(lines, depth, node, " {")
-      add_members(lines, depth + 1, node, diamonds)
-      add(lines, depth, "}")
+      add_composite(lines, depth, node, add_members, diamonds)
     elseif node.kind == "connector" or diamonds[node] then
       add_diamond(lines, depth, node)
     elseif node.kind == "leaf" then
-      add_state(lines, depth, node)
+      add_leaf(lines, depth, node)
     end
-    add_rows(lines, depth, node)
   end
   add_arrows(lines, depth, composite, diamonds)
 end
@@ -118,8 +120,7 @@ local function draw(chart)
   add(lines, 0, "stateDiagram-v2")
   if chart.direction == "LR" then add(lines, 1, "direction LR") end
   if root.kind == "leaf" or chart.arrows[1] or root.rows[1] then
-    add_state(lines, 1, root)
-    add_rows(lines, 1, root)
+    add_leaf(lines, 1, root)
   end
   local diamonds = find_diamonds(chart)
   add_members(lines, 1, root, diamonds)

@@ -215,7 +215,6 @@ end
 if ok and answer ~= false then
 local def, tgt = d$n, tr.tgt
 if nodes[t$n] ~= tgt then
-  fsm._search = fsm._search + 1
   def = enabled_with(fsm, def, tgt, events, $level)
 else]]
 
@@ -226,6 +225,12 @@ if w$level then
 else
   w$level = def
 end]]
+
+-- As in the core a connector counts as closed while it is being evaluated: a transition
+-- may have got it as its target.
+local BEGIN = [[
+searched[c$n], ways[c$n] = number, false
+local w$level, x$level = false, nil]]
 
 local EVALUATED = [[
 if x$level then warn_of_conflict(fsm, c$n, x$level) end
@@ -269,7 +274,7 @@ function Search:connector(connector, level, n)
   end
   self.seen[connector] = true
   self:bind("c" .. n, connector)
-  self:write("local w$level, x$level = false, nil", n, level)
+  self:write(BEGIN, n, level)
   local pn = nil
   self:write("do")
   for i = 1, #otrs do -- those of one priority are asked together, for conflicts
@@ -304,7 +309,8 @@ local function search(parts, candidates)
   return (make("search", self.names, self.values, {
     "return function(fsm, candidates, events)",
     "local transitions, nodes = fsm._transitions, fsm._nodes",
-    "local ways = fsm._ways",
+    "local searched, ways, number = fsm._searched, fsm._ways, fsm._search + 1",
+    "fsm._search = number",
     concat(self.lines, "\n"),
     "end",
   }))

@@ -161,6 +161,31 @@ for _, language in ipairs(LANGUAGES) do
       assert.equal(text, exporter.encode(marsh.model2tab(lamp(), true), "T"))
     end)
 
+    it("refuses a description that is none, in one line", function()
+      for _, tab in ipairs {
+        { id = "root", type = "state", subnodes = 7 },
+        { id = "root", type = "state", subnodes = { { type = "state" } } },
+        { id = "root", type = "state", entry = {} },
+        { id = "root", type = "state", subnodes = {}, transitions = { { src = "a" } } },
+        { id = "root", type = "state", subnodes = {}, transitions = {
+          { src = "root", tgt = "nowhere", events = {} } } },
+        { id = "root", type = "state", subnodes = {}, transitions = {
+          { src = "root", tgt = "root", events = { "a" }, guard = {} } } },
+      } do
+        local ok, problem = pcall(function() return (exporter.encode(tab)) end)
+        assert.is_false(ok)
+        assert.equal(language .. ".encode: description by rfsm.marsh expected, got "
+          .. "another table", (problem:gsub("^%S*_spec.lua:%d+: ", "")))
+      end
+    end)
+
+    it("believes nothing of a description but texts", function()
+      local text = exporter.encode { id = "root", type = "state", mode = '", URL="x',
+        subnodes = { { id = "a", type = "state", subnodes = {} } },
+        transitions = { { src = "root.a", tgt = "root.a", events = {} } } }
+      assert.is_falsy(text:find("URL", 1, true))
+    end)
+
     it("marks the states that are active, or that it is given", function()
       local fsm = lamp()
       local idle = exporter.encode(fsm)
@@ -186,7 +211,9 @@ for _, language in ipairs(LANGUAGES) do
       local text = exporter.encode(lamp(), {
         coverage = { states = { ["root.off"] = 2 },
           transitions = { ["root.trans[2]"] = 3 } },
-        trace = { "root.off", "root.trans[2]", "root.off" },
+        trace = { { record = 1 }, "root.off", { taken = { "root.trans[2]" } },
+          { m = 1, leaf = "root.on.idle" }, { leaf = "root.off" },
+          { leaf = "root.off" } },
       })
       local plain = text:gsub("#(%d+);", function(n) return string.char(n) end)
       for _, expected in ipairs { "(2×)", "(step 1, 3)", "(never)", "(3×)",
@@ -348,15 +375,6 @@ stateDiagram-v2
       a = state {}, trans { src = "initial", tgt = "a" },
       trans { src = "root", tgt = "a", events = { "e_reset" } },
     })))
-  end)
-
-  it("wrote the picture in the README, of the chart in the README", function()
-    local readme = assert(io.open("README.md"))
-    local text = readme:read("*a")
-    readme:close()
-    local chart = text:match("```lua\n(.-)```")
-    local load = rawget(_G, "loadstring") or load
-    assert.equal(text:match("```mermaid\n(.-)```"), encode(helper.init(load(chart)())))
   end)
 
   -- What may stand in a line, and what it declares or uses.

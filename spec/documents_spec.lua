@@ -4,14 +4,9 @@
 
 local helper = require "spec.helper"
 
-local function line_of(command)
-  local pipe = assert(io.popen(command))
-  local line = pipe:read("*l")
-  pipe:close()
-  return line
-end
+local lines_of = helper.lines_of
 
-local CHECKOUT = line_of("pwd")
+local CHECKOUT = lines_of("pwd")[1]
 local LUA = arg[-1]:find("^/") and arg[-1] or CHECKOUT .. "/" .. arg[-1]
 
 local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
@@ -34,32 +29,41 @@ local function new_folder()
 end
 
 -- Runs a command in a folder as a user of this checkout; returns the lines it prints.
-local function output_of(folder, command, input)
-  local name = helper.file_with(table.concat(input, "\n") .. "\n")
-  local pipe = assert(io.popen(([[
+local function output_of(folder, command)
+  local lines = lines_of(([[
 cd %s && PATH=$PWD/.bin:%s/tools:$PATH LUA=lua LUA_PATH='%s/?.lua;%s/compat/?.lua;;' \
-HOME=/nowhere TERM=dumb sh -c %s <%s 2>&1]]):format(folder, quoted(CHECKOUT), CHECKOUT,
-    CHECKOUT, quoted(command), name)))
-  local lines = {}
-  for line in pipe:lines() do lines[#lines + 1] = line:match("^(.-)%s*$") end
-  pipe:close()
+HOME=/nowhere TERM=dumb sh -c %s </dev/null 2>&1]]):format(folder, quoted(CHECKOUT),
+    CHECKOUT, CHECKOUT, quoted(command)))
+  for i, line in ipairs(lines) do lines[i] = line:match("^(.-)%s*$") end
   return lines
 end
 
--- Splits a session into { command =, input = {...}, output = {...} }.
+-- Splits a session into { command =, lines = {...} }.
 local function commands_of(text)
-  local commands, current = {}, nil
-  for line in text:gmatch("[^\n]+") do
-    if line:find("^%$ ") then
-      current = { command = line:sub(3), input = {}, output = {} }
-      commands[#commands + 1] = current
+  local commands = {}
+  for line in text:gmatch("([^\n]*)\n") do
+    local command = line:match("^%$ (.*)")
+    local lines = command and {} or commands[#commands].lines
+    if command then
+      commands[#commands + 1] = { command = command, lines = lines }
     else
-      local typed = line:match("^> ?(.*)")
-      local list = typed and current.input or current.output
-      list[#list + 1] = typed or line
+      lines[#lines + 1] = line:match("^(.-)%s*$")
     end
   end
   return commands
+end
+
+-- Returns the lines that a terminal shows for a command. A tool makes those of the
+-- simulator: it types the lines after "> ".
+local function replay(folder, step)
+  if not step.command:find("^rfsm sim ") then return output_of(folder, step.command) end
+  local name = helper.file_with(("```\n$ %s\n%s\n```\n"):format(step.command,
+    table.concat(step.lines, "\n")))
+  local lines = output_of(folder, ("lua %s %s"):format(
+    quoted(CHECKOUT .. "/tools/transcript.lua"), name))
+  for _ = 1, 2 do table.remove(lines, 1) end -- the fence and the command
+  lines[#lines] = nil
+  return lines
 end
 
 -- Returns the blocks of a document: { line =, text =, file =, commands = } each.
@@ -80,16 +84,9 @@ local function blocks_of(document)
   return blocks
 end
 
-local function documents()
-  local list, pipe = {}, assert(io.popen("ls *.md doc/*.md"))
-  for file in pipe:lines() do list[#list + 1] = file end
-  pipe:close()
-  return list
-end
-
 after_each(helper.remove_files)
 
-for _, document in ipairs(documents()) do
+for _, document in ipairs(lines_of("ls *.md doc/*.md")) do
   local blocks, folder = blocks_of(document), nil
 
   describe("who follows " .. document, function()
@@ -104,7 +101,7 @@ for _, document in ipairs(documents()) do
       end
       for _, step in ipairs(block.commands or {}) do
         it(("sees at line %d: %s"):format(block.line, step.command), function()
-          assert.same(step.output, output_of(folder, step.command, step.input))
+          assert.same(step.lines, replay(folder, step))
         end)
       end
     end
@@ -126,7 +123,7 @@ describe("the chart in the README", function()
       "rfsm dot -o lamp.dot", "rfsm mermaid -o lamp.mmd", "rfsm viz -o lamp.svg",
       "rfsm viz -T plantuml -o lamp.txt", "rfsm check -q -s", "rfsm-check -q",
       "rfsm-viz -o lamp.pdf", "rfsm2json", "rfsm2plantuml", "rfsm-sim -q -e 'pp()'" } do
-      local lines = output_of(folder, command .. " lamp.lua && echo done", {})
+      local lines = output_of(folder, command .. " lamp.lua && echo done")
       assert.equal("done", lines[#lines], command)
     end
   end)
@@ -135,13 +132,11 @@ end)
 describe("the index of examples in the manual", function()
   it("has each of them", function()
     local manual, missing = helper.content("doc/manual.md"), {}
-    local pipe = assert(io.popen("ls -d examples/*.lua examples/hosts/*"))
-    for file in pipe:lines() do
+    for _, file in ipairs(lines_of("ls examples/*.lua examples/hosts/*")) do
       if not manual:find("(../" .. file .. ")", 1, true) then
         missing[#missing + 1] = file
       end
     end
-    pipe:close()
     assert.same({}, missing)
   end)
 end)

@@ -207,6 +207,14 @@ function helper.output_of(text)
   return (output:gsub("%s+$", ""))
 end
 
+--- Runs a command of the shell; returns the lines it prints.
+function helper.lines_of(command)
+  local pipe, lines = assert(io.popen(command)), {}
+  for line in pipe:lines() do lines[#lines + 1] = line end
+  pipe:close()
+  return lines
+end
+
 --- Returns what stands in a file.
 function helper.content(name)
   local file = assert(io.open(name, "rb"))

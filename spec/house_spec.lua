@@ -4,12 +4,7 @@ local helper = require "spec.helper"
 
 after_each(helper.remove_files)
 
-local function lines_of(command)
-  local pipe, lines = assert(io.popen(command)), {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
-end
+local lines_of = helper.lines_of
 
 -- The tracked files; nil in a tree without git.
 local function tracked()
@@ -136,7 +131,7 @@ end
 -- All modules in a row, the core first, for one file that holds them.
 local function all_modules()
   local names = { "rfsm" }
-  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua compat/*.lua "
+  for _, file in ipairs(lines_of("ls rfsm?*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua "
     .. "compat/rfsm/*.lua")) do
     names[#names + 1] = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
   end

@@ -473,3 +473,128 @@ describe("an events table that was kept stays what it was:", function()
     end)
   end
 end)
+
+describe("the model's own hook", function()
+  it("is taken away like any other", function()
+    local trace = {}
+    local hook = noting(trace, "own")
+    local fsm = started { pre_step_hook = hook }
+    helper.clear(trace)
+    assert.is_true(rfsm.pre_step_hook_rm(fsm, hook))
+    assert.is_false(rfsm.pre_step_hook_rm(fsm, hook))
+    post_and_run(fsm, "e")
+    assert.same({ {}, "root.b" }, { trace, rfsm.get_actleaf_fqn(fsm) })
+  end)
+end)
+
+describe("a node of another machine", function()
+  local fsm, other = started(), started()
+  local function nothing() end
+
+  local function row(name, text, ...)
+    return { name, text .. " expected, got ", rfsm[name], ... }
+  end
+
+  for _, case in ipairs {
+    row("entry_hook_add", "state of the fsm", fsm, other.a, nothing),
+    row("exit_state", "state of the fsm", fsm, other.a),
+    row("node_find_enabled", "node of the fsm", fsm, other.a, {}),
+    row("map_from_to", "two nodes of the fsm", fsm, nothing, other.a, other),
+  } do
+    it("is refused by " .. case[1], function()
+      local text = helper.refusal(unpack(case, 3, 7))
+      assert.equal(1, (text:find(("rfsm.%s: %s"):format(case[1], case[2]), 1, true)))
+    end)
+  end
+end)
+
+describe("a transition that gets another target between two steps", function()
+  for _, uses in ipairs { 1, 20 } do
+    it("leads there from then on, after " .. uses .. " uses", function()
+      local fsm = started { c = state {} }
+      for _ = 1, 2 * uses do post_and_run(fsm, "e") end
+      fsm[2].tgt = fsm.c
+      assert.equal("root.c", leaf_after(fsm, "e"))
+    end)
+  end
+end)
+
+describe("a merge that a preproc function refuses", function()
+  it("leaves each transition its target", function()
+    local fsm = started { err = false }
+    helper.with_preproc(function() return { "on purpose" } end, function()
+      assert.is_false((rfsm.fsm_merge(fsm, fsm.b, conn {}, "initial")))
+    end)
+    assert.equal(fsm.b, fsm[2].tgt)
+    assert.is_nil(fsm.b.initial)
+    assert.equal("root.b", leaf_after(fsm, "e"))
+  end)
+end)
+
+describe("two transitions of one priority, in composites of one depth,", function()
+  it("are tried in the order of the composites' names", function()
+    for _, name in ipairs { "k", "z" } do
+      local fsm = started {
+        m = state { [8] = trans { src = "root.a", tgt = "root.m.x", events = "go" },
+          x = state {}, trans { src = "initial", tgt = "x" } },
+        [name] = state { [1] = trans { src = "root.a", tgt = "root.b", events = "go" },
+          x = state {}, [2] = trans { src = "initial", tgt = "x" } },
+      }
+      assert.equal(name == "k" and "root.b" or "root.m.x", leaf_after(fsm, "go"))
+    end
+  end)
+end)
+
+describe("a node table that is mounted twice", function()
+  it("is for each transition the nearest one", function()
+    local shared = state {}
+    local function mount(name)
+      return state { x = shared, trans { src = "initial", tgt = shared, effect = nil },
+        trans { src = shared, tgt = "root.a", events = "from " .. name } }
+    end
+    local fsm = started { m = mount "m", z = mount "z",
+      [4] = trans { src = "a", tgt = "m", events = "m" },
+      [5] = trans { src = "a", tgt = "z", events = "z" } }
+    for _, name in ipairs { "m", "z" } do
+      assert.equal("root." .. name .. ".x", leaf_after(fsm, name))
+      assert.equal("root.a", leaf_after(fsm, "from " .. name))
+    end
+  end)
+end)
+
+describe("the older names", function()
+  it("are the same functions", function()
+    for _, name in ipairs { "sista", "csta", "simple_state", "composite_state" } do
+      assert.equal(rfsm.state, rfsm[name])
+    end
+    assert.same({ rfsm.trans, rfsm.conn }, { rfsm.transition, rfsm.connector })
+  end)
+end)
+
+describe("check_no_otrs", function()
+  it("warns of each node that nothing leaves", function()
+    local fsm = started { c = state {}, d = state { final = true } }
+    local warnings = said(fsm, "warn")
+    assert.is_false(rfsm.check_no_otrs(fsm))
+    assert.same({ "WARNING: no outgoing transitions from node 'root.c'" }, warnings)
+    assert.is_true(rfsm.check_no_otrs(started()))
+  end)
+end)
+
+describe("the printers of a machine that has none of its own", function()
+  it("are stdout for info, stderr for warn and err", function()
+    local file = helper.file_with([[
+      local rfsm = require "rfsm"
+      local fsm = rfsm.init(rfsm.state {
+        a = rfsm.state { entry = function() error("on purpose", 0) end, final = true },
+        rfsm.trans { src = "initial", tgt = "a" } })
+      fsm.info "info" fsm.warn "warn" rfsm.run(fsm)
+    ]])
+    local command = arg[-1] .. " " .. file
+    assert.same({ "INFO: created undeclared connector root.initial", "info" },
+      helper.lines_of(command .. " 2>/dev/null"))
+    assert.same({ "warn", "ENTRY\terror executing entry of root.a: \ton purpose" },
+      helper.lines_of(command .. " 2>&1 >/dev/null"))
+    helper.remove_files()
+  end)
+end)

@@ -8,12 +8,7 @@ after_each(helper.remove_files)
 local setfenv = rawget(_G, "setfenv")
 local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
 
-local function lines_of(command)
-  local pipe, lines = assert(io.popen(command)), {}
-  for line in pipe:lines() do lines[#lines + 1] = line end
-  pipe:close()
-  return lines
-end
+local lines_of = helper.lines_of
 
 -- The files of the project: those that git knows, all in a tree without git.
 local function files(...)

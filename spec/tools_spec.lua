@@ -266,12 +266,14 @@ describe("rfsm-viz", function()
       '{"states":{"root.on":12},"transitions":{"root.trans[1]":1}}')
     local text = run("rfsm-viz --coverage '" .. coverage .. "' examples/on_off.lua")
     assert.is_truthy(text:find("(12×)", 1, true))
-    local trace = write_file("trace.json", '{"leaf":"root.off"}\n'
-      .. '{"leaf":"root.off"}\n{"transition":"root.trans[2]","leaf":"root.on"}\n')
-    text = run("rfsm-viz --trace '" .. trace .. "' examples/on_off.lua")
-    for i, place in ipairs { 'id="root.off"', 'id="root.trans%[2%]"',
-      'id="root.on"' } do
-      assert.matches(place .. ",[^\n]*%(step " .. i .. "%)", text)
+    local steps = { '{"leaf":"root.off"}', '{"taken":["root.trans[2]"]}', '"root.on"' }
+    for _, json in ipairs { table.concat(steps, "\n"),
+      "[" .. table.concat(steps, ",") .. "]" } do
+      local trace = write_file("trace.json", json)
+      text = run("rfsm-viz --trace '" .. trace .. "' examples/on_off.lua")
+      for i, place in ipairs { "off", "trans%[2%]", "on" } do
+        assert.matches('id="root.' .. place .. '",[^\n]*%(step ' .. i .. "%)", text)
+      end
     end
     for content_of, problem in pairs { -- any order: each stands alone
       ["[1]"] = 'an object with "states" and "transitions" expected',

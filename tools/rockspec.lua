@@ -1,5 +1,5 @@
--- Writes the lists of the development rockspec anew:  LUA tools/rockspec.lua
--- Prints the rockspec of a release:                   LUA tools/rockspec.lua VERSION URL
+-- Writes the lists of the development rockspec anew: LUA tools/rockspec.lua
+-- Prints the rockspec of a release:                  LUA tools/rockspec.lua VERSION URL
 --
 -- The latter is the development rockspec with this version, with the tag of the release
 -- in the repository at URL, and with the address of that as homepage.

@@ -32,8 +32,8 @@ local function run(arguments, block)
   local file = assert(io.open(name, "w"))
   file:write(input_of(block))
   file:close()
-  local pipe = assert(io.popen(("TERM=dumb LUA='%s' tools/rfsm sim %s <%s 2>&1"):format(
-    os.getenv("LUA") or arg[-1], arguments, name)))
+  local pipe = assert(io.popen(("TERM=dumb LUA='%s' '%s/rfsm' sim %s <%s 2>&1"):format(
+    os.getenv("LUA") or arg[-1], arg[0]:match("^(.*)/"), arguments, name)))
   local output = pipe:read("*a")
   pipe:close()
   os.remove(name)

@@ -245,8 +245,6 @@ local function add_guard(chart, random, id)
   for i = 1, random:below(3) do
     actions[i] = random:chance(40) and { "return", false }
       or random:chance(20) and { "return", true } or random_action(chart, random)
-    -- what a guard retargets may count in the same search, or not
-    if actions[i] and actions[i][1] == "retarget" then actions[i] = false end
   end
   chart.programs[id] = actions
 end
