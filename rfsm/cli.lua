@@ -183,6 +183,8 @@ function check.add_arguments(command)
     :argname("N"):convert(tonumber)
   command:option("--seconds", "explore: stop after so long"):argname("N")
     :convert(tonumber)
+  command:option("--record", "explore: write the run that shows the first finding")
+    :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
   command:option("-o --output", "tests: file to write; - is stdout", "-")
