@@ -46,6 +46,7 @@ build = {
     ["rfsm.checks.codes"] = "rfsm/checks/codes.lua",
     ["rfsm.checks.command"] = "rfsm/checks/command.lua",
     ["rfsm.checks.coverage"] = "rfsm/checks/coverage.lua",
+    ["rfsm.checks.deeds"] = "rfsm/checks/deeds.lua",
     ["rfsm.checks.explore"] = "rfsm/checks/explore.lua",
     ["rfsm.checks.graph"] = "rfsm/checks/graph.lua",
     ["rfsm.checks.loops"] = "rfsm/checks/loops.lua",

@@ -16,6 +16,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local deeds = require "rfsm.checks.deeds"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
@@ -94,31 +95,13 @@ local function new_doo(self, part, who)
   end
 end
 
--- Returns what stands for a callback: sets flags, sends events; false if it has nothing
--- to do.
-local function new_deed(self, name)
-  local flags, events = self.flags_of[name], self.sends[name]
-  if not (flags or events) then return false end
-  return function(fsm)
-    for _, flag in ipairs(flags or {}) do self.flags[flag.number] = flag.value end
-    for _, event in ipairs(events or {}) do rfsm.send_events(fsm, event) end
-  end
-end
-
--- Notes that a callback exists.
-local function deed(self, what, path)
-  local name = what .. " " .. path
-  self.deeds[#self.deeds + 1] = name
-  return new_deed(self, name)
-end
-
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
   self.names[path] = state
   local regions = state._seqand
   local target = regions or state -- the callbacks of such a state are the library's
-  target.entry = deed(self, "entry", path) or nil
-  target.exit = deed(self, "exit", path) or nil
+  target.entry = deeds.new(self, "entry", path) or nil
+  target.exit = deeds.new(self, "exit", path) or nil
   if state.doo and not regions then state.doo = new_doo(self, part, path) end
   state.prepare = nil
 end
@@ -128,7 +111,7 @@ local function make_transition(self, part, tr)
   self.transitions[number] = { tr = tr, part = part, path = path,
     location = rfsm.location_of(tr) }
   if tr.guard then tr.guard = new_guard(self, path) end
-  local effect = deed(self, "effect", path)
+  local effect = deeds.new(self, "effect", path)
   tr.likely = nil
   tr.effect = function(fsm)
     self.taken[#self.taken + 1] = number
@@ -443,37 +426,6 @@ end
 
 -- Public functions ................................................................
 
--- Turns { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
--- by name, with a number for each flag.
-local function read_flags(self, flags)
-  local names = {}
-  for name in pairs(flags) do names[#names + 1] = name end -- any order: sorted
-  sort(names)
-  for number, name in ipairs(names) do
-    self.flag_numbers[name], self.flags[number] = number, false
-    for _, value in ipairs { true, false } do
-      for _, what in ipairs(flags[name][value and "on" or "off"] or {}) do
-        local list = self.flags_of[what] or {}
-        list[#list + 1] = { number = number, value = value }
-        self.flags_of[what] = list
-      end
-    end
-  end
-  self.has_flags = names[1] ~= nil
-end
-
--- Raises an error for a callback that does not exist.
-local function check_deeds(self, deeds, field)
-  local exists, wrong = {}, nil
-  for _, name in ipairs(self.deeds) do exists[name] = true end
-  for name in pairs(deeds) do -- any order: the least counts
-    if not exists[name] and (not wrong or name < wrong) then wrong = name end
-  end
-  if not wrong then return end
-  error(("%s: no callback '%s'%s"):format(field, wrong,
-    advice.nearest_name(wrong, self.deeds)), 0)
-end
-
 local function list_events(self)
   local list, is_listed = {}, {}
   for _, entry in ipairs(self.transitions) do
@@ -512,10 +464,10 @@ function puppet.new(model, options)
     taken = {}, clashes = {}, ids = {}, event_list = {}, event_numbers = {},
     alphabet = options.alphabet and set_of(options.alphabet), is_endless = false,
     all_events = false }, Puppet)
-  read_flags(self, options.flags or {})
+  deeds.read_flags(self, options.flags or {})
   add_part(self, new_part(fsm))
-  check_deeds(self, self.flags_of, "flags")
-  check_deeds(self, self.sends, "sends")
+  deeds.check(self, self.flags_of, "flags")
+  deeds.check(self, self.sends, "sends")
   self.all_events = options.alphabet or list_events(self)
   return self
 end
