@@ -1,6 +1,6 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- strike anywhere. Here it does so at every seventh VM instruction in turn, or at each if
--- EVERY=1. It reaches the caller as itself; after that the machine goes on, and ends
+-- strike anywhere. Here it does so at every seventh VM instruction in turn, or at each
+-- if EVERY=1. It reaches the caller as itself; after that the machine goes on, and ends
 -- where it would have ended.
 
 local rfsm = require "rfsm"
