@@ -244,8 +244,8 @@ end
 ---@return integer count
 function Fleet:wake(limit)
   local count = 0
-  for tag = 0, self.tags - 1 do
-    tag = ("%d"):format(tag)
+  for number = 0, self.tags - 1 do
+    local tag = ("%d"):format(number)
     local due = self:call(tag, "FCALL", "rfsm_due", 1, "rfsm:due:{" .. tag .. "}",
       limit or 100)
     for _, key in ipairs(due) do
@@ -304,8 +304,8 @@ end
 function Fleet:work(group, worker, f, options)
   options = options or {}
   local count, idle, total = options.count or 100, options.idle or 30000, 0
-  for tag = 0, self.tags - 1 do
-    tag = ("%d"):format(tag)
+  for number = 0, self.tags - 1 do
+    local tag = ("%d"):format(number)
     local stream = "rfsm:out:{" .. tag .. "}"
     local left = claim(self, tag, stream, group, worker, idle, count)
     total = total + handle(self, tag, stream, group, left, f)
