@@ -2,8 +2,8 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, test, test-web and doc install missing Debian packages if you are root or have
-# password-free sudo. Otherwise they print the command to type.
+# sim, fleet, test, test-web and doc install missing Debian packages if you are root or
+# have password-free sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim test test-web lint fuzz bench bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web lint fuzz bench bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -44,6 +44,10 @@ help:                   ## this list
 sim:                    ## open MODEL in the simulator, with LUA
 	@tools/deps.sh sim
 	@$(if $(filter file,$(origin LUA)),,LUA=$(LUA)) tools/rfsm sim $(MODEL)
+
+fleet:                  ## a warehouse whose orders are machines in a Redis server of its own
+	@tools/deps.sh fleet
+	@examples/warehouse/fleet.sh lua5.3
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
@@ -84,7 +88,7 @@ $(LUAS:%=examples-with-%): examples-with-%:
 examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 
 transcript:             ## run the sessions in doc/sim.md again, with LUA
-	$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
+	@$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
 
 doc:                    ## HTML pages of the API in out/; warnings are errors
 	@tools/deps.sh doc

@@ -300,26 +300,28 @@ function Transition.__tostring(tr)
   return text .. " }"
 end
 
--- Numbers before strings, each ascending: array part first, then names sorted.
+-- Numbers ascending, then all others by their text.
 local function key_before(a, b)
-  local a_type, b_type = type(a), type(b)
-  if a_type ~= b_type then return a_type == "number" end
-  return a < b
+  local is_number = type(a) == "number"
+  if is_number ~= (type(b) == "number") then return is_number end
+  if is_number then return a < b end
+  return text_of(a) < text_of(b)
 end
 
--- Returns the keys under which `t` holds what `pred` accepts, in `key_before` order.
-local function sorted_keys(t, pred)
+--- Return the keys of a table, numbers ascending, then others by text, for extensions.
+---@param t table
+---@param pred? fun(value: any, key: any): boolean the keys wanted, default all
+---@return any[] keys
+function rfsm.sorted_keys(t, pred)
   local keys = {}
-  for key, value in pairs(t) do
-    local key_type = type(key)
-    if (key_type == "number" or key_type == "string") and not is_meta(key)
-      and pred(value) then
-      keys[#keys + 1] = key
-    end
+  for key, value in next, t do -- any order: sorted
+    if not pred or pred(value, key) then keys[#keys + 1] = key end
   end
   sort(keys, key_before)
   return keys
 end
+
+local sorted_keys = rfsm.sorted_keys
 
 local NONE = {}
 
@@ -450,13 +452,17 @@ local function add(list, def, field, text, ...)
   }
 end
 
--- Describes an unexpected value.
-local function got(value)
+--- Describe an unexpected value: "got string 'led'", "got state", for extensions.
+---@param value any
+---@return string text
+function rfsm.got(value)
   local kind = kind_of(value) or type(value)
   if kind == "string" then return "got string '" .. value .. "'" end
   if kind == "number" then return "got number " .. text_of(value) end
   return "got " .. kind
 end
+
+local got = rfsm.got
 
 local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
@@ -2728,9 +2734,12 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
   pred = pred or rfsm.is_fsmobj
   local results = {}
+  local function is_member(value, key)
+    return rfsm.is_fsmobj(value) and not is_meta(key)
+  end
   local function map_members(state, levels)
     if levels < 1 then return end
-    for _, key in ipairs(sorted_keys(state, rfsm.is_fsmobj)) do
+    for _, key in ipairs(sorted_keys(state, is_member)) do
       local obj = state[key]
       if pred(obj) then results[#results + 1] = f(obj, state, key) end
       if is_state(obj) then map_members(obj, levels - 1) end
@@ -2989,9 +2998,13 @@ end
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
-  rfsm.reset(fsm)
-  if leaf then move_to(leaf, mode) end
-  fsm._intq = queue
+  if leaf then
+    move_to(leaf, mode)
+    run_hooks(fsm, fsm._reset_hooks)
+  else
+    reset_now(fsm)
+  end
+  fsm._intq, fsm._curq, fsm._reset_wanted = queue, {}, false
   check_plain(fsm)
 end
 

@@ -23,6 +23,8 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field enabled fun(fsm: rfsm.Machine): any[], string events that do something now
 ---@field coverage fun(fsm: rfsm.Machine, earlier?: table): rfsm_checks.Coverage
 ---@field rehearsal fun(chart: string|rfsm.State): rfsm_checks.Rehearsal for tests
+---@field record_witness fun(model: rfsm.State, witness: table, sink: table|string)
+---@field path_of fun(witness: table): string[] for the `trace` of a picture
 ---@field never fun(condition: any): rfsm_checks.Property in no configuration
 ---@field always fun(condition: any): rfsm_checks.Property in each configuration
 ---@field after fun(event: any): table after(event).reach(condition)
@@ -107,6 +109,7 @@ local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
   findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
   coverage = "rfsm.checks.coverage", rehearsal = "rfsm.checks.rehearsal",
+  record_witness = "rfsm.checks.witness", path_of = "rfsm.checks.witness",
   never = "rfsm.checks.properties", always = "rfsm.checks.properties",
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }

@@ -16,8 +16,8 @@ local rfsm = require "rfsm"
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawget, rawset, setmetatable = pcall, rawget, rawset, setmetatable
 local type = type
-local concat, sort = table.concat, table.sort
-local is_state, text_of = rfsm.is_state, rfsm.text_of
+local concat = table.concat
+local got, is_state, text_of = rfsm.got, rfsm.is_state, rfsm.text_of
 local step, run = rfsm.step, rfsm.run
 
 -- Model: the fields that the constructor takes -----------------------------------
@@ -41,24 +41,6 @@ local function has_regions(state)
   return is_state(state) and getmetatable(state.substates) == Substates
 end
 
--- Positions first, then names.
-local function name_before(a, b)
-  if type(a) ~= type(b) then return type(a) == "number" end
-  return a < b
-end
-
-local function sorted_names(regions)
-  local names = {}
-  for name in pairs(regions) do names[#names + 1] = name end -- any order: sorted
-  sort(names, name_before)
-  return names
-end
-
-local function got(value)
-  if type(value) == "string" then return "got string '" .. value .. "'" end
-  return "got " .. (is_state(value) and "state" or type(value))
-end
-
 -- Returns a wrong field and its problem.
 local function check_order(order, regions)
   if order == nil then return nil end
@@ -67,7 +49,7 @@ local function check_order(order, regions)
   end
   for i, name in ipairs(order) do
     if regions[name] == nil then
-      local names = sorted_names(regions)
+      local names = rfsm.sorted_keys(regions)
       for j = 1, #names do names[j] = "'" .. text_of(names[j]) .. "'" end
       return "order[" .. i .. "]", "name of a region expected, " .. got(name)
         .. " (there are " .. (names[1] and concat(names, ", ") or "none") .. ")"
@@ -251,7 +233,7 @@ local function new_substates(state, problems)
   end
   in_progress[given] = true
   local ok, failure = pcall(function()
-    for _, name in ipairs(sorted_names(given)) do
+    for _, name in ipairs(rfsm.sorted_keys(given)) do
       local region, found = new_region(given[name])
       substates[name] = region
       for _, text in ipairs(found or {}) do
@@ -276,7 +258,7 @@ local function new_regions(state)
     end
   end
   add(state.order or {})
-  add(sorted_names(state.substates))
+  add(rfsm.sorted_keys(state.substates))
   for i = 1, #names do regions[i] = state.substates[names[i]] end
   regions.names, regions.is_forwarded, regions.is_standing = names, false, false
   return regions

@@ -10,10 +10,10 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawget, rawset, require = pcall, rawget, rawset, require
 local select, tostring, type = select, tostring, type
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 local text_of = rfsm.text_of
 
 local rfsmpp = {}
@@ -69,20 +69,10 @@ end
 
 local to_text
 
--- Numbers first, then everything else by its text.
-local function key_before(a, b)
-  local a_is_number, b_is_number = type(a) == "number", type(b) == "number"
-  if a_is_number ~= b_is_number then return a_is_number end
-  if a_is_number then return a < b end
-  return text_of(a) < text_of(b)
-end
-
 -- The contents of a table: {"a","b",x=1}. `open` has the tables around it.
 local function table_to_text(t, open)
-  local keys, texts, length = {}, {}, 0
-  for key in next, t do keys[#keys + 1] = key end -- any order: sorted
-  sort(keys, key_before)
-  for i, key in ipairs(keys) do
+  local texts, length = {}, 0
+  for i, key in ipairs(rfsm.sorted_keys(t)) do
     texts[i] = to_text(t[key], open)
     if key == length + 1 then
       length = key

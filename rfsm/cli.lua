@@ -1,4 +1,4 @@
---- The command line: `rfsm check`, `rfsm sim`, `rfsm viz`, `rfsm json` and others.
+--- The command line: `rfsm check`, `rfsm sim`, `rfsm viz`, `rfsm redis` and others.
 --
 -- Output of a chart while it is loaded goes to stderr, so that it is never part of a
 -- result.
@@ -183,6 +183,8 @@ function check.add_arguments(command)
     :argname("N"):convert(tonumber)
   command:option("--seconds", "explore: stop after so long"):argname("N")
     :convert(tonumber)
+  command:option("--record", "explore: write the run that shows the first finding")
+    :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
   command:option("-o --output", "tests: file to write; - is stdout", "-")
@@ -384,6 +386,36 @@ function viz.run(options, parser)
   return 0
 end
 
+-- rfsm redis --
+
+local redis = {
+  name = "redis", summary = "Bundle charts as a library of Redis functions.",
+  epilog = "The name of a chart is that of its file; NAME=FILE gives another one. Of "
+    .. "charts with one name the last is the newest.",
+}
+
+function redis.add_arguments(command)
+  command:argument("files", "Lua files that return a chart"):args("+")
+    :argname("[NAME=]FILE")
+  command:option("-o --output", "file to write; - is stdout"):argname("FILE")
+  command:option("-l --load", "load the library into this server"):argname("URL")
+end
+
+function redis.run(options)
+  local ok, text = with_streams(io.stderr, require("rfsm.redis").bundle, options.files)
+  if not ok then fail("redis", { chart.first_line(text) }) end
+  if options.load then
+    local connected, fleet = pcall(require("rfsm.fleet").connect, options.load)
+    if not connected then fail("redis", { chart.first_line(fleet) }) end
+    local loaded, problem = fleet:load(text)
+    if not loaded then fail("redis", { problem }) end
+  end
+  if options.output or not options.load then
+    write("redis", options.output or "-", text)
+  end
+  return 0
+end
+
 -- rfsm web, rfsm watch --
 
 -- Calls a function that has no end; Control-C ends it.
@@ -468,7 +500,7 @@ end
 -- Public functions ------------------------------------------------------------
 
 local COMMANDS = {
-  check, sim, viz, new_encoder("json", "JSON"),
+  check, sim, viz, redis, new_encoder("json", "JSON"),
   new_encoder("plantuml", "PlantUML diagrams"), new_encoder("dot", "Graphviz graphs"),
   new_encoder("mermaid", "Mermaid diagrams"), web, watch,
 }

@@ -63,10 +63,10 @@ local function load(fsm, counts)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
     local kept = counts and counts[state._fqn] or {}
     if type(kept) ~= "table" then error("table of counts expected", 0) end
-    state.emem = setmetatable({}, WEAK)
+    for event in pairs(state.emem or {}) do state.emem[event] = nil end -- any order
     for event, n in pairs(kept) do -- any order: each stands alone
       if type(n) ~= "number" then error("number of events expected", 0) end
-      state.emem[event] = n
+      if state.emem then state.emem[event] = n end
     end
   end
 end

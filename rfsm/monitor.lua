@@ -7,7 +7,6 @@ local rfsm = require "rfsm"
 
 local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
 local rawset, setmetatable, type = rawset, setmetatable, type
-local sort = table.sort
 local text_of = rfsm.text_of
 
 local monitor = {}
@@ -21,23 +20,8 @@ local monitor = {}
 ---@field exit? function
 ---@field [any] any
 
--- Numbers first, each ascending, then all other events by their text.
-local function event_before(a, b)
-  local a_is_number, b_is_number = type(a) == "number", type(b) == "number"
-  if a_is_number ~= b_is_number then return a_is_number end
-  if a_is_number then return a < b end
-  return text_of(a) < text_of(b)
-end
-
-local function sorted_events(montab)
-  local events = {}
-  for event in pairs(montab) do events[#events + 1] = event end -- any order: sorted
-  sort(events, event_before)
-  return events
-end
-
 local function new_doo(montab, is_first_only)
-  local events, checks = sorted_events(montab), {}
+  local events, checks = rfsm.sorted_keys(montab), {}
   for i, event in ipairs(events) do checks[i] = montab[event] end
   return function(fsm, state)
     while true do
@@ -60,7 +44,7 @@ local function check_monitor(t)
   elseif t.doo ~= nil then
     return "doo: is the state's own, and cannot be set"
   end
-  for _, event in ipairs(sorted_events(t.montab)) do
+  for _, event in ipairs(rfsm.sorted_keys(t.montab)) do
     if not rfsm.is_callable(t.montab[event]) then
       return "montab: function expected for event '" .. text_of(event) .. "', got "
         .. type(t.montab[event])

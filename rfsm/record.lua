@@ -411,7 +411,7 @@ local function finish_again(session, track)
     if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
   end
   track.rec, track.last = false, rec
-  if track.m == nil then session.at = session.at + 1 end
+  if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
 -- A guard that returns what was recorded; with `is_called` it is called, and compared.

@@ -48,12 +48,10 @@ local function info_of(port)
 end
 
 local function got(value)
-  if type(value) == "string" then return "got string '" .. value .. "'" end
-  if type(value) == "number" then return "got number " .. rfsm.text_of(value) end
   local direction = info_of(value).porttype
   if direction == "in" then return "got an input port" end
   if direction == "out" then return "got an output port" end
-  return "got " .. type(value)
+  return rfsm.got(value)
 end
 
 -- Returns a Variable to use again and again, and one of type double if values must go

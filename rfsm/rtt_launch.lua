@@ -14,7 +14,7 @@ local error, ipairs, loadfile, pairs, pcall = error, ipairs, loadfile, pairs, pc
 local rawget, rawset, require, select = rawget, rawset, require, select
 local tostring, type = tostring, type
 local collectgarbage, package = collectgarbage, package
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -190,13 +190,6 @@ local function to_text(value)
   return "{" .. concat(texts, ",") .. "}"
 end
 
-local function sorted_names(t)
-  local names = {}
-  for name in pairs(t) do names[#names + 1] = name end -- any order: sorted
-  sort(names, function(a, b) return tostring(a) < tostring(b) end)
-  return names
-end
-
 -- The pool of a TLSF component fails when it is full, before the collector is due.
 local PROGRAM = [[
 if rawget(_G, "tlsf") then pcall(collectgarbage, "setpause", 110) end
@@ -208,7 +201,7 @@ require("rfsm.rtt_launch").launch(%s, { %s })
 -- Returns the text that launches a machine; raises if `env` cannot be written.
 local function program(args, is_component)
   local env, globals, fields = args.env or {}, {}, {}
-  for i, name in ipairs(sorted_names(env)) do
+  for i, name in ipairs(rfsm.sorted_keys(env)) do
     local text = type(name) == "string" and to_text(env[name])
     if not text then
       error(("env: %s: a name and a string, number, boolean or list of these expected")
@@ -216,7 +209,7 @@ local function program(args, is_component)
     end
     globals[i] = ("rawset(_G, %q, %s)"):format(name, text)
   end
-  for _, name in ipairs(sorted_names(args)) do
+  for _, name in ipairs(rfsm.sorted_keys(args)) do
     local text = simple_text(args[name]) -- nil for the deployer and the like
     if text then fields[#fields + 1] = name .. " = " .. text end
   end
@@ -248,10 +241,10 @@ end
 -- Raises the first problem of the arguments of a launch. Two of them must be given.
 local function check(args, first, second)
   if type(args) ~= "table" then error("table expected, got " .. type(args), 0) end
-  for _, name in ipairs(sorted_names(args)) do
+  for _, name in ipairs(rfsm.sorted_keys(args)) do
     if not FIELDS[name] then error("unknown field '" .. tostring(name) .. "'", 0) end
   end
-  for _, name in ipairs(sorted_names(FIELDS)) do
+  for _, name in ipairs(rfsm.sorted_keys(FIELDS)) do
     local problem = (args[name] ~= nil or name == first or name == second)
       and problem_of(FIELDS[name], args[name])
     if problem then error(name .. ": " .. problem, 0) end

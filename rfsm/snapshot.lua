@@ -44,6 +44,9 @@ local snapshot = { VERSION = 1 }
 ---@field lines string[] a line for each element, in the order of `rfsm.elements`
 ---@field fingerprint string
 ---@field keepers string[] FQN of the states that keep something
+---@field kept table<string, table<string, true>> the fields that they keep
+---@field index table<string, integer> numbers of the nodes, by FQN
+---@field targets integer[] the number of the target of each transition
 
 local function event_text(event)
   return is_scalar(event) and text_of(event) or "a " .. type(event)
@@ -114,12 +117,17 @@ local structures = setmetatable({}, { __mode = "v" })
 local function chart_of(fsm)
   local chart = charts[fsm._plan]
   if chart then return chart end
-  chart = { lines = {}, fingerprint = false, keepers = {} }
+  chart = { lines = {}, fingerprint = false, keepers = {}, kept = {}, index = {},
+    targets = {} }
+  for i, def in ipairs(fsm._plan.nodes) do chart.index[def.fqn] = i end
+  for i, def in ipairs(fsm._plan.transitions) do chart.targets[i] = def.tgt.index end
   for i, obj in ipairs(rfsm.elements(fsm)) do
     chart.lines[i] = line_of(obj)
     if rfsm.is_state(obj) and keeps(obj) then
       check_keeper(obj)
       chart.keepers[#chart.keepers + 1] = obj._fqn
+      chart.kept[obj._fqn] = {}
+      for _, name in ipairs(obj.keep or {}) do chart.kept[obj._fqn][name] = true end
     end
   end
   chart.fingerprint = fingerprint_of(chart.lines)
@@ -129,17 +137,13 @@ end
 
 -- Returns the node that an FQN names; nil if there is none.
 local function find_node(fsm, fqn)
-  local node, rest = fsm, type(fqn) == "string" and fqn:match("^root(.*)$")
-  for name in (rest or ""):gmatch("[^.]+") do
-    node = not rfsm.is_meta(name) and rawget(node, name)
-    if not rfsm.is_node(node) then return nil end
-  end
-  return rest and node._fqn == fqn and node or nil
+  local index = chart_of(fsm).index[fqn]
+  return index and fsm._nodes[index]
 end
 
 local function find_state(fsm, fqn)
   local node = find_node(fsm, fqn)
-  return rfsm.is_state(node) and node or nil
+  return node and node._mode and node or nil
 end
 
 -- Take -------------------------------------------------------------------------
@@ -196,9 +200,10 @@ end
 
 -- Notes the targets that programs have set.
 local function take_targets(fsm, snap)
-  local defs = fsm._plan.transitions
-  for i, tr in ipairs(fsm._transitions) do
-    if tr.tgt._fqn ~= defs[i].tgt.fqn then
+  local first, nodes, transitions = chart_of(fsm).targets, fsm._nodes, fsm._transitions
+  for i = 1, #transitions do
+    local tr = transitions[i]
+    if tr.tgt ~= nodes[first[i]] then
       local list = snap.targets or {}
       local n = #list
       list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
@@ -424,12 +429,9 @@ end
 
 -- Returns the fields of each state, checked: only what `keep` names may be set.
 local function unpack_data(fsm, snap)
-  local data = {}
+  local data, kept = {}, chart_of(fsm).kept
   for fqn, fields in pairs(snap.data or {}) do -- any order: each stands alone
-    local state, names = find_state(fsm, fqn), {}
-    for _, name in ipairs(state and keeps(state) and state.keep or {}) do
-      names[name] = true
-    end
+    local names = kept[fqn] or {}
     data[fqn] = unpack(fields, 2)
     if type(data[fqn]) ~= "table" then
       fail("data: table expected for '%s', got %s", text_of(fqn), type(fields))
@@ -488,11 +490,12 @@ local function unpack_targets(fsm, snap)
 end
 
 local function set_targets(fsm, targets)
-  local defs = fsm._plan.transitions
-  for i, tr in ipairs(fsm._transitions) do
-    local node = targets[tr] or fsm._nodes[defs[i].tgt.index]
+  local first, nodes, transitions = chart_of(fsm).targets, fsm._nodes, fsm._transitions
+  for i = 1, #transitions do
+    local tr, node = transitions[i], nodes[first[i]]
     if tr.tgt ~= node then tr.tgt = node end
   end
+  for tr, node in pairs(targets) do tr.tgt = node end -- any order
 end
 
 -- Calls a function of the chart; its error is that of the restore.

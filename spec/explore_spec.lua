@@ -287,6 +287,28 @@ describe("a property", function()
   end)
 end)
 
+describe("a witness", function()
+  local model = chart { c = state { doo = yes },
+    [4] = go("a", "c", "e_c", { guard = yes }), [5] = go("c", "b", "e_done"),
+    properties = { never("root.c"), after("e_c").reach("root.c") } }
+  local findings = rfsm_checks.explore(model).findings
+
+  it("is replayed as a recording, to where it leads", function()
+    for _, finding in ipairs(findings) do
+      local records = {}
+      rfsm_checks.record_witness(model, finding.witness, records)
+      local fsm, problem = require("rfsm.record").replay(model, records, { dry = true })
+      assert.is_nil(problem)
+      assert.equal(finding.witness[#finding.witness].leaf, rfsm.get_actleaf_fqn(fsm))
+    end
+  end)
+
+  it("is a path in a picture", function()
+    assert.same({ "root.trans[1]", "root.a", "root.trans[4]", "root.c" },
+      rfsm_checks.path_of(findings[2].witness))
+  end)
+end)
+
 -- Agreement with random runs ----------------------------------------------------
 
 local count = tonumber(os.getenv("CHARTS")) or 25

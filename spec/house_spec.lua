@@ -73,6 +73,7 @@ local MODULES = {
   { "rfsm_proto", "rfsm.proto" },
   { "rfsm_rtt", "rfsm.rtt" },
   { "rfsm_snapshot", "rfsm.snapshot" },
+  { "rfsm_fleet", "rfsm.fleet" },
   { "rfsm_record", "rfsm.record" },
   { "rfsm_web", "rfsm.web" },
 }

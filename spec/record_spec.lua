@@ -11,7 +11,7 @@ local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
-local N = tonumber(os.getenv("RFSM_N")) or 60
+local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
 
@@ -36,7 +36,7 @@ end
 
 local function yes() return true end
 
--- Returns the recording of a run in which the sensor says no the second time.
+-- Returns the recording of a run in which the sensor returns false the second time.
 local function recorded(sink)
   local calls, trace = 0, {}
   local fsm = helper.init(worker(trace, function()
@@ -98,7 +98,7 @@ describe("a recording", function()
       record.replay(worker({}, yes), sink, { to = 0 }))))
   end)
 
-  it("says at which step a callback behaves otherwise", function()
+  it("reports the step at which a callback behaves otherwise", function()
     local sink = {}
     recorded(sink)
     local model = worker({}, yes)
@@ -113,7 +113,7 @@ describe("a recording", function()
       { record.replay(worker({}, yes), sink, { guards = true }) })
   end)
 
-  it("says at which step a chart goes another way", function()
+  it("reports the step at which a chart goes another way", function()
     local sink = {}
     recorded(sink)
     sink[5].leaf = "root.idle"
@@ -129,7 +129,7 @@ describe("a recording", function()
         trans { src = "initial", tgt = "a" } }, sink)))
   end)
 
-  it("says that an event cannot be replayed", function()
+  it("reports an event that cannot be replayed", function()
     local sink = {}
     local _, fsm = recorded(sink)
     helper.post_and_run(fsm, print)

@@ -46,6 +46,13 @@ local AT_WORLD = "active: root.world(done)\nqueue:  e_done@root.world\n"
 
 after_each(helper.remove_files)
 
+local function output_of(command)
+  local pipe = io.popen(command .. " 2>/dev/null")
+  local text = pipe:read("*a")
+  pipe:close()
+  return text
+end
+
 describe("the simulator", function()
   it("goes the way of hello, world", function()
     local out, complaints, status = sim(HELLO, [[
@@ -92,6 +99,34 @@ local SAID = {
   ["{ 1, 'a', x = { y = 2 }, [true] = fsm.world }, {}"] =
     '{ 1, "a", [true] = state root.world (inactive), x = { y = 2 } }\t{}\n',
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
+  ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
+  ["next({ 7 })"] = "1\t7\n",
+  ["step\nse e_done"] = AT_HELLO
+    .. "queue:  e_done@root.hello, e_done@root.hello\n",
+  ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO
+    .. "* root\n  * hello (done)\n    world\n",
+  ["follow(true)\nses('e_restart')\nstep\nfollow(false)"] =
+    "taken:  root.initial -> root.hello\ndiscarded: e_restart ('why e_restart' "
+    .. "explains)\n* root\n  * hello (done)\n    world\n" .. AT_HELLO
+    .. "taken:  root.hello -> root.world on e_done\nhello\nworld\n"
+    .. "* root\n    hello\n  * world (done)\n" .. AT_WORLD,
+  ["breakpoint world\nrun\nbreakpoint\nrun\ndelete"] = "1  state root.world\n"
+    .. "hello\nworld\n" .. AT_WORLD .. "stopped at 1: state root.world\n"
+    .. "1  state root.world\nactive: root.world(done)\nqueue:  \n",
+  ["breakpoint(fsm[2])\nrun\ndelete(1)\nbreakpoint"] =
+    "1  transition root.hello -> root.world\nhello\nworld\n" .. AT_WORLD
+    .. "stopped at 1: transition root.hello -> root.world\nthere is none\n",
+  ["breakpoint hello -> world\nbreakpoint e_restart\nstep\nser e_restart\ndelete"] =
+    "1  transition root.hello -> root.world\n2  event e_restart\n" .. AT_HELLO
+    .. "hello\nworld\nactive: root.world(done)\nqueue:  e_done@root.world\n"
+    .. "stopped at 1: transition root.hello -> root.world\n"
+    .. "stopped at 2: event e_restart\n",
+  ["watch fsm.hello._mode\nstep\nstep\ndelete"] = AT_HELLO
+    .. "watch:  fsm.hello._mode = done (was inactive)\nhello\nworld\n" .. AT_WORLD
+    .. "watch:  fsm.hello._mode = inactive (was done)\n",
+  ["dry(true)\nrun\ndry(false)"] = "active: root.world(done)\nqueue:  \n",
+  ["step 2\nback\nstep"] = "hello\nworld\n" .. AT_WORLD
+    .. "active: <none>\nqueue:  e_init_fsm\n" .. AT_HELLO,
 }
 
 -- The complaint about each input.
@@ -108,6 +143,23 @@ local COMPLAINTS = {
   ["error('no')"] = "^stdin:%d+: no\n$", ["error('one\\ntwo')"] = "^stdin:%d+: one\n$",
   ["error()"] = _VERSION == "Lua 5.5" and "<no error object>\n" or "nil\n",
   ["error({})"] = "^table: %S+\n$", ["x = = 1\n"] = "^stdin:%d+: [^\n]*near '=?'\n$",
+  ["stpe"] = "nothing is named stpe (did you mean 'step'?)\n",
+  ["stpe(1)"] = "nothing is named stpe (did you mean 'step'?), help() lists the "
+    .. "commands\n",
+  ["e_restart"] = "e_restart is an event: 'ser e_restart' sends it and runs\n",
+  ["help stpe"] = "help: no command is named stpe (did you mean 'step'?)\n",
+  ["breakpoint helo"] = "breakpoint: state, event or transition (off -> on) expected, "
+    .. "got 'helo' (did you mean 'hello'?)\n",
+  ["delete 9"] = "delete: number of a breakpoint expected, got 9\n",
+  ["watch 1 +"] = "^watch:1: [^\n]*\n$",
+  ["clock -1"] = "clock: seconds, a number not below 0, expected, got -1\n",
+  ["clock x"] = "clock: number expected, got string\n",
+  ["next"] = "next: no timer is armed\n",
+  ["goto(-1)"] = "^goto: number of an iteration from 0 to %d+ expected, got %-1\n$",
+  ["back 0"] = "back: number from 1 expected, got 0\n",
+  ["view x.doc"] = "view: file.svg, .png, .pdf or .dot expected, got 'x.doc'\n",
+  ["view /no/x.dot"] = "view: /no/x.dot: No such file or directory\n",
+  ["record /no/x"] = "record: /no/x: No such file or directory\n",
   ["require 'no.such'"] = "^[^\n]*module 'no.such' not found\n$",
 }
 
@@ -127,7 +179,7 @@ describe("the prompt", function()
   end)
 
   it("complains of each mistake", function()
-    local inputs, text, i, hints = {}, "", 0, pcall(require, "rfsm.advice")
+    local inputs, text, i = {}, "", 0
     for input in pairs(COMPLAINTS) do -- any order: each stands alone
       inputs[#inputs + 1] = input
       text = text .. input .. "\nio.stderr:write('~')\n"
@@ -135,7 +187,6 @@ describe("the prompt", function()
     for result in complaint(text):gmatch("([^~]*)~") do
       i = i + 1
       local expected = COMPLAINTS[inputs[i]]
-      if not hints then expected = expected:gsub(" %(did.*%)", "") end
       if expected:sub(1, 1) == "^" then
         assert.matches(expected, result)
       else
@@ -171,9 +222,11 @@ describe("the prompt", function()
 
   it("lists the commands", function()
     local out = said("help()")
-    for name in ("step run se ses ser events dbg pp showeq showfqn add_hook reset "
-      .. "reload help quit"):gmatch("%S+") do
+    for name in ("step run se ses ser events why tree pp view showeq showfqn follow "
+      .. "dbg add_hook breakpoint watch delete clock next back goto history record dry "
+      .. "reset reload help quit"):gmatch("%S+") do
       assert.matches("%f[%w]" .. name .. "%(", out)
+      assert.matches("^" .. name .. "%(", said("help " .. name))
     end
     assert.equal(out, said("help"))
   end)
@@ -198,26 +251,39 @@ return rfsm.state {
   end)
 end)
 
--- A terminal: script(1) makes one of a pipe. Each line is typed half a second after the
--- one before; "^C" is Control-C.
-local function at_terminal(chart, lines)
-  local typed = {}
-  for i, line in ipairs(lines) do
-    typed[i] = "sleep 0.5; printf '" .. line:gsub("%^C$", "\\003") .. "'"
+-- A terminal, made by tmux --------------------------------------------------------
+
+local has_tmux = output_of("command -v tmux") ~= ""
+local sockets = {} -- of the terminals that are open
+local without = "package.preload['%s'] = function() error('none') end "
+
+-- Opens a chart in a terminal of its own. `type_in` sends keys, as tmux calls them, and
+-- waits until the screen shows a text.
+local function open_terminal(arguments, lua_init)
+  local socket, config = file_with(""), file_with("set -g remain-on-exit on\n")
+  os.remove(socket)
+  local tmux = "tmux -f " .. config .. " -S " .. socket .. " "
+  local terminal = {}
+  sockets[#sockets + 1] = socket
+
+  function terminal.screen() return output_of(tmux .. "capture-pane -p -S -100") end
+
+  function terminal.type_in(text, ...)
+    for _, key in ipairs { ... } do
+      os.execute(tmux .. "send-keys '" .. key:gsub("'", "'\\''") .. "'")
+    end
+    local found = output_of(("timeout 30 sh -c 'until %s capture-pane -p -S -100 "
+      .. "| grep -F \"%s\"; do sleep 0.02; done'"):format(tmux, text))
+    assert.is_true(found ~= "", "no '" .. text .. "' in:\n" .. terminal.screen())
   end
-  return (run(("{ (%s; sleep 0.5) | HOME=/nowhere TERM=dumb LUA=%s timeout 20 script "
-    .. "-qefc 'tools/rfsm-sim %s' /dev/null; }"):format(table.concat(typed, "; "), LUA,
-    chart)))
+
+  os.execute(("LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s new-session -d -x 120 "
+    .. "-y 50 'tools/rfsm-sim %s'"):format(lua_init or "", LUA, tmux, arguments))
+  terminal.type_in(">")
+  return terminal
 end
 
-describe("Control-C", function()
-  if not pcall(require, "luv") or not (os.execute("command -v script >/dev/null") == 0
-    or os.execute("command -v script >/dev/null") == true) then
-    return
-  end
-
-  it("drops a line, ends a run, and interrupts a doo, any number of times", function()
-    local chart = file_with([[
+local BUSY = [[
 return rfsm.state {
   warn = false, info = false,
   idle = rfsm.state {},
@@ -227,15 +293,234 @@ return rfsm.state {
   rfsm.trans { src = "idle", tgt = "busy", events = "e_busy" },
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
-}]])
-    local out = at_terminal(chart, {
-      "print(1)^C", "print(2)^C", 'run() ser("e_busy")\\n', "^C",
-      'ser("e_stop") ser("e_spin")\\n', "^C", "fsm\\n", "quit()\\n",
-    })
-    assert.is_nil(out:find("\n[12]\r"))
-    assert.matches("active: root.busy%(active%)\r\n.*interrupted!\r\n.*"
-      .. "active: root.idle%(done%)\r\n.*active: root.spin%(done%)\r\n.*"
-      .. "interrupted!\r\n.*machine, active: root.spin\r\n", out)
+  rfsm.trans { src = "spin", tgt = "idle", events = "e_stop" },
+}]]
+
+describe("at a terminal", function()
+  after_each(function()
+    for i = #sockets, 1, -1 do
+      os.execute("tmux -S " .. sockets[i] .. " kill-server 2>/dev/null")
+      os.remove(sockets[i])
+      sockets[i] = nil
+    end
+  end)
+
+  if not has_tmux or not (pcall(require, "posix.signal") or pcall(require, "luv")) then
+    return
+  end
+
+  it("Control-C drops a line, ends a run, and interrupts a doo, any time", function()
+    local at = open_terminal("-q " .. file_with(BUSY))
+    at.type_in("taken:  root.initial -> root.idle", "print(1)", "C-c", "run", "Enter")
+    at.type_in("root.spin on e_spin", "ser e_spin", "Enter")
+    at.type_in("interrupted!", "C-c")
+    at.type_in("root.spin -> root.idle", "ser e_stop", "Enter")
+    at.type_in("queue:  e_spin", "se e_spin", "Enter")
+    at.type_in("now", "print('n' .. 'ow') rfsm.run(fsm)", "Enter")
+    at.type_in("go on", "C-c", "print('go' .. ' on')", "Enter")
+    at.type_in("root.busy on e_busy", "ser e_stop", "Enter", "ser e_busy", "Enter")
+    at.type_in("active: root.busy(active)", "C-c")
+    at.type_in("42", "print(2)", "C-c", "6 * 7", "Enter")
+    at.type_in("> x", "x") -- readline has the terminal now
+    at.type_in("dead (status 0", "BSpace", "C-d")
+    local text = at.screen()
+    assert.is_nil(text:find("\n[12]\n"))
+    assert.equal(3, select(2, text:gsub("interrupted!", "")))
+    assert.matches("%* busy\n.*active: root.busy%(active%)", text)
+  end)
+
+  it("Tab completes commands, states and events", function()
+    if not pcall(require, "readline") then return end
+    local at = open_terminal("-q " .. file_with(BUSY))
+    at.type_in("> breakpoint spin", "brea", "Tab", " sp", "Tab", "Enter")
+    at.type_in("> ser e_busy", "ser e_b", "Tab")
+    at.type_in("> fsm.idle", "Enter", "fsm.id", "Tab")
+    at.type_in("state root.idle", "Enter")
+    assert.matches("1  state root.spin\n.*state root.idle %(done%)\n", at.screen())
+  end)
+
+  it("goes without luaposix, luv and readline, and names the packages", function()
+    local init = ""
+    for name in ("posix.signal luv readline"):gmatch("%S+") do
+      init = init .. without:format(name)
+    end
+    local at = open_terminal("-i -e step " .. HELLO, init)
+    at.type_in("active: root.world(done)", "run", "Enter")
+    at.type_in("dead (status 0", "quit", "Enter")
+    assert.matches("\nfor line editing and the Tab key, for more than one Control%-C "
+      .. "%(on Debian%): apt%-get install lua%-readline lua%-%a+\n", at.screen())
+  end)
+end)
+
+describe("the sessions in doc/sim.md", function()
+  it("are what the simulator prints", function()
+    local out, complaints = run(LUA .. " tools/transcript.lua doc/sim.md")
+    assert.equal("", complaints)
+    assert.equal(content("doc/sim.md"), out)
+  end)
+end)
+
+describe("reload", function()
+  local CHART = [[
+require "rfsm_timeevent"
+return rfsm.state {
+  warn = false, info = false,
+  a = rfsm.state {}, b = rfsm.state { entry = function() print("b") end },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = "e_b" },
+  rfsm.trans { src = "b", tgt = "a", events = "e_after(5)" },
+}]]
+
+  -- What is printed for a reload in b after the chart has become another.
+  local function reloaded(text, more)
+    local chart, other = file_with(CHART), file_with(text)
+    local out, complaints = sim("-q " .. chart, "clock 0\nrun\nser e_b\nclock 2\n"
+      .. "print '~'\nos.rename('" .. other .. "', '" .. chart .. "')\nreload\n" .. more)
+    complaints = complaints:gsub(chart:gsub("%p", "%%%0"), "CHART")
+    return out:match("~\ntrue\n(.*)"), complaints
+  end
+
+  it("keeps state, queue and timers, and calls nothing", function()
+    local out, complaints = reloaded(CHART:gsub("rfsm.trans { src = \"initial\"",
+      "c = rfsm.state {},\n  %0"), "clock 2\nclock 2\n")
+    assert.equal("", complaints)
+    assert.equal("active: root.b(done)\nqueue:  \n"
+      .. "clock:  4 s\nactive: root.b(done)\nqueue:  \n"
+      .. "clock:  5 s\nactive: root.a(done)\nqueue:  \n"
+      .. "clock:  6 s\nactive: root.a(done)\nqueue:  \n", out)
+  end)
+
+  it("begins anew if the state is gone", function()
+    local out, complaints = reloaded((CHART:gsub("%f[%w]b =", "c =")
+      :gsub('"b"', '"c"')), "run\n")
+    assert.matches("root.b.*the machine begins anew\n$", complaints)
+    assert.equal("active: <none>\nqueue:  e_init_fsm\n"
+      .. "active: root.a(done)\nqueue:  \n", out)
+  end)
+
+  it("reports a mistake, and changes nothing", function()
+    local out, complaints = reloaded("return rfsm.state { a = = 1 }", "showfqn\n")
+    assert.matches("^CHART:1: [^\n]*\n$", complaints)
+    assert.equal("active: root.b(done)\n", out)
+  end)
+end)
+
+-- Sends random events and resets to each chart, steps, and goes back. Prints the
+-- iterations after which a machine stands elsewhere than then, and "done".
+local WANDER = [[
+package.path = "./?.lua;" .. package.path
+print = function() end
+local rfsm = require "rfsm"
+local history = require "rfsm.sim.history"
+local names = require "rfsm.sim.names"
+local prompt = require "rfsm.sim.prompt"
+local session = require "rfsm.sim.session"
+local seed = 7
+
+local function dice(n) -- the same on each Lua
+  seed = (seed * 16807) % 2147483647
+  return seed % n + 1
+end
+
+local function place_of(sim)
+  local leaf = sim.fsm._act_leaf
+  return table.concat(rfsm.get_active_conf(sim.fsm), " ") .. (leaf and leaf._mode or "")
+end
+
+local function wander(sim, count)
+  local events, places = names.sorted(names.event_set(sim.fsm)), {}
+  for _ = 1, count do
+    if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
+    sim.env.step()
+    places[sim.history.count] = place_of(sim)
+  end
+  return places
+end
+
+for _, file in ipairs(FILES) do
+  local sim = session.open(file, false)
+  prompt.install(sim)
+  sim.env.clock(0)
+  local places = wander(sim, 40)
+  while sim.history.count > 0 do
+    local n = math.max(sim.history.count - dice(7), 0)
+    local ok, problem = pcall(history.go_to, sim, n)
+    if not ok then
+      io.write(file, ": ", problem, "\n")
+      break
+    end
+    if places[n] and places[n] ~= place_of(sim) then
+      io.write(file, " ", n, ": ", places[n], ", got ", place_of(sim), "\n")
+    end
+  end
+  sim.env.clock(false)
+end
+io.write("done")
+]]
+
+describe("goto", function()
+  it("leads back to any iteration of any example", function()
+    local files = {}
+    for file in output_of("ls examples/*.lua"):gmatch("%S+") do
+      files[#files + 1] = ("%q"):format(file)
+    end
+    assert.equal("examples/dynamic.lua: goto: the machine has changed, new: "
+      .. "root.resting -> root.dancing on e_music, new: root.dancing -> root.resting "
+      .. "on e_done@root.dancing, new: state root.dancing\ndone",
+      helper.output_of("FILES = { " .. table.concat(files, ", ")
+      .. " }\nio.stderr = { write = function() end }\n" .. WANDER))
+  end)
+end)
+
+describe("a picture", function()
+  it("is kept up to date, in the format of its ending", function()
+    local file = file_with("") .. ".dot"
+    local out = sim("-q " .. HELLO, "view " .. file .. "\nstep\nio.open('" .. file
+      .. "'):read('*a') == 'old'\nview(false)\nos.remove('" .. file .. "')\nrun\n"
+      .. "io.open('" .. file .. "')\n")
+    assert.equal(INFO .. AT_HELLO .. "false\ntrue\n" .. "hello\nworld\n"
+      .. "active: root.world(done)\nqueue:  \n" .. "nil\t" .. file
+      .. ": No such file or directory\t2\n", out)
+  end)
+end)
+
+describe("a recording", function()
+  local function recorded(chart, input)
+    local name = file_with("")
+    sim("-q " .. chart, "record " .. name .. "\n" .. input)
+    return name
+  end
+
+  it("is replayed, with the chart's functions or without", function()
+    local name = recorded("examples/emem.lua", "run\nser e_wrong\nser e_wrong\n")
+    local out, complaints, status = sim("-q --replay " .. name
+      .. " -e 'ser e_wrong' -e 'history 1' examples/emem.lua")
+    assert.same({ "", 0 }, { complaints, status })
+    assert.matches("closed\nreplayed %d+ iterations of " .. name .. "\nactive: "
+      .. "root.closed%(done%)\nqueue:  \n.*active: root.locked%(done%)\n", out)
+    out = sim("-q --dry --replay " .. name .. " -e 'ser e_wrong' examples/emem.lua")
+    assert.is_nil(out:find("\nclosed\n"))
+  end)
+
+  it("of a chart that behaves otherwise now is replayed up to there", function()
+    local name = recorded(HELLO, "run\n")
+    local text = content(name):gsub('"leaf":"root.world"', '"leaf":"root.hello"', 1)
+    local out, complaints, status = sim("-q -r " .. file_with(text) .. " -e events "
+      .. HELLO)
+    assert.equal(0, status)
+    assert.matches("^rfsm sim: %S+: step 2: active leaf root.hello%(done%) expected, "
+      .. "got root.world%(done%)\n$", complaints)
+    assert.matches("replayed 1 iterations of", out)
+  end)
+
+  it("that is none is refused", function()
+    local _, complaints, status = sim("-q -r /no/file " .. HELLO)
+    assert.equal("rfsm sim: rfsm.record: /no/file: No such file or directory\n",
+      complaints)
+    assert.equal(1, status)
+    _, complaints, status = sim("-q -r Makefile " .. HELLO)
+    assert.matches("^rfsm sim: [^\n]*Makefile[^\n]*\n$", complaints)
+    assert.equal(1, status)
   end)
 end)
 

@@ -9,7 +9,7 @@ local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
 local state, trans = rfsm.state, rfsm.trans
-local N = tonumber(os.getenv("RFSM_N")) or 60
+local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
 

@@ -407,7 +407,10 @@ describe("rfsm-check", function()
     checks(chart, "FILE: ok\n" .. counts .. "never root.a and root.b: holds\n"
       .. "never root.b: does not hold [violated]\n"
       .. "  1. no event: root.trans[1] -> root.a\n"
-      .. "  2. e_go: root.trans[2] -> root.b\n", 1, "-x")
+      .. "  2. e_go: root.trans[2] -> root.b\n", 1,
+      "-x --record '" .. folder .. "/run'")
+    assert.matches("root.b", (run("rfsm-sim -q --dry --replay '" .. folder .. "/run' '"
+      .. folder .. "/chart.lua' -e 'print(rfsm.get_actleaf_fqn(fsm))'")))
     for text, problem in pairs { -- any order: each stands alone
       ["return 7"] = "FILE.lua: FILE_properties.lua: table with the field 'properties' "
         .. "expected, got number\n",

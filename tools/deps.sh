@@ -5,6 +5,7 @@
 #   tools/deps.sh test LUA ...  for the tests, on these interpreters
 #   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh doc           for the pages of the API
+#   tools/deps.sh fleet         for machines in Redis, with lua5.3
 #
 # Missing Debian packages are installed if you are root or have password-free sudo.
 # Otherwise the command to type is printed, and the status is 1.
@@ -48,6 +49,9 @@ missing_for_test() { # missing_for_test LUA ...
   has_module lua5.1 luv || echo lua-luv
   has_module lua5.1 posix || echo lua-posix
   has_module lua5.1 readline || echo lua-readline
+  has_module lua5.1 MessagePack || echo lua-messagepack
+  has_module lua5.1 redis || echo lua-redis
+  command -v redis-server >/dev/null 2>&1 || echo redis-server
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v tmux >/dev/null 2>&1 || echo tmux
 }
@@ -59,6 +63,14 @@ missing_for_web() {
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v chromium >/dev/null 2>&1 || echo chromium
   command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
+}
+
+missing_for_fleet() {
+  command -v lua5.3 >/dev/null 2>&1 || echo lua5.3
+  has_module lua5.3 dkjson || echo lua-dkjson
+  has_module lua5.3 redis || echo lua-redis
+  has_module lua5.3 socket || echo lua-socket
+  command -v redis-server >/dev/null 2>&1 || echo redis-server
 }
 
 missing_for_doc() {
@@ -94,7 +106,7 @@ install_packages() {
 }
 
 case "${1:-}" in
-  sim | test | web | doc)
+  sim | test | web | doc | fleet)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -103,5 +115,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|web|doc|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|doc|fleet|test LUA ..." >&2; exit 2 ;;
 esac

@@ -9,7 +9,7 @@ local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
 local assert, error, io, ipairs = assert, error, io, ipairs
-local loadfile, pcall, require, type = loadfile, pcall, require, type
+local loadfile, os, pcall, require, type = loadfile, os, pcall, require, type
 
 local command = {}
 
@@ -114,6 +114,17 @@ local function progress_line()
   end
 end
 
+-- Writes the run that shows the first finding to a new file.
+local function write_witness(model, findings, name)
+  for _, finding in ipairs(findings) do
+    if finding.witness and finding.witness[1] then
+      os.remove(name) -- a recording is appended to
+      require("rfsm.checks.witness").record_witness(model, finding.witness, name)
+      return
+    end
+  end
+end
+
 -- Appends the report of an exploration; returns the gravest severity.
 local function explore(lines, file, model, settings, options)
   local own = declared_for(file)
@@ -122,6 +133,7 @@ local function explore(lines, file, model, settings, options)
   local result = require("rfsm.checks.explore").explore(model, own)
   if own.progress then real_stderr:write("\r\27[K") end
   result.findings = static.apply(result.findings, settings)
+  if options.record then write_witness(model, result.findings, options.record) end
   local is_wanted = { error = true, warning = true, note = options.all }
   local found = {}
   for i, line in ipairs(verdict.report(result, is_wanted)) do

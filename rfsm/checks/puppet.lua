@@ -16,13 +16,14 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local deeds = require "rfsm.checks.deeds"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local rawequal, setmetatable, tonumber = rawequal, setmetatable, tonumber
-local type = type
+local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
+local tonumber, type = tonumber, type
 local concat, sort = table.concat, table.sort
 
 local puppet = {}
@@ -94,31 +95,13 @@ local function new_doo(self, part, who)
   end
 end
 
--- Returns what stands for a callback: sets flags, sends events; false if it has nothing
--- to do.
-local function new_deed(self, name)
-  local flags, events = self.flags_of[name], self.sends[name]
-  if not (flags or events) then return false end
-  return function(fsm)
-    for _, flag in ipairs(flags or {}) do self.flags[flag.number] = flag.value end
-    for _, event in ipairs(events or {}) do rfsm.send_events(fsm, event) end
-  end
-end
-
--- Notes that a callback exists.
-local function deed(self, what, path)
-  local name = what .. " " .. path
-  self.deeds[#self.deeds + 1] = name
-  return new_deed(self, name)
-end
-
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
   self.names[path] = state
   local regions = state._seqand
   local target = regions or state -- the callbacks of such a state are the library's
-  target.entry = deed(self, "entry", path) or nil
-  target.exit = deed(self, "exit", path) or nil
+  target.entry = deeds.new(self, "entry", path) or nil
+  target.exit = deeds.new(self, "exit", path) or nil
   if state.doo and not regions then state.doo = new_doo(self, part, path) end
   state.prepare = nil
 end
@@ -128,7 +111,7 @@ local function make_transition(self, part, tr)
   self.transitions[number] = { tr = tr, part = part, path = path,
     location = rfsm.location_of(tr) }
   if tr.guard then tr.guard = new_guard(self, path) end
-  local effect = deed(self, "effect", path)
+  local effect = deeds.new(self, "effect", path)
   tr.likely = nil
   tr.effect = function(fsm)
     self.taken[#self.taken + 1] = number
@@ -138,16 +121,23 @@ end
 
 local ROUNDS = 1000 -- more than any step needs that ends
 
+-- Copies events[first] and those behind it to `to`; as table.move, which old Luas lack.
+local function move(events, first, last, to)
+  local from, past, step = first, last, 1
+  if to > first then from, past, step = last, first, -1 end
+  for i = from, past, step do events[i - first + to] = events[i] end
+end
+
 -- Replaces what an iteration has got: what was in the queue before by what waits in the
--- configuration. Those that the parent machine has sent stay.
+-- configuration. Those that the parent machine has sent stay. Returns the length.
 local function put_events(part, events)
-  local waiting = part.stand.waiting
-  local rest = {}
-  for i = part.stale + 1, #events do rest[#rest + 1] = events[i] end
-  for i = #events, 1, -1 do events[i] = nil end
-  for i = 1, #waiting do events[i] = waiting[i] end
-  for i = 1, #rest do events[#events + 1] = rest[i] end
+  local waiting, length, stale = part.stand.waiting, #events, part.stale
+  local count = #waiting
+  if count ~= stale then move(events, stale + 1, length, count + 1) end
+  for i = 1, count do events[i] = waiting[i] end
+  for i = length, count + length - stale + 1, -1 do events[i] = nil end
   part.stale, part.is_read = 0, true
+  return count + length - stale
 end
 
 local function count_round(self, part)
@@ -158,14 +148,19 @@ local function count_round(self, part)
   end
 end
 
--- The first iteration of the machine itself gets the events of the step, too.
+local jit_off = (rawget(_G, "jit") or {}).off or function() end
+
+-- The first iteration of the machine itself gets the events of the step, too. A trace
+-- of LuaJIT 2.1.0-beta3 with this in it may go on with the list as it was before.
 local function new_hook(self, part)
-  return function(_, events)
+  local function hook(_, events)
     count_round(self, part)
-    if not part.is_read then put_events(part, events) end
+    local length = part.is_read and #events or put_events(part, events)
     if part.rounds > 1 or part.prefix then return end
-    for i = 1, #self.events do events[#events + 1] = self.events[i] end
+    for i = 1, #self.events do events[length + i] = self.events[i] end
   end
+  jit_off(hook, true)
+  return hook
 end
 
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
@@ -431,37 +426,6 @@ end
 
 -- Public functions ................................................................
 
--- Turns { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
--- by name, with a number for each flag.
-local function read_flags(self, flags)
-  local names = {}
-  for name in pairs(flags) do names[#names + 1] = name end -- any order: sorted
-  sort(names)
-  for number, name in ipairs(names) do
-    self.flag_numbers[name], self.flags[number] = number, false
-    for _, value in ipairs { true, false } do
-      for _, what in ipairs(flags[name][value and "on" or "off"] or {}) do
-        local list = self.flags_of[what] or {}
-        list[#list + 1] = { number = number, value = value }
-        self.flags_of[what] = list
-      end
-    end
-  end
-  self.has_flags = names[1] ~= nil
-end
-
--- Raises an error for a callback that does not exist.
-local function check_deeds(self, deeds, field)
-  local exists, wrong = {}, nil
-  for _, name in ipairs(self.deeds) do exists[name] = true end
-  for name in pairs(deeds) do -- any order: the least counts
-    if not exists[name] and (not wrong or name < wrong) then wrong = name end
-  end
-  if not wrong then return end
-  error(("%s: no callback '%s'%s"):format(field, wrong,
-    advice.nearest_name(wrong, self.deeds)), 0)
-end
-
 local function list_events(self)
   local list, is_listed = {}, {}
   for _, entry in ipairs(self.transitions) do
@@ -500,10 +464,10 @@ function puppet.new(model, options)
     taken = {}, clashes = {}, ids = {}, event_list = {}, event_numbers = {},
     alphabet = options.alphabet and set_of(options.alphabet), is_endless = false,
     all_events = false }, Puppet)
-  read_flags(self, options.flags or {})
+  deeds.read_flags(self, options.flags or {})
   add_part(self, new_part(fsm))
-  check_deeds(self, self.flags_of, "flags")
-  check_deeds(self, self.sends, "sends")
+  deeds.check(self, self.flags_of, "flags")
+  deeds.check(self, self.sends, "sends")
   self.all_events = options.alphabet or list_events(self)
   return self
 end

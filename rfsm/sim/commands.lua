@@ -48,9 +48,9 @@ end
 ---@return rfsm.sim.Command? command
 function commands.find(name) return by_name[name] end
 
-local function check(command, value, kind)
+local function check(command, value, kind, what)
   if type(value) == kind then return value end
-  error(("%s: %s expected, got %s"):format(command, kind, type(value)), 0)
+  error(("%s: %s expected, got %s"):format(command, what or kind, type(value)), 0)
 end
 
 local function advance(sim, how, n)
@@ -118,7 +118,7 @@ add("view(file)", "keep a picture of the machine up to date", [[
 The ending of the file is the format: svg, png, pdf (by Graphviz) or dot. view(false)
 ends it. Example: view out.svg]],
 function(sim, file)
-  if file ~= false then check("view", file, "string") end
+  if file ~= false then check("view", file, "string", "name of a file") end
   sim:draw(file)
 end, { takes_line = true })
 
@@ -158,7 +158,7 @@ add("watch(expr)", "show the value of an expression after each advance", [[
 Without an argument: list them. Example: watch tank.fuel]],
 function(sim, text)
   if text == nil then return points.list(sim) end
-  points.add_watch(sim, check("watch", text, "string"))
+  points.add_watch(sim, check("watch", text, "string", "expression as a text"))
 end, { takes_line = true })
 
 add("delete([n])", "remove the breakpoint or expression n, or all", "",
@@ -167,9 +167,9 @@ function(sim, n) points.delete(sim, n) end)
 group "Time"
 
 add("clock([s])", "let s simulated seconds pass", [[
-From then on time passes only by clock and next. The machine runs at each timer on the
-way. Without an argument: print the time. clock(false): real time again.
-Example: clock 3.5]],
+From then on time passes only by clock and next. At each timer on the way, and at the
+end, the machine runs, but not for more than 1000 steps. Without an argument: print the
+time. clock(false): real time again. Example: clock 3.5]],
 function(sim, seconds)
   if seconds == nil then return time.show(sim) end
   if seconds == false then return time.use_real(sim) end
@@ -205,13 +205,13 @@ end)
 
 add("history([n])", "list the last n iterations (20)", [[
 The number, the events, and the active leaf at its end.]],
-function(sim, n) history.show(sim, n or 20) end)
+function(sim, n) history.show(sim, check("history", n or 20, "number")) end)
 
 add("record(file)", "write the history to a file, and all that follows", [[
 `rfsm sim --replay file` runs the chart through it. record(false) ends it.
 Example: record run.jsonl]],
 function(sim, file)
-  if file ~= false then check("record", file, "string") end
+  if file ~= false then check("record", file, "string", "name of a file") end
   history.save(sim, file or nil)
 end, { takes_line = true })
 

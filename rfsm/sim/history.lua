@@ -21,9 +21,10 @@ local history = {}
 ---@class rfsm.sim.History
 ---@field list table[] the records, as of `rfsm.record`
 ---@field count integer iterations
----@field marks table[] where each advance began: count, and simulated time
+---@field marks table[] where each advance began: count, simulated time, is_fresh
 ---@field recorder? rfsm.record.Recorder nil while nothing is recorded
 ---@field problem? string the reason then
+---@field is_fresh? boolean the machine was reset before the next iteration
 ---@field file? file* gets each record, too
 
 local LIMIT = 100000 -- iterations; then a history begins anew
@@ -46,6 +47,9 @@ end
 -- Takes a record. Only the first header counts: the recorder is made more than once.
 local function add(own, rec)
   if rec.record and own.list[1] then return end
+  if own.is_fresh and not (rec.record or rec.m) then
+    rec.fresh, own.is_fresh = true, false
+  end
   own.list[#own.list + 1] = rec
   if own.file then write(own.file, rec) end
   if rec.record or rec.m then return end
@@ -61,6 +65,7 @@ local function continue(sim)
   local own = sim.history
   local ok, result = pcall(record.record, sim.fsm, function(rec) add(own, rec) end)
   own.recorder = ok and result or nil
+  own.is_fresh = own.count > 0 and not sim.fsm._act_leaf
   own.problem = not ok and text_of(result) or nil
 end
 
@@ -91,7 +96,8 @@ function history.mark(sim)
     sim.history.problem = problem
   end
   local own, now = sim.history, sim.time or {}
-  own.marks[#own.marks + 1] = { count = own.count, sec = now.sec, nsec = now.nsec }
+  own.marks[#own.marks + 1] = { count = own.count, sec = now.sec, nsec = now.nsec,
+    is_fresh = not sim.fsm._act_leaf }
 end
 
 -- Drops the records after iteration n.
@@ -133,8 +139,12 @@ end
 
 -- Puts the machine of a session where another one stands.
 local function put(sim, fsm)
-  local ok, problem = snapshot.put(sim.fsm, snapshot.take(fsm))
-  if not ok then error(problem, 0) end
+  local ok, problem, difference = snapshot.put(sim.fsm, snapshot.take(fsm))
+  if ok then return end
+  if difference then
+    problem = "the machine has changed, " .. concat(difference, ", ")
+  end
+  error("goto: " .. problem, 0)
 end
 
 --- Have the machine stand where it stood after iteration n.
@@ -175,7 +185,9 @@ function history.back(sim, n)
   elseif not marks[1] then
     error("back: nothing was done", 0)
   end
-  history.go_to(sim, marks[max(#marks - n + 1, 1)].count)
+  local mark = marks[max(#marks - n + 1, 1)]
+  history.go_to(sim, mark.count)
+  if mark.is_fresh then rfsm.reset(sim.fsm) end
 end
 
 --- Write the history to a file, and all that follows; nil ends that.

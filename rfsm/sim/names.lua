@@ -8,10 +8,11 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local place = require "rfsm.checks.place"
 
 local ipairs, pairs, type = ipairs, pairs, type
 local sort = table.sort
-local text_of = rfsm.text_of
+local regions_of, text_of = place.regions_of, rfsm.text_of
 
 local names = {}
 
@@ -25,19 +26,6 @@ function names.sorted(set)
   return list
 end
 
---- List the machines inside a state, its regions.
----@param state rfsm.State
----@return { name: string, machine: rfsm.Machine }[] regions sorted by name
-function names.regions_of(state)
-  local machines, regions = state.substates, {}
-  for _, name in ipairs(type(machines) == "table" and names.sorted(machines) or {}) do
-    if rfsm.is_initialized_root(machines[name]) then
-      regions[#regions + 1] = { name = text_of(name), machine = machines[name] }
-    end
-  end
-  return regions
-end
-
 --- Return the name of a node of a machine.
 ---@param prefix string the name of that machine
 ---@param fqn string
@@ -47,7 +35,7 @@ function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 local function add_machines(list, fsm, prefix)
   list[#list + 1] = { fsm = fsm, prefix = prefix }
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(names.regions_of(state)) do
+    for _, region in ipairs(regions_of(state)) do
       add_machines(list, region.machine,
         names.full(prefix, state._fqn) .. "." .. region.name)
     end
@@ -60,18 +48,30 @@ end
 ---@return { fsm: rfsm.Machine, prefix: string }[] machines
 function names.machines(fsm) return add_machines({}, fsm, "root") end
 
---- List the events that transitions name.
+--- Return the events that transitions name, as a set.
 ---@param fsm rfsm.Machine
----@return any[] events sorted by their texts
----@return table<any, boolean> set the same as a set
-function names.events(fsm)
+---@return table<any, boolean> set
+function names.event_set(fsm)
   local set = {}
   for _, machine in ipairs(names.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(machine.fsm, rfsm.is_trans)) do
       for _, event in ipairs(tr.events or {}) do set[event] = true end
     end
   end
-  return names.sorted(set), set
+  return set
+end
+
+--- List the events that are texts and come from outside.
+---@param fsm rfsm.Machine
+---@return string[] events
+function names.events(fsm)
+  local texts = {}
+  for _, event in ipairs(names.sorted(names.event_set(fsm))) do
+    if type(event) == "string" and not event:find("@", 1, true) then
+      texts[#texts + 1] = event
+    end
+  end
+  return texts
 end
 
 --- Does a transition of a machine name an event? A predicate may stand for any.
@@ -79,10 +79,10 @@ end
 ---@param event any
 ---@return boolean
 function names.is_event(fsm, event)
-  local list, set = names.events(fsm)
+  local set = names.event_set(fsm)
   if set[event] or event == "e_init_fsm" then return true end
   if type(event) == "string" and event:find("^e_done") then return true end
-  for _, known in ipairs(list) do
+  for known in pairs(set) do -- any order: one is enough
     if rfsm.is_callable(known) then return true end
   end
   return false
@@ -101,19 +101,6 @@ function names.nodes(fsm)
     end
   end
   return list, by_name
-end
-
---- List the events that are texts and come from outside.
----@param fsm rfsm.Machine
----@return string[] events
-function names.plain_events(fsm)
-  local texts = {}
-  for _, event in ipairs((names.events(fsm))) do
-    if type(event) == "string" and not event:find("@", 1, true) then
-      texts[#texts + 1] = event
-    end
-  end
-  return texts
 end
 
 --- Return the hint " (did you mean 'e_go'?)", if there is one.

@@ -39,7 +39,7 @@ end
 
 -- Raises an error that names the nearest state or event.
 local function fail(fsm, text)
-  local list = names.plain_events(fsm)
+  local list = names.events(fsm)
   for _, name in ipairs((names.nodes(fsm))) do
     list[#list + 1] = name
     list[#list + 1] = name:gsub("^root%.", "")

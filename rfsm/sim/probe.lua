@@ -9,6 +9,7 @@
 
 local rfsm = require "rfsm"
 local names = require "rfsm.sim.names"
+local terminal = require "rfsm.sim.terminal"
 local view = require "rfsm.sim.view"
 
 local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetatable
@@ -122,6 +123,7 @@ function Probe:note(machine, id, text)
 end
 
 function Probe:note_events(machine, events)
+  terminal.insist()
   machine.events = {}
   for i = 1, #events do
     local event = events[i]

@@ -14,7 +14,7 @@ local view = require "rfsm.sim.view"
 local rfsm = require "rfsm"
 
 local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
-local select, setmetatable, tonumber, type = select, setmetatable, tonumber, type
+local setmetatable, tonumber = setmetatable, tonumber
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
@@ -74,8 +74,8 @@ local function call_of(sim, text)
   if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
   local command = name and commands.find(name)
   if not command then return nil end
-  local arguments = split(rest) -- numbers and booleans are what they look like
-  if command.takes_line and type(arguments[1]) == "string" then arguments = { rest } end
+  local arguments = split(rest)
+  if command.takes_line and rest ~= "" then arguments = { value_of_word(rest) } end
   return function() sim.env[name](unpack(arguments)) end
 end
 
@@ -89,10 +89,10 @@ end
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end
-  if select(2, names.events(sim.fsm))[name] then
+  if names.event_set(sim.fsm)[name] then
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
-  local hint = names.hint(name, command_names(names.plain_events(sim.fsm)))
+  local hint = names.hint(name, command_names(names.events(sim.fsm)))
   return hint ~= "" and "nothing is named " .. name .. hint or nil
 end
 
@@ -109,6 +109,7 @@ end
 -- Calls a chunk; returns whether it worked, or false and one line.
 local function call(sim, chunk)
   local release = sim:guard_doos()
+  terminal.settle()
   local ok, failure = pcall(chunk, view.print_values)
   release()
   if ok then return true end
@@ -174,10 +175,11 @@ end
 -- Returns the words that the Tab key may complete after a text.
 local function words_after(sim, before)
   local command = commands.find(before:match("^%s*([%a_]+)[%s(]") or "")
-  local words = names.plain_events(sim.fsm)
+  local words = names.events(sim.fsm)
   if command and command.completes == "events" then return words end
   for _, name in ipairs((names.nodes(sim.fsm))) do
     words[#words + 1] = name
+    words[#words + 1] = name:gsub("^root%.", "")
     words[#words + 1] = "fsm" .. name:match("%..*")
   end
   if command and command.completes == "points" then return words end

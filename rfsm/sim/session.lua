@@ -157,16 +157,15 @@ end
 
 -- Complains of an event that is nil or that no transition names.
 function Session:check_event(event, i)
-  local words = names.plain_events(self.fsm)
   local name = event == nil and self.missing[1]
   if name then
     complain(("nothing is named %s, an event is in quotes%s"):format(name,
-      names.hint(name, words)))
+      names.hint(name, names.events(self.fsm))))
   elseif event == nil then
     complain(("event %d is nil"):format(i))
   elseif not names.is_event(self.fsm, event) then
     complain(("no transition names the event '%s'%s"):format(view.value(event),
-      type(event) == "string" and names.hint(event, words) or ""))
+      type(event) == "string" and names.hint(event, names.events(self.fsm)) or ""))
   end
 end
 
@@ -181,18 +180,21 @@ function Session:send(...)
   rfsm.send_events(self.fsm, unpack(events, 1, n))
 end
 
+-- Appends a doo that Control-C can end, in place of that of a state.
+local function wrap(wrapped, state)
+  local own = state.doo
+  if not own then return end
+  state.doo = terminal.interruptible(own)
+  wrapped[#wrapped + 1] = { state = state, own = own, wrapper = state.doo }
+end
+
 --- Have Control-C end a doo that never yields, until the function returned is called.
 ---@return fun() release
 function Session:guard_doos()
   local wrapped = {}
-  for _, machine in ipairs(names.machines(self.fsm)) do
+  for _, machine in ipairs(terminal.is_caught() and names.machines(self.fsm) or {}) do
     for _, state in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
-      local own = state.doo
-      local wrapper = own and terminal.interruptible(own)
-      if wrapper ~= own then
-        state.doo = wrapper
-        wrapped[#wrapped + 1] = { state = state, own = own, wrapper = wrapper }
-      end
+      wrap(wrapped, state)
     end
   end
   return function()

@@ -24,6 +24,8 @@ local terminal = {}
 local PERIOD = 10000 -- VM instructions between two looks
 local counter -- luaposix or luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
+local is_pending = false -- an error was raised, and may have been caught by a callback
+local is_busy = false -- C code runs that calls back, and that no error may leave
 
 --- The source of the count.
 ---@class rfsm.sim.Counter
@@ -73,15 +75,20 @@ end
 --- Has Control-C been typed since the last look?
 ---@return boolean
 function terminal.is_interrupted()
-  if counter then counter.look() end
+  if counter then
+    is_busy = true
+    counter.look()
+    is_busy = false
+  end
   local is_new = count > seen
   seen = count
   return is_new
 end
 
 function poll()
-  if not terminal.is_interrupted() then return end
+  if is_busy or not terminal.is_interrupted() then return end
   print() -- behind the terminal's ^C
+  is_pending = true
   error("interrupted!", 2) -- the core knows this text
 end
 
@@ -94,11 +101,22 @@ function terminal.catch_interrupts()
   if jit then jit.off() end -- its code calls no hook
 end
 
+--- Raise the error of Control-C again if it was raised since `settle`.
+function terminal.insist()
+  if is_pending then error("interrupted!", 0) end
+end
+
+--- Forget the Control-C that was raised.
+function terminal.settle() is_pending = false end
+
+--- Is Control-C caught?
+---@return boolean
+function terminal.is_caught() return counter ~= nil end
+
 --- Return a callback that Control-C ends, though it runs in a coroutine of its own.
 ---@param callback function
----@return function callback the same if Control-C is not caught
+---@return function callback
 function terminal.interruptible(callback)
-  if not counter then return callback end
   return function(...)
     sethook(poll, "", PERIOD)
     return callback(...)
@@ -115,7 +133,10 @@ function terminal.is_terminal(descriptor)
   return result == true or result == 0
 end
 
--- Reads a line key by key, so that Control-C is noticed at once.
+-- Reads a line key by key, so that Control-C is noticed at once. An error of the debug
+-- hook in a callback would leave readline in the middle of its work. After Control-C
+-- the handler stays, and the next one takes its place: unless the line has ended,
+-- lua-readline 3.2 closes the stream to the terminal, and has readline write to it.
 local function read_keys(readline, prompt)
   local line, is_done = nil, false
   readline.handler_install(prompt, function(text)
@@ -123,13 +144,16 @@ local function read_keys(readline, prompt)
     readline.handler_remove()
   end)
   while not is_done do
-    if counter.wait() then readline.read_char() end
-    if not is_done and terminal.is_interrupted() then
-      readline.handler_remove()
+    is_busy = true
+    local has_key = counter.wait()
+    if terminal.is_interrupted() then -- a key behind it belongs to the next line
       print()
       return false
     end
+    is_busy = true
+    if has_key then readline.read_char() end
   end
+  is_busy = false
   return line
 end
 
@@ -198,6 +222,7 @@ end
 ---@return boolean is_interrupted
 function terminal.read(read, prompt)
   local ok, line = pcall(read, prompt)
+  is_busy = false
   if ok then return line, terminal.is_interrupted() end
   if not tostring(line):find("interrupted!", 1, true) then error(line, 0) end
   return false, true

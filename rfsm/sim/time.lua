@@ -85,9 +85,11 @@ function time.show(sim)
   print("clock:  " .. (now and time.text(now.sec + now.nsec / 1e9) or "real time"))
 end
 
+local MAX_STEPS = 1000 -- a doo that is never idle would take all others
+
 --- Let simulated seconds pass.
 --
--- The machine runs at each timer on the way, and at the end.
+-- The machine is advanced at each timer on the way, and at the end.
 --
 ---@param sim rfsm.sim.Session
 ---@param seconds number
@@ -99,11 +101,11 @@ function time.pass(sim, seconds)
     leap(sim.time, step)
     seconds = seconds - step
     time.show(sim)
-    sim:advance(rfsm.run)
+    sim:advance(rfsm.step, MAX_STEPS)
   until seconds <= 0
 end
 
---- Go to the next timer and run.
+--- Go to the next timer.
 ---@param sim rfsm.sim.Session
 function time.go_to_timer(sim)
   start(sim)

@@ -6,6 +6,7 @@
 local rfsm = require "rfsm"
 local diagram = require "rfsm.diagram"
 local names = require "rfsm.sim.names"
+local place = require "rfsm.checks.place"
 local rfsmpp = require "rfsmpp"
 
 local getmetatable, io, ipairs, print = getmetatable, io, ipairs, print
@@ -108,7 +109,7 @@ local function children_of(state)
   rfsm.mapfsm(function(child)
     if child ~= state then children[#children + 1] = { state = child } end
   end, state, rfsm.is_state, 1)
-  for _, region in ipairs(names.regions_of(state)) do
+  for _, region in ipairs(place.regions_of(state)) do
     children[#children + 1] = { state = region.machine, name = region.name }
   end
   return children

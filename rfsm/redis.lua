@@ -1,0 +1,173 @@
+--- Bundles charts with the core as one library of Redis functions.
+--
+-- The command `rfsm redis CHART...` calls it. Redis 7 loads the text with FUNCTION
+-- LOAD. The functions are those of `rfsm.redis_functions`.
+--
+-- @module rfsm.redis
+-- @license BSD-3-Clause
+
+local chart = require "rfsm.chart"
+local rfsm = require "rfsm"
+
+local error, ipairs, pcall, require = error, ipairs, pcall, require
+local io, package = io, package
+local concat = table.concat
+
+local redis = {}
+
+-- Modules that charts require, or get as a field; those that these need come along.
+local ROOTS = {
+  "rfsm.redis_functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+}
+
+-- While Redis loads a library hardly any global is there; later none can be set, and
+-- reading one that is absent is an error. So the modules see locals in their place, and
+-- are made at the first call.
+local HEAD = [[
+#!lua name=rfsm
+local function globals() return _G end
+local _G, loadfile, print, io, os, debug, package, require
+local bundled, loaded, charts = {}, {}, {}
+
+function require(name)
+  if not bundled[name] then error("module '" .. name .. "' not found", 2) end
+  if loaded[name] == nil then
+    loaded[name] = true
+    loaded[name] = bundled[name](name) or true
+  end
+  return loaded[name]
+end
+
+]]
+
+local FOOT = [[
+
+bundled["rfsm.ext"], bundled.rfsm_emem = bundled["rfsm.monitor"], bundled["rfsm.emem"]
+bundled.rfsm_await = bundled["rfsm.await"]
+
+local library
+
+local function open()
+  _G = { RFSM_NO_GLOBALS = true }
+  for name, value in pairs(globals()) do _G[name] = value end
+  function print(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
+    redis.log(redis.LOG_NOTICE, table.concat(texts, " "))
+  end
+  _G.print = print
+  return require "rfsm.redis_functions" ({ call = redis.call, json = cjson,
+    error_reply = redis.error_reply, pack = cmsgpack }, charts)
+end
+
+local function register(name, flag)
+  redis.register_function {
+    function_name = name, flags = { flag },
+    callback = function(keys, args)
+      if not library then
+        local ok, made = pcall(open)
+        if not ok then
+          loaded = {}
+          return redis.error_reply("ERR rfsm: " .. tostring(made))
+        end
+        library = made
+      end
+      return library[name](keys, args)
+    end,
+  }
+end
+
+register("rfsm_create")
+register("rfsm_send")
+register("rfsm_tick")
+register("rfsm_get", "no-writes")
+register("rfsm_due", "no-writes")
+register("rfsm_why", "no-writes")
+]]
+
+local CHART = [[
+charts[#charts + 1] = { name = %q, make = function()
+local rfsm, rfsm_timeevent = require "rfsm", require "rfsm_timeevent"
+return (function(...) %s
+end)(%q)
+end }
+]]
+
+-- Returns the source of a module.
+local function source_of(name)
+  local file = name:gsub("%.", "/")
+  for template in package.path:gmatch("[^;]+") do
+    local handle = io.open((template:gsub("%?", file)))
+    local text = handle and handle:read("*a")
+    if handle then handle:close() end
+    if text and text:byte() ~= 27 then return text end
+  end
+  error("rfsm.redis: the source of " .. name .. " is missing", 0)
+end
+
+-- Appends the sources of modules, and of those that they name, to a list.
+local function add_modules(parts, names, is_there)
+  for _, name in ipairs(names) do
+    if not is_there[name] then
+      local text, needed = source_of(name), {}
+      is_there[name] = true
+      for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
+        local is_needed = called == "require" or called == "find_module"
+        needed[#needed + 1] = is_needed and other or nil
+      end
+      parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(name, text)
+      add_modules(parts, needed, is_there)
+    end
+  end
+end
+
+--- Return the name of the chart in a file, and the file, of an argument such as
+-- `lamp.lua` or `lamp=old/lamp.lua`.
+---@param argument string
+---@return string name
+---@return string file
+function redis.name_of(argument)
+  local name, file = argument:match("^([%w_.-]+)=(.+)$")
+  file = file or argument
+  return name or (file:match("([^/]*)$"):gsub("%.lua$", "")), file
+end
+
+local function check_chart(file)
+  local model, problem = chart.load(file)
+  if not model then error(problem, 0) end
+  model.info, model.warn, model.err = false, false, false
+  local ok, fsm, problems = pcall(rfsm.init, model)
+  if not ok then error(chart.reason(file, fsm), 0) end
+  if not fsm then error(chart.line(file, problems[1]), 0) end
+  local kept, text = pcall(require("rfsm.snapshot").take, fsm)
+  if not kept then error(chart.reason(file, text), 0) end
+end
+
+local function read_chart(file)
+  local handle, problem = io.open(file)
+  if not handle then error(problem, 0) end
+  local text = handle:read("*a"):gsub("^#[^\n]*", "")
+  handle:close()
+  return text
+end
+
+--- Return the text of a library for FUNCTION LOAD.
+-- @raise if a chart has a problem, in one line
+---@param arguments string[] see `name_of`; a later version of a name is newer
+---@return string text
+---@nodiscard
+function redis.bundle(arguments)
+  require "rfsm_timeevent"
+  require "rfsm.await"
+  local parts = { HEAD }
+  add_modules(parts, ROOTS, {})
+  for _, argument in ipairs(arguments) do
+    local name, file = redis.name_of(argument)
+    check_chart(file)
+    parts[#parts + 1] = CHART:format(name, read_chart(file), file)
+  end
+  parts[#parts + 1] = FOOT
+  return concat(parts)
+end
+
+return redis

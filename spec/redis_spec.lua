@@ -1,0 +1,392 @@
+-- A fleet in Redis: the real server, started here on loopback and stopped again.
+--
+-- RFSM_EVENTS=100000 makes the storm longer.
+
+local function has(name) return (pcall(require, name)) end
+
+local has_modules = has "socket" and has "redis" and has "dkjson"
+local servers = has_modules and require "spec.support.redis"
+if not (servers and servers.are_installed()) then return end
+
+local fleet = require "rfsm.fleet"
+local helper = require "spec.helper"
+local redis = require "rfsm.redis"
+
+local EVENTS = tonumber(os.getenv("RFSM_EVENTS")) or 2000
+
+teardown(servers.stop_all)
+after_each(helper.remove_files)
+
+-- even --e_tick--> odd --e_tick--> even, counted
+local COUNTER = [[
+return rfsm.state {
+  keep = { "count" }, count = 0, even = rfsm.state {}, odd = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "even" },
+  rfsm.trans { src = "even", tgt = "odd", events = { "e_tick" },
+    effect = function(fsm) fsm.count = fsm.count + 1 end },
+  rfsm.trans { src = "odd", tgt = "even", events = { "e_tick" },
+    effect = function(fsm) fsm.count = fsm.count + 1 end },
+}]]
+
+-- off --e_on--> on --e_off or 50 ms--> off
+local LAMP = [[
+return rfsm.state {
+  keep = { "owner" },
+  off = rfsm.state { entry = function(fsm)
+    fsm.times = (fsm.times or 0) + 1 -- not kept
+    fsm.emit("off", { times = fsm.times, owner = fsm.owner })
+  end },
+  on = rfsm.state { entry = function() error("no bulb", 0) end },
+  busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_on" },
+    guard = function(tr) return tr._fsm.owner ~= "ghost" end },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_off", "e_after(0.05)" } },
+  rfsm.trans { src = "off", tgt = "busy", events = { "e_busy" } },
+}]]
+
+local function load_charts(url, ...)
+  local machines = fleet.connect(url, { name = "m", tags = 4 })
+  assert(machines:load(redis.bundle { ... }))
+  return machines
+end
+
+describe("a fleet", function()
+  local server, machines
+
+  setup(function()
+    server = servers.start()
+    machines = load_charts(server:url(), "lamp=" .. helper.file_with(LAMP),
+      "counter=" .. helper.file_with(COUNTER))
+  end)
+
+  before_each(function() server:cli("FLUSHALL") end)
+
+  it("creates machines, sends them events and shows them", function()
+    assert.same({ leaf = "root.off", mode = "done", errors = {} },
+      machines:create(1, "lamp", { owner = "me" }))
+    assert.same({ leaf = "root.on", mode = "done",
+      errors = { "ENTRY error executing entry of root.on:  no bulb" } },
+      machines:send(1, "e_on"))
+    local view = machines:get(1)
+    assert.same({ "lamp", "root.on", "done", "root root.on", {}, { root =
+      { owner = "me" } } }, { view.chart, view.leaf, view.mode, view.configuration,
+      view.queue, view.data })
+    assert.is_number(view.due)
+    assert.matches("no bulb", server:cli("XRANGE m:{" .. select(2, machines:key_of(1))
+      .. "}:1:log - +"))
+  end)
+
+  it("is the same from any client", function()
+    assert.equal("root.off\ndone\n", server:cli("FCALL rfsm_create 1 {robot:42} lamp"))
+    assert.equal("root.busy\nactive\n",
+      server:cli("FCALL rfsm_send 1 {robot:42} e_busy"))
+    assert.equal("{robot:42}\n", server:cli("FCALL rfsm_due 1 {robot:42}"))
+  end)
+
+  it("reports why", function()
+    machines:create(1, "lamp")
+    machines:create(2, "lamp", { owner = "ghost" })
+    local tr = "T={ src='root.off', tgt='root.on', events='e_on' }"
+    assert.same({ tr .. " is taken" }, machines:why(1, "e_on"))
+    assert.same({ tr .. " is not: its guard says no" }, machines:why(2, "e_on"))
+    assert.same({ "no transition that leaves an active state has the event 'e_off'" },
+      machines:why(1, "e_off"))
+  end)
+
+  it("wakes machines whose time has come", function()
+    machines:create(1, "lamp")
+    machines:send(1, "e_on")
+    assert.equal("", server:cli("FCALL rfsm_due 1 {x}"):gsub("%s", ""))
+    local tries = 0
+    repeat
+      tries = tries + machines:wake() + 0.001
+    until machines:get(1).leaf == "root.off" or tries > 100
+    assert.equal("root.off", machines:get(1).leaf)
+    assert.is_nil(machines:get(1).due)
+    assert.equal(0, machines:wake())
+  end)
+
+  it("hands on what machines emit, once more if a worker dies", function()
+    machines:create(1, "lamp", { owner = "me" })
+    assert.is_false(pcall(machines.work, machines, "g", "w1", function()
+      error("killed")
+    end))
+    local seen = {}
+    local function note(entry)
+      seen[#seen + 1] = { entry.machine, entry.what, entry.data }
+    end
+    assert.equal(0, machines:work("g", "w2", note))
+    assert.equal(1, machines:work("g", "w2", note, { idle = 0 }))
+    assert.equal(0, machines:work("g", "w2", note, { idle = 0 }))
+    assert.same({ { machines:key_of(1), "off", { times = 1, owner = "me" } } },
+      { { seen[1][1], seen[1][2], seen[1][3] } })
+  end)
+
+  it("shares no field that the chart does not keep", function()
+    for i = 1, 3 do machines:create(i, "lamp") end
+    local times = {}
+    machines:work("g", "w", function(entry) times[#times + 1] = entry.data.times end)
+    assert.same({ 1, 1, 1 }, times)
+  end)
+
+  it("reports each active leaf to a watcher", function()
+    machines:create(1, "lamp")
+    local sender = io.popen(("sleep 0.2; for e in e_on e_off e_on; do redis-cli -p %d "
+      .. "FCALL rfsm_send 1 '%s' $e; done"):format(server.port, (machines:key_of(1))))
+    local leaves = {}
+    machines:watch(1, function(leaf)
+      leaves[#leaves + 1] = leaf
+      return #leaves == 3
+    end)
+    sender:close()
+    assert.same({ "root.on", "root.off", "root.on" }, leaves)
+  end)
+
+  describe("refuses, and changes nothing:", function()
+    for name, case in pairs {
+      ["no such machine"] = { function() return machines:send(9, "e_on") end,
+        "rfsm_send: no machine is at 'm:{0}:9' (rfsm_create makes one)" },
+      ["an unknown event"] = { function() return machines:send(1, "e_onn") end,
+        "rfsm_send: no transition of chart 'lamp' has the event 'e_onn' "
+          .. "(did you mean 'e_on'?)" },
+      ["an event of 10 MB"] = { function()
+        return machines:send(1, ("x"):rep(10000000))
+      end, "rfsm_send: event 1: at most 256 bytes expected, got 10000000" },
+      ["no event"] = { function() return machines:send(1) end,
+        "rfsm_send: an event expected, got none" },
+      ["an unknown chart"] = { function() return machines:create(2, "lam") end,
+        "rfsm_create: no chart is named 'lam' (did you mean 'lamp'?)" },
+      ["a second machine"] = { function() return machines:create(1, "lamp") end,
+        "rfsm_create: something is at 'm:{KEY}:1'" },
+      ["data that is not kept"] = { function()
+        return machines:create(2, "lamp", { colour = 1 })
+      end, "rfsm_create: data: the root of the chart does not keep 'colour'" },
+      ["another value"] = { function()
+        server:cli("SET m:{1}:x y")
+        return machines:send("m:{1}:x", "e_on")
+      end, "rfsm_send: what is at 'm:{1}:x' is no machine" },
+    } do
+      it(name, function()
+        machines:create(1, "lamp")
+        local key, tag = machines:key_of(1)
+        local before = server:cli("DUMP " .. key)
+        local reply, problem = case[1]()
+        assert.is_nil(reply)
+        local expected = case[2]:gsub("{KEY}", "{" .. tag .. "}")
+          :gsub("m:{0}:9", (machines:key_of(9)))
+        assert.equal("ERR " .. expected, problem)
+        assert.equal(before, server:cli("DUMP " .. key))
+      end)
+    end
+  end)
+
+  it("is whole after a callback that never ended was killed", function()
+    local loop = redis.bundle { "loop=" .. helper.file_with([[
+      return rfsm.state { a = rfsm.state {},
+        b = rfsm.state { entry = function() while true do end end },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_loop" } },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_fine" } } }]]) }
+    local other = servers.start("--busy-reply-threshold 20")
+    local looping = fleet.connect(other:url())
+    assert(looping:load(loop))
+    assert(looping:create(1, "loop"))
+    local caller = io.popen(("redis-cli -p %d FCALL rfsm_send 1 '%s' e_loop 2>&1")
+      :format(other.port, (looping:key_of(1))))
+    local tries = 0
+    repeat tries = tries + 1 until other:cli("FUNCTION KILL") == "OK\n" or tries > 5000
+    assert.matches("killed by user", caller:read("*a"))
+    caller:close()
+    assert.same({ leaf = "root.a", mode = "done", errors = {} },
+      looping:send(1, "e_fine"))
+  end)
+
+  it("takes each event exactly once, from 100 clients at once", function()
+    local keys = {}
+    for i = 1, 1000 do
+      keys[i] = "c:{" .. i % 50 .. "}:" .. i
+      assert(machines:create(keys[i], "counter"))
+    end
+    local answered, errors = servers.storm(server.port, 100, EVENTS,
+      function(i) return keys[i * 7919 % 1000 + 1] end, "e_tick")
+    assert.same({}, errors)
+    local total = 0
+    for i = 1, 1000 do
+      local view = machines:get(keys[i])
+      local count = view.data.root.count
+      assert.equal(answered[keys[i]] or 0, count)
+      assert.equal(count % 2 == 0 and "root.even" or "root.odd", view.leaf)
+      total = total + count
+    end
+    assert.equal(EVENTS, total)
+  end)
+end)
+
+describe("a new version of a chart", function()
+  local function tick(by, more)
+    return (COUNTER:gsub("count %+ 1", "count + " .. by):gsub("odd = ", (more or "")
+      .. "odd = "))
+  end
+
+  it("takes machines at their next event if it can, or leaves them", function()
+    local server = servers.start()
+    local old = "c=" .. helper.file_with(tick(1))
+    local machines = load_charts(server:url(), old)
+    machines:create(1, "c")
+    -- a state more, and no migration: machines of the old version stay
+    machines = load_charts(server:url(), old, "c=" .. helper.file_with(
+      tick(10, "third = rfsm.state {}, ")))
+    machines:send(1, "e_tick")
+    machines:create(2, "c")
+    machines:send(2, "e_tick")
+    assert.same({ 1, 10 }, { machines:get(1).data.root.count,
+      machines:get(2).data.root.count })
+    -- with a function they move
+    machines = load_charts(server:url(), old, "c=" .. helper.file_with(
+      tick(100, "third = rfsm.state {}, migrate = function(snap) "
+        .. "snap.leaf = 'root.even' end, ")))
+    machines:send(1, "e_tick")
+    assert.same({ 101, "root.odd" }, { machines:get(1).data.root.count,
+      machines:get(1).leaf })
+    -- of an unknown version there is nothing to run
+    machines = load_charts(server:url(), "c=" .. helper.file_with(
+      tick(1, "fourth = rfsm.state {}, ")))
+    assert.matches("^ERR rfsm_send: the machine at .*: rfsm.snapshot: the snapshot is "
+      .. "of another chart: ", select(2, machines:send(1, "e_tick")))
+  end)
+end)
+
+describe("a server that is killed", function()
+  it("has lost no acknowledged event when it is back", function()
+    local server = servers.start("--appendonly yes --appendfsync always")
+    local machines = load_charts(server:url(),
+      "counter=" .. helper.file_with(COUNTER))
+    for i = 1, 20 do machines:create("c:{1}:" .. i, "counter") end
+    local limit = math.max(EVENTS / 4, 200)
+    local answered, _, sent = servers.storm(server.port, 50, EVENTS,
+      function(i) return "c:{1}:" .. i % 20 + 1 end, "e_tick", function(i)
+        if i == limit then os.execute("kill -9 $(cat " .. server.folder .. "/pid)") end
+      end)
+    server:kill()
+    server:launch()
+    machines = fleet.connect(server:url())
+    local lost = 0
+    for key, count in pairs(answered) do
+      local now = machines:get(key).data.root.count
+      if now < count then lost = lost + count - now end
+      assert.is_true(now <= sent[key])
+    end
+    assert.equal(0, lost)
+  end)
+end)
+
+describe("a cluster of three nodes", function()
+  local function start_cluster()
+    local nodes, ids = {}, {}
+    for i = 1, 3 do
+      nodes[i] = servers.start("--cluster-enabled yes --cluster-node-timeout 2000")
+      ids[i] = nodes[i]:cli("CLUSTER MYID"):match("%x+")
+      nodes[i]:cli(("CLUSTER ADDSLOTSRANGE %d %d"):format((i - 1) * 5462,
+        math.min(i * 5462 - 1, 16383)))
+      nodes[i]:cli("CONFIG SET cluster-require-full-coverage no")
+    end
+    for i = 2, 3 do
+      nodes[1]:cli(("CLUSTER MEET 127.0.0.1 %d"):format(nodes[i].port))
+    end
+    for _ = 1, 500 do
+      local ready = 0
+      for i = 1, 3 do
+        local info = nodes[i]:cli("CLUSTER INFO")
+        if info:find("cluster_state:ok", 1, true)
+          and info:find("cluster_slots_assigned:16384", 1, true) then
+          ready = ready + 1
+        end
+      end
+      if ready == 3 then return nodes, ids end
+      require "socket".sleep(0.02)
+    end
+    error("the cluster does not come together")
+  end
+
+  -- Moves a slot from the node that has it to another, in a process of its own.
+  local function move_slot(nodes, ids, slot)
+    local from = math.floor(slot / 5462) + 1
+    local to = from % 3 + 1
+    return io.popen(([[
+      a="redis-cli -p %d" b="redis-cli -p %d" slot=%d
+      $b CLUSTER SETSLOT $slot IMPORTING %s
+      $a CLUSTER SETSLOT $slot MIGRATING %s
+      while keys=$($a CLUSTER GETKEYSINSLOT $slot 1); [ -n "$keys" ]; do
+        $a MIGRATE 127.0.0.1 %d "$keys" 0 5000
+        sleep 0.01
+      done
+      $b CLUSTER SETSLOT $slot NODE %s
+      $a CLUSTER SETSLOT $slot NODE %s]]):format(nodes[from].port, nodes[to].port, slot,
+      ids[from], ids[to], nodes[to].port, ids[to], ids[to]))
+  end
+
+  it("loses no event while a slot moves", function()
+    local nodes, ids = start_cluster()
+    local machines = load_charts(nodes[1]:url(),
+      "counter=" .. helper.file_with(COUNTER), "lamp=" .. helper.file_with(LAMP))
+    for i = 1, 40 do assert(machines:create(i, "counter")) end
+    for i = 41, 60 do assert(machines:create(i, "lamp")) end
+    local _, tag = machines:key_of(1)
+    local slot = tonumber(nodes[1]:cli("CLUSTER KEYSLOT {" .. tag .. "}"))
+    local before = machines:get(1)
+    assert.equal("root.even", before.leaf)
+    local mover
+    for round = 1, 6 do
+      if round == 2 then mover = move_slot(nodes, ids, slot) end
+      for i = 1, 40 do assert(machines:send(i, "e_tick")) end
+      local event = round % 2 == 1 and "e_on" or "e_off"
+      for i = 41, 60 do assert(machines:send(i, event)) end
+    end
+    mover:close()
+    for i = 1, 40 do assert.equal(6, machines:get(i).data.root.count) end
+    for i = 41, 60 do assert.equal("root.off", machines:get(i).leaf) end
+    local owner = math.floor(slot / 5462) % 3 + 2
+    assert.matches("^%d", nodes[(owner - 1) % 3 + 1]:cli(
+      "CLUSTER COUNTKEYSINSLOT " .. slot))
+  end)
+end)
+
+describe("rfsm redis", function()
+  local function run(arguments)
+    local pipe = io.popen("tools/rfsm-redis " .. arguments .. " 2>&1")
+    local output = pipe:read("*a")
+    pipe:close()
+    return output
+  end
+
+  it("writes a library, and loads it", function()
+    local server = servers.start()
+    local chart, library = helper.file_with(COUNTER), helper.file_with("")
+    assert.equal("", run(("c=%s -o %s --load %s"):format(chart, library, server:url())))
+    assert.matches("^#!lua name=rfsm\n", helper.content(library))
+    assert.equal("root.even\ndone\n", server:cli("FCALL rfsm_create 1 x c"))
+  end)
+
+  it("reports a chart with a mistake, and loads nothing", function()
+    local chart = helper.file_with("return rfsm.state { a = rfsm.state {},\n"
+      .. "rfsm.trans { src = 'a', tgt = 'b' } }")
+    assert.matches("^rfsm redis: " .. chart .. ":%d: root.trans%[1%].*: tgt 'b': no "
+      .. "state or connector is named 'b' in 'root'[^\n]*\n$", run(chart))
+    assert.equal("rfsm redis: cannot open /nowhere.lua: No such file or directory\n",
+      run("/nowhere.lua"))
+    assert.equal("rfsm redis: rfsm.fleet: cannot connect to 127.0.0.1:1\n",
+      run(helper.file_with(COUNTER) .. " --load redis://127.0.0.1:1"))
+  end)
+end)
+
+describe("the warehouse", function()
+  it("ships what is paid for, in one command", function()
+    local pipe = io.popen("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
+      .. "examples/warehouse/fleet.sh lua5.3 8 2>&1")
+    local output = pipe:read("*a")
+    pipe:close()
+    assert.matches("order:{%d}:1 +pick nuts %-> e_picked\n", output)
+    assert.matches("\n6 shipped, 2 cancelled\n$", output)
+  end)
+end)
