@@ -38,7 +38,6 @@ build = {
     ["rfsm_record"] = "compat/rfsm_record.lua",
     ["rfsm_rtt"] = "compat/rfsm_rtt.lua",
     ["rfsm_snapshot"] = "compat/rfsm_snapshot.lua",
-    ["rfsm_watch"] = "compat/rfsm_watch.lua",
     ["rfsm_web"] = "compat/rfsm_web.lua",
     ["rfsm"] = "rfsm.lua",
     ["rfsm.advice"] = "rfsm/advice.lua",
@@ -116,6 +115,7 @@ build = {
     ["rfsmpp"] = "rfsmpp.lua",
   },
   install = {
+    lua = { ["rfsm.web.page"] = "rfsm/web/page.html" },
     bin = {
       ["rfsm"] = "tools/rfsm",
       ["rfsm-check"] = "tools/rfsm-check",
