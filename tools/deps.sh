@@ -56,6 +56,14 @@ missing_for_test() { # missing_for_test LUA ...
   command -v tmux >/dev/null 2>&1 || echo tmux
 }
 
+missing_for_fleet() {
+  command -v lua5.3 >/dev/null 2>&1 || echo lua5.3
+  has_module lua5.3 dkjson || echo lua-dkjson
+  has_module lua5.3 redis || echo lua-redis
+  has_module lua5.3 socket || echo lua-socket
+  command -v redis-server >/dev/null 2>&1 || echo redis-server
+}
+
 missing_for_web() {
   command -v busted >/dev/null 2>&1 || echo lua-busted
   has_module lua5.1 dkjson || echo lua-dkjson
@@ -63,14 +71,6 @@ missing_for_web() {
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v chromium >/dev/null 2>&1 || echo chromium
   command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
-}
-
-missing_for_fleet() {
-  command -v lua5.3 >/dev/null 2>&1 || echo lua5.3
-  has_module lua5.3 dkjson || echo lua-dkjson
-  has_module lua5.3 redis || echo lua-redis
-  has_module lua5.3 socket || echo lua-socket
-  command -v redis-server >/dev/null 2>&1 || echo redis-server
 }
 
 missing_for_doc() {
