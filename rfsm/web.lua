@@ -20,11 +20,10 @@ local opts = require "rfsm.options"
 local Picture = require "rfsm.web.picture"
 local Live = require "rfsm.web.live"
 
-local error, io, package, pairs, pcall = error, io, package, pairs, pcall
+local error, io, package, pcall = error, io, package, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
 local type = type
 local huge, min = math.huge, math.min
-local sort = table.sort
 
 local web = {}
 
@@ -94,20 +93,11 @@ local function state_message(server, is_full)
   return message_text(server, "state", message)
 end
 
-local function commands_of(source)
-  local names = {}
-  for name in pairs(source.commands) do -- any order: sorted
-    names[#names + 1] = name
-  end
-  sort(names)
-  return names
-end
-
 local function chart_reply(server)
   local source = server.source
   local chart = source.view and source.view:chart() or {}
   chart.title, chart.version = source.title, version_of(server)
-  chart.problems, chart.commands = source.problems, commands_of(source)
+  chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
   chart.has_picture = server.picture ~= false
   return { type = "application/json", body = server.json.encode(chart) }
 end
