@@ -2,8 +2,8 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, test and doc install missing Debian packages if you are root or have password-free
-# sudo. Otherwise they print the command to type.
+# sim, fleet, test, test-web and doc install missing Debian packages if you are root or have
+# password-free sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
@@ -26,12 +26,13 @@ URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
 INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
 DEEPER   := $(wildcard rfsm/*/*.lua)
+PAGE     := rfsm/web/page.html
 NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER))) $(DEEPER)
 TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
-FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/support/*.lua bench/*.lua)
+FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test lint fuzz bench bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web lint fuzz bench bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -52,6 +53,10 @@ test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)
 	@$(MAKE) --no-print-directory lint
 	@BUSTED="$(BUSTED)" tools/test.sh $(LUAS)
+
+test-web:               ## the page in headless Chromium, with LUA
+	@tools/deps.sh web
+	@$(BUSTED) --lua=$$(command -v $(LUA)) --pattern=page spec/browser
 
 test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)
@@ -117,7 +122,7 @@ install:                ## copy modules and tools below PREFIX; STRIP=1: as byte
 	  install -d $(addprefix $$d/,$(sort $(dir $(DEEPER)))); \
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
-	  for f in $(DEEPER); do install -m 644 $$f $$d/$$f; done; \
+	  for f in $(DEEPER) $(PAGE); do install -m 644 $$f $$d/$$f; done; \
 	  $(if $(STRIP),$(STRIP_FILES);) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin
@@ -132,7 +137,7 @@ STRIP_FILES = luac=luac$${d\#\#*/}; \
 	  fi
 
 uninstall:              ## remove the files that install copied, and empty directories
-	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES)) || true; done
+	@for d in $(LUADIRS:%=$(DESTDIR)%); do (cd $$d 2>/dev/null && rm -f $(NAMES) $(PAGE)) || true; done
 	@rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(TOOLS)))
 	@rmdir $(foreach d,$(LUADIRS:%=$(DESTDIR)%),$(addprefix $(d)/,$(sort $(dir $(DEEPER))) rfsm)) 2>/dev/null || true
 	@$(if $(filter /usr /usr/local,$(DESTDIR)$(PREFIX)),,$(REMOVE_EMPTY))

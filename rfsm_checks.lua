@@ -15,6 +15,20 @@ local rawset, require, setmetatable, type = rawset, require, setmetatable, type
 local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
 
+--- Functions in files of their own, loaded when they are first used.
+---@class rfsm_checks
+---@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[]
+---@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration
+---@field why fun(fsm: rfsm.Machine, ...: any): rfsm_checks.Why, string
+---@field enabled fun(fsm: rfsm.Machine): any[], string events that do something now
+---@field coverage fun(fsm: rfsm.Machine, earlier?: table): rfsm_checks.Coverage
+---@field rehearsal fun(chart: string|rfsm.State): rfsm_checks.Rehearsal for tests
+---@field record_witness fun(model: rfsm.State, witness: table, sink: table|string)
+---@field path_of fun(witness: table): string[] for the `trace` of a picture
+---@field never fun(condition: any): rfsm_checks.Property in no configuration
+---@field always fun(condition: any): rfsm_checks.Property in each configuration
+---@field after fun(event: any): table after(event).reach(condition)
+---@field from fun(condition: any): table from(condition).can_reach(condition)
 local rfsm_checks = {}
 
 -- Watch: events that nobody declared -------------------------------------------
@@ -93,7 +107,11 @@ end
 -- Functions in files of their own, which are loaded when they are first asked for.
 local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
-  findings = "rfsm.checks.static",
+  findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
+  coverage = "rfsm.checks.coverage", rehearsal = "rfsm.checks.rehearsal",
+  record_witness = "rfsm.checks.witness", path_of = "rfsm.checks.witness",
+  never = "rfsm.checks.properties", always = "rfsm.checks.properties",
+  after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }
 
 setmetatable(rfsm_checks, { __index = function(_, name)

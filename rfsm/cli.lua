@@ -10,7 +10,6 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local rfsm_checks = require "rfsm_checks"
 local chart = require "rfsm.chart"
 local diagram = require "rfsm.diagram"
 
@@ -145,7 +144,7 @@ local function append(lines, texts)
 end
 
 -- Appends lines about the chart in a file; returns the gravest severity.
-local function review(lines, file, has_notes)
+local function review(lines, file, options)
   local command = require("rfsm.checks.command")
   local settings, problem = command.settings_for(file)
   if not settings then fail("check", { problem }, 2) end
@@ -154,14 +153,10 @@ local function review(lines, file, has_notes)
     append(lines, { warnings })
     return "error"
   end
-  local ok, findings = with_streams(NOWHERE, rfsm_checks.findings, model, settings)
-  if not ok then
-    append(lines, { chart.reason(file, findings) })
-    return "error"
-  end
-  local report, gravest = command.report(file, findings, warnings, has_notes)
-  append(lines, report)
-  return gravest
+  local ok, report, gravest = with_streams(NOWHERE, command.review, file, model,
+    warnings, settings, options)
+  append(lines, ok and report or { chart.reason(file, report) })
+  return not ok and "error" or gravest
 end
 
 local check = {
@@ -181,15 +176,50 @@ function check.add_arguments(command)
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
   command:flag("--codes", "list the codes of findings and end"):action(print_codes)
+  command:flag("-x --explore", "walk over every configuration, and judge properties")
+  command:option("-k --together", "explore: events in one step, at most")
+    :argname("N"):convert(tonumber)
+  command:option("--configurations", "explore: stop after so many")
+    :argname("N"):convert(tonumber)
+  command:option("--seconds", "explore: stop after so long"):argname("N")
+    :convert(tonumber)
+  command:option("--record", "explore: write the run that shows the first finding")
+    :argname("FILE")
+  command:option("--tests", "write a spec that takes every transition")
+    :argname("KIND"):choices { "busted" }
+  command:option("-o --output", "tests: file to write; - is stdout", "-")
+    :argname("FILE")
 end
 
-function check.run(options)
+local SUMMARY = "rfsm check: %d of %d transitions in %d steps (at least %d are "
+  .. "needed)\n"
+
+-- Writes tests of one chart.
+local function write_tests(options, parser)
+  local file = options.files[1]
+  if options.files[2] then
+    parser:error("one FILE expected, tests are those of one chart, got "
+      .. #options.files)
+  end
+  local model, problem = load_model(file)
+  if not model then fail("check", { problem }) end
+  local ok, text, result = with_streams(NOWHERE, require("rfsm.checks.tests").busted,
+    file, model)
+  if not ok then fail("check", { chart.reason(file, text) }) end
+  write("check", options.output, text)
+  io.stderr:write(SUMMARY:format(result.taken, result.transitions, result.steps,
+    result.least))
+  return 0
+end
+
+function check.run(options, parser)
   check_readable("check", options.files)
   require("rfsm_timeevent") -- so that their events are known
   require("rfsm.await")
+  if options.tests then return write_tests(options, parser) end
   local lines, status = {}, 0
   for _, file in ipairs(options.files) do
-    local gravest = review(lines, file, options.all)
+    local gravest = review(lines, file, options)
     if gravest == "error" or options.strict and gravest then status = 1 end
   end
   if not options.quiet then write("check", "-", concat(lines, "\n") .. "\n") end

@@ -5,9 +5,9 @@
 
 local rfsm = require "rfsm"
 
-local pairs, pcall, require, tostring, type = pairs, pcall, require, tostring, type
+local pairs, pcall, require, type = pairs, pcall, require, type
 local floor, huge = math.floor, math.huge
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 
 local options = {}
 
@@ -39,13 +39,6 @@ function options.got(value)
   return "got " .. (type(value) == "number" and rfsm.text_of(value) or type(value))
 end
 
-local function sorted_names(t)
-  local names = {}
-  for name in pairs(t) do names[#names + 1] = tostring(name) end -- any order: sorted
-  sort(names)
-  return names
-end
-
 --- Return the options with their defaults.
 ---@param known table<string, any[]> description, test, default of each
 ---@param given table
@@ -56,11 +49,11 @@ function options.read(known, given)
     return nil, "table of options expected, " .. options.got(given)
   end
   local settings = {}
-  for _, name in pairs(sorted_names(given)) do
+  for _, name in pairs(rfsm.sorted_keys(given)) do
     local option, value = known[name], given[name]
     if not option then
-      return nil, ("unknown option '%s', expected: %s"):format(name,
-        concat(sorted_names(known), ", "))
+      return nil, ("unknown option '%s', expected: %s"):format(rfsm.text_of(name),
+        concat(rfsm.sorted_keys(known), ", "))
     elseif not option[2](value) then
       return nil, ("%s: %s expected, %s"):format(name, option[1], options.got(value))
     end

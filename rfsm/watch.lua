@@ -4,8 +4,8 @@
 -- @module rfsm.watch
 -- @license BSD-3-Clause
 
-local ipairs, os, print, select = ipairs, os, print, select
-local rawget, rawset, setmetatable = rawget, rawset, setmetatable
+local ipairs, os, select = ipairs, os, select
+local setmetatable = setmetatable
 local concat, remove = table.concat, table.remove
 
 local watch = {}
@@ -75,7 +75,5 @@ function watch.run(client, options)
     if take and self.is_terminal then draw(self) end
   end
 end
-
-if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_watch", watch) end
 
 return watch

@@ -20,11 +20,10 @@ local opts = require "rfsm.options"
 local Picture = require "rfsm.web.picture"
 local Live = require "rfsm.web.live"
 
-local error, io, package, pairs, pcall = error, io, package, pairs, pcall
+local error, io, package, pcall = error, io, package, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
 local type = type
 local huge, min = math.huge, math.min
-local sort = table.sort
 
 local web = {}
 
@@ -35,6 +34,8 @@ local OPTIONS = {
   port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
   title = { "text", opts.is_text },
 }
+
+local MAX_DRAWN = 2000 -- nodes
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -56,10 +57,10 @@ local function find_page()
   return nil, "rfsm/web/page.html is not beside the modules"
 end
 
--- Returns 128 random bits as text.
-local function new_token()
+-- Returns random bytes as text.
+local function new_secret(count)
   local handle = io.open("/dev/urandom", "rb")
-  local bytes = handle and handle:read(16)
+  local bytes = handle and handle:read(count)
   if handle then handle:close() end
   if not bytes then return nil, "/dev/urandom cannot be read" end
   return (bytes:gsub(".", function(c) return ("%02x"):format(c:byte()) end))
@@ -92,20 +93,11 @@ local function state_message(server, is_full)
   return message_text(server, "state", message)
 end
 
-local function commands_of(source)
-  local names = {}
-  for name in pairs(source.commands) do -- any order: sorted
-    names[#names + 1] = name
-  end
-  sort(names)
-  return names
-end
-
 local function chart_reply(server)
   local source = server.source
   local chart = source.view and source.view:chart() or {}
   chart.title, chart.version = source.title, version_of(server)
-  chart.problems, chart.commands = source.problems, commands_of(source)
+  chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
   chart.has_picture = server.picture ~= false
   return { type = "application/json", body = server.json.encode(chart) }
 end
@@ -131,10 +123,11 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Has a new chart drawn.
+-- Has a new chart drawn, unless Graphviz would take too long.
 local function start_picture(server)
   local source = server.source
-  local graph = source.view and dot.encode(source.view.description) or ""
+  local is_drawn = source.view and #source.view.outline.nodes <= MAX_DRAWN
+  local graph = is_drawn and dot.encode(source.view.description) or ""
   server.drawn = source.generation
   if graph == server.graph then return end
   if server.drawing then server.drawing:drop() end
@@ -178,8 +171,16 @@ local function is_for(server, host)
     or name:find("^%[[%x:]+%]$") ~= nil
 end
 
+-- Does a page of somebody else ask? Following a link to the page is no harm.
+local function is_foreign(request)
+  local site = request.headers["sec-fetch-site"]
+  return request.path ~= "/" and (site == "cross-site" or site == "same-site")
+end
+
 local function handle(server, request)
-  if not is_for(server, request.headers.host) then return { status = 403 } end
+  if not is_for(server, request.headers.host) or is_foreign(request) then
+    return { status = 403 }
+  end
   local route = ROUTES[request.path]
   if not route then return { status = 404 } end
   local answer = route[request.method]
@@ -245,10 +246,10 @@ end
 local function open_server(source, settings)
   local page, token, problem
   page, problem = find_page()
-  if page then token, problem = new_token() end
+  if page then token, problem = new_secret(16) end
   if not token then return nil, problem end
   local server = setmetatable({
-    source = source, json = settings.json, token = token, id = token:sub(1, 8),
+    source = source, json = settings.json, token = token, id = new_secret(4),
     name = settings.host, picture = false, picture_count = 0, drawing = false,
     drawn = false, graph = "", sent_version = "",
   }, Server)
@@ -259,7 +260,8 @@ local function open_server(source, settings)
     function(request) return handle_safely(server, request) end, settings.clock)
   if not listener then return nil, problem end
   server.http, server.host, server.port = listener, listener.host, listener.port
-  server.url = ("http://%s:%d/"):format(server.host, server.port)
+  local name = server.host:find(":", 1, true) and "[" .. server.host .. "]"
+  server.url = ("http://%s:%d/"):format(name or server.host, server.port)
   return server
 end
 

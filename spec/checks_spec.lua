@@ -445,7 +445,9 @@ describe("each code", function()
     return false
   end
 
-  for _, entry in ipairs(require("rfsm.checks.codes").list) do
+  local codes = require "rfsm.checks.codes"
+  for i = 1, codes.static do
+    local entry = codes.list[i]
     if entry.code ~= "invalid" and entry.code ~= "init" then
       it("has a chart that shows it, and one that does not: " .. entry.code, function()
         assert.is_true(has_case(entry.code, true))

@@ -75,6 +75,7 @@ local MODULES = {
   { "rfsm_snapshot", "rfsm.snapshot" },
   { "rfsm_fleet", "rfsm.fleet" },
   { "rfsm_record", "rfsm.record" },
+  { "rfsm_web", "rfsm.web" },
 }
 
 -- Requires the names of each module in every order, each order from the beginning, and

@@ -428,7 +428,7 @@ local function place_of(sim)
 end
 
 local function wander(sim, count)
-  local events, places = names.sorted(names.event_set(sim.fsm)), {}
+  local events, places = rfsm.sorted_keys(names.event_set(sim.fsm)), {}
   for _ = 1, count do
     if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
     sim.env.step()

@@ -389,6 +389,56 @@ describe("rfsm-check", function()
     assert.equal(0, status)
   end)
 
+  it("explores a chart, and judges the properties beside it", function()
+    local chart = [[
+      local rfsm = require "rfsm"
+      return rfsm.state { a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
+        rfsm.trans { src = "b", tgt = "a", events = { "e_go" } },
+      }
+    ]]
+    local counts = "FILE: 3 configurations, 3 of 3 transitions taken, 4 steps run\n"
+    checks(chart, "FILE: ok\n" .. counts, 0, "--explore")
+    write_file("chart_properties.lua", [[
+      local never = require("rfsm_checks").never
+      return { properties = { never "root.b", never { "root.a", "root.b" } } }
+    ]])
+    checks(chart, "FILE: ok\n" .. counts .. "never root.a and root.b: holds\n"
+      .. "never root.b: does not hold [violated]\n"
+      .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_go: root.trans[2] -> root.b\n", 1,
+      "-x --record '" .. folder .. "/run'")
+    assert.matches("root.b", (run("rfsm-sim -q --dry --replay '" .. folder .. "/run' '"
+      .. folder .. "/chart.lua' -e 'print(rfsm.get_actleaf_fqn(fsm))'")))
+    for text, problem in pairs { -- any order: each stands alone
+      ["return 7"] = "FILE.lua: FILE_properties.lua: table with the field 'properties' "
+        .. "expected, got number\n",
+      ["return { properties = { 7 } }"] = "FILE.lua: rfsm_checks.explore: properties: "
+        .. "never(...), always(...), after(...).reach(...) or from(...).can_reach(...) "
+        .. "expected, got number\n",
+    } do
+      local file = write_file("chart_properties.lua", text)
+      local out, _, status = run("rfsm-check -x '" .. folder .. "/chart.lua'")
+      local name = file:gsub("_properties.lua$", "")
+      assert.equal(problem, (out:gsub(name:gsub("%p", "%%%0"), "FILE")))
+      assert.equal(1, status)
+    end
+    os.remove(folder .. "/chart_properties.lua")
+  end)
+
+  it("writes tests that busted runs", function()
+    local spec = folder .. "/emem_spec.lua"
+    local out, err, status = run("rfsm-check --tests busted -o '" .. spec
+      .. "' examples/emem.lua")
+    assert.same({ "", "rfsm check: 5 of 5 transitions in 5 steps (at least 5 are "
+      .. "needed)\n", 0 }, { out, err, status })
+    local pipe = io.popen("busted --lua=$(command -v '" .. lua .. "') -o TAP '" .. spec
+      .. "' 2>&1")
+    assert.matches("^ok 1 %- examples/emem.lua goes to ", pipe:read("*a"))
+    pipe:close()
+  end)
+
   it("finds nothing in the examples that is not expected there", function()
     assert.equal("", (run("rfsm-check examples/*.lua"):gsub("[^\n]*: ok\n", "")))
   end)
@@ -444,6 +494,7 @@ describe("rfsm-check", function()
   it("tells how to use it, with status 2 if it was not", function()
     has_help("rfsm-check", "rfsm check")
     refuses("rfsm-check", "Error: missing argument 'files'")
-    refuses("rfsm-check -x y", "Did you mean one of these: '-a' '-h' '-q' '-s' '-v'?")
+    refuses("rfsm-check -y x",
+      "Did you mean one of these: '-a' '-h' '-k' '-o' '-q' '-s' '-v' '-x'?")
   end)
 end)

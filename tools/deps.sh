@@ -3,6 +3,7 @@
 #
 #   tools/deps.sh sim           for the simulator
 #   tools/deps.sh test LUA ...  for the tests, on these interpreters
+#   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh doc           for the pages of the API
 #   tools/deps.sh fleet         for machines in Redis, with lua5.3
 #
@@ -63,6 +64,15 @@ missing_for_fleet() {
   command -v redis-server >/dev/null 2>&1 || echo redis-server
 }
 
+missing_for_web() {
+  command -v busted >/dev/null 2>&1 || echo lua-busted
+  has_module lua5.1 dkjson || echo lua-dkjson
+  has_module lua5.1 socket || echo lua-socket
+  command -v dot >/dev/null 2>&1 || echo graphviz
+  command -v chromium >/dev/null 2>&1 || echo chromium
+  command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
+}
+
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
   has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
@@ -96,7 +106,7 @@ install_packages() {
 }
 
 case "${1:-}" in
-  sim | test | doc | fleet)
+  sim | test | web | doc | fleet)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -105,5 +115,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|doc|fleet|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|doc|fleet|test LUA ..." >&2; exit 2 ;;
 esac

@@ -13,7 +13,7 @@ command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 
 # These files need modules in C, which the Lua 5.5 in tools/ cannot load. It is skipped if
 # its Python package is missing.
-NEEDS_C='spec/(bench|extensions|project|proto|redis)_spec'
+NEEDS_C='spec/(bench|extensions|project|proto|redis|web)_spec'
 
 # Prints a line "LUA FILE" for each spec file that an interpreter can run.
 list_files() { # list_files LUA

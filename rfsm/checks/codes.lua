@@ -20,9 +20,16 @@ local codes = {}
 ---@type rfsm_checks.Code[]
 codes.list = {}
 
+--- The same by code.
+---@type table<string, rfsm_checks.Code>
+codes.of = {}
+
+--- How many of them are found by static checks; they come first.
+codes.static = 0
+
 local function define(severity, code, meaning, hint)
   local entry = { code = code, severity = severity, meaning = meaning, hint = hint }
-  codes.list[#codes.list + 1], codes[code] = entry, entry
+  codes.list[#codes.list + 1], codes.of[code] = entry, entry
 end
 
 define("error", "invalid", "the model cannot become a machine",
@@ -62,6 +69,23 @@ define("warning", "misplaced", "an element stands where it is ignored or misread
 define("warning", "init", "another warning of rfsm.init", "correct what the text names")
 define("warning", "silence", "a field `checks` is wrong",
   'write checks = { ["a-code"] = "the reason" }')
+
+codes.static = #codes.list -- those that follow are found by exploration
+
+define("warning", "unreached", "a state that is active in no configuration",
+  "see which guard, priority or event keeps its transitions from being taken")
+define("warning", "untaken", "a transition that no step takes",
+  "see which transition is tried earlier, or which connector is closed")
+define("warning", "stuck", "a configuration that nothing leaves",
+  "add a transition, or declare final = true")
+define("warning", "livelock", "a configuration from which run never becomes idle",
+  "let a state of the cycle wait for an event, or have a doo")
+define("note", "clash", "a connector with several enabled transitions of equal pn",
+  "give them different pn, or guards that exclude each other")
+define("note", "swallowed", "an event is discarded at a closed connector",
+  "give the connector a default, or the event a transition of less pn")
+define("error", "violated", "a property that does not hold",
+  "mend the chart, or the property")
 
 -- Texts of the core's warnings, and their codes.
 local WARNINGS = {
@@ -103,7 +127,7 @@ function codes.check_settings(settings)
   end
   local wrong = {}
   for code, severity in pairs(settings) do -- any order: sorted
-    if not codes[code] or type(codes[code]) ~= "table" or code == "list" then
+    if not codes.of[code] then
       wrong[#wrong + 1] = ("no check has the code '%s'%s"):format(tostring(code),
         codes.nearest(code))
     elseif not SEVERITIES[severity] then

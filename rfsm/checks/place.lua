@@ -28,6 +28,15 @@ function place.of(obj)
   return rest
 end
 
+--- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
+---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
+---@param prefix? string path of the region
+---@return string path
+function place.path(obj, prefix)
+  local path = obj._fqn or place.of(obj):gsub(" %(.* %-> .*%)$", "")
+  return prefix and prefix .. path:sub(5) or path
+end
+
 local function name_before(a, b) return text_of(a) < text_of(b) end
 
 --- List the machines inside a state, its regions, sorted by name.

@@ -32,8 +32,8 @@ local CHECKS = {
 }
 
 local function new_finding(code, file, at, text)
-  return { code = code, severity = codes[code].severity, file = file, place = at,
-    text = text, hint = codes[code].hint }
+  return { code = code, severity = codes.of[code].severity, file = file, place = at,
+    text = text, hint = codes.of[code].hint }
 end
 
 -- Silence: findings that an element expects ........................................
@@ -47,7 +47,7 @@ end
 local function check_silences(obj, add)
   local wrong = {}
   for code, reason in pairs(silences_of(obj)) do -- any order: sorted
-    if type(code) ~= "string" or type(codes[code]) ~= "table" or code == "list" then
+    if not codes.of[code] then
       wrong[#wrong + 1] = ("checks: no check has the code '%s'%s"):format(
         rfsm.text_of(code), codes.nearest(code))
     elseif type(reason) ~= "string" or not reason:find("%S") then
@@ -59,7 +59,11 @@ local function check_silences(obj, add)
   for _, text in ipairs(wrong) do add("silence", obj, text) end
 end
 
-local function is_silenced(obj, code)
+--- Does an element expect the findings of a code, with a reason?
+---@param obj table
+---@param code string
+---@return boolean
+function static.is_silenced(obj, code)
   local reason = silences_of(obj)[code]
   return type(reason) == "string" and reason:find("%S") ~= nil
 end
@@ -69,7 +73,7 @@ local function drop_silenced(fsm, findings)
   local is_dropped = {}
   for _, obj in ipairs(rfsm.elements(fsm)) do
     for code in pairs(silences_of(obj)) do -- any order: a set
-      if is_silenced(obj, code) then
+      if static.is_silenced(obj, code) then
         local _, events = place.split(rfsm.location_of(obj, "events"))
         is_dropped[code .. place.of(obj)], is_dropped[code .. events] = true, true
       end
@@ -88,7 +92,7 @@ end
 local function check_machine(fsm, location, findings)
   local by_element = {}
   local function add(code, obj, text)
-    if is_silenced(obj, code) then return end
+    if static.is_silenced(obj, code) then return end
     local file, at = place.split(rfsm.location_of(obj))
     local list = by_element[obj] or {}
     list[#list + 1] = new_finding(code, file, location .. at, text)
@@ -186,8 +190,11 @@ local function findings_of_model(model)
   return check_machine(fsm, "", drop_silenced(fsm, findings))
 end
 
--- Gives findings the severity that a project has set, and drops those that are off.
-local function apply(findings, settings)
+--- Give findings the severity that a project has set, and drop those that are off.
+---@param findings rfsm_checks.Finding[]
+---@param settings table<string, string>
+---@return rfsm_checks.Finding[] kept
+function static.apply(findings, settings)
   local kept = {}
   for _, finding in ipairs(findings) do
     finding.severity = settings[finding.code] or finding.severity
@@ -216,7 +223,7 @@ function static.findings(model, settings)
   local is_machine = rfsm.is_initialized_root(model)
   local findings = is_machine and check_machine(model, "", {})
     or findings_of_model(model)
-  return apply(findings, settings or {})
+  return static.apply(findings, settings or {})
 end
 
 --- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a

@@ -43,10 +43,10 @@ local function has_way_out(fsm, state)
 end
 
 -- Finds nodes that nothing leads to, and those that nothing leads away from, but not
--- in an unreachable composite.
+-- in an unreachable composite. One that is entered elsewhere may have an `initial`.
 local function check_node(fsm, node, reached, add)
   if not reached[node] then
-    if reached[node._parent] then
+    if reached[node._parent] and node._id ~= "initial" then
       add("unreachable", node, "unreachable, no path of transitions leads here")
     end
   elseif is_conn(node) and not node._otrs[1] then

@@ -252,18 +252,38 @@ end
 -- Stands for an event that no transition names.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
+-- Returns the events that transitions from active states and from connectors name, as a
+-- set; nil if one of them has a predicate. Any other event counts as `OTHER` does.
+local function named_events(fsm, transitions)
+  local is_asked, named = {}, {}
+  for _, node in ipairs(nodes_of(fsm)) do is_asked[node] = true end
+  for _, tr in ipairs(transitions) do
+    for _, event in ipairs((is_asked[tr.src] or is_conn(tr.src)) and tr.events or {}) do
+      if type(event) == "function" then return nil end
+      named[event] = true
+    end
+  end
+  return named
+end
+
 -- Appends the events that enable a transition of the machine, or of one in its leaf.
 local function add_enabled(list, is_listed, fsm)
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+  local transitions = rfsm.elements(fsm, rfsm.is_trans)
+  local named = named_events(fsm, transitions)
+  local takes_any = select(2, answers_of(fsm, { OTHER })) and true
+  local function is_enabled(event)
+    if named and not named[event] then return takes_any end
+    return select(2, answers_of(fsm, { event }))
+  end
+  for _, tr in ipairs(transitions) do
     for _, event in ipairs(tr.events or {}) do
-      if type(event) ~= "function" and not is_listed[event]
-        and select(2, answers_of(fsm, { event })) then
+      if type(event) ~= "function" and not is_listed[event] and is_enabled(event) then
         is_listed[event] = true
         list[#list + 1] = event
       end
     end
   end
-  list.any = list.any or select(2, answers_of(fsm, { OTHER })) and true
+  list.any = list.any or takes_any
   for _, region in ipairs(place.regions_of(fsm._act_leaf or {})) do
     add_enabled(list, is_listed, region.machine)
   end

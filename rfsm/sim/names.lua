@@ -11,20 +11,9 @@ local advice = require "rfsm.advice"
 local place = require "rfsm.checks.place"
 
 local ipairs, pairs, type = ipairs, pairs, type
-local sort = table.sort
-local regions_of, text_of = place.regions_of, rfsm.text_of
+local regions_of = place.regions_of
 
 local names = {}
-
---- List the keys of a set, sorted by their texts.
----@param set table<any, any>
----@return any[] list
-function names.sorted(set)
-  local list = {}
-  for key in pairs(set) do list[#list + 1] = key end -- any order: sorted below
-  sort(list, function(a, b) return text_of(a) < text_of(b) end)
-  return list
-end
 
 --- Return the name of a node of a machine.
 ---@param prefix string the name of that machine
@@ -66,7 +55,7 @@ end
 ---@return string[] events
 function names.events(fsm)
   local texts = {}
-  for _, event in ipairs(names.sorted(names.event_set(fsm))) do
+  for _, event in ipairs(rfsm.sorted_keys(names.event_set(fsm))) do
     if type(event) == "string" and not event:find("@", 1, true) then
       texts[#texts + 1] = event
     end

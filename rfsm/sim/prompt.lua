@@ -194,7 +194,7 @@ local function complete(sim, word, before)
   for _, name in ipairs(words_after(sim, before)) do
     if name:sub(1, #word) == word then set[name] = true end
   end
-  return names.sorted(set)
+  return rfsm.sorted_keys(set)
 end
 
 -- Evaluates what is typed so far. If more must follow, returns the text and what is

@@ -5,7 +5,6 @@
 
 local rfsm = require "rfsm"
 local diagram = require "rfsm.diagram"
-local names = require "rfsm.sim.names"
 local place = require "rfsm.checks.place"
 local rfsmpp = require "rfsmpp"
 
@@ -42,7 +41,7 @@ local show
 local function show_table(t, depth)
   local texts, is_item = {}, {}
   for i = 1, #t do texts[i], is_item[i] = show(t[i], depth + 1), true end
-  for _, key in ipairs(names.sorted(t)) do
+  for _, key in ipairs(rfsm.sorted_keys(t)) do
     local name = type(key) == "string" and key or "[" .. show(key, depth + 1) .. "]"
     if not is_item[key] then
       texts[#texts + 1] = name .. " = " .. show(t[key], depth + 1)

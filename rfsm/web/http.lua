@@ -22,6 +22,7 @@ local http = {}
 
 local MAX_CONNECTIONS = 200 -- a select takes 1024 descriptors
 local MAX_DESCRIPTOR = 1023
+local MAX_ACCEPTED = 50 -- at a time; others are served in between
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
 local MAX_PENDING = 4194304 -- bytes that a stream may lag behind
@@ -210,8 +211,9 @@ local function drop_oldest(server)
 end
 
 local function accept(server)
-  local client = server.socket:accept()
-  while client do
+  for _ = 1, MAX_ACCEPTED do
+    local client = server.socket:accept()
+    if not client then return end
     if #server.connections >= MAX_CONNECTIONS then drop_oldest(server) end
     if client:getfd() > MAX_DESCRIPTOR then
       client:close()
@@ -219,7 +221,6 @@ local function accept(server)
       server.connections[#server.connections + 1] =
         new_connection(client, server.clock())
     end
-    client = server.socket:accept()
   end
 end
 

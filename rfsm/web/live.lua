@@ -15,7 +15,7 @@ local place = require "rfsm.checks.place"
 local View = require "rfsm.web.view"
 
 local ipairs, rawget, select = ipairs, rawget, select
-local setmetatable, tostring, type = setmetatable, tostring, type
+local setmetatable, tostring = setmetatable, tostring
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local text_of, utf8 = rfsm.text_of, marsh.utf8
@@ -30,24 +30,20 @@ Live.__index = Live
 
 -- The machines: that of the view, and those inside its states -----------------------
 
--- Returns the FQN that a node has in the description.
-local function path_of(prefix, node) return prefix .. node._fqn:sub(5) end
-
 -- Returns the numbers of a machine's transitions by their texts.
 local function edges_by_text(view, machine, prefix)
   local by_text = {}
-  rfsm.mapfsm(function(tr, composite, name)
+  for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
     local text = tostring(tr)
-    by_text[text] = by_text[text] or view.outline.edge_of[path_of(prefix, composite)
-      .. (type(name) == "number" and ".trans[%s]" or ".%s"):format(text_of(name))]
-  end, machine, rfsm.is_trans)
+    by_text[text] = by_text[text] or view.outline.edge_of[place.path(tr, prefix)]
+  end
   return by_text
 end
 
 -- Notes the file and line of each node.
 local function add_places(view, machine, prefix)
   for _, node in ipairs(rfsm.elements(machine, rfsm.is_node)) do
-    local number = view.outline.number_of[path_of(prefix, node)]
+    local number = view.outline.number_of[place.path(node, prefix)]
     view.outline.nodes[number + 1].file = rfsm.location_of(node):match("^(.-:%d+): ")
   end
 end
@@ -71,7 +67,7 @@ local function add_machine(view, machine, prefix)
   watch(view, watched)
   for _, state in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
     for _, region in ipairs(place.regions_of(state)) do
-      add_machine(view, region.machine, path_of(prefix, state) .. "." .. region.name)
+      add_machine(view, region.machine, place.path(state, prefix) .. "." .. region.name)
     end
   end
 end
@@ -92,7 +88,7 @@ function RECORDS.EFFECT(view, watched, text) view:see_edge(watched.edges[text]) 
 local function each_active(view, watched, f)
   local node = rfsm.get_sta_mode(watched.fsm) ~= "inactive" and watched.fsm
   while node do
-    local number = view.outline.number_of[path_of(watched.prefix, node)]
+    local number = view.outline.number_of[place.path(node, watched.prefix)]
     if number then f(number) end -- none, if it was merged in
     node = rfsm.actchild_get(node)
   end
@@ -107,10 +103,11 @@ local function listen(machine, name, note)
   end
 end
 
+-- Returns what a printer was called with, without the id of the record.
 local function line_of(...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  return concat(texts, " ")
+  return (concat(texts, " "):gsub("^%u+:? ", ""):gsub(":  ", ": "))
 end
 
 -- Nobody asks why an event that the machine sends itself did nothing.
@@ -139,10 +136,10 @@ function watch(view, watched)
     if RECORDS[id] then RECORDS[id](view, watched, text) end
   end)
   listen(fsm, "err", function(...) view:note("error", line_of(...)) end)
-  listen(fsm, "warn", function(...)
-    view:note("warning", (line_of(...):gsub("^WARNING: ", "")))
-  end)
-  rfsm.post_step_hook_add(fsm, function(_, events) note_step(view, watched, events) end)
+  listen(fsm, "warn", function(...) view:note("warning", line_of(...)) end)
+  rfsm.post_step_hook_add(fsm, function(_, events)
+    note_step(view, watched, events)
+  end, "before") -- one of the user's may fail
   rfsm.reset_hook_add(fsm, function() view.is_dirty = true end)
 end
 

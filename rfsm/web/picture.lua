@@ -5,47 +5,63 @@
 
 local io, os, setmetatable = io, os, setmetatable
 
-local FAILED = "failed"
-local CPU_SECONDS = 20 -- then Graphviz is stopped
+local CPU_SECONDS = 60 -- then Graphviz is stopped
 
 --- A picture in the making.
 ---@class rfsm.web.Picture
 ---@field is_pending boolean
+---@field pid string? of Graphviz
+---@field input string name of a file, as is `output`
 local Picture = {}
 Picture.__index = Picture
 
--- The shell moves the picture to where it is looked for once it is complete.
-local COMMAND = "(ulimit -t %d; dot -Tsvg -o '%s' '%s' || echo " .. FAILED
-  .. " >'%s'; mv '%s' '%s'; rm -f '%s') >/dev/null 2>&1 </dev/null &"
+local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; "
+  .. "nice dot -Tsvg -o '%s' '%s' >/dev/null 2>&1 </dev/null & echo $!; }"
 
---- Begin a picture of a graph.
+--- Begin a picture of a graph; without Graphviz none will come.
 ---@param graph string in Graphviz's language
 ---@return rfsm.web.Picture picture
 function Picture.start(graph)
-  local input, part, output = os.tmpname(), os.tmpname(), os.tmpname()
-  local handle = io.open(input, "wb")
+  local picture = setmetatable({ input = os.tmpname(), output = os.tmpname() }, Picture)
+  local handle = io.open(picture.input, "wb")
   if handle then
     handle:write(graph)
     handle:close()
-    os.execute(COMMAND:format(CPU_SECONDS, part, input, part, part, output, input))
+    local pipe = io.popen(COMMAND:format(CPU_SECONDS, picture.output, picture.input))
+    picture.pid = pipe:read("*l")
+    pipe:close()
   end
-  return setmetatable({ output = output, is_pending = handle ~= nil }, Picture)
+  picture.is_pending = picture.pid ~= nil
+  if not picture.is_pending then picture:drop() end
+  return picture
 end
 
---- Return the picture, once it is complete; nil before, and if Graphviz has none.
+-- Returns a complete picture in a file; nil while Graphviz writes it.
+local function read_picture(file)
+  local handle = io.open(file, "rb")
+  if not handle then return nil end
+  local is_complete = handle:seek("end", -8) and handle:read("*a"):find("</svg>")
+  local text = is_complete and handle:seek("set") and handle:read("*a")
+  handle:close()
+  return text or nil
+end
+
+--- Return the picture, once it is complete; nil before.
 ---@return string? svg
 function Picture:take()
-  local handle = self.is_pending and io.open(self.output, "rb")
-  local text = handle and handle:read("*a") or ""
-  if handle then handle:close() end
-  if text == "" then return nil end
-  self:drop()
-  return text:find("<svg", 1, true) and text or nil
+  local text = self.is_pending and read_picture(self.output)
+  if text then
+    self.is_pending = false
+    self:drop()
+  end
+  return text or nil
 end
 
---- Forget it.
+--- Stop Graphviz, and remove the files.
 function Picture:drop()
+  if self.is_pending then os.execute("kill " .. self.pid .. " 2>/dev/null") end
   self.is_pending = false
+  os.remove(self.input)
   os.remove(self.output)
 end
 

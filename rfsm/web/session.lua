@@ -17,7 +17,7 @@ local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 
-local io, ipairs, package, pcall = io, ipairs, package, pcall
+local io, ipairs, os, package, pcall = io, ipairs, os, package, pcall
 local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
 local type = type
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
@@ -25,8 +25,15 @@ local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_STEPS = 1000 -- of one run
+local MAX_RECORDED = 10000 -- iterations that can be undone
 local LOOK_TIME = 0.5 -- seconds between two looks at the file
 local TICK = 1e-6 -- seconds are rounded up to these
+
+--- Where a turn began.
+---@class rfsm.web.Turn
+---@field now number
+---@field count integer? iterations that were recorded
+---@field queue any[]
 
 --- A chart and where it stands.
 ---@class rfsm.web.Session
@@ -34,7 +41,8 @@ local TICK = 1e-6 -- seconds are rounded up to these
 ---@field view rfsm.web.Live|false false while the chart has a mistake
 ---@field problems string[] those of the chart; empty if it runs
 ---@field generation integer counts the charts that a page has to draw
----@field turns { now: number, count: integer?, queue: any[] }[] where each began
+---@field turn integer the number of turns
+---@field turns table<integer, rfsm.web.Turn> those that can be undone
 ---@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
 ---@field snap table? of the machine before a chart with a mistake
 ---@field now number seconds since the machine began, as the chart reads them
@@ -107,16 +115,26 @@ end
 -- Starts the clock of the machine at its own time.
 local function start_clock(session) session.since = session.real() - session.now end
 
+-- Records a machine from now on.
+local function start_recorder(session)
+  if session.recorder then session.recorder:stop() end
+  local ok, recorder = pcall(record.record, session.view.fsm, {})
+  session.recorder, session.turns = ok and recorder or false, {}
+end
+
 local function begin_turn(session)
+  local recorder = session.recorder
+  if recorder and recorder.count > MAX_RECORDED then start_recorder(session) end
   if session.is_live then
     session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
   end
   clock.set_hook(session.gettime)
-  session.turns[#session.turns + 1] = {
+  session.turn = session.turn + 1
+  session.turns[session.turn] = {
     now = session.now, count = session.recorder and session.recorder.count,
     queue = { unpack(session.view.fsm._intq) },
   }
-  session.view.turn = #session.turns
+  session.view:begin_turn(session.turn)
 end
 
 local function step(session) return rfsm.step(session.view.fsm) end
@@ -147,8 +165,7 @@ local function begin(session, fsm, snap)
     session.now = 0
     run(session)
   end
-  local ok, recorder = pcall(record.record, fsm, {})
-  session.recorder = ok and recorder or false
+  start_recorder(session)
   start_clock(session)
 end
 
@@ -157,7 +174,8 @@ local function load(session, keeps_place)
   local snap = keeps_place and (session.view and take_place(session.view.fsm)
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
-  session.generation, session.turns = session.generation + 1, {}
+  session.generation, session.turn = session.generation + 1, 0
+  session.recorder, session.turns = false, {}
   clock.set_hook(session.gettime)
   local fsm
   fsm, session.problems = load_machine(session)
@@ -194,7 +212,7 @@ end
 
 -- Undoes the turns after number `to`, without any callback.
 function commands.back(session, message)
-  local to = message.to or #session.turns - 1
+  local to = message.to or session.turn - 1
   local turn = session.turns[type(to) == "number" and to + 1]
   if not (turn and session.recorder) then return "there is no such turn" end
   session.now = turn.now
@@ -203,7 +221,8 @@ function commands.back(session, message)
   if not ok then return problem end
   local fsm = session.view.fsm -- what a page has sent is in no record
   rfsm.send_events(fsm, unpack(turn.queue, #fsm._intq + 1))
-  for i = #session.turns, to + 1, -1 do session.turns[i] = nil end
+  for i = to + 1, session.turn do session.turns[i] = nil end
+  session.turn = to
   session.view:go_back(to)
   start_clock(session)
 end
@@ -275,7 +294,7 @@ end
 function Session:describe(message)
   message.clock, message.live = self.now, self.is_live
   message.timer = next_timer(self) or false
-  message.can_back = self.recorder ~= false and self.turns[1] ~= nil
+  message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
 end
 
 --- Open a chart, also one with mistakes.
@@ -285,12 +304,14 @@ end
 function Session.open(file, real)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
-    generation = 0, turns = {}, recorder = false, now = 0, since = 0, is_live = true,
+    generation = 0, turn = 0, turns = {}, recorder = false, now = 0, since = 0,
+    is_live = true,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Session)
+  local start = os.time() -- of the day, for e_at
   function session.gettime()
     local sec = floor(session.now)
-    return sec, floor((session.now - sec) * 1e9 + 0.5)
+    return start + sec, floor((session.now - sec) * 1e9 + 0.5)
   end
   guarded(session, load, false)
   return session

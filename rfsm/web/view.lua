@@ -60,7 +60,7 @@ function View.create(class, description, clock)
   local lists = outline.read(description)
   return setmetatable({
     description = description, outline = lists, clock = clock, log = {}, count = 0,
-    sent = 0, turn = 0, why = false, taken = {}, is_told = true, is_dirty = true,
+    sent = 0, turn = 0, why = false, taken = {}, is_taken_shown = true, is_dirty = true,
     is_rewritten = false, state_count = count_states(lists.nodes),
     seen_nodes = new_marks(), seen_edges = new_marks(),
   }, class)
@@ -96,7 +96,7 @@ function View:see_node(number) mark(self.seen_nodes, number) end
 --- Note that a transition was taken.
 ---@param number integer? nil if it is not in the chart
 function View:see_edge(number)
-  if self.is_told then self.taken, self.is_told = {}, false end
+  if self.is_taken_shown then self.taken, self.is_taken_shown = {}, false end
   mark(self.seen_edges, number)
   self.taken[#self.taken + 1] = number
 end
@@ -109,6 +109,10 @@ function View:texts_of(events)
   for i = 1, #events do texts[i] = marsh.utf8(self.outline.event_text(events[i])) end
   return texts
 end
+
+--- Begin a turn: the transitions of the one before are the last ones no more.
+---@param turn integer
+function View:begin_turn(turn) self.turn, self.is_taken_shown = turn, true end
 
 --- Take back what was noted after a turn; what was seen was seen.
 ---@param turn integer
@@ -175,7 +179,7 @@ end
 
 --- All pages have the state of now.
 function View:set_sent()
-  self.sent, self.is_told = self.count, true
+  self.sent, self.is_taken_shown = self.count, true
   self.is_dirty, self.is_rewritten = false, false
   self.seen_nodes.fresh, self.seen_edges.fresh = {}, {}
 end

@@ -28,7 +28,7 @@ function bare.model_of(chart, make)
     models[tr.owner][tr.key] = rfsm.trans {
       src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = tr.events_ref,
       guard = tr.guard and make.guard and make.guard(i) or nil,
-      effect = tr.effect and make.effect and make.effect(i) or nil,
+      effect = make.effect and make.effect(i) or nil,
       number = i,
     }
   end

@@ -13,7 +13,7 @@ local ARGUMENTS = {
   "--disable-background-networking", "--disable-component-update", "--disable-sync",
   "--disable-dev-shm-usage", "--hide-scrollbars",
 }
-local PATIENCE = 20 -- seconds for a command
+local PATIENCE = 60 -- seconds for a command, on a machine with much to do
 
 local Driver = {}
 Driver.__index = Driver

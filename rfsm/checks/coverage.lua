@@ -1,0 +1,157 @@
+--- Coverage: the states, transitions and guard outcomes that runs have seen.
+--
+-- @module rfsm.checks.coverage
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local place = require "rfsm.checks.place"
+
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local require, setmetatable, type = require, setmetatable, type
+local concat, sort = table.concat, table.sort
+
+local coverage = {}
+
+--- How often a run came by, 0 for what it has not seen; `tostring` of it is a report.
+---@class rfsm_checks.Coverage
+---@field states table<string, integer> by path
+---@field transitions table<string, integer> by path, such as "root.trans[2]"
+---@field guards table<string, table<"true"|"false"|"failed", integer>>
+local Coverage = {}
+Coverage.__index = Coverage
+
+local OUTCOMES = { "true", "false" }
+
+-- Count .............................................................................
+
+local function count_state(own, fsm, state, path)
+  own.states[path] = own.states[path] or 0
+  rfsm.entry_hook_add(fsm, state, function()
+    own.states[path] = own.states[path] + 1
+  end)
+end
+
+-- A guard that raises an error has failed until it returns.
+local function counting_guard(guard, counts)
+  return function(tr, events)
+    counts.failed = counts.failed + 1
+    local answer = guard(tr, events)
+    counts.failed = counts.failed - 1
+    local outcome = answer ~= false and "true" or "false"
+    counts[outcome] = counts[outcome] + 1
+    return answer
+  end
+end
+
+local function count_transition(own, tr, path)
+  local effect = tr.effect
+  own.transitions[path] = own.transitions[path] or 0
+  tr.effect = function(...)
+    own.transitions[path] = own.transitions[path] + 1
+    if effect then return effect(...) end
+  end
+  if not tr.guard then return end
+  own.guards[path] = own.guards[path] or { ["true"] = 0, ["false"] = 0, failed = 0 }
+  tr.guard = counting_guard(tr.guard, own.guards[path])
+end
+
+local function count_machine(own, fsm, prefix)
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local path = place.path(state, prefix)
+    count_state(own, fsm, state, path)
+    for _, region in ipairs(place.regions_of(state)) do
+      count_machine(own, region.machine, path .. "." .. region.name)
+    end
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    count_transition(own, tr, place.path(tr, prefix))
+  end
+end
+
+-- Report ............................................................................
+
+local function sorted_keys(t)
+  local keys = {}
+  for key in pairs(t) do keys[#keys + 1] = key end -- any order: sorted
+  sort(keys)
+  return keys
+end
+
+-- Appends what was never seen; returns a text such as "states 3 of 4".
+local function add_missing(lines, kind, counts)
+  local keys, seen = sorted_keys(counts), 0
+  for _, key in ipairs(keys) do
+    if counts[key] > 0 then seen = seen + 1 end
+    if counts[key] == 0 then lines[#lines + 1] = "never: " .. kind .. " " .. key end
+  end
+  return ("%ss %d of %d"):format(kind, seen, #keys)
+end
+
+function Coverage:__tostring()
+  local lines, outcomes = { "" }, {}
+  for path, counts in pairs(self.guards) do -- any order: each stands alone
+    for _, outcome in ipairs(OUTCOMES) do
+      outcomes[path .. " " .. outcome] = counts[outcome]
+    end
+  end
+  lines[1] = concat({
+    add_missing(lines, "state", self.states),
+    add_missing(lines, "transition", self.transitions),
+    add_missing(lines, "guard outcome", outcomes),
+  }, ", ")
+  return concat(lines, "\n")
+end
+
+--- Return the record as JSON, for other runs and for pictures.
+---@return string text
+function Coverage:json()
+  local ok, dkjson = pcall(require, "dkjson")
+  if not ok then
+    error("rfsm_checks.coverage: the package dkjson is missing "
+      .. "(on Debian: apt-get install lua-dkjson)", 2)
+  end
+  return dkjson.encode({ states = self.states, transitions = self.transitions,
+    guards = self.guards }, { indent = true, keyorder = sorted_keys(self.states) })
+end
+
+-- Public functions ..................................................................
+
+local function check_earlier(earlier)
+  if type(earlier) == "table" and type(earlier.states) == "table"
+    and type(earlier.transitions) == "table" and type(earlier.guards) == "table" then
+    return earlier
+  end
+  error("rfsm_checks.coverage: a record of an earlier run expected, got "
+    .. type(earlier), 3)
+end
+
+-- Returns a copy of the counts of an earlier run, as far as they are numbers.
+local function copy_of(counts)
+  local copy = {}
+  for key, value in pairs(counts) do -- any order: a copy
+    copy[key] = type(value) == "table" and copy_of(value) or value
+  end
+  return copy
+end
+
+--- Record the states, transitions and guard outcomes that a machine sees from now on.
+--
+-- The record counts as the machine runs. With `earlier`, a record of another run, such
+-- as one read from JSON, it begins with those counts.
+--
+---@param fsm rfsm.Machine
+---@param earlier? table
+---@return rfsm_checks.Coverage record
+function coverage.coverage(fsm, earlier)
+  rfsm.check_machine(fsm, "rfsm_checks.coverage")
+  local own = setmetatable({ states = {}, transitions = {}, guards = {} }, Coverage)
+  if earlier ~= nil then
+    check_earlier(earlier)
+    own.states, own.guards = copy_of(earlier.states), copy_of(earlier.guards)
+    own.transitions = copy_of(earlier.transitions)
+  end
+  count_machine(own, fsm)
+  return own
+end
+
+return coverage

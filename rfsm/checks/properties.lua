@@ -1,0 +1,253 @@
+--- Properties: what must hold in each configuration, and on each run.
+--
+-- A condition is the path of a state, which must be active, the name of a flag, a list
+-- of these, all of which must be true, or a function. A function is called with another
+-- one, `active`, that tells of a path or flag.
+--
+-- @module rfsm.checks.properties
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local graph = require "rfsm.checks.graph"
+
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, rawequal, setmetatable, type = pcall, rawequal, setmetatable, type
+local concat, sort = table.concat, table.sort
+
+local properties = {}
+
+--- Something that must hold.
+---@class rfsm_checks.Property
+---@field kind "never"|"always"|"after"|"from"
+---@field what any the condition; of `after` the event
+---@field goal? any the condition to be reached
+local Property = {}
+Property.__index = Property
+
+local function check_condition(what, where)
+  if type(what) == "string" or type(what) == "function" then return what end
+  for _, name in ipairs(type(what) == "table" and what or {}) do
+    if type(name) ~= "string" then what = nil end
+  end
+  if type(what) == "table" and what[1] then return what end
+  error("rfsm_checks." .. where .. ": path of a state, name of a flag, list of them or "
+    .. "function expected, got " .. type(what), 3)
+end
+
+local function new(kind, what, goal)
+  return setmetatable({ kind = kind, what = what, goal = goal }, Property)
+end
+
+--- Declare that a condition holds in no configuration.
+---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
+---@return rfsm_checks.Property
+function properties.never(condition)
+  return new("never", check_condition(condition, "never"))
+end
+
+--- Declare that a condition holds in each configuration after the first entry.
+---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
+---@return rfsm_checks.Property
+function properties.always(condition)
+  return new("always", check_condition(condition, "always"))
+end
+
+--- Declare what an event leads to: `after("e_stop").reach("root.stopped")`.
+--
+-- Once the machine was entered, it is reached in the step that has the event, or in
+-- those that follow without an event from outside, whatever guards answer.
+--
+---@param event any
+---@return { reach: fun(condition: any): rfsm_checks.Property }
+function properties.after(event)
+  if event == nil then error("rfsm_checks.after: event expected, got nil", 2) end
+  return { reach = function(goal)
+    return new("after", event, check_condition(goal, "after(...).reach"))
+  end }
+end
+
+--- Declare what stays possible: `from("root.fault").can_reach("root.ready")`.
+--
+-- From each configuration in which the first condition holds, some run leads to one in
+-- which the second does.
+--
+---@param condition any
+---@return { can_reach: fun(condition: any): rfsm_checks.Property }
+function properties.from(condition)
+  check_condition(condition, "from")
+  return { can_reach = function(goal)
+    return new("from", condition, check_condition(goal, "from(...).can_reach"))
+  end }
+end
+
+local function text_of(what)
+  if type(what) == "function" then return "a function" end
+  return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
+end
+
+local TEXTS = { never = "never ", always = "always ", after = "after ", from = "from " }
+
+function Property:__tostring()
+  local goal = self.kind == "after" and " reach " or " can reach "
+  return TEXTS[self.kind] .. text_of(self.what)
+    .. (self.goal and goal .. text_of(self.goal) or "")
+end
+
+-- Check ...........................................................................
+
+--- A property with its name, and what was found.
+---@class rfsm_checks.Judged
+---@field name string
+---@field property rfsm_checks.Property
+---@field holds boolean|nil nil if a bound was hit and nothing was found against it
+---@field at? integer configuration that shows that it does not
+---@field label? string of a step from there
+
+-- Lists properties with their names, sorted.
+local function list_of(given)
+  local list = {}
+  for key, property in pairs(given) do -- any order: sorted
+    if getmetatable(property) ~= Property then
+      error("rfsm_checks.explore: properties: never(...), always(...), "
+        .. "after(...).reach(...) or from(...).can_reach(...) expected, got "
+        .. type(property), 0)
+    end
+    local name = type(key) == "string" and key or Property.__tostring(property)
+    list[#list + 1] = { name = name, property = property, holds = nil }
+  end
+  sort(list, function(a, b) return a.name < b.name end)
+  return list
+end
+
+local function holds(condition, active)
+  if type(condition) == "function" then return condition(active) and true or false end
+  if type(condition) == "string" then return active(condition) end
+  for _, name in ipairs(condition) do
+    if not active(name) then return false end
+  end
+  return true
+end
+
+-- Returns the set of configurations in which a condition holds.
+local function set_of(walk, condition)
+  local set, numbers = {}, {}
+  for number = 2, #walk.keys do
+    local active = walk.puppet:view(walk.puppet:numbers_of(walk.keys[number], numbers))
+    set[number] = holds(condition, active)
+  end
+  return set
+end
+
+-- Notes the first configuration that is in `set`, or is not, as a violation.
+local function find_first(walk, judged, set, is_wrong)
+  for number = 2, #walk.keys do
+    if (set[number] or false) == is_wrong then
+      judged.holds, judged.at = false, number
+      return
+    end
+  end
+end
+
+local JUDGES = {}
+
+function JUDGES.never(walk, judged)
+  find_first(walk, judged, set_of(walk, judged.property.what), true)
+end
+
+function JUDGES.always(walk, judged)
+  find_first(walk, judged, set_of(walk, judged.property.what), false)
+end
+
+function JUDGES.after(walk, judged)
+  local set = graph.must_reach(walk, set_of(walk, judged.property.goal))
+  for number = 1, #walk.keys do
+    local step = walk.owed[judged][number]
+    local is_known = number <= walk.expanded or not walk.bound
+    if step and is_known and not set[number]
+      and (not judged.at or step.from < judged.at) then
+      judged.holds, judged.at, judged.label = false, step.from, step.label
+    end
+  end
+end
+
+-- With a bound nothing is known against it: the way may lead through the rest.
+function JUDGES.from(walk, judged)
+  if walk.bound then return end
+  local set = graph.can_reach(walk, set_of(walk, judged.property.goal))
+  local sources = set_of(walk, judged.property.what)
+  for number = 2, #walk.keys do
+    if sources[number] and not set[number] then
+      judged.holds, judged.at = false, number
+      return
+    end
+  end
+end
+
+-- Raises an error for names that do not exist.
+local function check_names(walk, judged)
+  local active = walk.puppet:view(walk.puppet:first())
+  local property = judged.property
+  for _, condition in ipairs { property.kind ~= "after" and property.what or "root",
+    property.goal or "root" } do
+    local ok, problem = pcall(holds, type(condition) ~= "function" and condition
+      or "root", active)
+    if not ok then
+      error(("rfsm_checks.explore: property '%s': %s"):format(judged.name, problem), 0)
+    end
+  end
+end
+
+-- Has the walk take steps with the events of `after`, and note where they lead.
+local function watch_events(walk, list)
+  walk.owed = {}
+  local afters = {}
+  for _, judged in ipairs(list) do
+    if judged.property.kind == "after" then
+      afters[#afters + 1], walk.owed[judged] = judged, {}
+    end
+  end
+  if not afters[1] then return end
+  function walk.add_wanted(_, events)
+    for _, judged in ipairs(afters) do
+      local is_there = false
+      for i = 1, #events do
+        is_there = is_there or rawequal(events[i], judged.property.what)
+      end
+      if not is_there then events[#events + 1] = judged.property.what end
+    end
+  end
+  function walk.look(_, from, tgt, events, label)
+    if not walk.puppet.parts[1].stand.leaf then return end -- before the first entry
+    for _, judged in ipairs(afters) do
+      local owed = walk.owed[judged]
+      for i = 1, #events do
+        if rawequal(events[i], judged.property.what) and not owed[tgt] then
+          owed[tgt] = { from = from, label = label() }
+        end
+      end
+    end
+  end
+end
+
+--- Prepare a walk for properties.
+---@param walk rfsm_checks.Walk
+---@param given table<any, rfsm_checks.Property>
+---@return rfsm_checks.Judged[] list sorted by name
+function properties.watch(walk, given)
+  local list = list_of(given)
+  for _, judged in ipairs(list) do check_names(walk, judged) end
+  watch_events(walk, list)
+  return list
+end
+
+--- Judge properties when the walk is over.
+---@param walk rfsm_checks.Walk
+---@param list rfsm_checks.Judged[]
+function properties.judge(walk, list)
+  for _, judged in ipairs(list) do
+    JUDGES[judged.property.kind](walk, judged)
+    if judged.holds == nil and not walk.bound then judged.holds = true end
+  end
+end
+
+return properties

@@ -1,0 +1,93 @@
+--- Rehearsal: a chart run step by step without its callbacks, for tests.
+--
+-- Guards answer true, and doos go on, unless a step says otherwise. Time is what the
+-- rehearsal says.
+--
+-- @module rfsm.checks.rehearsal
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local puppet = require "rfsm.checks.puppet"
+
+local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
+local setmetatable, type = setmetatable, type
+local concat = table.concat
+
+local rehearsal = {}
+
+--- A chart that is rehearsed.
+---@class rfsm_checks.Rehearsal
+---@field puppet rfsm_checks.Puppet
+---@field now number seconds, as time events see them
+local Rehearsal = {}
+Rehearsal.__index = Rehearsal
+
+-- What a step says of the guards and doos that are asked.
+local function answer(own, who, is_doo)
+  local said = own.said[who]
+  own.asked = own.asked + 1
+  own.is_asked[who] = true
+  if said == nil then return not is_doo end
+  return said
+end
+
+local function timeevent()
+  local package = rawget(_G, "package")
+  return package and package.loaded.rfsm_timeevent
+end
+
+--- Begin the rehearsal of a chart.
+-- @raise if it is not valid
+---@param chart string|rfsm.State a file or a model
+---@return rfsm_checks.Rehearsal
+function rehearsal.rehearsal(chart)
+  local model = type(chart) == "string" and rfsm.load(chart) or chart
+  if not rfsm.is_state(model) then
+    error("rfsm_checks.rehearsal: file or state expected, got " .. type(chart), 2)
+  end
+  local self = setmetatable({ puppet = false, now = 0 }, Rehearsal)
+  local clock = timeevent()
+  if clock then clock.set_gettime_hook(function() return self.now, 0 end) end
+  self.puppet = puppet.new(model, {})
+  self.puppet.choose, self.puppet.said, self.puppet.is_asked = answer, {}, {}
+  return self
+end
+
+-- Tells the puppet what to decide in the next step.
+local function tell(own, what)
+  own.said, own.is_asked = {}, {}
+  for who, said in pairs(what.guards or {}) do own.said[who] = said end -- a copy
+  for _, who in ipairs(what.ends or {}) do own.said[who] = true end
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+end
+
+-- Returns what was said in vain: the least path that nothing has asked.
+local function unasked(own)
+  local least
+  for who in pairs(own.said) do -- any order: the least counts
+    if not own.is_asked[who] and (not least or who < least) then least = who end
+  end
+  return least
+end
+
+--- Take a step with the events given, and with what guards and doos decide in it.
+--
+-- `run:step { "e_x", guards = { ["root.trans[2]"] = false }, ends = { "root.busy" } }`
+--
+---@param what? table events; `guards` by path; `ends`: paths of doos; `after`: seconds
+---@return string text "root.trans[2] -> root.b": transitions taken, and the active leaf
+function Rehearsal:step(what)
+  what = what or {}
+  local own, events, paths = self.puppet, {}, {}
+  tell(own, what)
+  for i = 1, #what do events[i] = what[i] end
+  self.now = self.now + (what.after or 0)
+  own:step(events, {})
+  for i, number in ipairs(own.taken) do paths[i] = own.transitions[number].path end
+  local who = unasked(own)
+  if who then paths[#paths + 1] = "(" .. who .. " was not asked)" end
+  return (paths[1] and concat(paths, ", ") or "no transition") .. " -> "
+    .. (rfsm.get_actleaf_fqn(own.parts[1].fsm) or "not entered")
+end
+
+return rehearsal

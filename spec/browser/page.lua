@@ -1,0 +1,363 @@
+-- The page in headless Chromium: `make test-web`. The server lives in this process and
+-- goes on while the browser is asked something. SHOTS=folder keeps screenshots there.
+
+local helper = require "spec.helper"
+local proto = require "rfsm.proto"
+local rfsm = require "rfsm"
+local socket = require "socket"
+local web = require "rfsm.web"
+local webdriver = require "spec.support.webdriver"
+
+local SHOTS = os.getenv "SHOTS"
+local CHART = "examples/ball_tracking.lua"
+
+local servers, driver, window = {}, nil, nil
+local host -- a machine that runs meanwhile
+
+local function pump(seconds)
+  if not servers[1] then return socket.select(nil, nil, seconds) end
+  for _, server in ipairs(servers) do server:step(seconds / #servers) end
+  if host then rfsm.run(host) end
+end
+
+local function keep(server)
+  servers[#servers + 1] = server
+  return server
+end
+
+local function open(file, port)
+  return keep(assert(web.open(file, { port = port or 0 })))
+end
+
+-- On a port that the system gives to no connection: it stays free when the server is
+-- gone.
+local function open_below_ephemeral(file)
+  local any = web.open(file, { port = 0 })
+  any:close()
+  for port = 18000 + any.port % 1000, 20000 do -- not the same for two of these specs
+    local server = web.open(file, { port = port })
+    if server then return keep(server) end
+  end
+end
+
+local function close_all()
+  for i = #servers, 1, -1 do servers[i]:close() end
+  helper.clear(servers)
+end
+
+-- Opens the page of a chart and waits until its machine is shown.
+local function visit(file)
+  local server = open(file)
+  window:open(server.url)
+  window:wait "now.active && marks.nodes.length && document.querySelector('.active')"
+  return server
+end
+
+local function visit_picture(file)
+  local server = visit(file)
+  window:wait "document.querySelector('#view > svg .active')"
+  return server
+end
+
+local function keep_shot(name)
+  if not SHOTS then return end
+  local handle = assert(io.open(SHOTS .. "/" .. name .. ".png", "wb"))
+  handle:write(window:screenshot())
+  handle:close()
+end
+
+-- The names of the leaves that are lit in the diagram.
+local function lit()
+  return window:run [[
+    return [...document.querySelectorAll(".leaf.active b, .node.state.active > text")]
+      .map(e => e.textContent).filter(t => !t.includes("/"))]]
+end
+
+local function texts(selector)
+  return window:run([[return [...document.querySelectorAll(arguments[0])]
+    .filter(e => !e.hidden).map(e => e.firstChild.textContent)]], selector)
+end
+
+setup(function()
+  driver = webdriver.start(pump)
+  window = driver:window()
+end)
+
+teardown(function() driver:stop() end)
+
+before_each(function() window:resize(1280, 860) end)
+
+after_each(function()
+  window:chromium("Emulation.setEmulatedMedia", { features = {} })
+  close_all()
+  host = nil
+  proto.uninstall()
+  helper.remove_files()
+  require("rfsm.clock").set_hook(nil)
+end)
+
+describe("the page", function()
+  it("shows where the machine stands, lights it, and marks its events", function()
+    visit_picture(CHART)
+    keep_shot "idle"
+    assert.same({ "searching" }, lit())
+    assert.same({ "e_stop", "e_ball" }, texts "#events .enabled")
+    assert.same({ "e_setup_failed", "e_stop", "e_start", "e_ball", "e_lost" },
+      texts "#events button")
+    window:click "#events .enabled:nth-of-type(5)"
+    window:wait "now.leaf == 'root.operational.tracking'"
+    assert.same({ "tracking" }, lit())
+    assert.same({ "tracking" }, texts "#path b")
+    assert.same({ "e_stop", "e_lost" }, texts "#events .enabled")
+    assert.equal("root.operational.searching → root.operational.tracking",
+      texts("tr.step td:nth-child(3)")[1])
+  end)
+
+  it("is driven by keys, says why nothing happened, and goes back", function()
+    visit_picture(CHART)
+    window:type "452"
+    window:wait "now.leaf == 'root.stopped' && document.querySelector('.edge.taken')"
+    keep_shot "events"
+    assert.same({ "stopped" }, lit())
+    window:type "5"
+    window:wait "!document.querySelector('#why').hidden"
+    keep_shot "why"
+    assert.matches("waits for e_start", table.concat(texts "#why li"))
+    window:type "b"
+    window:wait "document.querySelector('#why').hidden"
+    window:type "bb"
+    window:wait "now.leaf == 'root.operational.tracking'"
+    window:type "0"
+    window:wait "!now.can_back && now.leaf == 'root.operational.searching'"
+    window:wait "document.querySelector('[data-do=back]').disabled"
+    window:type "/e_nothing\n"
+    window:wait "document.querySelector('tr.lost')"
+  end)
+
+  it("queues events, steps through them, and goes back to a line of the log", function()
+    visit(CHART)
+    window:click "#auto input"
+    window:type "42"
+    window:wait "document.querySelectorAll('#queue span:not(.none)').length == 2"
+    window:type "s"
+    window:wait "now.leaf == 'root.stopped'" -- the outer transition is taken
+    window:type "r"
+    window:wait "now.queue.length == 0"
+    window:click "tr:last-child button"
+    window:wait "!now.can_back"
+    assert.same({ "searching" }, lit())
+  end)
+
+  it("shows an error of a callback", function()
+    local file = helper.file_with [[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        off = rfsm.state {},
+        on = rfsm.state { entry = function() error("no power", 0) end },
+        rfsm.trans { src = "initial", tgt = "off" },
+        rfsm.trans { src = "off", tgt = "on", events = { "e_push" } },
+        rfsm.trans { src = "on", tgt = "off", events = { "e_push" } },
+      }
+    ]]
+    visit(file)
+    window:type "1"
+    window:wait "document.querySelector('tr.error')"
+    assert.same({ "error executing entry of root.on: no power" },
+      texts "tr.error td:nth-child(3)")
+  end)
+
+  it("draws boxes of its own when there is no picture", function()
+    local server = visit "examples/seqand.lua"
+    server.drawing:drop()
+    server.picture = false
+    window:run "chart.has_picture = false; draw()"
+    window:wait "document.querySelector('#boxes .active')"
+    keep_shot "boxes"
+    assert.same({ "open", "open" }, lit())
+    assert.equal(2, window:run "return document.querySelectorAll('.region').length")
+    window:click "#events .enabled:nth-of-type(3)"
+    window:wait "now.log.some(entry => entry.events?.includes('e_grasp'))"
+    assert.same({ "closed", "closed" }, lit())
+    assert.equal(2, window:run "return document.querySelectorAll('path.taken').length")
+  end)
+
+  it("lets no text of a chart become a part of itself", function()
+    local file = helper.file_with [[
+      local rfsm = require "rfsm"
+      local name = "<img src=x onerror='alert(1)'>"
+      return rfsm.state {
+        [name] = rfsm.state { entry = function() print("<script>1</script>") end },
+        b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = name },
+        rfsm.trans { src = name, tgt = "b", events = { "</button><b id=evil>" } },
+        rfsm.trans { src = "b", tgt = name, events = { "&amp;" } },
+      }
+    ]]
+    visit(file)
+    window:type "v1"
+    window:wait "now.leaf == 'root.b'"
+    assert.same({}, texts "img, #evil")
+  end)
+
+  it("shows two browsers the same", function()
+    local server = visit(CHART)
+    local other = driver:window()
+    other:open(server.url)
+    other:wait "document.querySelector('.active')"
+    window:type "4"
+    other:wait "now.leaf == 'root.operational.tracking'"
+    other:type "2"
+    window:wait "now.leaf == 'root.stopped'"
+    other:close()
+  end)
+
+  it("says that the server is gone, and goes on when it is back", function()
+    local port = open_below_ephemeral(CHART).port
+    window:open(servers[1].url)
+    window:wait "document.querySelector('.active')"
+    window:run "window.isOld = true"
+    close_all()
+    window:wait "document.body.classList.contains('gone')"
+    keep_shot "gone"
+    open(CHART, port)
+    window:wait "!window.isOld && document.querySelector('.active')"
+    window:type "4"
+    window:wait "now.leaf == 'root.operational.tracking'" -- with the new token
+  end)
+
+  it("shows the mistakes of a chart, until they are mended", function()
+    local file = helper.file_with [[
+local rfsm = require "rfsm"
+
+return rfsm.state {
+  off = rfsm.state {},
+  on = rfsm.state { entry = "led" },
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "onn", events = { "e_push" } },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_push" }, guard = true },
+}
+]]
+    local server = open(file)
+    window:open(server.url)
+    window:wait "document.querySelectorAll('#problems li').length == 3"
+    keep_shot "error"
+    assert.same({ file .. ":5", file .. ":7", file .. ":8" }, texts "#problems code")
+    local mended = helper.content(file):gsub('entry = "led"', "")
+      :gsub('"onn"', '"on"'):gsub(", guard = true", "")
+    local handle = assert(io.open(file, "wb"))
+    handle:write(mended)
+    handle:close()
+    window:wait "document.querySelector('.active')"
+    assert.same({ "off" }, lit())
+  end)
+
+  it("fits a phone, and has a dark side", function()
+    visit_picture(CHART)
+    window:type "45"
+    window:chromium("Emulation.setEmulatedMedia",
+      { features = { { name = "prefers-color-scheme", value = "dark" } } })
+    window:wait "now.turn != 0 && document.querySelector('.edge.taken')"
+    keep_shot "dark"
+    assert.equal("rgb(18, 22, 26)", window:run [[
+      return getComputedStyle(document.documentElement).backgroundColor]])
+    window:chromium("Emulation.setEmulatedMedia", { features = {} })
+    window:resize(390, 844)
+    keep_shot "phone"
+    assert.equal(390, window:run "return document.documentElement.scrollWidth")
+    for _, height in ipairs(window:run [[
+      return [...document.querySelectorAll("#drive button, #events button")]
+        .filter(e => !e.hidden).map(e => e.offsetHeight)]]) do
+      assert.is_true(height >= 44) -- a finger's breadth
+    end
+  end)
+
+  it("shows why a command was refused", function()
+    visit(CHART)
+    window:run "command('back', { to: 99 })"
+    window:wait "!document.querySelector('#refused').hidden"
+    assert.same({ "there is no such turn" }, texts "#refused")
+  end)
+
+  it("names its buttons, and can be used with the keyboard alone", function()
+    visit(CHART)
+    assert.equal(0, window:run [[
+      return [...document.querySelectorAll("button, input")]
+        .filter(e => !e.innerText.trim() && !e.ariaLabel && !e.closest("label"))
+        .length]])
+    window:type "?"
+    window:wait "document.querySelector('#keys').open"
+    window:type "\n"
+    window:wait "!document.querySelector('#keys').open"
+  end)
+
+  it("shows a machine elsewhere", function()
+    local door = proto.install { port = 0, allow_send = true }
+    host = rfsm.init(rfsm.load "examples/on_off.lua")
+    local server = keep(assert(web.attach("127.0.0.1", door.port, { port = 0 })))
+    window:open(server.url)
+    window:wait "document.querySelector('.active') && chart.has_picture"
+    assert.same({ "off" }, lit())
+    assert.same({}, texts "[data-do=step]")
+    window:type "1"
+    window:wait "now.leaf == 'root.on'"
+  end)
+end)
+
+-- Ten composites of ten composites of ten leaves.
+local LARGE = [[
+local rfsm = require "rfsm"
+
+local function composite(depth, prefix)
+  local model = {}
+  for i = 0, 9 do
+    model["s" .. i] = depth > 1 and composite(depth - 1, prefix .. i) or rfsm.state {}
+    model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. (i + 1) % 10,
+      events = { "e_" .. prefix .. i } }
+  end
+  model[#model + 1] = rfsm.trans { src = "initial", tgt = "s0" }
+  return rfsm.state(model)
+end
+
+return composite(3, "")
+]]
+
+-- Sends 20 events; returns the milliseconds from each click to the frame in which the
+-- new leaf is lit.
+local function measure()
+  local times = window:run_async [==[
+    const done = arguments[0], times = [];
+    const isLit = leaf => marks.nodes[chart.nodes.findIndex(n => n.fqn == leaf)]
+      [0].classList.contains("active");
+    const click = () => {
+      const before = now.leaf, began = performance.now();
+      const look = () => {
+        const isSame = now.leaf == before || !isLit(now.leaf);
+        if (isSame) return requestAnimationFrame(look);
+        times.push(performance.now() - began);
+        if (times.length < 20) click(); else done(times);
+      };
+      chart.buttons[now.enabled[times.length % now.enabled.length]].click();
+      look();
+    };
+    click();
+  ]==]
+  table.sort(times)
+  return times
+end
+
+describe("a machine with 1,000 states", function()
+  for _, view in ipairs { "boxes", "picture" } do
+    it("is lit soon, as " .. view .. "; TIMES=1 prints milliseconds", function()
+      visit(helper.file_with(LARGE))
+      if view == "boxes" then window:click "#as-boxes" end
+      window:wait("document.querySelector('#view > "
+        .. (view == "boxes" and "div" or "svg") .. " .active')")
+      local times = measure()
+      assert.equal(20, #times)
+      if os.getenv "TIMES" then
+        print(("event to lit state, %s: %.0f ms median, %.0f ms at most"):format(view,
+          (times[10] + times[11]) / 2, times[20]))
+      end
+    end)
+  end
+end)

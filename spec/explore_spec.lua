@@ -1,0 +1,363 @@
+-- Exploration: what it finds, and that it agrees with random runs. CHARTS and RUNS in
+-- the environment are how many random charts are tried, and how many steps each runs.
+
+local bare = require "spec.support.bare"
+local charts = require "spec.support.charts"
+local explore = require "rfsm.checks.explore"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local wander = require "spec.support.wander"
+
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+local never, always = rfsm_checks.never, rfsm_checks.always
+local after, from = rfsm_checks.after, rfsm_checks.from
+
+local function yes() return true end
+
+local function go(src, tgt, event, fields)
+  fields = fields or {}
+  fields.src, fields.tgt, fields.events = src, tgt, event and { event }
+  return trans(fields)
+end
+
+-- (initial) -> a --e_x--> b --e_x--> a, with more members
+local function chart(members)
+  local model = {
+    warn = false, info = false, a = state {}, b = state {},
+    go("initial", "a"), go("a", "b", "e_x"), go("b", "a", "e_x"),
+  }
+  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+  return state(model)
+end
+
+-- The report without its first line, and without files.
+local function report(model, options)
+  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
+  return (text:gsub("^[^\n]*\n?", ""))
+end
+
+local function lines(...) return table.concat({ ... }, "\n") end
+
+describe("explore", function()
+  it("counts configurations, transitions and steps", function()
+    assert.equal("3 configurations, 3 of 3 transitions taken, 4 steps run",
+      tostring(rfsm_checks.explore(chart())))
+  end)
+
+  -- A circumstance, the members of a chart, the report; options.
+  local CASES = {
+    { "nothing in a sound chart", {}, "" },
+    { "a state and transitions that an earlier one keeps from being reached", {
+      c = state {}, [4] = go("a", "c", "e_x"), [5] = go("c", "a", "e_x") }, lines(
+      "warning: root.c: active in no configuration [unreached]",
+      "warning: root.trans[4]: no step takes it (root.a -> root.c) [untaken]",
+      "warning: root.trans[5]: no step takes it (root.c -> root.a) [untaken]") },
+    { "a path that needs two events, which one alone does not open", {
+      k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c", "e_l"),
+      [6] = go("c", "a", "e_x") }, lines(
+      "note: root.k: no way on for e_k, which is discarded in root.a [swallowed]",
+      "  1. no event: root.trans[1] -> root.a",
+      "  2. e_k: no transition -> root.a") },
+    { "that an event must not come twice to open a path", {
+      k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c", "e_k"),
+      [6] = go("c", "a", "e_x") }, "", { together = 2 } },
+    { "a configuration that nothing leaves", {
+      c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_done",
+      { guard = yes }) }, lines(
+      "warning: root.c: nothing happens any more in this configuration [stuck]",
+      "  1. no event: root.trans[1] -> root.a",
+      "  2. e_c: root.trans[4] -> root.c",
+      "  3. no event (root.trans[5] false): no transition -> root.c") },
+    { "no end that is final", { c = state { final = true }, [4] = go("a", "c", "e_c") },
+      "" },
+    { "a cycle that no event ends", { c = state {}, [4] = go("a", "c", "e_c"),
+      [5] = go("c", "c", "e_done"), [6] = go("c", "a", "e_x") }, lines(
+      "warning: root.c: run never becomes idle from this configuration [livelock]",
+      "  1. no event: root.trans[1] -> root.a",
+      "  2. e_c: root.trans[4] -> root.c") },
+    { "connectors with several ways", {
+      k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "b", nil, { guard = yes }),
+      [6] = go("k", "a", nil, { guard = yes }) }, lines(
+      "note: root.k: several transitions of equal pn are enabled [clash]",
+      "  1. no event: root.trans[1] -> root.a",
+      "  2. e_k (root.trans[5] true, root.trans[6] true): root.trans[4], root.trans[5] "
+        .. "-> root.b") },
+    { "that the machine cannot be entered", { [1] = go("initial", "a", "e_never") },
+      "warning: root: the machine cannot be entered [stuck]", { alphabet = {} } },
+  }
+  for _, case in ipairs(CASES) do
+    it("finds " .. case[1], function()
+      local text = report(chart(case[2]), case[4])
+      assert.equal(case[3], (text:sub(1, #case[3])))
+      if case[3] == "" then assert.equal("", text) end
+    end)
+  end
+
+  it("leaves out what an element expects, also by the code of the static check",
+    function()
+    assert.equal("", report(chart {
+      c = state { checks = { ["dead-end"] = "meant to be" } },
+      d = state { checks = { unreached = "later" } }, [4] = go("a", "c", "e_c") }))
+  end)
+
+  it("calls no callback of the user, and leaves the model as it is", function()
+    local function fail() error("called") end
+    local region = state { entry = fail, x = state { doo = fail, exit = fail },
+      warn = false, info = false, go("initial", "x"),
+      go("x", "x", "e_x", { guard = fail, effect = fail }) }
+    local model = chart {
+      a = state { entry = fail, exit = fail }, c = state { doo = fail },
+      par = rfsm.seqand { entry = fail, exit = fail, region },
+      [4] = go("a", "c", "e_c", { guard = fail, effect = fail }),
+      [5] = go("c", "a", "e_done"), [6] = go("a", "par", "e_p"),
+      [7] = go("par", "a", "e_q"), getevents = fail, idle_hook = fail,
+      pre_step_hook = fail, post_step_hook = fail, dbg = fail, err = fail,
+    }
+    assert.equal("", report(model))
+    assert.equal(fail, model.a.entry)
+    assert.equal(fail, model.dbg)
+  end)
+
+  it("stops at a bound, and reports what is not known then", function()
+    local members = {}
+    for i = 1, 50 do
+      members["s" .. i] = state {}
+      members[3 + i] = go(i == 1 and "a" or "s" .. i - 1, "s" .. i, "e_go")
+    end
+    for _, bound in ipairs { "configurations", "depth" } do
+      local result = rfsm_checks.explore(chart(members), { [bound] = 10,
+        properties = { from("root.b").can_reach("root.s50"), never("root.s1") } })
+      assert.equal(bound, result.bound)
+      assert.matches("\nstopped by the bound on " .. bound .. ": unreached states, ",
+        tostring(result))
+      assert.matches("from root.b can reach root.s50: not known", tostring(result))
+      assert.matches("never root.s1: does not hold", tostring(result))
+    end
+  end)
+
+  it("restricts the events from outside, and sends what callbacks send", function()
+    local members = { a = state {}, b = state {},
+      c = state {}, [4] = go("b", "c", "e_y"), [5] = go("c", "a", "e_x") }
+    local text = report(chart(members), { alphabet = { "e_x" } })
+    assert.matches("root.c: active in no configuration", text)
+    assert.equal("", report(chart(members), { alphabet = { "e_x" },
+      sends = { ["entry root.b"] = { "e_y" } } }))
+  end)
+
+  local REFUSED = {
+    { { depth = "x" }, "explore_spec.lua:%d+: rfsm_checks.explore: depth: number "
+      .. "expected, got string" },
+    { { sends = { ["entry root.bb"] = { "e" } } },
+      "^sends: no callback 'entry root.bb' %(did you mean 'entry root.b'%?%)$" },
+    { { flags = { lit = { on = { "enter root.b" } } } }, "^flags: no callback 'enter "
+      .. "root.b' %(did you mean 'entry root.b'%?%)$" },
+    { { properties = { 7 } }, "rfsm_checks.explore: properties: never%(...%), "
+      .. "always%(...%), after%(...%).reach%(...%) or from%(...%).can_reach%(...%) "
+      .. "expected, got number$" },
+    { { properties = { never("root.c") } }, "property 'never root.c': no state or flag "
+      .. "is named 'root.c' %(did you mean 'root.a'%?%)$" },
+  }
+  for _, case in ipairs(REFUSED) do
+    it("refuses " .. next(case[1]) .. ": " .. case[2]:sub(-30), function()
+      local ok, text = pcall(function()
+        return (rfsm_checks.explore(chart(), case[1]))
+      end)
+      assert.is_false(ok)
+      assert.matches(case[2], text)
+    end)
+  end
+
+  it("blames the caller for what is no state", function()
+    local _, text = pcall(function() return (rfsm_checks.explore {}) end)
+    assert.matches("explore_spec.lua:%d+: rfsm_checks.explore: state expected, got "
+      .. "table", text)
+  end)
+
+  it("reports the problems of a model", function()
+    local _, text = pcall(rfsm_checks.explore, chart { [4] = trans { tgt = "a" } })
+    assert.matches("^the model has problems\n  .*root.trans%[4%]: src is missing", text)
+  end)
+end)
+
+describe("machines in a sequential AND state", function()
+  local function arm(members)
+    local model = { open = state {}, closed = state {}, warn = false, info = false,
+      go("initial", "open"), go("open", "closed", "e_close"),
+      go("closed", "open", "e_open") }
+    for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+    return state(model)
+  end
+
+  local function both(left, right)
+    return chart { b = rfsm.seqand { left = left, right = right } }
+  end
+
+  it("are explored together", function()
+    local slow = arm { [2] = go("open", "closed", "e_close", { guard = yes }) }
+    assert.equal("", report(both(arm(), slow), { properties = {
+      from("root.b").can_reach { "root.b.left.closed", "root.b.right.open" },
+      never { "root.a", "root.b.left.open" },
+      ["left is first"] = always(function(active)
+        return not active "root.b" or active "root.b.left.open"
+          or active "root.b.left.closed"
+      end),
+    } }):gsub("[^\n]*: holds\n?", ""))
+  end)
+
+  it("have findings of their own", function()
+    assert.matches("root.b.left.spare: active in no configuration",
+      report(both(arm { spare = state {} }, arm())))
+  end)
+
+  it("may never become idle", function()
+    local endless = arm { [2] = go("open", "closed", "e_done"),
+      [3] = go("closed", "open", "e_done") }
+    local model = chart { b = rfsm.seqand { run = true, endless } }
+    assert.matches("root: a machine in a sequential AND state never becomes idle "
+      .. "%[livelock%]\n  1. no event: root.trans%[1%] %-> root.a\n  2. e_x: ",
+      report(model))
+  end)
+end)
+
+describe("a property", function()
+  local function verdict(property, members, options)
+    options = options or {}
+    options.properties = { property }
+    local result = rfsm_checks.explore(chart(members), options)
+    return result.properties[1].holds, tostring(result)
+  end
+
+  local C = { c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_x") }
+  local VIA_C = { c = state {}, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "b", "e_done") }
+  local function not_in_c(active) return active "root.b" or active "root.a" end
+  local MAYBE = { c = state {}, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "b", "e_done", { guard = yes }), [6] = go("c", "a", "e_x") }
+  local TRAP = { c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "c", "e_x") }
+  local WORK = { c = state { doo = yes }, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "b", "e_done") }
+
+  local CASES = {
+    { "never", never("root.c"), nil, C, false },
+    { "never", never { "root.a", "root.b" }, true, C, true },
+    { "never", never(function(active) return active "root.c" end), nil, C, false },
+    { "always", always("root"), nil, C, true },
+    { "always", always(function(active) return not active "root.c" end), nil, C,
+      false },
+    { "after", after("e_x").reach("root.b"), nil, C, false },
+    { "after", after("e_c").reach("root.c"), nil, { [2] = go("a", "b", "e_y"),
+      c = state {}, [4] = go("root", "c", "e_c", { pn = 1 }) }, true },
+    { "after, in steps that follow by themselves",
+      after("e_c").reach(not_in_c), nil, VIA_C, true },
+    { "after, whatever guards say",
+      after("e_c").reach(not_in_c), nil, MAYBE, false },
+    { "after, when a doo has ended",
+      after("e_c").reach(not_in_c), nil, WORK, true },
+    { "from", from("root.c").can_reach("root.b"), nil, C, true },
+    { "from", from("root.c").can_reach("root.a"), nil, TRAP, false },
+  }
+  for i, case in ipairs(CASES) do
+    it(("of %s %s (%d)"):format(case[1], case[5] and "holds" or "fails", i), function()
+      local holds, text = verdict(case[2], case[4])
+      assert.equal(case[5], holds)
+      assert.equal(not case[5], text:find("does not hold [violated]", 1, true) ~= nil)
+    end)
+  end
+
+  it("is shown to fail by the shortest run", function()
+    local _, text = verdict(after("e_x").reach("root.b"), C)
+    assert.equal(lines("after e_x reach root.b: does not hold [violated]",
+      "  1. no event: root.trans[1] -> root.a", "  2. e_x: root.trans[2] -> root.b",
+      "  3. e_x: root.trans[3] -> root.a"), (text:gsub("^[^\n]*\n", "")))
+  end)
+
+  it("may stand in the root of the model, with a name", function()
+    local model = chart { properties = { ["never in b"] = never("root.b") } }
+    assert.matches("\nnever in b: does not hold %[violated%]\n",
+      tostring(rfsm_checks.explore(model)))
+  end)
+
+  it("may ask for flags that callbacks set", function()
+    local flags = { lit = { on = { "entry root.b" }, off = { "exit root.b" } } }
+    local unsafe = never(function(active) return active "lit" and active "root.a" end)
+    assert.is_true(verdict(unsafe, {}, { flags = flags }))
+    flags.lit.off = { "effect root.trans[2]" }
+    assert.is_false((verdict(unsafe, {}, { flags = flags })))
+  end)
+end)
+
+describe("a witness", function()
+  local model = chart { c = state { doo = yes },
+    [4] = go("a", "c", "e_c", { guard = yes }), [5] = go("c", "b", "e_done"),
+    properties = { never("root.c"), after("e_c").reach("root.c") } }
+  local findings = rfsm_checks.explore(model).findings
+
+  it("is replayed as a recording, to where it leads", function()
+    for _, finding in ipairs(findings) do
+      local records = {}
+      rfsm_checks.record_witness(model, finding.witness, records)
+      local fsm, problem = require("rfsm.record").replay(model, records, { dry = true })
+      assert.is_nil(problem)
+      assert.equal(finding.witness[#finding.witness].leaf, rfsm.get_actleaf_fqn(fsm))
+    end
+  end)
+
+  it("is a path in a picture", function()
+    assert.same({ "root.trans[1]", "root.a", "root.trans[4]", "root.c" },
+      rfsm_checks.path_of(findings[2].witness))
+  end)
+end)
+
+-- Agreement with random runs ----------------------------------------------------
+
+local count = tonumber(os.getenv("CHARTS")) or 25
+local steps = tonumber(os.getenv("RUNS")) or 1000
+
+-- The first configuration with each leaf and mode, by text.
+local function stands_of(walk)
+  local stands, numbers = {}, {}
+  for number, key in ipairs(walk.keys) do
+    local stand = walk.puppet.parts[1].stands[walk.puppet:numbers_of(key, numbers)[1]]
+    local text = stand.leaf and stand.leaf._fqn .. " " .. stand.mode or "none"
+    stands[text] = stands[text] or number
+  end
+  return stands
+end
+
+-- The first step that takes each transition, by its number in the chart.
+local function taken_in(walk)
+  local taken = {}
+  for number, step in pairs(walk.taken) do -- any order: a set
+    taken[walk.puppet.transitions[number].tr.number] = step
+  end
+  return taken
+end
+
+describe("exploration and random runs", function()
+  local make = {
+    guard = function() return yes end, doo = function() return yes end,
+  }
+
+  it(("agree on %d charts, %d steps each"):format(count, steps), function()
+    for seed = 1, count do
+      local random_chart = charts.generate(seed)
+      local walk = explore.walk(bare.model_of(random_chart, make), {})
+      local stands, taken = stands_of(walk), taken_in(walk)
+      local seen, seen_taken = wander.at_random(random_chart, seed, steps)
+      for text in pairs(seen) do -- any order: each stands alone
+        assert.is_truthy(stands[text], ("seed %d: %s was reached"):format(seed, text))
+      end
+      for number in pairs(seen_taken) do -- likewise
+        assert.is_truthy(taken[number], ("seed %d: %d was taken"):format(seed, number))
+      end
+      for text, number in pairs(stands) do -- likewise
+        assert.equal(text, (wander.follow(random_chart, walk:witness(number))))
+      end
+      for number, step in pairs(taken) do -- likewise
+        local _, own = wander.follow(random_chart, walk:witness(step.from, step.label))
+        assert.is_true(own[number], ("seed %d: %d is not taken"):format(seed, number))
+      end
+    end
+  end)
+end)

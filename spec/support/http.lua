@@ -1,0 +1,102 @@
+-- Clients of a page's server in the same process: plain sockets, and no waiting. Each
+-- loop has an end.
+
+local dkjson = require "dkjson"
+local socket = require "socket"
+
+local http = {}
+
+local ROUNDS = 2000 -- of a server, each at most a millisecond long
+
+--- Returns a connection that sends and receives while `server` is stepped.
+function http.connect(server)
+  local tcp = assert(socket.connect("127.0.0.1", server.port))
+  tcp:settimeout(0)
+  return tcp
+end
+
+--- Has the server go on until `is_done()` returns a true value, which is returned.
+function http.until_done(server, is_done)
+  for _ = 1, ROUNDS do
+    server:step(0.001)
+    local result = is_done()
+    if result then return result end
+  end
+end
+
+--- Sends a text as the server takes it.
+function http.send(server, tcp, text)
+  local sent = 0
+  http.until_done(server, function()
+    local last, problem, partly = tcp:send(text, sent + 1)
+    sent = last or partly or sent
+    return sent == #text or problem == "closed"
+  end)
+end
+
+--- Returns all that comes until the server closes the connection; nil if it does not.
+function http.receive_all(server, tcp)
+  local received = ""
+  return http.until_done(server, function()
+    local data, problem, partly = tcp:receive("*a")
+    received = received .. (data or partly or "")
+    return (data or problem == "closed") and received
+  end)
+end
+
+--- Sends a text; returns the status and the whole reply.
+function http.talk(server, text)
+  local tcp = http.connect(server)
+  http.send(server, tcp, text)
+  local reply = http.receive_all(server, tcp)
+  tcp:close()
+  return reply and tonumber(reply:match("^HTTP/1%.1 (%d+)")), reply
+end
+
+--- Sends a request; returns the status, the body, and the whole reply.
+function http.request(server, method, path, headers, body)
+  local lines = { ("%s %s HTTP/1.1\r\n"):format(method, path) }
+  headers = headers or { "Host: localhost" }
+  for _, line in ipairs(headers) do lines[#lines + 1] = line .. "\r\n" end
+  if body then lines[#lines + 1] = "Content-Length: " .. #body .. "\r\n" end
+  local status, reply = http.talk(server, table.concat(lines) .. "\r\n" .. (body or ""))
+  return status, reply and reply:match("\r\n\r\n(.*)$"), reply
+end
+
+--- Sends a command as the page does; returns the status and the body.
+function http.command(server, message)
+  return http.request(server, "POST", "/command", { "Host: 127.0.0.1",
+    "X-Rfsm-Token: " .. server.token }, dkjson.encode(message))
+end
+
+--- A page that listens to its stream.
+local Page = {}
+Page.__index = Page
+
+--- Returns the next message, decoded; nil if none comes.
+function Page:next()
+  return http.until_done(self.server, function()
+    local data, _, partly = self.tcp:receive("*a")
+    self.text = self.text .. (data or partly or "")
+    local body, rest = self.text:match("event: state\ndata: ([^\n]*)\n\n(.*)$")
+    if not body then return nil end
+    self.text = rest
+    return (dkjson.decode(body))
+  end)
+end
+
+--- Opens the stream of a page; returns it and the first message.
+function http.page(server)
+  local page = setmetatable({ server = server, tcp = http.connect(server), text = "" },
+    Page)
+  http.send(server, page.tcp, "GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+  return page, page:next()
+end
+
+--- Returns the chart as the page gets it.
+function http.chart(server)
+  local _, body = http.request(server, "GET", "/chart")
+  return (dkjson.decode(body))
+end
+
+return http

@@ -1,0 +1,168 @@
+-- Tests made from charts: they pass, take what can be taken, and notice mutants.
+
+local explore = require "rfsm.checks.explore"
+local helper = require "spec.helper"
+local mutate = require "spec.support.mutate"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local tests = require "rfsm.checks.tests"
+require "rfsm_timeevent"
+require "rfsm.await"
+
+local load_text = rawget(_G, "loadstring") or rawget(_G, "load")
+local state, trans = rfsm.state, rfsm.trans
+
+-- Loads a chart silently; machines inside of it print when they are made.
+local function load_chart(file)
+  local model
+  helper.printed(function() model = rfsm.load(file) end)
+  model.info, model.warn, model.err = false, false, false
+  return model
+end
+
+-- Does a rehearsal of the model do what the tests expect of the chart?
+local function passes(result, load)
+  for _, planned in ipairs(result.runs) do
+    local ok, run = pcall(rfsm_checks.rehearsal, load())
+    if not ok then return false end
+    mutate.negate(run)
+    for _, step in ipairs(planned.steps) do
+      if run:step(step.what) ~= step.result then return false end
+    end
+  end
+  return true
+end
+
+-- All that an exploration sees of a model on some events: every step, by what it starts
+-- from. Returns the events of the chart, too.
+local function seen_in(model, alphabet)
+  local seen = {}
+  local walked = explore.walk(model, { alphabet = alphabet }, function(walk)
+    local function text_of(number)
+      local own = walk.puppet
+      local stand = own.parts[1].stands[own:numbers_of(walk.keys[number], {})[1]]
+      return (stand.leaf and stand.leaf._fqn or "none") .. stand.mode .. #stand.waiting
+    end
+    function walk.look(_, from, tgt, _, label)
+      local paths = {}
+      for i, number in ipairs(walk.puppet.taken) do
+        paths[i] = walk.puppet.transitions[number].path
+      end
+      local asked = table.concat(walk.puppet.askers, ",", 1, walk.puppet.asked)
+      seen[table.concat({ text_of(from), label():match(":(.*)"), asked,
+        table.concat(paths, ","), text_of(tgt) }, " ")] = true
+    end
+  end)
+  return seen, walked.puppet.all_events
+end
+
+-- Does a mutant react to the events of the chart as the chart does?
+local function is_equivalent(mutant, seen, alphabet)
+  if mutant.kind == "negated" then return false end
+  local ok, own = pcall(seen_in, mutant.model(), alphabet)
+  if not ok then return false end
+  for key in pairs(own) do if not seen[key] then return false end end
+  for key in pairs(seen) do if not own[key] then return false end end
+  return true
+end
+
+-- Returns how many mutants there are, but for equivalent ones, how many were killed,
+-- and the others.
+local function kill(load, result)
+  local count, killed, alive = 0, 0, {}
+  local _, alphabet = seen_in(load())
+  local seen = seen_in(load(), alphabet)
+  for _, mutant in ipairs(mutate.all(load)) do
+    local is_killed = not passes(result, mutant.model)
+    if is_killed or not is_equivalent(mutant, seen, alphabet) then
+      count = count + 1
+      if is_killed then killed = killed + 1 end
+      if not is_killed then alive[#alive + 1] = mutant.kind .. " " .. mutant.at end
+    end
+  end
+  return count, killed, alive
+end
+
+-- Runs the text of a spec.
+local function run_spec(text, file)
+  local chunk, real = assert(load_text(text, "=" .. file)), {}
+  local function call(_, f) f() end
+  local stand_ins = { describe = call, it = call, assert = assert }
+  for name, value in pairs(stand_ins) do -- any order: each stands alone
+    real[name] = rawget(_G, name)
+    rawset(_G, name, value)
+  end
+  local ok, problem = pcall(helper.printed, chunk)
+  for name in pairs(stand_ins) do rawset(_G, name, real[name]) end -- likewise
+  assert.is_true(ok, problem)
+end
+
+local function example_files()
+  local pipe, files = io.popen("ls examples/*.lua"), {}
+  for file in pipe:lines() do files[#files + 1] = file end
+  pipe:close()
+  return files
+end
+
+describe("tests of an example", function()
+  local all, all_killed = 0, 0
+
+  for _, file in ipairs(example_files()) do
+    it("pass, take every transition and kill mutants: " .. file, function()
+      local function load() return load_chart(file) end
+      local text, result
+      helper.printed(function() text, result = tests.busted(file, load()) end)
+      assert.equal(rfsm_checks.explore(load()).taken, result.taken)
+      assert.is_true(result.steps >= result.least)
+      run_spec(text, file)
+      local count, killed, alive = kill(load, result)
+      all, all_killed = all + count, all_killed + killed
+      assert.is_true(killed >= 0.9 * count, table.concat(alive, ", "))
+    end)
+  end
+
+  it("kill nine in ten mutants of all of them", function()
+    assert.is_true(all > 300)
+    assert.is_true(all_killed >= 0.9 * all)
+    if os.getenv("SHOW") then print(all_killed .. " of " .. all .. " killed") end
+  end)
+end)
+
+describe("a rehearsal", function()
+  local function busy()
+    return state { info = false, warn = false,
+      a = state { doo = function() error("called") end }, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_done" } },
+      trans { src = "b", tgt = "a", events = { "e_after(2)" },
+        guard = function() error("called") end },
+    }
+  end
+
+  it("steps a chart without its callbacks", function()
+    local run = rfsm_checks.rehearsal(busy())
+    assert.equal("root.trans[1] -> root.a", run:step())
+    assert.equal("no transition -> root.a", run:step())
+    assert.equal("no transition -> root.a", run:step { ends = { "root.a" } })
+    assert.equal("root.trans[2] -> root.b", run:step())
+    assert.equal("no transition -> root.b",
+      run:step { after = 3, guards = { ["root.trans[3]"] = false } })
+    assert.equal("(root.trans[3] was not asked) -> root.b",
+      run:step { "e_x", guards = { ["root.trans[3]"] = false } })
+  end)
+
+  it("lets time go by", function()
+    local run = rfsm_checks.rehearsal(busy())
+    run:step()
+    run:step { ends = { "root.a" } }
+    run:step()
+    assert.equal("no transition -> root.b", run:step { after = 1 })
+    assert.equal("root.trans[3] -> root.a", run:step { after = 1.5 })
+  end)
+
+  it("blames the caller for what is no chart", function()
+    local _, text = pcall(function() return (rfsm_checks.rehearsal(7)) end)
+    assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: file or state expected, "
+      .. "got number", text)
+  end)
+end)

@@ -1,0 +1,693 @@
+-- The page's server, over real sockets on loopback: requests, hostile ones among them,
+-- and the messages that a page receives. Ports are the system's choice. Browsers are
+-- in spec/browser/.
+
+local helper = require "spec.helper"
+local http = require "spec.support.http"
+local Picture = require "rfsm.web.picture"
+local proto = require "rfsm.proto"
+local rfsm = require "rfsm"
+local watch = require "rfsm.watch"
+local web = require "rfsm.web"
+
+local state, trans = rfsm.state, rfsm.trans
+
+-- What several specs need -------------------------------------------------------
+
+local LAMP = [[
+local rfsm = require "rfsm"
+return rfsm.state {
+  off = rfsm.state { entry = function() print("dark") end },
+  on = rfsm.state {
+    dim = rfsm.state {}, bright = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "dim" },
+    rfsm.trans { src = "dim", tgt = "bright", events = { "e_more" } },
+    rfsm.trans { src = "bright", tgt = "dim", events = { "e_less" } },
+  },
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_push" } },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_push" } },
+}
+]]
+
+local servers, now = {}, 0
+
+local function opened(server)
+  servers[#servers + 1] = server
+  return server
+end
+
+-- Serves a chart in a file of its own; the clock is `now`.
+local function open(text)
+  local file = helper.file_with(text or LAMP)
+  local options = { port = 0, clock = function() return now end }
+  return opened(assert(web.open(file, options))), file
+end
+
+local function overwrite(file, text)
+  local handle = assert(io.open(file, "wb"))
+  handle:write(text)
+  handle:close()
+end
+
+-- No picture comes in between: a browser's specs have them.
+Picture.start = function() return { take = function() end, drop = function() end } end
+
+before_each(function() now = 0 end)
+
+after_each(function()
+  for i = #servers, 1, -1 do servers[i]:close() end
+  helper.clear(servers)
+  proto.uninstall()
+  helper.remove_files()
+  require("rfsm.clock").set_hook(nil)
+end)
+
+-- The texts of a log, oldest first.
+local function texts_of(log)
+  local texts = {}
+  for i, entry in ipairs(log) do texts[i] = entry.kind .. ": " .. entry.text end
+  return texts
+end
+
+-- Requests ------------------------------------------------------------------------
+
+describe("the server", function()
+  it("has one page, for this origin, with nothing from elsewhere", function()
+    local server = open()
+    local status, body, reply = http.request(server, "GET", "/?a=b")
+    assert.equal(200, status)
+    assert.matches("^<!doctype html>", body)
+    assert.matches("default%-src 'none'; script%-src 'nonce%-" .. server.token .. "'",
+      reply)
+    assert.matches("\r\nX%-Content%-Type%-Options: nosniff\r\n", reply)
+    assert.is_truthy(body:find('nonce="' .. server.token .. '"', 1, true))
+    for link in body:gmatch("https?://[%w.]+") do
+      assert.equal("http://www.w3.org", link) -- the name of SVG
+    end
+  end)
+
+  it("refuses what names it by a name of somebody else", function()
+    local server = open()
+    for host, expected in pairs { -- any order: each stands alone
+      ["localhost:8044"] = 200, ["127.0.0.1"] = 200, ["[::1]:8044"] = 200,
+      ["evil.example"] = 403, ["evil.example:8044"] = 403, ["localhost.evil"] = 403,
+    } do
+      assert.equal(expected, (http.request(server, "GET", "/", { "Host: " .. host })),
+        host)
+    end
+    assert.equal(403, (http.request(server, "GET", "/", {})))
+  end)
+
+  it("refuses what a page of somebody else asks for, but a link", function()
+    local server = open()
+    for site, expected in pairs { -- any order: each stands alone
+      ["cross-site"] = 403, ["same-site"] = 403, ["same-origin"] = 200, none = 200,
+    } do
+      local headers = { "Host: localhost", "Sec-Fetch-Site: " .. site }
+      assert.equal(expected, (http.request(server, "GET", "/chart", headers)), site)
+      assert.equal(200, (http.request(server, "GET", "/", headers)), site)
+    end
+  end)
+
+  it("takes commands only with the token of its page", function()
+    local server = open()
+    local body = '{"command":"send","event":"e_push","run":true}'
+    for _, token in ipairs { "", ("0"):rep(32), server.token .. "0" } do
+      assert.equal(403, (http.request(server, "POST", "/command",
+        { "Host: localhost", "X-Rfsm-Token: " .. token }, body)))
+    end
+    assert.equal(403, (http.request(server, "POST", "/command", nil, body)))
+    local _, first = http.page(server)
+    assert.equal("root.off", first.leaf)
+  end)
+
+  local long = ("x"):rep(9000)
+  local REQUESTS = {
+    { "no request", 400, "\r\n\r\n" },
+    { "noise", 400, "\0\255\1\r\n\r\n" },
+    { "another protocol", 400, "GET / RTSP/1.0\r\n\r\n" },
+    { "a header without a name", 400, "GET / HTTP/1.1\r\n: x\r\n\r\n" },
+    { "a folded header", 400, "GET / HTTP/1.1\r\nHost: localhost\r\n x\r\n\r\n" },
+    { "two hosts", 400, "GET / HTTP/1.1\r\nHost: localhost\r\nHost: a.b\r\n\r\n" },
+    { "a length below zero", 400,
+      "POST /command HTTP/1.1\r\nContent-Length: -1\r\n\r\n" },
+    { "a length that is none", 400,
+      "POST /command HTTP/1.1\r\nContent-Length: 0x10\r\n\r\n" },
+    { "two lengths", 400,
+      "POST /command HTTP/1.1\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\nxx" },
+    { "chunks", 501, "POST /command HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n" },
+    { "a body too long", 413,
+      "POST /command HTTP/1.1\r\nContent-Length: 99999999999999999999\r\n\r\n" },
+    { "a line too long", 431, "GET /" .. long .. " HTTP/1.1\r\n\r\n" },
+    { "a head without an end", 431, "GET / HTTP/1.1\r\n" .. ("a: b\r\n"):rep(2000) },
+    { "another method", 405, "PUT / HTTP/1.1\r\nHost: localhost\r\n\r\n" },
+    { "a command by GET", 405, "GET /command HTTP/1.1\r\nHost: localhost\r\n\r\n" },
+  }
+  for _, path in ipairs { "/..", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//",
+    "/page.html", "/rfsm/web.lua", "/index.html", "/.", "http://localhost/" } do
+    REQUESTS[#REQUESTS + 1] = { "the path " .. path, 404,
+      "GET " .. path .. " HTTP/1.1\r\nHost: localhost\r\n\r\n" }
+  end
+  for _, case in ipairs(REQUESTS) do
+    it("answers " .. case[1] .. " with " .. case[2] .. ", and goes on", function()
+      local server = open()
+      assert.equal(case[2], (http.talk(server, case[3])))
+      assert.equal(200, (http.request(server, "GET", "/")))
+    end)
+  end
+
+  local BODIES = { "", "{", "[]", "null", "7", '"run"', "{}", '{"command":7}',
+    '{"command":"__index"}', '{"command":"nothing"}', '{"command":"send"}',
+    '{"command":"send","event":{}}', '{"command":"send","event":99}',
+    '{"command":"send","event":0.5}', '{"command":"send","event":-1}',
+    '{"command":"wait","seconds":"1"}', '{"command":"wait","seconds":-1}',
+    '{"command":"wait","seconds":1e999}', '{"command":"back","to":99}',
+    '{"command":"back","to":"x"}', '{"command":"next"}', ("["):rep(10000) }
+  for _, body in ipairs(BODIES) do
+    it("refuses the command " .. body:sub(1, 40) .. " with a reason", function()
+      local server = open()
+      local status, reason = http.request(server, "POST", "/command",
+        { "Host: localhost", "X-Rfsm-Token: " .. server.token }, body)
+      assert.equal(400, status)
+      assert.matches("^%l[^\n]+\n$", reason)
+      assert.equal("root.off", select(2, http.page(server)).leaf)
+    end)
+  end
+
+  it("answers a request that comes byte by byte, others meanwhile", function()
+    local server = open()
+    local tcp, text = http.connect(server),
+      "GET /chart HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    for i = 1, #text do
+      http.send(server, tcp, text:sub(i, i))
+      server:step(0)
+      if i % 20 == 0 then assert.equal(200, (http.request(server, "GET", "/"))) end
+    end
+    assert.matches("^HTTP/1.1 200 OK", http.receive_all(server, tcp))
+  end)
+
+  it("drops a request that is not complete in time", function()
+    local server = open()
+    local tcp = http.connect(server)
+    http.send(server, tcp, "GET / HTTP/1.1\r\nHos")
+    now = 4
+    assert.equal(200, (http.request(server, "GET", "/")))
+    assert.is_nil(tcp:receive(1))
+    now = 6
+    assert.equal("", http.receive_all(server, tcp))
+    assert.equal(0, #server.http.connections)
+  end)
+
+  it("drops who asks and does not read", function()
+    local server = open()
+    server.page = ("x"):rep(20000000)
+    local tcp = http.connect(server)
+    http.send(server, tcp, "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert.equal("writing", http.until_done(server, function()
+      local connection = server.http.connections[1]
+      return connection and connection.phase ~= "reading" and connection.phase
+    end))
+    now = 31
+    server:step(0)
+    assert.equal(0, #server.http.connections)
+    tcp:close()
+  end)
+
+  it("drops a page that does not read its stream", function()
+    local server = open()
+    local page = http.page(server)
+    local megabyte = ": " .. ("x"):rep(1000000) .. "\n\n"
+    for _ = 1, 100 do
+      server.http:send_all(megabyte)
+      if not server.http.connections[1] then break end
+    end
+    assert.equal(0, #server.http.connections)
+    page.tcp:close()
+  end)
+
+  it("has room for a page after 1,000 connections that say nothing", function()
+    local server = open()
+    local _, first = http.page(server)
+    local silent = {}
+    for i = 1, 1000 do
+      silent[i] = http.connect(server)
+      server:step(0)
+      if i > 300 then silent[i - 300]:close() end -- dropped already
+    end
+    assert.is_true(#server.http.connections <= 200)
+    assert.equal("root.off", first.leaf)
+    assert.equal("root.off", select(2, http.page(server)).leaf)
+    for i = 701, 1000 do silent[i]:close() end
+  end)
+
+  it("refuses more streams than it can feed", function()
+    local server, pages = open(), {}
+    for i = 1, 32 do pages[i] = http.page(server) end
+    assert.equal(503, (http.request(server, "GET", "/events")))
+    pages[1].tcp:close()
+    assert.is_truthy(http.until_done(server, function()
+      return #server.http.connections < 32
+    end))
+    local _, first = http.page(server)
+    assert.equal("root.off", first.leaf)
+    for i = 2, 32 do pages[i].tcp:close() end
+  end)
+
+  it("goes on when a client resets its connection", function()
+    local server = open()
+    for _ = 1, 20 do
+      local tcp = http.connect(server)
+      tcp:setoption("linger", { on = true, timeout = 0 })
+      tcp:send("GET /chart HTTP/1.1\r\nHost: localhost\r\n\r\n")
+      tcp:close()
+      server:step(0)
+    end
+    assert.equal(200, (http.request(server, "GET", "/")))
+  end)
+end)
+
+-- Messages ----------------------------------------------------------------------------
+
+describe("a page", function()
+  it("is told the state, and what each command changes", function()
+    local server = open()
+    local page, first = http.page(server)
+    local chart = http.chart(server)
+    assert.same({ "root", "off" }, { chart.nodes[first.active[1] + 1].name,
+      chart.nodes[first.active[2] + 1].name })
+    assert.equal("done", first.mode)
+    assert.same({ "output: dark", "step: root.initial → root.off" },
+      texts_of(first.log))
+    assert.same({ 2, 5 }, first.states)
+    assert.same({ 1, 6 }, first.transitions)
+
+    assert.equal(204, (http.command(server, { command = "send", event = "e_push",
+      run = true })))
+    local second = page:next()
+    assert.equal("root.on.dim", second.leaf)
+    assert.same({ "step: root.off → root.on.initial → root.on.dim" },
+      texts_of(second.log))
+    assert.same({ "e_push" }, second.log[1].events)
+    assert.same({ 4, 5 }, second.states)
+    assert.same({ 3, 6 }, second.transitions)
+    assert.equal(2, #second.taken)
+  end)
+
+  it("is told which events would do something, and why one did nothing", function()
+    local server = open()
+    local page, first = http.page(server)
+    local chart = http.chart(server)
+    local texts = {}
+    for i, number in ipairs(first.enabled) do
+      texts[i] = chart.events[number + 1].text
+    end
+    assert.same({ "e_push" }, texts)
+    http.command(server, { command = "send", event = "e_more", run = true })
+    local message = page:next()
+    assert.same({ "lost: no transition" }, texts_of(message.log))
+    assert.same({ "e_more" }, message.log[1].events)
+    assert.matches("^no transition would be taken on e_more in root.off\n", message.why)
+    assert.matches("%(off %-> on%): waits for e_push", message.why)
+    http.command(server, { command = "send", event = "e_push", run = true })
+    assert.is_false(page:next().why)
+  end)
+
+  it("sees the queue, steps, and goes back without a callback", function()
+    local server = open()
+    local page = http.page(server)
+    http.command(server, { command = "send", event = "e_push" })
+    assert.same({ "e_push" }, page:next().queue)
+    http.command(server, { command = "step" })
+    local message = page:next()
+    assert.same({ "root.on.dim", "e_done@root.on.dim" },
+      { message.leaf, message.queue[1] })
+    http.command(server, { command = "back" })
+    message = page:next()
+    assert.same({ "root.off", "e_push", true },
+      { message.leaf, message.queue[1], message.is_full })
+    http.command(server, { command = "back" })
+    message = page:next()
+    assert.same({ "root.off", nil, false },
+      { message.leaf, message.queue[1], message.can_back })
+    assert.same({ "output: dark", "step: root.initial → root.off" },
+      texts_of(message.log))
+    assert.equal(400, (http.command(server, { command = "back" })))
+  end)
+
+  it("goes back to any turn", function()
+    local server = open()
+    local page = http.page(server)
+    for i = 1, 6 do
+      http.command(server, { command = "send", event = "e_push", run = true })
+      assert.equal(i % 2 == 1 and "root.on.dim" or "root.off", page:next().leaf)
+    end
+    http.command(server, { command = "back", to = 3 })
+    assert.equal("root.on.dim", page:next().leaf)
+    http.command(server, { command = "send", event = "e_more", run = true })
+    assert.equal("root.on.bright", page:next().leaf)
+    http.command(server, { command = "reset" })
+    local message = page:next()
+    assert.same({ "root.off", 2, false },
+      { message.leaf, #message.log, message.can_back })
+  end)
+
+  it("is told the same as another page", function()
+    local server = open()
+    local one, two = http.page(server), http.page(server)
+    http.command(server, { command = "send", event = "e_push", run = true })
+    assert.same(one:next(), two:next())
+  end)
+
+  it("is told errors of callbacks, and the machine goes on", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        a = rfsm.state {},
+        b = rfsm.state { entry = function() error("no power", 0) end, final = true },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
+        post_step_hook = function(fsm)
+          if fsm._act_leaf._id == "b" then error("no hook", 0) end
+        end,
+      }
+    ]])
+    local page = http.page(server)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    local message = page:next()
+    assert.equal("root.b", message.leaf)
+    assert.same({ "error: error executing entry of root.b: no power",
+      "step: root.a → root.b", "error: no hook" }, texts_of(message.log))
+    assert.equal(204, (http.command(server, { command = "run" })))
+  end)
+
+  it("ends a run that has no end", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        busy = rfsm.state { doo = function() while true do rfsm.yield(false) end end },
+        rfsm.trans { src = "initial", tgt = "busy" },
+      }
+    ]])
+    local page, first = http.page(server)
+    assert.equal("note: not idle after 1000 steps", texts_of(first.log)[3])
+    for _ = 1, 12 do -- more than can be undone
+      http.command(server, { command = "run" })
+      assert.is_true(page:next().can_back)
+    end
+    assert.equal(204, (http.command(server, { command = "back" })))
+    assert.is_false(page:next().can_back)
+  end)
+
+  it("asks guards what is enabled, and goes back past them", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      is_open = false
+      local function guard() return is_open end
+      return rfsm.state {
+        a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" }, guard = guard },
+        rfsm.trans { src = "b", tgt = "a", events = { "e_go" }, guard = guard },
+      }
+    ]])
+    local page, first = http.page(server)
+    assert.same({}, first.enabled)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    assert.same({}, page:next().enabled)
+    rawset(_G, "is_open", true)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    local there = page:next()
+    assert.same({ "root.b", 1 }, { there.leaf, #there.enabled })
+    http.command(server, { command = "back", to = 0 })
+    assert.equal("root.a", page:next().leaf)
+    http.command(server, { command = "send", event = "e_go", run = true })
+    local message = page:next()
+    assert.equal("root.b", message.leaf)
+    rawset(_G, "is_open", nil)
+  end)
+
+  it("has a clock: it goes on, stands still, and goes to the next timer", function()
+    local server = open([[
+      local rfsm = require "rfsm"
+      require "rfsm_timeevent"
+      return rfsm.state {
+        red = rfsm.state {}, green = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "red" },
+        rfsm.trans { src = "red", tgt = "green", events = { "e_after(2)" } },
+        rfsm.trans { src = "green", tgt = "red", events = { "e_after(3)" } },
+      }
+    ]])
+    local page, first = http.page(server)
+    assert.is_true(first.live)
+    assert.is_true(first.timer > 2 and first.timer < 2.001)
+    now = 2.5
+    local message = page:next()
+    assert.equal("root.green", message.leaf)
+    http.command(server, { command = "clock", live = false })
+    assert.is_false(page:next().live)
+    now = 100
+    http.command(server, { command = "wait", seconds = 1 })
+    message = page:next()
+    assert.equal("root.green", message.leaf)
+    assert.is_true(message.clock > 3.4 and message.clock < 3.6)
+    http.command(server, { command = "next" })
+    assert.equal("root.red", page:next().leaf)
+    http.command(server, { command = "back" })
+    message = page:next()
+    assert.equal("root.green", message.leaf)
+    assert.is_true(message.clock > 3.4 and message.clock < 3.6)
+    http.command(server, { command = "next" })
+    assert.equal("root.red", page:next().leaf)
+  end)
+
+  it("shows regions", function()
+    local server = opened(assert(web.open("examples/seqand.lua", { port = 0 })))
+    local page, first = http.page(server)
+    local chart, names = http.chart(server), {}
+    for i, number in ipairs(first.active) do
+      names[i] = chart.nodes[number + 1].fqn
+    end
+    assert.same({ "root", "root.working", "root.working.left", "root.working.left.open",
+      "root.working.right", "root.working.right.open" }, names)
+    http.command(server, { command = "send", event = "e_grasp", run = true })
+    local message = page:next()
+    assert.is_false(message.why)
+    assert.equal("root.working.right.closed",
+      chart.nodes[message.active[#message.active] + 1].fqn)
+  end)
+end)
+
+describe("a chart in a file", function()
+  local BAD = LAMP:gsub('tgt = "off" }', 'tgt = "offf" }')
+    :gsub("function%(%).-end", "7")
+
+  it("with mistakes is a page with file and line, until it is mended", function()
+    local server, file = open(BAD)
+    local page, first = http.page(server)
+    assert.is_nil(first.active)
+    local chart = http.chart(server)
+    assert.equal(file .. ":3: root.off.entry: function expected, got number 7",
+      chart.problems[1])
+    assert.equal(file .. ":10: ", chart.problems[2]:match("^.-:%d+: "))
+    assert.equal(400, (http.command(server, { command = "run" })))
+    overwrite(file, LAMP)
+    now = 1
+    assert.equal("root.off", page:next().leaf)
+    assert.same({}, http.chart(server).problems)
+  end)
+
+  it("is loaded anew when it changes, and the machine stays where it was", function()
+    local server, file = open()
+    local page, first = http.page(server)
+    http.command(server, { command = "send", event = "e_push", run = true })
+    assert.equal("root.on.dim", page:next().leaf)
+    overwrite(file, (LAMP:gsub("bright", "glaring")))
+    now = 1
+    local message = page:next()
+    assert.equal("root.on.dim", message.leaf)
+    assert.is_true(message.version ~= first.version and message.is_full)
+    http.command(server, { command = "send", event = "e_more", run = true })
+    assert.equal("root.on.glaring", page:next().leaf)
+    overwrite(file, "return 7")
+    now = 2
+    assert.is_nil(page:next().active)
+    assert.same({ "no valid rfsm in file '" .. file .. "' found." },
+      http.chart(server).problems)
+    overwrite(file, LAMP)
+    now = 3
+    assert.equal("root.off", page:next().leaf) -- there is no root.on.glaring now
+  end)
+
+  it("says what is wrong with its text", function()
+    local server, file = open("return rfsm.state {")
+    local problem = http.chart(server).problems[1]
+    assert.equal(file .. ":1: ", problem:match("^.-:%d+: "))
+  end)
+end)
+
+-- Machines of a program, and elsewhere ------------------------------------------------
+
+-- (initial) --> off --e_push--> on --e_push--> off
+local function lamp(fields)
+  local model = state {
+    info = false, off = state {}, on = state {},
+    trans { src = "initial", tgt = "off" },
+    trans { src = "off", tgt = "on", events = { "e_push" } },
+    trans { src = "on", tgt = "off", events = { "e_push" } },
+  }
+  for name, value in pairs(fields or {}) do model[name] = value end -- any order: a set
+  return model
+end
+
+describe("rfsm.web.serve", function()
+  it("hosts the page of a machine that its program drives", function()
+    local traced = 0
+    local fsm = rfsm.init(lamp { dbg = function() traced = traced + 1 end })
+    local server = opened(web.serve(fsm, { port = 0, title = "lamp" }))
+    rfsm.run(fsm)
+    local page, first = http.page(server)
+    assert.equal("root.off", first.leaf)
+    assert.is_true(traced > 0)
+    assert.same({ "send" }, http.chart(server).commands)
+    http.command(server, { command = "send", event = "e_push" })
+    assert.same({ "e_push" }, page:next().queue)
+    rfsm.run(fsm)
+    assert.equal("root.on", page:next().leaf)
+    rfsm.send_events(fsm, "e_nothing")
+    rfsm.run(fsm)
+    assert.matches("^no transition would be taken on e_nothing", page:next().why)
+    rfsm.reset(fsm)
+    assert.equal("inactive", page:next().mode)
+  end)
+
+  it("raises an error that says what is wrong", function()
+    local fsm = rfsm.init(lamp())
+    local used = opened(web.serve(fsm, { port = 0 }))
+    for text, options in pairs { -- any order: each stands alone
+      ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
+      ["unknown option 'prot', expected: clock, host, port, title"] = { prot = 1 },
+      ["host: name or address expected, got string ''"] = { host = "" },
+      ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)
+        .. ": address already in use"] = { port = used.port },
+    } do
+      local ok, problem = pcall(web.serve, fsm, options)
+      assert.same({ false, "rfsm.web.serve: " .. text },
+        { ok, (problem:gsub("^.-:%d+: ", "")) })
+    end
+    assert.has_error(function() web.serve({}) end,
+      "rfsm.web.serve: initialised fsm expected, got table")
+  end)
+end)
+
+describe("a machine elsewhere", function()
+  local function host(allow_send)
+    local door = proto.install { port = 0, allow_send = allow_send }
+    local fsm = rfsm.init(lamp())
+    rfsm.run(fsm)
+    return fsm, door
+  end
+
+  -- Has both go on until the page is told about a leaf.
+  local function wait_for(server, fsm, page, leaf)
+    for _ = 1, 200 do
+      rfsm.run(fsm)
+      server:step(0.001)
+      local data, _, partly = page.tcp:receive("*a")
+      page.text = page.text .. (data or partly or "")
+      if page.text:find('"leaf":"' .. leaf .. '"', 1, true) then return true end
+    end
+  end
+
+  it("is watched through rfsm.proto, and takes events if it wants", function()
+    local fsm, door = host(true)
+    local server = opened(assert(web.attach("127.0.0.1", door.port, { port = 0 })))
+    assert.same({ "127.0.0.1:" .. ("%d"):format(door.port)
+      .. ": no machine has answered yet" }, http.chart(server).problems)
+    local page = http.page(server)
+    assert.is_true(wait_for(server, fsm, page, "root.off"))
+    local chart = http.chart(server)
+    assert.same({ "send" }, chart.commands)
+    assert.equal("off", chart.nodes[3].name)
+    http.command(server, { command = "send", event = "e_push" })
+    assert.is_true(wait_for(server, fsm, page, "root.on"))
+  end)
+
+  it("is printed by rfsm watch", function()
+    local fsm, door = host(false)
+    local pipe = io.popen(("LUA='%s' tools/rfsm-watch -n 2 127.0.0.1:%d 2>&1"):format(
+      arg[-1], door.port))
+    for _ = 1, 3000 do -- until it has subscribed
+      rfsm.run(fsm)
+      if door.subscribers[1] then break end
+      require("socket").select(nil, nil, 0.001)
+    end
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, "e_push")
+    rfsm.run(fsm)
+    assert.equal("root.off (done)\nroot.on (done)\n", pipe:read("*a"))
+    pipe:close()
+  end)
+end)
+
+describe("rfsm.watch", function()
+  local GRAPH = { id = "root", type = "state", subnodes = {
+    { id = "initial", type = "connector" }, { id = "off", type = "state" },
+    { id = "on", type = "state", subnodes = { { id = "dim", type = "state" } } },
+  } }
+
+  -- A client that has received these messages.
+  local function client(messages)
+    return { receive = function() return table.remove(messages, 1) end }
+  end
+
+  local function state_message(leaf, fsm)
+    return { type = "rfsm_active_state", fsm = fsm or 1, act_leaf = leaf,
+      act_leaf_state = "done" }
+  end
+
+  it("draws the tree and the log at a terminal", function()
+    local screens = helper.printed(function()
+      watch.run(client { { type = "rfsm_model", fsm = 1, graph = GRAPH },
+        state_message "root.off", state_message "root.on.dim" },
+        { number = 1, count = 2, is_terminal = true })
+    end)
+    assert.equal(3, #screens)
+    local tree, log = screens[3]:match("^\27%[H\27%[J(.-)\n\n(.*)$")
+    assert.equal("* root\n    off\n*   on\n*     dim", tree)
+    assert.equal("root.off (done)\nroot.on.dim (done)", (log:gsub("%d+:%d+:%d+ ", "")))
+  end)
+
+  it("prints a line for each change of its machine in a pipe", function()
+    assert.same({ "not active", "root.off (done)", "refused: subscribe: x" },
+      helper.printed(function()
+        watch.run(client { state_message(false), state_message "root.off",
+          state_message("root.on", 2), { type = "new" }, state_message "root.off",
+          { type = "rfsm_error", text = "subscribe: x" } },
+          { number = 1, count = 3, is_terminal = false })
+      end))
+  end)
+end)
+
+describe("the command line", function()
+  local function run(command)
+    return helper.output_of(("os.execute(%q)"):format("LUA='" .. arg[-1] .. "' tools/"
+      .. command .. " 2>&1 | tail -1"))
+  end
+
+  for command, expected in pairs { -- any order: each stands alone
+    ["rfsm-web"] = "Error: FILE or --attach expected",
+    ["rfsm-web --attach a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
+    ["rfsm-web --attach localhost:65536"]
+      = "Error: HOST or HOST:PORT expected, got 'localhost:65536'",
+    ["rfsm-web --port 65536 examples/on_off.lua"]
+      = "rfsm web: port: whole number from 0 to 65535 expected, got 65536",
+    ["rfsm-web nothing.lua"] = "rfsm web: nothing.lua: No such file or directory",
+    ["rfsm-web ."] = "rfsm web: .: Is a directory",
+    ["rfsm-watch a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
+  } do
+    it("refuses " .. command .. " in one line", function()
+      assert.equal(expected, run(command))
+    end)
+  end
+end)
