@@ -940,7 +940,7 @@ do
     local proto = {
       ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
       __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
-      events = def.events or nil, _is_internal = def.is_internal or nil,
+      events = def.events or {}, _is_internal = def.is_internal or nil,
       __eq = rawequal, -- so that no other one's is ever asked
     }
     proto.__index = proto

@@ -154,6 +154,13 @@ describe("a walk over a live machine", function()
   end)
 end)
 
+describe("the events of a transition", function()
+  it("are a list after init, also if there are none", function()
+    local fsm = helper.init(model())
+    assert.same({ {}, { "e_in" } }, { fsm[1].events, fsm[2].events })
+  end)
+end)
+
 describe("a preproc function", function()
   it("wraps the entries of all states, that of the root among them", function()
     local trace = {}
