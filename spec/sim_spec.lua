@@ -260,9 +260,9 @@ local without = "package.preload['%s'] = function() error('none') end "
 -- Opens a chart in a terminal of its own. `type_in` sends keys, as tmux calls them, and
 -- waits until the screen shows a text.
 local function open_terminal(arguments, lua_init)
-  local socket, config = file_with(""), file_with("set -g remain-on-exit on\n")
+  local socket = file_with("")
   os.remove(socket)
-  local tmux = "tmux -f " .. config .. " -S " .. socket .. " "
+  local tmux = "tmux -f /dev/null -S " .. socket .. " "
   local terminal = {}
   sockets[#sockets + 1] = socket
 
@@ -277,8 +277,18 @@ local function open_terminal(arguments, lua_init)
     assert.is_true(found ~= "", "no '" .. text .. "' in:\n" .. terminal.screen())
   end
 
+  -- Types Control-D until the program has ended: at first readline may not be there.
+  function terminal.close()
+    os.execute(("timeout 30 sh -c 'until %s capture-pane -p "
+      .. "| grep -qF \"ended with status\"; do %s send-keys C-d; sleep 0.2; done' "
+      .. "2>/dev/null"):format(tmux, tmux))
+    local screen = terminal.screen()
+    assert.is_truthy(screen:find("ended with status 0", 1, true), screen)
+  end
+
   os.execute(("LUA_INIT=\"%s\" HOME=/nowhere TERM=dumb LUA=%s %s new-session -d -x 120 "
-    .. "-y 50 'tools/rfsm-sim %s'"):format(lua_init or "", LUA, tmux, arguments))
+    .. "-y 50 'tools/rfsm-sim %s; echo ended with status $?; sleep 100'"):format(
+    lua_init or "", LUA, tmux, arguments))
   terminal.type_in(">")
   return terminal
 end
@@ -321,8 +331,8 @@ describe("at a terminal", function()
     at.type_in("root.busy on e_busy", "ser e_stop", "Enter", "ser e_busy", "Enter")
     at.type_in("active: root.busy(active)", "C-c")
     at.type_in("42", "print(2)", "C-c", "6 * 7", "Enter")
-    at.type_in("> x", "x") -- readline has the terminal now
-    at.type_in("dead (status 0", "BSpace", "C-d")
+    at.type_in("> ", "Enter")
+    at.close()
     local text = at.screen()
     assert.is_nil(text:find("\n[12]\n"))
     assert.equal(3, select(2, text:gsub("interrupted!", "")))
@@ -346,7 +356,7 @@ describe("at a terminal", function()
     end
     local at = open_terminal("-i -e step " .. HELLO, init)
     at.type_in("active: root.world(done)", "run", "Enter")
-    at.type_in("dead (status 0", "quit", "Enter")
+    at.type_in("ended with status 0", "quit", "Enter")
     assert.matches("\nfor line editing and the Tab key, for more than one Control%-C "
       .. "%(on Debian%): apt%-get install lua%-readline lua%-%a+\n", at.screen())
   end)
