@@ -20,6 +20,11 @@ local concat, sort = table.concat, table.sort
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
+-- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
+-- functions are interpreted.
+local jit = rawget(_G, "jit")
+local interpret = type(jit) == "table" and jit.off or function() end
+
 ---@class rfsm
 ---@field seqand fun(t: table): rfsm.State
 ---@field pp table the module rfsmpp
@@ -322,6 +327,8 @@ function rfsm.sorted_keys(t, pred)
 end
 
 local sorted_keys = rfsm.sorted_keys
+interpret(sorted_keys)
+interpret(has_nodes)
 
 local NONE = {}
 
@@ -715,6 +722,11 @@ do
     end
   end
 
+  for _, f in ipairs({ check_events, check_plain_table, clone_connector, clone_state,
+    fields_of, new_transition }) do
+    interpret(f)
+  end
+
   -- Fills in the nodes from number `first` on; the list grows as it is walked.
   function clone_below(build, first)
     local nodes, i = build.plan.nodes, first
@@ -1039,6 +1051,8 @@ local function copy_plan(plan)
   return copy
 end
 
+interpret(copy_plan)
+
 local make_trail, is_current
 
 do
@@ -1096,6 +1110,9 @@ do
     end
     return true
   end
+
+  interpret(make_trail, true)
+  interpret(is_current)
 end
 
 -- Machine: an instance of a plan ------------------------------------------------
@@ -1208,6 +1225,8 @@ do
     end
     return copy
   end
+
+  interpret(clone_data)
 end
 
 -- Gives an element its callbacks and the user's data.
@@ -2330,6 +2349,8 @@ local function prepare_fields(fsm)
   end
   return fsm
 end
+
+interpret(prepare_fields)
 
 local report_created, report_dead_ends, report_findings
 
