@@ -22,7 +22,7 @@ require "rfsm.await"
 local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
 local pairs, pcall, rawset, select = pairs, pcall, rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 local text_of = rfsm.text_of
 
 local MAX_EVENT, MAX_DATA, MAX_VALUE = 256, 65536, 1048576 -- bytes
@@ -191,19 +191,12 @@ local function open(host, chart)
   return fsm
 end
 
-local function names_of(t)
-  local names = {}
-  for name in pairs(t) do names[#names + 1] = name end -- any order: sorted
-  sort(names)
-  return names
-end
-
 -- Arguments ----------------------------------------------------------------------
 
 local function versions_of(charts, name)
   local versions = charts[name]
   if versions then return versions end
-  local names = names_of(charts)
+  local names = rfsm.sorted_keys(charts)
   fail("no chart is named '%s'%s", tostring(name):sub(1, 80),
     advice.nearest_name(tostring(name):sub(1, 80), names))
 end
@@ -220,7 +213,7 @@ local function events_of(chart, args, first)
     local event = chart.events[text]
     if event == nil and not chart.takes_all then
       fail("no transition of chart '%s' has the event '%s'%s", chart.name, text,
-        advice.nearest_name(text, names_of(chart.events)))
+        advice.nearest_name(text, rfsm.sorted_keys(chart.events)))
     end
     events[#events + 1] = event == nil and text or event
   end
@@ -397,7 +390,7 @@ local function set_data(host, fsm, text)
   if not ok or type(data) ~= "table" then fail("data: a JSON object expected") end
   local is_kept = {}
   for _, name in ipairs(fsm.keep or {}) do is_kept[name] = true end
-  for _, name in ipairs(names_of(data)) do
+  for _, name in ipairs(rfsm.sorted_keys(data)) do
     if not is_kept[name] then
       fail("data: the root of the chart does not keep '%s'", tostring(name))
     end

@@ -8,7 +8,7 @@ local place = require "rfsm.checks.place"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local require, setmetatable, type = require, setmetatable, type
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 
 local coverage = {}
 
@@ -70,16 +70,9 @@ end
 
 -- Report ............................................................................
 
-local function sorted_keys(t)
-  local keys = {}
-  for key in pairs(t) do keys[#keys + 1] = key end -- any order: sorted
-  sort(keys)
-  return keys
-end
-
 -- Appends what was never seen; returns a text such as "states 3 of 4".
 local function add_missing(lines, kind, counts)
-  local keys, seen = sorted_keys(counts), 0
+  local keys, seen = rfsm.sorted_keys(counts), 0
   for _, key in ipairs(keys) do
     if counts[key] > 0 then seen = seen + 1 end
     if counts[key] == 0 then lines[#lines + 1] = "never: " .. kind .. " " .. key end
@@ -111,7 +104,7 @@ function Coverage:json()
       .. "(on Debian: apt-get install lua-dkjson)", 2)
   end
   return dkjson.encode({ states = self.states, transitions = self.transitions,
-    guards = self.guards }, { indent = true, keyorder = sorted_keys(self.states) })
+    guards = self.guards }, { indent = true, keyorder = rfsm.sorted_keys(self.states) })
 end
 
 -- Public functions ..................................................................

@@ -154,15 +154,8 @@ local function find_livelock(walk, result)
     .. "becomes idle", walk:witness(step.from, step.label))
 end
 
-local function sorted_keys(t)
-  local keys = {}
-  for key in pairs(t) do keys[#keys + 1] = key end -- any order: sorted
-  sort(keys)
-  return keys
-end
-
 local function find_clashes(walk, result)
-  for _, fqn in ipairs(sorted_keys(walk.clashes)) do
+  for _, fqn in ipairs(rfsm.sorted_keys(walk.clashes)) do
     local step = walk.clashes[fqn]
     add(result, "clash", nil, fqn, "several transitions of equal pn are enabled",
       walk:witness(step.from, step.label))
@@ -170,7 +163,7 @@ local function find_clashes(walk, result)
 end
 
 local function find_swallowed(walk, result)
-  for _, key in ipairs(sorted_keys(walk.swallowed)) do
+  for _, key in ipairs(rfsm.sorted_keys(walk.swallowed)) do
     local step = walk.swallowed[key]
     local text = ("no way on for %s, which is discarded in %s"):format(
       rfsm.text_of(step.event), step.leaf)
