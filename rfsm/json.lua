@@ -6,10 +6,10 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local opts = require "rfsm.options"
 local marsh = require "rfsm.marsh"
 
-local error, pcall, rawget, rawset = error, pcall, rawget, rawset
-local require = require
+local error, rawget, rawset = error, rawget, rawset
 
 local json = {}
 
@@ -20,10 +20,8 @@ local KEY_ORDER = {
 }
 
 local function find_dkjson()
-  local ok, dkjson = pcall(require, "dkjson")
-  if ok then return dkjson end
-  error("rfsm.json: the package dkjson is missing "
-    .. "(on Debian: apt-get install lua-dkjson)", 0)
+  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
+  return dkjson or error("rfsm.json: " .. problem, 0)
 end
 
 --- Return the full description of a machine, and its active leaf, as JSON.

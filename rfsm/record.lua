@@ -18,11 +18,12 @@
 local clock = require "rfsm.clock"
 local plain = require "rfsm.plain"
 local rfsm = require "rfsm"
+local opts = require "rfsm.options"
 local snapshot = require "rfsm.snapshot"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
-local require, select, setmetatable = require, select, setmetatable
+local select, setmetatable = select, setmetatable
 local tostring, type = tostring, type
 local io = rawget(_G, "io")
 local max, min = math.max, math.min
@@ -81,10 +82,8 @@ local function same(a, b)
 end
 
 local function find_dkjson()
-  local ok, dkjson = pcall(require, "dkjson")
-  if ok then return dkjson end
-  error("rfsm.record: the package dkjson is missing "
-    .. "(on Debian: apt-get install lua-dkjson)", 0)
+  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
+  return dkjson or error("rfsm.record: " .. problem, 0)
 end
 
 local KEY_ORDER = {

@@ -4,10 +4,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local opts = require "rfsm.options"
 local place = require "rfsm.checks.place"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local require, setmetatable, type = require, setmetatable, type
+local error, ipairs, pairs = error, ipairs, pairs
+local setmetatable, type = setmetatable, type
 local concat = table.concat
 
 local coverage = {}
@@ -98,11 +99,8 @@ end
 --- Return the record as JSON, for other runs and for pictures.
 ---@return string text
 function Coverage:json()
-  local ok, dkjson = pcall(require, "dkjson")
-  if not ok then
-    error("rfsm_checks.coverage: the package dkjson is missing "
-      .. "(on Debian: apt-get install lua-dkjson)", 2)
-  end
+  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
+  if not dkjson then error("rfsm_checks.coverage: " .. problem, 2) end
   return dkjson.encode({ states = self.states, transitions = self.transitions,
     guards = self.guards }, { indent = true, keyorder = rfsm.sorted_keys(self.states) })
 end

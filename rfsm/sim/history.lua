@@ -7,11 +7,12 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local opts = require "rfsm.options"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 
 local error, io, ipairs, max, pcall = error, io, ipairs, math.max, pcall
-local print, require, type = print, require, type
+local print, type = print, type
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -30,11 +31,8 @@ local history = {}
 local LIMIT = 100000 -- iterations; then a history begins anew
 
 local function write(file, rec)
-  local ok, dkjson = pcall(require, "dkjson")
-  if not ok then
-    error("record: the package dkjson is missing (on Debian: apt-get install "
-      .. "lua-dkjson)", 0)
-  end
+  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
+  if not dkjson then error("record: " .. problem, 0) end
   file:write(dkjson.encode(rec), "\n")
   file:flush()
 end
