@@ -396,7 +396,7 @@ end
 ---@field plan rfsm.Plan the result
 ---@field problems { at: string, file?: string, text: string }[]
 ---@field warnings { at: string, file?: string, text: string }[]
----@field created rfsm.Def[] `initial` connectors that are not declared
+---@field created { line: string }[] `initial` connectors that are not declared
 ---@field mounts table<table, rfsm.Def[]> model node -> its clones
 
 --- The definition of a node or transition: all that is known before a machine runs.
@@ -429,11 +429,8 @@ end
 
 -- Returns the hint of rfsm/advice.lua on a topic, an empty text if there is no such
 -- file.
-local is_advised = true
-
 local function advise(topic, ...)
   local advice = find_module("rfsm.advice")
-  is_advised = advice ~= nil and is_advised
   return advice and advice[topic](...) or ""
 end
 
@@ -748,14 +745,9 @@ end
 local resolve
 
 do
-  local function node_names(def)
-    return sorted_keys(def.members, function(member)
-      return member.kind ~= "transition"
-    end)
-  end
-
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
-  local function find_below(def, path)
+  -- For a name alone a hint may come from `all` nodes.
+  local function find_below(def, path, all)
     for name in (path .. "."):gmatch("([^.]*)%.") do
       local child = def.members[name]
       if not child or child.kind == "transition" then
@@ -766,37 +758,25 @@ do
             name, kind, kind == "table" and " (did you mean rfsm.state{...}?)" or "")
         end
         return nil, ("no state or connector is named '%s' in '%s'%s"):format(name,
-          def.fqn, advise("nearest_name", name, node_names(def)))
+          def.fqn, advise("nearest_node", name, def, all or NONE))
       end
       def = child
     end
     return def
   end
 
-  -- A name without a dot: in the composite of the transition, or the root itself.
-  local function find_local(build, composite, name)
-    local def, reason = find_below(composite, name)
-    if def or name == "root" then return def or build.plan.nodes[1] end
-    local elsewhere = {}
-    for _, other in ipairs(build.plan.nodes) do
-      if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
-    end
-    sort(elsewhere)
-    if not elsewhere[1] or name == "initial" or composite.model[name] ~= nil then
-      return nil, reason
-    end
-    return nil, ("no state or connector is named '%s' in '%s' (did you mean '%s'?)")
-      :format(name, composite.fqn, elsewhere[1])
-  end
-
   -- Returns the node that a name in a transition of `composite` refers to:
-  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, (c) others from the root,
-  -- where `root.` in front is optional, and a state may be named so.
+  -- (a) ".a.b" or "..a.b" from the composite, (b) "a" in it, or the root itself,
+  -- (c) others from the root, where `root.` in front is optional, and a state may be
+  -- named so.
   local function find_named(build, composite, name)
-    local relative = name:match("^%.%.?([^.].*)$")
+    local root, relative = build.plan.nodes[1], name:match("^%.%.?([^.].*)$")
     if relative then return find_below(composite, relative) end
-    if not name:find(".", 1, true) then return find_local(build, composite, name) end
-    local root = build.plan.nodes[1]
+    if not name:find(".", 1, true) then
+      local def, reason = find_below(composite, name, build.plan.nodes)
+      if name == "root" then return def or root end
+      return def, reason
+    end
     if name:sub(1, 5) ~= "root." then return find_below(root, name) end
     local def, reason = find_below(root, name:sub(6))
     return def or root.members.root and find_below(root, name), reason
@@ -849,7 +829,9 @@ do
     end
     local connector = new_node(build, "connector", Connector {}, composite, "initial")
     made_at[connector.model] = made_at[def.model]
-    build.created[#build.created + 1] = connector
+    build.created[#build.created + 1] = {
+      line = "created undeclared connector " .. connector.fqn,
+    }
   end
 
   -- A composite is entered at its `initial`.
@@ -1392,22 +1374,6 @@ local parameters_of = setmetatable({}, { __index = function() return math.huge e
 
 -- A function got the list of events and may have kept it.
 local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
-
-local function empty(events)
-  for i = #events, 3, -1 do events[i] = nil end
-  if events[2] ~= nil then events[2] = nil end
-  if events[1] ~= nil then events[1] = nil end
-  return events
-end
-
--- Events of an iteration that was cut short come first in the queue again.
-local function put_back(fsm)
-  local events = fsm._curq
-  if events[1] == nil then return end
-  if not rawequal(events, fsm._intq) then append(events, fsm._intq) end
-  fsm._intq = events
-  fsm._curq = {}
-end
 
 -- Appends the events of getevents to a list.
 local function collect(fsm, list)
@@ -1988,6 +1954,22 @@ do
   -- Without `debug` a step would seem to be under way then.
   local MAY_RAISE = getinfo ~= nil
 
+  local function empty(events)
+    for i = #events, 3, -1 do events[i] = nil end
+    if events[2] ~= nil then events[2] = nil end
+    if events[1] ~= nil then events[1] = nil end
+    return events
+  end
+
+  -- Events of an iteration that was cut short come first in the queue again.
+  local function put_back(fsm)
+    local events = fsm._curq
+    if events[1] == nil then return end
+    if not rawequal(events, fsm._intq) then append(events, fsm._intq) end
+    fsm._intq = events
+    fsm._curq = {}
+  end
+
   -- The end of an iteration with hooks, kept events, an error or a wanted reset. The
   -- list of events is emptied and becomes a queue again, unless a function may have
   -- kept it. The list that post step hooks get is used: `gather` must not find it.
@@ -2229,7 +2211,7 @@ end
 local function lines_of(list)
   local keys, lines = {}, {}
   for i = 1, #list do
-    local line = list[i].at .. ": " .. list[i].text
+    local line = list[i].line or list[i].at .. ": " .. list[i].text
     lines[i] = (list[i].file and list[i].file .. ": " or "") .. line
     keys[lines[i]] = natural(line)
   end
@@ -2238,8 +2220,8 @@ local function lines_of(list)
 end
 
 local function summary(where, problems)
-  local hint = is_advised and "" or "\n  (no hints: rfsm/advice.lua is not installed)"
-  is_advised = true
+  local hint = find_module("rfsm.advice") and ""
+    or "\n  (no hints: rfsm/advice.lua is not installed)"
   return ("%s: the model has %d problem%s\n  %s%s"):format(where, #problems,
     #problems == 1 and "" or "s", concat(problems, "\n  "), hint)
 end
@@ -2352,16 +2334,31 @@ end
 
 interpret(prepare_fields)
 
-local report_created, report_dead_ends, report_findings
+-- Prints a line for each problem of a list.
+local function report_lines(fsm, name, list)
+  if fsm[name] == silent then return end
+  for _, line in ipairs(lines_of(list)) do
+    report(fsm, name, (name == "info" and "INFO: " or "WARNING: ") .. line)
+  end
+end
+
+-- Warns of the nodes, from number `first` on, that nothing leaves.
+local function report_dead_ends(fsm, first)
+  local dead = {}
+  for i = first, #fsm._plan.nodes do
+    local def = fsm._plan.nodes[i]
+    if not (def.otrs[1] or def.model.final or def.parent == def) then
+      local line = "no outgoing transitions from node '" .. def.fqn .. "'"
+      dead[#dead + 1] = { line = line }
+    end
+  end
+  report_lines(fsm, "warn", dead)
+  return dead[1] == nil
+end
+
+local report_findings
 
 do
-  -- Prints the lines of a list, sorted by location.
-  local function report_lines(fsm, name, prefix, list)
-    if fsm[name] == silent then return end
-    local lines = lines_of(list)
-    for i = 1, #lines do report(fsm, name, prefix .. lines[i]) end
-  end
-
   -- Warns of an `initial` that may not be enabled: its composite has no entry then.
   local function check_initial(found, def)
     for _, tr in ipairs(def.otrs) do
@@ -2390,32 +2387,7 @@ do
     for i = first_transition, #plan.transitions do
       check_words(found, plan.transitions[i])
     end
-    report_lines(fsm, "warn", "WARNING: ", found)
-  end
-
-  -- Prints a line for each definition, sorted by FQN.
-  local function report_each(fsm, name, form, defs)
-    if fsm[name] == silent then return end
-    local names = {}
-    for i, def in ipairs(defs) do names[i] = def.fqn end
-    sort(names, function(a, b) return natural(a) < natural(b) end)
-    for _, fqn in ipairs(names) do report(fsm, name, form:format(fqn)) end
-  end
-
-  -- Warns of the nodes, from number `first` on, that nothing leaves.
-  function report_dead_ends(fsm, first)
-    local dead = {}
-    for i = first, #fsm._plan.nodes do
-      local def = fsm._plan.nodes[i]
-      local has_exit = def.otrs[1] or def.model.final or def.parent == def
-      if not has_exit then dead[#dead + 1] = def end
-    end
-    report_each(fsm, "warn", "WARNING: no outgoing transitions from node '%s'", dead)
-    return dead[1] == nil
-  end
-
-  function report_created(fsm, created)
-    report_each(fsm, "info", "INFO: created undeclared connector %s", created)
+    report_lines(fsm, "warn", found)
   end
 end
 
@@ -2573,7 +2545,7 @@ function rfsm.init(model)
   if not plan then return refuse_model(model, nil, problems) end
   local fsm = prepare_fields(new_machine(plan))
   fsm._initialized = true
-  report_created(fsm, plan.created)
+  report_lines(fsm, "info", plan.created)
   list_otrs(fsm, plan)
   plan.first = plan.first == nil and fsm
   problems = preprocess(fsm)
@@ -3143,7 +3115,7 @@ do
 
   local function refuse(fsm, reason)
     report(fsm, "err", reason)
-      return false, reason
+    return false, reason
   end
 
   --- Add a state, connector or transition to a live machine.
@@ -3184,10 +3156,10 @@ do
       undo_merge(fsm, old, moved)
       return refuse(fsm, summary("rfsm.fsm_merge", found))
     end
-    report_created(fsm, build.created)
+    report_lines(fsm, "info", build.created)
     report_findings(fsm, first_node, first_transition)
     report_dead_ends(fsm, first_node)
-      return true
+    return true
   end
 end
 

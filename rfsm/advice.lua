@@ -130,6 +130,28 @@ function advice.nearest_name(name, names)
   return " (there " .. verb .. " '" .. concat(names, "', '") .. "')"
 end
 
+--- Return the hint for a node that does not exist in a composite.
+---@param name string
+---@param def rfsm.Def the composite
+---@param all rfsm.Def[] nodes to look at for the same name elsewhere
+---@return string hint as `nearest_name`
+function advice.nearest_node(name, def, all)
+  local elsewhere, names = {}, {}
+  for _, other in ipairs(all) do
+    if other.id == name then elsewhere[#elsewhere + 1] = other.fqn end
+  end
+  sort(elsewhere)
+  if elsewhere[1] and name ~= "initial" then
+    return " (did you mean '" .. elsewhere[1] .. "'?)"
+  end
+  for member, other in pairs(def.members) do -- any order: sorted below
+    local is_named = type(member) == "string" and other.kind ~= "transition"
+    if is_named then names[#names + 1] = member end
+  end
+  sort(names)
+  return advice.nearest_name(name, names)
+end
+
 -- Events ------------------------------------------------------------------------
 
 local MODULE_OF = {
