@@ -13,33 +13,28 @@ local pcall, rawequal = pcall, rawequal
 
 local NONE = {}
 
---- Make the quick iteration of one core.
----@param core table functions of the core
----@return table quick `find`, `iterate`, `stepping`, `segment`, `parameters_of`
-return function(core)
-  local choose, collect, enabled = core.choose, core.collect, core.enabled
-  local is_idle, iterate_fully, gather = core.is_idle, core.iterate_fully, core.gather
-  local line_to, matches, react = core.line_to, core.matches, core.react
-  local recover, run_doo, settle = core.recover, core.run_doo, core.settle
-  local straight = core.straight and core.straight(core)
+-- Candidates --------------------------------------------------------------------
+--
+-- leaf.choices[event] lists what an event may trigger while the leaf is active, in
+-- order. leaf.quick[event] is the only one on the list, if it needs no search. Events
+-- that the machine does not know have one list, at [OTHER].
 
-  -- Candidates ----------------------------------------------------------------------
-  --
-  -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
-  -- order. leaf.quick[event] is the only one on the list, if it needs no search. Events
-  -- that the machine does not know have one list, at [OTHER].
+local OTHER = {}
 
-  local OTHER = {}
-
-  -- May one event alone trigger it?
-  local function is_candidate(def, event)
-    local events = def.events
-    if not events or def.has_predicate then return true end
-    for i = 1, #events do
-      if rawequal(events[i], event) then return true end
-    end
-    return false
+-- May one event alone trigger it?
+local function is_candidate(def, event)
+  local events = def.events
+  if not events or def.has_predicate then return true end
+  for i = 1, #events do
+    if rawequal(events[i], event) then return true end
   end
+  return false
+end
+
+-- Makes the function that returns the transition that events enable in a leaf, or nil,
+-- as the search of the core.
+local function make_find(core, straight)
+  local enabled, line_to, matches = core.enabled, core.line_to, core.matches
 
   local function note_choice(leaf, event)
     local candidates, line = {}, line_to(leaf)
@@ -99,17 +94,22 @@ return function(core)
     end
   end
 
-  -- Returns the transition that the events enable in a leaf, or nil; as the search of
-  -- the core.
-  local function find(fsm, leaf, events)
+  return function(fsm, leaf, events)
     local candidates = common_choice(fsm, leaf, events)
     if not candidates then return core.search(fsm, leaf, events) end
     candidates.search = candidates.search or straight and straight.search(candidates)
       or find_listed
     return candidates.search(fsm, candidates, events)
   end
+end
 
-  -- Iterate -------------------------------------------------------------------------
+-- Iterate -----------------------------------------------------------------------
+
+-- Makes the iteration, and the function that goes on for it.
+local function make_iterate(core)
+  local choose, collect, gather = core.choose, core.collect, core.gather
+  local is_idle, iterate_fully, react = core.is_idle, core.iterate_fully, core.react
+  local recover, run_doo, settle = core.recover, core.run_doo, core.settle
 
   -- The events, the active leaf and the empty table of an iteration with hooks. No
   -- leaf: `iterate_fully` is to do it.
@@ -194,8 +194,18 @@ return function(core)
     return true, false
   end
 
+  return iterate, iterate_further
+end
+
+--- Make the quick functions of one core.
+---@param core table functions of the core
+---@return table quick `find`, `iterate`, `stepping`, `segment`, `parameters_of`
+return function(core)
+  local straight = core.straight and core.straight(core)
+  local iterate, iterate_further = make_iterate(core)
   return {
-    find = find, iterate = iterate, stepping = { iterate, iterate_further },
+    find = make_find(core, straight),
+    iterate = iterate, stepping = { iterate, iterate_further },
     parameters_of = straight and straight.parameters_of,
     -- Returns the function that takes a segment.
     segment = function(def, is_hooked)
