@@ -101,6 +101,9 @@ describe("the page", function()
     visit_picture(CHART)
     keep_shot "idle"
     assert.same({ "searching" }, lit())
+    assert.equal("none", window:run [[ // the outer frame of a final state
+      return getComputedStyle(document.getElementById("root.fatal")
+        .querySelectorAll("path")[1]).fill]])
     assert.same({ "e_stop", "e_ball" }, texts "#events .enabled")
     assert.same({ "e_setup_failed", "e_stop", "e_start", "e_ball", "e_lost" },
       texts "#events button")

@@ -91,12 +91,19 @@ function Window:wait(expression)
     .. self:run("return document.body.innerText"), 2)
 end
 
---- Click the first element that a CSS selector finds.
+--- Click the first element that a CSS selector finds. One that is drawn anew meanwhile
+-- is found again.
 function Window:click(selector)
-  local element = self:call("POST", "/element", { using = "css selector",
-    value = selector })
-  local _, id = next(element) -- its only field
-  self:call("POST", "/element/" .. id .. "/click")
+  local deadline = socket.gettime() + PATIENCE
+  repeat
+    local element = self:call("POST", "/element", { using = "css selector",
+      value = selector })
+    local _, id = next(element) -- its only field
+    local ok, problem = pcall(self.call, self, "POST", "/element/" .. id .. "/click")
+    if ok then return end
+    local is_stale = problem:find("stale element", 1, true)
+    if not is_stale or socket.gettime() > deadline then error(problem, 2) end
+  until false
 end
 
 --- Type keys at what has the focus.
