@@ -133,7 +133,9 @@ describe("the page", function()
     window:type "0"
     window:wait "!now.can_back && now.leaf == 'root.operational.searching'"
     window:wait "document.querySelector('[data-do=back]').disabled"
-    window:type "/e_nothing\n"
+    window:type "/lo"
+    assert.same({ "e_lost" }, texts "#events button")
+    window:type "\n/e_nothing\n"
     window:wait "document.querySelector('tr.lost')"
   end)
 
