@@ -1346,12 +1346,19 @@ local function trace(fsm, ...)
   check_plain(fsm)
 end
 
--- Did an interrupt such as Control-C raise the error, rather than a callback? That is
--- for the caller. The position in the text is no help: that of `error(text, 2)` in a
--- callback, and of any function in C, is in the engine, too.
-local function is_interrupt(failure)
+--- Did an interrupt such as Control-C raise the error, rather than a callback? That is
+-- for the caller. For extensions.
+--
+-- The position in the text is no help: that of `error(text, 2)` in a callback, and of
+-- any function in C, is in the engine, too.
+--
+---@param failure any
+---@return boolean
+function rfsm.is_interrupt(failure)
   return type(failure) == "string" and failure:find("interrupted!$") ~= nil
 end
+
+local is_interrupt = rfsm.is_interrupt
 
 -- A callback of a state or transition failed. A search that was interrupted in a guard
 -- is done again by the next step.

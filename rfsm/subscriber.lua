@@ -5,7 +5,10 @@
 -- @module rfsm.subscriber
 -- @license BSD-3-Clause
 
-local pcall, require, setmetatable, type = pcall, require, setmetatable, type
+local rfsm = require "rfsm"
+
+local error, pcall, require = error, pcall, require
+local setmetatable, type = setmetatable, type
 
 local subscriber = {}
 
@@ -44,6 +47,21 @@ function Client:receive(seconds)
 end
 
 function Client:close() self.udp:close() end
+
+--- Call the handler of a message, if there is one and the message is about a machine
+-- that is followed.
+---@param handlers table<string, fun(target: table, message: table)> by type of message
+---@param target { number: integer } the first argument of handlers; which machine
+---@param message table
+---@return string? problem if the message cannot be read
+function subscriber.handle(handlers, target, message)
+  local handler = handlers[message.type]
+  if not handler or (message.fsm or target.number) ~= target.number then return nil end
+  local ok, problem = pcall(handler, target, message)
+  if ok then return nil end
+  if rfsm.is_interrupt(problem) then error(problem, 0) end
+  return "unreadable message '" .. message.type .. "'"
+end
 
 --- Make a client of a host.
 ---@param host string

@@ -4,6 +4,9 @@
 -- @module rfsm.watch
 -- @license BSD-3-Clause
 
+local dot = require "rfsm.dot"
+local subscriber = require "rfsm.subscriber"
+
 local ipairs, os, select = ipairs, os, select
 local setmetatable = setmetatable
 local concat, remove = table.concat, table.remove
@@ -44,14 +47,17 @@ end
 
 local TAKE = {}
 
-function TAKE.rfsm_model(self, message) self.graph = message.graph end
+function TAKE.rfsm_model(self, message)
+  dot.encode(message.graph) -- raises an error for a graph that is none
+  self.graph = message.graph
+end
 
 function TAKE.rfsm_error(self, message) add(self, "refused: " .. message.text) end
 
 function TAKE.rfsm_active_state(self, message)
   local leaf = message.act_leaf
+  add(self, leaf and leaf .. " (" .. message.act_leaf_state .. ")" or "not active")
   self.leaf = leaf
-  add(self, leaf and ("%s (%s)"):format(leaf, message.act_leaf_state) or "not active")
 end
 
 -- Clears the screen, and prints the tree and the log.
@@ -64,15 +70,14 @@ end
 ---@param client rfsm.subscriber.Client
 ---@param options { number: integer, count: integer?, is_terminal: boolean }
 function watch.run(client, options)
-  local self = setmetatable({ log = {}, count = 0, is_terminal = options.is_terminal },
-    Watch)
+  local self = setmetatable({
+    log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,
+  }, Watch)
   while self.count < (options.count or 1 / 0) do
     local message = client:receive(1)
-    local take = message and TAKE[message.type]
-    if take and (message.fsm or options.number) == options.number then
-      take(self, message)
-    end
-    if take and self.is_terminal then draw(self) end
+    local problem = message and subscriber.handle(TAKE, self, message)
+    if problem then add(self, problem) end
+    if message and self.is_terminal then draw(self) end
   end
 end
 

@@ -191,9 +191,8 @@ end
 local function handle_safely(server, request)
   local ok, reply = pcall(handle, server, request)
   if ok then return reply end
-  local text = rfsm.text_of(reply)
-  if text:find("interrupted!$") then error(reply, 0) end
-  return { status = 500, body = text .. "\n" }
+  if rfsm.is_interrupt(reply) then error(reply, 0) end
+  return { status = 500, body = rfsm.text_of(reply) .. "\n" }
 end
 
 -- Public functions ------------------------------------------------------------------

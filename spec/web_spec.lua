@@ -7,6 +7,7 @@ local http = require "spec.support.http"
 local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
+local subscriber = require "rfsm.subscriber"
 local watch = require "rfsm.watch"
 local web = require "rfsm.web"
 
@@ -29,6 +30,15 @@ return rfsm.state {
   rfsm.trans { src = "on", tgt = "off", events = { "e_push" } },
 }
 ]]
+
+-- Messages of a host that are none.
+local UNREADABLE = {
+  { type = "rfsm_model" }, { type = "rfsm_model", graph = 7 },
+  { type = "rfsm_model", graph = {} },
+  { type = "rfsm_model", graph = { id = "root", type = "state", subnodes = { 3 } } },
+  { type = "rfsm_model",
+    graph = { id = "root", type = "state", transitions = { { src = "x" } } } },
+}
 
 local servers, now = {}, 0
 
@@ -613,6 +623,21 @@ describe("a machine elsewhere", function()
     assert.is_true(wait_for(server, fsm, page, "root.on"))
   end)
 
+  it("goes on after a message that cannot be read", function()
+    local messages, server = {}, nil
+    helper.with(subscriber, { connect = function()
+      return { receive = function() return table.remove(messages, 1) end }
+    end }, function()
+      server = opened(assert(web.attach("127.0.0.1", 1, { port = 0 })))
+    end)
+    for _, message in ipairs(UNREADABLE) do
+      messages[1] = message
+      server:step(0)
+      assert.same({ "127.0.0.1:1: unreadable message '" .. message.type .. "'" },
+        http.chart(server).problems)
+    end
+  end)
+
   it("is printed by rfsm watch", function()
     local fsm, door = host(false)
     local pipe = io.popen(("LUA='%s' tools/rfsm-watch -n 2 127.0.0.1:%d 2>&1"):format(
@@ -666,6 +691,16 @@ describe("rfsm.watch", function()
           { type = "rfsm_error", text = "subscribe: x" } },
           { number = 1, count = 3, is_terminal = false })
       end))
+  end)
+
+  it("goes on after a message that cannot be read", function()
+    for _, message in ipairs(UNREADABLE) do
+      assert.same({ "unreadable message '" .. message.type .. "'", "not active" },
+        helper.printed(function()
+          watch.run(client { message, state_message(false) },
+            { number = 1, count = 2, is_terminal = false })
+        end))
+    end
   end)
 end)
 

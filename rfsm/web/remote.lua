@@ -6,6 +6,7 @@
 -- @module rfsm.web.remote
 -- @license BSD-3-Clause
 
+local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
 local subscriber = require "rfsm.subscriber"
 
@@ -45,8 +46,6 @@ function RemoteView:now()
   }
 end
 
-function RemoteView:settle() self.lost = nil end
-
 local function take_state(view, message)
   local leaf = message.act_leaf or false
   if leaf == view.leaf and message.act_leaf_state == view.mode then return end
@@ -72,6 +71,7 @@ end
 local TAKE = {}
 
 function TAKE.rfsm_model(remote, message)
+  dot.encode(message.graph) -- raises an error for a graph that is none
   remote.generation, remote.problems = remote.generation + 1, {}
   remote.view = View.create(RemoteView, message.graph, remote.clock)
   remote.view.leaf, remote.view.mode = false, "inactive"
@@ -85,13 +85,19 @@ function TAKE.rfsm_error(remote, message)
   if remote.view then remote.view:note("error", message.text) end
 end
 
+local function refuse(remote, problem)
+  if remote.view then return remote.view:note("error", problem) end
+  remote.generation = remote.generation + 1
+  remote.problems = { remote.title .. ": " .. problem }
+end
+
 --- Take the messages that have come.
 function Remote:poll()
   for _ = 1, MAX_MESSAGES do
     local message = self.client:receive(0)
     if not message then break end
-    local take = TAKE[message.type]
-    if take and (message.fsm or self.number) == self.number then take(self, message) end
+    local problem = subscriber.handle(TAKE, self, message)
+    if problem then refuse(self, problem) end
   end
   if self.view and self.is_heard ~= self.client.is_heard then
     self.is_heard = self.client.is_heard

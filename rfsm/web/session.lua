@@ -71,7 +71,7 @@ local function guarded(session, f, ...)
   local ok, result = pcall(f, session, ...)
   rawset(_G, "print", real)
   if ok then return result end
-  if rfsm.text_of(result):find("interrupted!$") then error(result, 0) end
+  if rfsm.is_interrupt(result) then error(result, 0) end
   tell(session, "error", chart.first_line(result))
 end
 
