@@ -243,3 +243,66 @@ describe("the host in C", function()
     end
   end
 end)
+
+-- The host in nginx, where that is installed, or unpacked in the folder NGINX_ROOT.
+describe("the host in nginx", function()
+  local folder = os.getenv "NGINX_ROOT" or ""
+  local modules = folder .. "/usr/lib/nginx/modules"
+  local has_http, http = pcall(require, "socket.http")
+  local has_module = io.open(modules .. "/ngx_http_lua_module.so")
+
+  if not (rawget(_G, "jit") and has_http and has_module) then
+    pending("needs LuaJIT, luasocket, and nginx with its Lua module")
+    return
+  end
+
+  -- Calls f(url) while nginx runs; returns its log.
+  local function with_nginx(f)
+    local server = require("socket").bind("127.0.0.1", 0)
+    local port = ("%d"):format(select(2, server:getsockname()))
+    server:close()
+    local scratch = os.tmpname() .. "_nginx"
+    local conf = helper.file_with((helper.content("examples/hosts/nginx.conf")
+      :gsub("8090", port):gsub("/tmp/rfsm_nginx", scratch)))
+    local pipe = io.popen(([[
+      root='%s' modules='%s'
+      export LD_LIBRARY_PATH=$(echo $root/usr/lib/*-gnu $root/lib/*-gnu | tr ' ' :)
+      export LUA_PATH="$root/usr/share/lua/5.1/?.lua;;" PATH="$root/usr/sbin:$PATH"
+      echo $$
+      exec nginx -e stderr -p "$PWD" -c '%s' -g "master_process off;
+        load_module $modules/ndk_http_module.so;
+        load_module $modules/ngx_http_lua_module.so;" 2>&1]]):format(folder, modules, conf))
+    local pid = pipe:read "*l"
+    local ok, problem = pcall(f, "http://127.0.0.1:" .. port .. "/")
+    os.execute("kill " .. pid)
+    local log = pipe:read "*a"
+    pipe:close()
+    os.remove(scratch)
+    helper.remove_files()
+    if not ok then error(tostring(problem) .. "\n" .. log, 0) end
+    return log
+  end
+
+  -- Asks until the answer is the one expected.
+  local function wait_for(url, leaf)
+    for _ = 1, 1000 do
+      local answer = http.request(url)
+      if answer == leaf .. "\n" then return end
+      require("socket").select(nil, nil, 0.01)
+    end
+    error("never in " .. leaf, 0)
+  end
+
+  it("takes events from requests, and time from nginx", function()
+    local log = with_nginx(function(url)
+      wait_for(url, "root.lights.stop")
+      assert.equal("root.lights.wait\n", (http.request(url, "e_button")))
+      wait_for(url, "root.lights.walk")
+      wait_for(url, "root.lights.stop")
+    end)
+    local lines = {}
+    for line in log:gmatch("entry%(%): ([^,\n]*)") do lines[#lines + 1] = line end
+    assert.same({ "do not walk", "please wait", "walk", "do not walk" }, lines)
+    assert.is_nil(log:match("writing a global"))
+  end)
+end)
