@@ -271,7 +271,8 @@ describe("the host in nginx", function()
       echo $$
       exec nginx -e stderr -p "$PWD" -c '%s' -g "master_process off;
         load_module $modules/ndk_http_module.so;
-        load_module $modules/ngx_http_lua_module.so;" 2>&1]]):format(folder, modules, conf))
+        load_module $modules/ngx_http_lua_module.so;" 2>&1
+    ]]):format(folder, modules, conf))
     local pid = pipe:read "*l"
     local ok, problem = pcall(f, "http://127.0.0.1:" .. port .. "/")
     os.execute("kill " .. pid)
