@@ -59,14 +59,17 @@ return rfsm.state {
 }]], "no machine, problems of the chart: 2" },
 }
 
-local NAME_AND_VALUE =
-  ": a name and a string, number, boolean or list of these expected"
+local endless = {}
+endless.t = endless
+
+local VALUE = ": string, finite number, boolean or table of these expected, got "
+local NAMES = "env: table of globals by name expected, got "
 local WRONG_ENVS = { -- what is reported, env
-  { "env: go" .. NAME_AND_VALUE, { go = print } },
-  { "env: t" .. NAME_AND_VALUE, { t = { { 1 } } } },
-  { "env: t" .. NAME_AND_VALUE, { t = { x = 1 } } },
-  { "env: far" .. NAME_AND_VALUE, { far = math.huge } },
-  { "env: 1" .. NAME_AND_VALUE, { "speed" } }, { "env: table expected, got number", 3 },
+  { "env.go" .. VALUE .. "function", { go = print } },
+  { "env.t.1" .. VALUE .. "function", { t = { print } } },
+  { "env.far" .. VALUE .. "number inf", { far = math.huge } },
+  { "env" .. (".t"):rep(49) .. VALUE .. "table", endless },
+  { NAMES .. "table", { "speed" } }, { NAMES .. "3", 3 },
 }
 
 -- Makes a spec of each wrong env and chart. refused_env(env) and refused_file(file)
@@ -90,11 +93,11 @@ end
 
 local ENV = {
   speed = 3.5, name = "it's\n\"quoted\" \\ 100% %s", is_fast = true, is_slow = false,
-  list = { 1, 2, "y", true }, count = 3, small = 1e-300,
+  list = { 1, 2, "y", true }, count = 3, small = 1e-300, limits = { arm = { 1, 2 } },
 }
 local ENV_NAMES = "speed, name, is_fast, is_slow, list[2], list[3], list[4], #list, "
-  .. "count, small == 1e-300"
-local ENV_VALUES = "3.5 it's\n\"quoted\" \\ 100% %s true false 2 y true 4 3 true"
+  .. "count, small == 1e-300, limits.arm[2]"
+local ENV_VALUES = "3.5 it's\n\"quoted\" \\ 100% %s true false 2 y true 4 3 true 2"
 
 -- The leaf of the machine that was launched there.
 local function leaf_of(exec_str)
@@ -297,10 +300,12 @@ describe("service_launch_rfsm", function()
       for text, arguments in pairs { -- any order: each stands alone
         ["fsmfile: file name expected, got nil"] = { nil, print, true },
         ["exec_str: operation exec_str expected, got nil"] = { chart, nil, true },
-        ["eehook: boolean expected, got string"] = { chart, print, "updateHook" },
-        ["unknown field 'runs'"] = { chart, print, true, nil, { runs = true } },
+        ["eehook: boolean expected, got string 'x'"] = { chart, print, "x" },
+        ["unknown option 'runs'"] = { chart, print, true, nil, { runs = true } },
+        ["options: table expected, got boolean"] = { chart, print, true, nil, true },
       } do
-        assert.equal(text, refused(unpack(arguments, 1, 5)))
+        local reason = refused(unpack(arguments, 1, 5))
+        assert.equal(text, (reason:gsub(", expected: .*", "")))
       end
     end)
 
@@ -555,22 +560,22 @@ extra_in_ports = { port }]] }, port)
     local function refused_with(fields) return refused(launch_fields(fields)) end
 
     it("what is no table, and fields that are missing", function()
-      assert.equal("table expected, got nil", refused(nil))
-      assert.equal("table expected, got string", refused("arm"))
-      assert.equal("fsmfile: file name expected, got nil", refused {})
+      assert.equal("table of options expected, got nil", refused(nil))
+      assert.equal("table of options expected, got string 'arm'", refused("arm"))
+      assert.equal("fsmfile: file name expected, got nil", refused { name = "arm" })
       assert.equal("name: string expected, got nil", refused { fsmfile = chart_file() })
     end)
 
     it("wrong fields", function()
       for text, fields in pairs { -- any order: each stands alone
-        ["name: string expected, got number"] = { name = 3 },
-        ["unknown field 'fsm_file'"] = { fsm_file = "x" },
-        ["unknown field '1'"] = { "arm" },
+        ["name: string expected, got 3"] = { name = 3 },
+        ["unknown option 'fsm_file'"] = { fsm_file = "x" },
+        ["unknown option '1'"] = { "arm" },
         ["luatype: string expected, got boolean"] = { luatype = true },
-        ["sync: boolean expected, got string"] = { sync = "yes" },
-        ["prefile: file name expected, got number"] = { prefile = 1 },
+        ["sync: boolean expected, got string 'yes'"] = { sync = "yes" },
+        ["prefile: file name expected, got 1"] = { prefile = 1 },
       } do
-        assert.equal(text, refused_with(fields))
+        assert.equal(text, (refused_with(fields):gsub(", expected: .*", "")))
       end
     end)
 
