@@ -68,11 +68,13 @@ for _, name in ipairs { "gen_read_events", "gen_read_str_events" } do
 
     it("loses nothing when a port raises", function()
       local into, out = connected("string")
-      local is_broken = true
+      local is_broken = false
       local getevents = generate(into, { read = function()
         if is_broken then error("no data today", 0) end
         return "NoData"
       end })
+      assert.same({}, getevents())
+      is_broken = true
       write_all(out, "e_a", "e_b")
       assert.is_false((pcall(getevents)))
       out:write("e_c")

@@ -171,6 +171,9 @@ describe("a Lua of RTT", function()
       "rtt.Variable('int') ~= nil, type(rtt.getTC().trigger), type(rttlib), "
       .. "type(utils), type(rtt.globals)"))
     assert.equal("nil", evaluate(exec_str, "rtt.getTC().nope"))
+    exec_str("out = rtt.OutputPort('int', 'out') "
+      .. "into = rttlib.port_clone_conn(out, '_2') out:write(3)")
+    assert.equal("out_2 NewData 3", evaluate(exec_str, "into:info().name, into:read()"))
   end)
 
   it("is its own: globals, modules, rttlib", function()
@@ -199,7 +202,8 @@ describe("a Lua of RTT", function()
     assert.same({ "Error: halfwhole" }, logged("whole"))
   end)
 
-  it("executes its properties when it is configured, and only logs errors", function()
+  it("executes its properties when it is configured, and only logs errors; wants a "
+    .. "boolean of configureHook", function()
     arm:getProperty("lua_string"):set("n = (n or 0) + 1 error('in string', 0)")
     arm:getProperty("lua_file"):set(helper.file_with(
       "function configureHook() m = (m or 0) + 1 return true end"))
@@ -207,9 +211,7 @@ describe("a Lua of RTT", function()
     assert.is_true(arm:configure())
     assert.equal("2 2", evaluate(exec_str, "n, m"))
     assert.equal(2, #logged("in string"))
-  end)
-
-  it("wants a boolean of configureHook", function()
+    arm:getProperty("lua_file"):set("")
     exec_str("function configureHook() end")
     assert.is_false(arm:configure())
     assert.equal("PreOperational", arm:getState())
@@ -217,7 +219,8 @@ describe("a Lua of RTT", function()
       .. "returned a nil" }, logged("configureHook"))
   end)
 
-  it("goes on when updateHook fails", function()
+  it("goes on when updateHook fails, and is not changed or unloaded while it runs",
+    function()
     exec_str("n = 0 function updateHook() n = n + 1 error('tired', 0) end")
     assert.is_true(arm:configure())
     assert.is_true(arm:start())
@@ -227,6 +230,8 @@ describe("a Lua of RTT", function()
     assert.equal("Running", arm:getState())
     assert.equal("2", evaluate(exec_str, "n"))
     assert.equal(2, #logged("error calling function updateHook: tired"))
+    assert.is_false(deploy("setActivity", "arm", 0.1, 0, 0))
+    assert.is_false(deploy("unloadComponent", "arm"))
   end)
 
   it("removes a hook that does not return true, in any state", function()
@@ -239,12 +244,6 @@ describe("a Lua of RTT", function()
     assert.equal("3 PreOperational", evaluate(exec_str, "n, rtt.getTC():getState()"))
   end)
 
-  it("does not change the activity of one that runs, nor unload it", function()
-    arm:configure()
-    arm:start()
-    assert.is_false(deploy("setActivity", "arm", 0.1, 0, 0))
-    assert.is_false(deploy("unloadComponent", "arm"))
-  end)
 end)
 
 describe("a process of RTT", function()
@@ -288,19 +287,17 @@ describe("an error of a user #standin", function()
       rtt_helper.logged(""))
   end)
 
-  local DEADLY = {
-    { "an EEHook without its function", "count = nil" },
-    { "an EEHook that is garbage", "hook = nil collectgarbage() collectgarbage()" },
-  }
-  for _, case in ipairs(DEADLY) do
-    it(case[1] .. " ends the process", function()
+  it("that takes an EEHook's function, or the hook itself, ends the process", function()
+    for _, deed in ipairs { "count = nil",
+      "hook = nil collectgarbage() collectgarbage()" } do
       local arm, exec_str = rtt_helper.load("arm")
       exec_str("function count() return true end hook = rtt.EEHook.new('count') "
-        .. "hook:enable() " .. case[2])
+        .. "hook:enable() " .. deed)
       arm:getOperation("trigger")()
       assert.has_error(spin)
-    end)
-  end
+      rtt.standin.reset()
+    end
+  end)
 
   it("that deletes a port before it is removed ends the process", function()
     rtt_helper.output():delete()

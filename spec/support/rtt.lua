@@ -21,8 +21,6 @@ local current         -- the Lua that runs: { has_rttlib, ... }
 
 -- Log -------------------------------------------------------------------------
 
-local LEVELS = " Never Fatal Critical Error Warning Info Debug RealTime "
-
 local log_is_dead, pending = false, ""
 
 -- Strings of C end at the first zero.
@@ -53,9 +51,6 @@ end
 
 -- A bad argument raises when those before it are in the buffer already.
 function rtt.logl(level, ...)
-  if not LEVELS:find(" " .. tostring(level) .. " ", 1, true) then
-    error("unknown loglevel " .. tostring(level), 2)
-  end
   for i = 1, select("#", ...) do
     pending = pending .. check_string((select(i, ...)), "logl")
   end
@@ -666,7 +661,7 @@ local function new_rttlib(lua)
   function rttlib.port_clone_conn(port, suffix, name)
     local info = port:info()
     local new = info.porttype == "in" and rtt.OutputPort.new or rtt.InputPort.new
-    local clone = new(info.type, name or info.name .. (suffix or "_inv"))
+    local clone = new(info.type, (name or info.name) .. (suffix or ""))
     port:connect(clone)
     return clone
   end
