@@ -40,7 +40,8 @@ function options.got(value)
 end
 
 --- Return the options with their defaults.
----@param known table<string, any[]> description, test, default of each
+---@param known table<string, any[]> description, test, default of each. A test may
+---   return the problem behind false or nil
 ---@param given table
 ---@return table? settings nil if one is wrong
 ---@return string? problem in one line
@@ -54,8 +55,11 @@ function options.read(known, given)
     if not option then
       return nil, ("unknown option '%s', expected: %s"):format(rfsm.text_of(name),
         concat(rfsm.sorted_keys(known), ", "))
-    elseif not option[2](value) then
-      return nil, ("%s: %s expected, %s"):format(name, option[1], options.got(value))
+    end
+    local is_right, why = option[2](value)
+    if not is_right then
+      why = why or option[1] .. " expected, " .. options.got(value)
+      return nil, name .. ": " .. why
     end
     settings[name] = value
   end

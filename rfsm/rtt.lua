@@ -30,11 +30,6 @@ for name in ("double float int uint long int8 uint8 int16 uint16 int32 uint32 in
   LUA_TYPES[name] = "number"
 end
 
--- RTT-Lua converts these from and to a Variable of type double only.
-local VIA_DOUBLE = { llong = true, ullong = true }
-
-local HAS_A_TYPE = { boolean = true, number = true, string = true }
-
 -- Can `value:name(...)` be called? Asking a Variable for a field may raise.
 local function has_method(value, name)
   local ok, method = pcall(function() return value[name] end)
@@ -47,34 +42,28 @@ local function info_of(port)
   return ok and type(info) == "table" and info or {}
 end
 
-local function got(value)
-  local direction = info_of(value).porttype
-  if direction == "in" then return "got an input port" end
-  if direction == "out" then return "got an output port" end
-  return rfsm.got(value)
-end
-
--- Returns a Variable to use again and again, and one of type double if values must go
--- through that. None for types that Lua has no value for: there each sample is an event
--- of its own. None for ports that are not RTT's.
+-- Returns a Variable to use again and again. None for types that Lua has no value for:
+-- there each sample is an event of its own. None for ports that are not RTT's. A second
+-- one if RTT-Lua converts the type from and to a Variable of type double only.
 local function new_variables(port)
   local kind, rtt = info_of(port).type, package.loaded.rtt
   if not (LUA_TYPES[kind] and rtt) then return nil end
-  return rtt.Variable.new(kind), VIA_DOUBLE[kind] and rtt.Variable.new("double")
+  local is_wide = kind == "llong" or kind == "ullong"
+  return rtt.Variable.new(kind), is_wide and rtt.Variable.new("double")
 end
 
 -- Ports: checks, reading, writing ------------------------------------------------
 
 local DIRECTIONS = { read = "input port", write = "output port" }
+local GOT = { ["in"] = "got an input port", out = "got an output port" }
 
 -- Returns why `port` cannot `method` samples of type `kind` (nil: any); nil if it can.
 local function port_problem(port, method, kind)
-  local wanted = DIRECTIONS[method] .. (kind and " of type " .. kind or "")
-  if not has_method(port, method) then return wanted .. " expected, " .. got(port) end
-  local actual = info_of(port).type
-  if kind and actual and actual ~= kind then
-    return wanted .. " expected, got one of type " .. actual
-  end
+  local info = info_of(port)
+  local got = not has_method(port, method) and (GOT[info.porttype] or rfsm.got(port))
+    or kind and info.type and info.type ~= kind and "got one of type " .. info.type
+  return got and ("%s%s expected, %s"):format(DIRECTIONS[method],
+    kind and " of type " .. kind or "", got) or nil
 end
 
 -- Returns a function that appends the new samples of a port to a list.
@@ -91,35 +80,22 @@ local function new_reader(port)
   end
 end
 
+-- Returns a function that writes a value to a port; a Variable as it is.
 local function new_writer(port)
   local var, double = new_variables(port)
+  local lua_type = LUA_TYPES[info_of(port).type]
   return function(value)
-    if not var or not HAS_A_TYPE[type(value)] then return port:write(value) end
-    if double then
-      double:assign(value)
-      value = double
-    end
-    var:assign(value)
+    if not var or type(value) ~= lua_type then return port:write(value) end
+    if double then double:assign(value) end
+    var:assign(double or value)
     port:write(var)
   end
 end
 
--- Returns a getevents that lets each of `readers` append to one list. When one raises,
--- the events of the others are kept for the next call.
-local function gather(readers)
-  local events, is_taken = {}, false
-  return function()
-    for i = is_taken and #events or 0, 1, -1 do events[i] = nil end
-    is_taken = false
-    for i = 1, #readers do readers[i](events) end
-    is_taken = true
-    return events
-  end
-end
-
 -- Makes a getevents of ports; blames the caller of the public function for wrong ones.
+-- When a port raises, the events of the others are kept for the next call.
 local function gen_reader(where, kind, ...)
-  local n, readers = select("#", ...), {}
+  local n, readers, events, is_taken = select("#", ...), {}, {}, false
   if n == 0 then error(where .. ": at least one port expected, got none", 3) end
   for i = 1, n do
     local port = (select(i, ...))
@@ -127,7 +103,13 @@ local function gen_reader(where, kind, ...)
     if problem then error(("%s: port %d: %s"):format(where, i, problem), 3) end
     readers[i] = new_reader(port)
   end
-  return gather(readers)
+  return function()
+    for i = is_taken and #events or 0, 1, -1 do events[i] = nil end
+    is_taken = false
+    for i = 1, n do readers[i](events) end
+    is_taken = true
+    return events
+  end
 end
 
 --- Make a getevents that reads all new samples of input ports, in the order given.
@@ -163,7 +145,7 @@ local function event_problem(kind, event)
   actual = has_method(event, "getType") and event:getType()
   if actual == kind then return nil end
   return (wanted or "Variable of type " .. kind) .. " expected, "
-    .. (actual and "got a Variable of type " .. tostring(actual) or got(event))
+    .. (actual and "got a Variable of type " .. tostring(actual) or rfsm.got(event))
 end
 
 --- Make a function that writes each of its arguments to an output port.
@@ -194,7 +176,7 @@ function rfsm_rtt.gen_raise_event(port, fsm)
       end
     end
     for i = 1, n do
-      local event = (select(i, ...))
+      local event = select(i, ...)
       if event ~= nil then
         write(event)
         if fsm then rfsm.send_events(fsm, event) end
@@ -238,10 +220,10 @@ end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
-local LAUNCHERS = { service_launch_rfsm = true, component_launch_rfsm = true }
-
 setmetatable(rfsm_rtt, { __index = function(_, name)
-  if LAUNCHERS[name] then return require("rfsm.rtt_launch")[name] end
+  if name == "service_launch_rfsm" or name == "component_launch_rfsm" then
+    return require("rfsm.rtt_launch")[name]
+  end
 end })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_rtt", rfsm_rtt) end

@@ -10,10 +10,10 @@
 local rfsm = require "rfsm"
 local rfsm_rtt = require "rfsm.rtt"
 
-local error, ipairs, loadfile, pairs, pcall = error, ipairs, loadfile, pairs, pcall
+local assert, collectgarbage, error, ipairs = assert, collectgarbage, error, ipairs
+local loadfile, package, pairs, pcall = loadfile, package, pairs, pcall
 local rawget, rawset, require, select = rawget, rawset, require, select
 local tostring, type = tostring, type
-local collectgarbage, package = collectgarbage, package
 local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -43,21 +43,32 @@ local function load_machine(rtt, file)
   return fsm, model.getevents
 end
 
-local function run(file, text)
-  local chunk, problem
-  if file then chunk, problem = loadfile(file) end
-  if text then chunk, problem = loadstring(text) end
-  if problem then error(problem, 0) end
-  if chunk then chunk() end
+-- Runs a file or a text, if there is one.
+local function run(load, source)
+  if source then assert(load(source))() end
 end
+
+local function set_globals(globals)
+  for name, value in pairs(globals) do rawset(_G, name, value) end -- any order: a set
+end
+
+local PORTS = { -- by field of a launch: direction, name if it is true, description
+  fqn_port = { "OutputPort", "fqn", "FQN of the active leaf" },
+  ev_outport = { "OutputPort", "events_out", "events of the machine" },
+  ev_inport = { "InputPort", "events_in", "events for the machine" },
+}
 
 local function has_port(component, name)
   return (pcall(function() return component:getPort(name) end))
 end
 
--- Adds a port. RTT would replace and disconnect one whose name is used again.
-local function add_port(launch, direction, name, text)
-  local component = launch.component
+-- Adds the port that a field of the launch asks for: true, or its name. RTT would
+-- replace and disconnect one whose name is used again.
+local function add_port(launch, field)
+  local component, wanted = launch.component, launch[field]
+  if not wanted then return nil end
+  local direction, name, text = unpack(PORTS[field])
+  if wanted ~= true then name = wanted end
   if has_port(component, name) then
     error(("'%s' has a port '%s' already"):format(component:getName(), name), 0)
   end
@@ -68,49 +79,15 @@ local function add_port(launch, direction, name, text)
   return port
 end
 
--- Ports of Lua are no garbage. One deleted before it is removed ends the process.
-local function remove_ports(launch)
-  for _, port in ipairs(launch.ports) do
-    launch.component:removePort(port:info().name)
-    port:delete()
-  end
-end
-
-local function add_out_ports(launch, fqn_name, events_name)
-  local port = add_port(launch, "OutputPort", fqn_name or "fqn", "FQN of active leaf")
-  rawset(_G, "fqn", port)
-  rawset(_G, "setfqn", rfsm_rtt.gen_write_fqn(port))
-  if not events_name then return end
-  if events_name == true then events_name = "events_out" end
-  port = add_port(launch, "OutputPort", events_name, "events of the machine")
-  rawset(_G, "ev_outport", port)
-  rawset(_G, "emit_event", rfsm_rtt.gen_raise_event(port))
-end
-
--- By default, a chart with a getevents gets no port for events, nor does a component
--- that has one of that name. The global `extra_in_ports` lists ports of a prefile.
-local function add_events_port(launch, name, fsm, getevents)
-  if name == nil then
-    name = not getevents and not has_port(launch.component, "events_in")
-  end
-  if not name then return end
-  if name == true then name = "events_in" end
-  local port = add_port(launch, "InputPort", name, "events for the machine")
-  local ports = { port }
-  for i, extra in ipairs(rawget(_G, "extra_in_ports") or {}) do ports[i + 1] = extra end
-  rawset(_G, "ev_inport", port)
-  fsm.getevents = rfsm_rtt.gen_read_events(unpack(ports))
-end
-
 -- Returns a function that advances the machine. It returns true whatever happens: RTT
 -- removes a hook that does not.
 local function new_trigger(launch, fsm)
-  local args, log = launch.args, printer(launch.rtt, "Error")
-  local runs = args.run or launch.is_component and not args.sync
+  local log = printer(launch.rtt, "Error")
+  local runs = launch.run or launch.is_component and not launch.sync
   local advance = runs and rfsm.run or rfsm.step
   return function()
-    local is_off = args.running_only and launch.component:getState() ~= "Running"
-    local ok, why = pcall(is_off and type or advance, fsm)
+    local is_on = not launch.running_only or launch.component:getState() == "Running"
+    local ok, why = pcall(is_on and advance or type, fsm)
     if not ok then log("rfsm.rtt:", why) end
     return true
   end
@@ -122,32 +99,42 @@ end
 local HOOK = "rfsm.rtt: function of the EEHook"
 
 local function enable_hook(launch, trigger)
-  rawset(_G, HOOK, trigger)
   launch.hook = launch.rtt.EEHook.new(HOOK)
-  rawset(_G, "eehook", launch.hook)
+  set_globals { [HOOK] = trigger, eehook = launch.hook }
   launch.hook:enable()
 end
 
+-- By default, a chart with a getevents gets no port for events, nor does a component
+-- that has one of that name. The global `extra_in_ports` lists ports of a prefile.
 local function set_up(launch)
-  local args = launch.args
-  run(args.prefile)
-  run(nil, args.prestr)
-  add_out_ports(launch, args.fqn_port, args.ev_outport)
-  local fsm, getevents = load_machine(launch.rtt, args.fsmfile)
-  rfsm.post_step_hook_add(fsm, rawget(_G, "setfqn"))
-  add_events_port(launch, args.ev_inport, fsm, getevents)
+  run(loadfile, launch.prefile)
+  run(loadstring, launch.prestr)
+  local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
+  local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
+  set_globals {
+    fqn = fqn, setfqn = write_fqn, ev_outport = out,
+    emit_event = out and rfsm_rtt.gen_raise_event(out),
+  }
+  local fsm, getevents = load_machine(launch.rtt, launch.fsmfile)
+  rfsm.post_step_hook_add(fsm, write_fqn)
+  if launch.ev_inport == nil then
+    launch.ev_inport = not getevents and not has_port(launch.component, "events_in")
+  end
+  local input, extra = add_port(launch, "ev_inport"), rawget(_G, "extra_in_ports") or {}
+  if input then fsm.getevents = rfsm_rtt.gen_read_events(input, unpack(extra)) end
   local trigger = new_trigger(launch, fsm)
-  rawset(_G, "fsm", fsm)
-  rawset(_G, "trigger", trigger)
-  if launch.is_component then rawset(_G, "updateHook", function() trigger() end) end
-  run(args.postfile)
-  run(nil, args.poststr)
-  if args.eehook then enable_hook(launch, trigger) end
+  set_globals {
+    fsm = fsm, trigger = trigger, ev_inport = input,
+    updateHook = launch.is_component and function() trigger() end or nil,
+  }
+  run(loadfile, launch.postfile)
+  run(loadstring, launch.poststr)
+  if launch.eehook then enable_hook(launch, trigger) end
 end
 
 -- Is called in the other Lua. Charts rely on rttlib, which makes constructors callable
 -- and operations methods, and on utils: both are loaded if they can be had.
-function rtt_launch.launch(is_component, args)
+function rtt_launch.launch(launch)
   local rtt = package.loaded.rtt
   if not rtt then error("no module 'rtt' in this Lua", 0) end
   if rfsm.is_initialized_root(rawget(_G, "fsm")) then
@@ -155,109 +142,86 @@ function rtt_launch.launch(is_component, args)
   end
   pcall(require, "rttlib")
   local has_utils, utils = pcall(require, "utils")
-  if has_utils and not rawget(_G, "utils") then rawset(_G, "utils", utils) end
-  local launch = {
-    args = args, rtt = rtt, component = rtt.getTC(), ports = {},
-    is_component = is_component,
-  }
+  if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
+  launch.rtt, launch.component, launch.ports = rtt, rtt.getTC(), {}
   local ok, why = pcall(set_up, launch)
   package.loaded["rfsm.rtt_launch"] = nil -- not needed here any more
   collectgarbage()
   if ok then return end
-  remove_ports(launch)
+  for _, port in ipairs(launch.ports) do -- which are no garbage for Lua
+    launch.component:removePort(port:info().name) -- else `delete` ends the process
+    port:delete()
+  end
   error(rfsm.text_of(why), 0)
 end
 
--- Texts of Lua: what the other Lua executes ----------------------------------------
+-- In the Lua of the caller: arguments, and the text that the other Lua executes -----
 
-local function simple_text(value)
-  if type(value) == "string" then return ("%q"):format(value) end
-  if type(value) == "boolean" then return tostring(value) end
-  local is_finite = type(value) == "number" and value - value == 0
-  return is_finite and ("%.17g"):format(value) or nil
+local function is(kind) return function(value) return type(value) == kind end end
+local function is_anything() return true end
+local function is_env(value) return type(value) == "table" and value[1] == nil end
+local function is_file(value)
+  if type(value) == "string" then return loadfile(value) end
 end
 
--- Returns a value as Lua writes it; nil unless it is a string, a number, a boolean, or
--- a list of these.
-local function to_text(value)
-  if type(value) ~= "table" then return simple_text(value) end
-  local texts, count = {}, 0
-  for _ in pairs(value) do count = count + 1 end -- any order: only counted
-  for i = 1, count do
-    texts[i] = simple_text(value[i])
-    if not texts[i] then return nil end
+local BOOLEAN, STRING = { "boolean", is "boolean" }, { "string", is "string" }
+local FILE, NAME = { "file name", is_file }, { "name", is_anything }
+
+local FIELDS = { -- for rfsm.options
+  name = STRING, deployer = NAME, exec_str = { "operation exec_str", is_anything },
+  luatype = STRING, env = { "table of globals by name", is_env, {} },
+  fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
+  fqn_port = { "string", is "string", "fqn" }, ev_inport = NAME, ev_outport = NAME,
+  eehook = BOOLEAN, run = BOOLEAN, running_only = BOOLEAN, sync = BOOLEAN,
+}
+
+-- Returns a value as Lua writes it; raises if there is something in it that Lua cannot
+-- write, or if it has no end.
+local function to_text(value, path)
+  local kind = type(value)
+  if kind == "string" then return ("%q"):format(value) end
+  if kind == "boolean" then return tostring(value) end
+  if kind == "number" and value - value == 0 then return ("%.17g"):format(value) end
+  if kind ~= "table" or #path > 100 then
+    error(("%s: string, finite number, boolean or table of these expected, %s"):format(
+      path:sub(2), rfsm.got(value)), 0)
   end
-  return "{" .. concat(texts, ",") .. "}"
+  local texts = {}
+  for i, key in ipairs(rfsm.sorted_keys(value)) do
+    local place = path .. "." .. rfsm.text_of(key)
+    texts[i] = ("[%s] = %s"):format(to_text(key, place), to_text(value[key], place))
+  end
+  return "{ " .. concat(texts, ", ") .. " }"
 end
 
 -- The pool of a TLSF component fails when it is full, before the collector is due.
 local PROGRAM = [[
+local launch = %s
+for name, value in pairs(launch.env) do rawset(_G, name, value) end
 if rawget(_G, "tlsf") then pcall(collectgarbage, "setpause", 110) end
-%s
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
-require("rfsm.rtt_launch").launch(%s, { %s })
+require("rfsm.rtt_launch").launch(launch)
 ]]
 
--- Returns the text that launches a machine; raises if `env` cannot be written.
-local function program(args, is_component)
-  local env, globals, fields = args.env or {}, {}, {}
-  for i, name in ipairs(rfsm.sorted_keys(env)) do
-    local text = type(name) == "string" and to_text(env[name])
-    if not text then
-      error(("env: %s: a name and a string, number, boolean or list of these expected")
-        :format(tostring(name)), 0)
+-- Returns the text that launches a machine. Raises if an argument is wrong, or one of
+-- those named is missing.
+local function program(args, ...)
+  local launch, problem = require("rfsm.options").read(FIELDS, args)
+  if not launch then error(problem, 0) end
+  for _, name in ipairs { ... } do
+    if launch[name] == nil then
+      error(name .. ": " .. FIELDS[name][1] .. " expected, got nil", 0)
     end
-    globals[i] = ("rawset(_G, %q, %s)"):format(name, text)
   end
-  for _, name in ipairs(rfsm.sorted_keys(args)) do
-    local text = simple_text(args[name]) -- nil for the deployer and the like
-    if text then fields[#fields + 1] = name .. " = " .. text end
-  end
-  return PROGRAM:format(concat(globals, "\n"), ";" .. package.path,
-    tostring(is_component), concat(fields, ", "))
-end
-
--- In the Lua of the caller: arguments ----------------------------------------------
-
-local FIELDS = { -- with types, or words for values that are not checked
-  deployer = "deployer", exec_str = "operation exec_str", env = "table",
-  eehook = "boolean", ev_inport = "name", ev_outport = "name", fqn_port = "string",
-  fsmfile = "file name", luatype = "string", name = "string", postfile = "file name",
-  poststr = "string", prefile = "file name", prestr = "string", run = "boolean",
-  running_only = "boolean", sync = "boolean",
-}
-local CHECKED = { boolean = true, string = true, table = true, ["file name"] = true }
-
-local function problem_of(kind, value)
-  local actual = type(value)
-  if kind == "file name" and actual == "string" then
-    return (select(2, loadfile(value)))
-  elseif actual == kind or value ~= nil and not CHECKED[kind] then
-    return nil
-  end
-  return kind .. " expected, got " .. actual
-end
-
--- Raises the first problem of the arguments of a launch. Two of them must be given.
-local function check(args, first, second)
-  if type(args) ~= "table" then error("table expected, got " .. type(args), 0) end
-  for _, name in ipairs(rfsm.sorted_keys(args)) do
-    if not FIELDS[name] then error("unknown field '" .. tostring(name) .. "'", 0) end
-  end
-  for _, name in ipairs(rfsm.sorted_keys(FIELDS)) do
-    local problem = (args[name] ~= nil or name == first or name == second)
-      and problem_of(FIELDS[name], args[name])
-    if problem then error(name .. ": " .. problem, 0) end
-  end
+  launch.is_component, launch.deployer, launch.exec_str = not launch.exec_str, nil, nil
+  return PROGRAM:format(to_text(launch, ""), ";" .. package.path)
 end
 
 -- Launch ----------------------------------------------------------------------------
 
--- Returns whether `f(...)` went well, and why not: it raised, or returned false.
-local function succeeds(f, ...)
-  local ok, result = pcall(f, ...)
-  if not ok then return false, rfsm.text_of(result) end
-  return result ~= false, "RTT's log has the reason"
+-- Calls an operation; raises if it returns false.
+local function call(operation, ...)
+  if operation(...) == false then error("RTT's log has the reason", 0) end
 end
 
 --- Launch a machine in a Lua service of a component.
@@ -278,38 +242,38 @@ end
 ---@param file string the chart
 ---@param exec_str fun(code: string): boolean the service's operation
 ---@param eehook? boolean
----@param env? table<string, any> globals: strings, numbers, booleans, lists of these
+---@param env? table<string, any> globals: strings, numbers, booleans, tables of these
 ---@param options? table
 ---@return boolean launched true
 function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, options)
-  local args = { fsmfile = file, exec_str = exec_str, eehook = eehook, env = env }
-  for name, value in pairs(options or {}) do args[name] = value end -- any order: a set
-  local ok, why = succeeds(function()
-    check(args, "fsmfile", "exec_str")
-    return exec_str(program(args, false))
+  local ok, why = pcall(function()
+    local args = { fsmfile = file, exec_str = exec_str, eehook = eehook, env = env }
+    if options ~= nil and type(options) ~= "table" then
+      error("options: table expected, " .. rfsm.got(options), 0)
+    end
+    for name, value in pairs(options or {}) do args[name] = value end -- any order
+    call(exec_str, program(args, "fsmfile", "exec_str"))
   end)
-  if not ok then error("rfsm.rtt.service_launch_rfsm: " .. why, 2) end
-  return true
+  if ok then return true end
+  error("rfsm.rtt.service_launch_rfsm: " .. rfsm.text_of(why), 2)
 end
 
 -- Loads the component, and launches the machine in it.
 local function launch_component(args)
-  check(args, "name", "fsmfile")
-  local text = program(args, true)
-  local name, deployer = args.name, args.deployer or "Deployer"
+  local text = program(args, "name", "fsmfile")
+  local name, kind = args.name, args.luatype or "OCL::LuaComponent"
+  local deployer = args.deployer or "Deployer"
   if type(deployer) == "string" then
     deployer = package.loaded.rtt.getTC():getPeer(deployer)
   end
-  local ok, why = succeeds(deployer:getOperation("loadComponent"), name,
-    args.luatype or "OCL::LuaComponent")
-  if not ok then error(why, 0) end
+  call(deployer:getOperation("loadComponent"), name, kind)
   local component = deployer:getPeer(name)
-  ok, why = succeeds(function()
+  local ok, why = pcall(function()
     component:addPeer(deployer)
-    return component:getOperation("exec_str")(text)
+    call(component:getOperation("exec_str"), text)
   end)
   if ok then return component end
-  succeeds(deployer:getOperation("unloadComponent"), name)
+  pcall(deployer:getOperation("unloadComponent"), name)
   error(why, 0)
 end
 
@@ -327,7 +291,7 @@ end
 ---@field prestr? string text to run after prefile
 ---@field postfile? string file to run at the end, when the global `fsm` is there
 ---@field poststr? string text to run after postfile
----@field env? table<string, any> globals: strings, numbers, booleans, lists of these
+---@field env? table<string, any> globals: strings, numbers, booleans, tables of these
 
 --- Launch a machine in a component of its own.
 --

@@ -142,7 +142,8 @@ end
 
 -- Where the modules are: the command that puts them into the folder @, and their path.
 local PLACES = {
-  { "make install", "make -s install PREFIX=@", "@/share/lua/$/?.lua" },
+  { "make install", "make -s install PREFIX=@", "@/share/lua/$/?.lua",
+    undo = "make -s uninstall PREFIX=@" },
   { "luarocks make", "luarocks make --deps-mode none --tree @ "
     .. "rockspec/rfsm-dev-1.rockspec", "@/share/lua/5.1/?.lua" },
   { "make dist", ("make -s dist BUNDLE='%s' DIST=@"):format(all_modules()), "@/?.lua",
@@ -167,7 +168,11 @@ describe("the names of a module", function()
         local lines = lines_of("{ " .. command:gsub("@", folder) .. "; } 2>&1")
         path = path:gsub("@", folder):gsub("%$", version)
         local output = every_order(path, place.is_rfsm_first, false)
-        os.execute("rm -r " .. folder)
+        if place.undo then
+          os.execute(place.undo:gsub("@", folder))
+          assert.is_nil(io.open(folder))
+        end
+        os.execute("rm -rf " .. folder)
         assert.equal("done in " .. path:match("^.*/"), output,
           table.concat(lines, "\n"))
       end)

@@ -125,6 +125,18 @@ describe("tools/size.lua", function()
   end)
 end)
 
+describe("tools/test.sh", function()
+  it("prints a line as each interpreter ends, and the sum", function()
+    local busted = helper.file_with("#!/bin/sh\n"
+      .. "echo '2 successes / 0 failures / 0 errors / 0 pending : 0.1 seconds'\n")
+    os.execute("chmod +x " .. busted)
+    local n = 2 * #lines_of("ls spec/*_spec.lua")
+    local lines = lines_of(("BUSTED=%s tools/test.sh %s"):format(busted, arg[-1]))
+    assert.matches("^%S+: " .. n .. " passed, 0 failed, %d+ s$", lines[1])
+    assert.equal(n .. " passed, 0 failed", lines[2])
+  end)
+end)
+
 describe("the version of the core", function()
   it("is in the changelog", function()
     local version = rfsm._VERSION:match("[%d.]+$")

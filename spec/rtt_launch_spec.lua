@@ -8,7 +8,7 @@ local rfsm_rtt = require "rfsm.rtt"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local rtt = rtt_helper.rtt
+local rtt, leaves = rtt_helper.rtt, rtt_helper.leaves
 local samples, write_all, logged =
   rtt_helper.samples, rtt_helper.write_all, rtt_helper.logged
 local refusal, file_with, chart_file =
@@ -20,99 +20,37 @@ local deploy, load, listen, feed =
 before_each(rtt_helper.reset)
 after_each(rtt_helper.reset)
 
--- (initial) -> a --e_done--> b --e_done--> c
-local THREE = [[
-return rfsm.state {
-  a = rfsm.state {}, b = rfsm.state {}, c = rfsm.state {},
-  rfsm.trans { src = "initial", tgt = "a" },
+-- More fields of a chart: a --e_done--> b --e_done--> c
+local DONE = [[c = rfsm.state {},
   rfsm.trans { src = "a", tgt = "b", events = { "e_done" } },
-  rfsm.trans { src = "b", tgt = "c", events = { "e_done" } },
-}]]
+  rfsm.trans { src = "b", tgt = "c", events = { "e_done" } },]]
 
--- A doo that is never idle.
-local BUSY = [[
-return rfsm.state {
-  a = rfsm.state { doo = function(fsm)
-    fsm.cycles = 0
-    while true do
-      fsm.cycles = fsm.cycles + 1
-      rfsm.yield()
-    end
-  end },
-  b = rfsm.state {},
-  rfsm.trans { src = "initial", tgt = "a" },
-  rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
-}]]
-
-local LOGGED = "RTT's log has the reason"
-
--- Charts that cannot be launched, and what is logged.
-local WRONG_CHARTS = {
-  { "is no chart", "return 3", "no valid rfsm in file" },
-  { "raises", "error('no hardware', 0)", "no hardware" },
-  { "raises a table", "error(setmetatable({}, { __tostring = function() "
-    .. "return 'a table as text' end }))", "a table as text" },
-  { "has problems", [[
-return rfsm.state {
-  a = rfsm.state { entry = 3 },
-  rfsm.trans { src = "initial", tgt = "aa" },
-}]], "no machine, problems of the chart: 2" },
-}
-
-local NAME_AND_VALUE =
-  ": a name and a string, number, boolean or list of these expected"
-local WRONG_ENVS = { -- what is reported, env
-  { "env: go" .. NAME_AND_VALUE, { go = print } },
-  { "env: t" .. NAME_AND_VALUE, { t = { { 1 } } } },
-  { "env: t" .. NAME_AND_VALUE, { t = { x = 1 } } },
-  { "env: far" .. NAME_AND_VALUE, { far = math.huge } },
-  { "env: 1" .. NAME_AND_VALUE, { "speed" } }, { "env: table expected, got number", 3 },
-}
-
--- Makes a spec of each wrong env and chart. refused_env(env) and refused_file(file)
--- return the reason.
-local function refuses_all(refused_env, refused_file)
-  for _, case in ipairs(WRONG_ENVS) do
-    it("a wrong env: " .. case[1], function()
-      assert.equal(case[1], refused_env(case[2]))
-    end)
-  end
-
-  for _, case in ipairs(WRONG_CHARTS) do
-    it("a chart that " .. case[1], function()
-      assert.equal(LOGGED, refused_file(file_with(case[2])))
-      assert.is_true(#logged(case[3]) > 0)
-      rtt.logl("Error", "the log goes on")
-      assert.equal(1, #logged("the log goes on"))
-    end)
-  end
+-- Prints a table to which `tostring` gives this text.
+local function raising(text)
+  return ("error(setmetatable({}, { __tostring = function() return '%s' end }))")
+    :format(text)
 end
-
-local ENV = {
-  speed = 3.5, name = "it's\n\"quoted\" \\ 100% %s", is_fast = true, is_slow = false,
-  list = { 1, 2, "y", true }, count = 3, small = 1e-300,
-}
-local ENV_NAMES = "speed, name, is_fast, is_slow, list[2], list[3], list[4], #list, "
-  .. "count, small == 1e-300"
-local ENV_VALUES = "3.5 it's\n\"quoted\" \\ 100% %s true false 2 y true 4 3 true"
 
 -- The leaf of the machine that was launched there.
 local function leaf_of(exec_str)
-  return evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)")
-end
-
--- Checks the leaves that came from a port, such as "<none> a b".
-local function check_leaves(expected, port)
-  assert.equal(expected, (table.concat(samples(port), " "):gsub("root%.", "")))
+  return (evaluate(exec_str, "rfsm.get_actleaf_fqn(fsm)"):gsub("root%.", ""))
 end
 
 local function has_port(component, name)
   return (pcall(component.getPort, component, name))
 end
 
+-- An error was logged, and none that mutes the log.
+local function check_logged(text)
+  assert.is_truthy(logged(text)[1])
+  rtt.logl("Error", "the log goes on")
+  assert.equal(1, #logged("the log goes on"))
+end
+
 -- Services ---------------------------------------------------------------------
 
 describe("service_launch_rfsm", function()
+  local launch = rfsm_rtt.service_launch_rfsm
   local host, exec_str
 
   -- A HelloWorld with a Lua service; that, and its exec_str.
@@ -125,8 +63,6 @@ describe("service_launch_rfsm", function()
 
   before_each(function() host, exec_str = load_host("host") end)
 
-  local launch = rfsm_rtt.service_launch_rfsm
-
   -- Some updates.
   local function settle() advance(0.1) end
 
@@ -136,10 +72,17 @@ describe("service_launch_rfsm", function()
     settle()
   end
 
-  -- Launches a machine that waits for the start of its component.
-  local function launch_waiting(file)
-    launch(file or chart_file(), exec_str, true, nil, { running_only = true })
-    return feed("host.events_in"), listen("host.fqn")
+  -- Launches a machine that waits for the start of its component, and starts that;
+  -- returns functions that send events, and return the leaves that came.
+  local function started(poststr)
+    local options = { running_only = true, poststr = poststr }
+    launch(chart_file(), exec_str, true, nil, options)
+    local events, names = feed("host.events_in"), listen("host.fqn")
+    start()
+    return function(...)
+      write_all(events, ...)
+      settle()
+    end, function() return leaves(names) end
   end
 
   it("needs no rttlib here, and loads it and utils there, before the chart", function()
@@ -148,96 +91,81 @@ describe("service_launch_rfsm", function()
     assert.equal("true true int",
       evaluate(exec_str, "fsm.has[1], fsm.has[2], fsm.has[3]"))
     assert.is_nil(package.loaded.rttlib)
+    local _, other = load_host("other")
+    other("package.preload.rttlib = function() error('none') end "
+      .. "package.preload.utils = function() return { own = true } end")
+    launch(chart_file(), other)
+    assert.equal("nil true", evaluate(other, "rttlib, utils.own"))
   end)
 
   it("takes a step at each update of its component", function()
-    local events, names = launch_waiting()
-    start()
-    events:write("e_go")
-    settle()
-    write_all(events, "e_none", "e_back")
-    settle()
-    check_leaves("<none> a b a", names)
+    local send, came = started()
+    send("e_go")
+    send("e_none", "e_back")
+    assert.equal("<none> a b a", came())
   end)
 
   it("does not stop the component when a doo is busy for ever", function()
-    local events, names = launch_waiting(file_with(BUSY))
-    start()
-    local before = tonumber(evaluate(exec_str, "fsm.cycles"))
+    local send, came = started [[cycles = 0
+      fsm.a.doo = function()
+        while true do
+          cycles = cycles + 1
+          rfsm.yield()
+        end
+      end]]
+    local before = tonumber(evaluate(exec_str, "cycles"))
     settle()
-    assert.is_true(before < tonumber(evaluate(exec_str, "fsm.cycles")))
-    events:write("e_go")
-    settle()
-    check_leaves("<none> a b", names)
+    assert.is_true(before < tonumber(evaluate(exec_str, "cycles")))
+    send("e_go")
+    assert.equal("<none> a b", came())
     assert.is_true(host:stop())
   end)
 
-  it("steps when trigger() is executed, or runs if it shall", function()
-    launch(file_with(THREE), exec_str)
-    assert.equal("true", evaluate(exec_str, "trigger()"))
-    assert.equal("root.a", leaf_of(exec_str))
-    local _, other = load_host("other")
-    launch(file_with(THREE), other, false, nil, { run = true })
-    other("trigger()")
-    assert.equal("root.c", leaf_of(other))
-  end)
-
-  it("has no hook unless it is asked for", function()
-    launch(chart_file(), exec_str)
+  it("steps when trigger() is executed, or runs if it shall, without a hook", function()
+    launch(chart_file(DONE), exec_str)
     start()
     assert.equal("nil false", evaluate(exec_str, "eehook, fsm._act_leaf"))
+    assert.equal("true", evaluate(exec_str, "trigger()"))
+    assert.equal("a", leaf_of(exec_str))
+    local _, other = load_host("other")
+    launch(chart_file(DONE), other, false, nil, { run = true })
+    other("trigger()")
+    assert.equal("c", leaf_of(other))
   end)
 
   it("steps in every state of the component", function()
     launch(chart_file(), exec_str, true)
     settle()
-    assert.equal("PreOperational root.a", host:getState() .. " " .. leaf_of(exec_str))
+    assert.equal("PreOperational a", host:getState() .. " " .. leaf_of(exec_str))
   end)
 
   it("steps only while the component runs, with running_only", function()
-    local events = launch_waiting()
-    settle()
-    assert.equal("false", leaf_of(exec_str))
-    start()
+    local send = started("state = rtt.getTC():getState() leaf = fsm._act_leaf")
+    assert.equal("PreOperational false a",
+      evaluate(exec_str, "state, leaf") .. " " .. leaf_of(exec_str))
     host:stop()
-    events:write("e_go")
-    settle()
-    assert.equal("root.a", leaf_of(exec_str))
+    send("e_go")
+    assert.equal("a", leaf_of(exec_str))
   end)
 
   it("has the original's globals, and a hook that a chart cannot remove", function()
-    local _, names = launch_waiting()
-    assert.equal("true function function string true", evaluate(exec_str,
-      "rfsm.is_initialized_root(fsm), type(trigger), type(setfqn), fqn:info().type, "
-      .. "eehook ~= nil"))
-    exec_str("trigger, eehook, fsm, fqn = nil collectgarbage() collectgarbage()")
-    start()
-    check_leaves("<none> a", names)
+    local _, came = started([[types = type(trigger) .. type(setfqn) .. fqn:info().type
+      is_machine = rfsm.is_initialized_root(fsm)
+      trigger, eehook, fsm, fqn = nil collectgarbage() collectgarbage()]])
+    assert.equal("functionfunctionstring true", evaluate(exec_str, "types, is_machine"))
+    assert.equal("<none> a", came())
   end)
 
-  it("lets the hook be disabled", function()
-    local events, names = launch_waiting()
-    start()
-    exec_str("eehook:disable()")
-    events:write("e_go")
-    settle()
-    check_leaves("<none> a", names)
-  end)
-
-  it("keeps the hook when a printer raises a table, and logs that as text", function()
-    local events, names = launch_waiting()
-    start()
-    exec_str("fsm.dbg = function() error(setmetatable({}, { __tostring = function() "
-      .. "return 'no paper' end })) end")
-    events:write("e_go")
-    settle()
+  it("keeps its hook if a printer raises a table, logs that as text", function()
+    local send, came = started()
+    exec_str("fsm.dbg = function() " .. raising "no paper" .. " end")
+    send("e_go")
     exec_str("fsm.dbg = false")
-    events:write("e_back")
-    settle()
-    assert.is_truthy(logged("no paper")[1]:find("^Error: rfsm.rtt: no paper"))
-    check_leaves("<none> a b a", names)
-    rtt.logl("Error", "the log goes on")
-    assert.equal(1, #logged("the log goes on"))
+    send("e_back")
+    check_logged("Error: rfsm.rtt: no paper")
+    exec_str("eehook:disable()")
+    send("e_go")
+    assert.equal("<none> a b a", came())
   end)
 
   it("lets the machine print to RTT's log, any value as text", function()
@@ -251,35 +179,34 @@ describe("service_launch_rfsm", function()
     assert.equal(1, #logged("Error: ENTRY error executing entry of root.a:  table"))
   end)
 
-  it("leaves the printers of a chart alone", function()
-    launch(chart_file("info = false, warn = print, err = print,"), exec_str)
-    assert.same({}, logged("INFO: created"))
-    assert.equal("true", evaluate(exec_str, "fsm.warn == print and fsm.err == print"))
-  end)
-
-  it("defines env first, and sets no global of a module's name if env says so",
-    function()
-      launch(chart_file("data = { speed, name },"), exec_str, false, ENV)
-      assert.equal(ENV_VALUES, evaluate(exec_str, ENV_NAMES))
-      assert.equal("3.5", evaluate(exec_str, "fsm.data[1]"))
-      local _, other = load_host("other")
-      launch(chart_file(), other, true, { RFSM_NO_GLOBALS = true })
-      assert.equal("nil nil true", evaluate(other, "rfsm, rfsm_rtt, fsm ~= nil"))
+  -- Fields of the chart and of the launch, code, expressions and their values.
+  for title, case in pairs { -- any order: each is a spec of its own
+    ["leaves the printers of a chart alone"] = {
+      "info = false, warn = print, err = print,", {}, "",
+      "fsm.warn == print, fsm.err == print", "true true",
+    },
+    ["leaves events to a chart that has a getevents"] = {
+      "getevents = function() return mail end,", {},
+      "trigger() mail = { 'e_go' } trigger()",
+      "fsm._act_leaf._id, pcall(rtt.getTC().getPort, rtt.getTC(), 'events_in') and 1",
+      "b false",
+    },
+    ["has ports of other names as an option"] = {
+      "", { fqn_port = "rFSM_cur_fqn", ev_inport = "rFSM_events" }, "",
+      "rtt.getTC():getPort('rFSM_cur_fqn'):info().porttype, "
+        .. "rtt.getTC():getPort('rFSM_events'):info().porttype", "out in",
+    },
+    ["sets no global of a module's name if env says so"] = {
+      "", { env = { RFSM_NO_GLOBALS = true } }, "", "rfsm, rfsm_rtt, fsm ~= nil",
+      "nil nil true",
+    },
+  } do
+    it(title, function()
+      launch(chart_file(case[1]), exec_str, false, nil, case[2])
+      exec_str(case[3])
+      assert.equal(case[5], evaluate(exec_str, case[4]))
     end)
-
-  it("leaves events to a chart that has a getevents", function()
-    launch(chart_file("getevents = function() return mail end,"), exec_str)
-    assert.is_false(has_port(host, "events_in"))
-    exec_str("trigger() mail = { 'e_go' } trigger()")
-    assert.equal("root.b", leaf_of(exec_str))
-  end)
-
-  it("has ports of other names as an option", function()
-    launch(chart_file(), exec_str, false, nil,
-      { fqn_port = "rFSM_cur_fqn", ev_inport = "rFSM_events" })
-    assert.equal("out", host:getPort("rFSM_cur_fqn"):info().porttype)
-    assert.equal("in", host:getPort("rFSM_events"):info().porttype)
-  end)
+  end
 
   it("finds the modules where the caller does", function()
     exec_str("package.path = '/nowhere/?.lua'")
@@ -289,38 +216,35 @@ describe("service_launch_rfsm", function()
 
   describe("refuses", function()
     local function refused(...)
-      return (refusal(launch, ...):gsub("^rfsm%.rtt%.service_launch_rfsm: ", ""))
+      local text = refusal(launch, ...):gsub("^rfsm%.rtt%.service_launch_rfsm: ", "")
+      return (text:gsub(", expected: .*", ""))
     end
 
-    it("wrong arguments", function()
+    it("wrong arguments, an operation that fails or raises", function()
       local chart = chart_file()
       for text, arguments in pairs { -- any order: each stands alone
         ["fsmfile: file name expected, got nil"] = { nil, print, true },
         ["exec_str: operation exec_str expected, got nil"] = { chart, nil, true },
-        ["eehook: boolean expected, got string"] = { chart, print, "updateHook" },
-        ["unknown field 'runs'"] = { chart, print, true, nil, { runs = true } },
+        ["eehook: boolean expected, got string 'x'"] = { chart, print, "x" },
+        ["env: table of globals by name expected, got 3"] = { chart, print, true, 3 },
+        ["unknown option 'runs'"] = { chart, print, true, nil, { runs = true } },
+        ["options: table expected, got boolean"] = { chart, print, true, nil, true },
+        ["RTT's log has the reason"] = { chart, function() return false end },
+        ["no connection"] = { chart, function() error("no connection", 0) end },
       } do
         assert.equal(text, refused(unpack(arguments, 1, 5)))
       end
     end)
 
-    it("a file that is not there, or no Lua", function()
-      assert.matches("^fsmfile: cannot open '?/nowhere/x.lua",
-        refused("/nowhere/x.lua", exec_str))
-      assert.matches("^fsmfile: [^\n]*:1: ", refused(file_with("return {"), exec_str))
+    it("a chart that raises a table, and leaves no port and no hook", function()
+      refused(file_with(raising "no hardware"), exec_str, true)
+      check_logged("no hardware")
+      assert.is_false(has_port(host, "fqn") or has_port(host, "events_in"))
+      assert.equal("nil nil", evaluate(exec_str, "fsm, eehook"))
     end)
 
-    refuses_all(function(env) return refused(chart_file(), exec_str, true, env) end,
-      function(file)
-        local reason = refused(file, exec_str, true)
-        assert.is_false(has_port(host, "fqn") or has_port(host, "events_in"))
-        assert.equal("nil nil", evaluate(exec_str, "fsm, eehook"))
-        return reason
-      end)
-
     it("a port name that is in use, and leaves that port connected", function()
-      local own = rtt.InputPort.new("string", "events_in")
-      host:addPort(own)
+      host:addPort(rtt.InputPort.new("string", "events_in"))
       local out = feed("host.events_in")
       refused(chart_file(), exec_str, true, nil, { ev_inport = true })
       assert.equal(1, #logged("'host' has a port 'events_in' already"))
@@ -334,12 +258,6 @@ describe("service_launch_rfsm", function()
       assert.equal(1, #logged("a machine was launched here before"))
       assert.equal("root.a", evaluate(exec_str, "trigger() and fsm._act_leaf._fqn"))
     end)
-
-    it("an operation that fails, or raises", function()
-      assert.equal(LOGGED, refused(chart_file(), function() return false end))
-      assert.equal("no connection",
-        refused(chart_file(), function() error("no connection", 0) end))
-    end)
   end)
 end)
 
@@ -348,7 +266,7 @@ end)
 describe("component_launch_rfsm", function()
   -- The usual fields of a launch, and these.
   local function launch_fields(fields)
-    local args = { name = "arm", fsmfile = false }
+    local args = { name = "arm" }
     for key, value in pairs(fields or {}) do args[key] = value end -- any order: a set
     args.fsmfile = args.fsmfile or chart_file()
     return args
@@ -366,12 +284,16 @@ describe("component_launch_rfsm", function()
     spin()
   end
 
-  -- Launches and starts; returns ports to and from the machine, component and exec_str.
+  -- Launches and starts; returns functions that send events, and return the leaves that
+  -- came, component and exec_str.
   local function started(fields, port)
     local arm, exec_str = launched(fields)
     local events, names = feed("arm." .. (port or "events_in")), listen("arm.fqn")
     start(arm)
-    return events, names, arm, exec_str
+    return function(...)
+      write_all(events, ...)
+      spin()
+    end, function() return leaves(names) end, arm, exec_str
   end
 
   it("loads a component with the machine, not configured, the deployer its peer",
@@ -379,99 +301,72 @@ describe("component_launch_rfsm", function()
       local arm, exec_str = launched()
       assert.equal("PreOperational", arm:getState())
       assert.same({ "Deployer" }, arm:getPeers())
-      assert.equal("false true", leaf_of(exec_str) .. " "
-        .. evaluate(exec_str, "rttlib ~= nil"))
-      check_leaves("<none>", listen("arm.fqn"))
+      assert.equal("false true", evaluate(exec_str, "fsm._act_leaf, rttlib ~= nil"))
+      assert.equal("<none>", leaves(listen("arm.fqn")))
     end)
 
-  it("runs nothing twice when it is configured then", function()
-    local arm, exec_str = launched {
-      prestr = "n = (n or 0) + 1 "
-        .. "function configureHook() m = (m or 0) + 1 return true end",
-    }
-    assert.is_true(arm:configure())
-    assert.equal("1 1", evaluate(exec_str, "n, m"))
-    assert.same({}, logged("already in use"))
-  end)
-
   it("enters the machine when it is started, and runs it at an event", function()
-    local events, names = started()
-    events:write("e_go")
-    spin()
-    write_all(events, "e_back", "e_none")
-    spin()
-    check_leaves("<none> a b a", names)
+    local send, came = started()
+    send("e_go")
+    send("e_back", "e_none")
+    assert.equal("<none> a b a", came())
   end)
 
   it("runs until nothing is left to do; with sync an update is a step", function()
-    local arm, exec_str = launched { fsmfile = file_with(THREE) }
-    local leg, exec_leg = launched { name = "leg", fsmfile = file_with(THREE),
+    local arm, exec_str = launched { fsmfile = chart_file(DONE) }
+    local leg, exec_leg = launched { name = "leg", fsmfile = chart_file(DONE),
       sync = true }
     start(arm)
     start(leg)
-    assert.equal("root.c root.a", leaf_of(exec_str) .. " " .. leaf_of(exec_leg))
+    assert.equal("c a", leaf_of(exec_str) .. " " .. leaf_of(exec_leg))
     leg:getOperation("trigger")()
     spin()
-    assert.equal("root.b", leaf_of(exec_leg))
+    assert.equal("b", leaf_of(exec_leg))
   end)
 
   it("lets time events pass on RTT's clock", function()
     local arm, exec_str = launched {
       prestr = "require('rfsm_timeevent').set_gettime_hook(rtt.getTime)",
-      fsmfile = file_with((THREE:gsub("e_done", "e_after(0.2)", 1))),
+      fsmfile = chart_file((DONE:gsub("e_done", "e_after(0.2)", 1))),
     }
     deploy("setActivity", "arm", 0.01, 0, 0)
     start(arm)
     advance(0.1)
-    assert.equal("root.a", leaf_of(exec_str))
+    assert.equal("a", leaf_of(exec_str))
     advance(0.2)
-    assert.equal("root.c", leaf_of(exec_str))
+    assert.equal("c", leaf_of(exec_str))
   end)
 
   it("works in a TLSF component, and has its collector run in time", function()
-    local events, names, _, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
-    events:write("e_go")
-    spin()
-    check_leaves("<none> a b", names)
+    local send, came, _, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
+    send("e_go")
+    assert.equal("<none> a b", came())
     assert.equal("table", evaluate(exec_str, "type(tlsf)"))
     if _VERSION == "Lua 5.5" then return end -- it has other parameters
     assert.equal("true", evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
   end)
 
-  it("keeps what nobody needs any more out of memory", function()
-    local _, exec_str = launched()
-    assert.equal("nil table", evaluate(exec_str,
-      "package.loaded['rfsm.rtt_launch'], type(package.loaded['rfsm.rtt'])"))
-  end)
-
-  describe("with ev_inport", function()
-    it("as a name reads events from a port of that name, and from extra_in_ports",
-      function()
-        for _, port in ipairs { "commands", "alarms" } do
-          local events, names = started({ ev_inport = "commands", prestr = [[
+  it("reads a port of the name given, and those of extra_in_ports", function()
+    for _, port in ipairs { "commands", "alarms" } do
+      local send, came = started({ ev_inport = "commands", prestr = [[
 local port = rtt.InputPort("string", "alarms")
 rtt.getTC():addEventPort(port)
 extra_in_ports = { port }]] }, port)
-          events:write("e_go")
-          spin()
-          check_leaves("<none> a b", names)
-          rtt_helper.reset()
-        end
-      end)
-
-    it("false has no port for events", function()
-      assert.is_false(has_port(launched { ev_inport = false }, "events_in"))
-    end)
-
-    it("not given leaves events to a chart with a getevents, or to a port of that name",
-      function()
-        local arm = launched { fsmfile = chart_file "getevents = function() end," }
-        assert.is_false(has_port(arm, "events_in"))
-        local leg = launched { name = "leg",
-          prestr = "rtt.getTC():addPort(rtt.OutputPort('int', 'events_in'))" }
-        assert.equal("int", leg:getPort("events_in"):info().type)
-      end)
+      send("e_go")
+      assert.equal("<none> a b", came())
+      rtt_helper.reset()
+    end
   end)
+
+  it("has no port for events if told so or for a chart with a getevents, replaces none",
+    function()
+      assert.is_false(has_port(launched { ev_inport = false }, "events_in"))
+      assert.is_false(has_port(launched { name = "leg",
+        fsmfile = chart_file "getevents = function() end," }, "events_in"))
+      local foot = launched { name = "foot",
+        prestr = "rtt.getTC():addPort(rtt.OutputPort('int', 'events_in'))" }
+      assert.equal("int", foot:getPort("events_in"):info().type)
+    end)
 
   it("has a port and emit_event for events of the machine with ev_outport", function()
     local _, exec_str = launched { ev_outport = true }
@@ -482,19 +377,30 @@ extra_in_ports = { port }]] }, port)
     assert.equal(1, #logged("string expected, got table"))
   end)
 
-  it("runs env, prefile, prestr, the chart, postfile, poststr in turn", function()
-    local _, exec_str = launched {
+  it("runs env, prefile, prestr, the chart, postfile, poststr in turn, once", function()
+    local arm, exec_str = launched {
       env = { words = "env" }, prefile = file_with "words = words .. ' prefile'",
       prestr = "words = words .. ' prestr'", fsmfile = chart_file "words = words,",
       postfile = file_with "words = fsm.words .. ' postfile'",
-      poststr = "words = words .. ' poststr'",
+      poststr = "words = words .. ' poststr' "
+        .. "function configureHook() words = words .. ' hook' return true end",
     }
-    assert.equal("env prefile prestr postfile poststr", evaluate(exec_str, "words"))
+    assert.is_true(arm:configure())
+    assert.equal("env prefile prestr postfile poststr hook",
+      evaluate(exec_str, "words"))
+    assert.same({}, logged("already in use"))
+    assert.equal("nil table", evaluate(exec_str, -- nobody needs the first any more
+      "package.loaded['rfsm.rtt_launch'], type(package.loaded['rfsm.rtt'])"))
   end)
 
-  it("defines env as values, lists among them, and touches no global here", function()
-    local _, exec_str = launched { env = ENV, ev_outport = true }
-    assert.equal(ENV_VALUES, evaluate(exec_str, ENV_NAMES))
+  it("defines env as values, tables among them, and touches no global here", function()
+    local _, exec_str = launched { ev_outport = true, env = {
+      speed = 3.5, name = "it's\n\"quoted\" \\ 100% %s", fast = true, slow = false,
+      list = { 1, "y", true }, count = 3, small = 1 / 3, limits = { arm = { 1, 2 } },
+    } }
+    assert.equal("3.5 it's\n\"quoted\" \\ 100% %s true false y true 3 3 true 2",
+      evaluate(exec_str, "speed, name, fast, slow, list[2], list[3], #list, count, "
+        .. "small == 1 / 3, limits.arm[2]"))
     for _, name in ipairs { "fsm", "updateHook", "trigger", "fqn", "speed" } do
       assert.is_nil(rawget(_G, name))
     end
@@ -507,41 +413,27 @@ extra_in_ports = { port }]] }, port)
     end
   end)
 
-  it("logs what a printer raises, and goes on", function()
-    local events, names, _, exec_str = started()
-    exec_str("fsm.dbg = function() error({}) end")
-    events:write("e_go")
-    spin()
-    assert.equal(1, #logged("Error: rfsm.rtt: table"))
-    check_leaves("<none> a b", names)
-  end)
-
   it("goes on where it was when it is stopped and started", function()
-    local events, names, arm = started()
+    local send, came, arm = started()
     arm:stop()
-    events:write("e_go")
-    spin()
-    check_leaves("<none> a", names)
+    send("e_go")
+    assert.equal("<none> a", came())
     assert.is_true(arm:start())
     spin()
-    check_leaves("b", names)
+    assert.equal("b", came())
   end)
 
-  it("bears a clean-up of its ports by rttlib", function()
-    local _, _, arm = started {
-      poststr = "function cleanupHook() rttlib.tc_cleanup() end",
-    }
-    arm:stop()
-    assert.is_true(arm:cleanup())
-    assert.same({}, arm:getPortNames())
-  end)
-
-  it("can be unloaded, and its name used again", function()
-    local _, _, arm = started()
-    arm:stop()
-    assert.is_true(deploy("unloadComponent", "arm"))
-    assert.equal("PreOperational", launched():getState())
-  end)
+  it("bears a clean-up of its ports by rttlib; can be unloaded, its name used again",
+    function()
+      local _, _, arm = started {
+        poststr = "function cleanupHook() rttlib.tc_cleanup() end",
+      }
+      arm:stop()
+      assert.is_true(arm:cleanup())
+      assert.same({}, arm:getPortNames())
+      assert.is_true(deploy("unloadComponent", "arm"))
+      assert.equal("PreOperational", launched():getState())
+    end)
 
   describe("refuses", function()
     -- The text, with what every text begins with taken off; and nothing is left.
@@ -549,60 +441,77 @@ extra_in_ports = { port }]] }, port)
       local before = rtt_helper.loaded()
       local text = refusal(rfsm_rtt.component_launch_rfsm, args)
       assert.same(before, rtt_helper.loaded())
-      return (text:gsub("^rfsm%.rtt%.component_launch_rfsm: ", ""))
+      text = text:gsub("^rfsm%.rtt%.component_launch_rfsm: ", "")
+      return (text:gsub(", expected: .*", ""))
     end
 
     local function refused_with(fields) return refused(launch_fields(fields)) end
 
     it("what is no table, and fields that are missing", function()
-      assert.equal("table expected, got nil", refused(nil))
-      assert.equal("table expected, got string", refused("arm"))
-      assert.equal("fsmfile: file name expected, got nil", refused {})
+      assert.equal("table of options expected, got nil", refused(nil))
+      assert.equal("fsmfile: file name expected, got nil", refused { name = "arm" })
       assert.equal("name: string expected, got nil", refused { fsmfile = chart_file() })
     end)
 
-    it("wrong fields", function()
-      for text, fields in pairs { -- any order: each stands alone
-        ["name: string expected, got number"] = { name = 3 },
-        ["unknown field 'fsm_file'"] = { fsm_file = "x" },
-        ["unknown field '1'"] = { "arm" },
-        ["luatype: string expected, got boolean"] = { luatype = true },
-        ["sync: boolean expected, got string"] = { sync = "yes" },
-        ["prefile: file name expected, got number"] = { prefile = 1 },
-      } do
-        assert.equal(text, refused_with(fields))
-      end
-    end)
+    local endless = {}
+    endless.t = endless
+    local VALUE = ": string, finite number, boolean or table of these expected, got "
 
-    it("files that are not there, and texts that raise", function()
+    for _, case in ipairs { -- what is reported, fields
+      { "name: string expected, got 3", { name = 3 } },
+      { "unknown option 'fsm_file'", { fsm_file = "x" } },
+      { "unknown option '1'", { "x" } },
+      { "luatype: string expected, got boolean", { luatype = true } },
+      { "sync: boolean expected, got string 'yes'", { sync = "yes" } },
+      { "prefile: file name expected, got 1", { prefile = 1 } },
+      { "ev_inport" .. VALUE .. "function", { ev_inport = print } },
+      { "env.go" .. VALUE .. "function", { env = { go = print } } },
+      { "env.t.1" .. VALUE .. "function", { env = { t = { print } } } },
+      { "env.far" .. VALUE .. "number inf", { env = { far = math.huge } } },
+      { "env" .. (".t"):rep(49) .. VALUE .. "table", { env = endless } },
+      { "env: table of globals by name expected, got table", { env = { "speed" } } },
+    } do
+      it(case[1], function() assert.equal(case[1], refused_with(case[2])) end)
+    end
+
+    it("files that are not there, or no Lua", function()
       for _, name in ipairs { "fsmfile", "prefile", "postfile" } do
         assert.matches("^" .. name .. ": cannot open '?/nowhere/x.lua",
           refused_with { [name] = "/nowhere/x.lua" })
       end
-      for i, name in ipairs { "prestr", "poststr" } do
-        assert.equal(LOGGED, refused_with { [name] = "error('no gripper', 0)" })
-        assert.equal(i, #logged("no gripper"))
-      end
+      assert.matches("^fsmfile: [^\n]*:1: ",
+        refused_with { fsmfile = file_with "return {" })
     end)
 
-    refuses_all(function(env) return refused_with { env = env } end,
-      function(file) return refused_with { fsmfile = file } end)
-
-    it("a port name that is in use", function()
-      refused_with { ev_inport = true,
-        prestr = "rtt.getTC():addPort(rtt.InputPort('string', 'events_in'))" }
-      assert.equal(1, #logged("'arm' has a port 'events_in' already"))
-    end)
+    for title, case in pairs { -- what is logged, fields; any order: each is a spec
+      ["a chart that is none"] = { "no valid rfsm in file", { chart = "return 3" } },
+      ["a chart that raises a table"] = { "as text", { chart = raising "as text" } },
+      ["a chart with problems"] = { "no machine, problems of the chart: 2", {
+        chart = "return rfsm.state { a = rfsm.state { entry = 3 }, "
+          .. "rfsm.trans { src = 'initial', tgt = 'aa' } }" } },
+      ["a prestr that raises"] = { "no arm", { prestr = "error('no arm', 0)" } },
+      ["a poststr that raises"] = { "no leg", { poststr = "error('no leg', 0)" } },
+      ["a port name that is in use"] = { "'arm' has a port 'events_in' already", {
+        ev_inport = true,
+        prestr = "rtt.getTC():addPort(rtt.InputPort('string', 'events_in'))" } },
+      ["a type that the deployer does not know"] = { "", { luatype = "OCL::Lua" } },
+    } do
+      it(title, function()
+        local fields = case[2]
+        fields.fsmfile, fields.chart = fields.chart and file_with(fields.chart), nil
+        assert.equal("RTT's log has the reason", refused_with(fields))
+        check_logged(case[1])
+      end)
+    end
 
     it("a name that a component has, and leaves that one alone", function()
       local arm = launched()
-      assert.equal(LOGGED, refused_with {})
+      assert.equal("RTT's log has the reason", refused_with {})
       assert.same({ "arm" }, rtt_helper.loaded())
       assert.is_true(arm:configure())
     end)
 
-    it("a type that the deployer does not know, or without Lua; no deployer", function()
-      assert.equal(LOGGED, refused_with { luatype = "OCL::Lua" })
+    it("a type without Lua, no deployer", function()
       assert.matches("has no operation exec_str",
         refused_with { luatype = "OCL::HelloWorld" })
       assert.matches("no peer nobody", refused_with { deployer = "nobody" })
@@ -620,10 +529,9 @@ it("a Lua without RTT is refused", function()
   assert.is_nil(rawget(_G, "fsm"))
 end)
 
-describe("examples/hosts/rtt_host.lua #standin", function()
-  if not rtt_helper.is_standin then return end
-
-  it("launches a component, drives it through ports, and leaves nothing", function()
+it("examples/hosts/rtt_host.lua drives a component, and leaves nothing #standin",
+  function()
+    if not rtt_helper.is_standin then return end
     local path = package.path
     package.loaded.rtt = nil
     local lines = helper.printed(function() dofile("examples/hosts/rtt_host.lua") end)
@@ -638,4 +546,3 @@ describe("examples/hosts/rtt_host.lua #standin", function()
     assert.same({}, rtt.getTC():getPortNames())
     assert.same({}, rtt_helper.loaded())
   end)
-end)

@@ -74,6 +74,17 @@ step()
       .. link .. " -q $here/" .. HELLO, "step()")
     assert.equal(INFO .. AT_HELLO, out)
   end)
+
+  it("runs with the Lua that LUA names, also by make sim", function()
+    local made = helper.lines_of("make -sn sim LUA=" .. LUA .. " MODEL=" .. HELLO)
+    local jit = rawget(_G, "jit")
+    local expected = INFO .. BANNER .. _VERSION .. "\t" .. tostring(jit and jit.version)
+    for _, command in ipairs { "LUA=" .. LUA .. " tools/rfsm-sim " .. HELLO,
+      made[#made] } do
+      assert.equal(expected .. "\n",
+        (run("TERM=dumb " .. command, "print(_VERSION, jit and jit.version)")))
+    end
+  end)
 end)
 
 -- The output for each input, with hello_world and without an error.

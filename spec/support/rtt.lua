@@ -1,31 +1,15 @@
 -- Stands in for the module `rtt` of Orocos RTT-Lua (OCL 2.10): as much of it as its
--- users meet, with its traps:
+-- users meet, with its traps. spec/rtt_standin_spec.lua names them; in a rttlua it
+-- compares them with the real one.
 --
---   - constructors can be called, and operations are methods, only in a Lua that has
---     loaded `rttlib`; `.new` and `getOperation` are always there
---   - `port:connect(other, policy)` ignores the policy, the deployer's does not
---   - `port:read()` returns a value also with "NoData" and "OldData"; `port:read(var)`
---     only the status, and always "NoData" when the type of the Variable is another one
---   - `port:write(a, b)` writes a; a Variable of another type is logged and not written
---   - a data connection keeps the last sample only, a full buffer drops what comes
---   - a port added under a name in use disconnects and replaces the one that has it
---   - strings end at "\0"; numbers wrap as C casts them; no text is a number
---   - an error that is no text mutes the log of the whole process
---   - operations such as exec_str return false, and the log has the reason
---   - each component and each Lua service has a Lua of its own
---   - an EEHook that does not return true is removed; it runs in every state of the
---     component; one without its function, or that was collected, ends the process
---   - configure() of a stopped component calls configureHook again, without cleanupHook
---   - threads: nothing runs at a write or a trigger, see `standin.spin`
---
--- Compared with the real one by spec/rtt_standin_spec.lua, which runs in a rttlua, too.
---
--- The field `standin`, which the real one has not, is for the specs' helper: the clock,
--- the log, the turn of the threads.
+-- There are no threads: nothing runs at a write or a trigger, but in `standin.spin`,
+-- and components with a period as time passes. The field `standin`, which the real one
+-- has not, is for the specs' helper.
 
 local lua_state = require "spec.support.lua_state"
 
 local floor = math.floor
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local BILLION = 1000000000
 
 local standin = { log = {} }
@@ -36,11 +20,6 @@ local components = {} -- in the order of their making
 local current         -- the Lua that runs: { has_rttlib, ... }
 
 -- Log -------------------------------------------------------------------------
-
-local LEVELS = {
-  Never = true, Fatal = true, Critical = true, Error = true, Warning = true,
-  Info = true, Debug = true, RealTime = true,
-}
 
 local log_is_dead, pending = false, ""
 
@@ -72,7 +51,6 @@ end
 
 -- A bad argument raises when those before it are in the buffer already.
 function rtt.logl(level, ...)
-  if not LEVELS[level] then error("unknown loglevel " .. tostring(level), 2) end
   for i = 1, select("#", ...) do
     pending = pending .. check_string((select(i, ...)), "logl")
   end
@@ -94,48 +72,35 @@ end
 
 local function same(value) return value end
 
-local function basic(lua, default, convert)
-  return { lua = lua, default = default, convert = convert }
-end
-
--- By type: the type of Lua that becomes one, what a new Variable holds, and how. A type
--- that is not basic has no value of Lua; wide integers are converted by others only.
-local BASIC = {
-  bool = basic("boolean", false, same), string = basic("string", "", c_string),
-  char = basic("string", "\0", function(value)
+-- By type: the type of Lua that becomes one, the value of a new Variable, conversion.
+-- Wide integers are converted from other types only.
+local TYPES = {
+  bool = { "boolean", false, same }, string = { "string", "", c_string },
+  char = { "string", "\0", function(value)
     return value == "" and "\0" or value:sub(1, 1)
-  end),
-  double = basic("number", 0, same), float = basic("number", 0, same),
-  int = basic("number", 0, to_int), uint = basic("number", 0, to_uint),
+  end },
+  double = { "number", 0, same }, float = { "number", 0, same },
+  int = { "number", 0, to_int }, uint = { "number", 0, to_uint },
+  llong = { "none", 0, cut }, ullong = { "none", 0, function(number)
+    return number < 0 and cut(number) + 2 ^ 64 or cut(number)
+  end },
 }
 for name in ("long int8 uint8 int16 uint16 int32 uint32 int64 uint64"):gmatch("%S+") do
-  BASIC[name] = basic("number", 0, cut) -- as typekits bring them
+  TYPES[name] = { "number", 0, cut } -- as typekits bring them
 end
-local WIDE = {
-  llong = basic(nil, 0, cut),
-  ullong = basic(nil, 0, function(number)
-    return number < 0 and cut(number) + 2 ^ 64 or cut(number)
-  end),
-}
 
-local STRUCTS = { -- by type: names of members -> their types; those that users set
-  ConnPolicy = { type = "int", size = "int", init = "bool", name_id = "string" },
-}
-
-local function default_of(name)
-  local simple = BASIC[name] or WIDE[name]
-  if simple then return simple.default end
-  local value = {}
-  for member, inner in pairs(STRUCTS[name]) do value[member] = default_of(inner) end
-  return value
-end
+-- The only struct, by members.
+local POLICY = { type = "int", size = "int", init = "bool", name_id = "string" }
 
 -- The default of a type; raises if there is no such type.
-local function checked_default(name, where)
-  if type(name) ~= "string" or not (BASIC[name] or WIDE[name] or STRUCTS[name]) then
+local function default_of(name, where)
+  if TYPES[name] then return TYPES[name][2] end
+  if name ~= "ConnPolicy" then
     error(where .. ": unknown type " .. tostring(name), 3)
   end
-  return default_of(name)
+  local value = {}
+  for member, kind in pairs(POLICY) do value[member] = TYPES[kind][2] end
+  return value
 end
 
 local function copy_of(value)
@@ -145,14 +110,16 @@ local function copy_of(value)
   return result
 end
 
+local function is_basic(name) return TYPES[name] and TYPES[name][1] ~= "none" end
+
 -- Returns the value to keep of a value of Lua in something of type `name`.
 local function from_lua(name, value)
-  local simple, kind = BASIC[name], type(value)
+  local kind = type(value)
   if name == "bool" and kind == "number" then return value ~= 0 end
-  if not simple or simple.lua ~= kind then
+  if not TYPES[name] or TYPES[name][1] ~= kind then
     error(("__lua_todsb: can't convert lua %s to %s variable"):format(kind, name), 3)
   end
-  return simple.convert(value)
+  return TYPES[name][3](value)
 end
 
 -- A Variable holds { name of its type, value }.
@@ -166,7 +133,7 @@ end
 
 -- Basic types as values of Lua, others as a Variable of their own.
 local function push(name, value)
-  if BASIC[name] then return value end
+  if is_basic(name) then return value end
   return new_variable(name, copy_of(value))
 end
 
@@ -177,12 +144,12 @@ function methods.getType(var) return rawget(var, 1) end
 function methods.toString(var) return ("%.17g"):format(rawget(var, 2)) end
 
 function methods.tolua(var)
-  if BASIC[rawget(var, 1)] then return rawget(var, 2) end
+  if is_basic(rawget(var, 1)) then return rawget(var, 2) end
   error("Variable.tolua: can't convert type " .. rawget(var, 1), 2)
 end
 
 local function is_numeric(name)
-  return name == "bool" or WIDE[name] or BASIC[name] and BASIC[name].lua == "number"
+  return TYPES[name] and TYPES[name][1] ~= "string"
 end
 
 -- Assigns a sample of another type; false when RTT does not convert it.
@@ -199,7 +166,7 @@ local function assign_other(var, from, value)
   end
   if type(value) == "boolean" then value = value and 1 or 0 end
   if to == "bool" then value = value ~= 0 end
-  rawset(var, 2, (BASIC[to] or WIDE[to]).convert(value))
+  rawset(var, 2, TYPES[to][3](value))
   return true
 end
 
@@ -214,19 +181,19 @@ function methods.assign(var, value)
   end
 end
 
-local function check_member(var, member)
-  local struct = STRUCTS[rawget(var, 1)]
-  if struct and struct[member] then return struct[member] end
+local function type_of_member(var, member)
+  local kind = rawget(var, 1) == "ConnPolicy" and POLICY[member]
+  if kind then return kind end
   error("Variable.getMember: indexing failed, no member " .. tostring(member), 3)
 end
 
 function Variable.__index(var, member)
   if methods[member] then return methods[member] end
-  return push(check_member(var, member), rawget(var, 2)[member])
+  return push(type_of_member(var, member), rawget(var, 2)[member])
 end
 
 function Variable.__newindex(var, member, value)
-  rawget(var, 2)[member] = from_lua(check_member(var, member), value)
+  rawget(var, 2)[member] = from_lua(type_of_member(var, member), value)
 end
 
 -- Makes rtt.X with X.new, which can be called where rttlib was loaded.
@@ -238,7 +205,7 @@ local function class(name, new)
 end
 
 rtt.Variable = class("Variable", function(name, value)
-  local var = new_variable(name, checked_default(name, "Variable.new"))
+  local var = new_variable(name, default_of(name, "Variable.new"))
   if value ~= nil then methods.assign(var, value) end
   return var
 end)
@@ -287,10 +254,6 @@ local function is_port(value)
   return getmetatable(value) == InputPort or getmetatable(value) == OutputPort
 end
 
-local function check_port(port, metatable, where)
-  if getmetatable(port) ~= metatable then error(where .. ": port expected", 3) end
-end
-
 function Port.info(port)
   return {
     name = port.name, desc = port.desc, connected = #port.connections > 0,
@@ -302,7 +265,7 @@ end
 -- Makes rtt.InputPort or rtt.OutputPort. `last` is nil as long as there is none.
 local function port_class(name, metatable)
   return class(name, function(kind, port_name, desc)
-    checked_default(kind, name .. ".new")
+    default_of(kind, name .. ".new")
     return setmetatable({
       type = kind, name = port_name or "", desc = desc or "", connections = {},
       component = false, is_event = false, policy = policy_of(default_policy),
@@ -328,7 +291,6 @@ local function read_sample(port)
 end
 
 function InputPort.read(port, var)
-  check_port(port, InputPort, "InputPort.read")
   if is_variable(var) and rawget(var, 1) ~= port.type then
     log("Error", "trying to read to an incompatible data source")
     return "NoData"
@@ -340,7 +302,6 @@ function InputPort.read(port, var)
 end
 
 function OutputPort.write(port, value)
-  check_port(port, OutputPort, "OutputPort.write")
   if not is_variable(value) then
     value = from_lua(port.type, value)
   elseif rawget(value, 1) == port.type then
@@ -385,6 +346,17 @@ local function remove_from(list, value)
   end
 end
 
+-- A list of names holds under each of them what has that name.
+local function add_named(list, name, value)
+  list[name] = value
+  table.insert(list, name)
+end
+
+local function remove_named(list, name)
+  list[name] = nil
+  remove_from(list, name)
+end
+
 function Port.disconnect(port)
   for i = #port.connections, 1, -1 do
     local connection = port.connections[i]
@@ -398,22 +370,14 @@ function Port.delete(port)
   setmetatable(port, DEAD)
 end
 
--- Properties ------------------------------------------------------------------
+-- Properties of type string ------------------------------------------------------
 
 local Property = {}
 Property.__index = Property
 
-rtt.Property = class("Property", function(kind, name, desc)
-  return setmetatable({ type = kind, name = name, desc = desc,
-    value = checked_default(kind, "Property.new") }, Property)
-end)
+function Property:get() return self.value end
 
-function Property:get() return push(self.type, self.value) end
-
-function Property:set(value)
-  self.value = is_variable(value) and copy_of(rawget(value, 2))
-    or from_lua(self.type, value)
-end
+function Property:set(value) self.value = from_lua("string", value) end
 
 -- Operations and services -----------------------------------------------------
 
@@ -426,8 +390,8 @@ function Operation.__call(operation, ...)
     operation.arity, select("#", ...)), 2)
 end
 
-local function add_operation(owner, name, arity, f)
-  owner.operations[name] = setmetatable({ arity = arity, f = f }, Operation)
+local function operation(arity, f)
+  return setmetatable({ arity = arity, f = f }, Operation)
 end
 
 -- What components and services have.
@@ -449,8 +413,8 @@ local function new_metatable(class_methods)
   return { __index = function(owner, name)
     local method = class_methods[name] or Service[name]
     if method then return method end
-    local operation = current.has_rttlib and rawget(owner, "operations")[name]
-    return operation and function(_, ...) return operation(...) end or nil
+    local call = current.has_rttlib and rawget(owner, "operations")[name]
+    return call and function(_, ...) return call(...) end or nil
   end }
 end
 
@@ -464,32 +428,32 @@ local TASK_CONTEXT = new_metatable(TaskContext)
 local function new_component(name)
   local component = setmetatable({
     name = name, state = "PreOperational", lua = false, is_triggered = false,
-    period = 0, due = false,
-    ports = {}, port_names = {}, properties = {}, peers = {},
-    operations = {}, services = {},
-    hooks = setmetatable({}, { __mode = "v" }), hook_names = {}, hook_count = 0,
+    period = 0, due = false, ports = {}, peers = {}, properties = {}, operations = {},
+    services = {}, hooks = {},
   }, TASK_CONTEXT)
+  component.operations.trigger = operation(0, function()
+    component.is_triggered = component.period == 0
+    return component.is_triggered
+  end)
   components[#components + 1] = component
   return component
 end
 
 function TaskContext.getPortNames(component)
-  local names = {}
-  for i, name in ipairs(component.port_names) do
+  for _, name in ipairs(component.ports) do
     if getmetatable(component.ports[name]) == DEAD then
       error("the process dies: a port was deleted before it was removed", 0)
     end
-    names[i] = name
   end
-  return names
+  return { unpack(component.ports) }
 end
 
 function TaskContext.removePort(component, name)
   local port = component.ports[name]
   if not port then return end
   Port.disconnect(port)
-  port.component, component.ports[name] = false, nil
-  remove_from(component.port_names, name)
+  port.component = false
+  remove_named(component.ports, name)
 end
 
 function TaskContext.addPort(component, port, name, desc)
@@ -502,8 +466,7 @@ function TaskContext.addPort(component, port, name, desc)
     TaskContext.removePort(component, port.name)
   end
   port.component, port.is_event = component, false
-  component.ports[port.name] = port
-  table.insert(component.port_names, port.name)
+  add_named(component.ports, port.name, port)
 end
 
 function TaskContext.addEventPort(component, port, name, desc)
@@ -521,25 +484,11 @@ for kind, field in pairs { Port = "ports", Property = "properties", Peer = "peer
   end
 end
 
-function TaskContext.addProperty(component, property)
-  component.properties[property.name] = property
-end
-
 function TaskContext.addPeer(component, peer)
-  component.peers[peer.name] = peer
-  table.insert(component.peers, peer.name)
+  add_named(component.peers, peer.name, peer)
 end
 
-function TaskContext.removePeer(component, name)
-  component.peers[name] = nil
-  remove_from(component.peers, name)
-end
-
-function TaskContext.getPeers(component)
-  local names = {}
-  for i, name in ipairs(component.peers) do names[i] = name end
-  return names
-end
+function TaskContext.getPeers(component) return { unpack(component.peers) } end
 
 function TaskContext.provides(component, name)
   if not name then return component end
@@ -620,12 +569,11 @@ TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 -- One turn of the thread: hooks, in every state, then updateHook.
 local function execute(component)
   component.is_triggered = false
-  for i = 1, component.hook_count do
-    local hook, is_enabled = component.hooks[i], component.hook_names[i]
-    if is_enabled and not hook then
-      error("the process dies: an EEHook was collected while it was enabled", 0)
-    end
-    if is_enabled and not hook.run() then component.hook_names[i] = nil end
+  local i, hooks = 1, component.hooks
+  while hooks[i] do
+    local hook = hooks[i][1]
+    if not hook then error("the process dies: an enabled EEHook was collected", 0) end
+    if hook.run() then i = i + 1 else table.remove(hooks, i) end
   end
   if component.state == "Running" then call_hook(component, "updateHook", false) end
 end
@@ -657,9 +605,9 @@ local function next_due(limit)
   return found
 end
 
---- Lets time pass: periodic components have their turns, then those triggered.
-function standin.advance(seconds)
-  local limit = now + floor(seconds * BILLION + 0.5)
+-- Time passes: periodic components have their turns, then those triggered.
+function rtt.sleep(s, ns)
+  local limit = now + floor(s) * BILLION + ns
   standin.spin()
   for component in next_due, limit do
     now, component.due = component.due, component.due + component.period
@@ -669,26 +617,12 @@ function standin.advance(seconds)
   now = limit
 end
 
-function rtt.getTime()
-  return floor(now / BILLION), now % BILLION
-end
-
-function rtt.sleep(s, ns) standin.advance(floor(s) + ns / BILLION) end
+function rtt.getTime() return floor(now / BILLION), now % BILLION end
 
 local function set_period(component, period)
   local ns = floor(period * BILLION + 0.5)
   component.period, component.due = ns, ns > 0 and now + ns
   return true
-end
-
--- A component with the operation that each one has.
-local function new_engine(name)
-  local component = new_component(name)
-  add_operation(component, "trigger", 0, function()
-    component.is_triggered = component.period == 0
-    return component.is_triggered
-  end)
-  return component
 end
 
 -- Lua in components: the component, the service, EEHook ------------------------
@@ -697,15 +631,13 @@ end
 local function eehook_class(component, lua)
   local EEHook = {}
   EEHook.__index = EEHook
-  function EEHook:enable()
-    local i = component.hook_count + 1
-    component.hook_count, component.hooks[i] = i, self
-    component.hook_names[i] = self.name
+  function EEHook:enable() -- held by the chart, or by nobody
+    table.insert(component.hooks, setmetatable({ self }, { __mode = "v" }))
     return true
   end
   function EEHook:disable()
-    for i = 1, component.hook_count do
-      if component.hooks[i] == self then component.hook_names[i] = nil end
+    for i = #component.hooks, 1, -1 do
+      if component.hooks[i][1] == self then table.remove(component.hooks, i) end
     end
     return true
   end
@@ -729,7 +661,7 @@ local function new_rttlib(lua)
   function rttlib.port_clone_conn(port, suffix, name)
     local info = port:info()
     local new = info.porttype == "in" and rtt.OutputPort.new or rtt.InputPort.new
-    local clone = new(info.type, name or info.name .. (suffix or "_inv"))
+    local clone = new(info.type, (name or info.name) .. (suffix or ""))
     port:connect(clone)
     return clone
   end
@@ -767,7 +699,7 @@ end
 -- why not.
 local function add_lua_operations(owner, lua, where)
   for name, run in pairs { exec_str = lua.run, exec_file = lua.run_file } do
-    add_operation(owner, name, 1, function(argument) -- any order: two operations
+    owner.operations[name] = operation(1, function(argument) -- any order: two
       if type(argument) ~= "string" then
         error("__lua_todsb: can't convert lua " .. type(argument)
           .. " to string variable", 2)
@@ -784,11 +716,11 @@ end
 local FACTORIES = {} -- by type: what makes a component
 
 FACTORIES["OCL::LuaComponent"] = function(name)
-  local component = new_engine(name)
+  local component = new_component(name)
   component.lua = new_lua(component)
   add_lua_operations(component, component.lua, "LuaComponent '" .. name .. "': ")
   for _, property in ipairs { "lua_string", "lua_file" } do
-    TaskContext.addProperty(component, rtt.Property.new("string", property))
+    component.properties[property] = setmetatable({ value = "" }, Property)
   end
   return component
 end
@@ -796,96 +728,72 @@ end
 -- Its pool is not: `tlsf` is all that is different.
 FACTORIES["OCL::LuaTLSFComponent"] = function(name)
   local component = FACTORIES["OCL::LuaComponent"](name)
-  component.lua.globals.tlsf = {
-    stats = function() end, trace = function() end, warn = function() end,
-  }
+  component.lua.globals.tlsf = {}
   return component
 end
 
 FACTORIES["OCL::HelloWorld"] = function(name)
-  local component = new_engine(name)
+  local component = new_component(name)
   TaskContext.addPort(component, rtt.OutputPort.new("string", "the_results"))
   TaskContext.addPort(component, rtt.InputPort.new("string", "the_buffer_port"))
   set_period(component, 0.1)
   return component
 end
 
+local deployer -- a component
 local DEPLOYER = {} -- its operations
 
-function DEPLOYER.loadComponent(deployer, name, kind)
-  if deployer.peers[name] then
-    return refuse("Failed to load component with name " .. name
-      .. ": already present as peer or loaded.")
-  end
+DEPLOYER.loadComponent = operation(2, function(name, kind)
+  if deployer.peers[name] then return refuse(name .. ": already present as peer") end
   local make = FACTORIES[kind]
   if not make then return refuse("Unable to locate Orocos plugin '" .. kind .. "'") end
   TaskContext.addPeer(deployer, make(name))
   return true
-end
+end)
 
-function DEPLOYER.unloadComponent(deployer, name)
+DEPLOYER.unloadComponent = operation(1, function(name)
   local component = deployer.peers[name]
-  if not component then return refuse("Can't unload component '" .. name .. "'") end
-  if component.state == "Running" then
-    return refuse("Could not unload Component " .. name .. ": still running.")
+  if not component or component.state == "Running" then
+    return refuse("Can't unload component '" .. name .. "'")
   end
   TaskContext.cleanup(component)
-  for i = #component.port_names, 1, -1 do
-    TaskContext.removePort(component, component.port_names[i])
+  for _, port in ipairs(TaskContext.getPortNames(component)) do
+    TaskContext.removePort(component, port)
   end
-  TaskContext.removePeer(deployer, name)
+  remove_named(deployer.peers, name)
   remove_from(components, component)
   return true
-end
+end)
 
-function DEPLOYER.setActivity(deployer, name, period)
+DEPLOYER.setActivity = operation(4, function(name, period)
   local component = deployer.peers[name]
-  if not component then
-    return refuse("Can't create Activity: component " .. name .. " not found.")
-  elseif component.state == "Running" then
-    return refuse("Can't change activity of component " .. name
-      .. " since it is still running.")
+  if not component or component.state == "Running" then
+    return refuse("Can't change activity of component " .. name)
   end
   return set_period(component, period)
-end
+end)
 
-function DEPLOYER.loadService(deployer, name, kind)
+DEPLOYER.loadService = operation(2, function(name, kind)
   local component = deployer.peers[name]
-  if not component then return refuse("No such component " .. name) end
-  if kind ~= "Lua" then return refuse("No such service " .. kind) end
+  if not component or kind ~= "Lua" then return refuse("No service " .. kind) end
   local service = setmetatable({ name = kind, operations = {} }, SERVICE)
   component.services[kind] = service
   add_lua_operations(service, new_lua(component), "LuaService '" .. name .. "': ")
   return true
-end
+end)
 
 -- Returns the port of "component.port"; nil when there is none.
-local function find_port(deployer, path)
+local function find_port(path)
   local name, port = path:match("^(.-)%.(.*)$")
   local component = name and deployer.peers[name]
   return component and component.ports[port]
 end
 
-function DEPLOYER.connect(deployer, from, to, policy)
-  local a, b = find_port(deployer, from), find_port(deployer, to)
+DEPLOYER.connect = operation(3, function(from, to, policy)
+  local a, b = find_port(from), find_port(to)
   if not a or not b then return refuse("no such port: " .. (a and to or from)) end
   return connect_ports(a, b, policy_of(policy))
-end
-
-local ARITY = {
-  loadComponent = 2, unloadComponent = 1, loadService = 2, setActivity = 4, connect = 3,
-}
-
-local function new_deployer()
-  local deployer = new_component("Deployer")
-  deployer.state = "Running"
-  for name, arity in pairs(ARITY) do -- any order: distinct operations
-    add_operation(deployer, name, arity, function(...)
-      return DEPLOYER[name](deployer, ...)
-    end)
-  end
-  return deployer
-end
+end)
 
 -- The process: the program that starts it is the component "lua" ----------------
 
@@ -900,7 +808,9 @@ function standin.reset()
   current = { has_rttlib = false, globals = { rtt = rtt, package = package } }
   default_policy = new_variable("ConnPolicy", default_of("ConnPolicy"))
   main = new_component("lua")
-  local deployer, this_lua = new_deployer(), current
+  local this_lua = current
+  deployer = new_component("Deployer")
+  deployer.state, deployer.operations = "Running", DEPLOYER
   TaskContext.addPeer(main, deployer)
   TaskContext.addPeer(deployer, main)
   package.loaded.rttlib = nil

@@ -180,6 +180,11 @@ function rtt_helper.samples(port)
   return values
 end
 
+-- The leaves that came from a port, such as "<none> a b".
+function rtt_helper.leaves(port)
+  return (table.concat(rtt_helper.samples(port), " "):gsub("root%.", ""))
+end
+
 -- How many Variables a call makes.
 function rtt_helper.counting_variables(f)
   local count = 0
