@@ -631,6 +631,20 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
+--- List a machine and those in its states: those that its snapshot holds.
+---@param fsm rfsm.Machine
+---@return rfsm.Machine[] machines
+---@nodiscard
+function snapshot.machines(fsm)
+  local list = { fsm }
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    for _, region in ipairs(state._seqand or {}) do
+      for _, inner in ipairs(snapshot.machines(region)) do list[#list + 1] = inner end
+    end
+  end
+  return list
+end
+
 --- Return what callbacks may have changed, as a snapshot holds it; also within a step.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
