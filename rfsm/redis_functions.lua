@@ -180,29 +180,27 @@ end
 
 -- Arguments ----------------------------------------------------------------------
 
+-- Returns a name or a key for a message.
+local function shown(text) return tostring(text):sub(1, 80) end
+
 local function versions_of(charts, name)
-  local versions = charts[name]
-  if versions then return versions end
-  local names = rfsm.sorted_keys(charts)
-  fail("no chart is named '%s'%s", tostring(name):sub(1, 80),
-    advice.nearest_name(tostring(name):sub(1, 80), names))
+  return charts[name] or fail("no chart is named '%s'%s", shown(name),
+    advice.nearest_name(shown(name), rfsm.sorted_keys(charts)))
 end
 
 -- Returns the events that texts stand for.
-local function events_of(chart, args, first)
+local function events_of(chart, texts)
   local events = {}
-  for i = first, #args do
-    local text = args[i]
+  for i, text in ipairs(texts) do
     if #text > MAX_EVENT then
-      fail("event %d: at most %d bytes expected, got %d", i - first + 1, MAX_EVENT,
-        #text)
+      fail("event %d: at most %d bytes expected, got %d", i, MAX_EVENT, #text)
     end
     local event = chart.events[text]
     if event == nil and not chart.takes_all then
       fail("no transition of chart '%s' has the event '%s'%s", chart.name, text,
         advice.nearest_name(text, rfsm.sorted_keys(chart.events)))
     end
-    events[#events + 1] = event == nil and text or event
+    events[i] = event == nil and text or event
   end
   return events
 end
@@ -211,7 +209,7 @@ end
 local function tag_of(key)
   local tag = key:match("{([^}]+)}") or not key:find("[{}]") and key
   if not tag or key:match("{([^}]*)}") == "" then
-    fail("key '%s': a key without braces, or with a hash tag expected", key:sub(1, 80))
+    fail("key '%s': a key without braces, or with a hash tag expected", shown(key))
   end
   return tag
 end
@@ -248,12 +246,10 @@ end
 -- Returns what a key holds: name of the chart, snapshot, seconds, nanoseconds, due.
 local function read_value(host, key)
   local value = host.call("GET", key)
-  if not value then
-    fail("no machine is at '%s' (rfsm_create makes one)", key:sub(1, 80))
-  end
+  if not value then fail("no machine is at '%s' (rfsm_create makes one)", shown(key)) end
   local ok, list = pcall(host.pack.unpack, value)
   if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
-    fail("what is at '%s' is no machine", key:sub(1, 80))
+    fail("what is at '%s' is no machine", shown(key))
   end
   return list
 end
@@ -285,7 +281,7 @@ local function load_machine(host, charts, key)
   local list = read_value(host, key)
   if list[4] then sec, nsec = list[4], list[5] else read_clock(host) end
   local chart, ok, problem = place(host, versions_of(charts, list[2]), list[3])
-  if not ok then fail("the machine at '%s': %s", key:sub(1, 80), problem) end
+  if not ok then fail("the machine at '%s': %s", shown(key), problem) end
   if list[4] then read_clock(host) end
   local fsm = chart.fsm
   return { key = key, chart = chart, fsm = fsm, leaf = rfsm.get_actleaf_fqn(fsm),
@@ -294,18 +290,12 @@ end
 
 -- Run and save -------------------------------------------------------------------
 
--- The chart whose machine runs; one that was cut short is not used again.
-local running = nil
-
-local function drop_running()
-  if running then running.fsm, running = nil, nil end
-end
-
--- Runs a machine until it is idle; one that never is goes on when it is due.
+-- Runs a machine until it is idle; one that never is goes on when it is due. If it is
+-- cut short the chart is left without a machine, and gets a new one.
 local function run(machine)
-  emitted, printed, running = {}, {}, machine.chart
+  emitted, printed, machine.chart.fsm = {}, {}, nil
   machine.is_idle = rfsm.step(machine.fsm, MAX_STEPS)
-  running = nil
+  machine.chart.fsm = machine.fsm
 end
 
 -- When a machine is to be woken; nil: not before an event comes.
@@ -391,7 +381,7 @@ function functions.rfsm_create(host, charts, keys, args)
   local chart = versions[#versions]
   local fsm = open(host, chart)
   tag_of(key)
-  if host.call("EXISTS", key) == 1 then fail("something is at '%s'", key:sub(1, 80)) end
+  if host.call("EXISTS", key) == 1 then fail("something is at '%s'", shown(key)) end
   read_clock(host)
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
@@ -406,7 +396,7 @@ function functions.rfsm_send(host, charts, keys, args)
   local key = key_of(keys)
   if not args[1] then fail("an event expected, got none") end
   local machine = load_machine(host, charts, key)
-  for _, event in ipairs(events_of(machine.chart, args, 1)) do
+  for _, event in ipairs(events_of(machine.chart, args)) do
     rfsm.send_events(machine.fsm, event)
   end
   run(machine)
@@ -453,7 +443,7 @@ end
 function functions.rfsm_why(host, charts, keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
   local machine, lines = load_machine(host, charts, key_of(keys)), {}
-  local _, text = why.why(machine.fsm, events_of(machine.chart, args, 1)[1])
+  local _, text = why.why(machine.fsm, events_of(machine.chart, args)[1])
   for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
 end
@@ -471,10 +461,8 @@ return function(host, list)
   end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
-      drop_running() -- the call before was killed
       local ok, reply = pcall(f, host, charts, keys, args)
       if ok then return reply end
-      drop_running()
       reply = type(reply) == "table" and (reply.text or reply.err) or text_of(reply)
       reply = reply:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; ")
       return host.error_reply("ERR " .. name .. ": " .. reply)
