@@ -246,7 +246,9 @@ end
 -- Returns what a key holds: name of the chart, snapshot, seconds, nanoseconds, due.
 local function read_value(host, key)
   local value = host.call("GET", key)
-  if not value then fail("no machine is at '%s' (rfsm_create makes one)", shown(key)) end
+  if not value then
+    fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
+  end
   local ok, list = pcall(host.pack.unpack, value)
   if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
     fail("what is at '%s' is no machine", shown(key))
