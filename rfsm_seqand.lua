@@ -214,14 +214,15 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
--- Returns a fresh machine for a region; false and its problems if it is not valid. While
--- it is made its model has the printers of the parent machine in place of those it lacks.
+-- Returns a fresh machine for a region; false and its problems if it is not valid.
+-- While it is made its model has the printers of the parent machine for those it lacks.
 local function new_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
   local model = is_machine and given._plan.model or given
   for _, name in ipairs(PRINTERS) do
     if rawget(model, name) == nil then
-      lacking[#lacking + 1], model[name] = name, rawget(is_machine and given or fsm, name)
+      model[name] = rawget(is_machine and given or fsm, name)
+      lacking[#lacking + 1] = name
     end
   end
   local ok, region, problems = pcall(rfsm.init, given)

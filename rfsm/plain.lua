@@ -46,7 +46,7 @@ end
 ---@return any ... two results
 function plain.pcall(f, ...)
   local ok, result, more = pcall(f, ...)
-  if not ok and plain.reason(result):find("interrupted!$") then error(result, 0) end
+  if not ok and rfsm.is_interrupt(result) then error(result, 0) end
   return ok, result, more
 end
 
