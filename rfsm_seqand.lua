@@ -212,10 +212,23 @@ local HANDED_ON = {
   "post_step_hook",
 }
 
+local PRINTERS = { "info", "warn", "err" }
+
 -- Returns a fresh machine for a region; false and its problems if it is not valid.
-local function new_region(given)
-  local region, problems = rfsm.init(given)
-  if region and rfsm.is_initialized_root(given) then
+-- While it is made its model has the printers of the parent machine for those it lacks.
+local function new_region(fsm, given)
+  local is_machine, lacking = rfsm.is_initialized_root(given), {}
+  local model = is_machine and given._plan.model or given
+  for _, name in ipairs(PRINTERS) do
+    if rawget(model, name) == nil then
+      model[name] = rawget(is_machine and given or fsm, name)
+      lacking[#lacking + 1] = name
+    end
+  end
+  local ok, region, problems = pcall(rfsm.init, given)
+  for _, name in ipairs(lacking) do model[name] = nil end
+  if not ok then error(region, 0) end
+  if region and is_machine then
     for _, field in ipairs(HANDED_ON) do region[field] = rawget(given, field) end
   end
   return region, problems
@@ -224,7 +237,7 @@ end
 local in_progress = {} -- Substates of machines that are being made, to find circles
 
 -- Makes the regions of `state`; appends their problems.
-local function new_substates(state, problems)
+local function new_substates(fsm, state, problems)
   local given, substates = state.substates, setmetatable({}, Substates)
   if in_progress[given] then
     problems[#problems + 1] = rfsm.location_of(state) .. ": a sequential AND state "
@@ -234,7 +247,7 @@ local function new_substates(state, problems)
   in_progress[given] = true
   local ok, failure = pcall(function()
     for _, name in ipairs(rfsm.sorted_keys(given)) do
-      local region, found = new_region(given[name])
+      local region, found = new_region(fsm, given[name])
       substates[name] = region
       for _, text in ipairs(found or {}) do
         local file, rest = text:match("^(.-:%d+: )(root.*)$")
@@ -266,7 +279,7 @@ end
 
 local function prepare_state(fsm, state, problems)
   local count = #problems
-  state.substates = new_substates(state, problems)
+  state.substates = new_substates(fsm, state, problems)
   if #problems > count then return end
   local regions = new_regions(state)
   regions.entry, regions.exit = state.entry, state.exit

@@ -10,20 +10,17 @@
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
+local opts = require "rfsm.options"
+local plain = require "rfsm.plain"
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
-local rawset, require, setmetatable = rawset, require, setmetatable
+local error, ipairs, pcall, rawget = error, ipairs, plain.pcall, rawget
+local rawset, setmetatable = rawset, setmetatable
 local tonumber, tostring, type = tonumber, tostring, type
 
 local fleet = {}
 
-local function need(name, package)
-  local ok, module = pcall(require, name)
-  if ok then return module end
-  error("rfsm.fleet: the package " .. package .. " is missing (on Debian: apt-get "
-    .. "install " .. package .. ")", 0)
-end
+local function need(name) return opts.need("rfsm.fleet", name, "lua-" .. name) end
 
 -- Connections --------------------------------------------------------------------
 
@@ -41,7 +38,7 @@ local commands = {}
 
 -- Sends a command; raises the error of the server without a position.
 local function command(client, name, ...)
-  commands[name] = commands[name] or need("redis", "lua-redis").command(name)
+  commands[name] = commands[name] or need("redis").command(name)
   local ok, reply = pcall(commands[name], client, ...)
   if ok then return reply end
   reply = tostring(reply):gsub("^.-redis error: ", "")
@@ -51,7 +48,7 @@ end
 local function node(self, host, port)
   local address = host .. ":" .. port
   if not self.nodes[address] then
-    local ok, client = pcall(need("redis", "lua-redis").connect, host, tonumber(port))
+    local ok, client = pcall(need("redis").connect, host, tonumber(port))
     if not ok then error("rfsm.fleet: cannot connect to " .. address, 0) end
     self.nodes[address] = client
   end
@@ -90,7 +87,7 @@ local function redirected(self, tag, text)
   elseif kind == "ASK" then
     return node(self, host, port), true
   elseif text:find("^TRYAGAIN") or text:find("^CLUSTERDOWN") then
-    need("socket", "lua-socket").sleep(0.01)
+    need("socket").sleep(0.01)
     return self.node_of[tag] or self.first, false
   end
 end
@@ -115,22 +112,16 @@ end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
--- Which tag the machine of an identifier has.
-local function tag_for(self, id)
-  local hash = 7
-  for i = 1, #id do hash = (hash * 31 + id:byte(i)) % 16777213 end
-  return tostring(hash % self.tags):match("^%d+")
-end
-
 --- Return the key of a machine; one with a hash tag in braces is a key already.
 ---@param id any
 ---@return string key
 ---@return string tag
 function Fleet:key_of(id)
   id = rfsm.text_of(id)
-  local tag = id:match("{([^}]+)}")
+  local tag, hash = id:match("{([^}]+)}"), 7
   if tag then return id, tag end
-  tag = tag_for(self, id)
+  for i = 1, #id do hash = (hash * 31 + id:byte(i)) % 16777213 end
+  tag = ("%d"):format(hash % self.tags)
   return self.name .. ":{" .. tag .. "}:" .. id, tag
 end
 
@@ -164,7 +155,7 @@ end
 ---@return rfsm.fleet.Reply? reply
 ---@return string? problem
 function Fleet:create(id, chart, data)
-  local text = data and need("dkjson", "lua-dkjson").encode(data)
+  local text = data and need("dkjson").encode(data)
   return reply_of(call_function(self, "rfsm_create", id, chart, text))
 end
 
@@ -190,7 +181,7 @@ function Fleet:tick(id) return reply_of(call_function(self, "rfsm_tick", id)) en
 function Fleet:get(id)
   local ok, list = call_function(self, "rfsm_get", id)
   if not ok then return nil, list end
-  local view, decode = {}, need("dkjson", "lua-dkjson").decode
+  local view, decode = {}, need("dkjson").decode
   for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
   view.data, view.queue, view.due = decode(view.data), decode(view.queue),
     tonumber(view.due)
@@ -228,7 +219,7 @@ function Fleet:watch(id, f)
   self:call(tag, "EXISTS", key) -- finds the node
   local socket = (self.node_of[tag] or self.first).network.socket
   local host, port = socket:getpeername()
-  local client = need("redis", "lua-redis").connect(host, tonumber(port))
+  local client = need("redis").connect(host, tonumber(port))
   local message = command(client, "SSUBSCRIBE", channel)
   repeat
     if message[1] == "smessage" and f(message[3]) then break end
@@ -258,7 +249,7 @@ end
 
 -- An entry of a stream as a table.
 local function entry_of(raw)
-  local entry, decode = { id = raw[1] }, need("dkjson", "lua-dkjson").decode
+  local entry, decode = { id = raw[1] }, need("dkjson").decode
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
   entry.data = entry.data and entry.data ~= "" and decode(entry.data) or nil
   return entry

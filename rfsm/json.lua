@@ -20,8 +20,7 @@ local KEY_ORDER = {
 }
 
 local function find_dkjson()
-  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
-  return dkjson or error("rfsm.json: " .. problem, 0)
+  return opts.need("rfsm.json", "dkjson", "lua-dkjson")
 end
 
 --- Return the full description of a machine, and its active leaf, as JSON.
@@ -42,7 +41,8 @@ function json.encode(fsm)
   }, { indent = true, keyorder = KEY_ORDER })
 end
 
---- Return the values in a text: of JSON, or of JSON lines.
+--- Return the values in a text: of JSON, or of JSON lines. A last line that was cut off
+-- is left out.
 -- @raise if the text is no JSON, or dkjson is missing
 ---@param text string
 ---@return any[] values
@@ -51,7 +51,11 @@ function json.decode_all(text)
   local decode, values, position = find_dkjson().decode, {}, 1
   while text:find("%S", position) do
     local value, after, problem = decode(text, position)
-    if problem then error("no JSON: " .. problem, 0) end
+    if problem then
+      local begins = text:find("%S", position)
+      if values[1] ~= nil and not text:find("\n", begins, true) then break end
+      error("no JSON: " .. problem, 0)
+    end
     values[#values + 1], position = value, after
   end
   return values

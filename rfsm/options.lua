@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 
-local pairs, pcall, require, type = pairs, pcall, require, type
+local error, pairs, pcall, require, type = error, pairs, pcall, require, type
 local floor, huge = math.floor, math.huge
 local concat = table.concat
 
@@ -79,6 +79,16 @@ function options.find_package(name, package)
   if ok and type(module) == "table" then return module end
   return nil, ("the package %s is missing (on Debian: apt-get install %s)"):format(
     name == "socket" and "luasocket" or name, package)
+end
+
+--- The same; raises an error if it is missing.
+---@param where string the module that needs it
+---@param name string
+---@param package string
+---@return table module
+function options.need(where, name, package)
+  local module, problem = options.find_package(name, package)
+  return module or error(where .. ": " .. problem, 0)
 end
 
 return options

@@ -13,7 +13,7 @@
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local rawget, tonumber, type = rawget, tonumber, type
+local pcall, rawget, tonumber, type = pcall, rawget, tonumber, type
 local floor, huge = math.floor, math.huge
 local sort = table.sort
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
@@ -31,6 +31,35 @@ local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 20
 function plain.fail(form, ...) error({ text = form:format(...) }, 0) end
 
 local fail = plain.fail
+
+--- Return the text of an error, also of one that was raised by `fail`.
+---@param failure any
+---@return string text
+function plain.reason(failure)
+  return type(failure) == "table" and failure.text or text_of(failure)
+end
+
+--- Call a function; an interrupt such as Control-C reaches the caller as itself.
+---@param f function
+---@param ... any
+---@return boolean ok
+---@return any ... two results
+function plain.pcall(f, ...)
+  local ok, result, more = pcall(f, ...)
+  if not ok and rfsm.is_interrupt(result) then error(result, 0) end
+  return ok, result, more
+end
+
+--- Call a function of the chart; its error is one of `fail`.
+---@param what string in front of the error
+---@param f function
+---@param ... any
+---@return any result
+function plain.try(what, f, ...)
+  local ok, result = plain.pcall(f, ...)
+  if not ok then fail("%s: %s", what, text_of(result)) end
+  return result
+end
 
 --- The keys that lead to a value, for messages.
 ---@class rfsm.plain.Path

@@ -9,26 +9,26 @@
 -- A machine in a sequential AND state has records of its own, before that of the
 -- iteration around them.
 --
--- The file reads in this order: records, the machines that are recorded, record,
--- replay, public functions.
+-- The file reads in this order: records, what both watch, record, replay, public
+-- functions.
 --
 -- @module rfsm.record
 -- @license BSD-3-Clause
 
 local clock = require "rfsm.clock"
+local opts = require "rfsm.options"
 local plain = require "rfsm.plain"
 local rfsm = require "rfsm"
-local opts = require "rfsm.options"
 local snapshot = require "rfsm.snapshot"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local select, setmetatable = select, setmetatable
-local tostring, type = tostring, type
+local require, tostring, type = require, tostring, type
 local io = rawget(_G, "io")
 local max, min = math.max, math.min
-local concat, sort = table.concat, table.sort
-local is_scalar, text_of = plain.is_scalar, rfsm.text_of
+local concat = table.concat
+local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 
 local record = { VERSION = 1 }
 
@@ -56,6 +56,11 @@ local record = { VERSION = 1 }
 ---@field done? true the leaf is done
 ---@field kept? table the user's data, if it has changed
 
+local KEY_ORDER = {
+  "record", "file", "m", "fresh", "had", "events", "got", "clock", "guards", "reset",
+  "sent", "leaf", "done", "kept",
+}
+
 local PATH = { owner = "", base = 0, seen = {}, packed = {} }
 
 -- An event as plain data; one that is none is noted by its type, and not replayed.
@@ -64,10 +69,23 @@ local function pack_event(event)
   return { "%x", type(event) }
 end
 
-local function pack_events(events, first, last)
+local function pack_events(events)
   local list = {}
-  for i = first, last do list[#list + 1] = pack_event(events[i]) end
+  for i = 1, #events do list[i] = pack_event(events[i]) end
   return list[1] ~= nil and list or nil
+end
+
+local function list_text(list)
+  local texts = {}
+  for i = 1, list and #list or 0 do
+    texts[i] = type(list[i]) == "table" and "an event that is a " .. text_of(list[i][2])
+      or text_of(list[i])
+  end
+  return texts[1] and concat(texts, ", ") or "none"
+end
+
+local function place_text(leaf, is_done)
+  return leaf and leaf .. (is_done and "(done)" or "(active)") or "none"
 end
 
 local function same(a, b)
@@ -81,80 +99,6 @@ local function same(a, b)
   return true
 end
 
-local function find_dkjson()
-  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
-  return dkjson or error("rfsm.record: " .. problem, 0)
-end
-
-local KEY_ORDER = {
-  "record", "file", "m", "fresh", "had", "events", "got", "clock", "guards", "reset",
-  "sent", "leaf", "done", "kept",
-}
-
--- Returns a function that appends a record to the sink.
-local function writer_to(sink)
-  if type(sink) == "function" then return sink end
-  if type(sink) == "table" and type(sink.write) ~= "function" then
-    return function(rec) sink[#sink + 1] = rec end
-  end
-  local encode = find_dkjson().encode
-  return function(rec)
-    sink:write(encode(rec, { keyorder = KEY_ORDER }), "\n")
-    if sink.flush then sink:flush() end
-  end
-end
-
--- The machines that are recorded: the one given, and those in its states ------------
-
---- A machine that is recorded or replayed.
----@class rfsm.record.Track
----@field fsm rfsm.Machine
----@field m integer? its number; nil for the machine around the others
----@field rec rfsm.record.Record|false of the iteration that is under way
----@field guards table<rfsm.Transition, { old: function, new: function }>
-
--- Calls f(fsm, number) for a machine, and then for those in its states.
-local function each_machine(fsm, f)
-  local count = 0
-  local function visit(machine, number)
-    f(machine, number)
-    for _, state in ipairs(rfsm.elements(machine, rfsm.is_state)) do
-      for _, region in ipairs(state._seqand or {}) do
-        count = count + 1
-        visit(region, count)
-      end
-    end
-  end
-  visit(fsm, nil)
-end
-
--- Replaces each guard by make(number, guard); returns the old and new ones.
-local function replace_guards(fsm, make)
-  local guards = {}
-  for i, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    if tr.guard then
-      guards[tr] = { old = tr.guard, new = make(i, tr.guard) }
-      tr.guard = guards[tr].new
-    end
-  end
-  return guards
-end
-
--- Makes clocks be read through `wrap(read)`. Returns a function that makes them be read
--- as before.
-local function watch_clock(wrap)
-  local in_use = clock.in_use
-  local relative, absolute = in_use[true], in_use[false]
-  local own, own_absolute = wrap(relative), wrap(absolute)
-  in_use[true], in_use[false] = own, own_absolute
-  return function()
-    if in_use[true] == own then in_use[true] = relative end
-    if in_use[false] == own_absolute then in_use[false] = absolute end
-  end
-end
-
--- Record -------------------------------------------------------------------------
-
 -- Appends to the list t[field].
 local function note(t, field, ...)
   local list = t[field] or {}
@@ -162,20 +106,82 @@ local function note(t, field, ...)
   for i = 1, select("#", ...) do list[#list + 1] = (select(i, ...)) end
 end
 
--- Has readings of the clock noted in t.clock.
-local function note_clock(t)
-  return watch_clock(function(read)
-    return function(...)
-      local ok, sec, nsec = pcall(read, ...)
-      if not ok then
-        note(t, "clock", { text_of(sec) })
-        error(sec, 0)
-      end
-      note(t, "clock", { plain.pack(sec, PATH, 0), nsec and plain.pack(nsec, PATH, 0) })
-      return sec, nsec
-    end
-  end)
+-- What record and replay watch: the clock, and a machine ----------------------------
+
+-- Has clocks be read through wrap(read), instead of what the owner had before; nil: as
+-- they are.
+local function watch_clock(owner, wrap)
+  local in_use = clock.in_use
+  for kind, read in pairs(owner.clocks or {}) do -- any order: each stands alone
+    if in_use[kind] == read.own then in_use[kind] = read.before end
+  end
+  owner.clocks = wrap and {}
+  for _, kind in ipairs(wrap and { true, false } or {}) do
+    owner.clocks[kind] = { own = wrap(in_use[kind]), before = in_use[kind] }
+    in_use[kind] = owner.clocks[kind].own
+  end
 end
+
+-- Calls f(...) meanwhile; returns whether it succeeded, and two results.
+local function with_clock(owner, wrap, f, ...)
+  watch_clock(owner, wrap)
+  local is_whole, ok, result, problem = pcall(plain.pcall, f, ...)
+  watch_clock(owner, nil)
+  if not is_whole then error(ok, 0) end
+  return ok, result, problem
+end
+
+--- A machine that is recorded or replayed, and what it calls.
+---@class rfsm.record.Track
+---@field fsm rfsm.Machine
+---@field m integer|nil its number; nil for the machine around the others
+---@field rec rfsm.record.Record|false of the iteration that is under way
+---@field begin function the pre step hook
+---@field finish function the post step hook
+---@field reset function the reset hook
+---@field guard function called in place of each guard: number, guard, arguments
+---@field guards table<rfsm.Transition, { own: function, new: function }>
+---@field getevents function|nil set on the machine, in place of its own
+---@field own_getevents function|nil
+
+-- Makes the tracks of a machine and of those in its states, by add(track).
+local function attach(fsm, add)
+  local tracks = {}
+  for i, machine in ipairs(snapshot.machines(fsm)) do
+    local track = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false }
+    track.guards = {}
+    add(track)
+    for number, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+      local own = tr.guard
+      if own then
+        local function guard(_, list) return track.guard(number, own, tr, list) end
+        tr.guard, track.guards[tr] = guard, { own = own, new = guard }
+      end
+    end
+    rfsm.pre_step_hook_add(machine, track.begin, "before")
+    rfsm.post_step_hook_add(machine, track.finish, "before")
+    rfsm.reset_hook_add(machine, track.reset)
+    tracks[i] = track
+  end
+  return tracks
+end
+
+local function detach(tracks)
+  for _, track in ipairs(tracks) do
+    local fsm = track.fsm
+    for tr, guard in pairs(track.guards) do -- any order: each stands alone
+      if rawequal(tr.guard, guard.new) then tr.guard = guard.own end
+    end
+    if rawget(fsm, "getevents") == track.getevents then
+      fsm.getevents = track.own_getevents
+    end
+    rfsm.pre_step_hook_rm(fsm, track.begin)
+    rfsm.post_step_hook_rm(fsm, track.finish)
+    rfsm.reset_hook_rm(fsm, track.reset)
+  end
+end
+
+-- Record -------------------------------------------------------------------------
 
 --- A machine that is being recorded.
 ---@class rfsm.record.Recorder
@@ -184,15 +190,31 @@ end
 local Recorder = {}
 Recorder.__index = Recorder
 
-local function note_guard(track, number, guard)
-  return function(tr, events)
-    local ok, answer = pcall(guard, tr, events)
-    if track.rec then
-      note(track.rec, "guards", number, ok and answer ~= false or not ok
-        and text_of(answer))
+-- Returns a function that appends a record to the sink.
+local function writer_to(sink)
+  if type(sink) == "function" then return sink end
+  if type(sink) == "table" and type(sink.write) ~= "function" then
+    return function(rec) sink[#sink + 1] = rec end
+  end
+  local encode = opts.need("rfsm.record", "dkjson", "lua-dkjson").encode
+  return function(rec)
+    sink:write(encode(rec, { keyorder = KEY_ORDER }), "\n")
+    if sink.flush then sink:flush() end
+  end
+end
+
+-- Has readings of the clock noted in t.clock.
+local function noting(t)
+  return function(read)
+    return function(...)
+      local ok, sec, nsec = plain.pcall(read, ...)
+      if not ok then
+        note(t, "clock", { text_of(sec) })
+        error(sec, 0)
+      end
+      note(t, "clock", { plain.pack(sec, PATH, 0), nsec and plain.pack(nsec, PATH, 0) })
+      return sec, nsec
     end
-    if not ok then error(answer, 0) end
-    return answer
   end
 end
 
@@ -200,8 +222,8 @@ end
 local function wrap_getevents(track)
   local fsm, getevents = track.fsm, rawget(track.fsm, "getevents")
   if not getevents or getevents == track.getevents then return end
-  track.user_getevents = getevents
-  track.getevents = function()
+  track.own_getevents = getevents
+  function track.getevents()
     local events, waiting = getevents(), #fsm._intq
     if type(events) ~= "table" then return events end
     for i = 1, #events do note(track, "got", pack_event(events[i])) end
@@ -213,80 +235,67 @@ end
 
 -- Notes the data that the chart keeps in a field of the record, if it has changed.
 local function note_kept(track, field)
-  local ok, kept = pcall(snapshot.take_data, track.fsm)
+  local ok, kept = plain.pcall(snapshot.take_data, track.fsm)
   if not ok or same(kept, track.kept) then return end
   track.kept, track.rec[field] = kept, kept
 end
 
 -- Begins the record of an iteration. One that a hook has cut short has none.
 local function begin(recorder, track, events)
-  if track.m == nil then
-    if recorder.unwatch then recorder.unwatch() end
-    recorder.unwatch = nil
-  end
-  track.rec = {
-    m = track.m, fresh = track.is_fresh or nil, got = track.got,
-    events = pack_events(events, 1, #events),
-  }
-  track.got, track.is_fresh, track.first = nil, false, nil
+  track.rec = { m = track.m, fresh = track.is_fresh or nil, got = track.got,
+    events = pack_events(events) }
   note_kept(track, "had")
+  track.got, track.is_fresh, track.first, track.last = nil, false, 1, 0
   wrap_getevents(track)
-  if track.m == nil then recorder.unwatch = note_clock(track.rec) end
+  if track.m == nil then watch_clock(recorder, noting(track.rec)) end
 end
 
--- Notes what followed, and writes the record.
+-- Notes what followed, and writes the record. An interrupt has to wait for that.
 local function finish(recorder, track)
-  local fsm, rec = track.fsm, track.rec
+  local rec, queue, leaf = track.rec, track.fsm._intq, track.fsm._act_leaf
   if not rec then return end
-  local queue, leaf = fsm._intq, fsm._act_leaf
-  rec.sent = pack_events(queue, 1, track.first and track.first - 1 or #queue)
-  for i = track.first and track.last + 1 or #queue + 1, #queue do
-    note(rec, "sent", pack_event(queue[i]))
+  for i = 1, #queue do
+    local is_got = i >= track.first and i <= track.last
+    if not is_got then note(rec, "sent", pack_event(queue[i])) end
   end
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
-  note_kept(track, "kept")
+  local is_whole, interrupt = pcall(note_kept, track, "kept")
   track.rec = false
   if track.m == nil then
-    recorder.unwatch()
-    recorder.unwatch, recorder.count = nil, recorder.count + 1
+    watch_clock(recorder, nil)
+    recorder.count = recorder.count + 1
   end
   recorder.write(rec)
+  if not is_whole then error(interrupt, 0) end
 end
 
-local function add_track(recorder, fsm, number)
-  local track = { fsm = fsm, m = number, rec = false, is_fresh = false, guards = {},
-    kept = snapshot.take_data(fsm) }
+local function call_guard(track, number, guard, tr, events)
+  local ok, answer = plain.pcall(guard, tr, events)
+  if track.rec then
+    note(track.rec, "guards", number, ok and answer ~= false or not ok
+      and text_of(answer))
+  end
+  if not ok then error(answer, 0) end
+  return answer
+end
+
+local function add_recorder(recorder, track)
+  track.is_fresh, track.kept = false, snapshot.take_data(track.fsm)
   function track.begin(_, events) begin(recorder, track, events) end
   function track.finish() finish(recorder, track) end
   function track.reset()
     if track.rec then track.rec.reset = true else track.is_fresh = true end
   end
-  track.guards = replace_guards(fsm, function(i, guard)
-    return note_guard(track, i, guard)
-  end)
+  function track.guard(...) return call_guard(track, ...) end
   wrap_getevents(track)
-  rfsm.pre_step_hook_add(fsm, track.begin, "before")
-  rfsm.post_step_hook_add(fsm, track.finish, "before")
-  rfsm.reset_hook_add(fsm, track.reset)
-  recorder.tracks[#recorder.tracks + 1] = track
 end
 
 --- Record no more.
 function Recorder:stop()
-  for _, track in ipairs(self.tracks) do
-    local fsm = track.fsm
-    for tr, guard in pairs(track.guards) do -- any order: each stands alone
-      if rawequal(tr.guard, guard.new) then tr.guard = guard.old end
-    end
-    if track.getevents and rawget(fsm, "getevents") == track.getevents then
-      fsm.getevents = track.user_getevents
-    end
-    rfsm.pre_step_hook_rm(fsm, track.begin)
-    rfsm.post_step_hook_rm(fsm, track.finish)
-    rfsm.reset_hook_rm(fsm, track.reset)
-  end
-  if self.unwatch then self.unwatch() end
-  self.tracks, self.unwatch = {}, nil
+  detach(self.tracks)
+  watch_clock(self, nil)
+  if self.file then self.file:close() end
+  self.tracks, self.file = {}, nil
 end
 
 -- Replay -------------------------------------------------------------------------
@@ -294,36 +303,23 @@ end
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
 ---@field records rfsm.record.Record[] of the machine around the others
----@field at integer how many of them have been replayed
+---@field inner table<integer, rfsm.record.Record[]> of the others
+---@field step_of table<rfsm.record.Record, integer> the iteration around each of those
+---@field at integer how many records have been replayed
 ---@field last integer how many are to be
 ---@field is_dry boolean
 ---@field problem string|nil where the run departs from the recording
----@field same integer|nil the last iteration before that
+---@field latest any[]|nil the reading of the clock
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
 
 local function depart(session, form, ...)
-  if session.problem then return end
-  session.problem = ("step %d: "):format(session.at + 1) .. form:format(...)
-  session.same = session.at
+  session.problem = session.problem
+    or ("step %d: "):format(session.at + 1) .. form:format(...)
 end
 
--- The text of an error, ours or another's.
-local function reason(failure)
-  return type(failure) == "table" and failure.text or text_of(failure)
-end
-
-local function list_text(list)
-  local texts = {}
-  for i = 1, list and #list or 0 do
-    texts[i] = type(list[i]) == "table" and "an event that is a " .. text_of(list[i][2])
-      or text_of(list[i])
-  end
-  return texts[1] and concat(texts, ", ") or "none"
-end
-
--- Makes a list hold these events; depart from events that are no plain data.
+-- Makes a list hold these events; departs from events that are no plain data.
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
@@ -336,24 +332,17 @@ local function fill(session, list, events)
   end
 end
 
--- Has readings of the clock come from a list, which may come to its end.
-local function replay_clock(session, readings)
+-- Has readings of the clock come from a list; behind its end, the latest one.
+local function reading(session, readings)
   local i = 0
-  return watch_clock(function()
-    return function()
-      i = i + 1
-      local reading = readings and readings[i] or session.latest or { 0, 0 }
-      if type(reading[1]) == "string" then error(reading[1], 0) end
-      session.latest = reading
-      return plain.unpack(reading[1], 0), plain.unpack(reading[2], 0)
-    end
-  end)
-end
-
--- Ends the watch on the clock, if there is one.
-local function unwatch(session)
-  if session.unwatch then session.unwatch() end
-  session.unwatch = nil
+  local function read()
+    i = i + 1
+    local now = readings and readings[i] or session.latest or { 0, 0 }
+    if type(now[1]) == "string" then error(now[1], 0) end
+    session.latest = now
+    return plain.unpack(now[1], 0), plain.unpack(now[2], 0)
+  end
+  return function() return read end
 end
 
 -- Returns the record of the iteration that begins; raises STOP if there is none.
@@ -363,7 +352,7 @@ local function next_record(session, track)
     local is_over = session.problem or session.at >= session.last
     if is_over or rec.fresh and not track.is_fresh then error(STOP, 0) end
     track.is_fresh = false
-  elseif not rec or rec.step ~= session.at + 1 then
+  elseif not rec or session.step_of[rec] ~= session.at + 1 then
     depart(session, "machine %d in a sequential AND state takes a step that was not "
       .. "recorded", track.m)
     error(STOP, 0)
@@ -377,15 +366,8 @@ local function begin_again(session, track, events)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
-  if track.m == nil then
-    unwatch(session)
-    session.unwatch = replay_clock(session, rec.clock)
-  end
+  if track.m == nil then watch_clock(session, reading(session, rec.clock)) end
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
-end
-
-local function place_text(leaf, is_done)
-  return leaf and leaf .. (is_done and "(done)" or "(active)") or "none"
 end
 
 local function compare(session, track)
@@ -397,7 +379,7 @@ local function compare(session, track)
   elseif session.is_dry then
     return
   end
-  local sent = pack_events(fsm._intq, 1, #fsm._intq)
+  local sent = pack_events(fsm._intq)
   if not same(sent, rec.sent) then
     depart(session, "events sent: %s expected, got %s", list_text(rec.sent),
       list_text(sent))
@@ -410,54 +392,48 @@ end
 local function finish_again(session, track)
   local rec = track.rec
   if not rec then return end
-  if track.m == nil then unwatch(session) end
-  local ok, failure = pcall(compare, session, track)
+  if track.m == nil then watch_clock(session, nil) end
+  local ok, failure = plain.pcall(compare, session, track)
   if not ok then depart(session, "%s", reason(failure)) end
   if session.is_dry then
     fill(session, track.fsm._intq, rec.sent)
     if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
   end
-  track.rec, track.last = false, rec
+  track.rec = false
   if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
--- A guard that returns what was recorded; with `is_called` it is called, and compared.
-local function guard_again(session, track, number, guard, is_called)
-  return function(tr, events)
-    local rec = track.rec
-    if not rec then return guard(tr, events) end
-    local list, at = rec.guards or {}, track.guard_at + 1
-    local answer = list[at + 1]
-    track.guard_at = at + 1
-    if list[at] ~= number then
-      depart(session, "the guard of %s was not called then", tostring(tr))
-      return false
-    elseif is_called then
-      local ok, now = pcall(guard, tr, events)
-      if (ok and now ~= false) ~= (answer == true) then
-        depart(session, "the guard of %s behaves otherwise", tostring(tr))
-      end
+-- Returns what was recorded of a guard; with `is_called` it is called, and compared.
+local function answer_again(session, track, is_called, number, guard, tr, events)
+  if not track.rec then return guard(tr, events) end
+  local list, at = track.rec.guards or {}, track.guard_at + 1
+  local answer = list[at + 1]
+  track.guard_at = at + 1
+  if list[at] ~= number then
+    depart(session, "the guard of %s was not called then", tostring(tr))
+    return false
+  elseif is_called then
+    local ok, now = plain.pcall(guard, tr, events)
+    if (ok and now ~= false) ~= (answer == true) then
+      depart(session, "the guard of %s behaves otherwise", tostring(tr))
     end
-    if type(answer) == "string" then error(answer, 0) end
-    return answer
   end
+  if type(answer) == "string" then error(answer, 0) end
+  return answer
 end
 
 -- A doo that ends when the recorded one did.
 local function doo_again(session, track)
-  local function is_in(list, event)
-    for i = 1, list and #list or 0 do
-      if list[i] == event then return true end
-    end
-  end
   return function(_, state)
     while true do
       local rec, following = track.rec, track.records[track.at + 1]
       if rec and rec.done and rec.leaf == state._fqn then
-        if is_in(rec.sent, "e_done@" .. state._fqn) then return end
+        for _, event in ipairs(rec.sent or {}) do
+          if event == "e_done@" .. state._fqn then return end
+        end
         error("the doo failed when it was recorded", 0)
       end
-      rfsm.yield(not (track.m and following and following.step == session.at + 1))
+      rfsm.yield(not (track.m and session.step_of[following] == session.at + 1))
     end
   end
 end
@@ -476,36 +452,31 @@ local function dry(session, track)
   end
 end
 
-local function follow(session, fsm, number, options)
-  local track = { fsm = fsm, m = number, rec = false, at = 0, guard_at = 0,
-    records = number and session.inner[number] or session.records }
-  fsm.getevents, fsm.idle_hook = nil, nil
+local function add_player(session, track, options)
+  local fsm = track.fsm
+  track.at, track.guard_at = 0, 0
+  track.records = track.m and (session.inner[track.m] or {}) or session.records
+  track.own_getevents, fsm.getevents = rawget(fsm, "getevents"), nil
   if session.is_dry then dry(session, track) end
-  replace_guards(fsm, function(i, guard)
-    return guard_again(session, track, i, guard, options.guards)
-  end)
-  rfsm.pre_step_hook_add(fsm, function(_, events)
-    begin_again(session, track, events)
-  end, "before")
-  rfsm.post_step_hook_add(fsm, function() finish_again(session, track) end, "before")
-  return track
+  function track.begin(_, events) begin_again(session, track, events) end
+  function track.finish() finish_again(session, track) end
+  function track.reset() end
+  function track.guard(...) return answer_again(session, track, options.guards, ...) end
 end
 
 -- Advances the machine to the end of the recording, or to where it departs from it.
 local function run(session, track)
-  local fsm = track.fsm
   while session.at < session.last and not session.problem do
     local before = session.at
     track.is_fresh = session.records[before + 1].fresh
-    if track.is_fresh then rfsm.reset(fsm) end
-    local ok, failure = pcall(rfsm.step, fsm)
+    if track.is_fresh then rfsm.reset(track.fsm) end
+    local ok, failure = plain.pcall(rfsm.step, track.fsm)
     if not ok and not rawequal(failure, STOP) then
       depart(session, "%s", reason(failure))
     elseif session.at == before then
       depart(session, "the machine takes no step")
     end
   end
-  unwatch(session)
 end
 
 -- A model that says nothing, and is otherwise the same.
@@ -518,18 +489,12 @@ end
 
 -- Splits a recording: the records of the machine, and those of others by number.
 local function new_session(recording, options)
-  local header = recording[1]
-  local session = { header = header, records = {}, inner = {}, at = 0, last = 0,
+  local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
     is_dry = options.dry and true or false, problem = nil }
   for i = 2, #recording do
     local rec = recording[i]
-    if not rec.m then
-      session.records[#session.records + 1] = rec
-    else
-      session.inner[rec.m] = session.inner[rec.m] or {}
-      rec.step = #session.records + 1
-      note(session.inner, rec.m, rec)
-    end
+    session.step_of[rec] = #session.records + 1
+    if rec.m then note(session.inner, rec.m, rec) else note(session, "records", rec) end
   end
   session.last = options.to or options["until"] or #session.records
   session.last = min(max(session.last, 0), #session.records)
@@ -538,9 +503,7 @@ end
 
 -- Returns the machine as it stands, on the clock of now.
 local function settle(session, model, fsm)
-  local stop = replay_clock(session, nil)
-  local ok, snap = pcall(snapshot.take, fsm)
-  stop()
+  local ok, snap = with_clock(session, reading(session), snapshot.take, fsm)
   if not ok then return not session.is_dry and fsm or nil, text_of(snap) end
   if session.is_dry then return snapshot.restore(model, snap) end
   if session.latest then snapshot.put(fsm, snap) end
@@ -548,21 +511,16 @@ local function settle(session, model, fsm)
 end
 
 local function replay(model, recording, options)
-  local session = new_session(recording, options)
-  local source = session.is_dry and quiet(model) or model
-  local stop = replay_clock(session, session.header.clock)
-  local ok, fsm, problem = pcall(snapshot.restore, source, session.header.snapshot)
-  stop()
-  if not ok then return false, text_of(fsm) end
-  if not fsm then return false, problem end
-  local outer = nil
-  each_machine(fsm, function(machine, number)
-    local track = follow(session, machine, number, options)
-    outer = outer or track
-  end)
+  local session, header = new_session(recording, options), recording[1]
+  local ok, fsm, problem = with_clock(session, reading(session, header.clock),
+    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot)
+  if not ok or not fsm then return false, problem or text_of(fsm) end
+  local tracks = attach(fsm, function(track) add_player(session, track, options) end)
   if options.watch then options.watch(fsm) end
-  run(session, outer)
-  if session.problem then return false, session.problem, session.same end
+  ok, problem = with_clock(session, reading(session), run, session, tracks[1])
+  detach(tracks)
+  if not ok then error(problem, 0) end
+  if session.problem then return false, session.problem, session.at end
   return settle(session, model, fsm)
 end
 
@@ -583,20 +541,18 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local stop = note_clock(header)
-  local ok, snap = pcall(snapshot.take, fsm)
-  stop()
+  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0 }, Recorder)
+  local ok, snap = with_clock(recorder, noting(header), snapshot.take, fsm)
   if not ok then error("rfsm.record.record: " .. text_of(snap), 2) end
   if type(sink) == "string" then
     local file, problem = io.open(sink, "a")
     if not file then error("rfsm.record.record: " .. problem, 2) end
-    sink = file
+    recorder.sink, recorder.file = file, file
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
-  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, tracks = {},
-    write = writer_to(sink), unwatch = nil }, Recorder)
+  recorder.write = writer_to(recorder.sink)
   recorder.write(header)
-  each_machine(fsm, function(machine, number) add_track(recorder, machine, number) end)
+  recorder.tracks = attach(fsm, function(track) add_recorder(recorder, track) end)
   return recorder
 end
 
@@ -690,32 +646,19 @@ end
 function record.read(file)
   local handle, problem = io.open(file)
   if not handle then error("rfsm.record: " .. problem, 0) end
-  local decode, recording, line = find_dkjson().decode, {}, handle:read("*l")
-  while line do
-    local rec, following = decode(line), handle:read("*l")
-    if type(rec) == "table" then
-      recording[#recording + 1] = rec
-    elseif following then
-      handle:close()
-      error(("rfsm.record: %s:%d: a record expected"):format(file, #recording + 1), 0)
-    end
-    line = following
-  end
+  local ok, recording = pcall(require("rfsm.json").decode_all, handle:read("*a"))
   handle:close()
-  return recording
+  return ok and recording or error(("rfsm.record: %s: %s"):format(file, recording), 0)
 end
 
 local literal
 
 -- Returns a table of plain data as Lua: the list, then its keys, sorted.
 local function table_literal(t)
-  local texts, keys = {}, {}
+  local texts = {}
   for i = 1, #t do texts[i] = literal(t[i]) end
-  for key in pairs(t) do -- any order: sorted
-    if type(key) == "string" then keys[#keys + 1] = key end
-  end
-  sort(keys)
-  for _, key in ipairs(keys) do
+  local function is_name(_, key) return type(key) == "string" end
+  for _, key in ipairs(rfsm.sorted_keys(t, is_name)) do
     local name = key:find("^%l+$") and key ~= "end" and key or ("[%q]"):format(key)
     texts[#texts + 1] = name .. " = " .. literal(t[key])
   end

@@ -6,11 +6,12 @@
 -- @module rfsm.redis
 -- @license BSD-3-Clause
 
+local bundle = require "rfsm.bundle"
 local chart = require "rfsm.chart"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require
-local io, package = io, package
+local io = io
 local concat = table.concat
 
 local redis = {}
@@ -27,18 +28,8 @@ local HEAD = [[
 #!lua name=rfsm
 local function globals() return _G end
 local _G, loadfile, print, io, os, debug, package, require
-local bundled, loaded, charts = {}, {}, {}
-
-function require(name)
-  if not bundled[name] then error("module '" .. name .. "' not found", 2) end
-  if loaded[name] == nil then
-    loaded[name] = true
-    loaded[name] = bundled[name](name) or true
-  end
-  return loaded[name]
-end
-
-]]
+local charts = {}
+]] .. bundle.HEAD
 
 local FOOT = [[
 
@@ -93,29 +84,19 @@ end)(%q)
 end }
 ]]
 
--- Returns the source of a module.
-local function source_of(name)
-  local file = name:gsub("%.", "/")
-  for template in package.path:gmatch("[^;]+") do
-    local handle = io.open((template:gsub("%?", file)))
-    local text = handle and handle:read("*a")
-    if handle then handle:close() end
-    if text and text:byte() ~= 27 then return text end
-  end
-  error("rfsm.redis: the source of " .. name .. " is missing", 0)
-end
-
--- Appends the sources of modules, and of those that they name, to a list.
+-- Appends modules, and those that they name.
 local function add_modules(parts, names, is_there)
   for _, name in ipairs(names) do
     if not is_there[name] then
-      local text, needed = source_of(name), {}
       is_there[name] = true
+      local text, needed = bundle.add(parts, name), {}
+      if not text then
+        error("rfsm.redis: the source of " .. name .. " is missing", 0)
+      end
       for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
         local is_needed = called == "require" or called == "find_module"
         needed[#needed + 1] = is_needed and other or nil
       end
-      parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(name, text)
       add_modules(parts, needed, is_there)
     end
   end

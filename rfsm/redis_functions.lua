@@ -14,21 +14,21 @@
 
 local advice = require "rfsm.advice"
 local clock = require "rfsm.clock"
+local plain = require "rfsm.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
+local why = require "rfsm.checks.why"
 require "rfsm.await"
 
 local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
 local pairs, pcall, rawset, select = pairs, pcall, rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat = table.concat
-local text_of = rfsm.text_of
+local fail, is_meta, text_of = plain.fail, rfsm.is_meta, rfsm.text_of
 
 local MAX_EVENT, MAX_DATA, MAX_VALUE = 256, 65536, 1048576 -- bytes
 local MAX_STEPS, MAX_LOG = 1000, 1000
-
-local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
 --- What the functions use of Redis.
 ---@class rfsm.redis_functions.Host
@@ -46,31 +46,25 @@ local function fail(form, ...) error({ text = form:format(...) }, 0) end
 ---@field fsm rfsm.Machine|nil made at the first call
 ---@field fingerprint string of its structure
 ---@field blank rfsm.snapshot.Snapshot of a new machine
----@field fields rfsm.redis_functions.Fields[] of each element
+---@field fields rfsm.redis_functions.Field[] as they were at first
+---@field added any[] element, name and so on of fields that were added since
+---@field machines table<rfsm.Machine, table<any, true>> their fields at first
 ---@field events table<string, any> what it knows, by text
 ---@field takes_all boolean a transition that any event triggers, or a predicate
 
--- Adds what a transition knows; also the names in await(e_a, e_b@F)@F.
-local function add_events(chart, tr)
-  local events = tr.events or {}
-  if rfsm.is_state(tr.src) and not events[1] then chart.takes_all = true end
-  for _, event in ipairs(events) do
-    local text = text_of(event)
-    if type(event) == "function" then chart.takes_all = true end
-    if #text <= MAX_EVENT then chart.events[text] = event end
-    local inside = text:match("^await%((.*)%)") or ""
-    for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do
-      chart.events[name] = name
-    end
+-- Notes an event that a chart knows; also the names in await(e_a, e_b@F)@F.
+local function add_event(chart, event)
+  local text = text_of(event)
+  if type(event) == "function" then chart.takes_all = true end
+  if #text <= MAX_EVENT then chart.events[text] = event end
+  for name in (text:match("^await%((.*)%)") or ""):gmatch("%s*([^,]+)") do
+    chart.events[name] = name
   end
 end
 
--- Collects the events of a machine and of those in its states.
-local function collect_events(chart, fsm)
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do add_events(chart, tr) end
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    for _, region in ipairs(state._seqand or {}) do collect_events(chart, region) end
-  end
+local function add_events(chart, tr)
+  if rfsm.is_state(tr.src) and not tr.events[1] then chart.takes_all = true end
+  for _, event in ipairs(tr.events) do add_event(chart, event) end
 end
 
 -- What callbacks do goes here, as long as the call lasts.
@@ -91,7 +85,18 @@ local function collect_print(...)
   printed[#printed + 1] = concat(texts, " ")
 end
 
--- Returns a value; a plain table as a copy, which callbacks may change.
+-- One machine of a chart serves all: what callbacks have left in its fields, and the
+-- chart does not keep, is taken away before the next one stands there. Elements report
+-- fields that are added; those of machines are compared.
+
+--- A field of an element as it was at first.
+---@class rfsm.redis_functions.Field
+---@field obj table
+---@field key any
+---@field value any
+---@field is_table boolean it is a plain table, which callbacks may change
+
+-- Returns a value; a plain table as a copy.
 local function copy_of(value)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   local copy = {}
@@ -99,78 +104,56 @@ local function copy_of(value)
   return copy
 end
 
--- One machine of a chart serves all: what callbacks have left in its fields, and the
--- chart does not keep, is taken away before the next one stands there. This runs in
--- each call, over each field.
-
---- The fields of an element as they were at first.
----@class rfsm.redis_functions.Fields
----@field obj table
----@field own table<any, any> ANY for what is the engine's, or set by a snapshot
----@field names any[] the others
----@field tables table<any, table> those that are plain tables
-
-local ANY = {}
-
--- Is it a field of a model or the user's data, not one of the engine's?
-local function is_field(key, value)
-  return not rfsm.is_meta(key) and key ~= "src" and key ~= "tgt"
-    and not rfsm.is_fsmobj(value)
+-- Is a field another than those known: none of the engine's, and no element?
+local function is_new(known, key, value)
+  if known[key] then return false end
+  known[key] = is_meta(key) or rfsm.is_fsmobj(value)
+  return not known[key]
 end
 
-local function fields_of(obj)
-  local own, names, tables = { emem = ANY, keep = ANY }, {}, {}
-  for _, name in ipairs(type(obj.keep) == "table" and obj.keep or {}) do
-    own[name] = ANY
-  end
+-- Notes the fields of an element.
+local function watch(chart, obj)
+  local known, is_kept, added = {}, { keep = true }, chart.added
+  for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
   for key, value in pairs(obj) do -- any order: each stands alone
-    if own[key] or not is_field(key, value) then
-      own[key] = ANY
-    else
-      own[key], names[#names + 1] = value, key
-      local is_plain = type(value) == "table" and getmetatable(value) == nil
-      if is_plain then tables[key] = copy_of(value) end
+    if is_new(known, key, value) and not is_kept[key] then
+      chart.fields[#chart.fields + 1] = { obj = obj, key = key, value = copy_of(value),
+        is_table = type(value) == "table" and getmetatable(value) == nil }
+    end
+    known[key] = true
+  end
+  for name in pairs(is_kept) do known[name] = true end -- any order: a set
+  if rfsm.is_initialized_root(obj) then
+    chart.machines[obj] = known
+    return
+  end
+  getmetatable(obj).__newindex = function(element, key, value)
+    rawset(element, key, value)
+    if is_new(known, key, value) then
+      added[#added + 1], added[#added + 2] = element, key
     end
   end
-  return { obj = obj, own = own, names = names, tables = tables }
 end
 
--- Appends the fields of all elements, also of machines in states.
-local function note_fields(list, fsm)
-  for _, obj in ipairs(rfsm.elements(fsm)) do
-    list[#list + 1] = fields_of(obj)
-    for _, region in ipairs(obj._seqand or {}) do note_fields(list, region) end
-  end
-end
-
--- Gives an element the fields back that are not as they were.
-local function restore_fields(fields)
-  local obj, own = fields.obj, fields.own
-  for key, value in pairs(obj) do -- any order: each stands alone
-    if own[key] == nil and is_field(key, value) then rawset(obj, key, nil) end
-  end
-  for key, value in pairs(own) do -- likewise
-    if value ~= ANY then rawset(obj, key, value) end
-  end
-end
-
+-- Gives the elements the fields back that they had at first. This runs in each call.
 local function clean(chart)
-  local list = chart.fields
-  for i = 1, #list do
-    local fields = list[i]
-    local own, obj, names, is_same = fields.own, fields.obj, fields.names, true
-    for key, value in next, obj do
-      local was = own[key]
-      if was ~= value and was ~= ANY then is_same = false end
+  local added, fields = chart.added, chart.fields
+  for i = #added, 2, -2 do
+    rawset(added[i - 1], added[i], nil)
+    added[i - 1], added[i] = nil, nil
+  end
+  for machine, known in pairs(chart.machines) do -- any order: each stands alone
+    for key, value in next, machine do
+      if not known[key] and is_new(known, key, value) then
+        rawset(machine, key, nil)
+      end
     end
-    for j = 1, #names do
-      if obj[names[j]] == nil then is_same = false end
-    end
-    if not is_same then restore_fields(fields) end
-    for key, value in next, fields.tables do
-      own[key] = copy_of(value)
-      rawset(obj, key, own[key])
-    end
+  end
+  for i = 1, #fields do
+    local field = fields[i]
+    local obj, key, value = field.obj, field.key, field.value
+    if field.is_table then value = copy_of(value) end
+    if obj[key] ~= value then rawset(obj, key, value) end
   end
 end
 
@@ -182,40 +165,42 @@ local function open(host, chart)
   model.info, model.warn, model.err = false, false, collect_print
   local fsm, problems = rfsm.init(model)
   if not fsm then fail("chart '%s': %s", chart.name, problems[1]) end
-  fsm.emit = emit_with(host.json)
+  fsm.emit, chart.blank = emit_with(host.json), snapshot.take(fsm)
   chart.events, chart.takes_all = {}, false
-  collect_events(chart, fsm)
-  chart.fields, chart.blank = {}, snapshot.take(fsm)
-  note_fields(chart.fields, fsm)
+  chart.fields, chart.added, chart.machines = {}, {}, {}
+  for _, machine in ipairs(snapshot.machines(fsm)) do
+    for _, obj in ipairs(rfsm.elements(machine)) do
+      if rfsm.is_trans(obj) then add_events(chart, obj) end
+      watch(chart, obj)
+    end
+  end
   chart.fingerprint, chart.fsm = chart.blank.chart, fsm
   return fsm
 end
 
 -- Arguments ----------------------------------------------------------------------
 
+-- Returns a name or a key for a message.
+local function shown(text) return tostring(text):sub(1, 80) end
+
 local function versions_of(charts, name)
-  local versions = charts[name]
-  if versions then return versions end
-  local names = rfsm.sorted_keys(charts)
-  fail("no chart is named '%s'%s", tostring(name):sub(1, 80),
-    advice.nearest_name(tostring(name):sub(1, 80), names))
+  return charts[name] or fail("no chart is named '%s'%s", shown(name),
+    advice.nearest_name(shown(name), rfsm.sorted_keys(charts)))
 end
 
 -- Returns the events that texts stand for.
-local function events_of(chart, args, first)
+local function events_of(chart, texts)
   local events = {}
-  for i = first, #args do
-    local text = args[i]
+  for i, text in ipairs(texts) do
     if #text > MAX_EVENT then
-      fail("event %d: at most %d bytes expected, got %d", i - first + 1, MAX_EVENT,
-        #text)
+      fail("event %d: at most %d bytes expected, got %d", i, MAX_EVENT, #text)
     end
     local event = chart.events[text]
     if event == nil and not chart.takes_all then
       fail("no transition of chart '%s' has the event '%s'%s", chart.name, text,
         advice.nearest_name(text, rfsm.sorted_keys(chart.events)))
     end
-    events[#events + 1] = event == nil and text or event
+    events[i] = event == nil and text or event
   end
   return events
 end
@@ -224,7 +209,7 @@ end
 local function tag_of(key)
   local tag = key:match("{([^}]+)}") or not key:find("[{}]") and key
   if not tag or key:match("{([^}]*)}") == "" then
-    fail("key '%s': a key without braces, or with a hash tag expected", key:sub(1, 80))
+    fail("key '%s': a key without braces, or with a hash tag expected", shown(key))
   end
   return tag
 end
@@ -262,11 +247,11 @@ end
 local function read_value(host, key)
   local value = host.call("GET", key)
   if not value then
-    fail("no machine is at '%s' (rfsm_create makes one)", key:sub(1, 80))
+    fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
   end
   local ok, list = pcall(host.pack.unpack, value)
   if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
-    fail("what is at '%s' is no machine", key:sub(1, 80))
+    fail("what is at '%s' is no machine", shown(key))
   end
   return list
 end
@@ -298,7 +283,7 @@ local function load_machine(host, charts, key)
   local list = read_value(host, key)
   if list[4] then sec, nsec = list[4], list[5] else read_clock(host) end
   local chart, ok, problem = place(host, versions_of(charts, list[2]), list[3])
-  if not ok then fail("the machine at '%s': %s", key:sub(1, 80), problem) end
+  if not ok then fail("the machine at '%s': %s", shown(key), problem) end
   if list[4] then read_clock(host) end
   local fsm = chart.fsm
   return { key = key, chart = chart, fsm = fsm, leaf = rfsm.get_actleaf_fqn(fsm),
@@ -307,18 +292,12 @@ end
 
 -- Run and save -------------------------------------------------------------------
 
--- The chart whose machine runs; one that was cut short is not used again.
-local running = nil
-
-local function drop_running()
-  if running then running.fsm, running = nil, nil end
-end
-
--- Runs a machine until it is idle; one that never is goes on when it is due.
+-- Runs a machine until it is idle; one that never is goes on when it is due. If it is
+-- cut short the chart is left without a machine, and gets a new one.
 local function run(machine)
-  emitted, printed, running = {}, {}, machine.chart
+  emitted, printed, machine.chart.fsm = {}, {}, nil
   machine.is_idle = rfsm.step(machine.fsm, MAX_STEPS)
-  running = nil
+  machine.chart.fsm = machine.fsm
 end
 
 -- When a machine is to be woken; nil: not before an event comes.
@@ -404,7 +383,7 @@ function functions.rfsm_create(host, charts, keys, args)
   local chart = versions[#versions]
   local fsm = open(host, chart)
   tag_of(key)
-  if host.call("EXISTS", key) == 1 then fail("something is at '%s'", key:sub(1, 80)) end
+  if host.call("EXISTS", key) == 1 then fail("something is at '%s'", shown(key)) end
   read_clock(host)
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
@@ -419,7 +398,7 @@ function functions.rfsm_send(host, charts, keys, args)
   local key = key_of(keys)
   if not args[1] then fail("an event expected, got none") end
   local machine = load_machine(host, charts, key)
-  for _, event in ipairs(events_of(machine.chart, args, 1)) do
+  for _, event in ipairs(events_of(machine.chart, args)) do
     rfsm.send_events(machine.fsm, event)
   end
   run(machine)
@@ -462,44 +441,12 @@ function functions.rfsm_get(host, _, keys)
     "queue", snap.queue and host.json.encode(snap.queue) or "[]", "due", due }
 end
 
-local function reason_of(tr, events)
-  local guard = tr.guard
-  if not guard then return "a path behind it is closed" end
-  local ok, answer = pcall(guard, tr, events)
-  if not ok then return "its guard fails: " .. text_of(answer) end
-  return answer == false and "its guard says no" or "a path behind it is closed"
-end
-
-local function has_event(tr, event)
-  for _, other in ipairs(tr.events or {}) do
-    if other == event then return true end
-  end
-  return not (tr.events and tr.events[1])
-end
-
--- rfsm_why KEY event: what the event would do, from the outermost state inwards.
+-- rfsm_why KEY event: the answer of each transition, from the outermost state inwards.
 function functions.rfsm_why(host, charts, keys, args)
   if #args ~= 1 then fail("one event expected, got %d", #args) end
-  local machine = load_machine(host, charts, key_of(keys))
-  local fsm, events = machine.fsm, events_of(machine.chart, args, 1)
-  local lines, state = {}, machine.leaf and fsm
-  if not state then return { "the machine is not entered" } end
-  while state do
-    local path = rfsm.node_find_enabled(fsm, state, events)
-    for _, tr in ipairs(state._otrs) do
-      if path and path.nextl[1].trans == tr then
-        lines[#lines + 1] = tostring(tr) .. " is taken"
-        return lines
-      elseif has_event(tr, events[1]) then
-        lines[#lines + 1] = tostring(tr) .. " is not: " .. reason_of(tr, events)
-      end
-    end
-    state = state._actchild
-  end
-  if not lines[1] then
-    lines[1] = ("no transition that leaves an active state has the event '%s'"):format(
-      args[1])
-  end
+  local machine, lines = load_machine(host, charts, key_of(keys)), {}
+  local _, text = why.why(machine.fsm, events_of(machine.chart, args)[1])
+  for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
   return lines
 end
 
@@ -516,10 +463,8 @@ return function(host, list)
   end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
-      drop_running() -- the call before was killed
       local ok, reply = pcall(f, host, charts, keys, args)
       if ok then return reply end
-      drop_running()
       reply = type(reply) == "table" and (reply.text or reply.err) or text_of(reply)
       reply = reply:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; ")
       return host.error_reply("ERR " .. name .. ": " .. reply)

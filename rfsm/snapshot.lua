@@ -13,12 +13,12 @@
 local rfsm = require "rfsm"
 local plain = require "rfsm.plain"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local error, ipairs, next, pairs, pcall = error, ipairs, next, pairs, pcall
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 local floor = math.floor
-local concat, sort = table.concat, table.sort
+local concat = table.concat
 local fail, is_scalar, pack = plain.fail, plain.is_scalar, plain.pack
-local place_of, unpack = plain.place_of, plain.unpack
+local place_of, reason, unpack = plain.place_of, plain.reason, plain.unpack
 local text_of = rfsm.text_of
 
 local snapshot = { VERSION = 1 }
@@ -44,7 +44,7 @@ local snapshot = { VERSION = 1 }
 ---@field lines string[] a line for each element, in the order of `rfsm.elements`
 ---@field fingerprint string
 ---@field keepers string[] FQN of the states that keep something
----@field kept table<string, table<string, true>> the fields that they keep
+---@field kept table<string, table<string, true>> the fields that each keeps
 ---@field index table<string, integer> numbers of the nodes, by FQN
 ---@field targets integer[] the number of the target of each transition
 
@@ -52,19 +52,16 @@ local function event_text(event)
   return is_scalar(event) and text_of(event) or "a " .. type(event)
 end
 
--- The definition of a transition, not the target that a program may have set.
-local function transition_line(tr)
-  local texts = {}
-  for i, event in ipairs(tr.events or {}) do texts[i] = event_text(event) end
-  return ("%s -> %s%s%s"):format(tr.src._fqn,
-    tr._is_internal and "internal" or tr["_%def"].tgt.fqn,
-    texts[1] and " on " .. concat(texts, ", ") or "",
-    tr.pn and " pn " .. text_of(tr.pn) or "")
-end
-
+-- Returns the definition of an element, not the target that a program may have set.
 local function line_of(obj)
-  if rfsm.is_trans(obj) then return transition_line(obj) end
-  return (rfsm.is_conn(obj) and "connector " or "state ") .. obj._fqn
+  if rfsm.is_conn(obj) then return "connector " .. obj._fqn end
+  if rfsm.is_state(obj) then return "state " .. obj._fqn end
+  local texts = {}
+  for i, event in ipairs(obj.events) do texts[i] = event_text(event) end
+  return ("%s -> %s%s%s"):format(obj.src._fqn,
+    obj._is_internal and "internal" or obj["_%def"].tgt.fqn,
+    texts[1] and " on " .. concat(texts, ", ") or "",
+    obj.pn and " pn " .. text_of(obj.pn) or "")
 end
 
 -- Digests lines in numbers below 2^44, which doubles can multiply.
@@ -77,20 +74,15 @@ local function fingerprint_of(lines)
   return ("%05x%06x"):format(floor(hash / 16777216), hash % 16777216)
 end
 
-local function keeps(state)
-  return state.keep ~= nil and not rfsm.is_node(state.keep)
-    or type(state.save) == "function" or type(state.load) == "function"
-end
-
 local RESERVED = {
   entry = true, exit = true, doo = true, keep = true, save = true, load = true,
   getevents = true, dbg = true, info = true, warn = true, err = true, idle_hook = true,
   pre_step_hook = true, post_step_hook = true,
 }
 
--- Raises what is wrong with the fields of a state that say what it keeps.
-local function check_keeper(state)
-  local names = state.keep or {}
+-- Returns the set of names in the `keep` of a state.
+local function kept_names(state)
+  local names, kept = state.keep or {}, {}
   if type(names) ~= "table" then
     fail("%s: list of names expected, got %s", rfsm.location_of(state, "keep"),
       type(names))
@@ -102,11 +94,19 @@ local function check_keeper(state)
         rfsm.location_of(state, "keep[" .. i .. "]"),
         type(name) == "string" and "'" .. name .. "'" or type(name))
     end
+    kept[name] = true
   end
-  if (type(state.save) == "function") ~= (type(state.load) == "function") then
+  return kept
+end
+
+-- Does a state keep something: by `keep`, if that is no substate, or functions?
+local function is_keeper(state)
+  local saves, loads = type(state.save) == "function", type(state.load) == "function"
+  if saves ~= loads then
     fail("%s: 'save' and 'load' expected, got only one of them",
       rfsm.location_of(state))
   end
+  return saves or state.keep ~= nil and not rfsm.is_node(state.keep)
 end
 
 -- What is known of plans, as long as they are in use; structures by fingerprint, as
@@ -123,11 +123,9 @@ local function chart_of(fsm)
   for i, def in ipairs(fsm._plan.transitions) do chart.targets[i] = def.tgt.index end
   for i, obj in ipairs(rfsm.elements(fsm)) do
     chart.lines[i] = line_of(obj)
-    if rfsm.is_state(obj) and keeps(obj) then
-      check_keeper(obj)
+    if rfsm.is_state(obj) and is_keeper(obj) then
       chart.keepers[#chart.keepers + 1] = obj._fqn
-      chart.kept[obj._fqn] = {}
-      for _, name in ipairs(obj.keep or {}) do chart.kept[obj._fqn][name] = true end
+      chart.kept[obj._fqn] = kept_names(obj)
     end
   end
   chart.fingerprint = fingerprint_of(chart.lines)
@@ -175,41 +173,33 @@ local function pack_fields(state, path)
   return fields and pack(fields, path, 0)
 end
 
-local function pack_saved(fsm, state, path)
-  if type(state.save) ~= "function" then return nil end
-  local ok, value = pcall(state.save, fsm, state)
-  if not ok then fail("save of %s: %s", state._fqn, text_of(value)) end
-  path.owner = "save of " .. state._fqn
-  if value ~= nil then return pack(value, path, 0) end
-end
-
--- Sets t[field][key], and makes t[field] if need be.
-local function note(t, field, key, value)
-  if value == nil then return end
-  t[field] = t[field] or {}
-  t[field][key] = value
-end
-
-local function take_data(fsm, chart, snap, path)
-  for _, fqn in ipairs(chart.keepers) do
+-- Notes the data of the states that keep some.
+local function take_data(fsm, snap, path)
+  local data, saved = {}, {}
+  for _, fqn in ipairs(chart_of(fsm).keepers) do
     local state = find_state(fsm, fqn)
-    note(snap, "data", fqn, pack_fields(state, path))
-    note(snap, "saved", fqn, pack_saved(fsm, state, path))
+    data[fqn] = pack_fields(state, path)
+    if state.save then
+      local value = plain.try("save of " .. fqn, state.save, fsm, state)
+      path.owner = "save of " .. fqn
+      if value ~= nil then saved[fqn] = pack(value, path, 0) end
+    end
   end
+  if next(data) ~= nil then snap.data = data end
+  if next(saved) ~= nil then snap.saved = saved end
 end
 
 -- Notes the targets that programs have set.
 local function take_targets(fsm, snap)
-  local first, nodes, transitions = chart_of(fsm).targets, fsm._nodes, fsm._transitions
-  for i = 1, #transitions do
-    local tr = transitions[i]
+  local first, nodes, list = chart_of(fsm).targets, fsm._nodes, snap.targets
+  for i, tr in ipairs(fsm._transitions) do
     if tr.tgt ~= nodes[first[i]] then
-      local list = snap.targets or {}
+      list = list or {}
       local n = #list
       list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
-      snap.targets = list
     end
   end
+  snap.targets = list
 end
 
 local take
@@ -224,7 +214,10 @@ local function take_extensions(fsm, snap, path)
   for _, hook in ipairs(fsm._snapshot_hooks or {}) do
     local value = hook.save(fsm, how)
     path.owner = hook.name
-    if value ~= nil then note(snap, "ext", hook.name, pack(value, path, 0)) end
+    if value ~= nil then
+      snap.ext = snap.ext or {}
+      snap.ext[hook.name] = pack(value, path, 0)
+    end
   end
 end
 
@@ -234,14 +227,6 @@ local function take_queue(fsm, snap, path)
   local is_default = queue[1] == nil
   if not snap.leaf then is_default = queue[1] == "e_init_fsm" and queue[2] == nil end
   if not is_default then snap.queue = pack_queue(queue, path) end
-end
-
--- Has a snapshot nothing but what each has?
-local function is_blank(snap)
-  for field in pairs(snap) do -- any order: one decides
-    if field ~= "version" and field ~= "chart" then return false end
-  end
-  return true
 end
 
 -- Returns the snapshot of a machine inside `base` tables; nil for one inside of another
@@ -255,11 +240,13 @@ function take(fsm, base)
   elseif fsm._mode ~= "inactive" then
     fail("no leaf of the machine is active, but 'root' is")
   end
-  if chart.keepers[1] then take_data(fsm, chart, snap, path) end
+  take_data(fsm, snap, path)
   take_targets(fsm, snap)
-  if fsm._snapshot_hooks then take_extensions(fsm, snap, path) end
+  take_extensions(fsm, snap, path)
   take_queue(fsm, snap, path)
-  return not (base > 1 and is_blank(snap)) and snap or nil
+  local is_blank = not (leaf or snap.data or snap.saved or snap.targets or snap.ext
+    or snap.queue)
+  return not (base > 1 and is_blank) and snap or nil
 end
 
 -- Another chart: what differs, and how a snapshot moves ----------------------------
@@ -284,70 +271,55 @@ end
 
 -- Lists what a snapshot names and the chart lacks.
 local function missing(fsm, snap)
-  local list, names = {}, {}
-  local function check(fqn)
-    if type(fqn) == "string" and not find_node(fsm, fqn) and not names[fqn] then
-      names[fqn], list[#list + 1] = true, "gone: state " .. fqn
+  local names, list = { [snap.leaf or "root"] = true }, {}
+  for i, name in ipairs(snap.targets or {}) do
+    if i % 3 ~= 2 then names[name] = true end
+  end
+  for _, field in ipairs { "data", "saved" } do
+    for fqn in pairs(snap[field] or {}) do names[fqn] = true end -- any order: a set
+  end
+  for _, name in ipairs(rfsm.sorted_keys(names)) do
+    if type(name) == "string" and not find_node(fsm, name) then
+      list[#list + 1] = "gone: state " .. name
     end
   end
-  for i, name in ipairs(snap.targets or {}) do
-    if i % 3 ~= 2 then check(name) end
-  end
-  check(snap.leaf)
-  for _, field in ipairs { "data", "saved" } do
-    for fqn in pairs(snap[field] or {}) do check(fqn) end -- any order: sorted
-  end
-  sort(list)
   list[#list + 1] = "the snapshot holds no structure: that is all that is known"
   return list
 end
 
--- Returns the new name for the FQN of a state that has moved, or of one in it.
-local function renamed_fqn(fqn, rename)
-  local head, tail = fqn, ""
+-- Returns the new name for the FQN of a state that has moved, or of one in it; also in
+-- an event such as e_done@root.a.
+local function renamed_text(text, rename)
+  local event, fqn = text:match("^(.*@)(root.*)$")
+  local head, tail = fqn or text, ""
   while head do
-    if rename[head] then return rename[head] .. tail end
+    if rename[head] then return (event or "") .. rename[head] .. tail end
     local above, name = head:match("^(.*)(%.[^.]*)$")
     head, tail = above, (name or "") .. tail
   end
-  return fqn
+  return text
 end
 
--- The same for an event of a state, such as e_done@root.a.
-local function renamed_text(text, rename)
-  local event, fqn = text:match("^(.*@)(root.*)$")
-  return (event or "") .. renamed_fqn(fqn or text, rename)
-end
-
--- Returns a copy in which texts are changed: keys, and the values in it.
+-- Returns a copy in which texts are changed, so many tables deep: keys and values.
 local function renamed(value, rename, depth)
+  if depth == 0 then return value end
   if type(value) == "string" then return renamed_text(value, rename) end
-  if type(value) ~= "table" or depth > 20 then return value end
+  if type(value) ~= "table" then return value end
   local copy = {}
   for key, inner in pairs(value) do -- any order: each stands alone
-    local name = type(key) == "string" and renamed_text(key, rename) or key
-    copy[name] = renamed(inner, rename, depth + 1)
+    copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
   end
   return copy
 end
 
-local function renamed_keys(t, rename)
-  local copy = {}
-  for key, value in pairs(t) do -- any order: each stands alone
-    copy[type(key) == "string" and renamed_fqn(key, rename) or key] = value
-  end
-  return copy
-end
+-- How deep names of states stand in the fields of a snapshot.
+local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
 
 local function rename_states(snap, rename)
   local copy = {}
-  for key, value in pairs(snap) do copy[key] = value end -- any order: a copy
-  copy.leaf = snap.leaf and renamed_fqn(snap.leaf, rename)
-  for _, field in ipairs { "queue", "targets", "ext" } do
-    copy[field] = renamed(snap[field], rename, 0)
+  for field, value in pairs(snap) do -- any order: each stands alone
+    copy[field] = renamed(value, rename, NAMED[field] or 0)
   end
-  copy.data = snap.data and renamed_keys(snap.data, rename)
-  copy.saved = snap.saved and renamed_keys(snap.saved, rename)
   return copy
 end
 
@@ -359,17 +331,16 @@ local function move(fsm, chart, snap, options)
   local old = options.old and snapshot.structure(options.old) or snap.structure
     or structures[snap.chart]
   local list = old and difference(old, chart.lines) or missing(fsm, snap)
+  local function refuse(text)
+    error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
+  end
   if not (options.rename or options.migrate) then
-    error({ text = "the snapshot is of another chart:\n  " .. concat(list, "\n  "),
-      difference = list }, 0)
+    refuse("the snapshot is of another chart")
   end
   if options.rename then snap = rename_states(snap, options.rename) end
   if options.migrate then
     local moved = options.migrate(snap, list)
-    if moved == false then
-      error({ text = "migrate refused the snapshot of another chart:\n  "
-        .. concat(list, "\n  "), difference = list }, 0)
-    end
+    if moved == false then refuse("migrate refused the snapshot of another chart") end
     snap = moved or snap
     check_shape(snap)
   end
@@ -384,13 +355,6 @@ local FIELDS = {
   structure = "table",
 }
 
-local function wrong_field(field, value)
-  local expected = FIELDS[field]
-  if type(value) == expected then return nil end
-  if not expected then return "no snapshot has a field '" .. text_of(field) .. "'" end
-  return ("%s: %s expected, got %s"):format(field, expected, type(value))
-end
-
 -- Raises what is wrong with the fields of a snapshot.
 function check_shape(snap)
   if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
@@ -398,12 +362,14 @@ function check_shape(snap)
     fail("snapshot of format %d expected, got %s", snapshot.VERSION,
       snap.version == nil and "none" or "format " .. text_of(snap.version))
   end
-  local wrong = not snap.chart and "chart: string expected, got nil" or nil
-  for field, value in pairs(snap) do -- any order: the least text counts
-    local text = wrong_field(field, value)
-    if text and (not wrong or text < wrong) then wrong = text end
+  if not snap.chart then fail("chart: string expected, got nil") end
+  for _, field in ipairs(rfsm.sorted_keys(snap)) do
+    if not FIELDS[field] then
+      fail("no snapshot has a field '%s'", text_of(field))
+    elseif type(snap[field]) ~= FIELDS[field] then
+      fail("%s: %s expected, got %s", field, FIELDS[field], type(snap[field]))
+    end
   end
-  if wrong then fail("%s", wrong) end
 end
 
 local function find_leaf(fsm, fqn)
@@ -427,17 +393,20 @@ local function unpack_queue(snap)
   return queue
 end
 
+-- Returns a table of a field of the snapshot.
+local function unpack_table(field, name, value)
+  local t = unpack(value, 2)
+  if type(t) == "table" then return t end
+  fail("%s: table expected for '%s', got %s", field, text_of(name), type(t))
+end
+
 -- Returns the fields of each state, checked: only what `keep` names may be set.
 local function unpack_data(fsm, snap)
   local data, kept = {}, chart_of(fsm).kept
   for fqn, fields in pairs(snap.data or {}) do -- any order: each stands alone
-    local names = kept[fqn] or {}
-    data[fqn] = unpack(fields, 2)
-    if type(data[fqn]) ~= "table" then
-      fail("data: table expected for '%s', got %s", text_of(fqn), type(fields))
-    end
+    data[fqn] = unpack_table("data", fqn, fields)
     for name in pairs(data[fqn]) do -- any order: each stands alone
-      if not names[name] then
+      if not (kept[fqn] and kept[fqn][name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
       end
     end
@@ -465,10 +434,7 @@ local function unpack_extensions(fsm, snap)
     if not is_known[name] then
       fail("ext: no extension of the machine is named '%s'", text_of(name))
     end
-    values[name] = unpack(value, 2)
-    if type(values[name]) ~= "table" then
-      fail("ext: table expected for '%s', got %s", name, type(values[name]))
-    end
+    values[name] = unpack_table("ext", name, value)
   end
   return values
 end
@@ -498,20 +464,14 @@ local function set_targets(fsm, targets)
   for tr, node in pairs(targets) do tr.tgt = node end -- any order
 end
 
--- Calls a function of the chart; its error is that of the restore.
-local function try(what, fqn, f, ...)
-  local ok, failure = pcall(f, ...)
-  if not ok then fail("%s of %s: %s", what, fqn, text_of(failure)) end
-end
-
-local function set_data(fsm, chart, data, saved, how)
-  for _, fqn in ipairs(chart.keepers) do
-    local state, fields = find_state(fsm, fqn), data[fqn] or {}
+local function set_data(fsm, data, saved, is_migrated)
+  for _, fqn in ipairs(chart_of(fsm).keepers) do
+    local state, fields, value = find_state(fsm, fqn), data[fqn] or {}, saved[fqn]
     for _, name in ipairs(state.keep or {}) do
-      if fields[name] ~= nil or not how.is_migrated then state[name] = fields[name] end
+      if fields[name] ~= nil or not is_migrated then state[name] = fields[name] end
     end
-    if type(state.load) == "function" and (saved[fqn] or not how.is_migrated) then
-      try("load", fqn, state.load, fsm, state, saved[fqn] and saved[fqn].value)
+    if state.load and (value or not is_migrated) then
+      plain.try("load of " .. fqn, state.load, fsm, state, value and value.value)
     end
   end
 end
@@ -527,11 +487,10 @@ end
 
 -- Has a machine stand where the snapshot says. A failure of a load leaves it reset.
 local function put(fsm, snap, options)
-  local chart, how = chart_of(fsm), { entries = options.entries, is_migrated = false }
   check_shape(snap)
-  if snap.chart ~= chart.fingerprint then
-    snap, how.is_migrated = move(fsm, chart, snap, options), true
-  end
+  local chart, how = chart_of(fsm), { entries = options.entries }
+  local is_migrated = snap.chart ~= chart.fingerprint
+  if is_migrated then snap = move(fsm, chart, snap, options) end
   local leaf, queue = find_leaf(fsm, snap.leaf), unpack_queue(snap)
   local data, saved = unpack_data(fsm, snap), unpack_saved(fsm, snap)
   local targets, values = unpack_targets(fsm, snap), unpack_extensions(fsm, snap)
@@ -542,7 +501,7 @@ local function put(fsm, snap, options)
   rfsm.place(fsm, leaf, snap.done and "done" or "active", queue)
   set_targets(fsm, targets)
   local ok, failure = pcall(function()
-    set_data(fsm, chart, data, saved, how)
+    set_data(fsm, data, saved, is_migrated)
     for _, hook in ipairs(fsm._snapshot_hooks or {}) do
       hook.load(fsm, values[hook.name], how)
     end
@@ -556,11 +515,6 @@ end
 
 -- Public functions ------------------------------------------------------------
 
--- The text of an error, ours or that of an extension.
-local function reason(failure)
-  return type(failure) == "table" and failure.text or text_of(failure)
-end
-
 --- Return a machine as a plain table.
 --
 -- @usage
@@ -573,7 +527,7 @@ end
 ---@nodiscard
 function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
-  local ok, snap = pcall(take, fsm, 1)
+  local ok, snap = plain.pcall(take, fsm, 1)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
   if options and options.structure then snap.structure = chart_of(fsm).lines end
   return snap
@@ -599,7 +553,7 @@ end
 function snapshot.put(fsm, snap, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.put")
   if type(options) ~= "table" then options = {} end -- dkjson.decode returns a position
-  local ok, failure = pcall(put, fsm, snap, options)
+  local ok, failure = plain.pcall(put, fsm, snap, options)
   if ok then return true end
   return false, "rfsm.snapshot: " .. reason(failure),
     type(failure) == "table" and failure.difference or nil
@@ -631,16 +585,28 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
+--- List a machine and those in its states: those that its snapshot holds.
+---@param fsm rfsm.Machine
+---@return rfsm.Machine[] machines
+---@nodiscard
+function snapshot.machines(fsm)
+  local list = { fsm }
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    for _, region in ipairs(state._seqand or {}) do
+      for _, inner in ipairs(snapshot.machines(region)) do list[#list + 1] = inner end
+    end
+  end
+  return list
+end
+
 --- Return what callbacks may have changed, as a snapshot holds it; also within a step.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine
 ---@return { data: table?, saved: table?, targets: any[]? } kept
 ---@nodiscard
 function snapshot.take_data(fsm)
-  local kept, chart = {}, chart_of(fsm)
-  if chart.keepers[1] then
-    take_data(fsm, chart, kept, { owner = "", base = 1, seen = {}, packed = {} })
-  end
+  local kept = {}
+  take_data(fsm, kept, { owner = "", base = 1, seen = {}, packed = {} })
   take_targets(fsm, kept)
   return kept
 end
@@ -651,7 +617,7 @@ end
 ---@param kept { data: table?, saved: table?, targets: any[]? }
 function snapshot.put_data(fsm, kept)
   set_targets(fsm, unpack_targets(fsm, kept))
-  set_data(fsm, chart_of(fsm), unpack_data(fsm, kept), unpack_saved(fsm, kept), {})
+  set_data(fsm, unpack_data(fsm, kept), unpack_saved(fsm, kept), false)
 end
 
 --- Return the structure of a chart as lines, for `restore` of its snapshots elsewhere.

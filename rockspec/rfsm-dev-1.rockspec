@@ -42,6 +42,7 @@ build = {
     ["rfsm"] = "rfsm.lua",
     ["rfsm.advice"] = "rfsm/advice.lua",
     ["rfsm.await"] = "rfsm/await.lua",
+    ["rfsm.bundle"] = "rfsm/bundle.lua",
     ["rfsm.chart"] = "rfsm/chart.lua",
     ["rfsm.checks.codes"] = "rfsm/checks/codes.lua",
     ["rfsm.checks.command"] = "rfsm/checks/command.lua",

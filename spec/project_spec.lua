@@ -146,7 +146,8 @@ end)
 
 -- Modules that nobody requires but the library and its tools.
 local IS_PRIVATE = {
-  ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.cli"] = true,
+  ["rfsm.advice"] = true, ["rfsm.bundle"] = true, ["rfsm.chart"] = true,
+  ["rfsm.cli"] = true,
   ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.options"] = true,
   ["rfsm.quick"] = true, ["rfsm.sim"] = true, ["rfsm.straight"] = true,
   ["rfsm.subscriber"] = true,

@@ -79,6 +79,22 @@ describe("a recording", function()
     assert.equal(2, fsm.count)
   end)
 
+  it("leaves nothing behind in a machine that was replayed", function()
+    local sink = {}
+    recorded(sink)
+    local model, events = worker({}, yes), { "e_go" }
+    function model.getevents()
+      local list = events
+      events = {}
+      return list
+    end
+    local fsm = assert(record.replay(model, sink))
+    assert.same({ 0, 0, 0 }, { #fsm._pre_hooks - 1, #fsm._post_hooks - 1,
+      #(fsm._reset_hooks or {}) })
+    rfsm.run(fsm)
+    assert.same({ 3, "root.busy" }, { fsm.count, rfsm.get_actleaf_fqn(fsm) })
+  end)
+
   it("is replayed dry: nothing is called", function()
     local sink, again = {}, {}
     recorded(sink)
@@ -150,7 +166,7 @@ describe("a recording", function()
     assert.equal("root.idle", rfsm.get_actleaf_fqn(assert(
       record.replay(worker({}, yes), cut, { dry = true }))))
     local broken = helper.file_with((text:gsub("\n{", "\n?", 1)))
-    assert.matches(":2: a record expected$", select(2, pcall(record.read, broken)))
+    assert.matches(": no JSON: .* at line 2,", select(2, pcall(record.read, broken)))
   end)
 
   it("becomes a spec that passes, as long as the chart does that", function()
@@ -174,6 +190,36 @@ describe("a recording", function()
     local text = record.to_spec(sink)
     assert.matches("ok 1 %- .* takes the steps that were recorded", output_of(text))
     assert.matches("not ok 1", output_of((text:gsub('leaf = "root.b"', 'leaf = "x"'))))
+  end)
+end)
+
+describe("an interrupt while it is recorded", function()
+  -- Returns the error of a step in which `f` of the model raises what Control-C raises.
+  local function interrupted(name, f)
+    local model, sink, is_due = worker({}, yes), {}, false
+    local function raise()
+      if is_due then error("interrupted!", 0) end
+    end
+    f(model, raise)
+    local fsm = helper.init(model)
+    local recorder = record.record(fsm, sink)
+    rfsm.run(fsm)
+    is_due = true
+    local ok, failure = pcall(helper.post_and_run, fsm, "e_go")
+    is_due = false
+    assert.same({ name, false, "interrupted!" }, { name, ok, failure })
+    rfsm.run(fsm)
+    assert.equal(1, fsm.count)
+    recorder:stop()
+    assert(record.replay(model, sink))
+    assert(record.replay(model, sink, { dry = true }))
+    assert.same({ false, "interrupted!" }, { pcall(record.replay, model, sink,
+      { guards = true, watch = function() is_due = true end }) })
+  end
+
+  it("reaches the caller as itself, and the recording is whole", function()
+    interrupted("guard", function(model, raise) model[2].guard = raise end)
+    interrupted("save", function(model, raise) model.save, model.load = raise, yes end)
   end)
 end)
 

@@ -45,6 +45,25 @@ return rfsm.state {
   rfsm.trans { src = "off", tgt = "busy", events = { "e_busy" } },
 }]]
 
+-- a --e_next--> a: each entry emits what it finds in fields, and changes them
+local UNTIDY = [[
+return rfsm.state {
+  there = true, list = { 1, { 1 } },
+  a = rfsm.state { entry = function(fsm, state)
+    local tr, region = fsm[2], fsm.b.substates.x
+    local found = { fsm.extra, state.extra, tr.extra, region.extra, fsm.there,
+      #fsm.list - 1, fsm.list[2][1], tr.tgt._fqn }
+    for i = 1, 8 do found[i] = tostring(found[i]) end
+    fsm.emit("found", table.concat(found, " "))
+    fsm.extra, state.extra, tr.extra, region.extra = 1, 1, 1, 1
+    fsm.there, fsm.list[2][1], fsm.list[3], state.entry = nil, 7, 7, print
+  end },
+  b = rfsm.seqand { x = rfsm.state { c = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "c" } } },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "a", events = { "e_next" } },
+}]]
+
 local function load_charts(url, ...)
   local machines = fleet.connect(url, { name = "m", tags = 4 })
   assert(machines:load(redis.bundle { ... }))
@@ -57,7 +76,7 @@ describe("a fleet", function()
   setup(function()
     server = servers.start()
     machines = load_charts(server:url(), "lamp=" .. helper.file_with(LAMP),
-      "counter=" .. helper.file_with(COUNTER))
+      "counter=" .. helper.file_with(COUNTER), "untidy=" .. helper.file_with(UNTIDY))
   end)
 
   before_each(function() server:cli("FLUSHALL") end)
@@ -87,11 +106,11 @@ describe("a fleet", function()
   it("reports why", function()
     machines:create(1, "lamp")
     machines:create(2, "lamp", { owner = "ghost" })
-    local tr = "T={ src='root.off', tgt='root.on', events='e_on' }"
-    assert.same({ tr .. " is taken" }, machines:why(1, "e_on"))
-    assert.same({ tr .. " is not: its guard says no" }, machines:why(2, "e_on"))
-    assert.same({ "no transition that leaves an active state has the event 'e_off'" },
-      machines:why(1, "e_off"))
+    assert.same({ "root.trans[2] (off -> on) would be taken on e_on in root.off",
+      "  root.trans[2] (off -> on): would be taken",
+      "  root.trans[4] (off -> busy): waits for e_busy" }, machines:why(1, "e_on"))
+    assert.equal("  root.trans[2] (off -> on): its guard returns false",
+      machines:why(2, "e_on")[2])
   end)
 
   it("wakes machines whose time has come", function()
@@ -124,10 +143,12 @@ describe("a fleet", function()
   end)
 
   it("shares no field that the chart does not keep", function()
-    for i = 1, 3 do machines:create(i, "lamp") end
-    local times = {}
-    machines:work("g", "w", function(entry) times[#times + 1] = entry.data.times end)
-    assert.same({ 1, 1, 1 }, times)
+    for i = 1, 3 do assert(machines:create(i, "untidy")) end
+    for i = 1, 3 do assert(machines:send(i, "e_next")) end
+    local seen = {}
+    machines:work("g", "w", function(entry) seen[#seen + 1] = entry.data end)
+    local first = "nil nil nil nil true 1 1 root.a"
+    assert.same({ first, first, first, first, first, first }, seen)
   end)
 
   it("reports each active leaf to a watcher", function()

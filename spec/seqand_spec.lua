@@ -454,6 +454,25 @@ describe("instances", function()
     assert.same({ text, text }, said)
   end)
 
+  it("report by the printers of the parent machine if the region has none", function()
+    local function failing(fields)
+      fields.a = fields.a or state { entry = function() error("no", 0) end }
+      fields[1] = trans { src = "initial", tgt = "a" }
+      return state(fields)
+    end
+    local given = failing {}
+    local model = seqand { deep = failing { a = seqand { given } }, given = given,
+      own = init(failing { info = false, warn = false, err = false }) }
+    local said, warned = helper.said(model, "info"), helper.said(model, "warn")
+    local told = helper.said(model, "err")
+    started(model)
+    local info = "INFO: created undeclared connector root.initial"
+    local failure = "ENTRY error executing entry of root.a:  no"
+    assert.same({ { info, info, info }, { failure, failure } }, { said, told })
+    assert.matches("no outgoing transitions from node 'root.a'", warned[1])
+    assert.same({}, { given.info, given.warn, given.err })
+  end)
+
   it("mounted twice, or merged, have regions of their own", function()
     local par = two {}
     local model = parent(par)

@@ -436,12 +436,7 @@ local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"
 local prompt = require "rfsm.sim.prompt"
 local session = require "rfsm.sim.session"
-local seed = 7
-
-local function dice(n) -- the same on each Lua
-  seed = (seed * 16807) % 2147483647
-  return seed % n + 1
-end
+local dice = require("spec.support.random")(7)
 
 local function place_of(sim)
   local leaf = sim.fsm._act_leaf

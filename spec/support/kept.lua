@@ -14,32 +14,12 @@ local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 require "rfsm.emem"
 local monitor = require "rfsm.monitor"
+local new_random = require "spec.support.random"
 local snapshot = require "rfsm.snapshot"
 
 local floor = math.floor
 
 local kept = {}
-
--- Random numbers (Lehmer's generator, exact in doubles) -----------------------
-
-local Random = {}
-Random.__index = Random
-
-local function new_random(seed)
-  local random = setmetatable({ state = seed * 7919 % 2147483646 + 1 }, Random)
-  for _ = 1, 5 do random:below(2) end
-  return random
-end
-
--- A whole number from 1 to n.
-function Random:below(n)
-  self.state = self.state * 16807 % 2147483647
-  return floor(self.state / 2147483647 * n) + 1
-end
-
-function Random:chance(percent) return self:below(100) <= percent end
-
-function Random:pick(list) return list[self:below(#list)] end
 
 -- The trace and the clock, of the machine that runs -----------------------------
 
@@ -213,13 +193,13 @@ function new_machine(random, id, depth)
 end
 
 --- Returns the model of a seed.
-function kept.model(seed) return new_machine(new_random(seed), "", 0) end
+function kept.model(seed) return new_machine(new_random(seed * 7919), "", 0) end
 
 -- Runs --------------------------------------------------------------------------
 
 --- Returns the operations of a seed.
 function kept.operations(seed)
-  local random, list = new_random(seed + 1000003), {}
+  local random, list = new_random((seed + 1000003) * 7919), {}
   for i = 1, 8 + random:below(12) do
     local kind = random:below(10)
     list[i] = kind < 4 and { "send", random:pick(EVENTS), random:pick(EVENTS) }

@@ -1,0 +1,47 @@
+--- Bundles: modules as functions in one text, for a sandbox without files.
+--
+-- @module rfsm.bundle
+-- @license BSD-3-Clause
+
+local io, package = io, package
+
+local bundle = {}
+
+--- The text before the modules: a `require` that finds them.
+bundle.HEAD = [[
+local bundled, loaded = {}, {}
+
+-- Stands for the global of this name, which a sandbox may lack.
+local outer_require = require
+local function require(name)
+  if not bundled[name] then
+    if outer_require then return outer_require(name) end
+    error("module '" .. name .. "' not found", 2)
+  end
+  if loaded[name] == nil then
+    loaded[name] = true
+    loaded[name] = bundled[name](name) or true
+  end
+  return loaded[name]
+end
+
+]]
+
+--- Append a module to the parts of a text.
+---@param parts string[]
+---@param name string
+---@return string? source nil if it is not found
+function bundle.add(parts, name)
+  local file = name:gsub("%.", "/")
+  for template in package.path:gmatch("[^;]+") do
+    local handle = io.open((template:gsub("%?", file)))
+    local text = handle and handle:read("*a")
+    if handle then handle:close() end
+    if text and text:byte() ~= 27 then -- no bytecode
+      parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(name, text)
+      return text
+    end
+  end
+end
+
+return bundle
