@@ -71,9 +71,9 @@ end
 
 -- Run: arm, raise ----------------------------------------------------------------
 
---- The earliest deadline of one kind of timers. No armed timer has one before; that
--- which had it may have gone. The field `_timeevent` of a machine has that of e_after at
--- `true`, that of e_at at `false`, and how many timers there are in `count`.
+--- The earliest deadline of one kind of timers; no armed timer has one before. The
+-- field `_timeevent` of a machine has that of e_after at `true`, that of e_at at
+-- `false`, and the number of its timers in `count`.
 ---@class rfsm_timeevent.Deadline
 ---@field is_relative boolean
 ---@field sec number huge if there is none
