@@ -14,9 +14,9 @@
 --                { "merge", n }
 --   traced       false: dbg is off at first; programs may switch it
 
-local charts = {}
+local new_random = require "spec.support.random"
 
-local floor = math.floor
+local charts = {}
 
 -- Events that are no strings: compared by identity, and never copied.
 local Object = { __tostring = function(self) return self.name end }
@@ -33,27 +33,6 @@ local function predicate(event)
   if event == 7 then error("no number") end
   return tostring(event):find("2", 1, true) ~= nil
 end
-
--- Random numbers (Lehmer's generator, exact in doubles) -----------------------
-
-local Random = {}
-Random.__index = Random
-
-local function new_random(seed)
-  local random = setmetatable({ state = seed % 2147483646 + 1 }, Random)
-  for _ = 1, 5 do random:below(2) end
-  return random
-end
-
--- A whole number from 1 to n.
-function Random:below(n)
-  self.state = self.state * 16807 % 2147483647
-  return floor(self.state / 2147483647 * n) + 1
-end
-
-function Random:chance(percent) return self:below(100) <= percent end
-
-function Random:pick(list) return list[self:below(#list)] end
 
 -- Nodes -----------------------------------------------------------------------
 
@@ -396,6 +375,23 @@ function charts.generate(seed)
     table.insert(chart.ops, random:below(#chart.ops), { "merge", n })
   end
   return chart
+end
+
+--- The root of a model, of what the functions return: new_node(fqn, node),
+-- new_transition(tr, i).
+function charts.assemble(chart, new_node, new_transition)
+  local models = {}
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.id ~= "initial" or node.is_declared then
+      models[fqn] = new_node(fqn, node)
+      if node.parent then models[node.parent][node.id] = models[fqn] end
+    end
+  end
+  for i, tr in ipairs(chart.transitions) do
+    models[tr.owner][tr.key] = new_transition(tr, i)
+  end
+  return models.root
 end
 
 return charts

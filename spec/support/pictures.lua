@@ -1,5 +1,6 @@
 -- Models that are hard to draw: random ones of depth 6 with regions, and odd names.
 
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
 local pictures = {}
@@ -12,15 +13,6 @@ pictures.ODD_NAMES = {
   "`c`", ";", "$x", "|", "/' '/", "||", "[H]", "direction", "class", "root", "<br>",
   "a -> b", ("long "):rep(12), ("endless"):rep(12), "</TABLE>", "@enduml", "]]>",
 }
-
--- Random numbers (Lehmer's generator, exact in doubles).
-local function new_random(seed)
-  local value = seed % 2147483646 + 1
-  return function(n)
-    value = value * 16807 % 2147483647
-    return math.floor(value / 2147483647 * n) + 1
-  end
-end
 
 local function add_transitions(model, nodes, random)
   local events, odd = {}, pictures.ODD_NAMES
@@ -64,7 +56,6 @@ end
 --- The random model of a seed.
 function pictures.model(seed, depth)
   local random, nodes, model = new_random(seed), {}, rfsm.state {}
-  for _ = 1, 5 do random(2) end
   model.err, model.warn, model.info = false, false, false
   add_members(model, nodes, random, depth)
   for _ = 1, nodes[1] and random(2 * #nodes) or 0 do

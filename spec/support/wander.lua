@@ -1,17 +1,10 @@
 -- Random runs of random charts, and runs that follow a witness, on their own machines.
 
 local bare = require "spec.support.bare"
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
 local wander = {}
-
-local function new_random(seed)
-  local state = seed % 2147483646 + 1
-  return function(n)
-    state = state * 16807 % 2147483647
-    return math.floor(state / 2147483647 * n) + 1
-  end
-end
 
 -- Events that the chart names, and one that it does not.
 local function events_of(chart)
