@@ -14,7 +14,7 @@
 local clock = require "rfsm.clock"
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
 local pcall, rawget, rawset, setmetatable = pcall, rawget, rawset, setmetatable
 local type = type
 local huge, max, min = math.huge, math.max, math.min
@@ -71,14 +71,11 @@ end
 
 -- Run: arm, raise ----------------------------------------------------------------
 
---- The earliest deadlines of a machine, in its field `_timeevent`. No armed timer has
--- one before; the timer that had it may have gone.
----@class rfsm_timeevent.Deadlines
----@field relative rfsm_timeevent.Deadline of e_after
----@field absolute rfsm_timeevent.Deadline of e_at
----@field count integer how many timers the machine has
-
+--- The earliest deadline of one kind of timers; no armed timer has one before. The
+-- field `_timeevent` of a machine has that of e_after at `true`, that of e_at at
+-- `false`, and the number of its timers in `count`.
 ---@class rfsm_timeevent.Deadline
+---@field is_relative boolean
 ---@field sec number huge if there is none
 ---@field nsec number
 ---@field soon number seconds; until then a look at the clock as one number is enough
@@ -106,15 +103,15 @@ local function expires_before(a, b)
   return a.rank < b.rank
 end
 
-local function deadline_of(fsm, is_relative)
-  return is_relative and fsm._timeevent.relative or fsm._timeevent.absolute
-end
-
 local MARGIN = 0.001 -- seconds; more than the error of a time as one number
 
 local function set(deadline, time)
   deadline.sec, deadline.nsec = time.sec, time.nsec
   deadline.soon = time.sec + time.nsec / 1e9 - MARGIN
+end
+
+local function new_deadline(is_relative)
+  return { is_relative = is_relative, sec = huge, nsec = 0, soon = huge }
 end
 
 local function report_clock(fsm, reason)
@@ -136,20 +133,24 @@ local function duration_of(fsm, timer)
     seconds)
 end
 
+local function arm_at(fsm, timer, sec, nsec)
+  timer.sec, timer.nsec = clock.normalise(sec, nsec)
+  timer.is_armed = true
+  local deadline = fsm._timeevent[timer.is_relative]
+  if is_before(timer, deadline) then set(deadline, timer) end
+end
+
 -- Arms a timer, counting from `sec`, `nsec`.
 local function arm(fsm, timer, sec, nsec)
   local delay, rest = duration_of(fsm, timer)
-  timer.is_armed, timer.is_waiting = delay ~= nil and delay < huge, false
-  if not timer.is_armed then return end
-  timer.sec, timer.nsec = clock.normalise(sec + delay, nsec + rest)
-  local deadline = deadline_of(fsm, timer.is_relative)
-  if is_before(timer, deadline) then set(deadline, timer) end
+  timer.is_armed, timer.is_waiting = false, false
+  if delay and delay < huge then arm_at(fsm, timer, sec + delay, nsec + rest) end
 end
 
 -- Has a timer wait for the clock to work again.
 local function wait(fsm, timer)
   timer.is_armed, timer.is_waiting = false, true
-  set(fsm._timeevent.relative, PAST)
+  set(fsm._timeevent[true], PAST)
 end
 
 -- Arms the timers of a list; without a clock, the relative ones later.
@@ -185,11 +186,11 @@ end
 
 -- Disarms and returns the timers of one kind that have expired. Notes the earliest
 -- deadline of the others.
-local function take_expired(fsm, is_relative, now)
-  local expired, deadline = {}, deadline_of(fsm, is_relative)
+local function take_expired(fsm, deadline, now)
+  local expired = {}
   set(deadline, NEVER)
   for _, timer in ipairs(list_timers(fsm, "is_armed")) do
-    local is_meant = timer.is_relative == is_relative
+    local is_meant = timer.is_relative == deadline.is_relative
     if is_meant and is_before(timer, now) then
       timer.is_armed = false
       expired[#expired + 1] = timer
@@ -202,13 +203,13 @@ local function take_expired(fsm, is_relative, now)
 end
 
 -- Raises the events of the timers of one kind that have expired.
-local function raise_expired(fsm, is_relative, deadline)
-  local sec, nsec = read(is_relative)
+local function raise_expired(fsm, deadline)
+  local sec, nsec = read(deadline.is_relative)
   if not sec then return report_clock(fsm, nsec) end
-  if is_relative then arm_all(fsm, list_timers(fsm, "is_waiting")) end
+  if deadline.is_relative then arm_all(fsm, list_timers(fsm, "is_waiting")) end
   if sec < deadline.sec or sec == deadline.sec and nsec <= deadline.nsec then return end
   local events = fsm._curq
-  for _, timer in ipairs(take_expired(fsm, is_relative, { sec = sec, nsec = nsec })) do
+  for _, timer in ipairs(take_expired(fsm, deadline, { sec = sec, nsec = nsec })) do
     events[#events + 1] = timer.name
     report(fsm, "dbg", "TIMEEVENT", timer.name)
   end
@@ -223,77 +224,68 @@ end
 
 -- This runs in every iteration. A clock that fails is read once more, and reported.
 local function check_timers(fsm)
-  local own = fsm._timeevent
-  local relative, absolute = own.relative, own.absolute
-  if relative.soon < huge then
-    local ok, is_nothing_due = pcall(is_early, gettimes[true], relative.soon)
-    if not (ok and is_nothing_due) then raise_expired(fsm, true, relative) end
-  end
-  if absolute.soon < huge then
-    local ok, is_nothing_due = pcall(is_early, gettimes[false], absolute.soon)
-    if not (ok and is_nothing_due) then raise_expired(fsm, false, absolute) end
+  local deadline = fsm._timeevent[true]
+  for _ = 1, 2 do
+    if deadline.soon < huge then
+      local ok, is_nothing_due = pcall(is_early, gettimes[deadline.is_relative],
+        deadline.soon)
+      if not (ok and is_nothing_due) then raise_expired(fsm, deadline) end
+    end
+    deadline = fsm._timeevent[false]
   end
 end
 
 -- Snapshots: timers are kept with the time that is left, by their names ----------
 
-local function now_or_raise()
-  local sec, nsec = read(true)
+local function read_or_raise(is_relative)
+  local sec, nsec = read(is_relative)
   if sec then return sec, nsec end
   error("rfsm_timeevent: the clock failed: " .. text_of(nsec), 0)
 end
 
 local function save(fsm)
-  local left, now, now_nsec = nil, nil, nil
-  for _, timer in ipairs(list_timers(fsm, "is_waiting")) do
-    left = left or {}
-    left[timer.name] = true
-  end
+  local left, now, now_nsec = {}, nil, nil
+  for _, timer in ipairs(list_timers(fsm, "is_waiting")) do left[timer.name] = true end
   for _, timer in ipairs(list_timers(fsm, "is_armed")) do
     local sec, nsec = timer.sec, timer.nsec
     if timer.is_relative then
-      if not now then now, now_nsec = now_or_raise() end
+      if not now then now, now_nsec = read_or_raise(true) end
       sec, nsec = clock.normalise(sec - now, nsec - now_nsec)
     end
-    left = left or {}
     left[timer.name] = { sec, nsec }
   end
-  return left
+  return next(left) and left
 end
 
 -- Arms a timer of which `left` was kept: seconds and nanoseconds, or true.
 local function load_timer(fsm, timer, left)
   local sec, nsec, now, now_nsec = left, 0, 0, 0
-  timer.is_armed, timer.is_waiting = false, false
-  if left == nil then return end
   if left == true then return wait(fsm, timer) end
   if type(left) == "table" then sec, nsec = left[1], left[2] end
   if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
     error("seconds and nanoseconds expected for timer '" .. timer.name .. "'", 0)
   end
-  if timer.is_relative then now, now_nsec = now_or_raise() end
-  timer.sec, timer.nsec = clock.normalise(sec + now, nsec + now_nsec)
-  timer.is_armed = true
-  local deadline = deadline_of(fsm, timer.is_relative)
-  if is_before(timer, deadline) then set(deadline, timer) end
+  if timer.is_relative then now, now_nsec = read_or_raise(true) end
+  arm_at(fsm, timer, sec + now, nsec + now_nsec)
 end
 
 -- A timer that the chart of a snapshot did not have is armed from now on.
 local function load(fsm, left, how)
-  local own, used = fsm._timeevent, 0
+  local is_known = {}
   left = left or {}
-  own.has_waiting = false
-  set(own.relative, NEVER)
-  set(own.absolute, NEVER)
+  set(fsm._timeevent[true], NEVER)
+  set(fsm._timeevent[false], NEVER)
   for _, timer in ipairs(list_timers(fsm, "name")) do
-    local kept = left[timer.name]
-    load_timer(fsm, timer, kept)
-    if kept ~= nil then used = used + 1 end
-    if kept == nil and how.is_migrated then arm_all(fsm, { timer }) end
+    is_known[timer.name] = true
+    timer.is_armed, timer.is_waiting = false, false
+    if left[timer.name] ~= nil then
+      load_timer(fsm, timer, left[timer.name])
+    elseif how.is_migrated then
+      arm_all(fsm, { timer })
+    end
   end
-  for name in pairs(left) do -- any order: a number
-    used = used - 1
-    if used < 0 and not how.is_migrated then
+  for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
+    if not is_known[name] then
       error("no active state has a timer '" .. text_of(name) .. "'", 0)
     end
   end
@@ -304,8 +296,8 @@ end
 -- Makes a machine look for expired timers, and a state arm its own.
 local function prepare_timers(fsm, state)
   if not fsm._timeevent then
-    fsm._timeevent = { relative = { sec = huge, nsec = 0, soon = huge },
-      absolute = { sec = huge, nsec = 0, soon = huge }, count = 0 }
+    fsm._timeevent = { [true] = new_deadline(true), [false] = new_deadline(false),
+      count = 0 }
     rfsm.pre_step_hook_add(fsm, check_timers, "before") -- other hooks see the events
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
@@ -425,18 +417,11 @@ function rfsm_timeevent.set_gettime_hook(gettime)
   clock.set_hook(gettime)
 end
 
-local function read_or_raise(is_relative)
-  local sec, nsec = read(is_relative)
-  if sec then return sec, nsec end
-  error("rfsm_timeevent.next_deadline: the clock failed: " .. text_of(nsec), 0)
-end
-
 -- Returns the seconds until the first timer of one kind can fire; huge: there is none.
-local function remaining(fsm, is_relative)
-  take_expired(fsm, is_relative, PAST)
-  local deadline = deadline_of(fsm, is_relative)
+local function remaining(fsm, deadline)
+  take_expired(fsm, deadline, PAST)
   if deadline.sec == huge then return huge end
-  local sec, nsec = read_or_raise(is_relative)
+  local sec, nsec = read_or_raise(deadline.is_relative)
   sec, nsec = clock.normalise(deadline.sec - sec, deadline.nsec - nsec + 1)
   return max(sec + nsec / 1e9, 0)
 end
@@ -449,14 +434,13 @@ local function earliest_deadline(fsm)
     local waiting = list_timers(fsm, "is_waiting")
     if waiting[1] then read_or_raise(true) end
     arm_all(fsm, waiting)
-    least = min(remaining(fsm, true), remaining(fsm, false))
+    least = min(remaining(fsm, fsm._timeevent[true]),
+      remaining(fsm, fsm._timeevent[false]))
   end
   while state do
     local machines = type(state.substates) == "table" and state.substates or {}
-    for _, machine in pairs(machines) do -- any order: a minimum
-      if rfsm.is_initialized_root(machine) then
-        least = min(least, earliest_deadline(machine))
-      end
+    for _, name in ipairs(rfsm.sorted_keys(machines, rfsm.is_initialized_root)) do
+      least = min(least, earliest_deadline(machines[name]))
     end
     state = state._actchild
   end

@@ -10,27 +10,25 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, next, pairs = error, ipairs, next, pairs
-local rawget, rawset, type = rawget, rawset, type
+local error, ipairs, next, rawget = error, ipairs, next, rawget
+local rawset, type = rawset, type
 local concat = table.concat
 
 local rfsm_await = {}
 
 -- Run: note the events that are received --------------------------------------------
 
---- One await of a state; the list of them is the field `_await` of the state.
+--- One await. Lists of them: `_await` of each source, `_awaits` of the machine.
 ---@class rfsm.await.Await
 ---@field name string the event that comes when all were received
----@field wanted table<string, boolean> the events to wait for
----@field received table<string, boolean> those that came
+---@field wanted string[] the events to wait for
+---@field received table<string, boolean> did it come? of each of them
 ---@field missing integer how many did not
----@field count integer how many are wanted
 
 local function note_events(await, events, n)
   for i = 1, n do
-    local event = events[i]
-    if await.wanted[event] and not await.received[event] then
-      await.received[event] = true
+    if await.received[events[i]] == false then
+      await.received[events[i]] = true
       await.missing = await.missing - 1
     end
   end
@@ -56,41 +54,38 @@ local function check_awaits(fsm)
   end
 end
 
-local function forget(_, state)
-  for _, await in ipairs(state._await) do
-    await.received, await.missing = {}, await.count
-  end
+local function forget(await)
+  for _, event in ipairs(await.wanted) do await.received[event] = false end
+  await.missing = #await.wanted
 end
 
-local function has_await(obj) return rfsm.is_state(obj) and obj._await ~= nil end
+local function forget_state(_, state)
+  for _, await in ipairs(state._await) do forget(await) end
+end
 
 local function reset(fsm)
-  for _, state in ipairs(rfsm.elements(fsm, has_await)) do forget(fsm, state) end
+  for _, await in ipairs(fsm._awaits) do forget(await) end
 end
 
 -- Snapshots hold the events that were received, by the names of awaits.
 local function save(fsm)
-  local received = nil
-  for _, state in ipairs(rfsm.elements(fsm, has_await)) do
-    for _, await in ipairs(state._await) do
-      if next(await.received) ~= nil then
-        local copy = {}
-        for event in pairs(await.received) do copy[event] = true end -- any order
-        received = received or {}
-        received[await.name] = copy
-      end
+  local kept = {}
+  for _, await in ipairs(fsm._awaits) do
+    for _, event in ipairs(await.missing < #await.wanted and await.wanted or {}) do
+      kept[await.name] = kept[await.name] or {}
+      kept[await.name][event] = await.received[event] or nil
     end
   end
-  return received
+  return next(kept) and kept
 end
 
-local function load(fsm, received)
-  for _, state in ipairs(rfsm.elements(fsm, has_await)) do
-    forget(fsm, state)
-    for _, await in ipairs(state._await) do
-      local kept = received and received[await.name] or {}
-      if type(kept) ~= "table" then error("set of events expected", 0) end
-      for event in pairs(kept) do note_events(await, { event }, 1) end -- any order
+local function load(fsm, kept)
+  for _, await in ipairs(fsm._awaits) do
+    local received = kept and kept[await.name] or {}
+    if type(received) ~= "table" then error("set of events expected", 0) end
+    forget(await)
+    for _, event in ipairs(await.wanted) do
+      if received[event] then note_events(await, { event }, 1) end
     end
   end
 end
@@ -122,12 +117,12 @@ end
 
 local function new_await(names, fqn)
   local await = { name = "await(" .. concat(names, ", ") .. ")@" .. fqn,
-    wanted = {}, received = {}, missing = 0, count = 0 }
+    wanted = {}, received = {}, missing = 0 }
   for _, name in ipairs(names) do
-    if not await.wanted[name] then await.count = await.count + 1 end
-    await.wanted[name] = true
+    if await.received[name] == nil then await.wanted[#await.wanted + 1] = name end
+    await.received[name] = false
   end
-  await.missing = await.count
+  await.missing = #await.wanted
   return await
 end
 
@@ -137,20 +132,20 @@ local function warn_never(fsm, tr, event, kind)
 end
 
 local function add_await(fsm, state, await)
-  if not fsm._has_await then
-    fsm._has_await = true
+  if not fsm._awaits then
+    fsm._awaits = {}
     rfsm.pre_step_hook_add(fsm, check_awaits)
     rfsm.reset_hook_add(fsm, reset)
     rfsm.snapshot_hook_add(fsm, "await", save, load)
   end
   if not state._await then
     state._await = {}
-    rfsm.exit_hook_add(fsm, state, forget)
+    rfsm.exit_hook_add(fsm, state, forget_state)
   end
   for _, other in ipairs(state._await) do
     if other.name == await.name then return end
   end
-  state._await[#state._await + 1] = await
+  state._await[#state._await + 1], fsm._awaits[#fsm._awaits + 1] = await, await
 end
 
 -- Returns the name of the event for the await of `names` at the source of `tr`.

@@ -12,8 +12,8 @@
 local rfsm = require "rfsm"
 
 local error, ipairs, next, pairs = error, ipairs, next, pairs
-local rawget, rawset = rawget, rawset
-local setmetatable, type = setmetatable, type
+local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
+local jit = rawget(_G, "jit")
 
 local rfsm_emem = {}
 
@@ -25,6 +25,8 @@ local function clear(_, state)
   if not emem then return end
   for event in pairs(emem) do emem[event] = 0 end -- any order: all of them
 end
+
+if jit then jit.off(clear) end -- compiled traversals of LuaJIT 2.1 may skip keys
 
 -- This runs in every iteration.
 local function count(fsm)
@@ -47,26 +49,24 @@ end
 
 -- Snapshots hold the counts of each state in which an event was received.
 local function save(fsm)
-  local counts = nil
+  local counts = {}
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
-    if state.emem and next(state.emem) ~= nil then
-      local copy = {}
-      for event, n in pairs(state.emem) do copy[event] = n end -- any order: a copy
-      counts = counts or {}
-      counts[state._fqn] = copy
+    for _, event in ipairs(rfsm.sorted_keys(state.emem or {})) do
+      counts[state._fqn] = counts[state._fqn] or {}
+      counts[state._fqn][event] = state.emem[event]
     end
   end
-  return counts
+  return next(counts) and counts
 end
 
 local function load(fsm, counts)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do
-    local kept = counts and counts[state._fqn] or {}
+    local emem, kept = state.emem or {}, counts and counts[state._fqn] or {}
     if type(kept) ~= "table" then error("table of counts expected", 0) end
-    for event in pairs(state.emem or {}) do state.emem[event] = nil end -- any order
-    for event, n in pairs(kept) do -- any order: each stands alone
-      if type(n) ~= "number" then error("number of events expected", 0) end
-      if state.emem then state.emem[event] = n end
+    for _, event in ipairs(rfsm.sorted_keys(emem)) do emem[event] = nil end
+    for _, event in ipairs(rfsm.sorted_keys(kept)) do
+      if type(kept[event]) ~= "number" then error("number of events expected", 0) end
+      emem[event] = kept[event]
     end
   end
 end

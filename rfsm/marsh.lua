@@ -11,7 +11,7 @@
 
 local rfsm = require "rfsm"
 
-local io, ipairs, pairs, rawget, rawset = io, ipairs, pairs, rawget, rawset
+local io, ipairs, rawget, rawset = io, ipairs, rawget, rawset
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local math_type, debug = rawget(math, "type"), rawget(_G, "debug")
 
@@ -389,27 +389,25 @@ end
 -- Marks a list, so that an empty one is no object.
 local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
 
-local function plain_texts(tab)
-  for key, value in pairs(tab) do -- any order: each stands alone
-    if type(value) == "string" then tab[key] = marsh.utf8(value) end
-  end
+local TEXTS = { "id", "src", "tgt", "key", "doc", "guard", "effect", "entry", "exit",
+  "doo" }
+local LISTS = { "events", "words", "transitions", "subnodes", "regions" }
+
+local function each(tab, keys, f)
+  for _, key in ipairs(keys) do tab[key] = tab[key] and f(tab[key]) end
 end
 
 -- Makes an element of what dkjson can write without losing or adding anything.
 local function plain(tab, text_of)
-  plain_texts(tab)
+  each(tab, TEXTS, marsh.utf8)
+  each(tab, LISTS, as_array)
   tab.pn = tab.pn and plain_number(tab.pn)
   for i, event in ipairs(tab.events or {}) do
     tab.events[i] = plain_event(event, text_of)
   end
-  if tab.words then plain_texts(tab.words) end
-  for _, key in ipairs { "events", "words" } do
-    if tab[key] then as_array(tab[key]) end
-  end
+  for i, text in ipairs(tab.words or {}) do tab.words[i] = marsh.utf8(text) end
   for _, key in ipairs { "transitions", "subnodes", "regions" } do
-    for _, element in ipairs(tab[key] and as_array(tab[key]) or {}) do
-      plain(element, text_of)
-    end
+    for _, element in ipairs(tab[key] or {}) do plain(element, text_of) end
   end
   return tab
 end

@@ -18,8 +18,9 @@ local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.options"
 
-local error, pairs, pcall, rawget, rawset = error, pairs, pcall, rawget, rawset
-local setmetatable, tonumber, tostring, type = setmetatable, tonumber, tostring, type
+local error, ipairs, pairs, pcall, rawget = error, ipairs, pairs, pcall, rawget
+local rawset, setmetatable, tonumber = rawset, setmetatable, tonumber
+local tostring, type = tostring, type
 local huge, remove = math.huge, table.remove
 local is_seconds, is_text, is_whole = opts.is_seconds, opts.is_text, opts.is_whole
 
@@ -96,7 +97,7 @@ end
 -- Send ------------------------------------------------------------------------
 
 local function find_subscriber(server, ip, port)
-  for i, sub in pairs(server.subscribers) do -- any order: at most one
+  for i, sub in ipairs(server.subscribers) do
     if sub.port == port and sub.ip == ip then return sub, i end
   end
 end
@@ -215,8 +216,7 @@ function MESSAGES.event(server, message)
   local event = message.event
   if not server.allow_send then return "event: refused, allow_send is off" end
   if not IS_EVENT[type(event)] or event == huge or event == -huge or event ~= event then
-    return "event: string, boolean or finite number expected, got "
-      .. (type(event) == "number" and rfsm.text_of(event) or type(event))
+    return "event: string, boolean or finite number expected, " .. opts.got(event)
   end
   local feed, problem = feed_of(server, message, message.fsm or 1)
   if not feed then return problem end
@@ -392,8 +392,9 @@ end
 -- The graph of a machine has changed: it is made and sent anew.
 local function forget_graph(fsm)
   for server in pairs(servers) do -- any order: each stands alone
-    for _, feed in pairs(server.feeds) do -- any order: as above
-      if feed.fsm == fsm then
+    for i = 1, server.count do
+      local feed = server.feeds[i]
+      if feed and feed.fsm == fsm then
         feed.graph = false
         each_subscriber(feed, function(sub) sub.has_graph_of[feed] = nil end)
       end

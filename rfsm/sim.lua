@@ -58,20 +58,20 @@ end
 --- The options of `rfsm sim`.
 ---@class rfsm.sim.Options
 ---@field file string the chart
----@field code? string[] Lua to run first
----@field recording? string file to replay first
----@field is_dry? boolean without the functions of the chart
----@field is_quiet? boolean no banner
----@field is_interactive? boolean read commands, also after `code`
+---@field execute? string[] Lua to run first
+---@field replay? string file to replay first
+---@field dry? boolean without the functions of the chart
+---@field quiet? boolean no banner
+---@field interactive? boolean read commands, also after `execute`
 
 -- Brings a session to where the first command is read; returns a status if it ends.
 local function prepare(sim, options)
   prompt.install(sim)
-  if options.is_dry then sim:set_dry(true) end
-  if options.recording and not replay(sim, options.recording) then return 1 end
-  local code = options.code or {}
+  if options.dry then sim:set_dry(true) end
+  if options.replay and not replay(sim, options.replay) then return 1 end
+  local code = options.execute or {}
   if not run_code(sim, code) then return 1 end
-  return (sim.is_over or code[1] and not options.is_interactive) and 0
+  return (sim.is_over or code[1] and not options.interactive) and 0
 end
 
 --- Open a chart, run the code given, read commands from stdin.
@@ -88,7 +88,7 @@ function rfsm_sim.main(options)
   end
   local status = prepare(sim, options)
   if status then return status end
-  if not options.is_quiet then greet(is_terminal) end
+  if not options.quiet then greet(is_terminal) end
   prompt.converse(sim)
   if is_terminal then print() end -- the shell's prompt has a line of its own
   return 0

@@ -140,5 +140,5 @@ end)
 
 it("a machine without await has nothing of this extension", function()
   local fsm = helper.init(chart { "e_x" })
-  assert.same({}, { fsm._has_await, fsm.a._await })
+  assert.same({}, { fsm._awaits, fsm.a._await })
 end)

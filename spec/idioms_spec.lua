@@ -137,21 +137,6 @@ describe("a walk over a live machine", function()
     assert.error_matches(function() rfsm.map_from_to(fsm, fqn_of, fsm.a, fsm.c) end,
       "'root.a' and 'root.c' are not on one line", 1, true)
   end)
-
-  it("has a path from node_find_enabled, in segments", function()
-    local fsm, texts = started(), {}
-    helper.post_and_run(fsm, "e_in")
-    local path = rfsm.node_find_enabled(fsm, fsm.c, { "e_out" })
-    local at = path
-    while at do
-      texts[#texts + 1] = at.node._fqn
-      at = at.nextl and at.nextl[1].next
-    end
-    assert.same({ "root.c", "root.k", "root.a" }, texts)
-    assert.equal(fsm[3], path.nextl[1].trans)
-    assert.is_falsy(rfsm.node_find_enabled(fsm, fsm.c, { "e_none" }))
-    assert.equal("root.c.x", rfsm.get_actleaf_fqn(fsm))
-  end)
 end)
 
 describe("the events of a transition", function()
@@ -330,25 +315,6 @@ describe("a field of a live machine", function()
       assert.is_true(#calls > 0)
       assert.is_falsy(table.concat(calls):find("own"))
     end
-  end)
-
-  it("entry, exit, doo, guard and effect are replaced by tools", function()
-    local trace, fsm = {}, started()
-    fsm.a.exit, fsm.c.entry = noting(trace, "exit"), noting(trace, "entry")
-    fsm[2].guard, fsm[2].effect = noting(trace, "guard"), noting(trace, "effect")
-    fsm.c.x.doo = noting(trace, "doo")
-    helper.post_and_run(fsm, "e_in")
-    assert.same({ "guard", "exit", "effect", "entry", "doo" }, trace)
-    fsm.c.exit = nil
-    assert.equal("root.a", leaf_after(fsm, "e_out"))
-  end)
-
-  it("tgt retargets a transition of a running machine", function()
-    local fsm = started()
-    helper.post_and_run(fsm, "e_in")
-    fsm[2].tgt = fsm.c.y
-    helper.post_and_run(fsm, "e_out")
-    assert.equal("root.c.y", leaf_after(fsm, "e_in"))
   end)
 
   it("_intq is the queue, _act_leaf the leaf, events an array of strings", function()

@@ -433,7 +433,7 @@ describe("a clock that fails", function()
     for _, first in ipairs { clock, broken } do
       local fsm = with_clocks(first, broken)
       assert.error_matches(function() next_deadline(fsm) end,
-        "rfsm_timeevent.next_deadline: the clock failed: battery empty")
+        "rfsm_timeevent: the clock failed: battery empty")
     end
   end)
 

@@ -189,7 +189,9 @@ describe("the command line", function()
 
   it("asks for a file, tells its version", function()
     refuses("rfsm-viz", "Error: missing argument 'files'")
-    check("rfsm-viz --version", "rfsm 1.0.0\n")
+    refuses("rfsm-sim", "Error: missing argument 'file'")
+    check("rfsm-sim --version", "rfsm 1.0.0\n")
+    has_help("rfsm-sim", "rfsm sim")
   end)
 
   it("runs by a symbolic link from anywhere", function()

@@ -128,14 +128,4 @@ describe("a callback that raises", function()
         rfsm.get_actleaf_fqn(fsm))
     end)
   end
-
-  it("everywhere is reported everywhere, and the machine arrives", function()
-    local model = two_branches(".a.x", ".b.y")
-    local said = helper.said(model, "err")
-    local fail = error
-    model.a.x.exit, model.a.exit, model[2].effect = fail, fail, fail
-    model.b.entry, model.b.y.entry = fail, fail
-    local trace, fsm = trace_of(model, "e")
-    assert.same({ 5, {}, "root.b.y" }, { #said, trace, rfsm.get_actleaf_fqn(fsm) })
-  end)
 end)

@@ -10,7 +10,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local place = require "rfsm.checks.place"
 
-local ipairs, pairs, type = ipairs, pairs, type
+local ipairs, type = ipairs, type
 local regions_of = place.regions_of
 
 local names = {}
@@ -71,10 +71,7 @@ function names.is_event(fsm, event)
   local set = names.event_set(fsm)
   if set[event] or event == "e_init_fsm" then return true end
   if type(event) == "string" and event:find("^e_done") then return true end
-  for known in pairs(set) do -- any order: one is enough
-    if rfsm.is_callable(known) then return true end
-  end
-  return false
+  return rfsm.sorted_keys(set, function(_, e) return rfsm.is_callable(e) end)[1] ~= nil
 end
 
 --- List the states and connectors.

@@ -16,13 +16,6 @@ local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetata
 local type = type
 local concat, insert = table.concat, table.insert
 
---- A breakpoint, or an expression that is watched.
----@class rfsm.sim.Point
----@field kind "state"|"transition"|"event"|"watch"
----@field name string for a reader; the expression
----@field value any the FQN, the transition or the event; the last value shown
----@field fsm? rfsm.Machine of the state
-
 local Probe = {}
 Probe.__index = Probe
 

@@ -1,38 +1,27 @@
 -- Charts of charts.lua as models without programs: guards, entries, exits, effects and
 -- doos are made by the caller.
 
+local charts = require "spec.support.charts"
 local rfsm = require "rfsm"
 
 local bare = {}
 
-local function new_node(node, fqn, make)
-  if node.kind == "connector" then return rfsm.conn {} end
-  return rfsm.state {
-    entry = make.entry and make.entry(fqn), exit = make.exit and make.exit(fqn),
-    doo = node.doo and make.doo and make.doo(fqn) or nil,
-  }
-end
-
 --- A silent model of a chart. `make` has functions that return callbacks: entry, exit
 -- and doo of a name, guard and effect of the number of a transition.
 function bare.model_of(chart, make)
-  local models = {}
-  for _, fqn in ipairs(chart.names) do
-    local node = chart.nodes[fqn]
-    if node.id ~= "initial" or node.is_declared then
-      models[fqn] = new_node(node, fqn, make)
-      if node.parent then models[node.parent][node.id] = models[fqn] end
-    end
-  end
-  for i, tr in ipairs(chart.transitions) do
-    models[tr.owner][tr.key] = rfsm.trans {
+  local root = charts.assemble(chart, function(fqn, node)
+    if node.kind == "connector" then return rfsm.conn {} end
+    return rfsm.state {
+      entry = make.entry and make.entry(fqn), exit = make.exit and make.exit(fqn),
+      doo = node.doo and make.doo and make.doo(fqn) or nil,
+    }
+  end, function(tr, i)
+    return rfsm.trans {
       src = tr.src_ref, tgt = tr.tgt_ref, pn = tr.pn, events = tr.events_ref,
       guard = tr.guard and make.guard and make.guard(i) or nil,
-      effect = make.effect and make.effect(i) or nil,
-      number = i,
+      effect = make.effect and make.effect(i) or nil, number = i,
     }
-  end
-  local root = models.root
+  end)
   root.info, root.warn, root.err = false, false, false
   return root
 end

@@ -377,4 +377,21 @@ function charts.generate(seed)
   return chart
 end
 
+--- The root of a model, of what the functions return: new_node(fqn, node),
+-- new_transition(tr, i).
+function charts.assemble(chart, new_node, new_transition)
+  local models = {}
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.id ~= "initial" or node.is_declared then
+      models[fqn] = new_node(fqn, node)
+      if node.parent then models[node.parent][node.id] = models[fqn] end
+    end
+  end
+  for i, tr in ipairs(chart.transitions) do
+    models[tr.owner][tr.key] = new_transition(tr, i)
+  end
+  return models.root
+end
+
 return charts

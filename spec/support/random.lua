@@ -1,7 +1,5 @@
--- Random numbers: the same seed gives the same ones on every Lua (Lehmer's generator,
--- exact in doubles).
-
-local floor = math.floor
+-- Random numbers (Lehmer's generator, exact in doubles): the same seed gives the same
+-- ones on every Lua.
 
 local Random = {}
 Random.__index = Random
@@ -9,7 +7,7 @@ Random.__index = Random
 --- Returns a whole number from 1 to n; random(n) is the same.
 function Random:below(n)
   self.state = self.state * 16807 % 2147483647
-  return floor(self.state / 2147483647 * n) + 1
+  return math.floor(self.state / 2147483647 * n) + 1
 end
 
 Random.__call = Random.below
@@ -18,9 +16,10 @@ function Random:chance(percent) return self:below(100) <= percent end
 
 function Random:pick(list) return list[self:below(#list)] end
 
---- Returns the generator of a seed.
-return function(seed)
+local function new_random(seed)
   local random = setmetatable({ state = seed % 2147483646 + 1 }, Random)
-  for _ = 1, 5 do random:below(2) end
+  for _ = 1, 5 do random:below(2) end -- the first ones follow the seed
   return random
 end
+
+return new_random

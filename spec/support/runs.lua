@@ -207,20 +207,11 @@ local function model_node(world, fqn, node)
   }
 end
 
---- The chart as a model for rfsm.init.
-function runs.model_of(world)
-  local chart, models = world.chart, {}
-  for _, fqn in ipairs(chart.names) do
-    local node = chart.nodes[fqn]
-    if node.id ~= "initial" or node.is_declared then
-      models[fqn] = model_node(world, fqn, node)
-      if node.parent then models[node.parent][node.id] = models[fqn] end
-    end
-  end
-  for _, tr in ipairs(chart.transitions) do
-    models[tr.owner][tr.key] = model_transition(world, tr)
-  end
-  local root = models.root
+-- The chart as a model for rfsm.init.
+local function model_of(world)
+  local root = charts.assemble(world.chart, function(fqn, node)
+    return model_node(world, fqn, node)
+  end, function(tr) return model_transition(world, tr) end)
   root.info, root.err = false, outside(world, "err")
   root.warn = outside(world, "warn")
   root.dbg = first_dbg(world) or false
@@ -426,7 +417,7 @@ end
 --- The trace of the core; nil and the problems when init refuses the chart.
 function runs.on_core(chart)
   local world = new_world(chart)
-  local model = runs.model_of(world)
+  local model = model_of(world)
   local engine, problems = core_engine(world, model, model.warn)
   if not engine then return nil, problems end
   return drive(world, engine)
@@ -515,7 +506,7 @@ local MANY = 1e6
 -- text: what went wrong; nil when nothing did.
 function runs.interrupt(chart)
   local world = new_world(chart)
-  local model = runs.model_of(world)
+  local model = model_of(world)
   local warn, random = model.warn, chart.seed
   local engine = core_engine(world, model, warn)
   local fsm = engine.fsm

@@ -1,0 +1,87 @@
+--- `rfsm check`: report problems and suspicious parts of charts.
+--
+-- @module rfsm.cli.check
+-- @license BSD-3-Clause
+
+local chart = require "rfsm.chart"
+local common = require "rfsm.cli.common"
+
+local concat = table.concat
+
+local check = {
+  summary = "Report problems and suspicious parts of charts.",
+  epilog = "The status is 0 if no chart has a problem, 1 if one has, 2 if the command "
+    .. "line is wrong or a file cannot be read. A file .rfsmcheck.lua sets severities.",
+}
+
+local function print_codes()
+  print((require("rfsm.checks.command").codes_text():gsub("\n$", "")))
+  os.exit(0)
+end
+
+function check.add_arguments(command)
+  local function add_number(names, description)
+    command:option(names, "explore: " .. description):argname("N"):convert(tonumber)
+  end
+  common.add_files(command)
+  command:flag("-a --all", "print notes, too")
+  command:flag("-q --quiet", "print nothing, only set the status")
+  command:flag("-s --strict", "count a warning as a problem")
+  command:flag("--codes", "list the codes of findings and end"):action(print_codes)
+  command:flag("-x --explore", "walk over every configuration, and judge properties")
+  add_number("-k --together", "events in one step, at most")
+  add_number("--configurations", "stop after so many")
+  add_number("--seconds", "stop after so long")
+  command:option("--record", "explore: write the run that shows the first finding")
+    :argname("FILE")
+  command:option("--tests", "write a spec that takes every transition")
+    :argname("KIND"):choices { "busted" }
+  command:option("-o --output", "tests: file to write; - is stdout", "-")
+    :argname("FILE")
+end
+
+-- Writes tests of one chart.
+local function write_tests(options, parser)
+  local file = options.files[1]
+  if options.files[2] then
+    parser:error("one FILE expected, tests are those of one chart, got "
+      .. #options.files)
+  end
+  local model = common.try(common.load_model(file))
+  local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
+    model)
+  common.write(options.output, text)
+  io.stderr:write(("rfsm check: %d of %d transitions in %d steps (at least %d are "
+    .. "needed)\n"):format(result.taken, result.transitions, result.steps,
+    result.least))
+end
+
+-- Returns lines about the chart in a file, and the gravest severity.
+local function review(file, options)
+  local command = require("rfsm.checks.command")
+  local settings, problem = command.settings_for(file)
+  if not settings then common.fail(problem, 2) end
+  local model, warnings = common.load_model(file)
+  if not model then return { warnings }, "error" end
+  local ok, lines, gravest = common.with_streams(common.NOWHERE, command.review, file,
+    model, warnings, settings, options)
+  if not ok then return { chart.reason(file, lines) }, "error" end
+  return lines, gravest
+end
+
+function check.run(options, parser)
+  for _, file in ipairs(options.files) do common.check_readable(file) end
+  require("rfsm_timeevent") -- so that their events are known
+  require("rfsm.await")
+  if options.tests then return write_tests(options, parser) end
+  local texts, status = {}, 0
+  for i, file in ipairs(options.files) do
+    local lines, gravest = review(file, options)
+    texts[i] = concat(lines, "\n") .. "\n"
+    if gravest == "error" or options.strict and gravest then status = 1 end
+  end
+  if not options.quiet then common.write("-", concat(texts)) end
+  return status
+end
+
+return check

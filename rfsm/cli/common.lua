@@ -1,0 +1,146 @@
+--- What the commands share: streams, charts in, results out, addresses.
+--
+-- Output of a chart while it is loaded goes to stderr, so that it is never part of a
+-- result.
+--
+-- @module rfsm.cli.common
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local chart = require "rfsm.chart"
+local diagram = require "rfsm.diagram"
+
+local concat = table.concat
+
+local common = {
+  command = "", -- name of the one that runs
+  NOWHERE = { write = function(self) return self end }, -- a stream that keeps nothing
+}
+
+-- Streams ---------------------------------------------------------------------
+
+local function set_streams(printer, out, err, default)
+  rawset(_G, "print", printer)
+  rawset(io, "stdout", out)
+  rawset(io, "stderr", err)
+  io.output(default)
+end
+
+-- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
+-- pcall.
+function common.with_streams(stream, f, ...)
+  local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
+    io.output()
+  set_streams(function(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = rfsm.text_of(texts[i]) end
+    stream:write(concat(texts, "\t"), "\n")
+  end, stream, stream, err)
+  local ok, result, more = pcall(f, ...)
+  set_streams(printer, out, err, default)
+  return ok, result, more
+end
+
+-- Reports each line of a problem on stderr, and ends the program.
+function common.fail(problem, status)
+  io.stdout:flush()
+  for line in problem:gmatch("[^\n]+") do
+    io.stderr:write("rfsm ", common.command, ": ", line, "\n")
+  end
+  os.exit(status or 1)
+end
+
+-- Returns a result, unless there is none, but a problem.
+function common.try(result, problem)
+  return result or common.fail(problem)
+end
+
+-- Returns f(...), called silently for the chart in a file.
+function common.call(file, f, ...)
+  local ok, result, more = common.with_streams(common.NOWHERE, f, ...)
+  if not ok then common.fail(chart.reason(file, result)) end
+  return result, more
+end
+
+-- Calls a function that has no end; Control-C ends it.
+function common.until_interrupt(f, ...)
+  local ok, problem = pcall(f, ...)
+  if not (ok or rfsm.text_of(problem):find("interrupted!$")) then error(problem, 0) end
+end
+
+-- Charts in -------------------------------------------------------------------
+
+function common.add_file(command)
+  return command:argument("file", "the chart: a Lua file that returns a state")
+    :argname("FILE")
+end
+
+function common.add_files(command)
+  command:argument("files", "Lua files that return a chart; - is stdin"):args("+")
+    :argname("FILE")
+end
+
+-- Ends the program with status 2 if a file cannot be read.
+function common.check_readable(file)
+  if file == "-" then return end
+  local handle, problem = io.open(file)
+  if not handle then common.fail(problem, 2) end
+  local text, why = handle:read(1) -- a directory opens, too
+  if not text and why then common.fail(file .. ": " .. why, 2) end
+  handle:close()
+end
+
+-- Returns the model in a file, and its warnings; nil and the problem in one line.
+function common.load_model(file)
+  return select(2, common.with_streams(io.stderr, chart.load, file))
+end
+
+-- Returns the machine of a chart, made silently.
+local function load_machine(file)
+  local model = common.try(common.load_model(file))
+  model.dbg, model.err, model.warn, model.info = false, false, false, false
+  local fsm, problems = common.call(file, rfsm.init, model)
+  if fsm then return fsm end
+  for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
+  common.fail(concat(problems, "\n"))
+end
+
+-- Results out -----------------------------------------------------------------
+
+-- Writes a text to a file; `-` is stdout. A full disk shows when a stream is flushed.
+function common.write(file, text)
+  local ok, problem
+  if file == "-" then
+    ok, problem = io.stdout:write(text)
+    if ok then ok, problem = io.stdout:flush() end
+    problem = problem and "stdout: " .. problem
+  else
+    ok, problem = diagram.write(file, text)
+  end
+  if not ok then common.fail(problem) end
+end
+
+-- Encodes every chart before anything is written: encode(fsm, title).
+function common.encode_all(files, encode)
+  local texts = {}
+  for i, file in ipairs(files) do
+    local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
+    local text = common.call(file, encode, load_machine(file), title)
+    texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
+  end
+  return texts
+end
+
+-- Addresses -------------------------------------------------------------------
+
+local PROTO_PORT = 44044 -- of rfsm.proto
+
+-- Returns host and port of "HOST:PORT" or "HOST".
+function common.address_of(parser, text)
+  local host, port = text:match("^(.*):(%d+)$")
+  port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)
+  if port and port <= 65535 then return host or text, port end
+  parser:error(("HOST or HOST:PORT expected, got '%s'"):format(text))
+end
+
+return common

@@ -1,0 +1,26 @@
+--- `rfsm sim`: step through a chart by hand.
+--
+-- @module rfsm.cli.sim
+-- @license BSD-3-Clause
+
+local common = require "rfsm.cli.common"
+
+local sim = {
+  summary = "Step through a chart by hand.",
+  epilog = "Commands are read from the terminal or from a pipe; help() lists them.",
+}
+
+function sim.add_arguments(command)
+  common.add_file(command)
+  command:option("-e --execute", "run CODE, print the values of an expression, and end")
+    :argname("CODE"):count("*")
+  command:flag("-i --interactive", "read commands after CODE, too")
+  command:option("-r --replay", "run the chart through the recording in FILE first")
+    :argname("FILE")
+  command:flag("-d --dry", "leave the functions of the chart out")
+  command:flag("-q --quiet", "print no banner")
+end
+
+function sim.run(options) return require("rfsm.sim").main(options) end
+
+return sim

@@ -1,0 +1,96 @@
+--- `rfsm viz`: draw charts.
+--
+-- @module rfsm.cli.viz
+-- @license BSD-3-Clause
+
+local common = require "rfsm.cli.common"
+
+local concat = table.concat
+
+local FORMATS = { "dot", "svg", "png", "pdf", "plantuml", "mermaid", "json" }
+local IS_TEXT = { dot = true, svg = false, png = false, pdf = false, plantuml = true,
+  mermaid = true, json = true }
+local BY_ENDING = { gv = "dot", puml = "plantuml", mmd = "mermaid" }
+
+local viz = { summary = "Draw charts.", epilog = "Graphviz lays out the pictures." }
+
+local function to_depth(text)
+  local depth = tonumber(text)
+  if depth and depth >= 1 and depth % 1 == 0 then return depth end
+  return nil, "depth: a whole number from 1 expected, got '" .. text .. "'"
+end
+
+function viz.add_arguments(command)
+  common.add_files(command)
+  command:option("-T --format", concat(FORMATS, ", ")
+    .. "; without it the ending of the output decides, or it is dot")
+    :argname("FORMAT"):choices(FORMATS)
+  command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+  command:option("--active", "draw state FQN as active; may be given for each region")
+    :argname("FQN"):count("*")
+  command:option("--depth", "draw N levels of states"):argname("N"):convert(to_depth)
+  command:option("--coverage", "mark how often a run came to each place: JSON, as "
+    .. "rfsm_checks.coverage writes it"):argname("JSON")
+  command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "
+    .. "writes them"):argname("JSON")
+  command:option("--direction", "TB (down) or LR (to the right)"):argname("DIRECTION")
+    :choices { "TB", "LR" }
+end
+
+-- Returns the JSON values in a file.
+local function read_values(file)
+  local handle = common.try(io.open(file, "rb"))
+  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
+  handle:close()
+  if not ok then common.fail(file .. ": " .. values) end
+  return values
+end
+
+local function read_coverage(file)
+  local coverage = read_values(file)[1]
+  local is_coverage = type(coverage) == "table" and type(coverage.states) == "table"
+    and type(coverage.transitions) == "table"
+  if is_coverage then return coverage end
+  common.fail(file .. ": an object with \"states\" and \"transitions\" expected")
+end
+
+-- Returns the steps of a run: a list of them, or one a line.
+local function read_trace(file)
+  local values = read_values(file)
+  return values[2] == nil and type(values[1]) == "table" and values[1][1] and values[1]
+    or values
+end
+
+-- Returns the format that the options ask for.
+local function format_of(options, parser)
+  local file = options.output
+  local ending = (file:match("%.(%w+)$") or ""):lower()
+  local format = options.format or file == "-" and "dot" or BY_ENDING[ending] or ending
+  if IS_TEXT[format] == nil then
+    parser:error("the ending of '" .. file .. "' is no format, -T expected ("
+      .. concat(FORMATS, ", ") .. ")")
+  elseif not IS_TEXT[format] and options.files[2] then
+    parser:error("one FILE expected, " .. format .. " holds one chart, got "
+      .. #options.files)
+  end
+  return format
+end
+
+function viz.run(options, parser)
+  local format = format_of(options, parser)
+  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local looks = {
+    depth = options.depth, direction = options.direction,
+    active = options.active[1] and options.active,
+    coverage = options.coverage and read_coverage(options.coverage),
+    trace = options.trace and read_trace(options.trace),
+  }
+  local text = concat(common.encode_all(options.files, function(fsm, title)
+    looks.title = title
+    return exporter.encode(fsm, looks)
+  end))
+  if not IS_TEXT[format] then text = common.try(exporter.render(text, format)) end
+  common.write(options.output, text)
+end
+
+return viz

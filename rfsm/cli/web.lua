@@ -1,0 +1,39 @@
+--- `rfsm web`: show a chart, or a machine elsewhere, in the browser.
+--
+-- @module rfsm.cli.web
+-- @license BSD-3-Clause
+
+local common = require "rfsm.cli.common"
+
+local web = {
+  summary = "Show a chart, or a machine elsewhere, in the browser.",
+  epilog = "The page is for this machine only, unless --host names another address.",
+}
+
+function web.add_arguments(command)
+  common.add_file(command):args("?")
+  command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
+    :argname("HOST:PORT")
+  command:option("-p --port", "of the page; 0 is one that is free", "8044")
+    :argname("N"):convert(tonumber)
+  command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
+end
+
+function web.run(options, parser)
+  if (options.file == nil) == (options.attach == nil) then
+    parser:error("FILE or --attach expected")
+  end
+  local server
+  local page = { host = options.host, port = options.port }
+  if options.attach then
+    local host, port = common.address_of(parser, options.attach)
+    server = common.try(require("rfsm.web").attach(host, port, page))
+  else
+    common.check_readable(options.file)
+    server = common.try(require("rfsm.web").open(options.file, page))
+  end
+  common.write("-", server.url .. "\n")
+  common.until_interrupt(server.run, server)
+end
+
+return web
