@@ -47,6 +47,7 @@ build = {
     ["rfsm.checks.command"] = "rfsm/checks/command.lua",
     ["rfsm.checks.coverage"] = "rfsm/checks/coverage.lua",
     ["rfsm.checks.deeds"] = "rfsm/checks/deeds.lua",
+    ["rfsm.checks.events"] = "rfsm/checks/events.lua",
     ["rfsm.checks.explore"] = "rfsm/checks/explore.lua",
     ["rfsm.checks.graph"] = "rfsm/checks/graph.lua",
     ["rfsm.checks.loops"] = "rfsm/checks/loops.lua",

@@ -76,10 +76,22 @@ describe("explore", function()
     { "connectors with several ways", {
       k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "b", nil, { guard = yes }),
       [6] = go("k", "a", nil, { guard = yes }) }, lines(
-      "note: root.k: several transitions of equal pn are enabled [clash]",
+      "note: root.trans[6]: enabled together with root.trans[5] (k -> b), and of the "
+        .. "same pn [clash]",
       "  1. no event: root.trans[1] -> root.a",
       "  2. e_k (root.trans[5] true, root.trans[6] true): root.trans[4], root.trans[5] "
         .. "-> root.b") },
+    { "states with several ways on one event, also through a connector", {
+      k = conn {}, [4] = go("a", "a", "e_y", { guard = yes }),
+      [5] = go("a", "k", "e_y", { guard = yes }), [6] = go("k", "b", "e_y"),
+      [7] = go("b", "a", "e_y") }, lines(
+      "note: root.trans[5]: enabled together with root.trans[4] (a -> a), and of the "
+        .. "same pn [clash]",
+      "  1. no event: root.trans[1] -> root.a",
+      "  2. e_y (root.trans[4] true): root.trans[4] -> root.a") },
+    { "no states with several ways on different events, or as if and else", {
+      [4] = go("a", "a", "e_y"), [5] = go("a", "a", "e_z", { guard = yes }),
+      [6] = go("a", "b", "e_z") }, "", { together = 2 } },
     { "that the machine cannot be entered", { [1] = go("initial", "a", "e_never") },
       "warning: root: the machine cannot be entered [stuck]", { alphabet = {} } },
   }
@@ -140,6 +152,21 @@ describe("explore", function()
     assert.matches("root.c: active in no configuration", text)
     assert.equal("", report(chart(members), { alphabet = { "e_x" },
       sends = { ["entry root.b"] = { "e_y" } } }))
+  end)
+
+  it("takes what callbacks send in a dry run, if that is asked for", function()
+    local function send_y(fsm)
+      rfsm.send_events(fsm, "e_y")
+      error("failed")
+    end
+    local options, calls = { alphabet = { "e_x" }, dry_run = true }, {}
+    local model = chart { b = state { entry = send_y }, c = state {},
+      [4] = go("b", "c", "e_y", { effect = function(_, _, what) calls[1] = what end }),
+      [5] = go("c", "a", "e_x") }
+    assert.equal("", report(model, options))
+    assert.same({ "effect" }, calls)
+    options.sends = { ["entry root.b"] = {} }
+    assert.matches("root.c: active in no configuration", report(model, options))
   end)
 
   local REFUSED = {

@@ -26,16 +26,8 @@ function witness.record_witness(model, steps, sink)
   local fsm = run.puppet.parts[1].fsm
   local recorder = require("rfsm.record").record(fsm, sink)
   for _, step in ipairs(steps) do
-    local what = { guards = {}, ends = {} }
-    for _, choice in ipairs(step.choices) do
-      if not choice.is_doo then
-        what.guards[choice.who] = choice.answer
-      elseif choice.answer then
-        what.ends[#what.ends + 1] = choice.who
-      end
-    end
     for i = 1, #step.values do rfsm.send_events(fsm, step.values[i]) end
-    run:step(what)
+    run:step(rehearsal.what_of(step))
   end
   recorder:stop()
 end

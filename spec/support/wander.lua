@@ -16,16 +16,12 @@ local function new_random(seed)
   end
 end
 
--- Events that the chart names, and one that it does not.
-local function events_of(chart)
-  local list, is_listed = { "e_unknown" }, {}
-  for _, tr in ipairs(chart.transitions) do
-    for _, event in ipairs(tr.events) do
-      local is_internal = type(event) == "string" and event:find("^e_done")
-      if type(event) ~= "function" and not is_internal and not is_listed[event] then
-        is_listed[event], list[#list + 1] = true, event
-      end
-    end
+-- Events that a puppet knows and that may come from outside, and one that it does not.
+local function events_of(own)
+  local list = { "e_unknown" }
+  for _, event in ipairs(own.all_events) do
+    local is_own = type(event) == "string" and event:find("^e_done")
+    if not is_own then list[#list + 1] = event end
   end
   return list
 end
@@ -53,7 +49,7 @@ local LENGTH = 5 -- steps of a run, on average
 
 -- Runs a chart so many times, with at most one event between two steps; guards and doos
 -- decide by chance. Returns where it stood and what it took, as sets.
-local function run_at_random(chart, seed, runs)
+local function run_at_random(chart, events, seed, runs)
   local random, stands, taken = new_random(seed), {}, {}
   local function note_taken(number)
     return function() taken[number] = true end
@@ -67,7 +63,6 @@ local function run_at_random(chart, seed, runs)
       end
     end,
   }))
-  local events = events_of(chart)
   for _ = 1, runs do
     repeat
       if random(4) > 1 then rfsm.send_events(fsm, events[random(#events)]) end
@@ -111,9 +106,9 @@ end
 -- Returns the first configuration with each leaf and mode by text, and the first step
 -- that takes each transition by its number in the chart.
 local function explored(walk)
-  local stands, taken, numbers = {}, {}, {}
-  for number, key in ipairs(walk.keys) do
-    local stand = walk.puppet.parts[1].stands[walk.puppet:numbers_of(key, numbers)[1]]
+  local stands, taken = {}, {}
+  for number = 1, #walk.keys do
+    local stand = walk:configuration(number)[1]
     local text = text_of(stand.leaf, stand.mode)
     stands[text] = stands[text] or number
   end
@@ -134,7 +129,7 @@ function wander.disagreements(seed, runs)
   local walk = explore.walk(bare.model_of(chart, {
     guard = function() return yes end, doo = function() return yes end }), {})
   local stands, taken = explored(walk)
-  local seen, seen_taken = run_at_random(chart, seed, runs)
+  local seen, seen_taken = run_at_random(chart, events_of(walk.puppet), seed, runs)
   for text in pairs(seen) do expect(stands[text], "was reached", text) end
   for number in pairs(seen_taken) do expect(taken[number], "was taken", number) end
   for text, number in pairs(stands) do
