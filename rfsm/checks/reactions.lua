@@ -69,7 +69,11 @@ local function add_sets(found, tr, set, seen)
   seen[tr] = nil
 end
 
-local function collect(fsm, leaf)
+--- Collect what can have an effect in a leaf of a machine.
+---@param fsm rfsm.Machine
+---@param leaf rfsm.State|false false before the first entry
+---@return rfsm_checks.Reactions reactions
+function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, sets = {} }
   local seen, nodes = {}, { rfsm.is_composite(fsm) and fsm.initial or nil }
   if leaf then nodes = place.line(fsm, leaf) end
@@ -81,13 +85,10 @@ local function collect(fsm, leaf)
   return found
 end
 
---- Return what can have an effect in a leaf; collected once.
----@param part rfsm_checks.Part
----@param leaf rfsm.State|false false before the first entry
----@return rfsm_checks.Reactions reactions
+--- Return the same for a part of a puppet, collected once.
 function reactions.of(part, leaf)
   local known = part.known[leaf]
-  known.reactions = known.reactions or collect(part.fsm, leaf)
+  known.reactions = known.reactions or reactions.collect(part.fsm, leaf)
   return known.reactions
 end
 
