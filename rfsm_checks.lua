@@ -109,7 +109,7 @@ local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
   findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
   coverage = "rfsm.checks.coverage", rehearsal = "rfsm.checks.rehearsal",
-  record_witness = "rfsm.checks.witness", path_of = "rfsm.checks.witness",
+  record_witness = "rfsm.checks.rehearsal", path_of = "rfsm.checks.rehearsal",
   never = "rfsm.checks.properties", always = "rfsm.checks.properties",
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }

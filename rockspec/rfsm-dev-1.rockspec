@@ -64,7 +64,6 @@ build = {
     ["rfsm.checks.tests"] = "rfsm/checks/tests.lua",
     ["rfsm.checks.verdict"] = "rfsm/checks/verdict.lua",
     ["rfsm.checks.why"] = "rfsm/checks/why.lua",
-    ["rfsm.checks.witness"] = "rfsm/checks/witness.lua",
     ["rfsm.cli"] = "rfsm/cli.lua",
     ["rfsm.clock"] = "rfsm/clock.lua",
     ["rfsm.diagram"] = "rfsm/diagram.lua",

@@ -191,10 +191,10 @@ end
 local UNKNOWN = "stopped by the bound on %s: unreached states, transitions not taken "
   .. "and whether properties hold are not known"
 
-local function add_finding_lines(lines, finding)
+local function add_finding_lines(lines, finding, name)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
-  lines[#lines + 1] = finding.file .. kind
-    .. static.line(finding):sub(#finding.file + 1)
+  local file = finding.file ~= "" and finding.file or name
+  lines[#lines + 1] = file .. kind .. static.line(finding):sub(#finding.file + 1)
   for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
     lines[#lines + 1] = "  " .. line
   end
@@ -202,11 +202,13 @@ end
 
 --- Return the report of an exploration as lines.
 ---@param result rfsm_checks.Exploration
+---@param name string in front of the first line, and where no file is known
 ---@param is_wanted? table<string, boolean> the severities to be reported
 ---@return string[] lines
-function verdict.report(result, is_wanted)
-  local lines = { ("%d configurations, %d of %d transitions taken, %d steps run")
-    :format(result.configurations, result.taken, result.transitions, result.steps) }
+function verdict.report(result, name, is_wanted)
+  local lines = { ("%s%d configurations, %d of %d transitions taken, %d steps run")
+    :format(name, result.configurations, result.taken, result.transitions,
+      result.steps) }
   if result.bound then lines[2] = UNKNOWN:format(result.bound) end
   for _, judged in ipairs(result.properties) do
     local text = judged.holds and "holds" or judged.holds == nil and "not known"
@@ -214,13 +216,13 @@ function verdict.report(result, is_wanted)
   end
   for _, finding in ipairs(result.findings) do
     if not is_wanted or is_wanted[finding.severity] then
-      add_finding_lines(lines, finding)
+      add_finding_lines(lines, finding, finding.code == "violated" and "" or name)
     end
   end
   return lines
 end
 
-function Exploration:__tostring() return concat(verdict.report(self), "\n") end
+function Exploration:__tostring() return concat(verdict.report(self, ""), "\n") end
 
 -- Public functions ................................................................
 
