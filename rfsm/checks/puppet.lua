@@ -25,7 +25,7 @@ local static = require "rfsm.checks.static"
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
-local concat, max, sort = table.concat, math.max, table.sort
+local concat, sort = table.concat, table.sort
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local puppet = {}
@@ -52,8 +52,6 @@ Puppet.__index = Puppet
 ---@field stands rfsm_checks.Stand[] where it can stand
 ---@field ids table<string, integer> their numbers
 ---@field stand rfsm_checks.Stand where it was put
----@field waiting any[] what no iteration has got yet of what waits there
----@field stale integer how many events in its queue are from before it was put there
 ---@field rounds integer iterations since then
 
 --- What is known of a leaf, or of a machine that was not entered.
@@ -151,24 +149,6 @@ local function count_round(self, part)
   end
 end
 
--- Returns what waits for a machine: that of its configuration, and what the queue got
--- since it was put there, such as events from the parent machine.
-local function waiting_of(part, queue)
-  local events = { unpack(part.waiting) }
-  for i = part.stale + 1, #queue do events[#events + 1] = queue[i] end
-  return events
-end
-
-local function is_read(part) return part.stale == 0 and part.waiting[1] == nil end
-
--- Has an iteration work on what waits, instead of all that was in the queue.
-local function put_events(part, events)
-  if is_read(part) then return end
-  local waiting = waiting_of(part, events)
-  for i = 1, max(#events, #waiting) do events[i] = waiting[i] end
-  part.waiting, part.stale = NOTHING, 0
-end
-
 local jit_off = (rawget(_G, "jit") or {}).off or function() end
 
 -- The first iteration of the machine itself gets the events of the step, too. A trace
@@ -176,7 +156,6 @@ local jit_off = (rawget(_G, "jit") or {}).off or function() end
 local function new_hook(self, part)
   local function hook(_, events)
     count_round(self, part)
-    put_events(part, events)
     if part.rounds > 1 or part.owner then return end
     local length = #events
     for i = 1, #self.events do events[length + i] = self.events[i] end
@@ -202,7 +181,7 @@ local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "d
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.stands, part.ids, part.stand = {}, {}, {}, false
-  part.waiting, part.stale, part.rounds = NOTHING, 0, 0
+  part.rounds = 0
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
@@ -215,7 +194,6 @@ local function add_part(self, part)
   add_leaf(part, false, 0)
   for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do add_leaf(part, leaf, i) end
   rfsm.pre_step_hook_add(fsm, new_hook(self, part))
-  rfsm.reset_hook_add(fsm, function() part.waiting, part.stale = NOTHING, 0 end)
 end
 
 -- Configurations ..................................................................
@@ -253,9 +231,7 @@ end
 local function read_stand(self, part)
   local leaf, queue = part.fsm._act_leaf, part.fsm._intq
   local mode = leaf and leaf._mode or "inactive"
-  if queue[2] ~= nil or not is_read(part) then
-    return find_stand(self, part, leaf, mode, waiting_of(part, queue))
-  end
+  if queue[2] ~= nil then return find_stand(self, part, leaf, mode, queue) end
   local noted, first = part.known[leaf].noted[mode], queue[1]
   if first == nil then first = NOTHING end
   noted[first] = noted[first] or find_stand(self, part, leaf, mode, queue)
@@ -283,15 +259,16 @@ function Puppet:configuration(key)
   return conf
 end
 
+-- Puts a machine where it is to stand, unless it is there, which is a step often.
 local function put_stand(part, stand)
-  local fsm, leaf = part.fsm, stand.leaf
-  if not leaf then
-    if fsm._mode ~= "inactive" or fsm._intq[2] ~= nil then rfsm.reset(fsm) end
-  elseif not rawequal(fsm._act_leaf, leaf) or leaf._mode ~= stand.mode then
-    rfsm.set_sta_mode(leaf, stand.mode)
+  local fsm, leaf, waiting = part.fsm, stand.leaf, stand.waiting
+  part.stand, part.rounds = stand, 0
+  if rawequal(fsm._act_leaf, leaf) and (not leaf or leaf._mode == stand.mode)
+    and #waiting < 2 and fsm._intq[2] == nil and rawequal(fsm._intq[1], waiting[1])
+  then
+    return
   end
-  part.stand, part.waiting, part.stale, part.rounds = stand, stand.waiting,
-    #fsm._intq, 0
+  rfsm.place(fsm, leaf, stand.mode, { unpack(waiting) })
 end
 
 --- Have the machines stand in a configuration.
