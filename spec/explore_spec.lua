@@ -1,32 +1,19 @@
 -- Exploration: what it finds, and that it agrees with random runs. CHARTS and RUNS in
 -- the environment are how many random charts are tried, and how many runs of each.
 
+local ab = require "spec.support.ab"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local wander = require "spec.support.wander"
 
-local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+local state, conn = rfsm.state, rfsm.conn
 local never, always = rfsm_checks.never, rfsm_checks.always
 local after, from = rfsm_checks.after, rfsm_checks.from
 
+local chart, go = ab.chart, ab.go
+
 local function yes() return true end
-
-local function go(src, tgt, event, fields)
-  fields = fields or {}
-  fields.src, fields.tgt, fields.events = src, tgt, event and { event }
-  return trans(fields)
-end
-
--- (initial) -> a --e_x--> b --e_x--> a, with more members
-local function chart(members)
-  local model = {
-    warn = false, info = false, a = state {}, b = state {},
-    go("initial", "a"), go("a", "b", "e_x"), go("b", "a", "e_x"),
-  }
-  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
-  return state(model)
-end
 
 -- The report without its first line, and without files.
 local function report(model, options)
@@ -169,7 +156,11 @@ describe("explore", function()
     assert.matches("root.c: active in no configuration", report(model, options))
   end)
 
+  -- Options, the message; the model.
   local REFUSED = {
+    { {}, "explore_spec.lua:%d+: rfsm_checks.explore: state expected, got table", {} },
+    { {}, "^the model has problems\n  .*root.trans%[4%]: src is missing",
+      chart { [4] = go(nil, "a") } },
     { { depth = "x" }, "explore_spec.lua:%d+: rfsm_checks.explore: depth: number "
       .. "expected, got string" },
     { { sends = { ["entry root.bb"] = { "e" } } },
@@ -183,34 +174,24 @@ describe("explore", function()
       .. "is named 'root.c' %(did you mean 'root.a'%?%)$" },
   }
   for _, case in ipairs(REFUSED) do
-    it("refuses " .. next(case[1]) .. ": " .. case[2]:sub(-30), function()
+    it("refuses " .. (next(case[1]) or "models") .. ": " .. case[2]:sub(-30), function()
       local ok, text = pcall(function()
-        return (rfsm_checks.explore(chart(), case[1]))
+        return (rfsm_checks.explore(case[3] or chart(), case[1]))
       end)
       assert.is_false(ok)
       assert.matches(case[2], text)
     end)
   end
-
-  it("blames the caller for what is no state", function()
-    local _, text = pcall(function() return (rfsm_checks.explore {}) end)
-    assert.matches("explore_spec.lua:%d+: rfsm_checks.explore: state expected, got "
-      .. "table", text)
-  end)
-
-  it("reports the problems of a model", function()
-    local _, text = pcall(rfsm_checks.explore, chart { [4] = trans { tgt = "a" } })
-    assert.matches("^the model has problems\n  .*root.trans%[4%]: src is missing", text)
-  end)
 end)
 
 describe("machines in a sequential AND state", function()
+  -- (initial) -> open --e_close--> closed --e_open--> open
   local function arm(members)
-    local model = { open = state {}, closed = state {}, warn = false, info = false,
-      go("initial", "open"), go("open", "closed", "e_close"),
-      go("closed", "open", "e_open") }
-    for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
-    return state(model)
+    members.open, members.closed = state {}, state {}
+    members.warn, members.info, members[1] = false, false, go("initial", "open")
+    members[2] = members[2] or go("open", "closed", "e_close")
+    members[3] = members[3] or go("closed", "open", "e_open")
+    return state(members)
   end
 
   local function both(left, right)
@@ -219,7 +200,7 @@ describe("machines in a sequential AND state", function()
 
   it("are explored together", function()
     local slow = arm { [2] = go("open", "closed", "e_close", { guard = yes }) }
-    assert.equal("", report(both(arm(), slow), { properties = {
+    assert.equal("", report(both(arm {}, slow), { properties = {
       from("root.b").can_reach { "root.b.left.closed", "root.b.right.open" },
       never { "root.a", "root.b.left.open" },
       ["left is first"] = always(function(active)
@@ -231,7 +212,7 @@ describe("machines in a sequential AND state", function()
 
   it("have findings of their own", function()
     assert.matches("root.b.left.spare: active in no configuration",
-      report(both(arm { spare = state {} }, arm())))
+      report(both(arm { spare = state {} }, arm {})))
   end)
 
   it("may never become idle", function()

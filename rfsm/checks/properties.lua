@@ -26,10 +26,10 @@ local Property = {}
 Property.__index = Property
 
 local function check_condition(what, where)
-  local is_right = type(what) == "string" or type(what) == "function"
-  if type(what) == "table" then
-    is_right = what[1] ~= nil
-    for _, name in ipairs(what) do is_right = is_right and type(name) == "string" end
+  local names = type(what) == "table" and what or { what }
+  local is_right = names[1] ~= nil
+  for _, name in ipairs(names) do
+    is_right = is_right and (type(name) == "string" or type(what) == "function")
   end
   if is_right then return what end
   error("rfsm_checks." .. where .. ": path of a state, name of a flag, list of them or "
@@ -87,11 +87,9 @@ local function text_of(what)
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
 end
 
-local TEXTS = { never = "never ", always = "always ", after = "after ", from = "from " }
-
 function Property:__tostring()
   local goal = self.kind == "after" and " reach " or " can reach "
-  return TEXTS[self.kind] .. text_of(self.what)
+  return self.kind .. " " .. text_of(self.what)
     .. (self.goal and goal .. text_of(self.goal) or "")
 end
 

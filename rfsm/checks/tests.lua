@@ -184,18 +184,20 @@ local function quoted(value)
 end
 
 local function step_text(what)
-  local parts, guards = {}, {}
+  local parts, guards, ends = {}, {}, {}
+  local function add(field, items)
+    if items[1] then
+      parts[#parts + 1] = field .. " = { " .. concat(items, ", ") .. " }"
+    end
+  end
   for i = 1, #what do parts[i] = quoted(what[i]) end
   if what.after then parts[#parts + 1] = "after = " .. rfsm.text_of(what.after) end
   for i, path in ipairs(rfsm.sorted_keys(what.guards)) do
     guards[i] = ("[%q] = false"):format(path)
   end
-  if guards[1] then
-    parts[#parts + 1] = "guards = { " .. concat(guards, ", ") .. " }"
-  end
-  local ends = {}
+  add("guards", guards)
   for i, path in ipairs(what.ends) do ends[i] = quoted(path) end
-  if ends[1] then parts[#parts + 1] = "ends = { " .. concat(ends, ", ") .. " }" end
+  add("ends", ends)
   return parts[1] and "run:step { " .. concat(parts, ", ") .. " }" or "run:step()"
 end
 
@@ -217,12 +219,10 @@ local WIDTH = 88
 local function add_step(lines, step)
   local call, result = step_text(step.what), quoted(step.result)
   local line = ("    assert.equal(%s, %s)"):format(result, call)
-  if #line <= WIDTH then
-    lines[#lines + 1] = line
-  else
-    lines[#lines + 1] = ("    assert.equal(%s,"):format(result)
-    lines[#lines + 1] = ("      %s)"):format(call)
+  if #line > WIDTH then
+    line = ("    assert.equal(%s,\n      %s)"):format(result, call)
   end
+  lines[#lines + 1] = line
 end
 
 -- A run is named by where it leads, as far as a line has room.
@@ -251,18 +251,15 @@ function tests.busted(file, model, options)
   local result = tests.plan(model, options)
   local modules = rawget(_G, "package").loaded.rfsm_timeevent
     and 'require "rfsm_timeevent"\n' or ""
-  local lines = { HEAD:format(file, result.taken, result.transitions, result.steps,
-    result.least, modules, file) }
+  local blocks = {}
   for i, run in ipairs(result.runs) do
-    lines[#lines + 1] = (i > 1 and "\n" or "") .. ("  it(%q, function()"):format(
-      name_of(run))
-    lines[#lines + 1] = ("    local run = rehearsal(%q)"):format(file)
+    local lines = { ("  it(%q, function()"):format(name_of(run)),
+      ("    local run = rehearsal(%q)"):format(file) }
     for _, step in ipairs(run.steps) do add_step(lines, step) end
-    lines[#lines + 1] = "  end)"
+    blocks[i] = concat(lines, "\n") .. "\n  end)\n"
   end
-  lines[#lines + 1] = "end)\n"
-  local text = concat(lines, "\n"):gsub("function%(%)\n\n  it", "function()\n  it")
-  return text, result
+  return HEAD:format(file, result.taken, result.transitions, result.steps,
+    result.least, modules, file) .. concat(blocks, "\n") .. "end)\n", result
 end
 
 return tests
