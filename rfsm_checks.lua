@@ -109,7 +109,7 @@ local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
   findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
   coverage = "rfsm.checks.coverage", rehearsal = "rfsm.checks.rehearsal",
-  record_witness = "rfsm.checks.witness", path_of = "rfsm.checks.witness",
+  record_witness = "rfsm.checks.rehearsal", path_of = "rfsm.checks.rehearsal",
   never = "rfsm.checks.properties", always = "rfsm.checks.properties",
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }
@@ -119,17 +119,6 @@ setmetatable(rfsm_checks, { __index = function(_, name)
   rfsm_checks[name] = require(ELSEWHERE[name])[name]
   return rfsm_checks[name]
 end })
-
--- Returns the findings of a severity as lines.
-local function lines_of(findings, severity)
-  local lines = {}
-  for _, finding in ipairs(findings) do
-    if finding.severity == severity then
-      lines[#lines + 1] = require("rfsm.checks.static").line(finding)
-    end
-  end
-  return lines
-end
 
 --- Find what is wrong, dead or risky in a model, as lines of text.
 --
@@ -145,9 +134,13 @@ function rfsm_checks.check(model)
   if not is_state(model) then
     error("rfsm_checks.check: state expected, got " .. type(model), 2)
   end
-  local findings = rfsm_checks.findings(model)
-  local lines = lines_of(findings, "error")
-  for _, line in ipairs(lines_of(findings, "warning")) do lines[#lines + 1] = line end
+  local findings, lines = rfsm_checks.findings(model), {}
+  local line_of = require("rfsm.checks.static").line
+  for _, severity in ipairs { "error", "warning" } do
+    for _, finding in ipairs(findings) do
+      if finding.severity == severity then lines[#lines + 1] = line_of(finding) end
+    end
+  end
   return lines
 end
 

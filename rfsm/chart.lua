@@ -5,8 +5,8 @@
 
 local rfsm = require "rfsm"
 
-local getmetatable, io, next, pcall = getmetatable, io, next, pcall
-local rawget, setmetatable, type = rawget, setmetatable, type
+local getmetatable, io, ipairs, next = getmetatable, io, ipairs, next
+local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 local chart = {}
@@ -22,8 +22,13 @@ function chart.name_of(file) return file == "-" and "stdin" or file end
 ---@param kind? string such as "warning: ", to stand behind the location
 ---@return string line
 function chart.line(file, text, kind)
+  local name = chart.name_of(file)
   local location, rest = text:match("^(%S+:%d+: )(.*)$")
-  if not location then location, rest = chart.name_of(file) .. ": ", text end
+  if text:sub(1, #name) == name then -- may have blanks
+    location, rest = text:match("^(:%d+: )(.*)$", #name + 1)
+    location = location and name .. location
+  end
+  if not location then location, rest = name .. ": ", text end
   return location .. (kind or "") .. rest
 end
 
@@ -52,6 +57,25 @@ function chart.reason(file, failure)
     :gsub("'=stdin'", "stdin")
   if text:find(chart.name_of(file), 1, true) then return text end
   return chart.name_of(file) .. ": " .. text
+end
+
+-- What stands around a global whose existence is asked for.
+local QUESTIONS = {
+  "not%s+NAME%f[^%w_]", "NAME%s*[~=]=%s*nil", "NAME%s+and%f[%W]", "NAME%s+or%f[%W]",
+  "NAME%s+then%f[%W]",
+}
+
+-- Does a line of a file ask whether a global exists? Then the host may define it.
+local function is_asked(file, line, name)
+  if file == "-" then return false end
+  local number = 0
+  for text in io.lines(file) do
+    number = number + 1
+    for _, pattern in ipairs(number == line and QUESTIONS or {}) do
+      if text:find("%f[%w_]" .. pattern:gsub("NAME", name)) then return true end
+    end
+  end
+  return false
 end
 
 -- Calls f(...), and calls note(name, line) for each global that `source` reads and that
@@ -87,6 +111,7 @@ function chart.load(file)
   local ok, model = with_watch(source, function(name, line)
     if is_known[name] or type(name) ~= "string" then return end
     is_known[name] = true
+    if is_asked(file, line, name) then return end
     warnings[#warnings + 1] = ("%s:%d: warning: undefined global '%s'%s"):format(
       chart.name_of(file), line, name,
       name:find("^e_") and " (an event is a string, in quotes)" or "")

@@ -1,5 +1,6 @@
 -- Static checks, and the check for undeclared events.
 
+local ab = require "spec.support.ab"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
@@ -8,17 +9,7 @@ require "rfsm.await"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
--- (initial) -> a --e_x--> b --e_x--> a, with more members
-local function chart(members)
-  local model = {
-    warn = false, info = false, a = state {}, b = state {},
-    trans { src = "initial", tgt = "a" },
-    trans { src = "a", tgt = "b", events = { "e_x" } },
-    trans { src = "b", tgt = "a", events = { "e_x" } },
-  }
-  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
-  return state(model)
-end
+local chart, go = ab.chart, ab.go
 
 -- A machine and the list of what it warns of, once it runs.
 local function watched(model)
@@ -29,36 +20,56 @@ local function watched(model)
   return fsm, warnings
 end
 
+local function undeclared(event)
+  return "WARNING: undeclared event " .. event .. " received"
+end
+
+local function also_on(...)
+  return { [4] = go("a", "b", { ... }) }
+end
+
 describe("watch", function()
-  it("warns of an event that no transition names", function()
-    local fsm, warnings = watched(chart())
-    helper.post_and_run(fsm, "e_y", "e_x", 7)
-    assert.same({
-      "WARNING: undeclared event e_y received", "WARNING: undeclared event 7 received",
-    }, warnings)
-  end)
+  local object = {}
+
+  -- A circumstance, more members of the chart, an event for each run, the warnings; the
+  -- leaf at the end.
+  local CASES = {
+    { "warns of events that no transition names", {}, { "e_y", "e_x", 7 },
+      { undeclared "e_y", undeclared "7" } },
+    { "knows what a predicate accepts",
+      also_on(function(event) return event == "e_p" end), { "e_q", "e_p" },
+      { undeclared "e_q" } },
+    { "takes a predicate that fails for one that does not accept",
+      also_on(function() error("no") end), { "e_q" }, { undeclared "e_q" } },
+    { "knows objects by identity", also_on(object), { object }, {} },
+    { "knows awaited events", also_on("await(e_p, e_q)"), { "e_p", "e_q" }, {},
+      "root.b" },
+  }
+  for _, case in ipairs(CASES) do
+    it(case[1], function()
+      local fsm, warnings = watched(chart(case[2]))
+      for _, event in ipairs(case[3]) do helper.post_and_run(fsm, event) end
+      assert.same(case[4], warnings)
+      if case[5] then assert.equal(case[5], rfsm.get_actleaf_fqn(fsm)) end
+    end)
+  end
 
   it("is asked for by the model, too", function()
     local fsm, warnings = helper.init(chart { checkevents = true }), {}
     fsm.warn = function(text) warnings[#warnings + 1] = text end
     helper.post_and_run(fsm, "e_y")
-    assert.same({ "WARNING: undeclared event e_y received" }, warnings)
+    assert.same({ undeclared "e_y" }, warnings)
   end)
 
-  it("is silent while warn is off", function()
+  it("uses the printer of the moment, and warns once if called twice", function()
     local fsm, warnings = watched(chart())
     local warn = fsm.warn
+    rfsm_checks.watch(fsm)
     fsm.warn = false
     helper.post_and_run(fsm, "e_y")
     fsm.warn = warn
     helper.post_and_run(fsm, "e_z")
-    assert.same({ "WARNING: undeclared event e_z received" }, warnings)
-  end)
-
-  it("knows what the engine sends", function()
-    local fsm, warnings = watched(chart())
-    helper.post_and_run(fsm, "e_x")
-    assert.same({}, warnings)
+    assert.same({ undeclared "e_z" }, warnings)
   end)
 
   it("knows e_done of a root that is a leaf", function()
@@ -66,73 +77,16 @@ describe("watch", function()
     assert.same({}, warnings)
   end)
 
-  it("knows what a predicate accepts", function()
-    local fsm, warnings = watched(chart { [4] = trans { src = "a", tgt = "b",
-      events = { function(event) return event == "e_p" end } } })
-    helper.post_and_run(fsm, "e_q", "e_p")
-    assert.same({ "WARNING: undeclared event e_q received" }, warnings)
-  end)
-
-  it("takes a predicate that fails for one that does not accept", function()
-    local fsm, warnings = watched(chart { [4] = trans { src = "a", tgt = "b",
-      events = { function() error("no") end } } })
-    helper.post_and_run(fsm, "e_q")
-    assert.same({ "WARNING: undeclared event e_q received" }, warnings)
-  end)
-
-  it("knows objects by identity", function()
-    local event = {}
-    local fsm, warnings = watched(chart { [4] = trans { src = "a", tgt = "b",
-      events = { event } } })
-    helper.post_and_run(fsm, event)
-    assert.same({}, warnings)
-  end)
-
-  it("knows time events", function()
+  it("knows time events, and what is merged later", function()
     local now = 0
     timeevent.set_gettime_hook(function() return now, 0 end)
-    local fsm, warnings = watched(chart { [4] = trans { src = "a", tgt = "b",
-      events = { "e_after(1)" } } })
+    local fsm, warnings = watched(chart(also_on("e_after(1)")))
     now = 2
     rfsm.run(fsm)
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-    assert.same({}, warnings)
-  end)
-
-  it("knows awaited events", function()
-    local fsm, warnings = watched(chart { [4] = trans { src = "a", tgt = "b",
-      events = { "await(e_p, e_q)" } } })
-    helper.post_and_run(fsm, "e_p")
-    helper.post_and_run(fsm, "e_q")
-    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
-    assert.same({}, warnings)
-  end)
-
-  it("knows what is merged later", function()
-    local fsm, warnings = watched(chart())
-    rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = "b", events = { "e_new" } })
+    rfsm.fsm_merge(fsm, fsm, go("a", "b", "e_new"))
     helper.post_and_run(fsm, "e_new")
     assert.same({}, warnings)
-  end)
-
-  it("uses the printer of the moment", function()
-    local fsm, later = watched(chart()), {}
-    fsm.warn = function(text) later[#later + 1] = text end
-    helper.post_and_run(fsm, "e_y")
-    assert.same({ "WARNING: undeclared event e_y received" }, later)
-  end)
-
-  it("is silent when warn is false", function()
-    local fsm = watched(chart())
-    fsm.warn = false
-    assert.has_no_error(function() helper.post_and_run(fsm, "e_y") end)
-  end)
-
-  it("called twice warns once", function()
-    local fsm, warnings = watched(chart())
-    rfsm_checks.watch(fsm)
-    helper.post_and_run(fsm, "e_y")
-    assert.equal(1, #warnings)
   end)
 
   it("blames the caller for what is no machine", function()
@@ -154,7 +108,7 @@ describe("check", function()
     local findings = rfsm_checks.check(model)
     assert.equal(1, #findings)
     assert.same(findings, rfsm_checks.check(helper.init(model)))
-    local whole = helper.init(state { p = model, trans { src = "initial", tgt = "p" } })
+    local whole = helper.init(state { p = model, go("initial", "p") })
     assert.same(findings, rfsm_checks.check(whole.p))
   end)
 
@@ -187,7 +141,7 @@ describe("check", function()
 
   it("knows a model by which its transitions call the root", function()
     local model = chart()
-    model[4] = trans { src = "b", tgt = model, events = { "e_again" } }
+    model[4] = go("b", model, "e_again")
     assert.same({}, rfsm_checks.check(model))
   end)
 
@@ -197,7 +151,7 @@ describe("check", function()
 
   it("reports the problems of a model that is not valid", function()
     assert.same({ "root.trans[4]: src is missing, the name of a state or connector "
-      .. "expected" }, lines_of(chart { [4] = trans { tgt = "a" } }))
+      .. "expected" }, lines_of(chart { [4] = go(nil, "a") }))
   end)
 
   it("goes through the states in the order of their names", function()
@@ -213,8 +167,7 @@ describe("check", function()
     assert.same({ "root.par.1: root.c: unreachable, no path of transitions leads here "
       .. "[unreachable]" }, lines_of(chart {
       par = rfsm.seqand { chart { c = state {} } },
-      [4] = trans { src = "a", tgt = "par", events = "e" },
-      [5] = trans { src = "par", tgt = "a", events = "e" },
+      [4] = go("a", "par", "e"), [5] = go("par", "a", "e"),
     }))
   end)
 
@@ -236,13 +189,6 @@ local function findings_of(model, code, settings)
     end
   end
   return lines
-end
-
-local function go(src, tgt, event, fields)
-  fields = fields or {}
-  fields.src, fields.tgt = src, tgt
-  fields.events = type(event) == "table" and event or event and { event }
-  return trans(fields)
 end
 
 local function x_in_c() return state { x = state {}, go("initial", "x") } end
@@ -507,6 +453,6 @@ describe("rfsm.checkevents", function()
     local after = helper.init(model)
     helper.post_and_run(before, "e_y")
     helper.post_and_run(after, "e_y")
-    assert.same({ "WARNING: undeclared event e_y received" }, warnings)
+    assert.same({ undeclared "e_y" }, warnings)
   end)
 end)

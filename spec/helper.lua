@@ -124,7 +124,7 @@ end
 
 --- A problem or warning without the file and line of a spec in it.
 function helper.without_file(text)
-  return (text:gsub("%.?/?spec/[%w_]+%.lua:%d+: ", ""))
+  return (text:gsub("%.?/?spec/[%w_/]+%.lua:%d+: ", ""))
 end
 
 --- Forgets what a list holds.

@@ -39,15 +39,11 @@ local function seen_in(model, alphabet)
   local seen = {}
   local walked = explore.walk(model, { alphabet = alphabet }, function(walk)
     local function text_of(number)
-      local own = walk.puppet
-      local stand = own.parts[1].stands[own:numbers_of(walk.keys[number], {})[1]]
+      local stand = walk:configuration(number)[1]
       return (stand.leaf and stand.leaf._fqn or "none") .. stand.mode .. #stand.waiting
     end
     function walk.look(_, from, tgt, _, label)
-      local paths = {}
-      for i, number in ipairs(walk.puppet.taken) do
-        paths[i] = walk.puppet.transitions[number].path
-      end
+      local paths = walk.puppet:paths_of()
       local asked = table.concat(walk.puppet.askers, ",", 1, walk.puppet.asked)
       seen[table.concat({ text_of(from), label():match(":(.*)"), asked,
         table.concat(paths, ","), text_of(tgt) }, " ")] = true

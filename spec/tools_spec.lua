@@ -461,6 +461,22 @@ describe("rfsm-check", function()
       .. "no field 'event'", 0)
   end)
 
+  it("leaves out a global whose existence the chart asks for", function()
+    checks([[
+      local rfsm = require "rfsm"
+      if finder ~= nil then finder:find "x" end
+      if host then host() end
+      local name = title or "x"
+      return rfsm.state { a = rfsm.state { final = not is_open },
+        b = rate and rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } }
+    ]], "FILE: ok\n", 0)
+  end)
+
+  it("has the location once, also in a file with a blank in its name", function()
+    local file = write_file("a chart.lua", RISKY)
+    assert.equal(WARNED:gsub("FILE", file), (run("rfsm-check '" .. file .. "'")))
+  end)
+
   it("knows time events and await, also if the host of a chart loads them", function()
     checks([[
       local rfsm = require "rfsm"

@@ -3,9 +3,10 @@
 -- @module rfsm.checks.codes
 -- @license BSD-3-Clause
 
-local ipairs, pairs, type = ipairs, pairs, type
-local sort = table.sort
+local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+
+local ipairs, type = ipairs, type
 
 local codes = {}
 
@@ -80,12 +81,23 @@ define("warning", "stuck", "a configuration that nothing leaves",
   "add a transition, or declare final = true")
 define("warning", "livelock", "a configuration from which run never becomes idle",
   "let a state of the cycle wait for an event, or have a doo")
-define("note", "clash", "a connector with several enabled transitions of equal pn",
+define("note", "clash", "a transition enabled together with one of equal pn",
   "give them different pn, or guards that exclude each other")
 define("note", "swallowed", "an event is discarded at a closed connector",
   "give the connector a default, or the event a transition of less pn")
 define("error", "violated", "a property that does not hold",
   "mend the chart, or the property")
+
+--- Make a finding.
+---@param code string
+---@param file string
+---@param at string its place
+---@param text string
+---@return rfsm_checks.Finding
+function codes.finding(code, file, at, text)
+  return { code = code, severity = codes.of[code].severity, file = file, place = at,
+    text = text, hint = codes.of[code].hint }
+end
 
 -- Texts of the core's warnings, and their codes.
 local WARNINGS = {
@@ -107,16 +119,15 @@ function codes.of_warning(text)
   return "init"
 end
 
-local SEVERITIES = { error = true, warning = true, note = true, off = true }
-
 --- Return the hint that a code was misspelt.
 ---@param code any
 ---@return string hint
 function codes.nearest(code)
-  local names = {}
-  for i, entry in ipairs(codes.list) do names[i] = entry.code end
-  return type(code) == "string" and advice.nearest_name(code, names) or ""
+  return type(code) == "string"
+    and advice.nearest_name(code, rfsm.sorted_keys(codes.of)) or ""
 end
+
+local SEVERITIES = { error = true, warning = true, note = true, off = true }
 
 --- Return what is wrong with the settings of a project; nil if nothing is.
 ---@param settings any code -> "error"|"warning"|"note"|"off"
@@ -125,19 +136,16 @@ function codes.check_settings(settings)
   if type(settings) ~= "table" then
     return "table of severities expected, got " .. type(settings)
   end
-  local wrong = {}
-  for code, severity in pairs(settings) do -- any order: sorted
+  for _, code in ipairs(rfsm.sorted_keys(settings)) do
+    local severity = settings[code]
     if not codes.of[code] then
-      wrong[#wrong + 1] = ("no check has the code '%s'%s"):format(tostring(code),
+      return ("no check has the code '%s'%s"):format(rfsm.text_of(code),
         codes.nearest(code))
     elseif not SEVERITIES[severity] then
-      wrong[#wrong + 1] = ("%s: 'error', 'warning', 'note' or 'off' expected, got %s")
-        :format(code, type(severity) == "string" and "'" .. severity .. "'"
-          or type(severity))
+      return ("%s: 'error', 'warning', 'note' or 'off' expected, got %s"):format(code,
+        type(severity) == "string" and "'" .. severity .. "'" or type(severity))
     end
   end
-  sort(wrong)
-  return wrong[1]
 end
 
 return codes

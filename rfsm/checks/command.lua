@@ -5,6 +5,7 @@
 
 local chart = require "rfsm.chart"
 local codes = require "rfsm.checks.codes"
+local rfsm_checks = require "rfsm_checks"
 local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
@@ -15,26 +16,21 @@ local command = {}
 
 local SETTINGS = ".rfsmcheck.lua"
 
--- Lists the folders from that of a file up to the working directory, or to /.
-local function folders_of(file)
-  local folder = file:match("^(.*/)") or ""
-  local folders = { folder }
-  while folder ~= "" and folder ~= "/" do
-    folder = folder:match("^(.*/)[^/]*/$") or ""
-    folders[#folders + 1] = folder
-  end
-  return folders
+-- Does a file exist?
+local function exists(name)
+  local handle = io.open(name)
+  return handle ~= nil and handle:close() ~= nil
 end
 
--- Returns the nearest file of settings; nil if there is none.
+-- Returns the nearest file of settings, from the folder of a file up to the working
+-- directory, or to /; nil if there is none.
 local function find_settings(file)
-  for _, folder in ipairs(folders_of(file)) do
-    local handle = io.open(folder .. SETTINGS)
-    if handle then
-      handle:close()
-      return folder .. SETTINGS
-    end
+  local folder = file:match("^(.*/)") or ""
+  while not exists(folder .. SETTINGS) do
+    if folder == "" or folder == "/" then return nil end
+    folder = folder:match("^(.*/)[^/]*/$") or ""
   end
+  return folder .. SETTINGS
 end
 
 --- Load the settings that hold for a chart: those in the nearest `.rfsmcheck.lua`.
@@ -45,8 +41,7 @@ function command.settings_for(file)
   local name = find_settings(file)
   if not name then return {} end
   local chunk, problem = loadfile(name)
-  local ok, settings = false, problem
-  if chunk then ok, settings = pcall(chunk) end
+  local ok, settings = pcall(chunk or error, problem, 0)
   if not ok then return nil, chart.reason(name, settings) end
   problem = codes.check_settings(settings)
   if problem then return nil, name .. ": " .. problem end
@@ -65,26 +60,29 @@ local function line_of(file, finding)
   return chart.line(file, line, kind)
 end
 
--- Appends the lines of a severity; returns whether there are any.
-local function append(lines, file, findings, severity)
-  local count = #lines
-  for _, finding in ipairs(findings) do
-    if finding.severity == severity then lines[#lines + 1] = line_of(file, finding) end
-  end
-  return #lines > count
+-- Returns the gravest severity of findings, but for notes.
+local function gravest_of(findings)
+  local found = {}
+  for _, finding in ipairs(findings) do found[finding.severity] = true end
+  return found.error and "error" or found.warning and "warning" or nil
 end
 
 -- Returns the findings about a chart in lines, those of each severity in the order of
--- the tree, and the gravest severity, but for notes.
+-- the tree, and the gravest severity.
 local function report(file, findings, warnings, has_notes)
   local lines = {}
-  local gravest = append(lines, file, findings, "error") and "error" or nil
-  for _, line in ipairs(warnings) do lines[#lines + 1] = line end
-  local has_warnings = append(lines, file, findings, "warning") or warnings[1]
-  gravest = gravest or has_warnings and "warning" or nil
-  if has_notes then append(lines, file, findings, "note") end
+  for _, severity in ipairs { "error", "warning", has_notes and "note" } do
+    if severity == "warning" then
+      for _, line in ipairs(warnings) do lines[#lines + 1] = line end
+    end
+    for _, finding in ipairs(findings) do
+      if finding.severity == severity then
+        lines[#lines + 1] = line_of(file, finding)
+      end
+    end
+  end
   if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
-  return lines, gravest
+  return lines, gravest_of(findings) or warnings[1] and "warning" or nil
 end
 
 -- Explore .........................................................................
@@ -92,9 +90,7 @@ end
 -- Returns what the file beside a chart declares: a.lua has a_properties.lua.
 local function declared_for(file)
   local name = file:gsub("%.lua$", "") .. "_properties.lua"
-  local handle = file ~= "-" and io.open(name)
-  if not handle then return {} end
-  handle:close()
+  if file == "-" or not exists(name) then return {} end
   local declared = assert(loadfile(name))()
   if type(declared) ~= "table" then
     error(name .. ": table with the field 'properties' expected, got "
@@ -119,8 +115,7 @@ local function write_witness(model, findings, name)
   for _, finding in ipairs(findings) do
     if finding.witness and finding.witness[1] then
       os.remove(name) -- a recording is appended to
-      require("rfsm.checks.witness").record_witness(model, finding.witness, name)
-      return
+      return rfsm_checks.record_witness(model, finding.witness, name)
     end
   end
 end
@@ -130,17 +125,16 @@ local function explore(lines, file, model, settings, options)
   local own = declared_for(file)
   own.together, own.seconds = options.together, options.seconds
   own.configurations, own.progress = options.configurations, progress_line()
-  local result = require("rfsm.checks.explore").explore(model, own)
+  local result = rfsm_checks.explore(model, own)
   if own.progress then real_stderr:write("\r\27[K") end
   result.findings = static.apply(result.findings, settings)
   if options.record then write_witness(model, result.findings, options.record) end
   local is_wanted = { error = true, warning = true, note = options.all }
-  local found = {}
-  for i, line in ipairs(verdict.report(result, is_wanted)) do
-    lines[#lines + 1] = i == 1 and chart.name_of(file) .. ": " .. line or line
+  local name = chart.name_of(file) .. ": "
+  for _, line in ipairs(verdict.report(result, name, is_wanted)) do
+    lines[#lines + 1] = line
   end
-  for _, finding in ipairs(result.findings) do found[finding.severity] = true end
-  return found.error and "error" or found.warning and "warning"
+  return gravest_of(result.findings)
 end
 
 --- Return the findings about a chart in lines.

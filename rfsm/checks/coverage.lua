@@ -58,11 +58,7 @@ end
 
 local function count_machine(own, fsm, prefix)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    local path = place.path(state, prefix)
-    count_state(own, fsm, state, path)
-    for _, region in ipairs(place.regions_of(state)) do
-      count_machine(own, region.machine, path .. "." .. region.name)
-    end
+    count_state(own, fsm, state, place.path(state, prefix))
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     count_transition(own, tr, place.path(tr, prefix))
@@ -107,16 +103,7 @@ end
 
 -- Public functions ..................................................................
 
-local function check_earlier(earlier)
-  if type(earlier) == "table" and type(earlier.states) == "table"
-    and type(earlier.transitions) == "table" and type(earlier.guards) == "table" then
-    return earlier
-  end
-  error("rfsm_checks.coverage: a record of an earlier run expected, got "
-    .. type(earlier), 3)
-end
-
--- Returns a copy of the counts of an earlier run, as far as they are numbers.
+-- Returns a copy of the counts of an earlier run.
 local function copy_of(counts)
   local copy = {}
   for key, value in pairs(counts) do -- any order: a copy
@@ -135,13 +122,19 @@ end
 ---@return rfsm_checks.Coverage record
 function coverage.coverage(fsm, earlier)
   rfsm.check_machine(fsm, "rfsm_checks.coverage")
-  local own = setmetatable({ states = {}, transitions = {}, guards = {} }, Coverage)
-  if earlier ~= nil then
-    check_earlier(earlier)
-    own.states, own.guards = copy_of(earlier.states), copy_of(earlier.guards)
-    own.transitions = copy_of(earlier.transitions)
+  if earlier == nil then earlier = { states = {}, transitions = {}, guards = {} } end
+  local own = setmetatable({}, Coverage)
+  for _, field in ipairs { "states", "transitions", "guards" } do
+    local counts = type(earlier) == "table" and earlier[field]
+    if type(counts) ~= "table" then
+      error("rfsm_checks.coverage: a record of an earlier run expected, got "
+        .. type(earlier), 2)
+    end
+    own[field] = copy_of(counts)
   end
-  count_machine(own, fsm)
+  for _, inner in ipairs(place.machines(fsm)) do
+    count_machine(own, inner.fsm, inner.prefix)
+  end
   return own
 end
 

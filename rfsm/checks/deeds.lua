@@ -1,36 +1,54 @@
 --- Deeds: what stands for callbacks in a puppet. They set flags and send events.
 --
+-- A deed is named by its callback: "entry root.a", "effect root.trans[2]".
+--
 -- @module rfsm.checks.deeds
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 
-local error, ipairs, pairs = error, ipairs, pairs
-local sort = table.sort
+local error, ipairs, pcall, table = error, ipairs, pcall, table
 
 local deeds = {}
 
--- Returns what stands for a callback: sets flags, sends events; false if it has nothing
--- to do.
-local function new_deed(self, name)
-  local flags, events = self.flags_of[name], self.sends[name]
-  if not (flags or events) then return false end
-  return function(fsm)
-    for _, flag in ipairs(flags or {}) do self.flags[flag.number] = flag.value end
-    for _, event in ipairs(events or {}) do rfsm.send_events(fsm, event) end
-  end
+-- Calls a callback once; returns the events that it sends to its machine.
+local function dry_run(fsm, callback, obj, what)
+  local sent, first = {}, #fsm._intq + 1
+  pcall(callback, fsm, obj, what, {})
+  for i = first, #fsm._intq do sent[#sent + 1] = fsm._intq[i] end
+  for i = #fsm._intq, first, -1 do fsm._intq[i] = nil end
+  return sent
 end
 
---- Note that a callback exists; return what stands for it, false for nothing.
+--- Note that a callback may exist; return what stands for it.
 ---@param self rfsm_checks.Puppet
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
----@return function|false
-function deeds.new(self, what, path)
+---@param fsm rfsm.Machine
+---@param obj rfsm.State|rfsm.Transition
+---@param callback function|nil
+---@return function? deed nil if it has nothing to do
+function deeds.new(self, what, path, fsm, obj, callback)
   local name = what .. " " .. path
-  self.deeds[#self.deeds + 1] = name
-  return new_deed(self, name)
+  self.deeds[name] = true
+  local flags, events = self.flags_of[name] or {}, self.sends[name] or {}
+  if self.is_dry_run and callback and not self.sends[name] then
+    events = dry_run(fsm, callback, obj, what)
+  end
+  if not flags[1] and events[1] == nil then return nil end
+  return function(own)
+    for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
+    for i = 1, #events do rfsm.send_events(own, events[i]) end
+  end
+end
+
+-- Has the deeds that are named set a flag.
+local function set_flag(self, names, number, value)
+  for _, name in ipairs(names or {}) do
+    self.flags_of[name] = self.flags_of[name] or {}
+    table.insert(self.flags_of[name], { number = number, value = value })
+  end
 end
 
 --- Turn { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
@@ -38,20 +56,11 @@ end
 ---@param self rfsm_checks.Puppet
 ---@param flags table
 function deeds.read_flags(self, flags)
-  local names = {}
-  for name in pairs(flags) do names[#names + 1] = name end -- any order: sorted
-  sort(names)
-  for number, name in ipairs(names) do
-    self.flag_numbers[name], self.flags[number] = number, false
-    for _, value in ipairs { true, false } do
-      for _, what in ipairs(flags[name][value and "on" or "off"] or {}) do
-        local list = self.flags_of[what] or {}
-        list[#list + 1] = { number = number, value = value }
-        self.flags_of[what] = list
-      end
-    end
+  for number, name in ipairs(rfsm.sorted_keys(flags)) do
+    self.flag_numbers[name], self.flags[number] = number, "-"
+    set_flag(self, flags[name].on, number, "+")
+    set_flag(self, flags[name].off, number, "-")
   end
-  self.has_flags = names[1] ~= nil
 end
 
 --- Raise an error if a callback that is named does not exist.
@@ -59,14 +68,12 @@ end
 ---@param named table<string, any>
 ---@param field string
 function deeds.check(self, named, field)
-  local exists, wrong = {}, nil
-  for _, name in ipairs(self.deeds) do exists[name] = true end
-  for name in pairs(named) do -- any order: the least counts
-    if not exists[name] and (not wrong or name < wrong) then wrong = name end
+  for _, name in ipairs(rfsm.sorted_keys(named)) do
+    if not self.deeds[name] then
+      error(("%s: no callback '%s'%s"):format(field, rfsm.text_of(name),
+        advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(self.deeds))), 0)
+    end
   end
-  if not wrong then return end
-  error(("%s: no callback '%s'%s"):format(field, wrong,
-    advice.nearest_name(wrong, self.deeds)), 0)
 end
 
 return deeds

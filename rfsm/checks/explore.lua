@@ -13,10 +13,13 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local evts = require "rfsm.checks.events"
+local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
+local reactions = require "rfsm.checks.reactions"
 
-local error, ipairs, rawequal, rawget = error, ipairs, rawequal, rawget
-local require, setmetatable, tonumber, type = require, setmetatable, tonumber, type
+local error, ipairs, rawget, require = error, ipairs, rawget, require
+local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
 local os_clock = rawget(_G, "os") and rawget(_G, "os").clock
 
@@ -27,6 +30,7 @@ local explore = {}
 ---@field together? integer how many events from outside a step may have (1)
 ---@field alphabet? any[] the events from outside; default: all that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
+---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
 ---@field properties? table<any, table> see `rfsm_checks.never` and others
 ---@field configurations? integer stop after so many (1,000,000)
@@ -37,15 +41,15 @@ local explore = {}
 --- A walk over the configurations.
 ---@class rfsm_checks.Walk
 ---@field puppet rfsm_checks.Puppet
----@field keys (integer|string)[] of the configurations, the first one is not entered
----@field numbers table<integer|string, integer> key -> configuration
+---@field keys string[] of the configurations, the first one is not entered
+---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one it was first reached from
 ---@field labels string[] configuration -> events and choices of that step
 ---@field depths integer[]
 ---@field first integer[] configuration -> where its steps begin in `steps`
 ---@field steps integer[] targets; negative: without an event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
----@field clashes table<string, table> connector -> the first step with several ways on
+---@field clashes table<integer, table> transition -> the first step that takes another
 ---@field swallowed table<string, table> see `note_swallowed`
 ---@field moves table<integer, true> configurations that a step leaves or acts in
 ---@field expanded integer configurations whose steps were all taken
@@ -55,32 +59,19 @@ local explore = {}
 local Walk = {}
 Walk.__index = Walk
 
--- Labels: "3,5:101", the numbers of the events and the choices ......................
+-- Configurations and labels of steps ................................................
 
-local function label_of(walk, events, choices, asked)
-  local numbers, digits = {}, {}
-  for i, event in ipairs(events) do
-    numbers[i] = walk.puppet:number_of_event(event)
-  end
-  for i = 1, asked do digits[i] = choices[i] and "1" or "0" end
-  return concat(numbers, ",") .. ":" .. concat(digits)
+--- Return a configuration by its number.
+---@param number integer
+---@return rfsm_checks.Configuration conf
+function Walk:configuration(number)
+  return self.puppet:configuration(self.keys[number])
 end
 
---- Return the events and choices of a label.
----@param label string
----@return any[] events
----@return boolean[] choices
-function Walk:read_label(label)
-  local numbers, digits = label:match("^(.*):(.*)$")
-  local events, choices = {}, {}
-  for number in numbers:gmatch("%d+") do
-    events[#events + 1] = self.puppet.event_list[tonumber(number)]
-  end
-  for digit in digits:gmatch("%d") do choices[#choices + 1] = digit == "1" end
-  return events, choices
-end
-
--- Configurations ....................................................................
+--- Does an event wait in a configuration, so that run would go on?
+---@param number integer
+---@return boolean
+function Walk:is_driven(number) return puppet.is_driven(self:configuration(number)) end
 
 -- Returns the number of a configuration; a new one is to be looked at later.
 local function find_configuration(walk, key, from, label)
@@ -93,6 +84,26 @@ local function find_configuration(walk, key, from, label)
   return number
 end
 
+-- Returns the events of a step by number, and its choices: "3,5:101".
+local function label_of(walk, events, choices, asked)
+  local numbers, digits = {}, {}
+  for i, event in ipairs(events) do
+    numbers[i] = walk.puppet:number_of_event(event)
+  end
+  for i = 1, asked do digits[i] = choices[i] and "1" or "0" end
+  return concat(numbers, ",") .. ":" .. concat(digits)
+end
+
+local function read_label(walk, label)
+  local numbers, digits = label:match("^(.*):(.*)$")
+  local events, choices = {}, {}
+  for number in numbers:gmatch("%d+") do
+    events[#events + 1] = walk.puppet.event_list[tonumber(number)]
+  end
+  for digit in digits:gmatch("%d") do choices[#choices + 1] = digit == "1" end
+  return events, choices
+end
+
 -- Steps .............................................................................
 
 -- Notes what a step did that has not been seen before.
@@ -101,8 +112,10 @@ local function note(walk, from, label)
   for _, number in ipairs(own.taken) do
     walk.taken[number] = walk.taken[number] or { from = from, label = label() }
   end
-  for _, fqn in ipairs(own.clashes) do
-    walk.clashes[fqn] = walk.clashes[fqn] or { from = from, label = label() }
+  for _, clash in ipairs(own.clashes) do
+    local number, by = clash[1], clash[2]
+    walk.clashes[number] = walk.clashes[number]
+      or { from = from, label = label(), by = by }
   end
 end
 
@@ -118,13 +131,11 @@ local MANY_CHOICES = 4096
 
 -- Takes a step with these events, once for each choice. Returns whether one of them
 -- took a transition.
-local function try_events(walk, from, numbers, events, seen)
+local function try_events(walk, from, conf, events, seen)
   local own, choices, tries, has_taken = walk.puppet, {}, 0, false
   repeat
-    own:put(numbers)
-    local ended = own:step(events, choices)
-    local asked = own.asked
-    local text
+    own:put(conf)
+    local ended, asked, text = own:step(events, choices), own.asked, nil
     local function label()
       text = text or label_of(walk, events, choices, asked)
       return text
@@ -145,57 +156,50 @@ local function try_events(walk, from, numbers, events, seen)
   return has_taken
 end
 
--- Calls f(events) for each set of up to `left` of the events from number `first` on.
-local function each_set(list, first, left, set, f)
-  for i = first, #list do
-    set[#set + 1] = list[i]
-    f(set)
-    if left > 1 then each_set(list, i + 1, left - 1, set, f) end
-    set[#set] = nil
+-- Lists the sets of up to `most` of the events, smaller ones first.
+local function sets_of(list, most)
+  local sets, last, at = { {} }, { 0 }, 1
+  while sets[at] and #sets[at] < most do
+    for i = last[at] + 1, #list do
+      sets[#sets + 1], last[#sets + 1] = evts.with(sets[at], list[i]), i
+    end
+    at = at + 1
   end
+  return sets
 end
 
-local function copy_of(list)
-  local copy = {}
-  for i = 1, #list do copy[i] = list[i] end
-  return copy
-end
-
--- An event alone took no transition, though one that names it leads to a connector.
-local function note_swallowed(walk, from, numbers, event)
-  local stand = walk.puppet.parts[1].stands[numbers[1]]
-  local node, fsm = stand.leaf, walk.puppet.parts[1].fsm
-  while node do
+-- Notes that an event alone took no transition, though one that names it leads to a
+-- connector.
+local function note_swallowed(walk, from, leaf, event)
+  local fsm = walk.puppet.parts[1].fsm
+  for _, node in ipairs(leaf and place.line(fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
-      for _, other in ipairs(rfsm.is_conn(tr.tgt) and tr.events or {}) do
+      if rfsm.is_conn(tr.tgt) and evts.names(tr, event) then
         local key = tr.tgt._fqn .. " " .. rfsm.text_of(event)
-        if rawequal(other, event) and not walk.swallowed[key] then
-          walk.swallowed[key] = { from = from, event = event, connector = tr.tgt._fqn,
-            leaf = stand.leaf._fqn, label = label_of(walk, { event }, {}, 0) }
-        end
+        walk.swallowed[key] = walk.swallowed[key] or { from = from, event = event,
+          connector = tr.tgt, leaf = leaf, label = label_of(walk, { event }, {}, 0) }
       end
     end
-    node = node ~= fsm and node._parent
   end
 end
 
 -- Takes all steps from a configuration.
-local function expand(walk, from, numbers, seen)
-  local own = walk.puppet
-  own:numbers_of(walk.keys[from], numbers)
+local function expand(walk, from, seen)
+  local conf = walk:configuration(from)
+  local list, needed = reactions.from_outside(walk.puppet, conf)
   walk.first[from] = #walk.steps + 1
-  if own:is_busy(numbers) then try_events(walk, from, numbers, {}, seen) end
-  local list, sets = own:events_in(numbers)
   walk:add_wanted(list)
-  for i = 1, #sets do
-    if #sets[i] > walk.together then try_events(walk, from, numbers, sets[i], seen) end
-  end
-  each_set(list, 1, walk.together, {}, function(events)
-    local has_taken = try_events(walk, from, numbers, copy_of(events), seen)
-    if not (has_taken or events[2] ~= nil) then
-      note_swallowed(walk, from, numbers, events[1])
+  for _, events in ipairs(sets_of(list, walk.together)) do
+    if events[1] ~= nil or puppet.is_busy(conf) then
+      local has_taken = try_events(walk, from, conf, events, seen)
+      if not has_taken and #events == 1 then
+        note_swallowed(walk, from, conf[1].leaf, events[1])
+      end
     end
-  end)
+  end
+  for _, events in ipairs(needed) do
+    if #events > walk.together then try_events(walk, from, conf, events, seen) end
+  end
 end
 
 -- Bounds ............................................................................
@@ -211,7 +215,7 @@ local function find_bound(walk, options, at, began)
 end
 
 local function walk_all(walk, options)
-  local at, numbers, seen, began = 1, {}, {}, os_clock and os_clock() or 0
+  local at, seen, began = 1, {}, os_clock and os_clock() or 0
   while walk.keys[at] do
     local bound = find_bound(walk, options, at, began)
     if bound then
@@ -221,7 +225,7 @@ local function walk_all(walk, options)
     if options.progress and at % EVERY == 0 then
       options.progress(#walk.keys, walk.depths[at])
     end
-    expand(walk, at, numbers, seen)
+    expand(walk, at, seen)
     at = at + 1
   end
   walk.expanded = at - 1
@@ -257,16 +261,9 @@ function explore.walk(model, options, prepare)
     steps = {}, taken = {}, clashes = {}, swallowed = {}, endless = nil, bound = nil,
     moves = {}, count = 0, expanded = 0 }, Walk)
   if prepare then prepare(walk) end
-  find_configuration(walk, own:key_of(own:first()), 0, function() return "" end)
+  find_configuration(walk, own:read(), 0, function() return "" end)
   walk_all(walk, options)
   return walk
-end
-
---- Does an event wait in a configuration, so that run would go on?
----@param number integer
----@return boolean
-function Walk:is_driven(number)
-  return self.puppet:is_driven(self.puppet:numbers_of(self.keys[number], {}))
 end
 
 --- A step of a witness.
@@ -277,21 +274,21 @@ end
 ---@field taken string[] paths of the transitions that it takes
 ---@field leaf string|false FQN of the active leaf then
 
--- Runs a step again; returns what it did.
-local function rerun(walk, from, label)
-  local own = walk.puppet
-  local events, choices = walk:read_label(label)
-  own:put(own:numbers_of(walk.keys[from], {}))
+--- Run a step again.
+---@param from integer
+---@param label string
+---@return rfsm_checks.WitnessStep step what it did
+function Walk:rerun(from, label)
+  local own, texts, answers = self.puppet, {}, {}
+  local events, choices = read_label(self, label)
+  own:put(self:configuration(from))
   own:step(events, choices)
-  local step = { events = {}, values = events, choices = {}, taken = {} }
-  for i, event in ipairs(events) do step.events[i] = rfsm.text_of(event) end
+  for i, event in ipairs(events) do texts[i] = rfsm.text_of(event) end
   for i = 1, own.asked do
-    step.choices[i] = { who = own.askers[i], answer = own.choices[i],
-      is_doo = own.is_doo[i] }
+    answers[i] = { who = own.askers[i], answer = choices[i], is_doo = own.is_doo[i] }
   end
-  for i, number in ipairs(own.taken) do step.taken[i] = own.transitions[number].path end
-  step.leaf = rfsm.get_actleaf_fqn(own.parts[1].fsm)
-  return step
+  return { events = texts, values = events, choices = answers, taken = own:paths_of(),
+    leaf = rfsm.get_actleaf_fqn(own.parts[1].fsm) }
 end
 
 --- Return the shortest way to a configuration, and the step given behind it.
@@ -299,14 +296,11 @@ end
 ---@param label? string
 ---@return rfsm_checks.WitnessStep[] witness
 function Walk:witness(number, label)
-  local labels, at = { label }, number
-  while self.from[at] > 0 do
-    table.insert(labels, 1, self.labels[at])
-    at = self.from[at]
+  local steps = { label and self:rerun(number, label) }
+  while self.from[number] > 0 do
+    table.insert(steps, 1, self:rerun(self.from[number], self.labels[number]))
+    number = self.from[number]
   end
-  local steps, way = {}, { number }
-  while self.from[way[1]] > 0 do table.insert(way, 1, self.from[way[1]]) end
-  for i, text in ipairs(labels) do steps[i] = rerun(self, way[i], text) end
   return steps
 end
 

@@ -3,7 +3,7 @@
 -- @module rfsm.checks.graph
 -- @license BSD-3-Clause
 
-local ipairs = ipairs
+local ipairs, table = ipairs, table
 
 local graph = {}
 
@@ -32,24 +32,33 @@ local function reverse(walk, is_internal)
   return lists
 end
 
+-- Adds to a set, again and again, those from which a step leads into it and for which
+-- `joins(from, tgt)` is true. Returns the set.
+local function spread(walk, set, lists, joins)
+  local pending = {}
+  for number = 1, #walk.keys do
+    if set[number] then pending[#pending + 1] = number end
+  end
+  while pending[1] do
+    local number = table.remove(pending)
+    for _, from in ipairs(lists[number] or {}) do
+      if not set[from] and joins(from, number) then
+        set[from], pending[#pending + 1] = true, from
+      end
+    end
+  end
+  return set
+end
+
 --- Return the set of configurations from which one of `goals` can be reached.
 ---@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
 ---@return table<integer, boolean> set
 function graph.can_reach(walk, goals, is_internal)
-  local set, pending, lists = {}, {}, reverse(walk, is_internal)
-  for number = 1, #walk.keys do
-    if goals[number] then set[number], pending[#pending + 1] = true, number end
-  end
-  while pending[1] do
-    local number = pending[#pending]
-    pending[#pending] = nil
-    for _, from in ipairs(lists[number] or {}) do
-      if not set[from] then set[from], pending[#pending + 1] = true, from end
-    end
-  end
-  return set
+  local set = {}
+  for number = 1, #walk.keys do set[number] = goals[number] end
+  return spread(walk, set, reverse(walk, is_internal), function() return true end)
 end
 
 -- Counts the steps without events from outside; a doo that goes on is none.
@@ -67,25 +76,15 @@ end
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
-  local set, pending, lists, left = {}, {}, reverse(walk, true), {}
-  for number = 1, #walk.keys do
-    if goals[number] or number > walk.expanded then -- what is not known is no fault
-      set[number], pending[#pending + 1] = true, number
-    else
-      left[number] = count_internal(walk, number)
-    end
+  local set, left = {}, {}
+  for number = 1, #walk.keys do -- what is not known is no fault
+    set[number] = goals[number] or number > walk.expanded
   end
-  while pending[1] do
-    local number = pending[#pending]
-    pending[#pending] = nil
-    for _, from in ipairs(lists[number] or {}) do
-      if from ~= number and left[from] then left[from] = left[from] - 1 end
-      if left[from] == 0 and not set[from] then
-        set[from], pending[#pending + 1] = true, from
-      end
-    end
-  end
-  return set
+  return spread(walk, set, reverse(walk, true), function(from, tgt)
+    left[from] = left[from] or count_internal(walk, from)
+    if from ~= tgt then left[from] = left[from] - 1 end
+    return left[from] == 0
+  end)
 end
 
 return graph

@@ -4,6 +4,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local events = require "rfsm.checks.events"
+local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
 local ipairs, type = ipairs, type
@@ -14,14 +16,11 @@ local loops = {}
 
 -- Does the event trigger `tr`? Nil if a predicate decides.
 local function is_triggered(tr, event)
-  local events = tr.events or {}
-  if events[1] == nil then return true end
-  local answer = false
-  for _, other in ipairs(events) do
-    if other == event then return true end
-    if type(other) == "function" then answer = nil end
+  if events.is_any(tr) or events.names(tr, event) then return true end
+  for _, other in ipairs(tr.events) do
+    if type(other) == "function" then return nil end
   end
-  return answer
+  return false
 end
 
 -- Returns the first of the transitions that the event takes; nil if a guard decides.
@@ -33,18 +32,12 @@ local function find_taken(transitions, event)
   end
 end
 
-local function line_of(fsm, leaf)
-  local line = { leaf }
-  while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
-  return line
-end
-
 -- Returns the transitions that a leaf without doo takes on its own e_done, and the leaf
 -- where they end; nil if there are none, or a guard decides.
 local function follow(fsm, leaf)
   local event, path = "e_done@" .. leaf._fqn, {}
   local tr, is_open
-  for _, node in ipairs(line_of(fsm, leaf)) do
+  for _, node in ipairs(place.line(fsm, leaf)) do
     tr, is_open = find_taken(node._otrs, event)
     if tr or is_open then break end
   end
@@ -61,7 +54,7 @@ end
 local function may_be_left(fsm, leaves, taken)
   local has_callback, has_exit = false, false
   for _, leaf in ipairs(leaves) do
-    for _, node in ipairs(line_of(fsm, leaf)) do
+    for _, node in ipairs(place.line(fsm, leaf)) do
       has_callback = has_callback or node.entry or node.exit
       for _, tr in ipairs(node._otrs) do
         has_callback = has_callback or taken[tr] and tr.effect

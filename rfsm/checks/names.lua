@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 
-local ipairs, type = ipairs, type
+local ipairs, table, type = ipairs, table, type
 
 local names = {}
 
@@ -31,19 +31,16 @@ local function words_of(event)
   return words
 end
 
--- Is `long` the word `short` with one letter more, inside of it? One more at its end or
--- its start makes too many words of their own: close, closed; lock, block.
-local function has_extra(long, short)
-  for i = 2, #long - 1 do
-    if long:sub(1, i - 1) .. long:sub(i + 1) == short then return true end
-  end
-  return false
-end
-
-local function is_reversed(a, b)
-  for i = 1, #a - 1 do
-    local first, second = a:sub(i, i), a:sub(i + 1, i + 1)
-    if a:sub(1, i - 1) .. second .. first .. a:sub(i + 2) == b then return true end
+-- Is `b` the word `a` without a letter inside of it, or with two letters in reverse? A
+-- letter at the end or the start makes too many words of their own: close, closed;
+-- lock, block.
+local function is_edited(a, b)
+  for i = 1, #a do
+    local before, letter, behind = a:sub(1, i - 1), a:sub(i, i), a:sub(i + 1)
+    if i > 1 and i < #a and before .. behind == b
+      or before .. behind:sub(1, 1) .. letter .. behind:sub(2) == b then
+      return true
+    end
   end
   return false
 end
@@ -52,8 +49,7 @@ end
 local function is_near(a, b)
   if a:lower() == b:lower() then return true end
   if #a < 4 or #b < 4 or a:find("%d") or b:find("%d") then return false end
-  if #a == #b then return is_reversed(a, b) end
-  return #a == #b + 1 and has_extra(a, b) or #b == #a + 1 and has_extra(b, a)
+  return is_edited(a, b) or is_edited(b, a)
 end
 
 -- Do two events differ in one word, or in underscores, and look alike there?
@@ -80,10 +76,10 @@ local function usage_of(fsm)
   local list, users = {}, {}
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
-      if is_name(event) and not users[event] then
-        list[#list + 1], users[event] = event, {}
+      if is_name(event) then
+        if not users[event] then list[#list + 1], users[event] = event, {} end
+        table.insert(users[event], tr)
       end
-      if is_name(event) then users[event][#users[event] + 1] = tr end
     end
   end
   return list, users

@@ -5,6 +5,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local events = require "rfsm.checks.events"
+local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
 local ipairs, type = ipairs, type
@@ -14,14 +16,12 @@ local order = {}
 
 local is_always_enabled
 
-local function has_events(tr) return tr.events and tr.events[1] ~= nil end
-
 -- Does some path lead on from this connector, whatever the events and guards?
 local function has_path(connector, seen)
   if seen[connector] then return false end
   seen[connector] = true
   for _, tr in ipairs(connector._otrs) do
-    if not has_events(tr) and is_always_enabled(tr, seen) then return true end
+    if events.is_any(tr) and is_always_enabled(tr, seen) then return true end
   end
   return false
 end
@@ -34,31 +34,22 @@ end
 
 local ANY = {} -- stands for each event of a transition that has none
 
--- May the event enable `tr`, as far as names tell? Predicates may accept anything, but
+-- Does the event enable `tr`, as far as names tell? Predicates may accept anything, but
 -- nobody can rely on it.
-local function names(tr, event)
-  if not has_events(tr) then return true end
-  if event == ANY or type(event) == "function" then return false end
-  for _, other in ipairs(tr.events) do
-    if rawequal(other, event) then return true end
-  end
-  return false
+local function is_enabled_by(tr, event)
+  return events.is_any(tr) or type(event) ~= "function" and events.names(tr, event)
 end
 
 -- Returns a transition that is tried before `tr`, from its source or a composite that
 -- the source is in, and always taken on the event.
 local function find_shadow(fsm, tr, event)
-  local node, found = tr.src, nil
-  while true do
+  for _, node in ipairs(is_conn(tr.src) and { tr.src } or place.line(fsm, tr.src)) do
     for _, other in ipairs(node._otrs) do
       if other == tr then break end
-      if names(other, event) and is_always_enabled(other, {}) then
-        found = other
-        break
+      if is_enabled_by(other, event) and is_always_enabled(other, {}) then
+        return other
       end
     end
-    if is_conn(node) or node == fsm then return found end
-    node = node._parent
   end
 end
 
@@ -66,7 +57,7 @@ end
 -- an event is left to it.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
-  for _, event in ipairs(has_events(tr) and tr.events or { ANY }) do
+  for _, event in ipairs(events.is_any(tr) and { ANY } or tr.events) do
     local shadow = find_shadow(fsm, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end
@@ -85,24 +76,66 @@ local function check_shadows(fsm, tr, add)
   return true
 end
 
+-- Does only its position keep `tr` from being taken before `other`? A guard in front of
+-- a transition without one reads as if and else, but the engine warns in connectors.
+local function is_rival(tr, other)
+  return (other.pn or 0) == (tr.pn or 0)
+    and (tr.guard or not other.guard or is_conn(tr.src))
+end
+
+--- List the transitions behind `tr` that only their position keeps from being taken
+--- before it.
+---@param tr rfsm.Transition
+---@return rfsm.Transition[] rivals
+function order.rivals_of(tr)
+  local rivals, is_behind = {}, false
+  for _, other in ipairs(tr.src._otrs) do
+    if is_behind and is_rival(other, tr) then rivals[#rivals + 1] = other end
+    is_behind = is_behind or other == tr
+  end
+  return rivals
+end
+
+--- Is a rival enabled where `tr` was taken: in a connector by all events of a step, in
+--- a state by one of them that enables both?
+---@param tr rfsm.Transition
+---@param rival rfsm.Transition
+---@param list any[]
+---@return boolean
+function order.is_clash(tr, rival, list)
+  if is_conn(tr.src) then return events.may_enable(rival, list) end
+  for i = 1, #list do
+    if is_enabled_by(tr, list[i]) and events.may_enable(rival, { list[i] }) then
+      return true
+    end
+  end
+  return false
+end
+
 -- Returns an event that enables both, as a text.
 local function shared_event(tr, other)
-  if not has_events(tr) then return has_events(other) and other.events[1] or "any" end
-  for _, event in ipairs(tr.events) do
-    if type(event) ~= "function" and names(other, event) then return event end
+  if events.is_any(tr) and events.is_any(other) then return "any event" end
+  for _, event in ipairs(events.is_any(tr) and other.events or tr.events) do
+    if type(event) ~= "function" and is_enabled_by(other, event) then
+      return rfsm.text_of(event)
+    end
   end
 end
 
--- A guard in front of a transition without one reads as if and else.
+--- Return the text of a conflict.
+---@param other rfsm.Transition
+---@param event string|nil
+---@return string text
+function order.conflict_text(other, event)
+  return ("enabled together with %s%s, and of the same pn"):format(
+    rfsm.location_of(other), event and " on " .. event or "")
+end
+
 local function check_conflicts(tr, add)
   for _, other in ipairs(tr.src._otrs) do
     if other == tr then return end
-    local event = (other.pn or 0) == (tr.pn or 0) and shared_event(tr, other)
-    if event and (tr.guard or not other.guard) then
-      add("conflict", tr, ("enabled together with %s on %s, and of the same pn"):format(
-        rfsm.location_of(other), event == "any" and "any event" or rfsm.text_of(event)))
-      return
-    end
+    local event = is_rival(tr, other) and shared_event(tr, other)
+    if event then return add("conflict", tr, order.conflict_text(other, event)) end
   end
 end
 

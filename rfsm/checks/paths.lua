@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local events = require "rfsm.checks.events"
 
 local ipairs, type = ipairs, type
 local concat = table.concat
@@ -11,18 +12,9 @@ local is_conn = rfsm.is_conn
 
 local paths = {}
 
-local function has_events(tr) return tr.events and tr.events[1] ~= nil end
-
 -- Which events can reach a connector ..............................................
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
-
-local function has_event(tr, event)
-  for _, other in ipairs(tr.events) do
-    if rawequal(other, event) then return true end
-  end
-  return false
-end
 
 -- Notes that an event comes to a node; a predicate says nothing of what comes.
 local function arrive(arrivals, pending, node, event)
@@ -35,11 +27,11 @@ local function arrive(arrivals, pending, node, event)
 end
 
 local function arrive_by(arrivals, pending, tr, event)
-  if not has_events(tr) then
+  if events.is_any(tr) then
     arrive(arrivals, pending, tr.tgt, event)
   elseif event == ANY then
     for _, own in ipairs(tr.events) do arrive(arrivals, pending, tr.tgt, own) end
-  elseif has_event(tr, event) then
+  elseif events.names(tr, event) then
     arrive(arrivals, pending, tr.tgt, event)
   end
 end
@@ -62,17 +54,16 @@ end
 -- Is there a way on for this event that no guard can close?
 local function has_default(connector, event)
   for _, tr in ipairs(connector._otrs) do
-    if not tr.guard and (not has_events(tr) or event ~= ANY and has_event(tr, event))
-    then
+    if not tr.guard and (events.is_any(tr) or events.names(tr, event)) then
       return true
     end
   end
   return false
 end
 
-local function check_default(connector, events, add)
+local function check_default(connector, arriving, add)
   local texts = {}
-  for _, event in ipairs(events or {}) do
+  for _, event in ipairs(arriving or {}) do
     if not has_default(connector, event) then
       texts[#texts + 1] = rfsm.text_of(event)
     end

@@ -1,12 +1,12 @@
---- Locations of findings, and the machines inside of states; for the other checks.
+--- Places of findings: location, path, the line of nodes above, machines inside of
+--- states; for the other checks.
 --
 -- @module rfsm.checks.place
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local ipairs, pairs, type = ipairs, pairs, type
-local sort = table.sort
+local ipairs, table, type = ipairs, table, type
 local text_of = rfsm.text_of
 
 local place = {}
@@ -37,22 +37,54 @@ function place.path(obj, prefix)
   return prefix and prefix .. path:sub(5) or path
 end
 
-local function name_before(a, b) return text_of(a) < text_of(b) end
+--- List the nodes from a machine, or a part of one, down to one of its nodes.
+---@param fsm rfsm.State
+---@param node rfsm.State|rfsm.Connector
+---@return table[] line
+function place.line(fsm, node)
+  local line = { node }
+  while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
+  return line
+end
 
 --- List the machines inside a state, its regions, sorted by name.
 ---@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function place.regions_of(state)
   local machines = type(state.substates) == "table" and state.substates or {}
-  local names, regions = {}, {}
-  for name, machine in pairs(machines) do -- any order: sorted
-    if rfsm.is_initialized_root(machine) then names[#names + 1] = name end
-  end
-  sort(names, name_before)
-  for i, name in ipairs(names) do
+  local regions = {}
+  for i, name in ipairs(rfsm.sorted_keys(machines, rfsm.is_initialized_root)) do
     regions[i] = { name = text_of(name), machine = machines[name] }
   end
   return regions
+end
+
+local function add_machine(list, machine)
+  list[#list + 1] = machine
+  for _, leaf in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
+    for _, region in ipairs(place.regions_of(leaf)) do
+      local name = "." .. region.name
+      add_machine(list, { fsm = region.machine, owner = machine, leaf = leaf,
+        prefix = place.path(leaf, machine.prefix) .. name,
+        location = machine.location .. leaf._fqn .. name .. ": " })
+    end
+  end
+  return list
+end
+
+--- A machine, or one inside of it.
+---@class rfsm_checks.Inner
+---@field fsm rfsm.Machine
+---@field prefix? string path of the region: "root.par.left"
+---@field location string in front of findings: "root.par.left: "; "" for the outermost
+---@field owner? rfsm_checks.Inner the machine around it
+---@field leaf? rfsm.State where it is in that machine
+
+--- List a machine and those inside of it, each before those inside of its states.
+---@param fsm rfsm.Machine
+---@return rfsm_checks.Inner[] machines
+function place.machines(fsm)
+  return add_machine({}, { fsm = fsm, prefix = nil, location = "" })
 end
 
 return place

@@ -8,10 +8,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local evts = require "rfsm.checks.events"
 local graph = require "rfsm.checks.graph"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, rawequal, setmetatable, type = pcall, rawequal, setmetatable, type
+local pcall, setmetatable, type = pcall, setmetatable, type
 local concat, sort = table.concat, table.sort
 
 local properties = {}
@@ -25,11 +26,12 @@ local Property = {}
 Property.__index = Property
 
 local function check_condition(what, where)
-  if type(what) == "string" or type(what) == "function" then return what end
-  for _, name in ipairs(type(what) == "table" and what or {}) do
-    if type(name) ~= "string" then what = nil end
+  local names = type(what) == "table" and what or { what }
+  local is_right = names[1] ~= nil
+  for _, name in ipairs(names) do
+    is_right = is_right and (type(name) == "string" or type(what) == "function")
   end
-  if type(what) == "table" and what[1] then return what end
+  if is_right then return what end
   error("rfsm_checks." .. where .. ": path of a state, name of a flag, list of them or "
     .. "function expected, got " .. type(what), 3)
 end
@@ -85,11 +87,9 @@ local function text_of(what)
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
 end
 
-local TEXTS = { never = "never ", always = "always ", after = "after ", from = "from " }
-
 function Property:__tostring()
   local goal = self.kind == "after" and " reach " or " can reach "
-  return TEXTS[self.kind] .. text_of(self.what)
+  return self.kind .. " " .. text_of(self.what)
     .. (self.goal and goal .. text_of(self.goal) or "")
 end
 
@@ -121,8 +121,7 @@ end
 
 local function holds(condition, active)
   if type(condition) == "function" then return condition(active) and true or false end
-  if type(condition) == "string" then return active(condition) end
-  for _, name in ipairs(condition) do
+  for _, name in ipairs(type(condition) == "table" and condition or { condition }) do
     if not active(name) then return false end
   end
   return true
@@ -130,32 +129,36 @@ end
 
 -- Returns the set of configurations in which a condition holds.
 local function set_of(walk, condition)
-  local set, numbers = {}, {}
+  local set = {}
   for number = 2, #walk.keys do
-    local active = walk.puppet:view(walk.puppet:numbers_of(walk.keys[number], numbers))
-    set[number] = holds(condition, active)
+    set[number] = holds(condition, walk.puppet:view(walk:configuration(number)))
   end
   return set
 end
 
--- Notes the first configuration that is in `set`, or is not, as a violation.
-local function find_first(walk, judged, set, is_wrong)
+-- Notes the first configuration that is in one set and not in another as a violation.
+local function find_first(walk, judged, set, others)
   for number = 2, #walk.keys do
-    if (set[number] or false) == is_wrong then
+    if set[number] and not others[number] then
       judged.holds, judged.at = false, number
       return
     end
   end
 end
 
+local ALL, NONE = setmetatable({}, { __index = function() return true end }), {}
+
 local JUDGES = {}
 
-function JUDGES.never(walk, judged)
-  find_first(walk, judged, set_of(walk, judged.property.what), true)
-end
+function JUDGES.never(walk, judged, set) find_first(walk, judged, set, NONE) end
 
-function JUDGES.always(walk, judged)
-  find_first(walk, judged, set_of(walk, judged.property.what), false)
+function JUDGES.always(walk, judged, set) find_first(walk, judged, ALL, set) end
+
+-- With a bound nothing is known against it: the way may lead through the rest.
+function JUDGES.from(walk, judged, set)
+  if walk.bound then return end
+  find_first(walk, judged, set,
+    graph.can_reach(walk, set_of(walk, judged.property.goal)))
 end
 
 function JUDGES.after(walk, judged)
@@ -170,23 +173,10 @@ function JUDGES.after(walk, judged)
   end
 end
 
--- With a bound nothing is known against it: the way may lead through the rest.
-function JUDGES.from(walk, judged)
-  if walk.bound then return end
-  local set = graph.can_reach(walk, set_of(walk, judged.property.goal))
-  local sources = set_of(walk, judged.property.what)
-  for number = 2, #walk.keys do
-    if sources[number] and not set[number] then
-      judged.holds, judged.at = false, number
-      return
-    end
-  end
-end
-
 -- Raises an error for names that do not exist.
 local function check_names(walk, judged)
-  local active = walk.puppet:view(walk.puppet:first())
-  local property = judged.property
+  local own, property = walk.puppet, judged.property
+  local active = own:view(own:configuration(own:read()))
   for _, condition in ipairs { property.kind ~= "after" and property.what or "root",
     property.goal or "root" } do
     local ok, problem = pcall(holds, type(condition) ~= "function" and condition
@@ -199,8 +189,8 @@ end
 
 -- Has the walk take steps with the events of `after`, and note where they lead.
 local function watch_events(walk, list)
-  walk.owed = {}
   local afters = {}
+  walk.owed = {}
   for _, judged in ipairs(list) do
     if judged.property.kind == "after" then
       afters[#afters + 1], walk.owed[judged] = judged, {}
@@ -209,21 +199,16 @@ local function watch_events(walk, list)
   if not afters[1] then return end
   function walk.add_wanted(_, events)
     for _, judged in ipairs(afters) do
-      local is_there = false
-      for i = 1, #events do
-        is_there = is_there or rawequal(events[i], judged.property.what)
-      end
-      if not is_there then events[#events + 1] = judged.property.what end
+      local event = judged.property.what
+      if not evts.has(events, event) then events[#events + 1] = event end
     end
   end
   function walk.look(_, from, tgt, events, label)
     if not walk.puppet.parts[1].stand.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
       local owed = walk.owed[judged]
-      for i = 1, #events do
-        if rawequal(events[i], judged.property.what) and not owed[tgt] then
-          owed[tgt] = { from = from, label = label() }
-        end
+      if not owed[tgt] and evts.has(events, judged.property.what) then
+        owed[tgt] = { from = from, label = label() }
       end
     end
   end
@@ -245,7 +230,8 @@ end
 ---@param list rfsm_checks.Judged[]
 function properties.judge(walk, list)
   for _, judged in ipairs(list) do
-    JUDGES[judged.property.kind](walk, judged)
+    local kind, what = judged.property.kind, judged.property.what
+    JUDGES[kind](walk, judged, kind ~= "after" and set_of(walk, what))
     if judged.holds == nil and not walk.bound then judged.holds = true end
   end
 end

@@ -1,21 +1,31 @@
---- Reactions: the events that can have an effect while a leaf is active.
+--- Reactions: the events that can have an effect while a leaf is active, and those of
+--- them that come from outside.
 --
 -- @module rfsm.checks.reactions
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local events = require "rfsm.checks.events"
+local place = require "rfsm.checks.place"
 
-local ipairs, rawequal, type = ipairs, rawequal, type
+local ipairs, setmetatable, type = ipairs, setmetatable, type
 local is_conn = rfsm.is_conn
 
 local reactions = {}
 
+--- What can have an effect in a leaf: a list of events, and more.
+---@class rfsm_checks.Reactions
+---@field [integer] any
+---@field set table<any, boolean> the same events as a set
+---@field any boolean any other event can, too
+---@field has_predicate boolean
+---@field sets any[][] sets of several events without which a path cannot be taken
+
 local add_reactions
 
 local function add_reaction(found, tr, seen)
-  local events = tr.events or {}
-  if events[1] == nil then found.any = true end
-  for _, event in ipairs(events) do
+  if events.is_any(tr) then found.any = true end
+  for _, event in ipairs(tr.events or {}) do
     if type(event) == "function" then
       found.has_predicate, found.any = true, true
     elseif not found.set[event] then
@@ -32,96 +42,116 @@ function add_reactions(found, node, seen)
   for _, tr in ipairs(node._otrs) do add_reaction(found, tr, seen) end
 end
 
--- Lists the nodes whose transitions count in a leaf; in none, the way in.
-local function nodes_of(part, leaf)
-  if not leaf then
-    return { rfsm.is_composite(part.fsm) and part.fsm.initial or nil }
-  end
-  local nodes, node = {}, leaf
-  while node do
-    nodes[#nodes + 1] = node
-    node = node ~= part.fsm and node._parent
-  end
-  return nodes
-end
-
---- List the events that can have an effect in a leaf, false for no leaf.
----@param part rfsm_checks.Part
----@param leaf rfsm.State|false
----@return { any: boolean, has_predicate: boolean, set: table } events a list, and a set
-function reactions.of(part, leaf)
-  local known = part.known[leaf]
-  if known.reactions then return known.reactions end
-  local found, seen = { set = {}, any = false, has_predicate = false }, {}
-  if not leaf then found.set.e_init_fsm = true end
-  for _, node in ipairs(nodes_of(part, leaf)) do add_reactions(found, node, seen) end
-  known.reactions = found
-  return found
-end
-
--- Sets of events ....................................................................
-
-local function has(list, event)
-  for i = 1, #list do
-    if rawequal(list[i], event) then return true end
-  end
-  return false
-end
-
--- Lists what a segment may add to the events that its path has needed so far: false for
--- nothing; predicates are left out.
-local function additions(tr, set)
-  local list = {}
+-- Lists the sets of events that a path needs with a segment more; predicates are left
+-- out.
+local function extend(set, tr)
+  local sets = {}
   for _, event in ipairs(tr.events or {}) do
-    if has(set, event) then return { false } end
-    if type(event) ~= "function" then list[#list + 1] = event end
+    if events.has(set, event) then return { set } end
+    if type(event) ~= "function" then sets[#sets + 1] = events.with(set, event) end
   end
-  return list[1] ~= nil and list or { false }
-end
-
-local function copy_of(list)
-  local copy = {}
-  for i = 1, #list do copy[i] = list[i] end
-  return copy
+  return sets[1] and sets or { set }
 end
 
 local MANY_SETS = 100 -- of one leaf; more are not tried
 
-local add_sets
-
-local function add_sets_behind(found, tr, set, seen)
-  if is_conn(tr.tgt) then
-    for _, way in ipairs(tr.tgt._otrs) do add_sets(found, way, set, seen) end
-  elseif set[2] ~= nil then
-    found[#found + 1] = copy_of(set)
-  end
-end
-
 -- Adds the sets of several events that the paths from a transition on need.
-function add_sets(found, tr, set, seen)
+local function add_sets(found, tr, set, seen)
   if seen[tr] or #found >= MANY_SETS then return end
   seen[tr] = true
-  for _, event in ipairs(additions(tr, set)) do
-    local is_more = has(tr.events or {}, event)
-    if is_more then set[#set + 1] = event end
-    add_sets_behind(found, tr, set, seen)
-    if is_more then set[#set] = nil end
+  for _, longer in ipairs(extend(set, tr)) do
+    if is_conn(tr.tgt) then
+      for _, way in ipairs(tr.tgt._otrs) do add_sets(found, way, longer, seen) end
+    elseif longer[2] ~= nil then
+      found[#found + 1] = longer
+    end
   end
   seen[tr] = nil
 end
 
---- List the sets of several events without which a path cannot be taken.
----@param part rfsm_checks.Part
----@param leaf rfsm.State|false
----@return any[][] sets
-function reactions.sets_of(part, leaf)
-  local known = part.known[leaf]
-  if known.sets then return known.sets end
-  known.sets = {}
-  for _, node in ipairs(nodes_of(part, leaf)) do
-    for _, tr in ipairs(node._otrs) do add_sets(known.sets, tr, {}, {}) end
+--- Collect what can have an effect in a leaf of a machine.
+---@param fsm rfsm.Machine
+---@param leaf rfsm.State|false false before the first entry
+---@return rfsm_checks.Reactions reactions
+function reactions.collect(fsm, leaf)
+  local found = { set = {}, any = false, has_predicate = false, sets = {} }
+  local seen, nodes = {}, { rfsm.is_composite(fsm) and fsm.initial or nil }
+  if leaf then nodes = place.line(fsm, leaf) end
+  if not leaf then found.set.e_init_fsm = true end
+  for i = #nodes, 1, -1 do
+    add_reactions(found, nodes[i], seen)
+    for _, tr in ipairs(nodes[i]._otrs) do add_sets(found.sets, tr, {}, {}) end
   end
-  return known.sets
+  return found
+end
+
+--- Return the same for a part of a puppet, collected once.
+function reactions.of(part, leaf)
+  local known = part.known[leaf]
+  known.reactions = known.reactions or reactions.collect(part.fsm, leaf)
+  return known.reactions
+end
+
+-- Events from outside ...............................................................
+
+--- Stands for each event that nothing names.
+reactions.OTHER = setmetatable({}, {
+  __tostring = function() return "(another event)" end,
+})
+
+local function is_internal(event)
+  return type(event) == "string"
+    and (event == "e_init_fsm" or event:find("^e_done@root") ~= nil)
+end
+
+local function is_allowed(self, event)
+  return not self.alphabet or events.has(self.alphabet, event)
+end
+
+-- Appends the events from outside that can have an effect in a stand.
+local function add_outside(self, list, is_listed, found)
+  local function add(event)
+    if not is_listed[event] and not is_internal(event) and is_allowed(self, event) then
+      is_listed[event], list[#list + 1] = true, event
+    end
+  end
+  for _, event in ipairs(found) do add(event) end
+  if found.has_predicate or found.any and self.alphabet then
+    for _, event in ipairs(self.all_events) do add(event) end
+  end
+  if found.any then add(reactions.OTHER) end
+end
+
+-- Adds the sets of several events from outside, but for those that cannot come.
+local function add_outside_sets(self, sets, found)
+  for _, set in ipairs(found.sets) do
+    local kept, may_come = {}, true
+    for _, event in ipairs(set) do
+      local is_own = is_internal(event)
+      may_come = may_come and (is_own or is_allowed(self, event))
+      if not is_own then kept[#kept + 1] = event end
+    end
+    if may_come and kept[2] ~= nil then sets[#sets + 1] = kept end
+  end
+end
+
+--- List the events from outside that can have an effect in a configuration, and the
+--- sets of several of them that a path through connectors needs.
+---@param self rfsm_checks.Puppet
+---@param conf rfsm_checks.Configuration
+---@return any[] events
+---@return any[][] sets
+function reactions.from_outside(self, conf)
+  local list, sets, is_listed, leaf_of = {}, {}, {}, {}
+  for i, part in ipairs(self.parts) do
+    leaf_of[part] = conf[i].leaf
+    if not part.owner or leaf_of[part.owner] == part.leaf then
+      local found = reactions.of(part, conf[i].leaf)
+      add_outside(self, list, is_listed, found)
+      add_outside_sets(self, sets, found)
+    end
+  end
+  return list, sets
 end
 
 return reactions

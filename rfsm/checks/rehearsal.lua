@@ -1,4 +1,4 @@
---- Rehearsal: a chart run step by step without its callbacks, for tests.
+--- Rehearsal: a chart run step by step without its callbacks, for tests and witnesses.
 --
 -- Guards answer true, and doos go on, unless a step says otherwise. Time is what the
 -- rehearsal says.
@@ -10,8 +10,7 @@ local rfsm = require "rfsm"
 local puppet = require "rfsm.checks.puppet"
 
 local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
-local setmetatable, type = setmetatable, type
-local concat = table.concat
+local require, setmetatable, type = require, setmetatable, type
 
 local rehearsal = {}
 
@@ -53,6 +52,21 @@ function rehearsal.rehearsal(chart)
   return self
 end
 
+--- Return what to tell a rehearsal about a step of a witness, but for its events.
+---@param step rfsm_checks.WitnessStep
+---@return table what see `Rehearsal:step`
+function rehearsal.what_of(step)
+  local what = { guards = {}, ends = {} }
+  for _, choice in ipairs(step.choices) do
+    if choice.is_doo and choice.answer then
+      what.ends[#what.ends + 1] = choice.who
+    elseif not (choice.is_doo or choice.answer) then
+      what.guards[choice.who] = false
+    end
+  end
+  return what
+end
+
 -- Tells the puppet what to decide in the next step.
 local function tell(own, what)
   own.said, own.is_asked = {}, {}
@@ -61,13 +75,11 @@ local function tell(own, what)
   for _, part in ipairs(own.parts) do part.rounds = 0 end
 end
 
--- Returns what was said in vain: the least path that nothing has asked.
+-- Returns the first path of which something was said in vain: nothing has asked.
 local function unasked(own)
-  local least
-  for who in pairs(own.said) do -- any order: the least counts
-    if not own.is_asked[who] and (not least or who < least) then least = who end
+  for _, who in ipairs(rfsm.sorted_keys(own.said)) do
+    if not own.is_asked[who] then return who end
   end
-  return least
 end
 
 --- Take a step with the events given, and with what guards and doos decide in it.
@@ -78,16 +90,51 @@ end
 ---@return string text "root.trans[2] -> root.b": transitions taken, and the active leaf
 function Rehearsal:step(what)
   what = what or {}
-  local own, events, paths = self.puppet, {}, {}
+  local own, events = self.puppet, {}
   tell(own, what)
   for i = 1, #what do events[i] = what[i] end
   self.now = self.now + (what.after or 0)
   own:step(events, {})
-  for i, number in ipairs(own.taken) do paths[i] = own.transitions[number].path end
-  local who = unasked(own)
+  local paths, who = own:paths_of(), unasked(own)
   if who then paths[#paths + 1] = "(" .. who .. " was not asked)" end
-  return (paths[1] and concat(paths, ", ") or "no transition") .. " -> "
-    .. (rfsm.get_actleaf_fqn(own.parts[1].fsm) or "not entered")
+  return puppet.outcome(paths, rfsm.get_actleaf_fqn(own.parts[1].fsm))
+end
+
+-- Witnesses: the run that shows a finding, for the simulator and for pictures ........
+
+local function check_steps(steps, where)
+  if type(steps) == "table" then return end
+  error("rfsm_checks." .. where .. ": the witness of a finding expected, got "
+    .. type(steps), 3)
+end
+
+--- Write a witness as a recording, which `rfsm sim --replay FILE --dry CHART` runs.
+---@param model rfsm.State
+---@param steps rfsm_checks.WitnessStep[] the field `witness` of a finding
+---@param sink table|string list of records, or the name of a file
+function rehearsal.record_witness(model, steps, sink)
+  check_steps(steps, "record_witness")
+  local run = rehearsal.rehearsal(model)
+  local fsm = run.puppet.parts[1].fsm
+  local recorder = require("rfsm.record").record(fsm, sink)
+  for _, step in ipairs(steps) do
+    for i = 1, #step.values do rfsm.send_events(fsm, step.values[i]) end
+    run:step(rehearsal.what_of(step))
+  end
+  recorder:stop()
+end
+
+--- List the transitions and leaves of a witness by path: the `trace` of a picture.
+---@param steps rfsm_checks.WitnessStep[]
+---@return string[] paths
+function rehearsal.path_of(steps)
+  check_steps(steps, "path_of")
+  local paths = {}
+  for _, step in ipairs(steps) do
+    for _, path in ipairs(step.taken) do paths[#paths + 1] = path end
+    if step.taken[1] and step.leaf then paths[#paths + 1] = step.leaf end
+  end
+  return paths
 end
 
 return rehearsal

@@ -12,8 +12,7 @@ local codes = require "rfsm.checks.codes"
 local place = require "rfsm.checks.place"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local require, select, type = require, select, type
-local sort = table.sort
+local require, select, table, type = require, select, table, type
 
 local static = {}
 
@@ -31,11 +30,6 @@ local CHECKS = {
   "rfsm.checks.loops", "rfsm.checks.names",
 }
 
-local function new_finding(code, file, at, text)
-  return { code = code, severity = codes.of[code].severity, file = file, place = at,
-    text = text, hint = codes.of[code].hint }
-end
-
 -- Silence: findings that an element expects ........................................
 
 local function silences_of(obj)
@@ -45,18 +39,17 @@ end
 
 -- Finds codes that do not exist, and those without a reason.
 local function check_silences(obj, add)
-  local wrong = {}
-  for code, reason in pairs(silences_of(obj)) do -- any order: sorted
+  local silences = silences_of(obj)
+  for _, code in ipairs(rfsm.sorted_keys(silences)) do
+    local reason = silences[code]
     if not codes.of[code] then
-      wrong[#wrong + 1] = ("checks: no check has the code '%s'%s"):format(
-        rfsm.text_of(code), codes.nearest(code))
+      add("silence", obj, ("checks: no check has the code '%s'%s"):format(
+        rfsm.text_of(code), codes.nearest(code)))
     elseif type(reason) ~= "string" or not reason:find("%S") then
-      wrong[#wrong + 1] = ("checks['%s']: a reason expected, got %s"):format(code,
-        type(reason) == "string" and "an empty string" or type(reason))
+      add("silence", obj, ("checks['%s']: a reason expected, got %s"):format(code,
+        type(reason) == "string" and "an empty string" or type(reason)))
     end
   end
-  sort(wrong)
-  for _, text in ipairs(wrong) do add("silence", obj, text) end
 end
 
 --- Does an element expect the findings of a code, with a reason?
@@ -88,30 +81,27 @@ end
 
 -- Checks ..........................................................................
 
--- Appends the findings about a machine, and about those inside of its leaves.
+-- Appends the findings about a machine, in the order of its elements.
 local function check_machine(fsm, location, findings)
-  local by_element = {}
+  local by_element, elements = {}, rfsm.elements(fsm)
+  if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
+  for _, obj in ipairs(elements) do by_element[obj] = {} end
   local function add(code, obj, text)
     if static.is_silenced(obj, code) then return end
     local file, at = place.split(rfsm.location_of(obj))
-    local list = by_element[obj] or {}
-    list[#list + 1] = new_finding(code, file, location .. at, text)
-    by_element[obj] = list
+    table.insert(by_element[obj], codes.finding(code, file, location .. at, text))
   end
   for _, name in ipairs(CHECKS) do require(name).check(fsm, add) end
-  local elements = rfsm.elements(fsm)
-  if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
   for _, obj in ipairs(elements) do check_silences(obj, add) end
   for _, obj in ipairs(elements) do
-    for _, finding in ipairs(by_element[obj] or {}) do
-      findings[#findings + 1] = finding
-    end
+    for _, finding in ipairs(by_element[obj]) do findings[#findings + 1] = finding end
   end
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(place.regions_of(state)) do
-      local inner = location .. state._fqn .. "." .. region.name .. ": "
-      check_machine(region.machine, inner, findings)
-    end
+end
+
+-- The same about a machine and those inside of it.
+local function check_machines(fsm, findings)
+  for _, inner in ipairs(place.machines(fsm)) do
+    check_machine(inner.fsm, inner.location, findings)
   end
   return findings
 end
@@ -151,25 +141,13 @@ local function add_lines(findings, lines, code_of, location)
     local at, text = rest:match("^(root.-): (.*)$")
     local code = code_of(line)
     if code == "invalid" or not is_finding(line) then
-      findings[#findings + 1] = new_finding(code, file, location .. (at or "root"),
+      findings[#findings + 1] = codes.finding(code, file, location .. (at or "root"),
         text or rest)
     end
   end
 end
 
 local function invalid() return "invalid" end
-
--- Appends the early warnings of the machines inside of states.
-local function add_region_warnings(findings, fsm, location)
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(place.regions_of(state)) do
-      local inner = location .. state._fqn .. "." .. region.name .. ": "
-      add_lines(findings, select(3, rfsm.verify_early(region.machine)),
-        codes.of_warning, inner)
-      add_region_warnings(findings, region.machine, inner)
-    end
-  end
-end
 
 -- Returns all findings about a model: problems, warnings of init, those of the checks.
 local function findings_of_model(model)
@@ -186,8 +164,11 @@ local function findings_of_model(model)
   end)
   add_lines(findings, found or {}, invalid, "")
   if not fsm then return findings end
-  add_region_warnings(findings, fsm, "")
-  return check_machine(fsm, "", drop_silenced(fsm, findings))
+  for i, inner in ipairs(place.machines(fsm)) do
+    local warnings = i > 1 and select(3, rfsm.verify_early(inner.fsm)) or {}
+    add_lines(findings, warnings, codes.of_warning, inner.location)
+  end
+  return check_machines(fsm, drop_silenced(fsm, findings))
 end
 
 --- Give findings the severity that a project has set, and drop those that are off.
@@ -221,8 +202,7 @@ function static.findings(model, settings)
   local problem = codes.check_settings(settings or {})
   if problem then error("rfsm_checks.findings: settings: " .. problem, 2) end
   local is_machine = rfsm.is_initialized_root(model)
-  local findings = is_machine and check_machine(model, "", {})
-    or findings_of_model(model)
+  local findings = is_machine and check_machines(model, {}) or findings_of_model(model)
   return static.apply(findings, settings or {})
 end
 

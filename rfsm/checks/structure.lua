@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local place = require "rfsm.checks.place"
 
 local ipairs = ipairs
 local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
@@ -35,11 +36,10 @@ function structure.reached(fsm)
 end
 
 local function has_way_out(fsm, state)
-  while not state._otrs[1] do
-    if state == fsm then return false end
-    state = state._parent
+  for _, node in ipairs(place.line(fsm, state)) do
+    if node._otrs[1] then return true end
   end
-  return true
+  return false
 end
 
 -- Finds nodes that nothing leads to, and those that nothing leads away from, but not

@@ -9,12 +9,14 @@
 local rfsm = require "rfsm"
 local explore = require "rfsm.checks.explore"
 local puppet = require "rfsm.checks.puppet"
+local reactions = require "rfsm.checks.reactions"
 local rehearsal = require "rfsm.checks.rehearsal"
 
 local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
 local tonumber, type = tonumber, type
 local ceil, max = math.ceil, math.max
-local concat, sort = table.concat, table.sort
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local tests = {}
 
@@ -36,25 +38,20 @@ local tests = {}
 -- A step with an event that is no text cannot be written.
 local function is_plain(events)
   for i = 1, #events do
-    if type(events[i]) ~= "string" and type(events[i]) ~= "number"
-      and type(events[i]) ~= "boolean" and events[i] ~= puppet.OTHER then
+    local kind = type(events[i])
+    if kind ~= "string" and kind ~= "number" and kind ~= "boolean"
+      and events[i] ~= reactions.OTHER then
       return false
     end
   end
   return true
 end
 
-local function list_of(own)
-  local paths = {}
-  for i, number in ipairs(own.taken) do paths[i] = number end
-  return paths
-end
-
 -- Notes every step that leads on, once for each target and what it takes.
 local function watch_steps(walk)
   local edges, is_noted = {}, {}
   function walk.look(_, from, tgt, events, label)
-    local taken = list_of(walk.puppet)
+    local taken = { unpack(walk.puppet.taken) }
     local key = from .. " " .. tgt .. " " .. concat(taken, ",")
     if is_noted[key] or not is_plain(events) or tgt == from and not taken[1] then
       return
@@ -76,25 +73,23 @@ local function is_wanted(edge, left)
   return false
 end
 
+-- Returns the steps that lead to the last one.
+local function way_to(edge, came)
+  local way = { edge }
+  while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
+  return way
+end
+
 -- Returns the shortest list of steps from a configuration whose last one is wanted.
 local function find_way(walk, start, left)
-  local came, pending, at = { [start] = false }, { start }, 1
-  while pending[at] do
-    for _, edge in ipairs(walk.edges[pending[at]] or {}) do
-      if is_wanted(edge, left) then
-        local way = { edge }
-        local back = came[pending[at]]
-        while back do
-          table.insert(way, 1, back)
-          back = came[back.from]
-        end
-        return way
-      end
+  local came, pending = { [start] = false }, { start }
+  for _, number in ipairs(pending) do -- which gets longer
+    for _, edge in ipairs(walk.edges[number] or {}) do
+      if is_wanted(edge, left) then return way_to(edge, came) end
       if came[edge.tgt] == nil then
         came[edge.tgt], pending[#pending + 1] = edge, edge.tgt
       end
     end
-    at = at + 1
   end
 end
 
@@ -128,35 +123,19 @@ end
 
 local MARGIN = 0.001 -- a timer fires when its time is over
 
--- Returns what to tell the rehearsal for a step.
-local function what_of(walk, edge, waits)
-  local own = walk.puppet
-  local events, choices = walk:read_label(edge.label)
-  own:put(own:numbers_of(walk.keys[edge.from], {}))
-  own:step(events, choices)
-  local what = { guards = {}, ends = {}, after = nil }
-  for i = 1, own.asked do
-    if own.is_doo[i] then
-      if choices[i] then what.ends[#what.ends + 1] = own.askers[i] end
-    elseif not own.choices[i] then
-      what.guards[own.askers[i]] = false
+-- Returns what to tell the rehearsal for a step, and what should come of it.
+local function told_of(walk, edge, waits)
+  local step = walk:rerun(edge.from, edge.label)
+  local what = rehearsal.what_of(step)
+  for i, event in ipairs(step.values) do
+    local seconds = waits and seconds_of(event)
+    if seconds then
+      what.after = seconds + MARGIN
+    else
+      what[#what + 1] = event == reactions.OTHER and step.events[i] or event
     end
   end
-  for _, event in ipairs(events) do
-    local seconds = waits and seconds_of(event)
-    if seconds then what.after = seconds + MARGIN end
-    if event == puppet.OTHER then event = "(another event)" end
-    if not seconds then what[#what + 1] = event end
-  end
-  return what
-end
-
-local function result_of(walk, edge)
-  local own, paths = walk.puppet, {}
-  for i, number in ipairs(edge.taken) do paths[i] = own.transitions[number].path end
-  local stand = own.parts[1].stands[own:numbers_of(walk.keys[edge.tgt], {})[1]]
-  return (paths[1] and concat(paths, ", ") or "no transition") .. " -> "
-    .. (stand.leaf and stand.leaf._fqn or "not entered")
+  return what, puppet.outcome(step.taken, step.leaf)
 end
 
 -- Rehearses a run as planned; with `waits` timers fire because time goes by. Returns
@@ -164,9 +143,9 @@ end
 local function rehearse(walk, model, run, waits)
   local steps, own = {}, rehearsal.rehearsal(model)
   for i, edge in ipairs(run) do
-    local what = what_of(walk, edge, waits)
+    local what, outcome = told_of(walk, edge, waits)
     steps[i] = { what = what, result = own:step(what) }
-    if steps[i].result ~= result_of(walk, edge) then return nil end
+    if steps[i].result ~= outcome then return nil end
   end
   return steps
 end
@@ -205,19 +184,20 @@ local function quoted(value)
 end
 
 local function step_text(what)
-  local parts, guards = {}, {}
+  local parts, guards, ends = {}, {}, {}
+  local function add(field, items)
+    if items[1] then
+      parts[#parts + 1] = field .. " = { " .. concat(items, ", ") .. " }"
+    end
+  end
   for i = 1, #what do parts[i] = quoted(what[i]) end
   if what.after then parts[#parts + 1] = "after = " .. rfsm.text_of(what.after) end
-  for path, said in pairs(what.guards) do -- any order: sorted
-    guards[#guards + 1] = ("[%q] = %s"):format(path, said and "true" or "false")
+  for i, path in ipairs(rfsm.sorted_keys(what.guards)) do
+    guards[i] = ("[%q] = false"):format(path)
   end
-  sort(guards)
-  if guards[1] then
-    parts[#parts + 1] = "guards = { " .. concat(guards, ", ") .. " }"
-  end
-  local ends = {}
+  add("guards", guards)
   for i, path in ipairs(what.ends) do ends[i] = quoted(path) end
-  if ends[1] then parts[#parts + 1] = "ends = { " .. concat(ends, ", ") .. " }" end
+  add("ends", ends)
   return parts[1] and "run:step { " .. concat(parts, ", ") .. " }" or "run:step()"
 end
 
@@ -239,12 +219,10 @@ local WIDTH = 88
 local function add_step(lines, step)
   local call, result = step_text(step.what), quoted(step.result)
   local line = ("    assert.equal(%s, %s)"):format(result, call)
-  if #line <= WIDTH then
-    lines[#lines + 1] = line
-  else
-    lines[#lines + 1] = ("    assert.equal(%s,"):format(result)
-    lines[#lines + 1] = ("      %s)"):format(call)
+  if #line > WIDTH then
+    line = ("    assert.equal(%s,\n      %s)"):format(result, call)
   end
+  lines[#lines + 1] = line
 end
 
 -- A run is named by where it leads, as far as a line has room.
@@ -273,18 +251,15 @@ function tests.busted(file, model, options)
   local result = tests.plan(model, options)
   local modules = rawget(_G, "package").loaded.rfsm_timeevent
     and 'require "rfsm_timeevent"\n' or ""
-  local lines = { HEAD:format(file, result.taken, result.transitions, result.steps,
-    result.least, modules, file) }
+  local blocks = {}
   for i, run in ipairs(result.runs) do
-    lines[#lines + 1] = (i > 1 and "\n" or "") .. ("  it(%q, function()"):format(
-      name_of(run))
-    lines[#lines + 1] = ("    local run = rehearsal(%q)"):format(file)
+    local lines = { ("  it(%q, function()"):format(name_of(run)),
+      ("    local run = rehearsal(%q)"):format(file) }
     for _, step in ipairs(run.steps) do add_step(lines, step) end
-    lines[#lines + 1] = "  end)"
+    blocks[i] = concat(lines, "\n") .. "\n  end)\n"
   end
-  lines[#lines + 1] = "end)\n"
-  local text = concat(lines, "\n"):gsub("function%(%)\n\n  it", "function()\n  it")
-  return text, result
+  return HEAD:format(file, result.taken, result.transitions, result.steps,
+    result.least, modules, file) .. concat(blocks, "\n") .. "end)\n", result
 end
 
 return tests

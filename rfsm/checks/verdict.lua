@@ -7,12 +7,15 @@ local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
+local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
+local puppet = require "rfsm.checks.puppet"
 local static = require "rfsm.checks.static"
 
-local ipairs, pairs, setmetatable, type = ipairs, pairs, setmetatable, type
-local concat, sort = table.concat, table.sort
+local ipairs, pairs, setmetatable, tostring = ipairs, pairs, setmetatable, tostring
+local type = type
+local concat = table.concat
 
 local verdict = {}
 
@@ -41,24 +44,18 @@ local function add(result, code, obj, path, text, witness)
     return
   end
   local file = obj and place.split(rfsm.location_of(obj)) or ""
-  result.findings[#result.findings + 1] = {
-    code = code, severity = codes.of[code].severity, file = file, place = path,
-    text = text, hint = codes.of[code].hint, witness = witness,
-  }
+  local finding = codes.finding(code, file, path, text)
+  finding.witness = witness
+  result.findings[#result.findings + 1] = finding
 end
 
 -- Returns the set of paths of states that are active in some configuration.
 local function active_paths(walk)
-  local own, set, numbers, is_seen = walk.puppet, {}, {}, {}
-  for _, part in ipairs(own.parts) do is_seen[part] = {} end
+  local set, is_seen = {}, {}
   for number = 2, #walk.keys do
-    own:numbers_of(walk.keys[number], numbers)
-    for i, part in ipairs(own.parts) do
-      local node = part.stands[numbers[i]].leaf
-      while node and not is_seen[part][node] do
-        is_seen[part][node], set[place.path(node, part.prefix)] = true, true
-        node = node ~= part.fsm and node._parent
-      end
+    for _, leaf in ipairs(puppet.leaves(walk:configuration(number))) do
+      for _, path in ipairs(is_seen[leaf] and {} or leaf.paths) do set[path] = true end
+      is_seen[leaf] = true
     end
   end
   return set
@@ -66,53 +63,35 @@ end
 
 -- States that are never active, but not those in another one.
 local function find_unreached(walk, result)
-  local active, list = active_paths(walk), {}
-  for path, state in pairs(walk.puppet.names) do -- any order: sorted
-    local parent = state._parent
-    local is_root = parent == state or parent == nil
-    local above = not is_root and path:sub(1, #path - #state._id - 1)
+  local active = active_paths(walk)
+  for _, path in ipairs(rfsm.sorted_keys(walk.puppet.names)) do
+    local state = walk.puppet.names[path]
+    local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
     if not active[path] and (not above or active[above]) then
-      list[#list + 1] = path
+      add(result, "unreached", state, path, "active in no configuration")
     end
-  end
-  sort(list)
-  for _, path in ipairs(list) do
-    add(result, "unreached", walk.puppet.names[path], path,
-      "active in no configuration")
   end
 end
 
 local function find_untaken(walk, result)
   for number, entry in ipairs(walk.puppet.transitions) do
-    if walk.taken[number] then
-      result.taken = result.taken + 1
-    else
-      local text = ("no step takes it (%s -> %s)"):format(entry.tr.src._fqn,
-        entry.tr.tgt._fqn)
-      add(result, "untaken", entry.tr, entry.path, text)
+    if not walk.taken[number] then
+      add(result, "untaken", entry.tr, entry.path, ("no step takes it (%s -> %s)")
+        :format(entry.tr.src._fqn, entry.tr.tgt._fqn))
     end
   end
 end
 
--- Returns the innermost active states of a configuration, and whether all are final.
+-- Returns the leaves of a configuration and their paths as a text; the third result is
+-- whether all of them are final.
 local function leaves_of(walk, number)
-  local own, leaves, are_final = walk.puppet, {}, true
-  local numbers = own:numbers_of(walk.keys[number], {})
-  for i, part in ipairs(own.parts) do
-    local leaf = part.stands[numbers[i]].leaf
-    if leaf then
-      leaves[#leaves + 1] = { state = leaf, path = place.path(leaf, part.prefix) }
-      local is_around = place.regions_of(leaf)[1] ~= nil
-      are_final = are_final and (is_around or leaf.final == true)
-    end
+  local leaves, paths, are_final = puppet.leaves(walk:configuration(number)), {}, true
+  for i, leaf in ipairs(leaves) do
+    paths[i] = leaf.path
+    are_final = are_final
+      and (leaf.state.final == true or place.regions_of(leaf.state)[1] ~= nil)
   end
-  return leaves, are_final
-end
-
-local function paths_of(leaves)
-  local paths = {}
-  for i, leaf in ipairs(leaves) do paths[i] = leaf.path end
-  return concat(paths, ", ")
+  return leaves, concat(paths, ", "), are_final
 end
 
 -- Configurations in which nothing happens any more, one for each set of leaves.
@@ -120,14 +99,14 @@ local function find_stuck(walk, result)
   local is_told = {}
   for number = 1, walk.expanded do
     if not walk.moves[number] then
-      local leaves, are_final = leaves_of(walk, number)
-      local text, first = paths_of(leaves), leaves[1]
-      if not first then
+      local leaves, text, are_final = leaves_of(walk, number)
+      local state = leaves[1] and leaves[1].state
+      if not state then
         add(result, "stuck", walk.puppet.parts[1].fsm, "root", "the machine cannot be "
           .. "entered", {})
-      elseif not (are_final or is_told[text] or first.state._parent == first.state) then
+      elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
         is_told[text] = true
-        add(result, "stuck", first.state, text, "nothing happens any more in this "
+        add(result, "stuck", state, text, "nothing happens any more in this "
           .. "configuration", walk:witness(number))
       end
     end
@@ -143,8 +122,8 @@ local function find_livelock(walk, result)
   local ends = graph.can_reach(walk, is_idle, true)
   for number = 2, walk.expanded do
     if not ends[number] then
-      local leaves = leaves_of(walk, number)
-      return add(result, "livelock", leaves[1] and leaves[1].state, paths_of(leaves),
+      local leaves, text = leaves_of(walk, number)
+      return add(result, "livelock", leaves[1] and leaves[1].state, text,
         "run never becomes idle from this configuration", walk:witness(number))
     end
   end
@@ -155,10 +134,11 @@ local function find_livelock(walk, result)
 end
 
 local function find_clashes(walk, result)
-  for _, fqn in ipairs(rfsm.sorted_keys(walk.clashes)) do
-    local step = walk.clashes[fqn]
-    add(result, "clash", nil, fqn, "several transitions of equal pn are enabled",
-      walk:witness(step.from, step.label))
+  local transitions = walk.puppet.transitions
+  for _, number in ipairs(rfsm.sorted_keys(walk.clashes)) do
+    local step, entry = walk.clashes[number], transitions[number]
+    add(result, "clash", entry.tr, entry.path,
+      order.conflict_text(transitions[step.by].tr), walk:witness(step.from, step.label))
   end
 end
 
@@ -166,8 +146,8 @@ local function find_swallowed(walk, result)
   for _, key in ipairs(rfsm.sorted_keys(walk.swallowed)) do
     local step = walk.swallowed[key]
     local text = ("no way on for %s, which is discarded in %s"):format(
-      rfsm.text_of(step.event), step.leaf)
-    add(result, "swallowed", nil, step.connector, text,
+      rfsm.text_of(step.event), step.leaf._fqn)
+    add(result, "swallowed", step.connector, step.connector._fqn, text,
       walk:witness(step.from, step.label))
   end
 end
@@ -185,15 +165,12 @@ end
 
 -- Text ............................................................................
 
-local WORDS = {
-  [true] = { [true] = " ends", [false] = " goes on" },
-  [false] = { [true] = " true", [false] = " false" },
-}
-
 local function choices_text(step)
   local texts = {}
   for i, choice in ipairs(step.choices) do
-    texts[i] = choice.who .. WORDS[choice.is_doo][choice.answer]
+    local word = tostring(choice.answer)
+    if choice.is_doo then word = choice.answer and "ends" or "goes on" end
+    texts[i] = choice.who .. " " .. word
   end
   return texts[1] and " (" .. concat(texts, ", ") .. ")" or ""
 end
@@ -205,9 +182,8 @@ function verdict.lines_of(witness)
   local lines = {}
   for i, step in ipairs(witness) do
     local events = step.events[1] and concat(step.events, ", ") or "no event"
-    local taken = step.taken[1] and concat(step.taken, ", ") or "no transition"
-    lines[i] = ("%d. %s%s: %s -> %s"):format(i, events, choices_text(step), taken,
-      step.leaf or "not entered")
+    lines[i] = ("%d. %s%s: %s"):format(i, events, choices_text(step),
+      puppet.outcome(step.taken, step.leaf))
   end
   return lines
 end
@@ -215,10 +191,10 @@ end
 local UNKNOWN = "stopped by the bound on %s: unreached states, transitions not taken "
   .. "and whether properties hold are not known"
 
-local function add_finding_lines(lines, finding)
+local function add_finding_lines(lines, finding, name)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
-  lines[#lines + 1] = finding.file .. kind
-    .. static.line(finding):sub(#finding.file + 1)
+  local file = finding.file ~= "" and finding.file or name
+  lines[#lines + 1] = file .. kind .. static.line(finding):sub(#finding.file + 1)
   for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
     lines[#lines + 1] = "  " .. line
   end
@@ -226,11 +202,13 @@ end
 
 --- Return the report of an exploration as lines.
 ---@param result rfsm_checks.Exploration
+---@param name string in front of the first line, and where no file is known
 ---@param is_wanted? table<string, boolean> the severities to be reported
 ---@return string[] lines
-function verdict.report(result, is_wanted)
-  local lines = { ("%d configurations, %d of %d transitions taken, %d steps run")
-    :format(result.configurations, result.taken, result.transitions, result.steps) }
+function verdict.report(result, name, is_wanted)
+  local lines = { ("%s%d configurations, %d of %d transitions taken, %d steps run")
+    :format(name, result.configurations, result.taken, result.transitions,
+      result.steps) }
   if result.bound then lines[2] = UNKNOWN:format(result.bound) end
   for _, judged in ipairs(result.properties) do
     local text = judged.holds and "holds" or judged.holds == nil and "not known"
@@ -238,13 +216,13 @@ function verdict.report(result, is_wanted)
   end
   for _, finding in ipairs(result.findings) do
     if not is_wanted or is_wanted[finding.severity] then
-      add_finding_lines(lines, finding)
+      add_finding_lines(lines, finding, finding.code == "violated" and "" or name)
     end
   end
   return lines
 end
 
-function Exploration:__tostring() return concat(verdict.report(self), "\n") end
+function Exploration:__tostring() return concat(verdict.report(self, ""), "\n") end
 
 -- Public functions ................................................................
 
@@ -272,16 +250,14 @@ function verdict.of(model, options)
   end)
   properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
-    transitions = #walk.puppet.transitions, taken = 0, bound = walk.bound,
-    findings = {}, properties = {} }, Exploration)
+    transitions = #walk.puppet.transitions, taken = #rfsm.sorted_keys(walk.taken),
+    bound = walk.bound, findings = {}, properties = {} }, Exploration)
   find_violations(walk, result, list)
   find_stuck(walk, result)
   find_livelock(walk, result)
   if not walk.bound and walk.keys[2] then
     find_unreached(walk, result)
     find_untaken(walk, result)
-  else
-    for _ in pairs(walk.taken) do result.taken = result.taken + 1 end -- only counted
   end
   find_clashes(walk, result)
   find_swallowed(walk, result)

@@ -8,10 +8,13 @@
 
 local rfsm = require "rfsm"
 local place = require "rfsm.checks.place"
+local reactions = require "rfsm.checks.reactions"
 
 local error, ipairs, pcall, rawequal = error, ipairs, pcall, rawequal
+local rawget = rawget
 local select, setmetatable, type = select, setmetatable, type
 local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_conn, text_of = rfsm.is_conn, rfsm.text_of
 
 local why = {}
@@ -77,58 +80,36 @@ local function target_of(tr)
   return rfsm.is_node(tgt) and tgt or nil
 end
 
+local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt) end
+
 local ask_connector
 
--- Returns the verdict on a transition, and what there is to say of it.
+-- Returns the verdict on a transition, the same in words, and of a closed one the
+-- connector where the path ends and the answers there.
 local function judge(search, tr)
-  if not matches(search, tr) then return "event" end
-  if tr.guard then
-    local ok, answer = try(tr.guard, tr, search.events)
-    if not ok then return "failed", { failure = text_of(answer) } end
-    if answer == false then return "guard" end
-  end
-  local tgt = target_of(tr)
-  if not is_conn(tgt) then return tgt and "enabled" or "closed" end
-  local found, ways = ask_connector(search, tgt)
-  if found.way then return "enabled" end
-  return "closed", { connector = found.connector, ways = ways }
-end
-
-local REASONS = {
-  fires = "would be taken",
-  enabled = "enabled",
-  guard = "its guard returns false",
-}
-
-local function reason_of(answer, tr, details)
-  if answer.verdict == "event" then
+  if not matches(search, tr) then
     local wanted = concat(texts_of(tr.events or {}), ", ")
-    return wanted == "" and "waits for any event" or "waits for " .. wanted
-  elseif answer.verdict == "failed" then
-    return "its guard fails: " .. details.failure
-  elseif answer.verdict == "closed" then
-    return details and "the path ends at " .. details.connector
-      or "its target is " .. answer.tgt .. ", which cannot be entered"
+    return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
-  return REASONS[answer.verdict]
+  local ok, answer = true, true
+  if tr.guard then ok, answer = try(tr.guard, tr, search.events) end
+  if not ok then return "failed", "its guard fails: " .. text_of(answer) end
+  if answer == false then return "guard", "its guard returns false" end
+  local tgt = target_of(tr)
+  if not tgt then
+    return "closed", "its target is " .. name_of(tr.tgt) .. ", which cannot be entered"
+  end
+  local found, ways = { way = true }, nil
+  if is_conn(tgt) then found, ways = ask_connector(search, tgt) end
+  if found.way then return "enabled", "enabled" end
+  return "closed", "the path ends at " .. found.connector, found.connector, ways
 end
 
 local function ask(search, tr)
-  local verdict, details = judge(search, tr)
-  local answer = { verdict = verdict, src = tr.src._fqn,
-    tgt = rfsm.is_node(tr.tgt) and tr.tgt._fqn or text_of(tr.tgt) }
-  answer.file, answer.place = place.split(rfsm.location_of(tr))
-  answer.reason = reason_of(answer, tr, details)
-  if verdict == "closed" and details then
-    answer.connector, answer.ways = details.connector, details.ways
-  end
-  return answer
-end
-
--- Where there is one way on, the path ends where that ends.
-local function find_end(connector, ways)
-  local only = not ways[2] and ways[1]
-  return only and only.connector or connector._fqn
+  local verdict, reason, connector, ways = judge(search, tr)
+  local file, at = place.split(rfsm.location_of(tr))
+  return { verdict = verdict, reason = reason, place = at, file = file,
+    src = tr.src._fqn, tgt = name_of(tr.tgt), connector = connector, ways = ways }
 end
 
 -- Asks the transitions from a connector, once a search; while that goes on it counts as
@@ -140,32 +121,21 @@ function ask_connector(search, connector)
   if found then return found end
   found = { connector = connector._fqn, way = false }
   search.found[connector] = found
-  local ways, is_enabled, pn = {}, false, nil
+  local ways, pn = {}, nil
   for i, tr in ipairs(connector._otrs) do
-    if is_enabled and (tr.pn or 0) ~= pn then found.way = true end
+    if pn and (tr.pn or 0) ~= pn then found.way = true end
     ways[i] = ask(search, tr)
-    if not is_enabled and ways[i].verdict == "enabled" then
-      is_enabled, pn = true, tr.pn or 0
-    end
+    if not pn and ways[i].verdict == "enabled" then pn = tr.pn or 0 end
   end
-  found.way, found.connector = is_enabled, find_end(connector, ways)
+  found.way = pn ~= nil
+  if #ways == 1 then found.connector = ways[1].connector or found.connector end
   return found, ways
 end
 
 -- Returns the nodes whose transitions are tried, in order.
 local function nodes_of(fsm)
-  if not fsm._act_leaf then return { rfsm.is_composite(fsm) and fsm.initial or nil } end
-  local nodes, node = {}, fsm._act_leaf
-  while true do
-    table.insert(nodes, 1, node)
-    if node == fsm then return nodes end
-    node = node._parent
-  end
-end
-
-local function lose(answer, winner)
-  answer.verdict, answer.winner = "lost", winner
-  answer.reason = "loses to " .. winner
+  if fsm._act_leaf then return place.line(fsm, fsm._act_leaf) end
+  return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
 local function answers_of(fsm, events)
@@ -175,9 +145,10 @@ local function answers_of(fsm, events)
     for _, tr in ipairs(node._otrs) do
       local answer = ask(search, tr)
       if answer.verdict == "enabled" and winner then
-        lose(answer, winner)
+        answer.verdict, answer.reason, answer.winner = "lost", "loses to " .. winner,
+          winner
       elseif answer.verdict == "enabled" then
-        answer.verdict, answer.reason = "fires", REASONS.fires
+        answer.verdict, answer.reason = "fires", "would be taken"
         winner = answer.place
       end
       answers[#answers + 1] = answer
@@ -236,13 +207,9 @@ end
 ---@return string text the same for a person
 function why.why(fsm, ...)
   rfsm.check_machine(fsm, "rfsm_checks.why")
-  local events = {}
+  local events = select("#", ...) == 0 and { unpack(fsm._intq) } or {}
   for i = 1, select("#", ...) do
-    local event = select(i, ...)
-    if event ~= nil then events[#events + 1] = event end
-  end
-  if select("#", ...) == 0 then
-    for i = 1, #fsm._intq do events[i] = fsm._intq[i] end
+    events[#events + 1] = (select(i, ...)) -- not if it is nil
   end
   local result, lines = explain(fsm, events), {}
   add_text(lines, result, "")
@@ -252,30 +219,16 @@ end
 -- Stands for an event that no transition names.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
--- Returns the events that transitions from active states and from connectors name, as a
--- set; nil if one of them has a predicate. Any other event counts as `OTHER` does.
-local function named_events(fsm, transitions)
-  local is_asked, named = {}, {}
-  for _, node in ipairs(nodes_of(fsm)) do is_asked[node] = true end
-  for _, tr in ipairs(transitions) do
-    for _, event in ipairs((is_asked[tr.src] or is_conn(tr.src)) and tr.events or {}) do
-      if type(event) == "function" then return nil end
-      named[event] = true
-    end
-  end
-  return named
-end
-
 -- Appends the events that enable a transition of the machine, or of one in its leaf.
+-- Unless a predicate is asked, those that count only as any event are not tried.
 local function add_enabled(list, is_listed, fsm)
-  local transitions = rfsm.elements(fsm, rfsm.is_trans)
-  local named = named_events(fsm, transitions)
+  local found = reactions.collect(fsm, fsm._act_leaf)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
   local function is_enabled(event)
-    if named and not named[event] then return takes_any end
+    if not (found.has_predicate or found.set[event]) then return takes_any end
     return select(2, answers_of(fsm, { event }))
   end
-  for _, tr in ipairs(transitions) do
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
       if type(event) ~= "function" and not is_listed[event] and is_enabled(event) then
         is_listed[event] = true

@@ -13,96 +13,63 @@ local function transitions_of(model)
   return list
 end
 
--- Names of the states beside a transition, but for its target.
-local function other_targets(entry)
+-- A state beside a transition that is not its target; nil if there is none.
+local function other_target(entry)
   local names = {}
   rfsm.mapfsm(function(_, _, name)
     if name ~= entry.tr.tgt then names[#names + 1] = name end
   end, entry.parent, rfsm.is_state, 1)
-  return names
+  return names[1]
 end
 
-local KINDS = {}
-
-function KINDS.removed(list)
-  local mutants = {}
-  for i in ipairs(list) do
-    mutants[i] = { at = i, change = function(entry)
-      entry.parent[entry.key] = nil
-    end }
-  end
-  return mutants
-end
-
-function KINDS.retargeted(list)
-  local mutants = {}
-  for i, entry in ipairs(list) do
-    local name = other_targets(entry)[1]
-    if name and type(entry.tr.tgt) == "string" then
-      mutants[#mutants + 1] = { at = i, change = function(own) own.tr.tgt = name end }
+-- Each calls `add(change)` for each mutant of transition i of a list; `change` gets
+-- the same of another copy of the model.
+local KINDS = {
+  { "removed", function(add)
+    add(function(own) own.parent[own.key] = nil end)
+  end },
+  { "retargeted", function(add, entry)
+    local name = other_target(entry)
+    if not name or type(entry.tr.tgt) ~= "string" then return end
+    add(function(own) own.tr.tgt = name end)
+  end },
+  { "renamed", function(add, entry)
+    local events = type(entry.tr.events) == "table" and entry.tr.events or {}
+    for i = 1, #events do
+      local copy = {}
+      for n, event in ipairs(events) do copy[n] = n == i and "e_renamed" or event end
+      add(function(own) own.tr.events = copy end)
     end
-  end
-  return mutants
-end
-
-function KINDS.renamed(list)
-  local mutants = {}
-  for i, entry in ipairs(list) do
-    local events = entry.tr.events
-    for j = 1, type(events) == "table" and #events or 0 do
-      mutants[#mutants + 1] = { at = i, change = function(own)
-        local copy = {}
-        for n, event in ipairs(own.tr.events) do copy[n] = event end
-        copy[j] = "e_renamed"
-        own.tr.events = copy
-      end }
-    end
-  end
-  return mutants
-end
-
-function KINDS.swapped(list)
-  local mutants = {}
-  for i, entry in ipairs(list) do
+  end },
+  { "swapped", function(add, entry, i, list)
     for j = i + 1, #list do
       local tr, other = entry.tr, list[j].tr
       if tr.src == other.src and entry.parent == list[j].parent
         and (tr.pn or 0) ~= (other.pn or 0) then
-        mutants[#mutants + 1] = { at = i, change = function(own, all)
+        add(function(own, all)
           own.tr.pn, all[j].tr.pn = all[j].tr.pn or 0, own.tr.pn or 0
-        end }
+        end)
       end
     end
-  end
-  return mutants
-end
-
--- A guard is negated when the chart is rehearsed.
-function KINDS.negated(list)
-  local mutants = {}
-  for i, entry in ipairs(list) do
-    if entry.tr.guard then
-      mutants[#mutants + 1] = { at = i, change = function(own)
-        own.tr.negated = true
-      end }
-    end
-  end
-  return mutants
-end
-
-local ORDER = { "removed", "retargeted", "renamed", "swapped", "negated" }
+  end },
+  { "negated", function(add, entry) -- when the chart is rehearsed
+    if entry.tr.guard then add(function(own) own.tr.negated = true end) end
+  end },
+}
 
 --- Lists the mutants of a chart: `kind`, `model()` makes it. `load` returns the chart.
 function mutate.all(load)
   local all, list = {}, transitions_of(load())
-  for _, kind in ipairs(ORDER) do
-    for _, mutant in ipairs(KINDS[kind](list)) do
-      all[#all + 1] = { kind = kind, at = mutant.at, model = function()
-        local model = load()
-        local own = transitions_of(model)
-        mutant.change(own[mutant.at], own)
-        return model
-      end }
+  for _, kind in ipairs(KINDS) do
+    for i, entry in ipairs(list) do
+      kind[2](function(change)
+        all[#all + 1] = { kind = kind[1], at = i, model = function()
+          local model = load()
+          local own = transitions_of(model)
+          change(own[i], own)
+          return model
+        end }
+      end, entry, i, list)
     end
   end
   return all
