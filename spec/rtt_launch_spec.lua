@@ -343,7 +343,8 @@ describe("component_launch_rfsm", function()
     assert.equal("<none> a b", came())
     assert.equal("table", evaluate(exec_str, "type(tlsf)"))
     if _VERSION == "Lua 5.5" then return end -- it has other parameters
-    assert.equal("true", evaluate(exec_str, "collectgarbage('setpause', 200) <= 110"))
+    assert.equal("true 1000", evaluate(exec_str,
+      "collectgarbage('setpause', 200) <= 110, collectgarbage('setstepmul', 200)"))
   end)
 
   it("reads a port of the name given, and those of extra_in_ports", function()

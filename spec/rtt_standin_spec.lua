@@ -254,7 +254,7 @@ describe("a process of RTT", function()
       table.sort(names)
       assert.equal("lua PreOperational PreOperational", own:getName() .. " "
         .. own:getState() .. " " .. host:getState())
-      assert.same({ { "Deployer" }, { "lua", "host" }, { "the_buffer_port",
+      assert.same({ { "Deployer" }, { "host", "lua" }, { "the_buffer_port",
         "the_results" } }, { own:getPeers(), rtt_helper.deployer():getPeers(), names })
     end)
 

@@ -488,7 +488,11 @@ function TaskContext.addPeer(component, peer)
   add_named(component.peers, peer.name, peer)
 end
 
-function TaskContext.getPeers(component) return { unpack(component.peers) } end
+function TaskContext.getPeers(component)
+  local names = { unpack(component.peers) }
+  table.sort(names)
+  return names
+end
 
 function TaskContext.provides(component, name)
   if not name then return component end
