@@ -199,7 +199,7 @@ local PROGRAM = [[
 local launch = %s
 for name, value in pairs(launch.env) do rawset(_G, name, value) end
 local tune = rawget(_G, "tlsf") and collectgarbage or type
-pcall(tune, "setpause", 110)
+pcall(tune, "setpause", 100)
 pcall(tune, "setstepmul", 1000)
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
 require("rfsm.rtt_launch").launch(launch)

@@ -344,7 +344,7 @@ describe("component_launch_rfsm", function()
     assert.equal("table", evaluate(exec_str, "type(tlsf)"))
     if _VERSION == "Lua 5.5" then return end -- it has other parameters
     assert.equal("true 1000", evaluate(exec_str,
-      "collectgarbage('setpause', 200) <= 110, collectgarbage('setstepmul', 200)"))
+      "collectgarbage('setpause', 200) <= 100, collectgarbage('setstepmul', 200)"))
   end)
 
   it("reads a port of the name given, and those of extra_in_ports", function()
