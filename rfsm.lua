@@ -2349,12 +2349,26 @@ local function report_lines(fsm, name, list)
   end
 end
 
+-- Does a transition lead out of a composite from inside of it?
+local function is_left_inside(plan, composite)
+  local function is_in(def)
+    while def.depth > composite.depth do def = def.parent end
+    return def == composite
+  end
+  for _, def in ipairs(plan.transitions) do
+    if is_in(def.src) and not is_in(def.tgt) then return true end
+  end
+  return false
+end
+
 -- Warns of the nodes, from number `first` on, that nothing leaves.
 local function report_dead_ends(fsm, first)
-  local dead = {}
-  for i = first, #fsm._plan.nodes do
-    local def = fsm._plan.nodes[i]
-    if not (def.otrs[1] or def.model.final or def.parent == def) then
+  local plan, dead = fsm._plan, {}
+  for i = first, #plan.nodes do
+    local def = plan.nodes[i]
+    local is_composite = def.kind == "state" and not def.is_leaf
+    if not (def.otrs[1] or def.model.final or def.parent == def
+      or is_composite and is_left_inside(plan, def)) then
       local line = "no outgoing transitions from node '" .. def.fqn .. "'"
       dead[#dead + 1] = { line = line }
     end

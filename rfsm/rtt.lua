@@ -48,8 +48,7 @@ end
 local function new_variables(port)
   local kind, rtt = info_of(port).type, package.loaded.rtt
   if not (LUA_TYPES[kind] and rtt) then return nil end
-  local is_wide = kind == "llong" or kind == "ullong"
-  return rtt.Variable.new(kind), is_wide and rtt.Variable.new("double")
+  return rtt.Variable.new(kind), kind:find("llong") and rtt.Variable.new("double")
 end
 
 -- Ports: checks, reading, writing ------------------------------------------------

@@ -194,11 +194,13 @@ local function to_text(value, path)
   return "{ " .. concat(texts, ", ") .. " }"
 end
 
--- The pool of a TLSF component fails when it is full, before the collector is due.
+-- The pool of a TLSF component fails when it is full, so the collector begins early.
 local PROGRAM = [[
 local launch = %s
 for name, value in pairs(launch.env) do rawset(_G, name, value) end
-if rawget(_G, "tlsf") then pcall(collectgarbage, "setpause", 110) end
+local tune = rawget(_G, "tlsf") and collectgarbage or type
+pcall(tune, "setpause", 100)
+pcall(tune, "setstepmul", 1000)
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
 require("rfsm.rtt_launch").launch(launch)
 ]]

@@ -579,6 +579,19 @@ describe("check_no_otrs", function()
     assert.same({ "WARNING: no outgoing transitions from node 'root.c'" }, warnings)
     assert.is_true(rfsm.check_no_otrs(started()))
   end)
+
+  it("knows composites that are left from inside, through a connector too", function()
+    local fsm = started {
+      c = state { x = state {}, k = conn {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "k", events = { "e" } } },
+      d = state { x = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "x", events = { "e" } } },
+      leave = trans { src = "c.k", tgt = "a" },
+    }
+    local warnings = said(fsm, "warn")
+    assert.is_false(rfsm.check_no_otrs(fsm))
+    assert.same({ "WARNING: no outgoing transitions from node 'root.d'" }, warnings)
+  end)
 end)
 
 describe("the printers of a machine that has none of its own", function()

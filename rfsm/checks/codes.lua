@@ -59,6 +59,8 @@ define("warning", "never-called", "a callback stands where none is called",
   "guard and effect belong to transitions; entry, exit and doo to states")
 define("warning", "typo", "an event is one letter from another",
   "use one name; or silence the finding at this transition")
+define("warning", "odd-event", "an event that looks like several, or like a list",
+  'write a string for each: events = { "e_a", "e_b" }')
 define("warning", "unknown-word", "an event such as word(...) that no extension knows",
   "require the module that knows it")
 define("warning", "unknown-field", "a field looks like one of the library's",

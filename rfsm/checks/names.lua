@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 
-local ipairs, table, type = ipairs, table, type
+local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
 
 local names = {}
 
@@ -18,6 +18,20 @@ local function check_e_done(tr, leaves, add)
     if fqn and not leaves[fqn] then
       add("never-done", tr, "event '" .. event .. "' never comes, '" .. fqn
         .. "' is no leaf state of this machine")
+    end
+  end
+end
+
+-- Several events in one ..........................................................
+
+-- A name with a comma, but for word(a, b), and a list, which no other table equals.
+local function check_odd_events(tr, add)
+  for _, event in ipairs(tr.events or {}) do
+    if type(event) == "string" and event:find("^[^(]*,") then
+      add("odd-event", tr, "'" .. event .. "' is one event with a comma in its name")
+    elseif type(event) == "table" and not getmetatable(event)
+      and type(event[1]) == "string" then
+      add("odd-event", tr, "a list that holds '" .. event[1] .. "' is one event")
     end
   end
 end
@@ -68,7 +82,7 @@ local function is_misspelt(a, b)
 end
 
 local function is_name(event)
-  return type(event) == "string" and not event:find("[@%(]")
+  return type(event) == "string" and not event:find("[@%(,]")
 end
 
 -- Returns the names of events in order, and the transitions that use each.
@@ -110,6 +124,7 @@ function names.check(fsm, add)
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     check_e_done(tr, leaves, add)
+    check_odd_events(tr, add)
   end
   check_typos(fsm, add)
 end

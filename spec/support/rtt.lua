@@ -141,8 +141,6 @@ local methods = {}
 
 function methods.getType(var) return rawget(var, 1) end
 
-function methods.toString(var) return ("%.17g"):format(rawget(var, 2)) end
-
 function methods.tolua(var)
   if is_basic(rawget(var, 1)) then return rawget(var, 2) end
   error("Variable.tolua: can't convert type " .. rawget(var, 1), 2)
@@ -155,11 +153,6 @@ end
 -- Assigns a sample of another type; false when RTT does not convert it.
 local function assign_other(var, from, value)
   local to = rawget(var, 1)
-  if to == "string" and from == "int" then
-    log("Warning", "Conversion from int to string")
-    rawset(var, 2, "")
-    return true
-  end
   if not (is_numeric(from) and is_numeric(to)) then return false end
   if from == "double" and to == "int" then
     log("Warning", "Conversion from double to int")
@@ -212,9 +205,7 @@ end)
 
 -- Connections: one sample, or a buffer -----------------------------------------
 
--- A connection keeps one sample (DATA), or several and drops what comes when it is full
--- (1), or what it had first (CIRCULAR).
-local DATA, CIRCULAR = 0, 2
+local DATA = 0 -- keeps one sample; a buffer drops what comes when it is full
 
 local default_policy -- a Variable
 
@@ -228,13 +219,8 @@ local function policy_of(var)
 end
 
 local function connection_write(connection, value)
-  local is_data = connection.kind == DATA
-  if is_data or connection.kind == CIRCULAR and #connection == connection.size then
-    table.remove(connection, 1)
-  end
-  if is_data or #connection < connection.size then
-    connection[#connection + 1] = value
-  end
+  if connection.kind == DATA then connection[1] = nil end
+  if #connection < connection.size then connection[#connection + 1] = value end
 end
 
 -- Ports -----------------------------------------------------------------------
@@ -249,10 +235,6 @@ InputPort.__index, OutputPort.__index = InputPort, OutputPort
 local DEAD = { __index = function()
   error("attempt to index local 'port' (a userdata value)", 2)
 end }
-
-local function is_port(value)
-  return getmetatable(value) == InputPort or getmetatable(value) == OutputPort
-end
 
 function Port.info(port)
   return {
@@ -335,10 +317,7 @@ local function connect_ports(port, other, policy)
 end
 
 -- A policy is ignored.
-function Port.connect(port, other)
-  if is_port(other) then return connect_ports(port, other) end
-  error("Port.connect: invalid argument 2, expected Port, got userdata", 2)
-end
+function Port.connect(port, other) return connect_ports(port, other) end
 
 local function remove_from(list, value)
   for i = #list, 1, -1 do
@@ -381,17 +360,13 @@ function Property:set(value) self.value = from_lua("string", value) end
 
 -- Operations and services -----------------------------------------------------
 
-local Operation = {}
-Operation.__index = Operation
-
-function Operation.__call(operation, ...)
-  if select("#", ...) == operation.arity then return operation.f(...) end
-  error(("Operation.call: wrong number of args. expected %d, got %d"):format(
-    operation.arity, select("#", ...)), 2)
-end
-
+-- An operation counts its arguments.
 local function operation(arity, f)
-  return setmetatable({ arity = arity, f = f }, Operation)
+  return function(...)
+    local n = select("#", ...)
+    if n == arity then return f(...) end
+    error(("Operation.call: %d arguments expected, got %d"):format(arity, n), 2)
+  end
 end
 
 -- What components and services have.
@@ -403,7 +378,6 @@ function Service.hasOperation(service, name) return service.operations[name] ~= 
 
 function Service.getOperation(service, name)
   if service.operations[name] then return service.operations[name] end
-  log("Warning", "No such operation in service '" .. service.name .. "': " .. name)
   error(("Service_getOperation: service %s has no operation %s"):format(service.name,
     name), 2)
 end
@@ -457,7 +431,6 @@ function TaskContext.removePort(component, name)
 end
 
 function TaskContext.addPort(component, port, name, desc)
-  if not is_port(port) then error("addPort: invalid argument, not a Port", 2) end
   if not port.connections[1] then port.name = name or port.name end
   port.desc = desc or port.desc
   if component.ports[port.name] then
@@ -470,7 +443,6 @@ function TaskContext.addPort(component, port, name, desc)
 end
 
 function TaskContext.addEventPort(component, port, name, desc)
-  if getmetatable(port) ~= InputPort then error("addEventPort: no InputPort", 2) end
   TaskContext.addPort(component, port, name, desc)
   port.is_event = true
 end
@@ -488,7 +460,11 @@ function TaskContext.addPeer(component, peer)
   add_named(component.peers, peer.name, peer)
 end
 
-function TaskContext.getPeers(component) return { unpack(component.peers) } end
+function TaskContext.getPeers(component)
+  local names = { unpack(component.peers) }
+  table.sort(names)
+  return names
+end
 
 function TaskContext.provides(component, name)
   if not name then return component end

@@ -81,29 +81,20 @@ function rtt_helper.loaded()
   return names
 end
 
-local function remove_own_ports()
-  local own = rtt.getTC()
-  for _, name in ipairs(own:getPortNames()) do
-    local port = own:getPort(name)
-    own:removePort(name)
-    port:delete()
-  end
-end
-
-local function unload_all()
-  for _, name in ipairs(rtt_helper.loaded()) do
-    rtt_helper.deployer():getPeer(name):stop()
-    assert(rtt_helper.deploy("unloadComponent", name))
-  end
-end
-
 -- Before and after each spec: as in a fresh process, and no file of the one before.
 function rtt_helper.reset()
   if standin then
     standin.reset()
   else
-    unload_all()
-    remove_own_ports()
+    for _, name in ipairs(rtt_helper.loaded()) do
+      rtt_helper.deployer():getPeer(name):stop()
+      assert(rtt_helper.deploy("unloadComponent", name))
+    end
+    for _, name in ipairs(rtt.getTC():getPortNames()) do
+      local port = rtt.getTC():getPort(name)
+      rtt.getTC():removePort(name)
+      port:delete()
+    end
     log_start = #log_text()
   end
   helper.remove_files()
@@ -111,20 +102,12 @@ end
 
 -- Ports and Variables ------------------------------------------------------------
 
-local BUFFER = 1
-
--- A ConnPolicy: a buffer, into which the last sample written before is put.
+-- A ConnPolicy: a buffer (1), into which the last sample written before is put. Also a
+-- sample of a type that Lua has none for, with members.
 function rtt_helper.policy(size, kind)
   local cp = Variable("ConnPolicy")
-  cp.type, cp.size, cp.init = kind or BUFFER, size, true
+  cp.type, cp.size, cp.init = kind or 1, size, true
   return cp
-end
-
--- A sample of a type that Lua has none for, with members.
-function rtt_helper.struct(kind, size)
-  local var = Variable("ConnPolicy")
-  var.type, var.size = kind, size
-  return var
 end
 
 local port_count = 0
@@ -132,35 +115,38 @@ local port_count = 0
 -- Makes a port of this program's component; returns it and its path.
 local function new_port(direction, kind)
   port_count = port_count + 1
-  local name = "port" .. port_count
-  local port = rtt[direction].new(kind, name)
+  local port = rtt[direction].new(kind or "string", "port" .. port_count)
   rtt.getTC():addPort(port)
-  return port, "lua." .. name
+  return port, "lua.port" .. port_count
 end
 
-function rtt_helper.input(kind) return (new_port("InputPort", kind or "string")) end
+function rtt_helper.input(kind) return new_port("InputPort", kind) end
 
-function rtt_helper.output(kind) return (new_port("OutputPort", kind or "string")) end
+function rtt_helper.output(kind) return new_port("OutputPort", kind) end
+
+local function connect(from, to, policy)
+  assert(rtt_helper.deploy("connect", from, to, policy or rtt_helper.policy(64)))
+end
 
 -- Makes an input port that reads what "component.port" writes, through a buffer.
-function rtt_helper.listen(path, kind)
-  local into, name = new_port("InputPort", kind or "string")
-  assert(rtt_helper.deploy("connect", path, name, rtt_helper.policy(64)))
+function rtt_helper.listen(path)
+  local into, name = rtt_helper.input()
+  connect(path, name)
   return into
 end
 
 -- Makes an output port that writes to "component.port", through a buffer.
-function rtt_helper.feed(path, kind)
-  local out, name = new_port("OutputPort", kind or "string")
-  assert(rtt_helper.deploy("connect", name, path, rtt_helper.policy(64)))
+function rtt_helper.feed(path)
+  local out, name = rtt_helper.output()
+  connect(name, path)
   return out
 end
 
 -- An input port and the output port that feeds it.
 function rtt_helper.connected(kind, policy)
-  local into, to = new_port("InputPort", kind)
-  local out, from = new_port("OutputPort", kind)
-  assert(rtt_helper.deploy("connect", from, to, policy or rtt_helper.policy(16)))
+  local into, to = rtt_helper.input(kind)
+  local out, from = rtt_helper.output(kind)
+  connect(from, to, policy)
   return into, out
 end
 
