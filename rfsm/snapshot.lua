@@ -193,8 +193,9 @@ end
 
 -- Notes the targets that programs have set.
 local function take_targets(fsm, snap)
-  local first, nodes, list = chart_of(fsm).targets, fsm._nodes, snap.targets
-  for i, tr in ipairs(fsm._transitions) do
+  local first, nodes, list = chart_of(fsm).targets, fsm._nodes, nil
+  for i = 1, #first do
+    local tr = fsm._transitions[i]
     if tr.tgt ~= nodes[first[i]] then
       list = list or {}
       local n = #list
@@ -365,12 +366,15 @@ function check_shape(snap)
       snap.version == nil and "none" or "format " .. text_of(snap.version))
   end
   if not snap.chart then fail("chart: string expected, got nil") end
-  for _, field in ipairs(rfsm.sorted_keys(snap)) do
-    if not FIELDS[field] then
-      fail("no snapshot has a field '%s'", text_of(field))
-    elseif type(snap[field]) ~= FIELDS[field] then
-      fail("%s: %s expected, got %s", field, FIELDS[field], type(snap[field]))
-    end
+  local wrong = {}
+  for field, value in pairs(snap) do -- any order: the least one is named
+    if type(value) ~= FIELDS[field] then wrong[field] = true end
+  end
+  local field = next(wrong) ~= nil and rfsm.sorted_keys(wrong)[1]
+  if field and not FIELDS[field] then
+    fail("no snapshot has a field '%s'", text_of(field))
+  elseif field then
+    fail("%s: %s expected, got %s", field, FIELDS[field], type(snap[field]))
   end
 end
 
