@@ -208,16 +208,6 @@ function record.record(fsm, sink)
   return recorder
 end
 
--- Drops the records after iteration number `count`.
-local function truncate(records, count)
-  local kept = 1
-  for i = 2, #records do
-    if not records[i].m then count = count - 1 end
-    if count >= 0 and not records[i].m then kept = i end
-  end
-  for i = #records, kept + 1, -1 do records[i] = nil end
-end
-
 --- Have the machine stand where it stood `n` (1) iterations ago, and forget the records
 -- since. No callback runs; what the chart does not keep stays as it is.
 --
@@ -235,7 +225,7 @@ function Recorder:back(n)
   if not fsm then return false, problem end
   local ok, text = snapshot.put(self.fsm, snapshot.take(fsm))
   if not ok then return false, text end
-  truncate(self.sink, count)
+  tracks.truncate(self.sink, count)
   self.count = count
   for _, track in ipairs(self.tracks) do
     track.is_fresh, track.got, track.rec = false, nil, false

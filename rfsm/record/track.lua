@@ -72,6 +72,16 @@ function track.note(t, field, ...)
   for i = 1, select("#", ...) do list[#list + 1] = (select(i, ...)) end
 end
 
+--- Drop the records after iteration number `count`.
+function track.truncate(records, count)
+  local kept = 1
+  for i = 2, #records do
+    if not records[i].m then count = count - 1 end
+    if count >= 0 and not records[i].m then kept = i end
+  end
+  for i = #records, kept + 1, -1 do records[i] = nil end
+end
+
 -- Clock --------------------------------------------------------------------------
 
 --- Have clocks read through wrap(read), in place of what the owner had before; nil: as
