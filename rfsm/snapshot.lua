@@ -127,7 +127,7 @@ local function chart_of(fsm)
     if rfsm.is_state(obj) and is_keeper(obj) then
       chart.keepers[#chart.keepers + 1] = obj._fqn
       chart.kept[obj._fqn] = kept_names(obj)
-      chart.has_load = chart.has_load or obj.load ~= nil
+      chart.has_load = chart.has_load or type(obj.load) == "function"
     end
   end
   chart.fingerprint = fingerprint_of(chart.lines)
@@ -181,7 +181,7 @@ local function take_data(fsm, snap, path)
   for _, fqn in ipairs(chart_of(fsm).keepers) do
     local state = find_state(fsm, fqn)
     data[fqn] = pack_fields(state, path)
-    if state.save then
+    if type(state.save) == "function" then
       local value = plain.try("save of " .. fqn, state.save, fsm, state)
       path.owner = "save of " .. fqn
       if value ~= nil then saved[fqn] = pack(value, path, 0) end
@@ -476,7 +476,7 @@ local function set_data(fsm, data, saved, is_migrated)
     for _, name in ipairs(state.keep or {}) do
       if fields[name] ~= nil or not is_migrated then state[name] = fields[name] end
     end
-    if state.load and (value or not is_migrated) then
+    if type(state.load) == "function" and (value or not is_migrated) then
       plain.try("load of " .. fqn, state.load, fsm, state, value and value.value)
     end
   end

@@ -115,6 +115,15 @@ describe("a snapshot", function()
     assert.same({ 42, true }, { again.secret, again.loaded })
   end)
 
+  it("takes no substate for what a state keeps", function()
+    local model = state { info = false, warn = false, emem = false, data = {},
+      keep = state {}, save = state {}, a = state { keep = { "x" }, x = 1, save = {},
+        load = true }, trans { src = "initial", tgt = "keep" } }
+    local snap = snapshot.take(helper.started(model))
+    assert.same({ "root.keep", { ["root.a"] = { x = 1 } } }, { snap.leaf, snap.data })
+    assert(snapshot.restore(model, snap))
+  end)
+
   it("holds targets that a program has set", function()
     local fsm = helper.init(lamp())
     fsm.on[1].tgt = fsm.on.high
