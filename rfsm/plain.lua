@@ -15,7 +15,6 @@ local rfsm = require "rfsm"
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawget, tonumber, type = pcall, rawget, tonumber, type
 local floor, huge = math.floor, math.huge
-local sort = table.sort
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
 
@@ -85,12 +84,12 @@ end
 
 local place_of = plain.place_of
 
-local RANK = { boolean = 1, number = 2, string = 3 }
+local SCALARS = { boolean = true, number = true, string = true }
 
 --- Is a value a text, a number or a boolean?
 ---@param value any
 ---@return boolean
-function plain.is_scalar(value) return RANK[type(value)] ~= nil end
+function plain.is_scalar(value) return SCALARS[type(value)] ~= nil end
 
 local is_scalar = plain.is_scalar
 
@@ -118,27 +117,16 @@ local function digits_of(n)
   return digits:find("[.e]") and digits or digits .. ".0"
 end
 
-local function key_before(a, b)
-  local a_type, b_type = type(a), type(b)
-  if a_type ~= b_type then return RANK[a_type] < RANK[b_type] end
-  if a_type == "boolean" then return b and not a end
-  return a < b
-end
-
 local pack
 
 -- Returns { "%t", key, value, ... }, sorted by key.
 local function pack_pairs(t, path, depth)
-  local keys, list = {}, { "%t" }
-  for key in pairs(t) do -- any order: sorted
+  local list = { "%t" }
+  for _, key in ipairs(rfsm.sorted_keys(t)) do
     if not is_scalar(key) then
       fail("%s: a key that is a %s cannot be saved", place_of(path, depth - 1),
         type(key))
     end
-    keys[#keys + 1] = key
-  end
-  sort(keys, key_before)
-  for _, key in ipairs(keys) do
     path[depth] = key
     list[#list + 1] = pack(key, path, depth)
     list[#list + 1] = pack(t[key], path, depth)

@@ -45,6 +45,7 @@ local snapshot = { VERSION = 1 }
 ---@field fingerprint string
 ---@field keepers string[] FQN of the states that keep something
 ---@field kept table<string, table<string, true>> the fields that each keeps
+---@field has_load boolean one of them has a function that may fail
 ---@field index table<string, integer> numbers of the nodes, by FQN
 ---@field targets integer[] the number of the target of each transition
 
@@ -117,8 +118,8 @@ local structures = setmetatable({}, { __mode = "v" })
 local function chart_of(fsm)
   local chart = charts[fsm._plan]
   if chart then return chart end
-  chart = { lines = {}, fingerprint = false, keepers = {}, kept = {}, index = {},
-    targets = {} }
+  chart = { lines = {}, fingerprint = false, keepers = {}, kept = {}, has_load = false,
+    index = {}, targets = {} }
   for i, def in ipairs(fsm._plan.nodes) do chart.index[def.fqn] = i end
   for i, def in ipairs(fsm._plan.transitions) do chart.targets[i] = def.tgt.index end
   for i, obj in ipairs(rfsm.elements(fsm)) do
@@ -126,6 +127,7 @@ local function chart_of(fsm)
     if rfsm.is_state(obj) and is_keeper(obj) then
       chart.keepers[#chart.keepers + 1] = obj._fqn
       chart.kept[obj._fqn] = kept_names(obj)
+      chart.has_load = chart.has_load or type(obj.load) == "function"
     end
   end
   chart.fingerprint = fingerprint_of(chart.lines)
@@ -179,7 +181,7 @@ local function take_data(fsm, snap, path)
   for _, fqn in ipairs(chart_of(fsm).keepers) do
     local state = find_state(fsm, fqn)
     data[fqn] = pack_fields(state, path)
-    if state.save then
+    if type(state.save) == "function" then
       local value = plain.try("save of " .. fqn, state.save, fsm, state)
       path.owner = "save of " .. fqn
       if value ~= nil then saved[fqn] = pack(value, path, 0) end
@@ -191,8 +193,9 @@ end
 
 -- Notes the targets that programs have set.
 local function take_targets(fsm, snap)
-  local first, nodes, list = chart_of(fsm).targets, fsm._nodes, snap.targets
-  for i, tr in ipairs(fsm._transitions) do
+  local first, nodes, list = chart_of(fsm).targets, fsm._nodes, nil
+  for i = 1, #first do
+    local tr = fsm._transitions[i]
     if tr.tgt ~= nodes[first[i]] then
       list = list or {}
       local n = #list
@@ -273,7 +276,7 @@ end
 local function missing(fsm, snap)
   local names, list = { [snap.leaf or "root"] = true }, {}
   for i, name in ipairs(snap.targets or {}) do
-    if i % 3 ~= 2 then names[name] = true end
+    if i % 3 ~= 2 and type(name) == "string" then names[name] = true end
   end
   for _, field in ipairs { "data", "saved" } do
     for fqn in pairs(snap[field] or {}) do names[fqn] = true end -- any order: a set
@@ -363,12 +366,15 @@ function check_shape(snap)
       snap.version == nil and "none" or "format " .. text_of(snap.version))
   end
   if not snap.chart then fail("chart: string expected, got nil") end
-  for _, field in ipairs(rfsm.sorted_keys(snap)) do
-    if not FIELDS[field] then
-      fail("no snapshot has a field '%s'", text_of(field))
-    elseif type(snap[field]) ~= FIELDS[field] then
-      fail("%s: %s expected, got %s", field, FIELDS[field], type(snap[field]))
-    end
+  local wrong = {}
+  for field, value in pairs(snap) do -- any order: the least one is named
+    if type(value) ~= FIELDS[field] then wrong[field] = true end
+  end
+  local field = next(wrong) ~= nil and rfsm.sorted_keys(wrong)[1]
+  if field and not FIELDS[field] then
+    fail("no snapshot has a field '%s'", text_of(field))
+  elseif field then
+    fail("%s: %s expected, got %s", field, FIELDS[field], type(snap[field]))
   end
 end
 
@@ -470,7 +476,7 @@ local function set_data(fsm, data, saved, is_migrated)
     for _, name in ipairs(state.keep or {}) do
       if fields[name] ~= nil or not is_migrated then state[name] = fields[name] end
     end
-    if state.load and (value or not is_migrated) then
+    if type(state.load) == "function" and (value or not is_migrated) then
       plain.try("load of " .. fqn, state.load, fsm, state, value and value.value)
     end
   end
@@ -485,8 +491,11 @@ local function run_entry(fsm, state)
   end
 end
 
--- Has a machine stand where the snapshot says. A failure of a load leaves it reset.
-local function put(fsm, snap, options)
+local put
+
+-- Has a machine stand where the snapshot says. If a load fails it stands again where it
+-- stood, unless it `is_new`.
+function put(fsm, snap, options, is_new)
   check_shape(snap)
   local chart, how = chart_of(fsm), { entries = options.entries }
   local is_migrated = snap.chart ~= chart.fingerprint
@@ -496,8 +505,10 @@ local function put(fsm, snap, options)
   local targets, values = unpack_targets(fsm, snap), unpack_extensions(fsm, snap)
   function how.put(region, inner)
     put(region, inner or { version = snapshot.VERSION,
-      chart = chart_of(region).fingerprint }, options)
+      chart = chart_of(region).fingerprint }, options, true)
   end
+  local can_fail, before = not is_new and (chart.has_load or fsm._snapshot_hooks), nil
+  if can_fail then can_fail, before = pcall(take, fsm, 1) end
   rfsm.place(fsm, leaf, snap.done and "done" or "active", queue)
   set_targets(fsm, targets)
   local ok, failure = pcall(function()
@@ -508,6 +519,7 @@ local function put(fsm, snap, options)
   end)
   if not ok then
     rfsm.reset(fsm)
+    if can_fail then pcall(put, fsm, before, {}, true) end
     error(failure, 0)
   end
   if options.entries and leaf then rfsm.map_from_to(fsm, run_entry, fsm, leaf) end
@@ -540,9 +552,18 @@ end
 ---@field migrate? fun(snap: table, list: string[]): table|false? false refuses
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 
+local function try_put(fsm, snap, options, is_new)
+  if type(options) ~= "table" then options = {} end -- dkjson.decode returns a position
+  local ok, failure = plain.pcall(put, fsm, snap, options, is_new)
+  if ok then return true end
+  return false, "rfsm.snapshot: " .. reason(failure),
+    type(failure) == "table" and failure.difference or nil
+end
+
 --- Have a machine stand where a snapshot says; no callback runs.
 --
--- A snapshot that is wrong changes nothing. If a `load` fails the machine is reset.
+-- A snapshot that is wrong changes nothing. If a `load` fails after others have run,
+-- they get what they had; a machine that could not be saved is reset then.
 --
 ---@param fsm rfsm.Machine
 ---@param snap rfsm.snapshot.Snapshot
@@ -552,11 +573,7 @@ end
 ---@return string[]? difference if the snapshot is of another chart
 function snapshot.put(fsm, snap, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.put")
-  if type(options) ~= "table" then options = {} end -- dkjson.decode returns a position
-  local ok, failure = plain.pcall(put, fsm, snap, options)
-  if ok then return true end
-  return false, "rfsm.snapshot: " .. reason(failure),
-    type(failure) == "table" and failure.difference or nil
+  return try_put(fsm, snap, options, false)
 end
 
 --- Make a machine that stands where a snapshot says; no callback has run.
@@ -580,7 +597,7 @@ function snapshot.restore(model, snap, options)
   if not fsm then
     return false, "rfsm.snapshot: the model is wrong:\n  " .. concat(problems, "\n  ")
   end
-  local ok, problem, list = snapshot.put(fsm, snap, options)
+  local ok, problem, list = try_put(fsm, snap, options, true)
   if ok then return fsm end
   return false, problem, list
 end

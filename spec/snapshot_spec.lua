@@ -5,6 +5,7 @@
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
@@ -15,13 +16,12 @@ after_each(helper.remove_files)
 
 local function through_json(value) return (json.decode((json.encode(value)))) end
 
--- Returns a function that takes a value through MessagePack; nil without that module.
-local function message_pack()
-  local ok, mp = pcall(require, "MessagePack")
-  return ok and function(value) return mp.unpack(mp.pack(value)) end or nil
-end
+local has_mp, mp = pcall(require, "MessagePack")
 
-local through_message_pack = message_pack()
+local function through_message_pack(value) return mp.unpack(mp.pack(value)) end
+
+local THROUGH = { JSON = through_json,
+  MessagePack = has_mp and through_message_pack or nil }
 
 -- (initial) -> off --e_on--> on { (initial) -> low --e_up--> high },  on --e_off--> off
 local function lamp(fields)
@@ -115,6 +115,15 @@ describe("a snapshot", function()
     assert.same({ 42, true }, { again.secret, again.loaded })
   end)
 
+  it("takes no substate for what a state keeps", function()
+    local model = state { info = false, warn = false, emem = false, data = {},
+      keep = state {}, save = state {}, a = state { keep = { "x" }, x = 1, save = {},
+        load = true }, trans { src = "initial", tgt = "keep" } }
+    local snap = snapshot.take(helper.started(model))
+    assert.same({ "root.keep", { ["root.a"] = { x = 1 } } }, { snap.leaf, snap.data })
+    assert(snapshot.restore(model, snap))
+  end)
+
   it("holds targets that a program has set", function()
     local fsm = helper.init(lamp())
     fsm.on[1].tgt = fsm.on.high
@@ -125,8 +134,7 @@ describe("a snapshot", function()
   end)
 
   it("of a machine with 20 states takes at most 200 bytes as MessagePack", function()
-    local ok, mp = pcall(require, "MessagePack")
-    if not ok then return end
+    if not has_mp then return end
     local model = state { info = false, warn = false, emem = false,
       keep = { "order", "count" }, order = "A-4711", count = 12 }
     for i = 1, 4 do
@@ -154,7 +162,7 @@ describe("data that a chart keeps", function()
   }
 
   it("comes back as it was, also through JSON and MessagePack", function()
-    for _, through in ipairs { through_json, through_message_pack } do
+    for _, through in pairs(THROUGH) do
       for _, value in ipairs(VALUES) do
         local fsm = helper.init(lamp())
         fsm.on.count = value
@@ -328,43 +336,80 @@ describe("a snapshot that is wrong", function()
     { "%p", 7 }, { "%n", "x" }, { "%t", {} } }
 
   local function spoil(value, random)
-    if type(value) ~= "table" or random(4) == 1 then return JUNK[random(#JUNK)] end
-    local keys = {}
-    for key in pairs(value) do keys[#keys + 1] = key end
-    table.sort(keys, function(a, b) return tostring(a) < tostring(b) end)
-    local key = keys[random(#keys + 1)]
+    if type(value) ~= "table" or random(4) == 1 then return random:pick(JUNK) end
+    local key = rfsm.sorted_keys(value)[random(4)]
     if key == nil then
-      value[JUNK[random(3) + 4]] = JUNK[random(#JUNK)]
+      value[JUNK[random(3) + 4]] = random:pick(JUNK)
     else
       value[key] = random(5) == 1 and nil or spoil(value[key], random)
     end
     return value
   end
 
-  it("never raises, and leaves no machine half restored", function()
-    local place = 1
-    local function random(n)
-      place = place * 16807 % 2147483647
-      return place % n + 1
+  local function bytes(random, count)
+    local list = {}
+    for i = 1, count do list[i] = string.char(random(256) - 1) end
+    return table.concat(list)
+  end
+
+  local function unpacked(text)
+    local ok, value = pcall(mp.unpack, text)
+    return ok and value or nil
+  end
+
+  -- Each returns a snapshot that is wrong, if the encoder takes it.
+  local HOSTILE = {
+    function(snap, random)
+      for _ = 1, random(3) do snap = spoil(snap, random) end
+      return snap
+    end,
+    function(snap, random)
+      snap.version = random:pick { 2, 0, "1", 1.5, {} }
+      return snap
+    end,
+    function(snap, random)
+      local text = json.encode(snap)
+      return (json.decode(text:sub(1, random(#text))))
+    end,
+  }
+
+  if has_mp then
+    HOSTILE[4] = function(snap, random)
+      local text = mp.pack(snap)
+      local from = random(#text)
+      return unpacked(text:sub(1, from - 1) .. bytes(random, random(3))
+        .. text:sub(from + random(3)))
     end
-    local texts = {}
+    HOSTILE[5] = function(_, random) return unpacked(bytes(random, random(200))) end
+  end
+
+  it("never raises, and leaves no machine half restored", function()
+    local random, machines, texts, refused = new_random(1), {}, {}, 0
     for seed = 1, 40 do
       texts[seed] = json.encode((kept.begin(seed, kept.length(seed))))
+      machines[seed] = rfsm.init(kept.model(seed))
     end
     for i = 1, N * 10 do
       local seed = i % 40 + 1
-      local snap = json.decode(texts[seed])
-      for _ = 1, random(3) do snap = spoil(snap, random) end
-      local ok, fsm, text = pcall(snapshot.restore, kept.model(seed), snap)
-      assert(ok, fsm)
-      if fsm then
-        assert.is_true(rfsm.is_initialized_root(fsm))
+      local fsm = machines[seed]
+      local snap = random:pick(HOSTILE)(json.decode(texts[seed]), random)
+      local before = snapshot.take(fsm)
+      local ok, problem = snapshot.put(fsm, snap)
+      if i % 20 == 0 then -- a new machine takes it, or not, as well
+        assert.equal(ok, snapshot.restore(kept.model(seed), snap) and true)
+      end
+      if ok then
         rfsm.step(fsm, 3)
+        assert(snapshot.put(fsm, json.decode(texts[seed])))
       else
-        assert.matches("^rfsm.snapshot: ", text)
-        assert.is_nil(text:find("rfsm/%w+%.lua:%d") or text:find("attempt to"), text)
+        refused = refused + 1
+        assert.matches("^rfsm.snapshot: ", problem)
+        assert.is_nil(problem:find("rfsm/%w+%.lua:%d") or problem:find("attempt to"),
+          problem)
+        assert.same(before, snapshot.take(fsm), problem)
       end
     end
+    assert.is_true(refused > N * 5)
   end)
 end)
 
@@ -377,19 +422,13 @@ describe("a machine restored in the middle of a random run", function()
     end
   end
 
-  it("has the same trace from there on, through JSON", function()
-    each_case(function(seed, at, snap, trace)
-      assert.same(trace, kept.go_on(seed, at, through_json(snap)), "seed " .. seed)
+  for name, through in pairs(THROUGH) do
+    it("has the same trace from there on, through " .. name, function()
+      each_case(function(seed, at, snap, trace)
+        assert.same(trace, kept.go_on(seed, at, through(snap)), "seed " .. seed)
+      end)
     end)
-  end)
-
-  it("has the same trace from there on, through MessagePack", function()
-    if not through_message_pack then return end
-    each_case(function(seed, at, snap, trace)
-      assert.same(trace, kept.go_on(seed, at, through_message_pack(snap)),
-        "seed " .. seed)
-    end)
-  end)
+  end
 
   it("has it in other processes, on other interpreters", function()
     local lines = {}

@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local opts = require "rfsm.options"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
+local tracks = require "rfsm.record.track"
 
 local error, io, ipairs, max, pcall = error, io, ipairs, math.max, pcall
 local print, type = print, type
@@ -31,8 +32,7 @@ local history = {}
 local LIMIT = 100000 -- iterations; then a history begins anew
 
 local function write(file, rec)
-  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
-  if not dkjson then error("record: " .. problem, 0) end
+  local dkjson = opts.need("record", "dkjson", "lua-dkjson")
   file:write(dkjson.encode(rec), "\n")
   file:flush()
 end
@@ -100,12 +100,7 @@ end
 
 -- Drops the records after iteration n.
 local function truncate(own, n)
-  local kept, count = 1, 0
-  for i = 2, #own.list do
-    if not own.list[i].m then count = count + 1 end
-    if count <= n and not own.list[i].m then kept = i end
-  end
-  for i = #own.list, kept + 1, -1 do own.list[i] = nil end
+  tracks.truncate(own.list, n)
   own.count = n
 end
 
@@ -244,7 +239,7 @@ function history.show(sim, last)
       n = n + 1
       if n > own.count - last then
         print(("%4d  %-30s  %s"):format(n, texts_of(rec.events),
-          rec.leaf and rec.leaf .. (rec.done and "(done)" or "(active)") or "<none>"))
+          rec.leaf and tracks.place_text(rec.leaf, rec.done) or "<none>"))
       end
     end
   end

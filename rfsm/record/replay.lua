@@ -1,0 +1,250 @@
+--- Replay: a machine runs through a recording.
+--
+-- The file reads in this order: the session, one iteration again, callbacks again, run.
+--
+-- @module rfsm.record.replay
+-- @license BSD-3-Clause
+
+local plain = require "rfsm.plain"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+local tracks = require "rfsm.record.track"
+
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
+local tostring, type = tostring, type
+local max, min = math.max, math.min
+local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
+local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
+local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
+
+--- A machine that is being replayed.
+---@class rfsm.record.Session
+---@field records rfsm.record.Record[] of the machine around the others
+---@field inner table<integer, rfsm.record.Record[]> of the others
+---@field step_of table<rfsm.record.Record, integer> the iteration around each of those
+---@field at integer how many records have been replayed
+---@field last integer how many are to be
+---@field is_dry boolean
+---@field problem string|nil where the run departs from the recording
+---@field latest any[]|nil the reading of the clock
+
+-- Raised by a pre step hook, to end a step that would go further than the recording.
+local STOP = {}
+
+local function depart(session, form, ...)
+  session.problem = session.problem
+    or ("step %d: "):format(session.at + 1) .. form:format(...)
+end
+
+-- Makes a list hold these events; departs from events that are no plain data.
+local function fill(session, list, events)
+  for i = #list, 1, -1 do list[i] = nil end
+  for i = 1, events and #events or 0 do
+    local event = plain.unpack(events[i], 0)
+    if is_scalar(event) then
+      list[i] = event
+    else
+      depart(session, "%s cannot be replayed", list_text({ events[i] }))
+    end
+  end
+end
+
+-- Has readings of the clock come from a list; behind its end, the latest one.
+local function reading(session, readings)
+  local i = 0
+  local function read()
+    i = i + 1
+    local now = readings and readings[i] or session.latest or { 0, 0 }
+    if type(now[1]) == "string" then error(now[1], 0) end
+    session.latest = now
+    return plain.unpack(now[1], 0), plain.unpack(now[2], 0)
+  end
+  return function() return read end
+end
+
+-- Returns the record of the iteration that begins; raises STOP if there is none.
+local function next_record(session, track)
+  local rec = track.records[track.at + 1]
+  if track.m == nil then
+    local is_over = session.problem or session.at >= session.last
+    if is_over or rec.fresh and not track.is_fresh then error(STOP, 0) end
+    track.is_fresh = false
+  elseif not rec or session.step_of[rec] ~= session.at + 1 then
+    depart(session, "machine %d in a sequential AND state takes a step that was not "
+      .. "recorded", track.m)
+    error(STOP, 0)
+  end
+  track.at = track.at + 1
+  return rec
+end
+
+local function begin_again(session, track, events)
+  local rec = next_record(session, track)
+  track.rec, track.guard_at = rec, 0
+  fill(session, events, rec.events)
+  if rec.had then snapshot.put_data(track.fsm, rec.had) end
+  if track.m == nil then watch_clock(session, reading(session, rec.clock)) end
+  if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
+end
+
+local function compare(session, track)
+  local fsm, rec, leaf = track.fsm, track.rec, track.fsm._act_leaf
+  local place = place_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
+  local recorded = place_text(rec.leaf, rec.done)
+  if place ~= recorded then
+    return depart(session, "active leaf %s expected, got %s", recorded, place)
+  elseif session.is_dry then
+    return
+  end
+  local sent = tracks.pack_events(fsm._intq)
+  if not same(sent, rec.sent) then
+    depart(session, "events sent: %s expected, got %s", list_text(rec.sent),
+      list_text(sent))
+  end
+  if rec.kept and not same(rec.kept, snapshot.take_data(fsm)) then
+    depart(session, "the data of the machine is not as it was")
+  end
+end
+
+local function finish_again(session, track)
+  local rec = track.rec
+  if not rec then return end
+  if track.m == nil then watch_clock(session, nil) end
+  local ok, failure = plain.pcall(compare, session, track)
+  if not ok then depart(session, "%s", reason(failure)) end
+  if session.is_dry then
+    fill(session, track.fsm._intq, rec.sent)
+    if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
+  end
+  track.rec = false
+  if track.m == nil and not session.problem then session.at = session.at + 1 end
+end
+
+-- Returns what was recorded of a guard; with `is_called` it is called, and compared.
+local function answer_again(session, track, is_called, number, guard, tr, events)
+  if not track.rec then return guard(tr, events) end
+  local list, at = track.rec.guards or {}, track.guard_at + 1
+  local answer = list[at + 1]
+  track.guard_at = at + 1
+  if list[at] ~= number then
+    depart(session, "the guard of %s was not called then", tostring(tr))
+    return false
+  elseif is_called then
+    local ok, now = plain.pcall(guard, tr, events)
+    if (ok and now ~= false) ~= (answer == true) then
+      depart(session, "the guard of %s behaves otherwise", tostring(tr))
+    end
+  end
+  if type(answer) == "string" then error(answer, 0) end
+  return answer
+end
+
+-- A doo that ends when the recorded one did.
+local function doo_again(session, track)
+  return function(_, state)
+    while true do
+      local rec, following = track.rec, track.records[track.at + 1]
+      if rec and rec.done and rec.leaf == state._fqn then
+        for _, event in ipairs(rec.sent or {}) do
+          if event == "e_done@" .. state._fqn then return end
+        end
+        error("the doo failed when it was recorded", 0)
+      end
+      rfsm.yield(not (track.m and session.step_of[following] == session.at + 1))
+    end
+  end
+end
+
+-- Takes the user's callbacks away.
+local function dry(session, track)
+  local fsm = track.fsm
+  fsm.pre_step_hook, fsm.post_step_hook = nil, nil
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local owner = state._seqand or state
+    owner.entry, owner.exit = nil, nil
+    if state.doo and not state._seqand then state.doo = doo_again(session, track) end
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    tr.effect, tr.likely = nil, nil
+  end
+end
+
+local function add_player(track, session, options)
+  local fsm = track.fsm
+  track.at, track.guard_at = 0, 0
+  track.records = track.m and (session.inner[track.m] or {}) or session.records
+  track.own_getevents, fsm.getevents = rawget(fsm, "getevents"), nil
+  if session.is_dry then dry(session, track) end
+  function track.begin(_, events) begin_again(session, track, events) end
+  function track.finish() finish_again(session, track) end
+  function track.reset() end
+  function track.guard(...) return answer_again(session, track, options.guards, ...) end
+end
+
+-- Advances the machine to the end of the recording, or to where it departs from it.
+local function run(session, track)
+  while session.at < session.last and not session.problem do
+    local before = session.at
+    track.is_fresh = session.records[before + 1].fresh
+    if track.is_fresh then rfsm.reset(track.fsm) end
+    local ok, failure = plain.pcall(rfsm.step, track.fsm)
+    if not ok and not rawequal(failure, STOP) then
+      depart(session, "%s", reason(failure))
+    elseif session.at == before then
+      depart(session, "the machine takes no step")
+    end
+  end
+end
+
+-- A model that says nothing, and is otherwise the same.
+local function quiet(model)
+  local copy = {}
+  for key, value in pairs(model) do copy[key] = value end -- any order: a copy
+  copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
+  return setmetatable(copy, getmetatable(model))
+end
+
+-- Splits a recording: the records of the machine, and those of others by number.
+local function new_session(recording, options)
+  local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
+    is_dry = options.dry and true or false, problem = nil }
+  for i = 2, #recording do
+    local rec = recording[i]
+    session.step_of[rec] = #session.records + 1
+    tracks.note(rec.m and session.inner or session, rec.m or "records", rec)
+  end
+  session.last = options.to or options["until"] or #session.records
+  session.last = min(max(session.last, 0), #session.records)
+  return session
+end
+
+-- Returns the machine as it stands, on the clock of now.
+local function settle(session, model, fsm)
+  local ok, snap = with_clock(session, reading(session), snapshot.take, fsm)
+  if not ok then return not session.is_dry and fsm or nil, text_of(snap) end
+  if session.is_dry then return snapshot.restore(model, snap) end
+  if session.latest then snapshot.put(fsm, snap) end
+  return fsm
+end
+
+--- Run a machine through a recording, which is one.
+---@param model rfsm.State
+---@param recording table[]
+---@param options rfsm.record.Options
+---@return rfsm.Machine|false fsm as of `rfsm.record.replay`
+---@return string? problem
+---@return integer? step
+return function(model, recording, options)
+  local session, header = new_session(recording, options), recording[1]
+  local ok, fsm, problem = with_clock(session, reading(session, header.clock),
+    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot)
+  if not ok or not fsm then return false, problem or text_of(fsm) end
+  local all = tracks.attach(fsm, add_player, session, options)
+  if options.watch then options.watch(fsm) end
+  ok, problem = with_clock(session, reading(session), run, session, all[1])
+  tracks.detach(all)
+  if not ok then error(problem, 0) end
+  if session.problem then return false, session.problem, session.at end
+  return settle(session, model, fsm)
+end
