@@ -5,8 +5,8 @@
 
 local rfsm = require "rfsm"
 
-local getmetatable, io, next, pcall = getmetatable, io, next, pcall
-local rawget, setmetatable, type = rawget, setmetatable, type
+local getmetatable, io, ipairs, next = getmetatable, io, ipairs, next
+local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 local chart = {}
@@ -93,6 +93,23 @@ function chart.load(file)
   end, load, file)
   if ok then return model, warnings end
   return nil, chart.reason(file, model)
+end
+
+--- Make the machine of the chart in a file.
+---@param file string
+---@param init fun(model: rfsm.State): rfsm.Machine|false, string[]? as `rfsm.init`
+---@param warn fun(line: string) called for each undefined global
+---@return rfsm.Machine|false fsm
+---@return rfsm.State|string[] model or the problems, a line each
+function chart.open(file, init, warn)
+  local model, warnings = chart.load(file)
+  if not model then return false, { warnings } end
+  for _, line in ipairs(warnings) do warn(line) end
+  local ok, fsm, problems = pcall(init, model)
+  if not ok then return false, { chart.reason(file, fsm) } end
+  if fsm then return fsm, model end
+  for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
+  return false, problems
 end
 
 return chart
