@@ -120,4 +120,21 @@ function chart.load(file)
   return nil, chart.reason(file, model)
 end
 
+--- Make the machine of the chart in a file.
+---@param file string
+---@param init fun(model: rfsm.State): rfsm.Machine|false, string[]? as `rfsm.init`
+---@param warn fun(line: string) called for each undefined global
+---@return rfsm.Machine|false fsm
+---@return rfsm.State|string[] model or the problems, a line each
+function chart.open(file, init, warn)
+  local model, warnings = chart.load(file)
+  if not model then return false, { warnings } end
+  for _, line in ipairs(warnings) do warn(line) end
+  local ok, fsm, problems = pcall(init, model)
+  if not ok then return false, { chart.reason(file, fsm) } end
+  if fsm then return fsm, model end
+  for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
+  return false, problems
+end
+
 return chart

@@ -9,6 +9,7 @@
 
 local advice = require "rfsm.advice"
 local marsh = require "rfsm.marsh"
+local opts = require "rfsm.options"
 local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
@@ -354,30 +355,17 @@ local function mark_run(chart, coverage, trace)
   end
 end
 
-local TYPES = {
-  { "title", "string", "number" }, { "active", "string", "table" },
-  { "depth", "number" }, { "direction", "string" }, { "coverage", "table" },
-  { "trace", "table" },
-}
-
--- Returns the options of a public function, checked.
-local function options_of(options, where)
-  if type(options) ~= "table" then options = { title = options } end
-  for _, expected in ipairs(TYPES) do
-    local value = options[expected[1]]
-    local kind = type(value)
-    if value and kind ~= expected[2] and kind ~= expected[3] then
-      error(("%s: %s: %s expected, got %s"):format(where, expected[1], expected[2],
-        kind), 4)
-    end
-  end
-  local direction = options.direction or "TB"
-  if direction ~= "TB" and direction ~= "LR" then
-    error(("%s: direction: 'TB' or 'LR' expected, got '%s'"):format(where, direction),
-      4)
-  end
-  return options
+local function is_a(kind, other)
+  return function(x) return not x or type(x) == kind or type(x) == other end
 end
+
+-- Description, test, default of each.
+local OPTIONS = {
+  title = { "string", is_a("string", "number") }, depth = { "number", is_a "number" },
+  active = { "string", is_a("string", "table") }, coverage = { "table", is_a "table" },
+  trace = { "table", is_a "table" },
+  direction = { "'TB' or 'LR'", function(x) return x == "TB" or x == "LR" end, "TB" },
+}
 
 local function is_description(value)
   return type(value) == "table" and type(value.id) == "string" and value.type == "state"
@@ -393,20 +381,20 @@ end
 local function read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
-  options = options_of(options, where)
-  local title = tostring(options.title or "")
+  local settings, problem = opts.read(OPTIONS,
+    type(options) == "table" and options or { title = options })
+  if not settings then error(where .. ": " .. problem, 3) end
+  local title = tostring(settings.title or "")
   local chart = {
-    title = title ~= "" and clean(title) or nil, direction = options.direction or "TB",
+    title = title ~= "" and clean(title) or nil, direction = settings.direction,
     nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {},
   }
   local tab = is_read and source or marsh.model2tab(source, true)
-  if not pcall(read_description, chart, tab, options.depth) then
+  if not pcall(read_description, chart, tab, settings.depth) then
     error(where .. ": description by rfsm.marsh expected, got another table", 3)
   end
-  if options.active then mark_active(chart, options.active, where) end
-  if options.coverage or options.trace then
-    mark_run(chart, options.coverage, options.trace)
-  end
+  if settings.active then mark_active(chart, settings.active, where) end
+  mark_run(chart, settings.coverage, settings.trace)
   return chart
 end
 

@@ -299,7 +299,7 @@ describe("FIX step:", function()
   end)
 
   it("does not grow the stack", function()
-    local left = 200000
+    local left = 50000
     helper.post_and_run(started {
       b = state {
         entry = function(fsm)

@@ -130,8 +130,8 @@ for _, language in ipairs(LANGUAGES) do
       assert.equal("save" .. expected, problem_of("save", state {}, "x"))
       for problem, options in pairs { -- any order: each stands alone
         ["title: string expected, got boolean"] = true,
-        ["depth: number expected, got string"] = { depth = "two" },
-        ["direction: 'TB' or 'LR' expected, got 'UP'"] = { direction = "UP" },
+        ["depth: number expected, got string 'two'"] = { depth = "two" },
+        ["direction: 'TB' or 'LR' expected, got string 'UP'"] = { direction = "UP" },
         ["active: no state is named 'root.onn' (did you mean 'root.on'?)"] = {
           active = "root.onn" },
       } do

@@ -508,17 +508,6 @@ describe("a node of another machine", function()
   end
 end)
 
-describe("a transition that gets another target between two steps", function()
-  for _, uses in ipairs { 1, 20 } do
-    it("leads there from then on, after " .. uses .. " uses", function()
-      local fsm = started { c = state {} }
-      for _ = 1, 2 * uses do post_and_run(fsm, "e") end
-      fsm[2].tgt = fsm.c
-      assert.equal("root.c", leaf_after(fsm, "e"))
-    end)
-  end
-end)
-
 describe("a merge that a preproc function refuses", function()
   it("leaves each transition its target", function()
     local fsm = started { err = false }

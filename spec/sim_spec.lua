@@ -218,14 +218,15 @@ describe("the prompt", function()
   end)
 
   it("lists the commands", function()
-    local out = said("help()")
-    for name in ("step run se ses ser events why tree pp view showeq showfqn follow "
+    local NAMES = "step run se ses ser events why tree pp view showeq showfqn follow "
       .. "dbg add_hook breakpoint watch delete clock next back goto history record dry "
-      .. "reset reload help quit"):gmatch("%S+") do
+      .. "reset reload help quit"
+    local out = said("help")
+    local each = said((NAMES:gsub("%S+", "print '~'\nhelp %0\n")))
+    for name in NAMES:gmatch("%S+") do
       assert.matches("%f[%w]" .. name .. "%(", out)
-      assert.matches("^" .. name .. "%(", said("help " .. name))
+      assert.matches("~\n" .. name .. "%(", each)
     end
-    assert.equal(out, said("help"))
   end)
 
   it("sets the globals of the chart", function()
@@ -443,7 +444,7 @@ for _, file in ipairs(FILES) do
   local sim = session.open(file, false)
   prompt.install(sim)
   sim.env.clock(0)
-  local places = wander(sim, 40)
+  local places = wander(sim, 20)
   while sim.history.count > 0 do
     local n = math.max(sim.history.count - dice(7), 0)
     local ok, problem = pcall(history.go_to, sim, n)

@@ -214,13 +214,12 @@ describe("rfsm2json", function()
 end)
 
 describe("rfsm-viz", function()
-  it("writes each of its formats", function()
+  it("writes the format that is asked for", function()
     for format, expected in pairs { -- any order: each stands alone
-      [""] = 'digraph "on_off" {', ["-T dot"] = 'digraph "on_off" {',
+      [""] = 'digraph "on_off" {',
       ["-T plantuml"] = "@startuml\ntitle on_off\n",
       ["-T mermaid"] = '---\ntitle: "on_off"\n---\nstateDiagram-v2\n',
-      ["-T json"] = '{\n  "version":2',
-      ["-T svg"] = "<?xml", ["-T png"] = "\137PNG\r\n", ["-T pdf"] = "%PDF-1",
+      ["-T png"] = "\137PNG\r\n",
     } do
       local out, err, status = run("rfsm-viz examples/on_off.lua " .. format)
       assert.same({ expected, "", 0 }, { out:sub(1, #expected), err, status })
@@ -234,8 +233,8 @@ describe("rfsm-viz", function()
 
   it("tells the format by the name of the output", function()
     for ending, expected in pairs { -- any order: each stands alone
-      svg = "<?xml", PNG = "\137PNG", pdf = "%PDF", gv = "digraph", dot = "digraph",
-      puml = "@startuml", mmd = "---\n", json = '{\n  "version":2',
+      svg = "<?xml", PNG = "\137PNG\r\n", pdf = "%PDF-1", gv = "digraph",
+      dot = "digraph", puml = "@startuml", mmd = "---\n", json = '{\n  "version":2',
     } do
       local file = folder .. "/chart." .. ending
       check("rfsm-viz examples/on_off.lua -o '" .. file .. "'", "")

@@ -97,12 +97,12 @@ end
 
 -- Returns the machine of a chart, made silently.
 local function load_machine(file)
-  local model = common.try(common.load_model(file))
-  model.dbg, model.err, model.warn, model.info = false, false, false, false
-  local fsm, problems = common.call(file, rfsm.init, model)
-  if fsm then return fsm end
-  for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
-  common.fail(concat(problems, "\n"))
+  local _, fsm, problems = common.with_streams(io.stderr, chart.open, file,
+    function(model)
+      model.dbg, model.err, model.warn, model.info = false, false, false, false
+      return common.call(file, rfsm.init, model)
+    end, function() end)
+  return fsm or common.fail(concat(problems, "\n"))
 end
 
 -- Results out -----------------------------------------------------------------

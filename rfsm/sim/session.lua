@@ -61,18 +61,6 @@ local function init_quietly(model)
   return fsm, problems
 end
 
--- Returns a machine and its model, or false and the lines that say why not.
-local function open(file)
-  local model, warnings = chart.load(file)
-  if not model then return false, { warnings } end
-  for _, warning in ipairs(warnings) do complain(warning) end
-  local ok, fsm, problems = pcall(init_quietly, model)
-  if not ok then return false, { chart.reason(file, fsm) } end
-  if fsm then return fsm, model end
-  for i = 1, #problems do problems[i] = chart.line(file, problems[i]) end
-  return false, problems
-end
-
 -- Advance ---------------------------------------------------------------------------
 
 function Session:print_active()
@@ -262,7 +250,7 @@ end
 
 --- Read the chart anew. If it has a problem the machine stays.
 function Session:reload()
-  local fsm, result = open(self.file)
+  local fsm, result = chart.open(self.file, init_quietly, complain)
   if not fsm then
     for _, problem in ipairs(result) do complain(problem) end
     return
@@ -283,7 +271,7 @@ local session = {}
 ---@return rfsm.sim.Session? sim
 ---@return string[]? problems
 function session.open(file, follows)
-  local fsm, result = open(file)
+  local fsm, result = chart.open(file, init_quietly, complain)
   if not fsm then return nil, result end
   local sim = setmetatable({
     fsm = fsm, model = result, file = file, follows = follows, level = false,

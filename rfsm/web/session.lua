@@ -91,16 +91,8 @@ end
 
 -- Returns a machine; false and the lines that say why not.
 local function load_machine(session)
-  local model, warnings = chart.load(session.file)
-  if not model then return false, { warnings } end
-  for _, line in ipairs(warnings) do tell(session, "warning", line) end
-  local ok, fsm, problems = pcall(init, session, model)
-  if not ok then return false, { chart.reason(session.file, fsm) } end
-  if fsm then return fsm, {} end
-  for i, problem in ipairs(problems) do
-    problems[i] = chart.line(session.file, problem)
-  end
-  return false, problems
+  return chart.open(session.file, function(model) return init(session, model) end,
+    function(line) tell(session, "warning", line) end)
 end
 
 local function read(file)
@@ -177,9 +169,8 @@ local function load(session, keeps_place)
   session.generation, session.turn = session.generation + 1, 0
   session.recorder, session.turns = false, {}
   clock.set_hook(session.gettime)
-  local fsm
-  fsm, session.problems = load_machine(session)
-  session.snap = not fsm and snap or nil
+  local fsm, problems = load_machine(session)
+  session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
   if fsm then begin(session, fsm, snap) end
 end
 

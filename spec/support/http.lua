@@ -85,6 +85,19 @@ function Page:next()
   end)
 end
 
+--- Sends a command as the page does; returns the next message.
+function Page:command(name, fields)
+  fields = fields or {}
+  fields.command = name
+  http.command(self.server, fields)
+  return self:next()
+end
+
+--- Sends an event and runs, likewise.
+function Page:send(event)
+  return self:command("send", { event = event, run = true })
+end
+
 --- Opens the stream of a page; returns it and the first message.
 function http.page(server)
   local page = setmetatable({ server = server, tcp = http.connect(server), text = "" },
