@@ -429,8 +429,10 @@ end
 
 -- Returns the hint of rfsm/advice.lua on a topic, an empty text if there is no such
 -- file.
+local advice
+
 local function advise(topic, ...)
-  local advice = find_module("rfsm.advice")
+  if advice == nil then advice = find_module("rfsm.advice") or false end
   return advice and advice[topic](...) or ""
 end
 
@@ -1358,12 +1360,10 @@ function rfsm.is_interrupt(failure)
   return type(failure) == "string" and failure:find("interrupted!$") ~= nil
 end
 
-local is_interrupt = rfsm.is_interrupt
-
 -- A callback of a state or transition failed. A search that was interrupted in a guard
 -- is done again by the next step.
 local function report_callback(fsm, callback, owner, failure)
-  if is_interrupt(failure) then
+  if rfsm.is_interrupt(failure) then
     if callback == "guard" then error(failure, 0) end
     return keep_failure(fsm, failure)
   end
@@ -1879,7 +1879,7 @@ do
 
   local function fail_doo(fsm, leaf, failure)
     leaf._doo_co, leaf._mode = nil, "done"
-    if is_interrupt(failure) then
+    if rfsm.is_interrupt(failure) then
       keep_failure(fsm, failure)
       return true
     end
@@ -2227,8 +2227,8 @@ local function lines_of(list)
 end
 
 local function summary(where, problems)
-  local hint = find_module("rfsm.advice") and ""
-    or "\n  (no hints: rfsm/advice.lua is not installed)"
+  local hint = advice == false and "\n  (no hints: rfsm/advice.lua is not installed)"
+    or ""
   return ("%s: the model has %d problem%s\n  %s%s"):format(where, #problems,
     #problems == 1 and "" or "s", concat(problems, "\n  "), hint)
 end

@@ -148,11 +148,9 @@ local SESSIONS = {
     "gripper warms up", "grasping", "searching", "gripper warms up",
     "gripper warms up", "gripper warms up" }, -- each iteration
     set("world", "distance", 0.1), "e_grasp", "e_release" },
-  { "seqand", "moves both arms, and begins anew", { INFO .. "root.initial",
-    INFO .. "root.initial", -- of the two arms
-    "right open", "left open", "right closed", "left closed", "right lets go",
-    "left lets go", "stopped", "right open", "left open" }, "e_grasp", "e_stop",
-    "e_start" },
+  { "seqand", "moves both arms, and begins anew", { "right open", "left open",
+    "right closed", "left closed", "right lets go", "left lets go", "stopped",
+    "right open", "left open" }, "e_grasp", "e_stop", "e_start" },
   { "timeevent", "lights up in time", { "do not walk", "please wait", "walk",
     "do not walk", "dark", "do not walk", "dark" }, "e_button", wait(0.3), wait(1),
     wait(59), wait(3), "e_fault" },
