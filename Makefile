@@ -24,7 +24,7 @@ endif
 # the address of the repository, for rockspecs of releases: not yet known
 URL      ?= git+https://example.org/rfsm.git
 OUTER    := $(wildcard *.lua compat/*.lua)
-INNER    := $(wildcard rfsm/*.lua compat/rfsm/*.lua)
+INNER    := $(wildcard rfsm/*.lua)
 DEEPER   := $(wildcard rfsm/*/*.lua)
 PAGE     := rfsm/web/page.html
 NAMES    := $(notdir $(OUTER)) $(addprefix rfsm/,$(notdir $(INNER))) $(DEEPER)

@@ -3195,8 +3195,8 @@ end })
 
 -- Finds flat names (rfsm_emem for rfsm.emem) in the folder compat/ beside this file.
 local function find_old_name(name)
-  if name:sub(1, 4) ~= "rfsm" then return nil end
-  local file = "compat/" .. name:gsub("%.", "/") .. ".lua"
+  if not name:find("^rfsm[%w_]+$") then return nil end
+  local file = "compat/" .. name .. ".lua"
   for folder in rawget(_G, "package").path:gmatch("([^;]*)%?%.lua") do
     local chunk = loadfile(folder .. file)
     if chunk then return chunk, folder .. file end

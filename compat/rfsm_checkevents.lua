@@ -1,1 +1,1 @@
-return require("rfsm_checks").watch_all()
+return require("rfsm.checkevents")

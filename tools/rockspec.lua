@@ -46,7 +46,7 @@ if version then
   io.write(text)
 else
   replace("modules = %b{}", "modules = " .. list("    ",
-    "*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua compat/rfsm/*.lua", module_of))
+    "*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua", module_of))
   replace("bin = %b{}", "bin = " .. list("      ", "tools/rfsm*",
     function(found) return found:match("[^/]*$") end))
   file = assert(io.open(DEV, "w"))

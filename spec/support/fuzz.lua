@@ -19,7 +19,7 @@ local function names_of_all()
   local pipe = assert(io.popen("ls rfsm?*.lua rfsm/*.lua"))
   local names = pipe:read("*a"):gsub("%.lua", ""):gsub("/", ".")
   pipe:close()
-  return names .. " rfsm.checkevents"
+  return names
 end
 
 local function load_modules(names)

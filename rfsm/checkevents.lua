@@ -1,0 +1,1 @@
+return require("rfsm_checks").watch_all()
