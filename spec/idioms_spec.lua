@@ -327,21 +327,3 @@ describe("a field of a live machine", function()
     assert.equal("root.a root.c.initial", fsm[2].src._fqn .. " " .. fsm[2].tgt._fqn)
   end)
 end)
-
-describe("the file rfsm.lua", function()
-  local READ = [[
-local file = assert(io.open("rfsm.lua"))
-local text = file:read("*a")
-file:close()
-assert((loadstring or load)(text, "embedded"))()]]
-
-  for what, loader in pairs { -- any order: two specs
-    ["as a text"] = READ, ["by dofile"] = [[dofile "rfsm.lua"]],
-  } do
-    it("run " .. what .. " is the global and the module rfsm", function()
-      assert.equal("table true true", helper.output_of(loader .. [[
-        print(("%s %s %s"):format(type(rawget(_G, "rfsm")),
-          tostring(package.loaded.rfsm == rfsm), tostring(require("rfsm") == rfsm)))]]))
-    end)
-  end
-end)

@@ -389,30 +389,6 @@ describe("a machine", function()
     assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
   end)
 
-  it("runs in a sandbox without require, loadfile, debug and package", function()
-    assert.equal("root.b 1", helper.output_of([[
-      local file = assert(io.open("rfsm.lua"))
-      local text = file:read("*a")
-      file:close()
-      local load = loadstring or load
-      require, loadfile, dofile, debug, package, io, os = nil
-      local rfsm = load(text, "=rfsm")()
-      local fsm = rfsm.init(rfsm.state {
-        info = false, warn = false, a = rfsm.state {}, b = rfsm.state {},
-        rfsm.trans { src = "initial", tgt = "a" },
-        rfsm.trans { src = "a", tgt = "b", events = "e" },
-      })
-      local count = 0
-      fsm.err = function() count = count + 1 end
-      fsm.b.entry = function() error("on purpose") end
-      rfsm.run(fsm)
-      rfsm.send_events(fsm, "e")
-      rfsm.run(fsm)
-      print(rfsm.get_actleaf_fqn(fsm) .. " " .. count)
-    ]]))
-    helper.remove_files()
-  end)
-
   it("is made in a time that grows with the mounts of one template", function()
     local function instructions(count)
       local template = state { x = state {}, trans { src = "initial", tgt = "x" } }
