@@ -212,15 +212,6 @@ describe("FIX queue:", function()
     end)
   end
 
-  it("init does not copy events", function()
-    local event = {}
-    local fsm = started {
-      b = state {}, trans { src = "a", tgt = "b", events = { event } },
-    }
-    assert.equal("root.a", leaf_after(fsm, {}))
-    assert.equal("root.b", leaf_after(fsm, event))
-  end)
-
   it("is kept when there is no path from root.initial", function()
     local is_open = false
     local model = state { a = state {},

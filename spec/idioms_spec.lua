@@ -162,18 +162,6 @@ describe("a preproc function", function()
     assert.same({ "root", "root.a", "own", "root.c", "root.c.x" }, trace)
   end)
 
-  it("finds in _otrs the transitions that leave a node, if any", function()
-    local counts = {}
-    with_preproc(function(fsm)
-      rfsm.mapfsm(function(node)
-        counts[#counts + 1] = node._id .. #node._otrs
-        for _, tr in ipairs(node._otrs) do assert.equal(node, tr.src) end
-      end, fsm, rfsm.is_node)
-    end, function() return helper.init(model()) end)
-    assert.equal("a1 c1 initial1 initial1 k1 root0 x1 y0",
-      table.concat(sorted(counts), " "))
-  end)
-
   it("rewrites events and wraps guards", function()
     local asked = 0
     local fsm = with_preproc(function(fsm)
