@@ -212,15 +212,6 @@ describe("FIX queue:", function()
     end)
   end
 
-  it("init does not copy events", function()
-    local event = {}
-    local fsm = started {
-      b = state {}, trans { src = "a", tgt = "b", events = { event } },
-    }
-    assert.equal("root.a", leaf_after(fsm, {}))
-    assert.equal("root.b", leaf_after(fsm, event))
-  end)
-
   it("is kept when there is no path from root.initial", function()
     local is_open = false
     local model = state { a = state {},
@@ -351,9 +342,11 @@ describe("FIX copying:", function()
     local function marked(element)
       for name in ([[id fqn parent mode actchild doo_co otrs is_leaf sources choices
         ignored by_event by_any done_event search way entry_hooks exit_hooks lca entries
-        run rank is_simple initialized nodes]]):gmatch("%S+") do
+        run rank is_simple initialized nodes fsm at intq leaf index def plan_ mine]])
+        :gmatch("%S+") do
         element["_" .. name] = { "the user's" }
       end
+      element["%data"] = 1
       return element
     end
     local trace, fsm = helper.traced(marked(state {
@@ -365,6 +358,11 @@ describe("FIX copying:", function()
     assert.same({ "effect root.initial->root.a", "entry root.a",
       "exit root.a", "effect root.a->root.k", "effect root.k->root.b", "entry root.b" },
       trace)
+    for _, part in ipairs { fsm.a, fsm[2] } do
+      for name in ("_index _def _plan_ _run _lca _leaf _choices _entries _mine")
+        :gmatch("%S+") do assert.same({ "the user's" }, part[name]) end
+      assert.equal(1, part["%data"])
+    end
   end)
 
   it("init of an initialised fsm gives a fresh instance of its model", function()

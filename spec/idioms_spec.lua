@@ -162,18 +162,6 @@ describe("a preproc function", function()
     assert.same({ "root", "root.a", "own", "root.c", "root.c.x" }, trace)
   end)
 
-  it("finds in _otrs the transitions that leave a node, if any", function()
-    local counts = {}
-    with_preproc(function(fsm)
-      rfsm.mapfsm(function(node)
-        counts[#counts + 1] = node._id .. #node._otrs
-        for _, tr in ipairs(node._otrs) do assert.equal(node, tr.src) end
-      end, fsm, rfsm.is_node)
-    end, function() return helper.init(model()) end)
-    assert.equal("a1 c1 initial1 initial1 k1 root0 x1 y0",
-      table.concat(sorted(counts), " "))
-  end)
-
   it("rewrites events and wraps guards", function()
     local asked = 0
     local fsm = with_preproc(function(fsm)
@@ -326,22 +314,4 @@ describe("a field of a live machine", function()
     assert.equal("e_in", table.concat(fsm[2].events, ","))
     assert.equal("root.a root.c.initial", fsm[2].src._fqn .. " " .. fsm[2].tgt._fqn)
   end)
-end)
-
-describe("the file rfsm.lua", function()
-  local READ = [[
-local file = assert(io.open("rfsm.lua"))
-local text = file:read("*a")
-file:close()
-assert((loadstring or load)(text, "embedded"))()]]
-
-  for what, loader in pairs { -- any order: two specs
-    ["as a text"] = READ, ["by dofile"] = [[dofile "rfsm.lua"]],
-  } do
-    it("run " .. what .. " is the global and the module rfsm", function()
-      assert.equal("table true true", helper.output_of(loader .. [[
-        print(("%s %s %s"):format(type(rawget(_G, "rfsm")),
-          tostring(package.loaded.rfsm == rfsm), tostring(require("rfsm") == rfsm)))]]))
-    end)
-  end
 end)

@@ -588,34 +588,12 @@ describe("a machine that shares a plan", function()
     assert.equal("root.c", leaf_after(fsm, "e_b"))
   end)
 
-  it("goes on with a transition whose callback asks what others would do", function()
-    local trace, fsm = {}, second()
-    fsm[2].effect = function()
-      fsm.b.entry = noting(trace, "new entry")
-      rfsm.node_find_enabled(fsm, fsm.a, { "e_b" })
-    end
-    assert.equal("root.b", leaf_after(fsm, "e_b"))
-    assert.same({ "new entry" }, trace)
-  end)
-
   it("names the root alone while a leaf is left", function()
     local conf
     helper.post_and_run(second { a = state { exit = function(fsm)
       conf = rfsm.get_active_conf(fsm)
     end } }, "e_b")
     assert.same({ "root" }, conf)
-  end)
-
-  it("is entered anew when a step hook makes its leaf inactive", function()
-    for _, dbg in ipairs { false, function() end } do
-      local fsm = second()
-      fsm.dbg = dbg
-      fsm.pre_step_hook = function()
-        fsm.pre_step_hook = nil
-        rfsm.set_sta_mode(fsm.a, "inactive")
-      end
-      assert.equal("root.a", leaf_after(fsm, "e_b"))
-    end
   end)
 
   it("lists what leaves a node as it is now", function()
@@ -679,24 +657,6 @@ describe("a machine that shares a plan", function()
     rfsm.send_events(fsm, "e_b")
     rfsm.step(fsm)
     assert.same({ "STATE_ENTER root.m", "STATE_ENTER root.m.x" }, lines)
-  end)
-
-  it("keeps the user's data whatever its name is", function()
-    local function marked(element)
-      for name in ("_index _def _plan_ %data _run _lca _leaf _choices _entries _mine")
-        :gmatch("%S+") do element[name] = name end
-      element._fsm, element._at, element._intq = 1, 2, 3
-      return element
-    end
-    local fsm = second(marked { a = marked(state {}), [2] = marked(to_b {}) })
-    assert.equal("root.b", leaf_after(fsm, "e_b"))
-    for _, part in ipairs { fsm.a, fsm[2] } do
-      local values = { part._index, part._def, part._plan_, part["%data"], part._run,
-        part._lca, part._leaf, part._choices, part._entries, part._mine }
-      assert.equal("_index _def _plan_ %data _run _lca _leaf _choices _entries _mine",
-        table.concat(values, " "))
-    end
-    assert.equal("_index _def", fsm._index .. " " .. fsm._def)
   end)
 
   it("puts no state into itself, no NaN, nothing into a state of others", function()

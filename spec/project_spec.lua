@@ -205,16 +205,6 @@ local function promised(block)
   return lines
 end
 
-describe("an example", function()
-  for _, file in ipairs(files("examples/*.lua")) do
-    it(file .. " loads and has no problem", function()
-      local model = rfsm.load(file)
-      model.info, model.warn = false, false
-      helper.printed(function() assert.is_table((rfsm.init(model))) end) -- of regions
-    end)
-  end
-end)
-
 -- The anchors of a document, as GitHub makes them of its headings.
 local function anchors(file)
   local set = {}
