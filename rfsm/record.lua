@@ -4,7 +4,7 @@
 -- results of guards, and what followed: the events that the machine sent itself, its
 -- leaf, the data that its chart keeps. `replay` runs a machine through that, with the
 -- user's callbacks or, `dry`, without them. A recording is a list of records, in a file
--- one line of JSON each; only files need the package dkjson.
+-- one line of JSON each; only files and specs need the package dkjson.
 --
 -- A machine in a sequential AND state has records of its own, before that of the
 -- iteration around them.
@@ -68,15 +68,21 @@ local KEY_ORDER = {
   "sent", "leaf", "done", "kept",
 }
 
+-- Returns a record as a line of JSON.
+local function encode(rec)
+  local dkjson = opts.need("rfsm.record", "dkjson", "lua-dkjson")
+  return dkjson.encode(rec, { keyorder = KEY_ORDER })
+end
+
 -- Returns a function that appends a record to the sink.
 local function writer_to(sink)
   if type(sink) == "function" then return sink end
   if type(sink) == "table" and type(sink.write) ~= "function" then
     return function(rec) sink[#sink + 1] = rec end
   end
-  local encode = opts.need("rfsm.record", "dkjson", "lua-dkjson").encode
+  opts.need("rfsm.record", "dkjson", "lua-dkjson")
   return function(rec)
-    sink:write(encode(rec, { keyorder = KEY_ORDER }), "\n")
+    sink:write(encode(rec), "\n")
     if sink.flush then sink:flush() end
   end
 end
@@ -293,40 +299,19 @@ function record.read(file)
   return ok and recording or error(("rfsm.record: %s: %s"):format(file, recording), 0)
 end
 
-local literal
-
--- Returns a table of plain data as Lua: the list, then its keys, sorted.
-local function table_literal(t)
-  local texts = {}
-  for i = 1, #t do texts[i] = literal(t[i]) end
-  local function is_name(_, key) return type(key) == "string" end
-  for _, key in ipairs(rfsm.sorted_keys(t, is_name)) do
-    local name = key:find("^%l+$") and key ~= "end" and key or ("[%q]"):format(key)
-    texts[#texts + 1] = name .. " = " .. literal(t[key])
-  end
-  return texts[1] and "{ " .. concat(texts, ", ") .. " }" or "{}"
-end
-
-function literal(value)
-  if type(value) == "table" then return table_literal(value) end
-  if type(value) == "string" then return (("%q"):format(value):gsub("\n", "n")) end
-  return text_of(value)
-end
-
 local SPEC = [[
 -- Made from a recording.
 
+local json = require "rfsm.json"
 local record = require "rfsm.record"
 local rfsm = require "rfsm"
 require "rfsm_timeevent"
 require "rfsm.await"
 
-local FILE = %s
+local FILE = %q
 
--- Each comment: the iteration, its events, and the active leaf then.
-local RECORDING = {
-%s
-}
+-- A line for each iteration: its events, what followed, and the active leaf then.
+local RECORDING = json.decode_all %s
 
 describe(FILE, function()
   it("takes the steps that were recorded", function()
@@ -347,18 +332,12 @@ function record.to_spec(recording, options)
   if type(recording) == "string" then recording = record.read(recording) end
   local header = check_recording(recording)
   if type(header) == "string" then error(header, 0) end
-  local chart, lines, count = options.chart or header.file, {}, 0
+  local chart, lines, mark = options.chart or header.file, {}, "="
   if not chart then error("rfsm.record.to_spec: the file of the chart expected", 2) end
-  for i, rec in ipairs(recording) do
-    lines[i] = "  " .. literal(rec) .. ","
-    if i > 1 and not rec.m then
-      count = count + 1
-      local events = tracks.list_text(rec.events):gsub("[%c]", " ")
-      lines[i] = ("%s -- %d: %s -> %s"):format(lines[i], count, events,
-        tracks.place_text(rec.leaf, rec.done))
-    end
-  end
-  return SPEC:format(literal(chart), concat(lines, "\n"),
+  for i, rec in ipairs(recording) do lines[i] = encode(rec) end
+  local text = concat(lines, "\n")
+  while text:find("]" .. mark .. "]", 1, true) do mark = mark .. "=" end
+  return SPEC:format(chart, ("[%s[\n%s\n]%s]"):format(mark, text, mark),
     text_of(options.dry and true or false))
 end
 

@@ -193,9 +193,10 @@ end
 
 -- Notes the targets that programs have set.
 local function take_targets(fsm, snap)
-  local first, nodes, list = chart_of(fsm).targets, fsm._nodes, nil
-  for i = 1, #first do
-    local tr = fsm._transitions[i]
+  local first, nodes, transitions = chart_of(fsm).targets, fsm._nodes, fsm._transitions
+  local list = nil
+  for i = 1, #transitions do
+    local tr = transitions[i]
     if tr.tgt ~= nodes[first[i]] then
       list = list or {}
       local n = #list
@@ -208,13 +209,13 @@ end
 local take
 
 local function take_extensions(fsm, snap, path)
-  local how = {}
-  function how.take(region)
+  local hooks = fsm._snapshot_hooks
+  local how = hooks and { take = function(region)
     local inner = take(region, path.base + 5)
     if inner then path.packed[inner] = true end
     return inner
-  end
-  for _, hook in ipairs(fsm._snapshot_hooks or {}) do
+  end }
+  for _, hook in ipairs(hooks or {}) do
     local value = hook.save(fsm, how)
     path.owner = hook.name
     if value ~= nil then
