@@ -2349,28 +2349,29 @@ local function report_lines(fsm, name, list)
   end
 end
 
--- Does a transition lead out of a composite from inside of it?
-local function is_left_inside(plan, composite)
-  local function is_in(def)
-    while def.depth > composite.depth do def = def.parent end
-    return def == composite
-  end
+-- Returns the set of the composites that a transition leaves from inside.
+local function left_composites(plan)
+  local left = {}
   for _, def in ipairs(plan.transitions) do
-    if is_in(def.src) and not is_in(def.tgt) then return true end
+    local composite, tgt = def.src.parent, def.tgt
+    while tgt.depth > composite.depth do tgt = tgt.parent end
+    while composite ~= tgt do
+      left[composite], composite = true, composite.parent
+      if tgt.depth > composite.depth then tgt = tgt.parent end
+    end
   end
-  return false
+  return left
 end
 
 -- Warns of the nodes, from number `first` on, that nothing leaves.
 local function report_dead_ends(fsm, first)
-  local plan, dead = fsm._plan, {}
+  local plan, dead, left = fsm._plan, {}, nil
   for i = first, #plan.nodes do
     local def = plan.nodes[i]
-    local is_composite = def.kind == "state" and not def.is_leaf
-    if not (def.otrs[1] or def.model.final or def.parent == def
-      or is_composite and is_left_inside(plan, def)) then
+    if not (def.otrs[1] or def.model.final or def.parent == def) then
+      left = left or left_composites(plan)
       local line = "no outgoing transitions from node '" .. def.fqn .. "'"
-      dead[#dead + 1] = { line = line }
+      dead[#dead + 1] = not left[def] and { line = line } or nil
     end
   end
   report_lines(fsm, "warn", dead)

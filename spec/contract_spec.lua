@@ -395,8 +395,10 @@ end)
 
 describe("FIX fsm_merge:", function()
   local function merged(parent, obj, id)
-    local fsm = started { err = false, m = state { x = state {} } }
-    return fsm, rfsm.fsm_merge(fsm, parent and fsm[parent] or fsm, obj, id)
+    local fsm = started { m = state { x = state {} } }
+    local told = helper.said(fsm, "err")
+    local ok, reason = rfsm.fsm_merge(fsm, parent and fsm[parent] or fsm, obj, id)
+    return fsm, ok, reason, told
   end
 
   it("adds leaves, connectors and transitions in their place of the order", function()
@@ -414,7 +416,7 @@ describe("FIX fsm_merge:", function()
     assert.equal("root.new.y", leaf_after(fsm, "e"))
   end)
 
-  it("changes nothing when it cannot, and says why", function()
+  it("changes nothing when it cannot, and says why, to err as well", function()
     for text, arguments in pairs { -- any order: each stands alone
       ["the model has 1 problem\n  root.trans[2] (a -> nowhere): tgt 'nowhere': no "
         .. "state or connector is named 'nowhere' in 'root' (there are 'a', 'initial', "
@@ -424,8 +426,9 @@ describe("FIX fsm_merge:", function()
       ["state, transition or connector expected, got table"] = { nil, {}, "x" },
       ["'root.a' is an active leaf state"] = { "a", state {}, "x" },
     } do
-      local fsm, ok, reason = merged(arguments[1], arguments[2], arguments[3])
+      local fsm, ok, reason, told = merged(arguments[1], arguments[2], arguments[3])
       assert.is_false(ok)
+      assert.same({ reason }, told)
       assert.equal("rfsm.fsm_merge: " .. text, helper.without_file(reason))
       assert.same({}, { fsm[2], fsm.x, fsm.a.x })
     end

@@ -443,6 +443,7 @@ function TaskContext.addPort(component, port, name, desc)
 end
 
 function TaskContext.addEventPort(component, port, name, desc)
+  if getmetatable(port) ~= InputPort then error("addEventPort: no InputPort", 2) end
   TaskContext.addPort(component, port, name, desc)
   port.is_event = true
 end
