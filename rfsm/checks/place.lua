@@ -47,6 +47,15 @@ function place.line(fsm, node)
   return line
 end
 
+--- List the nodes whose transitions are tried in a leaf, in order; false: the way in.
+---@param fsm rfsm.Machine
+---@param leaf rfsm.State|false
+---@return table[] nodes
+function place.tried(fsm, leaf)
+  if leaf then return place.line(fsm, leaf) end
+  return { rfsm.is_composite(fsm) and fsm.initial or nil }
+end
+
 --- List the machines inside a state, its regions, sorted by name.
 ---@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions

@@ -75,8 +75,7 @@ end
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, sets = {} }
-  local seen, nodes = {}, { rfsm.is_composite(fsm) and fsm.initial or nil }
-  if leaf then nodes = place.line(fsm, leaf) end
+  local seen, nodes = {}, place.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do
     add_reactions(found, nodes[i], seen)

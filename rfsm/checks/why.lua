@@ -132,16 +132,10 @@ function ask_connector(search, connector)
   return found, ways
 end
 
--- Returns the nodes whose transitions are tried, in order.
-local function nodes_of(fsm)
-  if fsm._act_leaf then return place.line(fsm, fsm._act_leaf) end
-  return { rfsm.is_composite(fsm) and fsm.initial or nil }
-end
-
 local function answers_of(fsm, events)
   local search, answers, winner = { events = events, found = {} }, {}, false
   search.is_mute = fsm._act_leaf and events[1] == nil
-  for _, node in ipairs(nodes_of(fsm)) do
+  for _, node in ipairs(place.tried(fsm, fsm._act_leaf)) do
     for _, tr in ipairs(node._otrs) do
       local answer = ask(search, tr)
       if answer.verdict == "enabled" and winner then
