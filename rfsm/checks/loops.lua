@@ -79,8 +79,7 @@ local function find_cycle(fsm, start)
 end
 
 --- Find cycles on which a machine never becomes idle.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function loops.check(fsm, add)
   local reached, is_told = structure.reached(fsm), {}
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do

@@ -140,8 +140,7 @@ local function check_conflicts(tr, add)
 end
 
 --- Find what is wrong with the order of transitions.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function order.check(fsm, add)
   local reached = structure.reached(fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do

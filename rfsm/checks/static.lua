@@ -25,6 +25,10 @@ local static = {}
 ---@field text string one sentence
 ---@field hint string how to mend it
 
+--- A check: calls `add` for each finding about a machine.
+---@alias rfsm_checks.Add fun(code: string, obj: table, text: string)
+---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
+
 local CHECKS = {
   "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
   "rfsm.checks.loops", "rfsm.checks.names",
