@@ -14,7 +14,7 @@
 
 local rfsm = require "rfsm"
 local opts = require "rfsm.options"
-local evts = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
@@ -163,7 +163,7 @@ local function sets_of(list, most)
   local sets, last, at = { {} }, { 0 }, 1
   while sets[at] and #sets[at] < most do
     for i = last[at] + 1, #list do
-      sets[#sets + 1], last[#sets + 1] = evts.with(sets[at], list[i]), i
+      sets[#sets + 1], last[#sets + 1] = match.with(sets[at], list[i]), i
     end
     at = at + 1
   end
@@ -176,7 +176,7 @@ local function note_swallowed(walk, from, leaf, event)
   local fsm = walk.puppet.parts[1].fsm
   for _, node in ipairs(leaf and place.line(fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
-      if rfsm.is_conn(tr.tgt) and evts.names(tr, event) then
+      if rfsm.is_conn(tr.tgt) and match.names(tr, event) then
         local key = tr.tgt._fqn .. " " .. rfsm.text_of(event)
         walk.swallowed[key] = walk.swallowed[key] or { from = from, event = event,
           connector = tr.tgt, leaf = leaf, label = label_of(walk, { event }, {}, 0) }

@@ -5,7 +5,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local events = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
@@ -21,7 +21,7 @@ local function has_path(connector, seen)
   if seen[connector] then return false end
   seen[connector] = true
   for _, tr in ipairs(connector._otrs) do
-    if events.is_any(tr) and is_always_enabled(tr, seen) then return true end
+    if match.is_any(tr) and is_always_enabled(tr, seen) then return true end
   end
   return false
 end
@@ -37,7 +37,7 @@ local ANY = {} -- stands for each event of a transition that has none
 -- Does the event enable `tr`, as far as names tell? Predicates may accept anything, but
 -- nobody can rely on it.
 local function is_enabled_by(tr, event)
-  return events.is_any(tr) or type(event) ~= "function" and events.names(tr, event)
+  return match.is_any(tr) or type(event) ~= "function" and match.names(tr, event)
 end
 
 -- Returns a transition that is tried before `tr`, from its source or a composite that
@@ -57,7 +57,7 @@ end
 -- an event is left to it.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
-  for _, event in ipairs(events.is_any(tr) and { ANY } or tr.events) do
+  for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
     local shadow = find_shadow(fsm, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end
@@ -103,9 +103,9 @@ end
 ---@param list any[]
 ---@return boolean
 function order.is_clash(tr, rival, list)
-  if is_conn(tr.src) then return events.may_enable(rival, list) end
+  if is_conn(tr.src) then return match.may_enable(rival, list) end
   for i = 1, #list do
-    if is_enabled_by(tr, list[i]) and events.may_enable(rival, { list[i] }) then
+    if is_enabled_by(tr, list[i]) and match.may_enable(rival, { list[i] }) then
       return true
     end
   end
@@ -114,8 +114,8 @@ end
 
 -- Returns an event that enables both, as a text.
 local function shared_event(tr, other)
-  if events.is_any(tr) and events.is_any(other) then return "any event" end
-  for _, event in ipairs(events.is_any(tr) and other.events or tr.events) do
+  if match.is_any(tr) and match.is_any(other) then return "any event" end
+  for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do
     if type(event) ~= "function" and is_enabled_by(other, event) then
       return rfsm.text_of(event)
     end

@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local events = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 
 local ipairs, type = ipairs, type
 local concat = table.concat
@@ -18,7 +18,7 @@ local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
 -- Returns what a transition lets pass of an event, or of any.
 local function passing(tr, event)
-  if events.is_any(tr) or events.names(tr, event) then return { event } end
+  if match.is_any(tr) or match.names(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
@@ -47,7 +47,7 @@ end
 -- Is there a way on for this event that no guard can close?
 local function has_default(connector, event)
   for _, tr in ipairs(connector._otrs) do
-    if not tr.guard and (events.is_any(tr) or events.names(tr, event)) then
+    if not tr.guard and (match.is_any(tr) or match.names(tr, event)) then
       return true
     end
   end
