@@ -7,7 +7,8 @@
 
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+local error, ipairs, pcall = error, ipairs, pcall
+local rawequal, rawget, type = rawequal, rawget, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local match = {}
@@ -61,6 +62,18 @@ function match.may_enable(tr, list, seen)
     if match.may_enable(way, list, seen) then return true end
   end
   return false
+end
+
+--- Call a function of the chart; an interrupt such as Control-C is no failure of it.
+---@param f function
+---@return boolean ok
+---@return any answer
+function match.try(f, ...)
+  local ok, answer = pcall(f, ...)
+  if not ok and type(answer) == "string" and answer:find("interrupted!$") then
+    error(answer, 0)
+  end
+  return ok, answer
 end
 
 return match
