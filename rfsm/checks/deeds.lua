@@ -54,8 +54,6 @@ end
 
 --- Turn { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
 --- by name, with a number for each flag.
----@param self rfsm_checks.Puppet
----@param flags table
 function deeds.read_flags(self, flags)
   for number, name in ipairs(rfsm.sorted_keys(flags)) do
     self.flag_numbers[name], self.flags[number] = number, "-"

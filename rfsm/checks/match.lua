@@ -14,9 +14,6 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local match = {}
 
 --- Is the event in a list?
----@param list any[]
----@param event any
----@return boolean
 function match.has(list, event)
   for i = 1, #list do
     if rawequal(list[i], event) then return true end
@@ -25,9 +22,6 @@ function match.has(list, event)
 end
 
 --- Return a copy of a list with one event more.
----@param list any[]
----@param event any
----@return any[] longer
 function match.with(list, event)
   local longer = { unpack(list) }
   longer[#longer + 1] = event
@@ -35,14 +29,9 @@ function match.with(list, event)
 end
 
 --- Is the transition one on any event?
----@param tr rfsm.Transition
----@return boolean
 function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 
 --- Does the transition name the event? A predicate names none.
----@param tr rfsm.Transition
----@param event any
----@return boolean
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 
 --- Can the transition, and a path on from there, react to some events, as far as names
@@ -65,9 +54,6 @@ function match.may_enable(tr, list, seen)
 end
 
 --- Call a function of the chart; an interrupt such as Control-C is no failure of it.
----@param f function
----@return boolean ok
----@return any answer
 function match.try(f, ...)
   local ok, answer = pcall(f, ...)
   if not ok and type(answer) == "string" and answer:find("interrupted!$") then

@@ -85,8 +85,6 @@ end
 
 --- List the transitions behind `tr` that only their position keeps from being taken
 --- before it.
----@param tr rfsm.Transition
----@return rfsm.Transition[] rivals
 function order.rivals_of(tr)
   local rivals, is_behind = {}, false
   for _, other in ipairs(tr.src._otrs) do
@@ -98,10 +96,6 @@ end
 
 --- Is a rival enabled where `tr` was taken: in a connector by all events of a step, in
 --- a state by one of them that enables both?
----@param tr rfsm.Transition
----@param rival rfsm.Transition
----@param list any[]
----@return boolean
 function order.is_clash(tr, rival, list)
   if is_conn(tr.src) then return match.may_enable(rival, list) end
   for i = 1, #list do
@@ -123,9 +117,6 @@ local function shared_event(tr, other)
 end
 
 --- Return the text of a conflict.
----@param other rfsm.Transition
----@param event string|nil
----@return string text
 function order.conflict_text(other, event)
   return ("enabled together with %s%s, and of the same pn"):format(
     rfsm.location_of(other), event and " on " .. event or "")

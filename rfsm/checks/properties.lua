@@ -226,8 +226,6 @@ function properties.watch(walk, given)
 end
 
 --- Judge properties when the walk is over.
----@param walk rfsm_checks.Walk
----@param list rfsm_checks.Judged[]
 function properties.judge(walk, list)
   for _, judged in ipairs(list) do
     local kind, what = judged.property.kind, judged.property.what

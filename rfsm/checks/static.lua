@@ -57,9 +57,6 @@ local function check_silences(obj, add)
 end
 
 --- Does an element expect the findings of a code, with a reason?
----@param obj table
----@param code string
----@return boolean
 function static.is_silenced(obj, code)
   local reason = silences_of(obj)[code]
   return type(reason) == "string" and reason:find("%S") ~= nil
@@ -116,10 +113,6 @@ local PRINTERS = { "dbg", "info", "warn", "err" }
 
 --- Make a machine that prints nothing but its warnings, with `warn`. It is made of the
 --- model itself, because transitions may name its root.
----@param model rfsm.State
----@param warn function|false
----@return rfsm.Machine|false fsm
----@return string[]? problems
 function static.init(model, warn)
   local own = {}
   for _, name in ipairs(PRINTERS) do
@@ -212,8 +205,6 @@ end
 
 --- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a
 --- model have no code: nothing can silence them.
----@param finding rfsm_checks.Finding
----@return string line
 function static.line(finding)
   local code = finding.code ~= "invalid" and " [" .. finding.code .. "]" or ""
   return finding.file .. finding.place .. ": " .. finding.text .. code
