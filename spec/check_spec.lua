@@ -67,16 +67,6 @@ describe("a reference", function()
 end)
 
 describe("a name", function()
-  it("may be that of a field of the root deeper down", function()
-    assert.is_table((rfsm.init(chart { m = state { err = state {} } })))
-  end)
-
-  it("is as its author likes otherwise", function()
-    assert.is_table((rfsm.init(chart {
-      ["a b"] = state {}, ["end"] = state {}, type = state {}, root = state {},
-    })))
-  end)
-
   it("of a transition is none of the engine's, and no field of a state", function()
     local tr = { src = "root.a", tgt = "root.a", events = { "e" } }
     assert.same({
@@ -88,40 +78,35 @@ describe("a name", function()
   end)
 end)
 
-describe("a callback", function()
-  it("may be anything that can be called", function()
-    local callable = setmetatable({}, { __call = noop })
-    assert.is_table((rfsm.init(chart { b = state { entry = callable } })))
-  end)
+describe("nothing is wrong", function()
+  local function to_x(fields)
+    fields.src, fields.tgt = "initial", "x"
+    return trans(fields)
+  end
 
-  it("that is false counts as absent, and so do events, pn, hooks", function()
-    assert.same({}, warnings_of(chart {
+  local CASES = {
+    ["a name of a field of the root deeper down"] = { m = state { err = state {} } },
+    ["names as their author likes"] = {
+      ["a b"] = state {}, ["end"] = state {}, type = state {}, root = state {} },
+    ["a callback that can be called"] = {
+      b = state { entry = setmetatable({}, { __call = noop }) } },
+    ["false, which counts as absent"] = {
       b = state { entry = false, exit = false, doo = false },
-      m = state { x = state {}, doo = false, trans { src = "initial", tgt = "x" } },
+      m = state { x = state {}, doo = false, to_x {} },
       [2] = trans { src = "a", tgt = "b", guard = false, effect = false, pn = false,
         events = false },
       getevents = false, idle_hook = false, pre_step_hook = false,
-      post_step_hook = false, dbg = false,
-    }))
-  end)
-end)
-
-describe("a warning", function()
-  it("is not given when one initial transition is always open", function()
-    assert.same({}, warnings_of(chart {
-      m = state {
-        x = state {},
-        trans { src = "initial", tgt = "x", guard = noop, pn = 1 },
-        trans { src = "initial", tgt = "x" },
-      },
-    }))
-  end)
-
-  it("is not given for a field where the right one is, or is no function", function()
-    assert.same({}, warnings_of(chart {
-      b = state { entry = noop, enter = noop, exec = noop, edit = noop, exits = 1 },
-    }))
-  end)
+      post_step_hook = false, dbg = false },
+    ["initial transitions one of which is always open"] = {
+      m = state { x = state {}, to_x { guard = noop, pn = 1 }, to_x {} } },
+    ["a field where the right one is, or that is no function"] = {
+      b = state { entry = noop, enter = noop, exec = noop, edit = noop, exits = 1 } },
+  }
+  for _, what in ipairs(rfsm.sorted_keys(CASES)) do
+    it("with " .. what, function()
+      assert.same({}, warnings_of(chart(CASES[what])))
+    end)
+  end
 end)
 
 describe("init", function()
@@ -198,12 +183,9 @@ describe("init", function()
   end)
 
   it("counts what a preproc function finds among the problems", function()
-    local function finds() return { "root.a: not to my taste" } end
-    table.insert(rfsm.preproc, finds)
-    local fsm, problems = rfsm.init(chart {})
-    table.remove(rfsm.preproc)
-    assert.is_false(fsm)
-    assert.same({ "root.a: not to my taste" }, problems)
+    helper.with_preproc(function() return { "root.a: not to my taste" } end, function()
+      assert.same({ "root.a: not to my taste" }, problems_of(chart {}))
+    end)
   end)
 
   it("does without hints where rfsm/advice.lua is missing, and says so", function()

@@ -112,8 +112,6 @@ local WARNINGS = {
 }
 
 --- Return the code of a warning of the core.
----@param text string
----@return string code
 function codes.of_warning(text)
   for _, pair in ipairs(WARNINGS) do
     if text:find(pair[1], 1, true) then return pair[2] end
@@ -122,8 +120,6 @@ function codes.of_warning(text)
 end
 
 --- Return the hint that a code was misspelt.
----@param code any
----@return string hint
 function codes.nearest(code)
   return type(code) == "string"
     and advice.nearest_name(code, rfsm.sorted_keys(codes.of)) or ""

@@ -155,7 +155,6 @@ function command.review(file, model, warnings, settings, options)
 end
 
 --- Return the table of all codes.
----@return string text
 function command.codes_text()
   local lines = {}
   for i, entry in ipairs(codes.list) do

@@ -7,15 +7,16 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local match = require "rfsm.checks.match"
 
-local error, ipairs, pcall, table = error, ipairs, pcall, table
+local error, ipairs, table = error, ipairs, table
 
 local deeds = {}
 
 -- Calls a callback once; returns the events that it sends to its machine.
 local function dry_run(fsm, callback, obj, what)
   local sent, first = {}, #fsm._intq + 1
-  pcall(callback, fsm, obj, what, {})
+  match.try(callback, fsm, obj, what, {})
   for i = first, #fsm._intq do sent[#sent + 1] = fsm._intq[i] end
   for i = #fsm._intq, first, -1 do fsm._intq[i] = nil end
   return sent
@@ -53,8 +54,6 @@ end
 
 --- Turn { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
 --- by name, with a number for each flag.
----@param self rfsm_checks.Puppet
----@param flags table
 function deeds.read_flags(self, flags)
   for number, name in ipairs(rfsm.sorted_keys(flags)) do
     self.flag_numbers[name], self.flags[number] = number, "-"

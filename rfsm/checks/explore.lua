@@ -13,15 +13,17 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local evts = require "rfsm.checks.events"
+local opts = require "rfsm.options"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 
-local error, ipairs, rawget, require = error, ipairs, rawget, require
+local assert, error, ipairs, math = assert, error, ipairs, math
+local rawget, require = rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
-local os_clock = rawget(_G, "os") and rawget(_G, "os").clock
+local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
 
 local explore = {}
 
@@ -161,7 +163,7 @@ local function sets_of(list, most)
   local sets, last, at = { {} }, { 0 }, 1
   while sets[at] and #sets[at] < most do
     for i = last[at] + 1, #list do
-      sets[#sets + 1], last[#sets + 1] = evts.with(sets[at], list[i]), i
+      sets[#sets + 1], last[#sets + 1] = match.with(sets[at], list[i]), i
     end
     at = at + 1
   end
@@ -174,7 +176,7 @@ local function note_swallowed(walk, from, leaf, event)
   local fsm = walk.puppet.parts[1].fsm
   for _, node in ipairs(leaf and place.line(fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
-      if rfsm.is_conn(tr.tgt) and evts.names(tr, event) then
+      if rfsm.is_conn(tr.tgt) and match.names(tr, event) then
         local key = tr.tgt._fqn .. " " .. rfsm.text_of(event)
         walk.swallowed[key] = walk.swallowed[key] or { from = from, event = event,
           connector = tr.tgt, leaf = leaf, label = label_of(walk, { event }, {}, 0) }
@@ -207,15 +209,13 @@ end
 local EVERY = 256 -- configurations between two looks at the clock
 
 local function find_bound(walk, options, at, began)
-  if #walk.keys > (options.configurations or 1e6) then return "configurations" end
-  if options.depth and walk.depths[at] >= options.depth then return "depth" end
-  if options.seconds and at % EVERY == 0 and os_clock() - began > options.seconds then
-    return "seconds"
-  end
+  if #walk.keys > options.configurations then return "configurations" end
+  if walk.depths[at] >= options.depth then return "depth" end
+  if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
 end
 
 local function walk_all(walk, options)
-  local at, seen, began = 1, {}, os_clock and os_clock() or 0
+  local at, seen, began = 1, {}, os_clock()
   while walk.keys[at] do
     local bound = find_bound(walk, options, at, began)
     if bound then
@@ -239,15 +239,20 @@ function Walk.look() end
 
 function Walk.add_wanted() end
 
-local function check_options(options)
-  for _, name in ipairs { "together", "configurations", "depth", "seconds" } do
-    local value = options[name]
-    if value ~= nil and (type(value) ~= "number" or value ~= value or value < 0) then
-      error(("rfsm_checks.explore: %s: number expected, got %s"):format(name,
-        type(value) == "number" and rfsm.text_of(value) or type(value)), 3)
-    end
-  end
-end
+local function is_number(x) return type(x) == "number" and x >= 0 end
+
+local function is_table(x) return type(x) == "table" end
+
+local function is_boolean(x) return type(x) == "boolean" end
+
+local KNOWN = {
+  together = { "number", is_number, 1 }, configurations = { "number", is_number, 1e6 },
+  depth = { "number", is_number, math.huge },
+  seconds = { "number", is_number, math.huge },
+  alphabet = { "list", is_table }, sends = { "table", is_table, {} },
+  dry_run = { "boolean", is_boolean, false }, flags = { "table", is_table, {} },
+  properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
+}
 
 --- Walk over the configurations of a model, without judging them.
 ---@param model rfsm.State
@@ -255,14 +260,15 @@ end
 ---@param prepare? fun(walk: rfsm_checks.Walk) called before it begins
 ---@return rfsm_checks.Walk walk
 function explore.walk(model, options, prepare)
-  local own = puppet.new(model, options)
-  local walk = setmetatable({ puppet = own, together = options.together or 1,
+  local settings = assert(opts.read(KNOWN, options))
+  local own = puppet.new(model, settings)
+  local walk = setmetatable({ puppet = own, together = settings.together,
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, clashes = {}, swallowed = {}, endless = nil, bound = nil,
     moves = {}, count = 0, expanded = 0 }, Walk)
   if prepare then prepare(walk) end
   find_configuration(walk, own:read(), 0, function() return "" end)
-  walk_all(walk, options)
+  walk_all(walk, settings)
   return walk
 end
 
@@ -315,12 +321,12 @@ end
 ---@param options? rfsm_checks.Options
 ---@return rfsm_checks.Exploration exploration
 function explore.explore(model, options)
-  options = options or {}
   if not rfsm.is_state(model) then
     error("rfsm_checks.explore: state expected, got " .. type(model), 2)
   end
-  check_options(options)
-  return require("rfsm.checks.verdict").of(model, options)
+  local settings, problem = opts.read(KNOWN, options or {})
+  if not settings then error("rfsm_checks.explore: " .. problem, 2) end
+  return require("rfsm.checks.verdict").of(model, settings)
 end
 
 return explore

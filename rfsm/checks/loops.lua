@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local events = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
@@ -16,7 +16,7 @@ local loops = {}
 
 -- Does the event trigger `tr`? Nil if a predicate decides.
 local function is_triggered(tr, event)
-  if events.is_any(tr) or events.names(tr, event) then return true end
+  if match.is_any(tr) or match.names(tr, event) then return true end
   for _, other in ipairs(tr.events) do
     if type(other) == "function" then return nil end
   end
@@ -79,8 +79,7 @@ local function find_cycle(fsm, start)
 end
 
 --- Find cycles on which a machine never becomes idle.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function loops.check(fsm, add)
   local reached, is_told = structure.reached(fsm), {}
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do

@@ -115,8 +115,7 @@ local function check_typos(fsm, add)
 end
 
 --- Find what is wrong with the events of transitions.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function names.check(fsm, add)
   local leaves = {}
   for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do

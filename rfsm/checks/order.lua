@@ -5,7 +5,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local events = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
@@ -21,7 +21,7 @@ local function has_path(connector, seen)
   if seen[connector] then return false end
   seen[connector] = true
   for _, tr in ipairs(connector._otrs) do
-    if events.is_any(tr) and is_always_enabled(tr, seen) then return true end
+    if match.is_any(tr) and is_always_enabled(tr, seen) then return true end
   end
   return false
 end
@@ -37,7 +37,7 @@ local ANY = {} -- stands for each event of a transition that has none
 -- Does the event enable `tr`, as far as names tell? Predicates may accept anything, but
 -- nobody can rely on it.
 local function is_enabled_by(tr, event)
-  return events.is_any(tr) or type(event) ~= "function" and events.names(tr, event)
+  return match.is_any(tr) or type(event) ~= "function" and match.names(tr, event)
 end
 
 -- Returns a transition that is tried before `tr`, from its source or a composite that
@@ -57,7 +57,7 @@ end
 -- an event is left to it.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
-  for _, event in ipairs(events.is_any(tr) and { ANY } or tr.events) do
+  for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
     local shadow = find_shadow(fsm, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end
@@ -85,8 +85,6 @@ end
 
 --- List the transitions behind `tr` that only their position keeps from being taken
 --- before it.
----@param tr rfsm.Transition
----@return rfsm.Transition[] rivals
 function order.rivals_of(tr)
   local rivals, is_behind = {}, false
   for _, other in ipairs(tr.src._otrs) do
@@ -98,14 +96,10 @@ end
 
 --- Is a rival enabled where `tr` was taken: in a connector by all events of a step, in
 --- a state by one of them that enables both?
----@param tr rfsm.Transition
----@param rival rfsm.Transition
----@param list any[]
----@return boolean
 function order.is_clash(tr, rival, list)
-  if is_conn(tr.src) then return events.may_enable(rival, list) end
+  if is_conn(tr.src) then return match.may_enable(rival, list) end
   for i = 1, #list do
-    if is_enabled_by(tr, list[i]) and events.may_enable(rival, { list[i] }) then
+    if is_enabled_by(tr, list[i]) and match.may_enable(rival, { list[i] }) then
       return true
     end
   end
@@ -114,8 +108,8 @@ end
 
 -- Returns an event that enables both, as a text.
 local function shared_event(tr, other)
-  if events.is_any(tr) and events.is_any(other) then return "any event" end
-  for _, event in ipairs(events.is_any(tr) and other.events or tr.events) do
+  if match.is_any(tr) and match.is_any(other) then return "any event" end
+  for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do
     if type(event) ~= "function" and is_enabled_by(other, event) then
       return rfsm.text_of(event)
     end
@@ -123,9 +117,6 @@ local function shared_event(tr, other)
 end
 
 --- Return the text of a conflict.
----@param other rfsm.Transition
----@param event string|nil
----@return string text
 function order.conflict_text(other, event)
   return ("enabled together with %s%s, and of the same pn"):format(
     rfsm.location_of(other), event and " on " .. event or "")
@@ -140,8 +131,7 @@ local function check_conflicts(tr, add)
 end
 
 --- Find what is wrong with the order of transitions.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function order.check(fsm, add)
   local reached = structure.reached(fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do

@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local events = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 
 local ipairs, type = ipairs, type
 local concat = table.concat
@@ -16,37 +16,30 @@ local paths = {}
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
--- Notes that an event comes to a node; a predicate says nothing of what comes.
-local function arrive(arrivals, pending, node, event)
-  if not is_conn(node) or type(event) == "function" then return end
-  local list = arrivals[node] or {}
-  arrivals[node] = list
-  if list[event] then return end
-  list[event], list[#list + 1] = true, event
-  pending[#pending + 1] = { node, event }
+-- Returns what a transition lets pass of an event, or of any.
+local function passing(tr, event)
+  if match.is_any(tr) or match.names(tr, event) then return { event } end
+  return event == ANY and tr.events or {}
 end
 
-local function arrive_by(arrivals, pending, tr, event)
-  if events.is_any(tr) then
-    arrive(arrivals, pending, tr.tgt, event)
-  elseif event == ANY then
-    for _, own in ipairs(tr.events) do arrive(arrivals, pending, tr.tgt, own) end
-  elseif events.names(tr, event) then
-    arrive(arrivals, pending, tr.tgt, event)
+-- Notes the connectors to which a transition leads an event that comes to its source; a
+-- predicate says nothing of what comes.
+local function arrive(arrivals, tr, event)
+  for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
+    local list = arrivals[tr.tgt] or {}
+    if not list[own] and type(own) ~= "function" then
+      arrivals[tr.tgt], list[own], list[#list + 1] = list, true, own
+      for _, way in ipairs(tr.tgt._otrs) do arrive(arrivals, way, own) end
+    end
   end
 end
 
 -- Returns for each connector the events that can lead to it, one at a time.
 local function arrivals_of(fsm)
-  local arrivals, pending = {}, {}
-  if fsm.initial then arrive(arrivals, pending, fsm.initial, "e_init_fsm") end
+  local arrivals = {}
+  arrive(arrivals, { tgt = fsm.initial }, "e_init_fsm")
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    if not is_conn(tr.src) then arrive_by(arrivals, pending, tr, ANY) end
-  end
-  while pending[1] do
-    local node, event = pending[#pending][1], pending[#pending][2]
-    pending[#pending] = nil
-    for _, tr in ipairs(node._otrs) do arrive_by(arrivals, pending, tr, event) end
+    if not is_conn(tr.src) then arrive(arrivals, tr, ANY) end
   end
   return arrivals
 end
@@ -54,7 +47,7 @@ end
 -- Is there a way on for this event that no guard can close?
 local function has_default(connector, event)
   for _, tr in ipairs(connector._otrs) do
-    if not tr.guard and (events.is_any(tr) or events.names(tr, event)) then
+    if not tr.guard and (match.is_any(tr) or match.names(tr, event)) then
       return true
     end
   end
@@ -96,8 +89,7 @@ local function find_cycle(start, node, seen)
 end
 
 --- Find what is wrong with connectors.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function paths.check(fsm, add)
   local arrivals, is_told = arrivals_of(fsm), {}
   for _, connector in ipairs(rfsm.elements(fsm, is_conn)) do

@@ -21,8 +21,6 @@ function place.split(text)
 end
 
 --- Return where an element stands in the model, without file and line.
----@param obj rfsm.State|rfsm.Transition|rfsm.Connector
----@return string place
 function place.of(obj)
   local _, rest = place.split(rfsm.location_of(obj))
   return rest
@@ -38,13 +36,16 @@ function place.path(obj, prefix)
 end
 
 --- List the nodes from a machine, or a part of one, down to one of its nodes.
----@param fsm rfsm.State
----@param node rfsm.State|rfsm.Connector
----@return table[] line
 function place.line(fsm, node)
   local line = { node }
   while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
   return line
+end
+
+--- List the nodes whose transitions are tried in a leaf, in order; false: the way in.
+function place.tried(fsm, leaf)
+  if leaf then return place.line(fsm, leaf) end
+  return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
 --- List the machines inside a state, its regions, sorted by name.
@@ -81,8 +82,6 @@ end
 ---@field leaf? rfsm.State where it is in that machine
 
 --- List a machine and those inside of it, each before those inside of its states.
----@param fsm rfsm.Machine
----@return rfsm_checks.Inner[] machines
 function place.machines(fsm)
   return add_machine({}, { fsm = fsm, prefix = nil, location = "" })
 end

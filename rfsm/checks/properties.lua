@@ -8,8 +8,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local evts = require "rfsm.checks.events"
 local graph = require "rfsm.checks.graph"
+local match = require "rfsm.checks.match"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, setmetatable, type = pcall, setmetatable, type
@@ -200,14 +200,14 @@ local function watch_events(walk, list)
   function walk.add_wanted(_, events)
     for _, judged in ipairs(afters) do
       local event = judged.property.what
-      if not evts.has(events, event) then events[#events + 1] = event end
+      if not match.has(events, event) then events[#events + 1] = event end
     end
   end
   function walk.look(_, from, tgt, events, label)
     if not walk.puppet.parts[1].stand.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
       local owed = walk.owed[judged]
-      if not owed[tgt] and evts.has(events, judged.property.what) then
+      if not owed[tgt] and match.has(events, judged.property.what) then
         owed[tgt] = { from = from, label = label() }
       end
     end
@@ -226,8 +226,6 @@ function properties.watch(walk, given)
 end
 
 --- Judge properties when the walk is over.
----@param walk rfsm_checks.Walk
----@param list rfsm_checks.Judged[]
 function properties.judge(walk, list)
   for _, judged in ipairs(list) do
     local kind, what = judged.property.kind, judged.property.what

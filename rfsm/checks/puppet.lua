@@ -25,7 +25,7 @@ local static = require "rfsm.checks.static"
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
-local concat, sort = table.concat, table.sort
+local concat, max, sort = table.concat, math.max, table.sort
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local puppet = {}
@@ -259,16 +259,16 @@ function Puppet:configuration(key)
   return conf
 end
 
--- Puts a machine where it is to stand, unless it is there, which is a step often.
+-- Puts a machine where it is to stand. It often is there, but for the queue.
 local function put_stand(part, stand)
   local fsm, leaf, waiting = part.fsm, stand.leaf, stand.waiting
+  local queue, mode = fsm._intq, (leaf or fsm)._mode
   part.stand, part.rounds = stand, 0
-  if rawequal(fsm._act_leaf, leaf) and (not leaf or leaf._mode == stand.mode)
-    and #waiting < 2 and fsm._intq[2] == nil and rawequal(fsm._intq[1], waiting[1])
-  then
-    return
+  if rawequal(fsm._act_leaf, leaf) and mode == stand.mode then
+    for i = 1, max(#queue, #waiting) do queue[i] = waiting[i] end
+  else
+    rfsm.place(fsm, leaf, stand.mode, { unpack(waiting) })
   end
-  rfsm.place(fsm, leaf, stand.mode, { unpack(waiting) })
 end
 
 --- Have the machines stand in a configuration.

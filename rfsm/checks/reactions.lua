@@ -5,7 +5,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local events = require "rfsm.checks.events"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
@@ -24,7 +24,7 @@ local reactions = {}
 local add_reactions
 
 local function add_reaction(found, tr, seen)
-  if events.is_any(tr) then found.any = true end
+  if match.is_any(tr) then found.any = true end
   for _, event in ipairs(tr.events or {}) do
     if type(event) == "function" then
       found.has_predicate, found.any = true, true
@@ -47,8 +47,8 @@ end
 local function extend(set, tr)
   local sets = {}
   for _, event in ipairs(tr.events or {}) do
-    if events.has(set, event) then return { set } end
-    if type(event) ~= "function" then sets[#sets + 1] = events.with(set, event) end
+    if match.has(set, event) then return { set } end
+    if type(event) ~= "function" then sets[#sets + 1] = match.with(set, event) end
   end
   return sets[1] and sets or { set }
 end
@@ -75,8 +75,7 @@ end
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, sets = {} }
-  local seen, nodes = {}, { rfsm.is_composite(fsm) and fsm.initial or nil }
-  if leaf then nodes = place.line(fsm, leaf) end
+  local seen, nodes = {}, place.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do
     add_reactions(found, nodes[i], seen)
@@ -105,7 +104,7 @@ local function is_internal(event)
 end
 
 local function is_allowed(self, event)
-  return not self.alphabet or events.has(self.alphabet, event)
+  return not self.alphabet or match.has(self.alphabet, event)
 end
 
 -- Appends the events from outside that can have an effect in a stand.

@@ -25,6 +25,10 @@ local static = {}
 ---@field text string one sentence
 ---@field hint string how to mend it
 
+--- A check: calls `add` for each finding about a machine.
+---@alias rfsm_checks.Add fun(code: string, obj: table, text: string)
+---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
+
 local CHECKS = {
   "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
   "rfsm.checks.loops", "rfsm.checks.names",
@@ -53,9 +57,6 @@ local function check_silences(obj, add)
 end
 
 --- Does an element expect the findings of a code, with a reason?
----@param obj table
----@param code string
----@return boolean
 function static.is_silenced(obj, code)
   local reason = silences_of(obj)[code]
   return type(reason) == "string" and reason:find("%S") ~= nil
@@ -112,10 +113,6 @@ local PRINTERS = { "dbg", "info", "warn", "err" }
 
 --- Make a machine that prints nothing but its warnings, with `warn`. It is made of the
 --- model itself, because transitions may name its root.
----@param model rfsm.State
----@param warn function|false
----@return rfsm.Machine|false fsm
----@return string[]? problems
 function static.init(model, warn)
   local own = {}
   for _, name in ipairs(PRINTERS) do
@@ -208,8 +205,6 @@ end
 
 --- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a
 --- model have no code: nothing can silence them.
----@param finding rfsm_checks.Finding
----@return string line
 function static.line(finding)
   local code = finding.code ~= "invalid" and " [" .. finding.code .. "]" or ""
   return finding.file .. finding.place .. ": " .. finding.text .. code

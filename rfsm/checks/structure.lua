@@ -73,8 +73,7 @@ local function check_callbacks(obj, add)
 end
 
 --- Find what is wrong with nodes.
----@param fsm rfsm.Machine
----@param add fun(code: string, obj: table, text: string)
+---@type rfsm_checks.Check
 function structure.check(fsm, add)
   local reached = structure.reached(fsm)
   for _, obj in ipairs(rfsm.elements(fsm)) do

@@ -51,11 +51,10 @@ end
 
 -- Returns the set of paths of states that are active in some configuration.
 local function active_paths(walk)
-  local set, is_seen = {}, {}
-  for number = 2, #walk.keys do
-    for _, leaf in ipairs(puppet.leaves(walk:configuration(number))) do
-      for _, path in ipairs(is_seen[leaf] and {} or leaf.paths) do set[path] = true end
-      is_seen[leaf] = true
+  local set = {}
+  for _, part in ipairs(walk.puppet.parts) do
+    for _, leaf in ipairs(puppet.leaves(part.stands)) do
+      for _, path in ipairs(leaf.paths) do set[path] = true end
     end
   end
   return set

@@ -7,11 +7,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
 
-local error, ipairs, pcall, rawequal = error, ipairs, pcall, rawequal
-local rawget = rawget
+local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 local select, setmetatable, type = select, setmetatable, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -47,27 +47,20 @@ end
 
 -- Search: as the engine's, but each transition is asked ----------------------------
 
--- An interrupt such as Control-C is no failure of a callback.
-local function try(f, ...)
-  local ok, answer = pcall(f, ...)
-  if not ok and type(answer) == "string" and answer:find("interrupted!$") then
-    error(answer, 0)
+local function is_accepted(tr, event)
+  for _, wanted in ipairs(tr.events) do
+    local ok, answer = true, false
+    if type(wanted) == "function" then ok, answer = match.try(wanted, event) end
+    if ok and answer then return true end
   end
-  return ok, answer
+  return match.names(tr, event)
 end
 
 -- Without any event no transition is taken, but the first way in.
 local function matches(search, tr)
-  local wanted, events = tr.events, search.events
-  if not (wanted and wanted[1] ~= nil) then return not search.is_mute end
-  for i = 1, #wanted do
-    for j = 1, #events do
-      if rawequal(wanted[i], events[j]) then return true end
-      if type(wanted[i]) == "function" then
-        local ok, answer = try(wanted[i], events[j])
-        if ok and answer then return true end
-      end
-    end
+  if match.is_any(tr) then return not search.is_mute end
+  for _, event in ipairs(search.events) do
+    if is_accepted(tr, event) then return true end
   end
   return false
 end
@@ -92,7 +85,7 @@ local function judge(search, tr)
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local ok, answer = true, true
-  if tr.guard then ok, answer = try(tr.guard, tr, search.events) end
+  if tr.guard then ok, answer = match.try(tr.guard, tr, search.events) end
   if not ok then return "failed", "its guard fails: " .. text_of(answer) end
   if answer == false then return "guard", "its guard returns false" end
   local tgt = target_of(tr)
@@ -132,16 +125,10 @@ function ask_connector(search, connector)
   return found, ways
 end
 
--- Returns the nodes whose transitions are tried, in order.
-local function nodes_of(fsm)
-  if fsm._act_leaf then return place.line(fsm, fsm._act_leaf) end
-  return { rfsm.is_composite(fsm) and fsm.initial or nil }
-end
-
 local function answers_of(fsm, events)
   local search, answers, winner = { events = events, found = {} }, {}, false
   search.is_mute = fsm._act_leaf and events[1] == nil
-  for _, node in ipairs(nodes_of(fsm)) do
+  for _, node in ipairs(place.tried(fsm, fsm._act_leaf)) do
     for _, tr in ipairs(node._otrs) do
       local answer = ask(search, tr)
       if answer.verdict == "enabled" and winner then

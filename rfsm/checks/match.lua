@@ -1,22 +1,20 @@
---- Events: lists of them, and those to which a transition reacts; for the other checks.
+--- Match: which events a transition names, and lists of them; for the other checks.
 --
 -- Events are compared by identity.
 --
--- @module rfsm.checks.events
+-- @module rfsm.checks.match
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+local error, ipairs, pcall = error, ipairs, pcall
+local rawequal, rawget, type = rawequal, rawget, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local events = {}
+local match = {}
 
 --- Is the event in a list?
----@param list any[]
----@param event any
----@return boolean
-function events.has(list, event)
+function match.has(list, event)
   for i = 1, #list do
     if rawequal(list[i], event) then return true end
   end
@@ -24,25 +22,17 @@ function events.has(list, event)
 end
 
 --- Return a copy of a list with one event more.
----@param list any[]
----@param event any
----@return any[] longer
-function events.with(list, event)
+function match.with(list, event)
   local longer = { unpack(list) }
   longer[#longer + 1] = event
   return longer
 end
 
 --- Is the transition one on any event?
----@param tr rfsm.Transition
----@return boolean
-function events.is_any(tr) return not tr.events or tr.events[1] == nil end
+function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 
 --- Does the transition name the event? A predicate names none.
----@param tr rfsm.Transition
----@param event any
----@return boolean
-function events.names(tr, event) return events.has(tr.events or {}, event) end
+function match.names(tr, event) return match.has(tr.events or {}, event) end
 
 --- Can the transition, and a path on from there, react to some events, as far as names
 --- tell, and whatever guards answer?
@@ -50,17 +40,26 @@ function events.names(tr, event) return events.has(tr.events or {}, event) end
 ---@param list any[]
 ---@param seen? table<rfsm.Connector, boolean> those that the path has passed
 ---@return boolean
-function events.may_enable(tr, list, seen)
-  local is_named = events.is_any(tr)
-  for i = 1, #list do is_named = is_named or events.names(tr, list[i]) end
+function match.may_enable(tr, list, seen)
+  local is_named = match.is_any(tr)
+  for i = 1, #list do is_named = is_named or match.names(tr, list[i]) end
   seen = seen or {}
   if not is_named or seen[tr.tgt] then return false end
   if not rfsm.is_conn(tr.tgt) then return true end
   seen[tr.tgt] = true
   for _, way in ipairs(tr.tgt._otrs) do
-    if events.may_enable(way, list, seen) then return true end
+    if match.may_enable(way, list, seen) then return true end
   end
   return false
 end
 
-return events
+--- Call a function of the chart; an interrupt such as Control-C is no failure of it.
+function match.try(f, ...)
+  local ok, answer = pcall(f, ...)
+  if not ok and type(answer) == "string" and answer:find("interrupted!$") then
+    error(answer, 0)
+  end
+  return ok, answer
+end
+
+return match
