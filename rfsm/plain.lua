@@ -18,6 +18,11 @@ local floor, huge = math.floor, math.huge
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
 
+-- LuaJIT 2.1.0-beta3 compiles traversals inside of others wrongly: it skips keys, or
+-- crashes. So nothing here is compiled.
+local jit = rawget(_G, "jit")
+if jit then jit.off(true, true) end
+
 local plain = {}
 
 -- So many tables stand inside each other at most, with those of a snapshot around them:

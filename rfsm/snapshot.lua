@@ -21,6 +21,9 @@ local fail, is_scalar, pack = plain.fail, plain.is_scalar, plain.pack
 local place_of, reason, unpack = plain.place_of, plain.reason, plain.unpack
 local text_of = rfsm.text_of
 
+local jit = rawget(_G, "jit")
+if jit then jit.off(true, true) end -- see rfsm/plain.lua
+
 local snapshot = { VERSION = 1 }
 
 --- A machine between two steps. What is absent is empty.

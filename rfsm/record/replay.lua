@@ -18,6 +18,9 @@ local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
 local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
 
+local jit = rawget(_G, "jit")
+if jit then jit.off(true, true) end -- see rfsm/plain.lua
+
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
 ---@field records rfsm.record.Record[] of the machine around the others

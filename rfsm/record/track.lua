@@ -16,6 +16,9 @@ local rawequal, rawget, select, type = rawequal, rawget, select, type
 local concat = table.concat
 local text_of = rfsm.text_of
 
+local jit = rawget(_G, "jit")
+if jit then jit.off(true, true) end -- see rfsm/plain.lua
+
 local track = {}
 
 -- Data ----------------------------------------------------------------------------

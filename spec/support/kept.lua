@@ -45,13 +45,6 @@ local function bump(fsm, id)
   return fsm.counts[id]
 end
 
-local function retarget(fsm, action)
-  local transitions = rfsm.elements(fsm, rfsm.is_trans)
-  local states = rfsm.elements(fsm, rfsm.is_leaf)
-  local tr = transitions[action[2] % #transitions + 1]
-  if tr.tgt ~= tr.src then tr.tgt = states[action[3] % #states + 1] end
-end
-
 local ACTIONS = {
   send = function(fsm, action) rfsm.send_events(fsm, action[2], action[3]) end,
   raise = function() error("on purpose", 0) end,
@@ -59,7 +52,12 @@ local ACTIONS = {
   list = function(fsm, action)
     fsm.list[#fsm.list + 1] = { [action[2]] = action[3] / 7, x = { action[3] } }
   end,
-  retarget = retarget,
+  retarget = function(fsm, action)
+    local transitions = rfsm.elements(fsm, rfsm.is_trans)
+    local states = rfsm.elements(fsm, rfsm.is_leaf)
+    local tr = transitions[action[2] % #transitions + 1]
+    if tr.tgt ~= tr.src then tr.tgt = states[action[3] % #states + 1] end
+  end,
 }
 
 local function new_actions(random)
@@ -203,7 +201,7 @@ function kept.operations(seed)
   for i = 1, 8 + random:below(12) do
     local kind = random:below(10)
     list[i] = kind < 4 and { "send", random:pick(EVENTS), random:pick(EVENTS) }
-      or kind < 6 and { "wait", random:below(8) } or kind == 6 and { "run", 12 }
+      or kind < 6 and { "wait", random:below(8) } or kind == 6 and { "step", 12 }
       or kind == 7 and random:chance(30) and { "reset" } or { "step", random:below(3) }
   end
   return list
@@ -227,7 +225,6 @@ end
 local OPERATIONS = {
   send = function(fsm, op) rfsm.send_events(fsm, op[2], op[3]) end,
   wait = function(_, op) now = now + op[2] end,
-  run = function(fsm, op) note("idle", rfsm.step(fsm, op[2])) end,
   step = function(fsm, op) note("idle", rfsm.step(fsm, op[2])) end,
   reset = function(fsm) rfsm.reset(fsm) end,
 }
@@ -308,10 +305,8 @@ function kept.length(seed) return #kept.operations(seed) end
 
 --- Digests a trace: few digits, the same on every Lua.
 function kept.digest(lines)
-  local hash = 7
-  for _, line in ipairs(lines) do
-    for i = 1, #line do hash = (hash * 257 + line:byte(i)) % 17592186044399 end
-  end
+  local text, hash = table.concat(lines), 7
+  for i = 1, #text do hash = (hash * 257 + text:byte(i)) % 17592186044399 end
   return ("%d %.0f"):format(#lines, hash)
 end
 

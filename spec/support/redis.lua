@@ -6,11 +6,15 @@ local servers = {}
 
 local running = {} -- what is to be stopped
 
---- Is there a server to be started?
-function servers.are_installed()
-  return os.execute("command -v redis-server >/dev/null 2>&1") == 0
-    or os.execute("command -v redis-server >/dev/null 2>&1") == true
+local function output_of(command)
+  local pipe = assert(io.popen(command .. " 2>&1"))
+  local output = pipe:read("*a")
+  pipe:close()
+  return output
 end
+
+--- Is there a server to be started?
+function servers.are_installed() return output_of("command -v redis-server") ~= "" end
 
 local function free_port()
   local listener = assert(socket.bind("127.0.0.1", 0))
@@ -22,24 +26,10 @@ end
 -- Waits until a server answers. It is there within seconds, or not at all.
 local function wait_for(port)
   for _ = 1, 500 do
-    local client = socket.connect("127.0.0.1", port)
-    if client then
-      client:settimeout(5)
-      client:send("PING\r\n")
-      local line = client:receive("*l")
-      client:close()
-      if line == "+PONG" then return true end
-    end
+    if output_of(("redis-cli -p %d PING"):format(port)) == "PONG\n" then return end
     socket.sleep(0.02)
   end
   error("redis-server does not answer")
-end
-
-local function output_of(command)
-  local pipe = assert(io.popen(command .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return output
 end
 
 --- A server that was started.
@@ -57,17 +47,9 @@ function Server:launch()
   wait_for(self.port)
 end
 
-local function pid_of(server)
-  local file = io.open(server.folder .. "/pid")
-  local pid = file and file:read("*n")
-  if file then file:close() end
-  return pid
-end
-
 --- Kills it as a power cut would.
 function Server:kill()
-  local pid = pid_of(self)
-  if pid then output_of(("kill -9 %d"):format(pid)) end
+  output_of("kill -9 $(cat " .. self.folder .. "/pid)")
   for _ = 1, 500 do
     if not socket.connect("127.0.0.1", self.port) then return end
     socket.sleep(0.01)
