@@ -8,7 +8,7 @@
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawget, type = rawequal, rawget, type
+local rawequal, rawget = rawequal, rawget
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local match = {}
@@ -56,9 +56,7 @@ end
 --- Call a function of the chart; an interrupt such as Control-C is no failure of it.
 function match.try(f, ...)
   local ok, answer = pcall(f, ...)
-  if not ok and type(answer) == "string" and answer:find("interrupted!$") then
-    error(answer, 0)
-  end
+  if not ok and rfsm.is_interrupt(answer) then error(answer, 0) end
   return ok, answer
 end
 

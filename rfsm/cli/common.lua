@@ -65,7 +65,7 @@ end
 -- Calls a function that has no end; Control-C ends it.
 function common.until_interrupt(f, ...)
   local ok, problem = pcall(f, ...)
-  if not (ok or rfsm.text_of(problem):find("interrupted!$")) then error(problem, 0) end
+  if not (ok or rfsm.is_interrupt(problem)) then error(problem, 0) end
 end
 
 -- Charts in -------------------------------------------------------------------
