@@ -50,6 +50,7 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 ---@field idle_hook? false|fun(fsm: rfsm.Machine) called instead of returning when idle
 ---@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
+---@field gettime? false|fun(): number, number its clock: seconds, nanoseconds
 ---@field [string|integer] any
 
 local State = { rfsm = "state" }
@@ -474,7 +475,7 @@ local CALLBACKS = {
   state = { entry = true, exit = true, doo = true }, connector = {},
   transition = { guard = true, effect = true },
 }
-local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook" }
+local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "gettime" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
 local function check_callable(build, def, field, value)
@@ -500,7 +501,8 @@ do
     [State] = "state", [Transition] = "trans", [Connector] = "conn",
   }
   local ROOT_FIELDS = {}
-  for i = 1, 4 do ROOT_FIELDS[HOOKS[i]], ROOT_FIELDS[PRINTERS[i]] = true, true end
+  for i = 1, 4 do ROOT_FIELDS[PRINTERS[i]] = true end
+  for i = 1, #HOOKS do ROOT_FIELDS[HOOKS[i]] = true end
 
   -- The engine's own fields that anybody may read: never taken for the user's data.
   local API_FIELDS = {}
@@ -2275,8 +2277,8 @@ do
 
   local function check_root(build, root)
     local model = root.model
+    for i = 1, #HOOKS do check_callable(build, root, HOOKS[i], model[HOOKS[i]]) end
     for i = 1, 4 do
-      check_callable(build, root, HOOKS[i], model[HOOKS[i]])
       local printer = model[PRINTERS[i]]
       if printer and printer ~= true and not is_callable(printer) then
         add(build.problems, root, PRINTERS[i], "function, true or false expected, "
@@ -2543,9 +2545,10 @@ local function refuse_model(model, fsm, problems)
   local err = model.err
   if err and err ~= true and not is_callable(err) then err = nil end
   fsm = fsm or { err = err }
-  report(fsm, "err", summary("rfsm.init", problems))
+  local text = summary("rfsm.init", problems)
+  report(fsm, "err", text)
   raise_failure(fsm)
-  return false, problems
+  return false, text, problems
 end
 
 --- Check a model and make a machine of it.
@@ -2556,6 +2559,7 @@ end
 -- @raise when `model` is no state
 ---@param model rfsm.State a root state, or a machine for a fresh one of the same model
 ---@return rfsm.Machine? fsm false when the model has problems
+---@return string? text all problems, for `assert`
 ---@return string[]? problems each "file:line: location: problem"
 ---@nodiscard
 function rfsm.init(model)
@@ -2780,6 +2784,52 @@ function rfsm.elements(obj, pred)
     return append({ obj }, list)
   end
   return list
+end
+
+--- List the machines that run in a state, in the order in which they are stepped.
+--
+-- An extension that runs machines in a state lists them in its field `_regions`, whose
+-- own field `names` has their names.
+--
+---@param state rfsm.State a state of a machine
+---@return rfsm.Machine[] regions empty where there are none
+function rfsm.regions(state)
+  local regions = is_state(state) and rawget(state, "_regions")
+  return append({}, type(regions) == "table" and regions or NONE)
+end
+
+--- A machine, and where it runs.
+---@class rfsm.Place
+---@field machine rfsm.Machine
+---@field owner rfsm.Machine|false the parent machine, whose state runs it
+---@field state rfsm.State|false that state
+---@field prefix string "root", or the name of the region: "root.arms.left"
+
+--- List a machine and the regions in its states, at any depth; itself first.
+---@param fsm rfsm.Machine
+---@return rfsm.Place[] places
+function rfsm.machines(fsm)
+  check_machine(fsm, "rfsm.machines")
+  local places = {}
+  local function visit(machine, owner, state, prefix)
+    places[#places + 1] = {
+      machine = machine, owner = owner, state = state, prefix = prefix,
+    }
+    for _, leaf in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
+      for i, region in ipairs(rfsm.regions(leaf)) do
+        local name = text_of(leaf._regions.names[i])
+        visit(region, machine, leaf, prefix .. leaf._fqn:sub(5) .. "." .. name)
+      end
+    end
+  end
+  visit(fsm, false, false, "root")
+  return places
+end
+
+--- Load and compile now what would be loaded and compiled while a machine runs.
+---@param fsm rfsm.Machine
+function rfsm.prepare(fsm)
+  check_machine(fsm, "rfsm.prepare")
 end
 
 -- Tools: they look at a machine or move it; no part of a run ......................

@@ -76,7 +76,7 @@ end
 
 -- Run: entry, doo and exit of the state, events ----------------------------------
 
---- The regions of a state in the order in which they are advanced; its field `_seqand`.
+--- The regions of a state in the order in which they are stepped; its field `_regions`.
 ---@class rfsm_seqand.Regions
 ---@field names any[] likewise
 ---@field entry? function the user's own
@@ -95,7 +95,7 @@ end
 local function print_advance(fsm, state, i)
   local printer = state.seqanddbg or state.andseqdbg
   if not printer then return end
-  local regions = state._seqand
+  local regions = state._regions
   local text = ("SEQAND %s: %s advanced to %s"):format(state._fqn,
     text_of(regions.names[i]), text_of(rfsm.get_actleaf_fqn(regions[i])))
   if printer == true then return rfsm.report(fsm, "info", text) end
@@ -120,7 +120,7 @@ end
 -- The doo: it runs only in iterations that take no transition, so that their events
 -- are for the regions.
 local function advance_all(fsm, state)
-  local regions = state._seqand
+  local regions = state._regions
   while true do
     local are_all_idle = true
     forward(fsm, regions, fsm._curq)
@@ -135,7 +135,7 @@ end
 
 -- The entry: the user's own, then one step of each region.
 local function enter_all(fsm, state, what)
-  local regions, ok, failure = state._seqand, true, nil
+  local regions, ok, failure = state._regions, true, nil
   if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
   for i = 1, regions.is_standing and 0 or #regions do try(fsm, step, regions[i]) end
   regions.is_standing = false
@@ -150,14 +150,14 @@ end
 
 -- The exit: the regions are left and reset, then the user's own.
 local function leave_all(fsm, state, what)
-  local regions = state._seqand
+  local regions = state._regions
   for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
   if regions.exit then regions.exit(fsm, state, what) end
 end
 
 -- The exit hook: regions are left also if a tool has replaced the exit of the state.
 local function leave_active(fsm, state)
-  for _, region in ipairs(state._seqand) do
+  for _, region in ipairs(state._regions) do
     if region._mode ~= "inactive" then try(fsm, leave_and_reset, region) end
   end
 end
@@ -165,7 +165,7 @@ end
 -- The post step hook: the state that is active now gets the events of the iteration,
 -- unless its doo has had them.
 local function end_iteration(fsm, events)
-  local regions = fsm._act_leaf and fsm._act_leaf._seqand
+  local regions = fsm._act_leaf and fsm._act_leaf._regions
   if not regions then return end
   if not regions.is_forwarded then forward(fsm, regions, events) end
   regions.is_forwarded = false
@@ -173,7 +173,7 @@ end
 
 local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    local regions = state._seqand
+    local regions = state._regions
     regions.is_forwarded = false
     for i = 1, #regions do try(fsm, rfsm.reset, regions[i]) end
   end
@@ -183,8 +183,8 @@ end
 local function save(fsm, how)
   local kept = nil
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    for i, name in ipairs(state._seqand.names) do
-      local snap = how.take(state._seqand[i])
+    for i, name in ipairs(state._regions.names) do
+      local snap = how.take(state._regions[i])
       if snap then
         kept = kept or {}
         kept[state._fqn] = kept[state._fqn] or {}
@@ -197,7 +197,7 @@ end
 
 local function load(fsm, kept, how)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    local regions, snaps = state._seqand, kept and kept[state._fqn] or {}
+    local regions, snaps = state._regions, kept and kept[state._fqn] or {}
     if type(snaps) ~= "table" then error("table of snapshots expected", 0) end
     for i, name in ipairs(regions.names) do how.put(regions[i], snaps[name]) end
     regions.is_standing = how.entries and state == fsm._act_leaf or false
@@ -225,7 +225,7 @@ local function new_region(fsm, given)
       lacking[#lacking + 1] = name
     end
   end
-  local ok, region, problems = pcall(rfsm.init, given)
+  local ok, region, _, problems = pcall(rfsm.init, given)
   for _, name in ipairs(lacking) do model[name] = nil end
   if not ok then error(region, 0) end
   if region and is_machine then
@@ -283,7 +283,7 @@ local function prepare_state(fsm, state, problems)
   if #problems > count then return end
   local regions = new_regions(state)
   regions.entry, regions.exit = state.entry, state.exit
-  state._seqand, state.entry, state.exit = regions, enter_all, leave_all
+  state._regions, state.entry, state.exit = regions, enter_all, leave_all
   rfsm.exit_hook_add(fsm, state, leave_active)
   if fsm._has_seqand then return end
   fsm._has_seqand = true

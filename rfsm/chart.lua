@@ -122,7 +122,7 @@ end
 
 --- Make the machine of the chart in a file.
 ---@param file string
----@param init fun(model: rfsm.State): rfsm.Machine|false, string[]? as `rfsm.init`
+---@param init fun(model: rfsm.State): rfsm.Machine|false, string?, string[]?
 ---@param warn fun(line: string) called for each undefined global
 ---@return rfsm.Machine|false fsm
 ---@return rfsm.State|string[] model or the problems, a line each
@@ -130,7 +130,7 @@ function chart.open(file, init, warn)
   local model, warnings = chart.load(file)
   if not model then return false, { warnings } end
   for _, line in ipairs(warnings) do warn(line) end
-  local ok, fsm, problems = pcall(init, model)
+  local ok, fsm, _, problems = pcall(init, model)
   if not ok then return false, { chart.reason(file, fsm) } end
   if fsm then return fsm, model end
   for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end

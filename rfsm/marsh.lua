@@ -256,7 +256,7 @@ local machine_table
 
 -- Adds the part of a state that only a full description has.
 local function add_details(writer, tab, state)
-  local regions, mode = state._seqand, rfsm.get_sta_mode(state)
+  local regions, mode = state._regions, rfsm.get_sta_mode(state)
   add_texts(writer, tab, regions and { entry = regions.entry, exit = regions.exit,
     doc = state.doc } or state, PROGRAMS)
   tab.final = state.final and true or nil

@@ -117,7 +117,7 @@ local function check_chart(file)
   local model, problem = chart.load(file)
   if not model then error(problem, 0) end
   model.info, model.warn, model.err = false, false, false
-  local ok, fsm, problems = pcall(rfsm.init, model)
+  local ok, fsm, _, problems = pcall(rfsm.init, model)
   if not ok then error(chart.reason(file, fsm), 0) end
   if not fsm then error(chart.line(file, problems[1]), 0) end
   local kept, text = pcall(require("rfsm.snapshot").take, fsm)

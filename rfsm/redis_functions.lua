@@ -163,7 +163,7 @@ local function open(host, chart)
   local ok, model = pcall(chart.make)
   if not ok then fail("chart '%s': %s", chart.name, text_of(model)) end
   model.info, model.warn, model.err = false, false, collect_print
-  local fsm, problems = rfsm.init(model)
+  local fsm, _, problems = rfsm.init(model)
   if not fsm then fail("chart '%s': %s", chart.name, problems[1]) end
   fsm.emit, chart.blank = emit_with(host.json), snapshot.take(fsm)
   chart.events, chart.takes_all = {}, false

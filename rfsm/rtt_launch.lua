@@ -38,7 +38,7 @@ local function load_machine(rtt, file)
   for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
     if model[name] == nil then model[name] = printer(rtt, level) end -- any order
   end
-  local fsm, problems = rfsm.init(model)
+  local fsm, _, problems = rfsm.init(model)
   if not fsm then error("no machine, problems of the chart: " .. #problems, 0) end
   return fsm, model.getevents
 end

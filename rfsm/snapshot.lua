@@ -597,7 +597,7 @@ function snapshot.restore(model, snap, options)
   if not rfsm.is_state(model) then
     error("rfsm.snapshot.restore: state expected, got " .. type(model), 2)
   end
-  local fsm, problems = rfsm.init(model)
+  local fsm, _, problems = rfsm.init(model)
   if not fsm then
     return false, "rfsm.snapshot: the model is wrong:\n  " .. concat(problems, "\n  ")
   end
@@ -613,7 +613,7 @@ end
 function snapshot.machines(fsm)
   local list = { fsm }
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    for _, region in ipairs(state._seqand or {}) do
+    for _, region in ipairs(state._regions or {}) do
       for _, inner in ipairs(snapshot.machines(region)) do list[#list + 1] = inner end
     end
   end

@@ -94,7 +94,7 @@ describe("an await that is wrong", function()
     "await()", "await(e_x,)", "await(e_x", "await(await(e_x), e_y)",
   } do
     it("is a problem of the model: " .. text, function()
-      local _, problems = rfsm.init(chart({ text }, { err = false }))
+      local _, _, problems = rfsm.init(chart({ text }, { err = false }))
       assert.equal(1, #problems)
       assert.equal("root.trans[2].events[1] (a -> b): await: a list of events "
         .. "expected, got '" .. text .. "' (await(e_a, e_b) would be right)",

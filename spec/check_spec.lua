@@ -20,7 +20,7 @@ local function without_place(lines)
 end
 
 local function problems_of(model)
-  local fsm, problems = rfsm.init(model)
+  local fsm, _, problems = rfsm.init(model)
   assert.is_false(fsm)
   return without_place(problems)
 end
@@ -42,7 +42,14 @@ describe("a problem", function()
     local tr = dofile(name)[1]
     helper.remove_files()
     assert.equal(name .. ":4: root.trans[2]: tgt is missing, the name of a state or "
-      .. "connector expected", select(2, rfsm.init(chart { [2] = tr }))[2])
+      .. "connector expected", select(3, rfsm.init(chart { [2] = tr }))[2])
+  end)
+
+  it("is in the text that assert shows, and in the list behind it", function()
+    local fsm, text, list = rfsm.init(chart { b = "no state", [2] = trans {} })
+    assert.is_false(fsm)
+    assert.equal("rfsm.init: the model has 2 problems\n  "
+      .. table.concat(list, "\n  "), text)
   end)
 end)
 

@@ -311,7 +311,7 @@ local function said_of(text, has_dead_ends)
   end
   model.info, model.err = false, model.err or false
   if model.warn == nil then model.warn = note end
-  local _, problems = rfsm.init(model)
+  local _, _, problems = rfsm.init(model)
   for _, problem in ipairs(problems or {}) do note(problem) end
   return lines
 end

@@ -126,7 +126,7 @@ describe("a transition that is likely", function()
   it("that is no function is a problem of the model", function()
     local model = chart {}
     model[2].likely, model.err = "often", false
-    local _, problems = rfsm.init(model)
+    local _, _, problems = rfsm.init(model)
     assert.equal(1, #problems)
     assert.equal("root.trans[2].likely (c -> b): function expected, got string",
       helper.without_file(problems[1]))

@@ -166,7 +166,7 @@ describe("a wrong sequential AND state", function()
   it("with a region that is wrong is a problem of the model, with its place", function()
     local model = parent(seqand { left = broken(nil, "b") })
     model.err = false
-    local _, problems = rfsm.init(model)
+    local _, _, problems = rfsm.init(model)
     assert.equal(1, #problems)
     assert.matches("^spec/seqand_spec.lua:%d+: root.par.left: root.trans%[1%] "
       .. "%(initial %-> b%): tgt 'b': no state or connector is named 'b' in 'root'",
@@ -176,7 +176,7 @@ describe("a wrong sequential AND state", function()
   it("that contains itself is a problem of the model", function()
     local inner = broken(nil, "a")
     inner.a = seqand { left = inner }
-    local fsm, problems = rfsm.init(inner)
+    local fsm, _, problems = rfsm.init(inner)
     assert.is_false(fsm)
     assert.matches("a sequential AND state cannot contain itself", problems[1])
   end)
@@ -513,4 +513,26 @@ end)
 it("a machine without sequential AND states has nothing of this extension", function()
   local fsm = init(region({}, "plain"))
   assert.same({}, { fsm._has_seqand, fsm.a._seqand })
+end)
+
+describe("the machines of a machine", function()
+  it("are itself and the regions at any depth, in the order of stepping", function()
+    local inner = parent(seqand { order = { "z" }, a = plain({}), z = plain({}) })
+    local fsm = rfsm.init(parent(seqand { order = { "y" }, x = plain({}), y = inner }))
+    local found = {}
+    for _, at in ipairs(rfsm.machines(fsm)) do
+      local owner = at.owner == fsm and "fsm" or at.owner and "region" or "none"
+      found[#found + 1] = ("%s, %s of %s"):format(at.prefix,
+        at.state and at.state._fqn or "none", owner)
+    end
+    assert.same({
+      "root, none of none", "root.par.y, root.par of fsm",
+      "root.par.y.par.z, root.par of region", "root.par.y.par.a, root.par of region",
+      "root.par.x, root.par of fsm",
+    }, found)
+    local substates = fsm.par.substates
+    assert.same({ substates.y, substates.x }, rfsm.regions(fsm.par))
+    assert.same({}, rfsm.regions(fsm))
+    assert.same({}, rfsm.regions("root"))
+  end)
 end)

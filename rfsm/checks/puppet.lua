@@ -111,10 +111,10 @@ end
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
   self.names[path] = state
-  local own = state._seqand or state -- the callbacks of such a state are the library's
+  local own = state._regions or state -- the callbacks of such a state are the library's
   own.entry = deeds.new(self, "entry", path, part.fsm, state, own.entry)
   own.exit = deeds.new(self, "exit", path, part.fsm, state, own.exit)
-  if state.doo and not state._seqand then state.doo = new_doo(self, part, path) end
+  if state.doo and not state._regions then state.doo = new_doo(self, part, path) end
   state.prepare = nil
 end
 
@@ -376,7 +376,7 @@ end
 ---@return rfsm_checks.Puppet
 function puppet.new(model, options)
   local is_machine = rfsm.is_initialized_root(model)
-  local fsm, problems = (is_machine and rfsm.init or static.init)(model, false)
+  local fsm, _, problems = (is_machine and rfsm.init or static.init)(model, false)
   if not fsm then error("the model has problems\n  " .. concat(problems, "\n  "), 0) end
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {}, names = {},
     deeds = {}, flags = {}, flags_of = {}, flag_numbers = {},

@@ -119,10 +119,10 @@ function static.init(model, warn)
     own[name] = model[name]
     if not rfsm.is_fsmobj(own[name]) then model[name] = name == "warn" and warn end
   end
-  local ok, fsm, problems = pcall(rfsm.init, model)
+  local ok, fsm, text, problems = pcall(rfsm.init, model)
   for _, name in ipairs(PRINTERS) do model[name] = own[name] end
   if not ok then error(fsm, 0) end
-  return fsm, problems
+  return fsm, text, problems
 end
 
 -- What the checks find in more detail.
@@ -155,7 +155,7 @@ local function findings_of_model(model)
     add_lines(findings, early, codes.of_warning, "")
     return findings
   end
-  local fsm, found = static.init(model, function(text)
+  local fsm, _, found = static.init(model, function(text)
     text = rfsm.text_of(text):gsub("^WARNING: ", "")
     add_lines(findings, { text }, codes.of_warning, "")
   end)

@@ -36,9 +36,9 @@ function common.with_streams(stream, f, ...)
     for i = 1, select("#", ...) do texts[i] = rfsm.text_of(texts[i]) end
     stream:write(concat(texts, "\t"), "\n")
   end, stream, stream, err)
-  local ok, result, more = pcall(f, ...)
+  local ok, result, more, list = pcall(f, ...)
   set_streams(printer, out, err, default)
-  return ok, result, more
+  return ok, result, more, list
 end
 
 -- Reports each line of a problem on stderr, and ends the program.
@@ -57,9 +57,9 @@ end
 
 -- Returns f(...), called silently for the chart in a file.
 function common.call(file, f, ...)
-  local ok, result, more = common.with_streams(common.NOWHERE, f, ...)
+  local ok, result, more, list = common.with_streams(common.NOWHERE, f, ...)
   if not ok then common.fail(chart.reason(file, result)) end
-  return result, more
+  return result, more, list
 end
 
 -- Calls a function that has no end; Control-C ends it.

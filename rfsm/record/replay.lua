@@ -164,9 +164,9 @@ local function dry(session, track)
   local fsm = track.fsm
   fsm.pre_step_hook, fsm.post_step_hook = nil, nil
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    local owner = state._seqand or state
+    local owner = state._regions or state
     owner.entry, owner.exit = nil, nil
-    if state.doo and not state._seqand then state.doo = doo_again(session, track) end
+    if state.doo and not state._regions then state.doo = doo_again(session, track) end
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     tr.effect, tr.likely = nil, nil

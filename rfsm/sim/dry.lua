@@ -29,7 +29,7 @@ end
 local function take_functions(saved, fsm)
   for _, field in ipairs(ROOT_FIELDS) do put(saved, fsm, field, nil) end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    local owner = state._seqand or state
+    local owner = state._regions or state
     put(saved, owner, "entry", nil)
     put(saved, owner, "exit", nil)
     if owner == state then put(saved, state, "doo", idle) end

@@ -55,10 +55,10 @@ local function print_err(...) complain(view.texts("\t", ...)) end
 local function init_quietly(model)
   local own_err = model.err
   if own_err == nil then model.err = false end
-  local fsm, problems = rfsm.init(model)
+  local fsm, text, problems = rfsm.init(model)
   model.err = own_err
   if fsm and own_err == nil then fsm.err = print_err end
-  return fsm, problems
+  return fsm, text, problems
 end
 
 -- Advance ---------------------------------------------------------------------------

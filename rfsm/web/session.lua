@@ -84,9 +84,9 @@ local function init(session, model)
       tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
     end
   end
-  local fsm, problems = rfsm.init(model)
+  local fsm, text, problems = rfsm.init(model)
   if fsm and own_warn == nil then fsm.warn = false end -- the view hears it anyway
-  return fsm, problems
+  return fsm, text, problems
 end
 
 -- Returns a machine; false and the lines that say why not.

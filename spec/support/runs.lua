@@ -383,7 +383,7 @@ local function core_engine(world, model, warn)
   local chart = world.chart
   model.warn = false
   local twin = chart.has_twin and rfsm.init(model)
-  local fsm, problems = rfsm.init(model)
+  local fsm, _, problems = rfsm.init(model)
   if not fsm then return nil, problems end
   fsm.warn = but_undeclared(warn)
   add_state_hooks(world, fsm)
