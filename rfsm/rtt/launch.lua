@@ -145,7 +145,7 @@ function rtt_launch.launch(launch)
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
   launch.rtt, launch.component, launch.ports = rtt, rtt.getTC(), {}
   local ok, why = pcall(set_up, launch)
-  package.loaded["rfsm.rtt_launch"] = nil -- not needed here any more
+  package.loaded["rfsm.rtt.launch"] = nil -- not needed here any more
   collectgarbage()
   if ok then return end
   for _, port in ipairs(launch.ports) do -- which are no garbage for Lua
@@ -202,7 +202,7 @@ local tune = rawget(_G, "tlsf") and collectgarbage or type
 pcall(tune, "setpause", 100)
 pcall(tune, "setstepmul", 1000)
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
-require("rfsm.rtt_launch").launch(launch)
+require("rfsm.rtt.launch").launch(launch)
 ]]
 
 -- Returns the text that launches a machine. Raises if an argument is wrong, or one of
