@@ -163,9 +163,8 @@ end)
 -- Modules that nobody requires but the library and its tools, as those in folders.
 local IS_PRIVATE = {
   ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.cli"] = true,
-  ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.options"] = true,
-  ["rfsm.quick"] = true, ["rfsm.sim"] = true, ["rfsm.straight"] = true,
-  ["rfsm.subscriber"] = true,
+  ["rfsm.clock"] = true, ["rfsm.options"] = true, ["rfsm.quick"] = true,
+  ["rfsm.sim"] = true, ["rfsm.straight"] = true, ["rfsm.subscriber"] = true,
 }
 
 describe("doc/config.ld", function()

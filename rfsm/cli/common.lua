@@ -8,7 +8,7 @@
 
 local rfsm = require "rfsm"
 local chart = require "rfsm.chart"
-local diagram = require "rfsm.diagram"
+local diagram = require "rfsm.pictures.diagram"
 
 local concat = table.concat
 
