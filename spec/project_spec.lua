@@ -164,7 +164,7 @@ end)
 local IS_PRIVATE = {
   ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.cli"] = true,
   ["rfsm.clock"] = true, ["rfsm.options"] = true, ["rfsm.quick"] = true,
-  ["rfsm.sim"] = true, ["rfsm.straight"] = true, ["rfsm.subscriber"] = true,
+  ["rfsm.sim"] = true, ["rfsm.straight"] = true,
 }
 
 describe("doc/config.ld", function()
