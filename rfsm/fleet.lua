@@ -11,7 +11,7 @@
 -- @license BSD-3-Clause
 
 local opts = require "rfsm.options"
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, plain.pcall, rawget

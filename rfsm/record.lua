@@ -15,7 +15,7 @@
 -- @license BSD-3-Clause
 
 local opts = require "rfsm.options"
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"

@@ -14,7 +14,7 @@
 
 local advice = require "rfsm.advice"
 local clock = require "rfsm.clock"
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
