@@ -10,7 +10,7 @@
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 

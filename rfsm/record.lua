@@ -14,7 +14,7 @@
 -- @module rfsm.record
 -- @license BSD-3-Clause
 
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local plain = require "rfsm.snapshot.plain"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"

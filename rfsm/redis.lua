@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local bundle = require "rfsm.redis.bundle"
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require

@@ -162,9 +162,8 @@ end)
 
 -- Modules that nobody requires but the library and its tools, as those in folders.
 local IS_PRIVATE = {
-  ["rfsm.advice"] = true, ["rfsm.chart"] = true, ["rfsm.clock"] = true,
-  ["rfsm.options"] = true, ["rfsm.quick"] = true, ["rfsm.sim"] = true,
-  ["rfsm.straight"] = true,
+  ["rfsm.advice"] = true, ["rfsm.clock"] = true, ["rfsm.quick"] = true,
+  ["rfsm.sim"] = true, ["rfsm.straight"] = true,
 }
 
 describe("doc/config.ld", function()

@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local diagram = require "rfsm.pictures.diagram"
 
 local concat = table.concat

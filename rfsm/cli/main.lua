@@ -7,7 +7,7 @@
 local rfsm = require "rfsm"
 local common = require "rfsm.cli.common"
 local encoders = require "rfsm.cli.encoders"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 
 local cli = {}
 

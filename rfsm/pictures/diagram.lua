@@ -9,7 +9,7 @@
 
 local advice = require "rfsm.advice"
 local marsh = require "rfsm.marsh"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget

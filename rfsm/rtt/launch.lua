@@ -167,7 +167,7 @@ end
 local BOOLEAN, STRING = { "boolean", is "boolean" }, { "string", is "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 
-local FIELDS = { -- for rfsm.options
+local FIELDS = { -- for rfsm.shared.options
   name = STRING, deployer = NAME, exec_str = { "operation exec_str", is_anything },
   luatype = STRING, env = { "table of globals by name", is_env, {} },
   fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
@@ -208,7 +208,7 @@ require("rfsm.rtt.launch").launch(launch)
 -- Returns the text that launches a machine. Raises if an argument is wrong, or one of
 -- those named is missing.
 local function program(args, ...)
-  local launch, problem = require("rfsm.options").read(FIELDS, args)
+  local launch, problem = require("rfsm.shared.options").read(FIELDS, args)
   if not launch then error(problem, 0) end
   for _, name in ipairs { ... } do
     if launch[name] == nil then
