@@ -12,7 +12,7 @@
 -- @module rfsm.dot
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.diagram"
+local diagram = require "rfsm.pictures.diagram"
 
 local io, ipairs, os = io, ipairs, os
 local max, min = math.max, math.min

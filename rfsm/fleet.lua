@@ -10,8 +10,8 @@
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
-local opts = require "rfsm.options"
-local plain = require "rfsm.plain"
+local opts = require "rfsm.shared.options"
+local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, plain.pcall, rawget

@@ -6,7 +6,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local marsh = require "rfsm.marsh"
 
 local error, rawget, rawset = error, rawget, rawset

@@ -6,7 +6,7 @@
 -- @module rfsm.mermaid
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.diagram"
+local diagram = require "rfsm.pictures.diagram"
 
 local ipairs = ipairs
 local concat, add = table.concat, diagram.add

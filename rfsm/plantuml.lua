@@ -3,7 +3,7 @@
 -- @module rfsm.plantuml
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.diagram"
+local diagram = require "rfsm.pictures.diagram"
 
 local ipairs = ipairs
 local concat, add = table.concat, diagram.add

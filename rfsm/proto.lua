@@ -16,7 +16,7 @@
 
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 
 local error, ipairs, pairs, pcall, rawget = error, ipairs, pairs, pcall, rawget
 local rawset, setmetatable, tonumber = rawset, setmetatable, tonumber

@@ -14,8 +14,8 @@
 -- @module rfsm.record
 -- @license BSD-3-Clause
 
-local opts = require "rfsm.options"
-local plain = require "rfsm.plain"
+local opts = require "rfsm.shared.options"
+local plain = require "rfsm.snapshot.plain"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"

@@ -1,13 +1,13 @@
 --- Bundles charts with the core as one library of Redis functions.
 --
 -- The command `rfsm redis CHART...` calls it. Redis 7 loads the text with FUNCTION
--- LOAD. The functions are those of `rfsm.redis_functions`.
+-- LOAD. The functions are those of `rfsm.redis.functions`.
 --
 -- @module rfsm.redis
 -- @license BSD-3-Clause
 
-local bundle = require "rfsm.bundle"
-local chart = require "rfsm.chart"
+local bundle = require "rfsm.redis.bundle"
+local chart = require "rfsm.shared.chart"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require
@@ -18,7 +18,7 @@ local redis = {}
 
 -- Modules that charts require, or get as a field; those that these need come along.
 local ROOTS = {
-  "rfsm.redis_functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+  "rfsm.redis.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
 
 -- While Redis loads a library hardly any global is there; later none can be set, and
@@ -47,7 +47,7 @@ local function open()
     redis.log(redis.LOG_NOTICE, table.concat(texts, " "))
   end
   _G.print = print
-  return require "rfsm.redis_functions" ({ call = redis.call, json = cjson,
+  return require "rfsm.redis.functions" ({ call = redis.call, json = cjson,
     error_reply = redis.error_reply, pack = cmsgpack }, charts)
 end
 

@@ -2,7 +2,7 @@
 --
 -- `gen_read_events` and `gen_read_str_events` make a getevents of input ports,
 -- `gen_raise_event` sends events to an output port, `gen_write_fqn` makes a hook that
--- writes the FQN of the active leaf. The launchers are in `rfsm.rtt_launch`, which is
+-- writes the FQN of the active leaf. The launchers are in `rfsm.rtt.launch`, which is
 -- loaded when one of them is used.
 --
 -- Variables are made once and used again, so that reading, raising and writing allocate
@@ -221,7 +221,7 @@ end
 
 setmetatable(rfsm_rtt, { __index = function(_, name)
   if name == "service_launch_rfsm" or name == "component_launch_rfsm" then
-    return require("rfsm.rtt_launch")[name]
+    return require("rfsm.rtt.launch")[name]
   end
 end })
 

@@ -11,7 +11,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 
 local error, ipairs, next, pairs, pcall = error, ipairs, next, pairs, pcall
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
@@ -22,7 +22,7 @@ local place_of, reason, unpack = plain.place_of, plain.reason, plain.unpack
 local text_of = rfsm.text_of
 
 local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/plain.lua
+if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 local snapshot = { VERSION = 1 }
 

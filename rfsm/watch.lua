@@ -5,7 +5,7 @@
 -- @license BSD-3-Clause
 
 local dot = require "rfsm.dot"
-local subscriber = require "rfsm.subscriber"
+local subscriber = require "rfsm.proto.subscriber"
 
 local ipairs, os, select = ipairs, os, select
 local setmetatable = setmetatable
@@ -67,7 +67,7 @@ local function draw(self)
 end
 
 --- Print a machine as it changes; without an end, unless `count` is given.
----@param client rfsm.subscriber.Client
+---@param client rfsm.proto.Client
 ---@param options { number: integer, count: integer?, is_terminal: boolean }
 function watch.run(client, options)
   local self = setmetatable({

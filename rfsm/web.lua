@@ -16,7 +16,7 @@
 local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local Picture = require "rfsm.web.picture"
 local Live = require "rfsm.web.live"
 

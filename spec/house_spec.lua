@@ -35,6 +35,14 @@ describe("the tree", function()
     assert.is_true(#entries <= 24)
   end)
 
+  it("has at most 30 files directly in rfsm/", function()
+    local count = 0
+    for _, file in ipairs(files) do
+      count = count + (file:find("^rfsm/[^/]*$") and 1 or 0)
+    end
+    assert.is_true(count <= 30, count .. " files")
+  end)
+
   it("has no file that a program made", function()
     for _, file in ipairs(files) do
       local start = helper.content(file):sub(1, 4)

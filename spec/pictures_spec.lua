@@ -1,6 +1,6 @@
 -- Pictures of random charts, with regions and odd names, by the real tools.
 
-local diagram = require "rfsm.diagram"
+local diagram = require "rfsm.pictures.diagram"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
 local pictures = require "spec.support.pictures"

@@ -160,13 +160,10 @@ describe("the version of the core", function()
   end)
 end)
 
--- Modules that nobody requires but the library and its tools.
+-- Modules that nobody requires but the library and its tools, as those in folders.
 local IS_PRIVATE = {
-  ["rfsm.advice"] = true, ["rfsm.bundle"] = true, ["rfsm.chart"] = true,
-  ["rfsm.cli"] = true,
-  ["rfsm.clock"] = true, ["rfsm.diagram"] = true, ["rfsm.options"] = true,
-  ["rfsm.quick"] = true, ["rfsm.sim"] = true, ["rfsm.straight"] = true,
-  ["rfsm.subscriber"] = true,
+  ["rfsm.advice"] = true, ["rfsm.clock"] = true, ["rfsm.quick"] = true,
+  ["rfsm.sim"] = true, ["rfsm.straight"] = true,
 }
 
 describe("doc/config.ld", function()
@@ -180,6 +177,9 @@ describe("doc/config.ld", function()
     for name, file in pairs(modules_of("*.lua", "rfsm/*.lua")) do
       local is_alias = content(file):find("^return require")
       public[name] = not (is_alias or IS_PRIVATE[name]) and file or nil
+    end
+    for name, file in pairs(modules_of("rfsm/*/*.lua")) do -- parts of public ones
+      public[name] = content(file):find("\n-- @submodule ") and file or nil
     end
     assert.same(public, listed)
   end)

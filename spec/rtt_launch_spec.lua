@@ -387,7 +387,7 @@ extra_in_ports = { port }]] }, port)
       evaluate(exec_str, "words"))
     assert.same({}, logged("already in use"))
     assert.equal("nil table", evaluate(exec_str, -- nobody needs the first any more
-      "package.loaded['rfsm.rtt_launch'], type(package.loaded['rfsm.rtt'])"))
+      "package.loaded['rfsm.rtt.launch'], type(package.loaded['rfsm.rtt'])"))
   end)
 
   it("defines env as values, tables among them, and touches no global here", function()

@@ -352,9 +352,9 @@ describe("gen_write_fqn", function()
 end)
 
 it("the launchers are fields of the module, loaded when they are used", function()
-  package.loaded["rfsm.rtt_launch"] = nil
+  package.loaded["rfsm.rtt.launch"] = nil
   local again = dofile "rfsm/rtt.lua"
-  assert.is_nil(package.loaded["rfsm.rtt_launch"])
+  assert.is_nil(package.loaded["rfsm.rtt.launch"])
   assert.is_function(again.component_launch_rfsm)
   assert.is_function(again.service_launch_rfsm)
   assert.is_nil(again.others)

@@ -7,7 +7,7 @@ local http = require "spec.support.http"
 local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
-local subscriber = require "rfsm.subscriber"
+local subscriber = require "rfsm.proto.subscriber"
 local watch = require "rfsm.watch"
 local web = require "rfsm.web"
 

@@ -3,7 +3,7 @@
 -- @module rfsm.checks.command
 -- @license BSD-3-Clause
 
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local codes = require "rfsm.checks.codes"
 local rfsm_checks = require "rfsm_checks"
 local static = require "rfsm.checks.static"

@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local place = require "rfsm.checks.place"
 
 local error, ipairs, pairs = error, ipairs, pairs

@@ -13,7 +13,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"

@@ -3,7 +3,7 @@
 -- @module rfsm.cli.check
 -- @license BSD-3-Clause
 
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local common = require "rfsm.cli.common"
 
 local concat = table.concat

@@ -7,8 +7,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local chart = require "rfsm.chart"
-local diagram = require "rfsm.diagram"
+local chart = require "rfsm.shared.chart"
+local diagram = require "rfsm.pictures.diagram"
 
 local concat = table.concat
 

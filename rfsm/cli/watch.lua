@@ -19,7 +19,7 @@ end
 
 function watch.run(options, parser)
   local host, port = common.address_of(parser, options.address)
-  local client = common.try(require("rfsm.subscriber").connect(host, port))
+  local client = common.try(require("rfsm.proto.subscriber").connect(host, port))
   io.stdout:setvbuf("line")
   common.until_interrupt(require("rfsm.watch").run, client, {
     number = options.machine, count = options.count,

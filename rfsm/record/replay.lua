@@ -5,7 +5,7 @@
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
 
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
@@ -19,7 +19,7 @@ local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.
 local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
 
 local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/plain.lua
+if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session

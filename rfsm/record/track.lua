@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local clock = require "rfsm.clock"
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
@@ -17,7 +17,7 @@ local concat = table.concat
 local text_of = rfsm.text_of
 
 local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/plain.lua
+if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 local track = {}
 

@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"

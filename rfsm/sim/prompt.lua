@@ -6,7 +6,7 @@
 -- @module rfsm.sim.prompt
 -- @license BSD-3-Clause
 
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local commands = require "rfsm.sim.commands"
 local names = require "rfsm.sim.names"
 local terminal = require "rfsm.sim.terminal"

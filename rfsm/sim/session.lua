@@ -8,7 +8,7 @@
 
 local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local dry = require "rfsm.sim.dry"
 local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"

@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local diagram = require "rfsm.diagram"
+local diagram = require "rfsm.pictures.diagram"
 local place = require "rfsm.checks.place"
 local rfsmpp = require "rfsmpp"
 

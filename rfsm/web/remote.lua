@@ -8,7 +8,7 @@
 
 local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
-local subscriber = require "rfsm.subscriber"
+local subscriber = require "rfsm.proto.subscriber"
 
 local ipairs, setmetatable = ipairs, setmetatable
 

@@ -11,7 +11,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local chart = require "rfsm.chart"
+local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"

@@ -2,7 +2,7 @@
 --
 -- Needs the packages luasocket and dkjson.
 --
--- @module rfsm.subscriber
+-- @module rfsm.proto.subscriber
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -15,7 +15,7 @@ local subscriber = {}
 local BEAT = 1 -- seconds between two heartbeats; the host waits for three
 
 --- A subscription.
----@class rfsm.subscriber.Client
+---@class rfsm.proto.Client
 ---@field is_heard boolean the host has answered to the last subscription
 local Client = {}
 Client.__index = Client
@@ -66,7 +66,7 @@ end
 --- Make a client of a host.
 ---@param host string
 ---@param port integer
----@return rfsm.subscriber.Client? client
+---@return rfsm.proto.Client? client
 ---@return string? problem in one line
 function subscriber.connect(host, port)
   local has_socket, socket = pcall(require, "socket")

@@ -1,6 +1,6 @@
 --- Chart files for the tools: loaded with a watch on globals, failures in one line.
 --
--- @module rfsm.chart
+-- @module rfsm.shared.chart
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"

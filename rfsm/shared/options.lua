@@ -1,6 +1,6 @@
 --- Options of a function: checked by a table of tests, with defaults; packages.
 --
--- @module rfsm.options
+-- @module rfsm.shared.options
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"

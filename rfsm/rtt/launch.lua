@@ -145,7 +145,7 @@ function rtt_launch.launch(launch)
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
   launch.rtt, launch.component, launch.ports = rtt, rtt.getTC(), {}
   local ok, why = pcall(set_up, launch)
-  package.loaded["rfsm.rtt_launch"] = nil -- not needed here any more
+  package.loaded["rfsm.rtt.launch"] = nil -- not needed here any more
   collectgarbage()
   if ok then return end
   for _, port in ipairs(launch.ports) do -- which are no garbage for Lua
@@ -167,7 +167,7 @@ end
 local BOOLEAN, STRING = { "boolean", is "boolean" }, { "string", is "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 
-local FIELDS = { -- for rfsm.options
+local FIELDS = { -- for rfsm.shared.options
   name = STRING, deployer = NAME, exec_str = { "operation exec_str", is_anything },
   luatype = STRING, env = { "table of globals by name", is_env, {} },
   fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
@@ -202,13 +202,13 @@ local tune = rawget(_G, "tlsf") and collectgarbage or type
 pcall(tune, "setpause", 100)
 pcall(tune, "setstepmul", 1000)
 if not pcall(require, "rfsm") then package.path = package.path .. %q end
-require("rfsm.rtt_launch").launch(launch)
+require("rfsm.rtt.launch").launch(launch)
 ]]
 
 -- Returns the text that launches a machine. Raises if an argument is wrong, or one of
 -- those named is missing.
 local function program(args, ...)
-  local launch, problem = require("rfsm.options").read(FIELDS, args)
+  local launch, problem = require("rfsm.shared.options").read(FIELDS, args)
   if not launch then error(problem, 0) end
   for _, name in ipairs { ... } do
     if launch[name] == nil then

@@ -1,13 +1,13 @@
 --- The command line. Each command is a module in `rfsm/cli/`: texts of its help,
 -- `add_arguments(parser)`, and `run(options, parser)`, which may return a status.
 --
--- @module rfsm.cli
+-- @module rfsm.cli.main
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 local common = require "rfsm.cli.common"
 local encoders = require "rfsm.cli.encoders"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 
 local cli = {}
 

@@ -7,7 +7,7 @@
 --    { "%t", key, value, ... }   any other table
 --    { "%p", table }             plain data as it is: a snapshot in a snapshot
 --
--- @module rfsm.plain
+-- @module rfsm.snapshot.plain
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -66,7 +66,7 @@ function plain.try(what, f, ...)
 end
 
 --- The keys that lead to a value, for messages.
----@class rfsm.plain.Path
+---@class rfsm.snapshot.Path
 ---@field owner string such as the FQN of a state
 ---@field base integer how many tables there are around the owner's
 ---@field seen table<table, true> tables that have come
@@ -74,7 +74,7 @@ end
 ---@field [integer] any keys
 
 --- Return the location of a value.
----@param path rfsm.plain.Path
+---@param path rfsm.snapshot.Path
 ---@param depth integer how many of its keys count
 ---@return string text such as "root.a.list[2]"
 function plain.place_of(path, depth)
@@ -172,7 +172,7 @@ end
 -- @raise what cannot be saved, with its location: a function, a userdata, a table with
 -- a metatable or one that comes twice
 ---@param value any
----@param path rfsm.plain.Path
+---@param path rfsm.snapshot.Path
 ---@param depth integer how many of its keys lead to the value
 ---@return any packed
 function plain.pack(value, path, depth)

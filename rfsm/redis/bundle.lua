@@ -1,6 +1,6 @@
 --- Bundles: modules as functions in one text, for a sandbox without files.
 --
--- @module rfsm.bundle
+-- @module rfsm.redis.bundle
 -- @license BSD-3-Clause
 
 local io, package = io, package

@@ -4,12 +4,12 @@
 -- It is made of the full description of a machine by `rfsm.marsh`, or of one that came
 -- from elsewhere. Their functions `encode` and `save` are made here.
 --
--- @module rfsm.diagram
+-- @module rfsm.pictures.diagram
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
 local marsh = require "rfsm.marsh"
-local opts = require "rfsm.options"
+local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
@@ -20,37 +20,37 @@ local concat = table.concat
 local diagram = {}
 
 --- What may be said of a picture. A string in its place is the title.
----@class rfsm.diagram.Options
+---@class rfsm.pictures.Options
 ---@field title? string
 ---@field active? string|string[] FQNs of active states; else those of a live machine
 ---@field depth? integer levels to draw; deeper ones are left out
 ---@field direction? "TB"|"LR" from top to bottom, or from left to right
----@field coverage? rfsm.diagram.Coverage
----@field trace? (string|rfsm.diagram.Step)[] a run; a text is an FQN or a key
+---@field coverage? rfsm.pictures.Coverage
+---@field trace? (string|rfsm.pictures.Step)[] a run; a text is an FQN or a key
 
 --- A step of a run: of a witness by `rfsm_checks.explore`, or one by `rfsm.record`.
----@class rfsm.diagram.Step
+---@class rfsm.pictures.Step
 ---@field taken? string[] keys of transitions
 ---@field leaf? string FQN of the active leaf then
 ---@field m? integer number of a machine in a sequential AND state: not drawn
 ---@field record? integer it is the first record, which is no step
 
 --- How often a run came to states, by FQN, and to transitions, by key.
----@class rfsm.diagram.Coverage
+---@class rfsm.pictures.Coverage
 ---@field states table<string, integer>
 ---@field transitions table<string, integer>
 
 --- A state, a region, a connector or the dot where a composite begins.
----@class rfsm.diagram.Node
+---@class rfsm.pictures.Node
 ---@field name string as in the model
 ---@field fqn string
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
----@field parent? rfsm.diagram.Node absent at the root
+---@field parent? rfsm.pictures.Node absent at the root
 ---@field index? integer among the nodes of the parent
----@field nodes rfsm.diagram.Node[] regions, too
----@field arrows rfsm.diagram.Arrow[] those with both ends in this composite
----@field initial? rfsm.diagram.Node
+---@field nodes rfsm.pictures.Node[] regions, too
+---@field arrows rfsm.pictures.Arrow[] those with both ends in this composite
+---@field initial? rfsm.pictures.Node
 ---@field rows string[] "entry / f", internal transitions and the like
 ---@field mode? "active"|"done"
 ---@field mark? "covered"|"missed"|"traced"
@@ -59,29 +59,29 @@ local diagram = {}
 ---@field is_cut? true there are nodes in it that are not drawn
 
 --- A transition.
----@class rfsm.diagram.Arrow
+---@class rfsm.pictures.Arrow
 ---@field key string such as "root.trans[2]"
----@field src rfsm.diagram.Node
----@field tgt rfsm.diagram.Node an `initial` where the transition stays inside
----@field home? rfsm.diagram.Node the innermost composite around both ends
+---@field src rfsm.pictures.Node
+---@field tgt rfsm.pictures.Node an `initial` where the transition stays inside
+---@field home? rfsm.pictures.Node the innermost composite around both ends
 ---@field parts string[] "e1, e2", "[guard]", "/ effect", "(pn 1)", if there are any
 ---@field mark? "covered"|"missed"|"traced"
 
 --- A machine, ready to be drawn.
----@class rfsm.diagram.Chart
+---@class rfsm.pictures.Chart
 ---@field title? string
 ---@field direction string
----@field root rfsm.diagram.Node
----@field nodes rfsm.diagram.Node[] all nodes, parents before children
----@field by_fqn table<string, rfsm.diagram.Node>
----@field arrows rfsm.diagram.Arrow[] those that begin or end at the root
----@field all rfsm.diagram.Arrow[] all arrows
+---@field root rfsm.pictures.Node
+---@field nodes rfsm.pictures.Node[] all nodes, parents before children
+---@field by_fqn table<string, rfsm.pictures.Node>
+---@field arrows rfsm.pictures.Arrow[] those that begin or end at the root
+---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
 
 -- Text --------------------------------------------------------------------------
 
 --- Return an identifier that nothing else in the drawing has.
----@param chart rfsm.diagram.Chart
+---@param chart rfsm.pictures.Chart
 ---@param text string
 ---@return string id
 function diagram.new_id(chart, text)
@@ -197,8 +197,8 @@ end
 -- Arrows --------------------------------------------------------------------------
 
 --- Is `node` somewhere inside of `composite`?
----@param node rfsm.diagram.Node
----@param composite rfsm.diagram.Node
+---@param node rfsm.pictures.Node
+---@param composite rfsm.pictures.Node
 ---@return boolean
 function diagram.is_inside(node, composite)
   local parent = node.parent
@@ -399,7 +399,7 @@ local function read(source, where, options)
 end
 
 --- Return the label of an arrow as one text.
----@param arrow rfsm.diagram.Arrow
+---@param arrow rfsm.pictures.Arrow
 ---@return string label
 function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
 
@@ -426,15 +426,15 @@ function diagram.write(file, text)
 end
 
 --- The module of a language. Both functions take an initialised fsm, or a description.
----@class rfsm.diagram.Exporter
----@field encode fun(fsm: rfsm.Machine, options?: rfsm.diagram.Options): string
----@field save fun(fsm: rfsm.Machine, file: string, options?: rfsm.diagram.Options)
+---@class rfsm.pictures.Exporter
+---@field encode fun(fsm: rfsm.Machine, options?: rfsm.pictures.Options): string
+---@field save fun(fsm: rfsm.Machine, file: string, options?: rfsm.pictures.Options)
 
 --- Make the module of a language.
 ---@param name string of the module
 ---@param global string its older name
----@param draw fun(chart: rfsm.diagram.Chart): string
----@return rfsm.diagram.Exporter exporter
+---@param draw fun(chart: rfsm.pictures.Chart): string
+---@return rfsm.pictures.Exporter exporter
 function diagram.exporter(name, global, draw)
   local exporter = {}
 

@@ -9,12 +9,12 @@
 --
 -- The file reads in the order of a call: charts, arguments, load, run, save, functions.
 --
--- @module rfsm.redis_functions
+-- @module rfsm.redis.functions
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
 local clock = require "rfsm.clock"
-local plain = require "rfsm.plain"
+local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
@@ -31,7 +31,7 @@ local MAX_EVENT, MAX_DATA, MAX_VALUE = 256, 65536, 1048576 -- bytes
 local MAX_STEPS, MAX_LOG = 1000, 1000
 
 --- What the functions use of Redis.
----@class rfsm.redis_functions.Host
+---@class rfsm.redis.Host
 ---@field call function redis.call
 ---@field error_reply function redis.error_reply
 ---@field json table cjson
@@ -40,13 +40,13 @@ local MAX_STEPS, MAX_LOG = 1000, 1000
 -- Charts: a machine of each version, which stands where a call wants it ------------
 
 --- One version of a chart.
----@class rfsm.redis_functions.Chart
+---@class rfsm.redis.Chart
 ---@field name string
 ---@field make fun(): rfsm.State
 ---@field fsm rfsm.Machine|nil made at the first call
 ---@field fingerprint string of its structure
 ---@field blank rfsm.snapshot.Snapshot of a new machine
----@field fields rfsm.redis_functions.Field[] as they were at first
+---@field fields rfsm.redis.Field[] as they were at first
 ---@field added any[] element, name and so on of fields that were added since
 ---@field machines table<rfsm.Machine, table<any, true>> their fields at first
 ---@field events table<string, any> what it knows, by text
@@ -90,7 +90,7 @@ end
 -- fields that are added; those of machines are compared.
 
 --- A field of an element as it was at first.
----@class rfsm.redis_functions.Field
+---@class rfsm.redis.Field
 ---@field obj table
 ---@field key any
 ---@field value any
@@ -236,9 +236,9 @@ local function read_clock(host)
 end
 
 --- A machine that a call works on.
----@class rfsm.redis_functions.Machine
+---@class rfsm.redis.Machine
 ---@field key string
----@field chart rfsm.redis_functions.Chart
+---@field chart rfsm.redis.Chart
 ---@field fsm rfsm.Machine
 ---@field leaf string|false where it stood
 ---@field is_due boolean it was due some time
@@ -451,7 +451,7 @@ function functions.rfsm_why(host, charts, keys, args)
 end
 
 --- Return the functions for Redis, by name, as it calls them.
----@param host rfsm.redis_functions.Host
+---@param host rfsm.redis.Host
 ---@param list { name: string, make: function }[] later ones of a name are newer
 ---@return table<string, fun(keys: string[], args: string[]): any>
 return function(host, list)
