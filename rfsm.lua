@@ -1153,7 +1153,7 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run"
-    _act = false, _phase = "idle", _path = false, _from = false, _ways = NONE,
+    _act = false, _phase = "idle", _path = false, _from = false, _ways = {}, _is_hooked = false,
     _outcome = "free", _after_free = false,
     _calls = { count = 0, begun = 0, noted = 0, ok = true, result = nil, more = nil },
     _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
@@ -1311,23 +1311,34 @@ local function raise_failure(fsm)
   error(kept[1], 0)
 end
 
--- What rfsm/fast.lua replaces: functions of the names and with the promises of those
--- below. `engine.choose(fsm, events)`, `engine.iterate(fsm, after_free)`. It may offer
--- `prepare(plan)` and `note_failure(func, level, failure)` besides.
-local engine = {}
+-- What rfsm/fast.lua may replace. The functions below are the specification.
+--
+--   choose(fsm, events)         the transition with which an enabled path begins, or nil
+--   take(fsm)                   takes the path that begins with `_path`
+--   act(fsm)                    goes through the phases of an iteration
+--   iterate(fsm, after_free)    one iteration
+--   prepare(plan)               compiles what would be compiled in a run
+--   note_failure(f, level)      an error was raised while the function `f` ran
+--   is_taking(f, level, fsm)    is `f` a function that takes a path of this machine?
+local engine = { prepare = false, note_failure = false, is_taking = false }
+
+-- What the handler of an error returns if the iteration is to go on: the error is that
+-- of a callback, and has been noted as the result of its call.
+local function GO_ON() end
 
 local go_on
 
 -- Calls of the user's functions .....................................................
 --
--- The calls of a phase are numbered. `_calls.count` is the number of the last one that
--- was reached, `begun` of the last one that was made, `noted` of the last one whose
--- results are known. The actions of a path have a thousand numbers each, so that a hook
--- which is added to one action does not change the numbers of the next.
+-- The calls of an iteration are numbered in the order in which they are made.
+-- `_calls.count` is the number of the last one that was reached, `begun` of the last one
+-- that was made, `noted` of the last one whose results are known. Each phase, segment
+-- and action has numbers of its own, so that a hook that is added to one of them does
+-- not change those of the next.
 
-local ACTION = 1000
+local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
-  collect = 0, before = 1e6, search = 2e6, take = 1e9, doo = 1e14, after = 2e14,
+  collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15, after = 2e15,
 }
 
 -- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
@@ -1382,9 +1393,8 @@ end
 local function note_interrupt(failure)
   local level, info = 2, getinfo(2, "f")
   while info and info.func ~= call and info.func ~= go_on do
-    if engine.note_failure and engine.note_failure(info.func, level + 1, failure) then
-      return engine.note_failure
-    end
+    local note = engine.note_failure
+    if note and note(info.func, level + 1, failure) then return GO_ON end
     level = level + 1
     info = getinfo(level, "f")
   end
@@ -1532,14 +1542,17 @@ local function matches(def, events)
   return false
 end
 
--- Does the guard let the transition pass? One that fails does not. One that was
--- interrupted is asked again by the next step.
+-- A guard that fails does not let its transition pass. One that is interrupted is asked
+-- again by the next step.
+local function refuse_guard(fsm, tr, guard, failure)
+  if rfsm.is_interrupt(failure) then error(failure, 0) end
+  report_callback(call_aside, fsm, "guard", tr, guard, failure)
+end
+
 local function allows(fsm, tr, guard, events)
   local ok, answer = pcall(guard, tr, events)
-  if ok then return answer ~= false end
-  if rfsm.is_interrupt(answer) then error(answer, 0) end
-  report_callback(call_aside, fsm, "guard", tr, guard, answer)
-  return false
+  if not ok then refuse_guard(fsm, tr, guard, answer) end
+  return ok and answer ~= false
 end
 
 local function warn_of_conflict(fsm, connector, ways)
@@ -1800,10 +1813,15 @@ local function run_effect(fsm, def)
   if not ok then report_callback(call, fsm, "effect", tr, effect, failure) end
 end
 
+local function begin_segment(calls)
+  calls.count = calls.count - calls.count % SEGMENT + SEGMENT
+end
+
 -- Takes the segment `def` from the active state `state`: (a) leaves the states up to the
 -- lca, (b) runs the effect, (c) enters the states down to the target.
 local function take_segment(fsm, def, state)
   local nodes, entries = fsm._nodes, def.entries
+  begin_segment(fsm._calls)
   if def.is_internal then return run_effect(fsm, def) end
   record(fsm, exits_record, def)
   while state ~= nodes[def.lca.index] do
@@ -1820,6 +1838,7 @@ end
 -- Takes the path that begins with `_path`. At the first entry it begins with the root.
 local function take(fsm)
   local def, state, ways = fsm._path, fsm._from, fsm._ways
+  fsm._calls.count = FIRST.take -- not when a function of rfsm/fast.lua goes on here
   if def.kind == "state" then
     if begin_action(fsm) then enter(fsm, fsm, def) end
     def = ways[def]
@@ -1828,10 +1847,9 @@ local function take(fsm)
   while def do
     take_segment(fsm, def, state)
     local connector = def.connector
-    if not connector then break end
+    if not connector then return end
     def, state = ways[connector], fsm._nodes[connector.parent.index]
   end
-  fsm._outcome, fsm._phase = "counted", "after"
 end
 
 -- Doo ............................................................................
@@ -1940,6 +1958,11 @@ local function doo(fsm)
   fsm._outcome, fsm._phase = idle and "idle" or "counted", "after"
 end
 
+local function take_path(fsm)
+  engine.take(fsm)
+  fsm._outcome, fsm._phase = "counted", "after"
+end
+
 local function after(fsm)
   if fsm._reset_wanted then reset_now(fsm) end
   run_hooks(fsm, fsm._post_hooks, "post_step_hook")
@@ -1948,7 +1971,7 @@ local function after(fsm)
 end
 
 local PHASES = {
-  collect = collect, before = before, search = search, take = take, doo = doo,
+  collect = collect, before = before, search = search, take = take_path, doo = doo,
   after = after,
 }
 
@@ -1961,6 +1984,8 @@ function go_on(fsm)
   until fsm._phase == "idle"
 end
 
+local iterate
+
 -- Without `debug` the thread that runs a step is noted: see `is_stepping`.
 local running = not getinfo and coroutine and coroutine.running
 
@@ -1969,7 +1994,7 @@ local function same(failure) return failure end
 -- One iteration, or the rest of one that was cut short. Returns nil if the machine cannot
 -- be entered, else whether it counts as a step and whether the machine is idle.
 -- `after_free`: the last iteration did not count.
-local function iterate(fsm, after_free)
+function iterate(fsm, after_free)
   if fsm._phase == "idle" then
     local calls = fsm._calls
     calls.begun, calls.noted, fsm._after_free = 0, 0, after_free
@@ -1978,7 +2003,11 @@ local function iterate(fsm, after_free)
   if running then fsm._thread = running() or true end
   local ok, failure = xpcall(fsm._act, getinfo and note_interrupt or same)
   if running then fsm._thread = false end
-  if not ok then error(failure, 0) end
+  if not ok then
+    if failure == GO_ON then return iterate(fsm, after_free) end
+    error(failure, 0)
+  end
+  fsm._calls.noted = 0
   if fsm._reset_wanted and fsm._outcome == "refused" then reset_now(fsm) end
   raise_failure(fsm)
   local outcome = fsm._outcome
@@ -1987,14 +2016,41 @@ local function iterate(fsm, after_free)
     outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
-engine.choose, engine.iterate = choose, iterate
+engine.choose, engine.take, engine.act, engine.iterate = choose, take, go_on, iterate
 
 -- So many iterations come before rfsm/fast.lua is loaded: a program that does little
 -- should not pay for it.
 local patience = 8
 
-local function load_fast(is_wanted)
+local PARTS = {
+  ACTION = ACTION, FIRST = FIRST, OWN_ONLY = OWN_ONLY, SEGMENT = SEGMENT,
+  call = call, call_aside = call_aside, choose = choose, complete = complete,
+  compile_transition = compile_transition, enabled_with = enabled_with,
+  enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
+  iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
+  matches = matches, no_events = no_events, raise_failure = raise_failure,
+  is_callable = is_callable, refuse_guard = refuse_guard, silent = silent, take = take,
+  warn_of_conflict = warn_of_conflict, GO_ON = GO_ON,
+}
+
+local function load_fast()
+  patience = -1
+  local make = find_module("rfsm.fast")
+  if make then make(engine, PARTS) end
 end
+
+-- The first iterations of a program, and all of them if there is no rfsm/fast.lua.
+local function iterate_patiently(fsm, after_free)
+  if patience == 0 then
+    engine.iterate = iterate
+    load_fast()
+    return engine.iterate(fsm, after_free)
+  end
+  patience = patience - 1
+  return iterate(fsm, after_free)
+end
+
+engine.iterate = iterate_patiently
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
@@ -2159,7 +2215,7 @@ local function finish_machine(fsm)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
   fsm.getevents = fsm.getevents or no_events
-  fsm._act = function() go_on(fsm) end -- no tail call: see `is_stepping`
+  fsm._act = function() return (engine.act(fsm)) end -- no tail call: see `is_stepping`
   return setmetatable(fsm, Machine)
 end
 
@@ -2481,7 +2537,8 @@ local function is_stepping(fsm)
   local status = co and (co == true and "running" or coroutine.status(co))
   if status == "running" or status == "normal" then return true end
   local level, info = 2, getinfo and getinfo(2, "f")
-  while info and info.func ~= fsm._act do
+  while info and info.func ~= fsm._act
+    and not (engine.is_taking and engine.is_taking(info.func, level + 1, fsm)) do
     level = level + 1
     info = getinfo(level, "f")
   end
@@ -2717,7 +2774,10 @@ end
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
-  load_fast(true)
+  if patience >= 0 then
+    engine.iterate = iterate
+    load_fast()
+  end
   for _, at in ipairs(rfsm.machines(fsm)) do
     local plan = at.machine._plan
     for _, def in ipairs(plan.nodes) do if def.is_leaf then line_to(def) end end
@@ -2884,6 +2944,7 @@ local function state_hook_adder(where, field)
     end
     fsm[field] = fsm[field] or {}
     fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
+    fsm._is_hooked = true
   end
 end
 
