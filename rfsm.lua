@@ -1153,10 +1153,10 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run"
-    _act = false, _phase = "idle", _path = false, _from = false, _ways = {}, _is_hooked = false,
+    _act = false, _run = false, _phase = "idle", _path = false, _from = false, _ways = {}, _is_hooked = false,
     _outcome = "free", _after_free = false,
     _calls = { count = 0, begun = 0, noted = 0, ok = true, result = nil, more = nil },
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _has_step_hooks = false,
   }
 end
 
@@ -1315,7 +1315,6 @@ end
 --
 --   choose(fsm, events)         the transition with which an enabled path begins, or nil
 --   take(fsm)                   takes the path that begins with `_path`
---   act(fsm)                    goes through the phases of an iteration
 --   iterate(fsm, after_free)    one iteration
 --   prepare(plan)               compiles what would be compiled in a run
 --   note_failure(f, level)      an error was raised while the function `f` ran
@@ -1994,12 +1993,13 @@ local function same(failure) return failure end
 -- One iteration, or the rest of one that was cut short. Returns nil if the machine cannot
 -- be entered, else whether it counts as a step and whether the machine is idle.
 -- `after_free`: the last iteration did not count.
-function iterate(fsm, after_free)
+function iterate(fsm, after_free, phases)
   if fsm._phase == "idle" then
     local calls = fsm._calls
     calls.begun, calls.noted, fsm._after_free = 0, 0, after_free
     fsm._phase = "collect"
   end
+  fsm._run = phases or go_on
   if running then fsm._thread = running() or true end
   local ok, failure = xpcall(fsm._act, getinfo and note_interrupt or same)
   if running then fsm._thread = false end
@@ -2016,7 +2016,7 @@ function iterate(fsm, after_free)
     outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
-engine.choose, engine.take, engine.act, engine.iterate = choose, take, go_on, iterate
+engine.choose, engine.take, engine.iterate = choose, take, iterate
 
 -- So many iterations come before rfsm/fast.lua is loaded: a program that does little
 -- should not pay for it.
@@ -2025,6 +2025,7 @@ local patience = 8
 local PARTS = {
   ACTION = ACTION, FIRST = FIRST, OWN_ONLY = OWN_ONLY, SEGMENT = SEGMENT,
   call = call, call_aside = call_aside, choose = choose, complete = complete,
+  after = after, before = before, collect = collect, go_on = go_on,
   compile_transition = compile_transition, enabled_with = enabled_with,
   enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
@@ -2215,7 +2216,7 @@ local function finish_machine(fsm)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
   fsm.getevents = fsm.getevents or no_events
-  fsm._act = function() return (engine.act(fsm)) end -- no tail call: see `is_stepping`
+  fsm._act = function() return (fsm._run(fsm)) end -- no tail call: see `is_stepping`
   return setmetatable(fsm, Machine)
 end
 
@@ -2913,6 +2914,7 @@ local function hook_adder(where, field)
     local hooks = append({}, fsm[field])
     insert(hooks, place == "before" and 1 or #hooks + 1, hook)
     fsm[field] = hooks
+    if field ~= "_reset_hooks" then fsm._has_step_hooks = true end
   end
 end
 

@@ -105,10 +105,11 @@ local LENT, RESUMED = 1, 2
 local FSM, CALLBACK, NEXT = 1, 9, 10
 
 local BEGIN = [[
-  return function(fsm, s0, tr, base)
+  return function(fsm, base, s0, tr)
   local nodes, calls, s1, lent, callback = fsm._nodes, fsm._calls, nil, true]]
 
 local STRAIGHT = [[
+  tr = fsm._transitions[i$k]
   if tr.guard or nodes[t$k] ~= tr.tgt then return nil end]]
 
 local STRAIGHT_BEHIND = [[
@@ -116,6 +117,7 @@ local STRAIGHT_BEHIND = [[
   if base.guard or nodes[t$k] ~= base.tgt then return nil end]]
 
 local FIRST_SEGMENT = [[
+  s0 = fsm._from
   calls.begun = 0
   fsm._phase = "take"]]
 
@@ -360,7 +362,7 @@ end
 return function(engine, core)
   local ACTION, SEGMENT, silent = core.ACTION, core.SEGMENT, core.silent
   local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
-  local no_events, OWN_ONLY = core.no_events, core.OWN_ONLY
+  local no_events, FIRST, OWN_ONLY = core.no_events, core.FIRST, core.OWN_ONLY
   local loadstring = core.loadstring
 
   local function prepare_transition(def)
@@ -477,7 +479,7 @@ return function(engine, core)
       local run = run_of(def, exits, is_hooked)
       if not run then
         return core.take(fsm)
-      elseif run(fsm, state, fsm._transitions[def.index], base) == RESUMED then
+      elseif run(fsm, base, state, fsm._transitions[def.index]) == RESUMED then
         return
       end
       local connector = def.connector
@@ -642,61 +644,103 @@ return function(engine, core)
     return plain(fsm, after_free)
   end
 
-  -- Ends an iteration that had more to it.
-  local function iterate_rest(fsm)
-    fsm._outcome = "counted"
-    fsm._phase = "after"
-    return plain(fsm, false)
+  -- Goes on where a path was not just taken: a search is needed, a callback or the
+  -- engine failed, or there is more to do at the end.
+  local function iterate_rest(fsm, after_free, ok, result)
+    if not ok and result ~= GO_ON then error(result, 0) end
+    if ok and result == nil then return iterate_choosing(fsm, after_free) end
+    if ok then
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+    end
+    return plain(fsm, after_free)
   end
 
   local has_arguments = xpcall(function(x) error(x) end, type, 1) == false
     and select(2, xpcall(function(x) error(x, 0) end, type, 1)) == "number"
 
+  -- The phases of an iteration in a machine with getevents or step hooks.
+  local function go_through(fsm)
+    local calls = fsm._calls
+    if fsm._phase ~= "collect" then return core.go_on(fsm) end -- it was cut short
+    calls.count = 0
+    core.collect(fsm)
+    if fsm._joined or fsm.pre_step_hook or fsm._pre_hooks ~= OWN_ONLY then
+      calls.count = FIRST.before
+      core.before(fsm)
+    else
+      fsm._phase = "search"
+    end
+    local leaf, events = fsm._act_leaf, fsm._curq
+    local leaf_def, event, next_event = leaf and leaf["_%def"], events[1], events[2]
+    local quick = leaf and leaf_def.quick
+    if not quick then return core.go_on(fsm) end
+    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
+    local path = next_event == nil and quick[event]
+    if not path or fsm.dbg ~= silent then return core.go_on(fsm) end
+    fsm._path = path.def
+    fsm._from = leaf
+    local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
+    if run(fsm) == nil then return core.go_on(fsm) end
+    fsm._outcome = "counted"
+    fsm._phase = "after"
+    calls.count = FIRST.after
+    core.after(fsm)
+  end
+
+  local function iterate_hooked(fsm, after_free)
+    local calls = fsm._calls
+    calls.begun, calls.noted, fsm._after_free = 0, 0, after_free
+    fsm._phase = "collect"
+    return plain(fsm, after_free, go_through)
+  end
+
   -- One iteration. What is written out is one event, apart from an e_done that nothing
   -- waits for, and nobody who traces or has hung in hooks.
   local function iterate(fsm, after_free) -- luacheck: ignore 561 (as it is, for speed)
-    local leaf = fsm._act_leaf
-    if not leaf or fsm.dbg ~= silent or fsm.getevents ~= no_events
-      or fsm.pre_step_hook or fsm.post_step_hook or fsm._pre_hooks ~= OWN_ONLY
-      or fsm._post_hooks ~= OWN_ONLY or fsm._reset_wanted then
+    local leaf, spare = fsm._act_leaf, fsm._curq
+    if fsm.getevents ~= no_events or fsm.pre_step_hook or fsm.post_step_hook
+      or fsm._has_step_hooks then
+      return iterate_hooked(fsm, after_free)
+    elseif not leaf or fsm.dbg ~= silent or fsm._reset_wanted or spare[1] ~= nil then
       return plain(fsm, after_free)
     end
-    local events, spare, leaf_def = fsm._intq, fsm._curq, leaf["_%def"]
+    local events, leaf_def = fsm._intq, leaf["_%def"]
     local event, next_event = events[1], events[2]
     local quick = leaf_def.quick
+    if not quick then return plain(fsm, after_free) end
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if next_event ~= nil or spare[1] ~= nil or not quick then
+    if next_event ~= nil then
       return plain(fsm, after_free)
     elseif event == nil then
       return iterate_quietly(fsm, leaf, events)
     end
-    local path, run = quick[event], nil
-    if path == nil and not fsm._plan.events[event] then path = quick[OTHER] end
-    if path == false and not after_free then -- nothing waits for it
-      events[2] = nil
-      events[1] = nil
-      return false, false
+    local path = quick[event]
+    if not path then
+      if path == nil and not fsm._plan.events[event] then path = quick[OTHER] end
+      if path == false and not after_free then -- nothing waits for it
+        events[2] = nil
+        events[1] = nil
+        return false, false
+      end
+      fsm._curq = events
+      fsm._intq = spare
+      return iterate_choosing(fsm, after_free)
     end
     fsm._curq = events
     fsm._intq = spare
-    if not path then return iterate_choosing(fsm, after_free) end
-    run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
     fsm._path = path.def
     fsm._from = leaf
+    local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
     local ok, result
     if has_arguments then
-      ok, result = xpcall(run, handler, fsm, leaf, fsm._transitions[path.index])
+      ok, result = xpcall(run, handler, fsm)
     else
       fsm._run = run
       ok, result = xpcall(fsm._act, handler)
     end
-    if result == nil then
-      return iterate_choosing(fsm, after_free)
-    elseif not ok then
-      if result == GO_ON then return plain(fsm, after_free) end
-      error(result, 0)
-    elseif fsm._reset_wanted or fsm._failure then
-      return iterate_rest(fsm)
+    if not ok or result == nil or fsm._reset_wanted or fsm._failure then
+      return iterate_rest(fsm, after_free, ok, result)
     elseif result == true then
       events[2] = nil
       events[1] = nil
@@ -758,11 +802,4 @@ return function(engine, core)
   engine.choose, engine.iterate, engine.take = choose, iterate, take
   engine.prepare, engine.note_failure, engine.is_taking = prepare, note_failure,
     is_taking
-  if not has_arguments then
-    local go_on = engine.act
-    function engine.act(fsm)
-      if fsm._phase ~= "idle" then return go_on(fsm) end
-      return fsm._run(fsm, fsm._from, fsm._transitions[fsm._path.index])
-    end
-  end
 end
