@@ -2524,7 +2524,7 @@ end
 ---@param ... any more of them
 function rfsm.send_events(fsm, event, ...)
   if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
-  if is_traced(fsm) then report(fsm, "dbg", "RAISED", event, ...) end
+  if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then return queue_more(queue, ...) end

@@ -22,7 +22,8 @@ local error, ipairs, pairs, pcall, rawequal = error, ipairs, pairs, pcall, raweq
 local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
 local type, xpcall = type, xpcall
 local concat, insert = table.concat, table.insert
-local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
+local coroutine, debug = rawget(_G, "coroutine"), rawget(_G, "debug")
+local jit = rawget(_G, "jit")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local NONE = {}
@@ -625,22 +626,96 @@ return function(engine, core)
 
   -- Iterate ........................................................................
 
+  local resume_coroutine = coroutine and coroutine.resume
+  local status, DOO = coroutine and coroutine.status, "doo"
+
+  local has_arguments = xpcall(function(x) error(x) end, type, 1) == false
+    and select(2, xpcall(function(x) error(x, 0) end, type, 1)) == "number"
+
+  -- Calls f(fsm) in protected mode. Lua 5.1 passes no arguments.
+  local function protect_51(f, fsm)
+    fsm._run = f
+    return xpcall(fsm._act, handler)
+  end
+
+  local function protect(f, fsm) return xpcall(f, handler, fsm) end
+
+  if not has_arguments then protect = protect_51 end
+
+  -- Resumes a doo that has been started before. `note_cycle` reads the locals; `DOO` is
+  -- read where `ok` will be, which is therefore a boolean only after the call.
+  local function cycle(fsm)
+    local leaf = fsm._from
+    local co = leaf._doo_co
+    fsm._phase = DOO
+    local ok, idle = resume_coroutine(co, fsm, leaf, "doo")
+    if ok and status(co) ~= "dead" then return idle and "idle" or "counted" end
+    local calls = fsm._calls
+    calls.ok, calls.result, calls.more, calls.noted = true, ok, idle, FIRST.doo + 1
+    calls.begun = FIRST.doo + 1
+    return nil
+  end
+
   -- A doo cycle, or none if the doo is over.
   local function iterate_quietly(fsm, leaf, events)
-    if leaf._mode == "done" and not leaf._doo_co then
-      if events[1] ~= nil then events[1] = nil end
-      return true, true
-    end
     if events[1] ~= nil then events[1] = nil end
-    fsm._calls.begun, fsm._from = 0, leaf
-    fsm._phase = "doo"
+    local co = leaf._doo_co
+    if leaf._mode == "done" and not co then return true, true end
+    fsm._from = leaf
+    fsm._calls.begun = 0
+    if not co then
+      fsm._phase = "doo"
+      return plain(fsm, false)
+    end
+    local ok, outcome = protect(cycle, fsm)
+    if not ok then error(outcome, 0) end
+    if outcome and not (fsm._reset_wanted or fsm._failure) then
+      fsm._phase = "idle"
+      return true, outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
+    elseif outcome then
+      fsm._outcome = outcome
+      fsm._phase = "after"
+    end
     return plain(fsm, false)
   end
 
-  -- The events are the current ones; goes on with the phase "search".
-  local function iterate_choosing(fsm, after_free)
-    fsm._calls.begun, fsm._after_free = 0, after_free
+  -- The phases "search" and "take". The candidates are noted as the path.
+  local function search_and_take(fsm)
+    local leaf, events, candidates, plan = fsm._act_leaf, fsm._curq, fsm._path, fsm._plan
     fsm._phase = "search"
+    local def = candidates.search(fsm, events, candidates)
+    if not rawequal(fsm._act_leaf, leaf) or fsm._plan ~= plan then return nil end
+    if not def then return "free" end
+    fsm._path = def
+    fsm._phase = "take"
+    take(fsm)
+    return "counted"
+  end
+
+  -- The events are the current ones. Where it is not that simple the core searches.
+  local function iterate_choosing(fsm, after_free, leaf, candidates)
+    local ok, outcome
+    fsm._calls.begun, fsm._after_free = 0, after_free
+    if candidates and candidates.search then
+      fsm._path = candidates
+      fsm._from = leaf
+      ok, outcome = protect(search_and_take, fsm)
+      if not ok and outcome ~= GO_ON then error(outcome, 0) end
+    end
+    if not outcome then
+      fsm._phase = "search"
+    elseif ok and not (fsm._reset_wanted or fsm._failure) then
+      if outcome == "free" and after_free then
+        fsm._phase = "doo"
+        return plain(fsm, after_free)
+      end
+      fsm._curq = {}
+      fsm._phase = "idle"
+      return outcome == "counted", false
+    elseif ok then
+      fsm._outcome = outcome
+      fsm._phase = outcome == "free" and after_free and "doo" or "after"
+    end
     return plain(fsm, after_free)
   end
 
@@ -648,16 +723,18 @@ return function(engine, core)
   -- engine failed, or there is more to do at the end.
   local function iterate_rest(fsm, after_free, ok, result)
     if not ok and result ~= GO_ON then error(result, 0) end
-    if ok and result == nil then return iterate_choosing(fsm, after_free) end
+    if ok and result == nil then
+      local leaf, event = fsm._from, fsm._curq[1]
+      local leaf_def = leaf["_%def"]
+      if event == leaf_def.ignored then event = fsm._curq[2] end
+      return iterate_choosing(fsm, after_free, leaf, leaf_def.choices[event])
+    end
     if ok then
       fsm._outcome = "counted"
       fsm._phase = "after"
     end
     return plain(fsm, after_free)
   end
-
-  local has_arguments = xpcall(function(x) error(x) end, type, 1) == false
-    and select(2, xpcall(function(x) error(x, 0) end, type, 1)) == "number"
 
   -- The phases of an iteration in a machine with getevents or step hooks.
   local function go_through(fsm)
@@ -725,20 +802,14 @@ return function(engine, core)
       end
       fsm._curq = events
       fsm._intq = spare
-      return iterate_choosing(fsm, after_free)
+      return iterate_choosing(fsm, after_free, leaf, leaf_def.choices[event])
     end
     fsm._curq = events
     fsm._intq = spare
     fsm._path = path.def
     fsm._from = leaf
     local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
-    local ok, result
-    if has_arguments then
-      ok, result = xpcall(run, handler, fsm)
-    else
-      fsm._run = run
-      ok, result = xpcall(fsm._act, handler)
-    end
+    local ok, result = protect(run, fsm)
     if not ok or result == nil or fsm._reset_wanted or fsm._failure then
       return iterate_rest(fsm, after_free, ok, result)
     elseif result == true then
@@ -755,9 +826,25 @@ return function(engine, core)
 
   local getinfo, getlocal = debug and debug.getinfo, debug and debug.getlocal
 
+  -- `cycle` was cut short. Has it resumed the doo? Then the results are noted.
+  local function note_cycle(level)
+    local values = {}
+    for i = 1, 5 do
+      local _, value = getlocal(level + 1, i)
+      values[i] = value
+    end
+    local fsm, ok = values[1], values[4]
+    local calls = fsm._calls
+    if fsm._phase ~= "doo" or type(ok) ~= "boolean" then return false end
+    calls.ok, calls.result, calls.more, calls.noted = true, ok, values[5], FIRST.doo + 1
+    calls.begun = FIRST.doo + 1
+    return false
+  end
+
   -- An error comes from a function that takes a segment, or from a callback that it has
   -- called. The latter is noted as the result of the call; returns true then.
   local function note_failure(f, level, failure)
+    if f == cycle then return note_cycle(level) end
     local call_lines = call_lines_of[f]
     if not call_lines or not call_lines[getinfo(level, "l").currentline] then
       return false
@@ -775,7 +862,7 @@ return function(engine, core)
   end
 
   local function is_taking(f, level, fsm)
-    if not call_lines_of[f] then return false end
+    if not (call_lines_of[f] or f == cycle or f == search_and_take) then return false end
     local _, value = getlocal(level, FSM)
     return rawequal(value, fsm)
   end
