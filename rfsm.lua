@@ -2617,7 +2617,10 @@ end
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run") end
-  return advance(fsm, huge, engine.iterate(fsm, false))
+  local counted, idle = engine.iterate(fsm, false) -- the usual two without a loop
+  if counted and not idle then counted, idle = engine.iterate(fsm, false) end
+  if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
+  return advance(fsm, huge, counted, idle)
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.

@@ -465,6 +465,19 @@ return function(engine, core)
     return runs[key]
   end
 
+  -- Takes the segments from `def` on. It calls itself where a loop would keep LuaJIT
+  -- from making one trace of it.
+  local function take_segments(fsm, def, state, base)
+    local exits = def.is_internal and 0 or state["_%def"].depth - def.lca.depth
+    local run = run_of(def, exits, fsm._is_hooked)
+    if not run then return core.take(fsm) end
+    local result = run(fsm, base, state, fsm._transitions[def.index])
+    local connector = def.connector
+    if result == RESUMED or not connector then return end
+    return take_segments(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
+      base + SEGMENT)
+  end
+
   -- Takes the path that the machine has noted.
   local function take(fsm)
     local def, state = fsm._path, fsm._from
@@ -472,21 +485,7 @@ return function(engine, core)
       or state._actchild or state._mode == "inactive" then
       return core.take(fsm)
     end
-    local is_hooked = fsm._is_hooked
-    local base = SEGMENT
-    repeat
-      base = base + SEGMENT
-      local exits = def.is_internal and 0 or state["_%def"].depth - def.lca.depth
-      local run = run_of(def, exits, is_hooked)
-      if not run then
-        return core.take(fsm)
-      elseif run(fsm, base, state, fsm._transitions[def.index]) == RESUMED then
-        return
-      end
-      local connector = def.connector
-      if not connector then return end
-      def, state = fsm._ways[connector], fsm._nodes[connector.parent.index]
-    until false
+    return take_segments(fsm, def, state, 2 * SEGMENT)
   end
 
   -- Choose: candidates per leaf and event ..........................................
@@ -785,7 +784,10 @@ return function(engine, core)
     local events, leaf_def = fsm._intq, leaf["_%def"]
     local event, next_event = events[1], events[2]
     local quick = leaf_def.quick
-    if not quick then return plain(fsm, after_free) end
+    if not quick then
+      prepare_leaf(leaf_def)
+      quick = leaf_def.quick
+    end
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
     if next_event ~= nil then
       return plain(fsm, after_free)
