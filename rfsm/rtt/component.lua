@@ -305,7 +305,7 @@ local make_ready -- see Hooks
 
 -- Returns a function that advances the machine. It returns true whatever happens.
 local function new_trigger(launch, fsm)
-  local report, meter = new_reporter(launch), new_meter(launch)
+  local report, meter = new_reporter(launch), launch.meter
   local overrun, alarm = new_overrun(launch), new_alarm(launch, fsm)
   local target, running_only = launch.component, launch.running_only
   local steps = launch.steps or (launch.run or launch.is_component and not launch.sync)
@@ -437,6 +437,7 @@ local function set_up(launch)
     add_attributes(launch, OF_SERVICE)
     launch.variables.rfsm_halted:assign(not launch.eehook)
   end
+  launch.meter = new_meter(launch)
   local trigger = new_trigger(launch, fsm)
   local input = launch.ports.ev_inport
   launch.fsm = fsm
@@ -492,8 +493,9 @@ function component.launch(launch)
   if ok and launch.is_component then wrap_hooks(launch) end
   if not ok then undo(launch) end
   collectgarbage()
-  if ok then return result end
-  error(where .. rfsm.text_of(result), 0)
+  if not ok then error(where .. rfsm.text_of(result), 0) end
+  launch.meter()
+  return result
 end
 
 return component
