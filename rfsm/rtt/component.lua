@@ -131,8 +131,8 @@ local function printer(rtt, level)
   end
 end
 
--- Returns a function that reports what an update raised. It never raises: RTT removes a
--- hook that fails.
+-- Returns a function that reports what an update raised. It never raises, since RTT
+-- removes a hook that fails.
 local function new_reporter(launch)
   local log, count = printer(launch.rtt, "Error"), new_counter(launch, "rfsm_failures")
   return function(problem)
@@ -289,39 +289,43 @@ local function new_alarm(launch, fsm)
   end
 end
 
--- Returns a function that counts an update after which something is left to do. It
--- triggers the next one, which would otherwise wait for an event.
-local function new_overrun(launch)
-  local count = new_counter(launch, "rfsm_overruns")
-  if not launch.is_component then return count end
-  local trigger = launch.component:getOperation("trigger")
-  return function()
-    count()
-    trigger()
-  end
+-- Returns a function that triggers the next update of a component, which would
+-- otherwise wait for an event.
+local function new_again(launch)
+  return launch.is_component and launch.component:getOperation("trigger")
+    or function() end
 end
 
 local make_ready -- see Hooks
 
--- Returns a function that advances the machine. It returns true whatever happens.
-local function new_trigger(launch, fsm)
-  local report, meter = new_reporter(launch), launch.meter
-  local overrun, alarm = new_overrun(launch), new_alarm(launch, fsm)
-  local target, running_only = launch.component, launch.running_only
-  local steps = launch.steps or (launch.run or launch.is_component and not launch.sync)
-    and STEPS or 1
-  local function update()
+-- Returns a function that makes the steps of an update.
+local function new_update(launch, fsm, again)
+  local count, alarm = new_counter(launch, "rfsm_overruns"), new_alarm(launch, fsm)
+  local runs = launch.run or launch.is_component and not launch.sync
+  local steps = launch.steps or runs and STEPS or 1
+  return function()
     if not launch.is_ready then make_ready(launch) end
     local is_idle = rfsm.step(fsm, steps)
     if not is_idle and steps > 1 and rfsm.get_sta_mode(fsm) ~= "inactive" then
-      overrun()
+      count()
+      again()
     end
     alarm()
   end
+end
+
+-- Returns a function that advances the machine. It returns true whatever happens. The
+-- next update finishes a step that was cut short.
+local function new_trigger(launch, fsm)
+  local again, report, meter = new_again(launch), new_reporter(launch), launch.meter
+  local update, target = new_update(launch, fsm, again), launch.component
+  local running_only, has_failed = launch.running_only, false
   return function()
     if running_only and target:getState() ~= "Running" then return true end
     local ok, problem = pcall(update)
     if not ok then report(problem) end
+    if not ok and not has_failed then pcall(again) end
+    has_failed = not ok
     meter()
     return true
   end

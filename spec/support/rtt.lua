@@ -253,20 +253,23 @@ local function real_of(port)
   return getmetatable(port) == HANDLE and rawget(port, 1) or port
 end
 
+local function delete(handle)
+  rawget(handle, 1):disconnect()
+  setmetatable(rawget(handle, 1), FREED)
+  setmetatable(handle, DEAD)
+end
+
+local forward = setmetatable({}, { __index = function(made, name)
+  made[name] = name == "delete" and delete or function(handle, other, ...)
+    local real = rawget(handle, 1)
+    return real[name](real, real_of(other), ...)
+  end
+  return made[name]
+end })
+
 function HANDLE.__index(handle, name)
   local value = rawget(handle, 1)[name]
-  if name == "delete" then
-    return function(self)
-      rawget(self, 1):disconnect()
-      setmetatable(rawget(self, 1), FREED)
-      setmetatable(self, DEAD)
-    end
-  elseif type(value) ~= "function" then
-    return value
-  end
-  return function(self, other, ...)
-    return value(rawget(self, 1), real_of(other), ...)
-  end
+  return type(value) == "function" and forward[name] or value
 end
 
 function Port.info(port)
@@ -790,12 +793,15 @@ end
 
 local POOL = 1048576 -- bytes
 
--- Its pool is one in name only. `standin.fill` fills it with garbage: from then on what
--- needs memory fails, until somebody collects.
+-- Its pool is one in name only. `tlsf.fill`, which the real one has not, fills it with
+-- garbage: from then on what needs memory fails, until somebody collects.
 FACTORIES["OCL::LuaTLSFComponent"] = function(name)
   local component = FACTORIES["OCL::LuaComponent"](name)
   local globals, used = component.lua.globals, POOL / 2
-  globals.tlsf = { stats = function() return used, POOL, POOL end }
+  globals.tlsf = {
+    stats = function() return used, POOL, POOL end,
+    fill = function(part) used = POOL * part end,
+  }
   function globals.collectgarbage(what, ...)
     if what == nil or what == "collect" then used = POOL / 2 end
     return collectgarbage(what, ...)
@@ -806,12 +812,8 @@ FACTORIES["OCL::LuaTLSFComponent"] = function(name)
       return table[f](...)
     end
   end
-  component.fill = function(bytes) used = bytes or POOL end
   return component
 end
-
---- Fills the pool of a TLSF component, to so many bytes.
-function standin.fill(component, bytes) component.fill(bytes) end
 
 FACTORIES["OCL::TimerComponent"] = function(name)
   local component = new_component(name)
