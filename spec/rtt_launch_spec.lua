@@ -4,6 +4,7 @@
 local helper = require "spec.helper"
 local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
+local rfsm = require "rfsm"
 local rfsm_rtt = require "rfsm.rtt"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -240,7 +241,7 @@ describe("service_launch_rfsm", function()
         launch(chart_file(), exec_other, true)
         advance(0.005)
         assert.is_true(rfsm_rtt.service_halt_rfsm(other))
-        assert.equal("a", leaf_of(exec_other))
+        assert.equal("true", evaluate(exec_other, "rfsm.is_initialized_root(fsm)"))
         other:stop()
       end
     end)
@@ -849,6 +850,87 @@ function startHook() return true end]])
       assert.matches("no peer nobody", refused_with { deployer = "nobody" })
       assert.matches("getOperation", refused_with { deployer = {} })
     end)
+  end)
+end)
+
+-- Random charts: in a component as without RTT -------------------------------------
+
+describe("a launched machine", function()
+  local new_random = require "spec.support.random"
+
+  -- A chart as text. An `e_done` leads to a later state, so that each run has an end.
+  local function random_chart(random)
+    local lines, n = {}, 1 + random:below(4)
+    for i = 1, n do lines[i] = ("s%d = rfsm.state {},"):format(i) end
+    lines[#lines + 1] = "rfsm.trans { src = 'initial', tgt = 's1' },"
+    for _ = 1, 2 * n do
+      local src, tgt = random:below(n), random:below(n)
+      local event = src < tgt and random:chance(30) and "e_done"
+        or "e_" .. random:below(3)
+      lines[#lines + 1] = ("rfsm.trans { src = 's%d', tgt = 's%d', events = { '%s' }, "
+        .. "pn = %d },"):format(src, tgt, event, random:below(3))
+    end
+    return "local rfsm = require 'rfsm'\nreturn rfsm.state { info = false, "
+      .. "warn = false, " .. table.concat(lines, "\n") .. "}"
+  end
+
+  -- Returns a machine of the chart, which writes its leaves; and the function that
+  -- returns those that came.
+  local function without_rtt(file)
+    local list, fsm = {}, assert(rfsm.init(rfsm.load(file)))
+    rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn {
+      write = function(_, fqn) list[#list + 1] = fqn:gsub("root%.", "") end })
+    return fsm, function()
+      local text = table.concat(list, " ")
+      list = {}
+      return text
+    end
+  end
+
+  it("writes the leaves that it writes without RTT, whatever is stopped, started and "
+    .. "cleaned up", function()
+    for seed = 1, 25 do
+      local random = new_random(seed)
+      local file = file_with(random_chart(random))
+      local fsm, expected = without_rtt(file)
+      local enter = random:chance(50) and "start" or nil
+      local arm = rfsm_rtt.component_launch_rfsm { name = "arm", fsmfile = file,
+        steps = 1 + random:below(3), enter = enter,
+        ports = random:chance(50) and "configure" or nil,
+        poststr = "function cleanupHook() rttlib.tc_cleanup() rfsm.reset(fsm) end" }
+      local events, names
+      local function begin()
+        assert(arm:configure())
+        events, names = feed("arm.events_in"), listen("arm.fqn")
+        assert(arm:start())
+        if enter then return rfsm.step(fsm) end -- events come with its e_done
+        spin()
+        rfsm.run(fsm)
+      end
+      begin()
+      for _ = 1, 12 do
+        if random:chance(10) then
+          arm:stop()
+          assert.equal(expected(), leaves(names), "seed " .. seed)
+          arm:cleanup()
+          rfsm.reset(fsm)
+          begin()
+        else
+          local count = random:below(3) -- a thread could read one before the others
+          if count > 1 then arm:stop() end
+          for _ = 1, count do
+            local event = "e_" .. random:below(4)
+            events:write(event)
+            rfsm.send_events(fsm, event)
+          end
+          if count > 1 then arm:start() end
+        end
+        rfsm.run(fsm)
+        spin()
+        assert.equal(expected(), leaves(names), "seed " .. seed)
+      end
+      rtt_helper.reset()
+    end
   end)
 end)
 
