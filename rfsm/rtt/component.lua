@@ -28,6 +28,7 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field ports table<string, rfsm.rtt.Port> by field of the launch
 ---@field extra rfsm.rtt.Port[] those of `extra_in_ports`
 ---@field variables table<string, any> the values of the attributes, by name
+---@field attributes string[] names of those that this launch has added
 ---@field is_ready boolean are the ports there, and the hooks those of the launch?
 
 local function set_globals(globals)
@@ -91,21 +92,22 @@ local ATTRIBUTES = {
 }
 local OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
 
-local function has_attribute(launch, name)
-  return (pcall(function() return launch.component:getAttribute(name) end))
-end
-
 -- Gives the component attributes that it has not. Their values are Variables, which
--- stay when `rttlib.tc_cleanup` removes the attributes.
+-- stay when `rttlib.tc_cleanup` removes the attributes. Another service may have added
+-- some; they are shared.
 local function add_attributes(launch, types)
   for _, name in ipairs(rfsm.sorted_keys(types)) do
-    if not has_attribute(launch, name) then
-      local attribute = launch.rtt.Attribute.new(types[name], name)
-      local value = attribute:getRaw()
-      if launch.variables[name] then value:assign(launch.variables[name]) end
+    local ok, attribute = pcall(function()
+      return launch.component:getAttribute(name)
+    end)
+    if not ok then
+      attribute = launch.rtt.Attribute.new(types[name], name)
       launch.component:addAttribute(attribute)
-      launch.variables[name] = value
+      launch.attributes[#launch.attributes + 1] = name
     end
+    local value, before = attribute:getRaw(), launch.variables[name]
+    if before and not ok then value:assign(before) end
+    launch.variables[name] = value
   end
 end
 
@@ -465,7 +467,7 @@ local function undo(launch)
       real:delete()
     end
   end
-  for _, name in ipairs(rfsm.sorted_keys(launch.variables)) do
+  for _, name in ipairs(launch.attributes) do
     launch.component:removeAttribute(name)
   end
 end
@@ -491,7 +493,8 @@ function component.launch(launch)
   if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
   launch.rtt, launch.component, launch.hooks = rtt, rtt.getTC(), {}
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
-  launch.variables, launch.is_ready = {}, not launch.is_component
+  launch.variables, launch.attributes = {}, {}
+  launch.is_ready = not launch.is_component
   local ok, result = pcall(set_up, launch)
   package.loaded["rfsm.rtt.component"] = nil -- most of it is not needed any more
   if ok and launch.is_component then wrap_hooks(launch) end

@@ -515,17 +515,16 @@ for kind, field in pairs { Port = "ports", Property = "properties", Peer = "peer
   end
 end
 
-function TaskContext.addAttribute(component, attribute)
-  if component.attributes[attribute.name] then
-    error("TaskContext.addAttribute: failed to add attribute " .. attribute.name, 2)
-  end
-  add_named(component.attributes, attribute.name, attribute)
-end
-
 function TaskContext.removeAttribute(component, name)
   if not component.attributes[name] then error("No such attribute", 2) end
   setmetatable(component.attributes[name], FREED)
   remove_named(component.attributes, name)
+end
+
+-- The first one of a name is found.
+function TaskContext.addAttribute(component, attribute)
+  if component.attributes[attribute.name] then return end
+  add_named(component.attributes, attribute.name, attribute)
 end
 
 function TaskContext.getAttributeNames(component)
@@ -623,7 +622,6 @@ TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 -- One turn of the thread: hooks, in every state, then updateHook.
 local function execute(component)
   component.is_triggered = false
-  if component.fire then component.fire() end
   local i, hooks = 1, component.hooks
   while hooks[i] do
     local hook = hooks[i][1]
@@ -669,6 +667,7 @@ function rtt.sleep(s, ns)
   for component in next_due, limit do
     now, component.due = component.due, component.period > 0
       and component.due + component.period
+    if component.fire then component.fire() end
     execute(component)
     standin.spin()
   end
