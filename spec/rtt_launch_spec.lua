@@ -255,6 +255,11 @@ describe("service_launch_rfsm", function()
     rfsm_rtt.service_resume_rfsm(exec_str)
     settle()
     assert.equal("b", came())
+    assert.is_true(rfsm_rtt.service_halt_rfsm(host))
+    exec_str("rtt.getTC():getAttribute('rfsm_halted'):set(false)")
+    assert.matches("RTT's log has the reason",
+      refusal(rfsm_rtt.service_resume_rfsm, exec_str))
+    assert.equal(1, #logged("the machine is not halted"))
   end)
 
   it("is halted without a hook; a thread that does not update is none of its own",
@@ -265,6 +270,7 @@ describe("service_launch_rfsm", function()
       deploy("setActivity", "idle", 0, 0, 0)
       launch(chart_file(), exec_idle, true)
       assert.is_false(rfsm_rtt.service_halt_rfsm(idle, 0.05))
+      assert.is_false(idle:getAttribute("rfsm_halt"):get())
     end)
 
   it("refuses to halt and to resume what was not launched", function()
@@ -547,11 +553,11 @@ extra_in_ports = { port }]] }
   it("collects before a pool is full, and not at each update #standin", function()
     if not rtt_helper.is_standin then return end
     local send, _, arm, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
-    exec_str("tlsf.fill(0.85)")
+    exec_str("tlsf.fill(0.96)")
     send("e_none")
     assert.equal(512, arm:getAttribute("rfsm_live"):get())
     exec_str("n = 0 collectgarbage = function() n = n + 1 end")
-    exec_str("tlsf.fill(0.79)")
+    exec_str("tlsf.fill(0.94)")
     send("e_none")
     assert.equal("0", evaluate(exec_str, "n"))
   end)

@@ -64,20 +64,18 @@ local function new_gauge()
   end
 end
 
--- Returns a function that notes the memory in use, and collects before a pool is full.
--- What is left after a collection is the live heap. When that alone is near the limit,
--- the limit rises, or each update would collect.
+-- Returns a function that notes the memory in use. It is called first when all garbage
+-- was collected. It collects when nine tenths of the rest of the pool are in use.
 local function new_meter(launch)
   local gauge, variables = new_gauge(), launch.variables
-  local before, highest, limit = huge, 0, nil
+  local before, highest, limit = huge, 0, false
   return function()
     local used, most, size = gauge()
-    limit = limit or size * 0.8
-    if used > limit then
+    if limit and used > limit then
       collectgarbage()
-      used = gauge()
-      limit = max(size * 0.8, (used + size) / 2)
+      used, limit = gauge(), false
     end
+    limit = limit or used + 0.9 * (size - used)
     if used < before then variables.rfsm_live:assign(used) end
     if most > highest then variables.rfsm_peak:assign(most) end
     before, highest = used, max(highest, most)
@@ -411,6 +409,7 @@ local function new_hook(launch, trigger)
     halted:assign(true)
     return false
   end, [component.RESUME] = function()
+    if not halted:tolua() then error("the machine is not halted", 0) end
     halt:assign(false)
     halted:assign(false)
     hook:enable()

@@ -135,9 +135,9 @@ end
 -- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
 -- `eehook` the machine takes a step at each update, otherwise at each `trigger()`.
 --
--- Fields of `options`: `run` (run the machine, do not only step), `running_only` (not
--- while the component is stopped or not configured), and the fields of rfsm.rtt.Launch
--- for ports and programs.
+-- Fields of `options`: `run` (run the machine, do not only step), `steps`,
+-- `running_only` (not while the component is stopped or not configured), and the fields
+-- of rfsm.rtt.Launch for ports and programs.
 --
 -- @usage
 --    local exec_str = component:provides("Lua"):getOperation("exec_str")
@@ -195,12 +195,13 @@ function rtt_launch.service_halt_rfsm(target, seconds)
     sleep(0, millisecond) -- the thread leaves this Lua after the value is set
     if is_halted then return true end
   end
-  return false
+  halt:set(false)
+  return halted:get()
 end
 
 --- Have the machine of a service go on after `service_halt_rfsm`.
 --
--- @raise if the service has no machine with a hook
+-- @raise if the service has no machine that is halted
 ---@param exec_str fun(code: string): boolean the service's operation
 function rtt_launch.service_resume_rfsm(exec_str)
   if exec_str(("rawget(_G, %q)()"):format(component.RESUME)) then return end
@@ -252,6 +253,10 @@ end
 ---@field deployer? any the deployer, or the name of a peer ("Deployer")
 ---@field luatype? string type of the component ("OCL::LuaComponent")
 ---@field sync? boolean an update is one step; default: it runs the machine
+---@field steps? integer an update is as many at most; default of a run: 1000
+---@field enter? "start" enter the machine in startHook; default: in the first update
+---@field ports? "configure" make ports in configureHook; default: in the launch
+---@field timer? boolean wake an event-driven component for time events
 ---@field ev_inport? string|boolean port for events ("events_in"), false: none
 ---@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes
 ---@field fqn_port? string port for the FQN of the active leaf ("fqn")
