@@ -208,7 +208,7 @@ function rfsm_rtt.gen_write_fqn(port)
     local leaf = fsm._act_leaf
     local fqn = leaf and leaf._fqn or "<none>"
     if fqn == written[fsm] then return end
-    write(fqn)
+    write(held.samples[fqn] or fqn) -- RTT needs long to convert a text
     written[fsm] = fqn
   end
   local function write_reset(fsm)

@@ -192,7 +192,13 @@ local function check_port(held)
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
 end
 
--- Finds the ports again, makes them if they shall be there, and sets their globals.
+local function set_port_globals(launch)
+  for field, held in pairs(launch.ports) do -- any order: each is a global of its own
+    rawset(_G, PORTS[field][3], held.real or nil)
+  end
+end
+
+-- Finds the ports again, and makes them if they shall be there.
 local function find_ports(launch, is_made)
   for _, field in ipairs(FIELDS) do
     local held = launch.ports[field]
@@ -201,8 +207,8 @@ local function find_ports(launch, is_made)
     elseif held and is_made then
       new_port(launch, field, held)
     end
-    if held then rawset(_G, PORTS[field][3], held.real or nil) end
   end
+  set_port_globals(launch)
   for _, held in ipairs(launch.extra) do held:find() end
 end
 
@@ -424,32 +430,43 @@ local function run(load, source, name)
   if source then assert(load(source, name))() end
 end
 
-local function set_up(launch)
-  run(loadfile, launch.prefile)
-  run(loadstring, launch.prestr, "=prestr")
+-- Adds the ports to which the machine writes, and their functions. Returns the one that
+-- writes the FQN.
+local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
   add_port(launch, "timer")
   local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
-  set_globals {
-    fqn = fqn.real or nil, setfqn = write_fqn, ev_outport = out and out.real or nil,
-    emit_event = out and rfsm_rtt.gen_raise_event(out),
-  }
-  local fsm, getevents = load_machine(launch.rtt, launch.fsmfile)
+  set_globals { setfqn = write_fqn,
+    emit_event = out and rfsm_rtt.gen_raise_event(out) }
+  set_port_globals(launch)
+  return write_fqn
+end
+
+-- Connects the machine with its ports. The texts that it writes are converted now.
+local function connect(launch, fsm, getevents, write_fqn)
   rfsm.post_step_hook_add(fsm, write_fqn)
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    launch.ports.fqn_port.samples[leaf._fqn] =
+      launch.rtt.Variable.new("string", leaf._fqn)
+  end
   add_getevents(launch, fsm, getevents)
   add_attributes(launch, ATTRIBUTES)
-  if not launch.is_component then
-    add_attributes(launch, OF_SERVICE)
-    launch.variables.rfsm_halted:assign(not launch.eehook)
-  end
-  launch.meter = new_meter(launch)
+  if launch.is_component then return end
+  add_attributes(launch, OF_SERVICE)
+  launch.variables.rfsm_halted:assign(not launch.eehook)
+end
+
+local function set_up(launch)
+  run(loadfile, launch.prefile)
+  run(loadstring, launch.prestr, "=prestr")
+  local write_fqn = add_outputs(launch)
+  local fsm, getevents = load_machine(launch.rtt, launch.fsmfile)
+  connect(launch, fsm, getevents, write_fqn)
+  set_port_globals(launch)
+  launch.fsm, launch.meter = fsm, new_meter(launch)
   local trigger = new_trigger(launch, fsm)
-  local input = launch.ports.ev_inport
-  launch.fsm = fsm
-  set_globals {
-    fsm = fsm, trigger = trigger, ev_inport = input and input.real or nil,
-    updateHook = launch.is_component and function() trigger() end or nil,
-  }
+  set_globals { fsm = fsm, trigger = trigger,
+    updateHook = launch.is_component and function() trigger() end or nil }
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
   report_endless(launch, fsm)

@@ -20,6 +20,7 @@ local port = {}
 ---@field real any|false the port, false as long as there is none
 ---@field was_found boolean did the component have it?
 ---@field last any the last value written
+---@field samples table<string, any> Variables by text, for texts that are known before
 local Port = {}
 Port.__index = Port
 
@@ -70,6 +71,7 @@ function port.hold(real, facts)
   return setmetatable({
     name = facts.name, component = component, facts = facts, real = real,
     was_found = component and port.of(component, facts.name) ~= nil, last = nil,
+    samples = {},
   }, Port)
 end
 
@@ -79,7 +81,7 @@ end
 ---@return rfsm.rtt.Port
 function port.reserve(component, facts)
   return setmetatable({ name = facts.name, component = component, facts = facts,
-    real = false, was_found = true, last = nil }, Port)
+    real = false, was_found = true, last = nil, samples = {} }, Port)
 end
 
 return port
