@@ -68,12 +68,16 @@ local function port_problem(port, method, kind)
     kind and " of type " .. kind or "", got) or nil
 end
 
+-- Is a sample an event? RTT makes the text of its status at each read. A table that
+-- holds these texts keeps them from being garbage each time.
+local IS_NEW = { NewData = true, OldData = false, NoData = false }
+
 -- Returns a function that appends the new samples of a port to a list.
 local function new_reader(port)
   local var, double = new_variables(port)
   return function(events)
     local status, event = port:read(var)
-    while status == "NewData" do
+    while IS_NEW[status] do
       if double then double:assign(var) end
       if var then event = (double or var):tolua() end
       events[#events + 1] = event
@@ -97,7 +101,8 @@ end
 -- Makes a getevents of ports; blames the caller of the public function for wrong ones.
 -- When a port raises, the events of the others are kept for the next call.
 local function gen_reader(where, kind, ...)
-  local n, readers, events, is_taken = select("#", ...), {}, {}, false
+  local n, readers, is_taken = select("#", ...), {}, false
+  local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for the first ones
   if n == 0 then error(where .. ": at least one port expected, got none", 3) end
   for i = 1, n do
     local port = (select(i, ...))

