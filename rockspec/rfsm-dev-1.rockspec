@@ -94,6 +94,7 @@ build = {
     ["rfsm.rtt.component"] = "rfsm/rtt/component.lua",
     ["rfsm.rtt.launch"] = "rfsm/rtt/launch.lua",
     ["rfsm.rtt.port"] = "rfsm/rtt/port.lua",
+    ["rfsm.rtt.update"] = "rfsm/rtt/update.lua",
     ["rfsm.seqand"] = "rfsm/seqand.lua",
     ["rfsm.shared.chart"] = "rfsm/shared/chart.lua",
     ["rfsm.shared.options"] = "rfsm/shared/options.lua",

@@ -1,7 +1,6 @@
---- A machine in a component of Orocos RTT: its ports, attributes, updates and hooks.
+--- A machine in a component of Orocos RTT: its ports, its hooks, its launch.
 --
--- A launch loads this module in the Lua of the component, or of its service. Whatever
--- can be made, loaded or compiled is done by `launch`; an update allocates nothing.
+-- A launch loads this module in the Lua of the component, or of its service.
 --
 -- @module rfsm.rtt.component
 -- @license BSD-3-Clause
@@ -9,14 +8,19 @@
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 local rfsm_rtt = require "rfsm.rtt"
+local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
 local error, ipairs, loadfile, package = error, ipairs, loadfile, package
 local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
-local require, select, type = require, select, type
-local concat, huge, max = table.concat, math.huge, math.max
+local require, type = require, type
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+-- What stays after the launch holds these, and not all of the module.
+local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
+local make_room, new_reporter, printer =
+  update.make_room, update.new_reporter, update.printer
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
@@ -33,113 +37,6 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
 local function set_globals(globals)
   for name, value in pairs(globals) do rawset(_G, name, value) end -- any order: a set
-end
-
--- Memory: a pool of a fixed size -------------------------------------------------
-
--- Lua 5.1 collects when the heap has grown by a factor, not when memory is short. So a
--- pool that is full stays full: even the report of the error fails.
-local function make_room(problem)
-  if type(problem) == "string" and problem:find("not enough memory", 1, true) then
-    collectgarbage()
-  end
-end
-
--- Returns a function that returns the KiB in use, and the most that ever were; in a
--- TLSF pool also its size. Those of a pool count what it adds to each block.
-local function new_gauge()
-  local tlsf = rawget(_G, "tlsf")
-  if not (tlsf and tlsf.stats) then
-    local most = 0
-    return function()
-      local kib = collectgarbage("count")
-      most = max(most, kib)
-      return kib, most, huge
-    end
-  end
-  local stats = tlsf.stats
-  return function()
-    local used, most, size = stats()
-    return used / 1024, most / 1024, size / 1024
-  end
-end
-
--- Returns a function that notes the memory in use. It is called first when all garbage
--- was collected. It collects when nine tenths of the rest of the pool are in use.
-local function new_meter(launch)
-  local gauge, variables = new_gauge(), launch.variables
-  local before, highest, limit = huge, 0, false
-  return function()
-    local used, most, size = gauge()
-    if limit and used > limit then
-      collectgarbage()
-      used, limit = gauge(), false
-    end
-    limit = limit or used + 0.9 * (size - used)
-    if used < before then variables.rfsm_live:assign(used) end
-    if most > highest then variables.rfsm_peak:assign(most) end
-    before, highest = used, max(highest, most)
-  end
-end
-
--- Attributes ---------------------------------------------------------------------
-
-local ATTRIBUTES = {
-  rfsm_overruns = "uint", rfsm_failures = "uint", rfsm_live = "double",
-  rfsm_peak = "double",
-}
-local OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
-
--- Gives the component attributes that it has not. Their values are Variables, which
--- stay when `rttlib.tc_cleanup` removes the attributes. Another service may have added
--- some; they are shared.
-local function add_attributes(launch, types)
-  for _, name in ipairs(rfsm.sorted_keys(types)) do
-    local ok, attribute = pcall(function()
-      return launch.component:getAttribute(name)
-    end)
-    if not ok then
-      attribute = launch.rtt.Attribute.new(types[name], name)
-      launch.component:addAttribute(attribute)
-      launch.attributes[#launch.attributes + 1] = name
-    end
-    local value, before = attribute:getRaw(), launch.variables[name]
-    if before and not ok then value:assign(before) end
-    launch.variables[name] = value
-  end
-end
-
--- Returns a function that counts in an attribute.
-local function new_counter(launch, name)
-  local count, variables = 0, launch.variables
-  return function()
-    count = count + 1
-    variables[name]:assign(count)
-  end
-end
-
--- Log ----------------------------------------------------------------------------
-
--- Returns a printer to RTT's log. It logs texts only, since OCL mutes the log of the
--- whole process at an error that is no text.
-local function printer(rtt, level)
-  return function(...)
-    local texts = {}
-    for i = 1, select("#", ...) do make_room((select(i, ...))) end
-    for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
-    rtt.logl(level, concat(texts, " "))
-  end
-end
-
--- Returns a function that reports what an update raised. It never raises, since RTT
--- removes a hook that fails.
-local function new_reporter(launch)
-  local log, count = printer(launch.rtt, "Error"), new_counter(launch, "rfsm_failures")
-  return function(problem)
-    make_room(problem)
-    count()
-    pcall(log, "rfsm.rtt:", problem)
-  end
 end
 
 -- Ports --------------------------------------------------------------------------
@@ -277,67 +174,9 @@ local function report_endless(launch, fsm)
   end
 end
 
--- Updates ------------------------------------------------------------------------
-
-local STEPS = 1000 -- of an update that runs the machine; a run that is longer goes on
-
--- Returns a function that wakes an event-driven component for the next time event.
-local function new_alarm(launch, fsm)
-  local next_deadline = launch.ports.timer and require("rfsm_timeevent").next_deadline
-  if not next_deadline then return function() end end
-  local arm = launch.component:getPeer(launch.timer):getOperation("arm")
-  local id, delay = launch.rtt.Variable.new("int"), launch.rtt.Variable.new("double")
-  return function()
-    local seconds = next_deadline(fsm)
-    if not seconds then return end
-    delay:assign(seconds)
-    arm(id, delay)
-  end
-end
-
--- Returns a function that triggers the next update of a component, which would
--- otherwise wait for an event.
-local function new_again(launch)
-  return launch.is_component and launch.component:getOperation("trigger")
-    or function() end
-end
-
-local make_ready -- see Hooks
-
--- Returns a function that makes the steps of an update.
-local function new_update(launch, fsm, again)
-  local count, alarm = new_counter(launch, "rfsm_overruns"), new_alarm(launch, fsm)
-  local runs = launch.run or launch.is_component and not launch.sync
-  local steps = launch.steps or runs and STEPS or 1
-  return function()
-    if not launch.is_ready then make_ready(launch) end
-    local is_idle = rfsm.step(fsm, steps)
-    if not is_idle and steps > 1 and rfsm.get_sta_mode(fsm) ~= "inactive" then
-      count()
-      again()
-    end
-    alarm()
-  end
-end
-
--- Returns a function that advances the machine. It returns true whatever happens. The
--- next update finishes a step that was cut short.
-local function new_trigger(launch, fsm)
-  local again, report, meter = new_again(launch), new_reporter(launch), launch.meter
-  local update, target = new_update(launch, fsm, again), launch.component
-  local running_only, has_failed = launch.running_only, false
-  return function()
-    if running_only and target:getState() ~= "Running" then return true end
-    local ok, problem = pcall(update)
-    if not ok then report(problem) end
-    if not ok and not has_failed then pcall(again) end
-    has_failed = not ok
-    meter()
-    return true
-  end
-end
-
 -- Hooks --------------------------------------------------------------------------
+
+local make_ready
 
 -- Enters the machine. Events that wait in ports stay there: the entry would not name
 -- them.
@@ -349,6 +188,24 @@ local function enter(launch, fsm)
   local ok, problem = pcall(rfsm.step, fsm)
   if fsm.getevents == no_events then fsm.getevents = getevents end
   if not ok then new_reporter(launch)(problem) end
+end
+
+local function is_time_event(event)
+  return type(event) == "string"
+    and (event:find("e_after(", 1, true) == 1 or event:find("e_at(", 1, true) == 1)
+end
+
+-- Logs that time events wait for other events if nothing wakes the component.
+local function warn_of_timers(launch)
+  if launch.timer or launch.component:getOperation("getPeriod")() > 0 then return end
+  for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
+    for _, event in ipairs(tr.events or {}) do
+      if is_time_event(event) then
+        local text = "%s is late: a component without a period needs timer = true"
+        return printer(launch.rtt, "Warning")(text:format(event))
+      end
+    end
+  end
 end
 
 -- Has RTT's hook `name` call that of the program, if there is one, and then `ours`.
@@ -382,6 +239,7 @@ local function wrap_hooks(launch)
   wrap(launch, "configureHook", function() make_ready(launch) end)
   wrap(launch, "startHook", function()
     make_ready(launch)
+    warn_of_timers(launch)
     enter(launch, launch.fsm)
   end)
   wrap_cleanup(launch)
@@ -452,7 +310,7 @@ local function connect(launch, fsm, getevents, write_fqn)
   add_getevents(launch, fsm, getevents)
   add_attributes(launch, ATTRIBUTES)
   if launch.is_component then return end
-  add_attributes(launch, OF_SERVICE)
+  add_attributes(launch, update.OF_SERVICE)
   launch.variables.rfsm_halted:assign(not launch.eehook)
 end
 
@@ -463,8 +321,8 @@ local function set_up(launch)
   local fsm, getevents = load_machine(launch.rtt, launch.fsmfile)
   connect(launch, fsm, getevents, write_fqn)
   set_port_globals(launch)
-  launch.fsm, launch.meter = fsm, new_meter(launch)
-  local trigger = new_trigger(launch, fsm)
+  launch.fsm, launch.meter = fsm, update.new_meter(launch)
+  local trigger = update.new_trigger(launch, fsm, make_ready)
   set_globals { fsm = fsm, trigger = trigger,
     updateHook = launch.is_component and function() trigger() end or nil }
   run(loadfile, launch.postfile)
@@ -512,7 +370,9 @@ function component.launch(launch)
   launch.variables, launch.attributes = {}, {}
   launch.is_ready = not launch.is_component
   local ok, result = pcall(set_up, launch)
-  package.loaded["rfsm.rtt.component"] = nil -- most of it is not needed any more
+  for _, name in ipairs { "component", "update" } do -- most is not needed any more
+    package.loaded["rfsm.rtt." .. name] = nil
+  end
   if ok and launch.is_component then wrap_hooks(launch) end
   if not ok then undo(launch) end
   collectgarbage()
