@@ -594,8 +594,27 @@ count("restart")
 if jit then jit.on() end
 files, grown = opened, math.floor(least * 1024)]=]
 
+  -- A composite, a connector, guards, effects, entries and exits, on a circle.
+  local SHAPES = [[
+local rfsm = require "rfsm"
+local function f() end
+local function yes() return true end
+return rfsm.state { info = false, warn = false,
+  a = rfsm.state { entry = f, exit = f,
+    a1 = rfsm.state { exit = f }, a2 = rfsm.state { entry = f },
+    rfsm.trans { src = "initial", tgt = "a1" },
+    rfsm.trans { src = "a1", tgt = "a2", events = { "e_go" }, guard = yes } },
+  b = rfsm.state {}, c = rfsm.state { entry = f }, k = rfsm.conn {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_back" }, effect = f },
+  rfsm.trans { src = "b", tgt = "k", events = { "e_go" } },
+  rfsm.trans { src = "k", tgt = "c", events = { "e_go" }, guard = yes },
+  rfsm.trans { src = "c", tgt = "a", events = { "e_back" }, effect = f },
+}]]
+
   local function updated(before, tries)
-    local arm, exec_str = launched { env = { before = before, tries = tries } }
+    local arm, exec_str = launched { fsmfile = file_with(SHAPES),
+      env = { before = before, tries = tries } }
     assert(arm:configure())
     assert.is_true(exec_str(UPDATES))
     return evaluate(exec_str, "files, grown")
