@@ -38,28 +38,24 @@ local rfsm_checks = {}
 ---@field events table<any, boolean> empty until the first event comes
 ---@field predicates function[]|false functions in events; false: nothing collected yet
 
--- Adds the names in "await(e_a, e_b@F)@F", which are events, too.
-local function add_awaited(events, text)
-  local inside = text:match("^await%s*%((.*)%)") or ""
-  for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do events[name] = true end
-end
-
 local function add_events(known, tr)
   for i = 1, tr.events and #tr.events or 0 do
     local event = tr.events[i]
     known.events[event] = true
     if type(event) == "function" then
       known.predicates[#known.predicates + 1] = event
-    elseif type(event) == "string" then
-      add_awaited(known.events, event)
     end
   end
 end
 
--- Collects the events of the transitions, and those of the engine itself.
+-- Collects the events of the transitions, those that they await, and those of the
+-- engine itself.
 local function collect_known(fsm, known)
   known.events, known.predicates = { e_init_fsm = true }, {}
   for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do add_events(known, tr) end
+  for _, await in ipairs(fsm._awaits or {}) do
+    for _, event in ipairs(await.wanted) do known.events[event] = true end
+  end
   for _, leaf in ipairs(elements(fsm, is_leaf)) do
     known.events["e_done@" .. leaf._fqn] = true
   end
@@ -161,7 +157,9 @@ function rfsm_checks.check(model)
   local findings, lines = static.findings(model), {}
   for _, severity in ipairs { "error", "warning" } do
     for _, finding in ipairs(findings) do
-      lines[#lines + 1] = finding.severity == severity and static.line(finding) or nil
+      if finding.severity == severity then
+        lines[#lines + 1] = static.line(finding)
+      end
     end
   end
   return lines
