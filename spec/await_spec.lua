@@ -167,6 +167,12 @@ describe("in a state whose name has a comma, quote or parenthesis", function()
   end)
 end)
 
+it("awaits agree with counting, on random charts", function()
+  local cases, problem = require("spec.support.claims.await").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
 it("a machine without await has nothing of this extension", function()
   local fsm = helper.init(chart { "e_x" })
   assert.same({}, { fsm._awaits, fsm.a._await })

@@ -617,6 +617,12 @@ describe("reset", function()
   end)
 end)
 
+it("regions agree with machines stepped by hand, on random charts", function()
+  local cases, problem = require("spec.support.claims.seqand").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
 it("a machine without sequential AND states has nothing of this extension", function()
   local fsm = init(region({}, "plain"))
   assert.same({}, { fsm._has_seqand, fsm.a._seqand })

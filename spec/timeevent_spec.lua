@@ -822,6 +822,12 @@ describe("a clock that returns seconds in one number", function()
   end)
 end)
 
+it("time events agree with a list of deadlines, on random charts", function()
+  local cases, problem = require("spec.support.claims.timeevent").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
 it("two machines of one model have timers of their own", function()
   local model = chart { e_after(3) }
   local first = started(model)

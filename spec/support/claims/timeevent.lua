@@ -61,7 +61,7 @@ local function add_timers(chart, random)
   end
 end
 
--- The model: a list of deadlines -------------------------------------------------------
+-- The model: a list of deadlines ------------------------------------------------------
 
 -- Sets a timer; `now` is nil while the clock fails.
 local function arm(timer, now)
@@ -123,7 +123,7 @@ local function remaining(run, now)
   return least < math.huge and least or nil
 end
 
--- Runs --------------------------------------------------------------------------------
+-- Runs -------------------------------------------------------------------------------
 
 -- Moves the clock: to the next timer or a nanosecond less, forward, back, into failure.
 local function move(clock, random, run)
