@@ -595,6 +595,29 @@ describe("instances", function()
   end)
 end)
 
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+
+  it("has the regions, and is put without an advance", function()
+    local trace = {}
+    local model = parent(two(trace, { step = 2 }))
+    local fsm = started(model)
+    rfsm.send_events(fsm.par.substates.left, "e_x")
+    rfsm.run(fsm)
+    local snap = snapshot.take(fsm)
+    helper.clear(trace)
+    local other = assert(snapshot.restore(model, snap))
+    assert.same({}, trace)
+    run(other, "e_x")
+    assert.equal("root.a root.b", leaves(other.par))
+    other = assert(snapshot.restore(model, snap, { entries = true }))
+    assert.equal("root.b root.a", leaves(other.par))
+    run(other, "e_leave")
+    run(other, "e_enter")
+    assert.equal("root.a root.a", leaves(other.par))
+  end)
+end)
+
 describe("reset", function()
   it("resets the regions, without exits", function()
     local trace = {}
