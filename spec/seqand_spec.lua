@@ -72,6 +72,7 @@ end
 
 describe("rfsm.seqand", function()
   it("is the module rfsm_seqand, and returns a leaf state", function()
+    assert.equal(seqand, rawget(_G, "rfsm_seqand"))
     assert.equal(require "rfsm_seqand", seqand)
     assert.is_true(rfsm.is_leaf(two {}))
   end)

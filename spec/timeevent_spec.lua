@@ -362,6 +362,10 @@ describe("a time event that is wrong", function()
   end)
 end)
 
+it("the module is the global of its flat name, too", function()
+  assert.equal(timeevent, rawget(_G, "rfsm_timeevent"))
+end)
+
 it("is_timeevent knows objects and texts", function()
   for _, value in ipairs { "e_after(1)", "e_at(2.5)", "e_after(1)@root.a", e_after(1),
     e_at(print) } do
@@ -706,11 +710,14 @@ describe("the clock of a machine", function()
   end)
 
   it("may want a clock id", function()
-    local ids = {}
+    local ids, hours = {}, 0
     local fsm = started(chart({ "e_after(3)" }, { gettime = function(id)
       ids[#ids + 1] = assert(id)
-      return now[1], now[2]
+      return now[1] + (id == "CLOCK_REALTIME" and hours or 0), now[2]
     end }))
+    hours = 3600
+    check(fsm, "+3=a +0,1=b e_back=a +3=a +0,1=b e_back=a")
+    hours, now = 0, { 1000, 0 }
     helper.clear(ids)
     check(fsm, "=a")
     assert.same({ "CLOCK_MONOTONIC" }, ids)
@@ -974,11 +981,11 @@ describe("rfsm.clock", function()
 end)
 
 describe("the cost of an iteration", function()
-  local function reads(fsm)
+  local function reads(fsm, time)
     local count = 0
     set_gettime_hook(function()
       count = count + 1
-      return 1000, 0
+      return unpack(time or { 1000, 0 })
     end)
     count = 0 -- it was tried
     rfsm.step(fsm)
@@ -1005,6 +1012,17 @@ describe("the cost of an iteration", function()
         assert.equal(1, count)
       end
     end)
+
+  it("is one reading until a millisecond before the next timer", function()
+    local model = chart { "e_after(1)", "e_after(9.9)" }
+    model[2].guard = closed
+    local fsm = started(model)
+    check(fsm, "+2=a")
+    now = { 1009, 898000000 }
+    assert.equal(1, reads(fsm, now))
+    now = { 1009, 899500000 }
+    assert.equal(2, reads(fsm, now))
+  end)
 
   it("with an entry is one reading more, for all its timers", function()
     local fsm, count = started(chart { "e_after(1)", "e_after(2)" }), 0
