@@ -362,7 +362,7 @@ local function is_before(sec, nsec, than_sec, than_nsec)
   return nsec < than_nsec
 end
 
--- Orders pairs of a timer and its deadline.
+-- Orders timers that have expired, each with its deadline.
 local function expires_before(a, b)
   if a.sec ~= b.sec or a.nsec ~= b.nsec then
     return is_before(a.sec, a.nsec, b.sec, b.nsec)
@@ -370,17 +370,23 @@ local function expires_before(a, b)
   return a.timer.rank < b.timer.rank
 end
 
--- Lists the armed timers of one kind in the order in which they expire.
-local function list_armed(fsm, is_relative)
-  local armed = {}
+-- Disarms and lists the timers of one kind that have expired. Notes the deadlines of
+-- the others.
+local function take_expired(fsm, is_relative, sec, nsec)
+  local expired = {}
+  fsm._timeevent[is_relative] = huge
   for _, timer in ipairs(list_timers(fsm)) do
-    local sec, nsec = deadline_of(timer)
-    if timer.is_relative == is_relative and sec < huge then
-      armed[#armed + 1] = { timer = timer, sec = sec, nsec = nsec }
+    local at, rest = deadline_of(timer)
+    local is_meant = timer.is_relative == is_relative
+    if is_meant and is_before(at, rest, sec, nsec) then
+      disarm(timer)
+      expired[#expired + 1] = { timer = timer, sec = at, nsec = rest }
+    elseif is_meant then
+      note_deadline(fsm, is_relative, at, rest)
     end
   end
-  sort(armed, expires_before)
-  return armed
+  sort(expired, expires_before)
+  return expired
 end
 
 -- Raises the events of the timers of one kind that have expired.
@@ -388,16 +394,10 @@ local function raise_expired(fsm, is_relative)
   local sec, nsec = read(fsm, is_relative)
   if not sec then return report_clock(fsm, nsec) end
   if is_relative then arm_waiting(fsm, sec, nsec) end
-  local own, events = fsm._timeevent, fsm._curq
-  own[is_relative] = huge
-  for _, at in ipairs(list_armed(fsm, is_relative)) do
-    if is_before(at.sec, at.nsec, sec, nsec) then
-      disarm(at.timer)
-      events[#events + 1] = at.timer.name
-      report(fsm, "dbg", "TIMEEVENT", at.timer.name)
-    else
-      note_deadline(fsm, is_relative, at.sec, at.nsec)
-    end
+  local events = fsm._curq
+  for _, at in ipairs(take_expired(fsm, is_relative, sec, nsec)) do
+    events[#events + 1] = at.timer.name
+    report(fsm, "dbg", "TIMEEVENT", at.timer.name)
   end
 end
 
@@ -610,10 +610,17 @@ end
 
 -- Returns the seconds until the first timer of one kind can fire; huge: there is none.
 local function remaining(fsm, is_relative)
-  local first = list_armed(fsm, is_relative)[1]
-  if not first then return huge end
+  local first, first_nsec = huge, 0
+  for _, timer in ipairs(list_timers(fsm)) do
+    local sec, nsec = deadline_of(timer)
+    local is_meant = timer.is_relative == is_relative
+    if is_meant and is_before(sec, nsec, first, first_nsec) then
+      first, first_nsec = sec, nsec
+    end
+  end
+  if first == huge then return huge end
   local sec, nsec = read_or_raise(fsm, is_relative)
-  sec, nsec = normalise(first.sec - sec, first.nsec - nsec + 1)
+  sec, nsec = normalise(first - sec, first_nsec - nsec + 1)
   return max(sec + nsec / 1e9, 0)
 end
 
