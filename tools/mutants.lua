@@ -324,8 +324,8 @@ local function try(copy, room, sites, count, seed)
     tried = tried + 1
     if copy:notices(mutant, specs) then killed = killed + 1 else show(mutant) end
   end
-  print(("%s: %d of %d mutants killed (%.0f %%), seed %d, %d s"):format(room.name, killed,
-    tried, 100 * killed / math.max(tried, 1), seed, os.time() - began))
+  print(("%s: %d of %d mutants killed (%.0f %%), seed %d, %d s"):format(room.name,
+    killed, tried, 100 * killed / math.max(tried, 1), seed, os.time() - began))
 end
 
 -- Command line ----------------------------------------------------------------
