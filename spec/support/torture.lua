@@ -9,6 +9,11 @@ package.path = "./?.lua;" .. package.path
 
 local FOLDER = "spec/support/claims/"
 
+local function fail(message)
+  io.stderr:write("torture: ", message, "\n")
+  os.exit(2)
+end
+
 local function lines_of(command)
   local pipe, lines = assert(io.popen(command)), {}
   for line in pipe:lines() do lines[#lines + 1] = line end
@@ -31,13 +36,13 @@ local function hold(file, n, seed)
 end
 
 local n, seed = tonumber(arg[1]), tonumber(arg[2])
-assert(n and seed, "torture: N and SEED: numbers expected")
+if not (n and seed) then fail("N, SEED: numbers expected") end
 if arg[3] == "--file" then os.exit(hold(arg[4], n, seed) and 0 or 1) end
 
 local files = {}
 for i = 3, #arg do files[#files + 1] = FOLDER .. arg[i] .. ".lua" end
 for i, file in ipairs(files) do
-  assert(io.open(file), ("torture: no claim '%s'"):format(arg[i + 2])):close()
+  if not io.open(file) then fail(("there is no claim '%s'"):format(arg[i + 2])) end
 end
 if not files[1] then files = lines_of("ls " .. FOLDER .. "*.lua") end
 
