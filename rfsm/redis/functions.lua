@@ -13,6 +13,7 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
@@ -22,7 +23,7 @@ local why = require "rfsm.checks.why"
 require "rfsm.await"
 
 local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
-local pairs, pcall, rawset, select = pairs, pcall, rawset, select
+local pairs, pcall, rawset = pairs, pcall, rawset
 local tonumber, tostring, type = tonumber, tostring, type
 local concat = table.concat
 local fail, is_meta, text_of = plain.fail, rfsm.is_meta, rfsm.text_of
@@ -80,9 +81,7 @@ local function emit_with(json)
 end
 
 local function collect_print(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  printed[#printed + 1] = concat(texts, " ")
+  printed[#printed + 1] = calls.text(" ", ...)
 end
 
 -- One machine of a chart serves all: what callbacks have left in its fields, and the

@@ -9,10 +9,11 @@
 
 local rfsm = require "rfsm"
 local rfsm_rtt = require "rfsm.rtt"
+local calls = require "rfsm.shared.calls"
 
 local assert, collectgarbage, error, ipairs = assert, collectgarbage, error, ipairs
 local loadfile, package, pairs, pcall = loadfile, package, pairs, pcall
-local rawget, rawset, require, select = rawget, rawset, require, select
+local rawget, rawset, require = rawget, rawset, require
 local tostring, type = tostring, type
 local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
@@ -25,11 +26,7 @@ local rtt_launch = {}
 -- Returns a printer to RTT's log. It logs texts only, since OCL mutes the log of the
 -- whole process at an error that is no text.
 local function printer(rtt, level)
-  return function(...)
-    local texts = {}
-    for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
-    rtt.logl(level, concat(texts, " "))
-  end
+  return function(...) rtt.logl(level, calls.text(" ", ...)) end
 end
 
 -- Returns the machine, and the getevents of the chart.

@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local dry = require "rfsm.sim.dry"
 local history = require "rfsm.sim.history"
@@ -49,7 +50,7 @@ Session.__index = Session
 -- Open a chart ----------------------------------------------------------------------
 
 -- The errors of the chart's own callbacks.
-local function print_err(...) complain(view.texts("\t", ...)) end
+local function print_err(...) complain(calls.text("\t", ...)) end
 
 -- Initialises `model`, silent about its problems: they are returned.
 local function init_quietly(model)

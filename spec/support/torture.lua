@@ -35,18 +35,22 @@ local function hold(file, n, seed)
   return not problem
 end
 
+-- The files of the claims that are named from argument `first` on; all if none is.
+local function files_of(first)
+  local files = {}
+  for i = first, #arg do
+    local file = FOLDER .. arg[i] .. ".lua"
+    if not io.open(file) then fail(("there is no claim '%s'"):format(arg[i])) end
+    files[#files + 1] = file
+  end
+  return files[1] and files or lines_of("ls " .. FOLDER .. "*.lua")
+end
+
 local n, seed = tonumber(arg[1]), tonumber(arg[2])
 if not (n and seed) then fail("N, SEED: numbers expected") end
 if arg[3] == "--file" then os.exit(hold(arg[4], n, seed) and 0 or 1) end
 
-local files = {}
-for i = 3, #arg do files[#files + 1] = FOLDER .. arg[i] .. ".lua" end
-for i, file in ipairs(files) do
-  if not io.open(file) then fail(("there is no claim '%s'"):format(arg[i + 2])) end
-end
-if not files[1] then files = lines_of("ls " .. FOLDER .. "*.lua") end
-
-local failed = 0
+local files, failed = files_of(3), 0
 for _, file in ipairs(files) do
   local lines = lines_of(("'%s' '%s' %d %d --file '%s' 2>&1; echo $?"):format(arg[-1],
     arg[0], n, seed, file))
