@@ -10,6 +10,7 @@
 -- @module rfsm.snapshot
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local plain = require "rfsm.snapshot.plain"
 
@@ -543,7 +544,7 @@ end
 ---@nodiscard
 function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
-  local ok, snap = plain.pcall(take, fsm, 1)
+  local ok, snap = calls.try(take, fsm, 1)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
   if options and options.structure then snap.structure = chart_of(fsm).lines end
   return snap
@@ -558,7 +559,7 @@ end
 
 local function try_put(fsm, snap, options, is_new)
   if type(options) ~= "table" then options = {} end -- dkjson.decode returns a position
-  local ok, failure = plain.pcall(put, fsm, snap, options, is_new)
+  local ok, failure = calls.try(put, fsm, snap, options, is_new)
   if ok then return true end
   return false, "rfsm.snapshot: " .. reason(failure),
     type(failure) == "table" and failure.difference or nil

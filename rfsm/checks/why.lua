@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
@@ -50,7 +51,7 @@ end
 local function is_accepted(tr, event)
   for _, wanted in ipairs(tr.events) do
     local ok, answer = true, false
-    if type(wanted) == "function" then ok, answer = match.try(wanted, event) end
+    if type(wanted) == "function" then ok, answer = calls.try(wanted, event) end
     if ok and answer then return true end
   end
   return match.names(tr, event)
@@ -85,7 +86,7 @@ local function judge(search, tr)
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local ok, answer = true, true
-  if tr.guard then ok, answer = match.try(tr.guard, tr, search.events) end
+  if tr.guard then ok, answer = calls.try(tr.guard, tr, search.events) end
   if not ok then return "failed", "its guard fails: " .. text_of(answer) end
   if answer == false then return "guard", "its guard returns false" end
   local tgt = target_of(tr)

@@ -5,6 +5,7 @@
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -114,7 +115,7 @@ local function finish_again(session, track)
   local rec = track.rec
   if not rec then return end
   if track.m == nil then watch_clock(session, nil) end
-  local ok, failure = plain.pcall(compare, session, track)
+  local ok, failure = calls.try(compare, session, track)
   if not ok then depart(session, "%s", reason(failure)) end
   if session.is_dry then
     fill(session, track.fsm._intq, rec.sent)
@@ -134,7 +135,7 @@ local function answer_again(session, track, is_called, number, guard, tr, events
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
   elseif is_called then
-    local ok, now = plain.pcall(guard, tr, events)
+    local ok, now = calls.try(guard, tr, events)
     if (ok and now ~= false) ~= (answer == true) then
       depart(session, "the guard of %s behaves otherwise", tostring(tr))
     end
@@ -191,7 +192,7 @@ local function run(session, track)
     local before = session.at
     track.is_fresh = session.records[before + 1].fresh
     if track.is_fresh then rfsm.reset(track.fsm) end
-    local ok, failure = plain.pcall(rfsm.step, track.fsm)
+    local ok, failure = calls.try(rfsm.step, track.fsm)
     if not ok and not rawequal(failure, STOP) then
       depart(session, "%s", reason(failure))
     elseif session.at == before then

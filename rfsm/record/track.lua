@@ -6,6 +6,7 @@
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
@@ -104,7 +105,7 @@ end
 --- Call f(...) meanwhile; return whether it succeeded, and two results.
 function track.with_clock(owner, wrap, f, ...)
   track.watch_clock(owner, wrap)
-  local is_whole, ok, result, problem = pcall(plain.pcall, f, ...)
+  local is_whole, ok, result, problem = pcall(calls.try, f, ...)
   track.watch_clock(owner, nil)
   if not is_whole then error(ok, 0) end
   return ok, result, problem

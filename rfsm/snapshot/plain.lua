@@ -11,9 +11,10 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, rawget, tonumber, type = pcall, rawget, tonumber, type
+local rawget, tonumber, type = rawget, tonumber, type
 local floor, huge = math.floor, math.huge
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
@@ -43,24 +44,13 @@ function plain.reason(failure)
   return type(failure) == "table" and failure.text or text_of(failure)
 end
 
---- Call a function; an interrupt such as Control-C reaches the caller as itself.
----@param f function
----@param ... any
----@return boolean ok
----@return any ... two results
-function plain.pcall(f, ...)
-  local ok, result, more = pcall(f, ...)
-  if not ok and rfsm.is_interrupt(result) then error(result, 0) end
-  return ok, result, more
-end
-
 --- Call a function of the chart; its error is one of `fail`.
 ---@param what string in front of the error
 ---@param f function
 ---@param ... any
 ---@return any result
 function plain.try(what, f, ...)
-  local ok, result = plain.pcall(f, ...)
+  local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
   return result
 end
