@@ -420,7 +420,7 @@ package.path = "./?.lua;" .. package.path
 print = function() end
 local rfsm = require "rfsm"
 local history = require "rfsm.sim.history"
-local names = require "rfsm.sim.names"
+local alphabet = require "rfsm.shared.alphabet"
 local prompt = require "rfsm.sim.prompt"
 local session = require "rfsm.sim.session"
 local dice = require("spec.support.random")(7)
@@ -431,7 +431,7 @@ local function place_of(sim)
 end
 
 local function wander(sim, count)
-  local events, places = rfsm.sorted_keys(names.event_set(sim.fsm)), {}
+  local events, places = rfsm.sorted_keys(alphabet.of_all(sim.fsm).set), {}
   for _ = 1, count do
     if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
     sim.env.step()

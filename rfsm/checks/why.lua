@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
+local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
@@ -216,12 +217,10 @@ local function add_enabled(list, is_listed, fsm)
     if not (found.has_predicate or found.set[event]) then return takes_any end
     return select(2, answers_of(fsm, { event }))
   end
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    for _, event in ipairs(tr.events or {}) do
-      if type(event) ~= "function" and not is_listed[event] and is_enabled(event) then
-        is_listed[event] = true
-        list[#list + 1] = event
-      end
+  for _, event in ipairs(alphabet.of(fsm).list) do
+    if not is_listed[event] and is_enabled(event) then
+      is_listed[event] = true
+      list[#list + 1] = event
     end
   end
   list.any = list.any or takes_any

@@ -172,8 +172,11 @@ local probe = {}
 ---@return table probe
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    is_seen = {}, seen = {}, is_used = {}, machines = names.machines(sim.fsm) }, Probe)
-  for _, machine in ipairs(self.machines) do self:attach(machine) end
+    is_seen = {}, seen = {}, is_used = {}, machines = {} }, Probe)
+  for i, place in ipairs(rfsm.machines(sim.fsm)) do
+    self.machines[i] = { fsm = place.machine, prefix = place.prefix }
+    self:attach(self.machines[i])
+  end
   return self
 end
 

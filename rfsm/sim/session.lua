@@ -181,8 +181,8 @@ end
 ---@return fun() release
 function Session:guard_doos()
   local wrapped = {}
-  for _, machine in ipairs(terminal.is_caught() and names.machines(self.fsm) or {}) do
-    for _, state in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
+  for _, place in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
+    for _, state in ipairs(rfsm.elements(place.machine, rfsm.is_leaf)) do
       wrap(wrapped, state)
     end
   end
