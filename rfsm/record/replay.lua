@@ -5,22 +5,20 @@
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
 local calls = require "rfsm.shared.calls"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tostring, type = tostring, type
 local max, min = math.max, math.min
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
 local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
@@ -204,7 +202,7 @@ end
 -- A model that says nothing, and is otherwise the same.
 local function quiet(model)
   local copy = {}
-  for key, value in pairs(model) do copy[key] = value end -- any order: a copy
+  for key, value in order.each(model) do copy[key] = value end -- any order: a copy
   copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
   return setmetatable(copy, getmetatable(model))
 end
