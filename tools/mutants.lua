@@ -45,7 +45,7 @@ local ROOMS = {
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "tools" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },
-    specs = { "mistakes", "checks", "export", "timeevent", "emem", "web", "tools" } },
+    specs = { "shared", "mistakes", "checks", "tools" } },
 }
 
 local function fail(message)
