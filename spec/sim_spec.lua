@@ -314,7 +314,7 @@ describe("at a terminal", function()
   end)
 
   if not has_tmux or not (pcall(require, "posix.signal") or pcall(require, "luv")) then
-    return
+    return pending("tmux, or both luaposix and luv, is missing")
   end
 
   it("Control-C drops a line, ends a run, and interrupts a doo, any time", function()
@@ -338,7 +338,7 @@ describe("at a terminal", function()
   end)
 
   it("Tab completes commands, states and events", function()
-    if not pcall(require, "readline") then return end
+    if not pcall(require, "readline") then return pending("lua-readline is missing") end
     local at = open_terminal("-q " .. file_with(BUSY))
     at.type_in("> breakpoint spin", "brea", "Tab", " sp", "Tab", "Enter")
     at.type_in("> ser e_busy", "ser e_b", "Tab")
