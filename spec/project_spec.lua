@@ -267,14 +267,14 @@ local function run_block(env, block, name)
 end
 
 -- The blocks of one document share their globals, as at one prompt.
-for _, file in ipairs(files("*.md", "doc/*.md")) do
-  describe(file, function()
-    local env = setmetatable({}, { __index = _G })
-    for _, block in ipairs(lua_blocks(file)) do
-      it("runs at line " .. block.line .. ", and prints what it says", function()
+describe("each block of code", function()
+  for _, file in ipairs(files("*.md", "doc/*.md")) do
+    it("in " .. file .. " runs, and prints what it says", function()
+      local env = setmetatable({}, { __index = _G })
+      for _, block in ipairs(lua_blocks(file)) do
         local printed, expected = run_block(env, block, file), promised(block)
-        if expected[1] then assert.same(expected, printed) end
-      end)
-    end
-  end)
-end
+        if expected[1] then assert.same(expected, printed, "at line " .. block.line) end
+      end
+    end)
+  end
+end)
