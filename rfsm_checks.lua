@@ -9,10 +9,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local calls = require "rfsm.shared.calls"
-local alphabet = require "rfsm.shared.alphabet"
 
-local error, ipairs, rawget = error, ipairs, rawget
+local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local rawset, require, setmetatable, type = rawset, require, setmetatable, type
 local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
@@ -40,11 +38,28 @@ local rfsm_checks = {}
 ---@field events table<any, boolean> empty until the first event comes
 ---@field predicates function[]|false functions in events; false: nothing collected yet
 
+-- Adds the names in "await(e_a, e_b@F)@F", which are events, too.
+local function add_awaited(events, text)
+  local inside = text:match("^await%s*%((.*)%)") or ""
+  for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do events[name] = true end
+end
+
+local function add_events(known, tr)
+  for i = 1, tr.events and #tr.events or 0 do
+    local event = tr.events[i]
+    known.events[event] = true
+    if type(event) == "function" then
+      known.predicates[#known.predicates + 1] = event
+    elseif type(event) == "string" then
+      add_awaited(known.events, event)
+    end
+  end
+end
+
 -- Collects the events of the transitions, and those of the engine itself.
 local function collect_known(fsm, known)
-  local named = alphabet.of(fsm)
-  known.events, known.predicates = named.set, named.predicates
-  known.events.e_init_fsm = true
+  known.events, known.predicates = { e_init_fsm = true }, {}
+  for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do add_events(known, tr) end
   for _, leaf in ipairs(elements(fsm, is_leaf)) do
     known.events["e_done@" .. leaf._fqn] = true
   end
@@ -53,7 +68,7 @@ end
 local function is_known(known, event)
   if known.events[event] then return true end
   for i = 1, #known.predicates do
-    local ok, answer = calls.try(known.predicates[i], event)
+    local ok, answer = pcall(known.predicates[i], event)
     if ok and answer then return true end
   end
   return false
@@ -68,9 +83,9 @@ end
 
 -- This runs in every iteration: one look for an event that is declared.
 local function check_events(fsm)
-  local queue, known = fsm._curq, fsm._checks.events
-  for i = 1, #queue do
-    if not known[queue[i]] then check_event(fsm, queue[i]) end
+  local events, known = fsm._curq, fsm._checks.events
+  for i = 1, #events do
+    if not known[events[i]] then check_event(fsm, events[i]) end
   end
 end
 

@@ -9,7 +9,6 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local alphabet = require "rfsm.shared.alphabet"
 
 local error, ipairs, next, rawget = error, ipairs, next, rawget
 local rawset, type = rawset, type
@@ -93,13 +92,25 @@ end
 
 -- Prepare: await(...) becomes an event of its own -----------------------------------
 
+-- Splits "e_a, 'e_b'" into names without blanks and quotes; nil if one is empty.
+local function split(text)
+  local names = {}
+  for part in (text .. ","):gmatch("([^,]*),") do
+    local name = part:match("^%s*(.-)%s*$")
+    name = name:match("^(['\"]).*%1$") and name:sub(2, -2) or name
+    if name == "" then return nil end
+    names[#names + 1] = name
+  end
+  return names
+end
+
 -- Returns the names in "await(e_a, e_b)"; nil if it is another event, false and the
 -- reason if it was meant to be one.
 local function parse(event)
   local inside = type(event) == "string" and event:match("^await%s*%((.*)$")
   if not inside or inside:find("%)@[^%)]*$") then return nil end
-  local names = not inside:find("await(", 1, true) and alphabet.awaited(event)
-  if names then return names end
+  local names = inside:match("%)$") and split(inside:sub(1, -2))
+  if names and not inside:find("await(", 1, true) then return names end
   return false, "await: a list of events expected, got '" .. event
     .. "' (await(e_a, e_b) would be right)"
 end

@@ -9,11 +9,11 @@
 -- @module rfsm.emem
 -- @license BSD-3-Clause
 
-local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local error, ipairs, next = error, ipairs, next
+local error, ipairs, next, pairs = error, ipairs, next, pairs
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
+local jit = rawget(_G, "jit")
 
 local rfsm_emem = {}
 
@@ -23,8 +23,10 @@ local WEAK = { __mode = "k" }
 local function clear(_, state)
   local emem = state.emem
   if not emem then return end
-  for event in order.each(emem) do emem[event] = 0 end -- any order: all of them
+  for event in pairs(emem) do emem[event] = 0 end -- any order: all of them
 end
+
+if jit then jit.off(clear) end -- compiled traversals of LuaJIT 2.1 may skip keys
 
 -- This runs in every iteration.
 local function count(fsm)

@@ -39,26 +39,6 @@ describe("the text of arguments", function()
   end)
 end)
 
-describe("the words of an await", function()
-  local CASES = {
-    { event = "await(e_a, e_b)", names = { "e_a", "e_b" } },
-    { event = "await ( 'e_a' ,\"e b\")", names = { "e_a", "e b" } },
-    { event = "await(e_a)@root.x", names = { "e_a" }, fqn = "root.x" },
-    { event = "await(e_after(2)@root.a, e_b)@root.a",
-      names = { "e_after(2)@root.a", "e_b" }, fqn = "root.a" },
-    { event = "await(e_a, e_after(2)@root.a)", names = { "e_a", "e_after(2)@root.a" } },
-    { event = "await()" }, { event = "await(e_a,,e_b)" }, { event = "await(e_a" },
-    { event = "await" }, { event = "my_await(e_a)" }, { event = 7 }, { event = {} },
-  }
-  for _, case in ipairs(CASES) do
-    it("are found in " .. tostring(case.event), function()
-      local names, fqn = alphabet.awaited(case.event)
-      assert.same(case.names, names)
-      if names then assert.equal(case.fqn, fqn) end
-    end)
-  end
-end)
-
 describe("the alphabet of a machine", function()
   local function is_odd(event) return event == "odd" end
   local object = setmetatable({}, { __eq = function() error("compared") end })

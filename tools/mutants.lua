@@ -20,26 +20,26 @@ local ROOMS = {
     specs = { "transition", "contract", "live", "machine", "robust", "extensions",
       "alloc", "scale", "interrupt", "failing_programs", "oracle" } },
   { name = "timeevent", files = { "rfsm_timeevent.lua", "rfsm/clock.lua" },
-    specs = { "timeevent" } },
+    specs = { "timeevent", "alone" } },
   { name = "seqand", files = { "rfsm_seqand.lua" }, specs = { "seqand" } },
   { name = "await", files = { "rfsm/await.lua", "rfsm/emem.lua", "rfsm/monitor.lua",
     "rfsm/preview.lua" }, specs = { "await", "emem", "monitor", "preview" } },
   { name = "checks", files = { "rfsm_checks.lua", "rfsm/checks/*.lua" },
-    specs = { "checks", "coverage", "why", "tests", "explore" } },
+    specs = { "checks", "coverage", "why", "tests", "verdict", "explore" } },
   { name = "snapshot", files = { "rfsm/snapshot.lua", "rfsm/snapshot/*.lua" },
-    specs = { "snapshot" } },
+    specs = { "snapshot", "upgrade" } },
   { name = "record", files = { "rfsm/record.lua", "rfsm/record/*.lua" },
     specs = { "record" } },
   { name = "pictures", files = { "rfsm/dot.lua", "rfsm/mermaid.lua",
     "rfsm/plantuml.lua", "rfsm/json.lua", "rfsm/marsh.lua", "rfsm/pictures/*.lua" },
-    specs = { "export", "pictures", "diagram" } },
+    specs = { "export", "pictures", "layout", "diagram" } },
   { name = "sim", files = { "rfsm/sim.lua", "rfsm/sim/*.lua" }, specs = { "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua", "rfsm/watch.lua" },
     specs = { "web" } },
   { name = "proto", files = { "rfsm/proto.lua", "rfsm/proto/*.lua" },
     specs = { "proto" } },
   { name = "redis", files = { "rfsm/redis.lua", "rfsm/redis/*.lua", "rfsm/fleet.lua" },
-    specs = { "redis" } },
+    specs = { "fleet", "redis" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
     specs = { "rtt_standin", "rtt", "rtt_launch" } },
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "tools" } },
@@ -279,10 +279,9 @@ function Copy:run(spec, limit)
 end
 
 -- Returns the specs with the seconds after which each is stopped. All must pass.
-function Copy:measure(names)
+function Copy:measure(files)
   local specs = {}
-  for i, name in ipairs(names) do
-    local file = "spec/" .. name .. "_spec.lua"
+  for i, file in ipairs(files) do
     local began = os.time()
     local code, text = self:run(file, 600)
     if code ~= 0 or not text:find("[1-9]%d* success") then
@@ -313,10 +312,24 @@ local function show(mutant)
   io.stdout:flush()
 end
 
+-- The spec files of a room that are there.
+local function specs_of(room)
+  local files = {}
+  for _, name in ipairs(room.specs) do
+    local file = "spec/" .. name .. "_spec.lua"
+    local handle = io.open(file)
+    if handle then files[#files + 1] = file handle:close() end
+  end
+  return files
+end
+
 -- Prints the mutants that no spec notices, and the share of the others.
 local function try(copy, room, sites, count, seed)
   local random, began = new_random(seed), os.time()
-  local specs = copy:measure(room.specs)
+  local files = specs_of(room)
+  print(("%s: %d places in %s, with %s"):format(room.name, #sites,
+    table.concat(room.files, " "), table.concat(files, " ")))
+  local specs = copy:measure(files)
   local tried, killed = 0, 0
   while tried < count do
     local mutant = draw(sites, random)

@@ -9,32 +9,6 @@ local ipairs, type = ipairs, type
 
 local alphabet = {}
 
--- Splits "e_a, 'e_b'" into names without blanks and quotes; nil if one is empty.
-local function split(text)
-  local names = {}
-  for part in (text .. ","):gmatch("([^,]*),") do
-    local name = part:match("^%s*(.-)%s*$")
-    name = name:match("^(['\"]).*%1$") and name:sub(2, -2) or name
-    if name == "" then return nil end
-    names[#names + 1] = name
-  end
-  return names
-end
-
---- Return the events that "await(e_a, e_b)" or, once its machine is made,
---- "await(e_a, e_b)@F" waits for.
----@param event any
----@return string[]? names nil if it is another event, or a name is empty
----@return string? fqn F
-function alphabet.awaited(event)
-  local list, fqn = "", nil
-  if type(event) == "string" then
-    list = event:match("^await%s*%((.*)%)$") or ""
-    if list == "" then list, fqn = event:match("^await%s*%((.*)%)@([^)]*)$") end
-  end
-  return split(list or ""), fqn
-end
-
 --- The events that a machine knows.
 ---@class rfsm.Alphabet
 ---@field list any[] those that transitions name, in the order of the tree
@@ -53,15 +27,15 @@ local function add_transition(known, tr)
   if own[1] == nil and rfsm.is_state(tr.src) then known.takes_any = true end
   for _, event in ipairs(own) do
     add(known, type(event) == "function" and known.predicates or known.list, event)
-    for _, name in ipairs(alphabet.awaited(event) or {}) do
-      add(known, known.awaited, name)
-    end
   end
 end
 
 local function add_machine(known, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     add_transition(known, tr)
+  end
+  for _, await in ipairs(fsm._awaits or {}) do -- see rfsm/await.lua
+    for _, event in ipairs(await.wanted) do add(known, known.awaited, event) end
   end
 end
 

@@ -26,12 +26,13 @@ local function hold(file, n, seed)
   local began, name = os.time(), file
   local has_ended, cases, problem = pcall(function()
     local claim = dofile(file)
+    if not claim.run then error("'run' expected in what the file returns", 0) end
     name = claim.name
     return claim.run(n, seed)
   end)
   if not has_ended then cases, problem = 0, cases end
   print(("%-24s %9d cases %6d s  %s"):format(name, cases, os.time() - began,
-    problem and ("seed %d: %s"):format(seed, tostring(problem)) or "ok"))
+    problem and tostring(problem) or "ok"))
   return not problem
 end
 
