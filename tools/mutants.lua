@@ -37,7 +37,7 @@ local ROOMS = {
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua", "rfsm/watch.lua" },
     specs = { "web" } },
   { name = "proto", files = { "rfsm/proto.lua", "rfsm/proto/*.lua" },
-    specs = { "proto" } },
+    specs = { "proto", "web" } },
   { name = "redis", files = { "rfsm/redis.lua", "rfsm/redis/*.lua", "rfsm/fleet.lua" },
     specs = { "fleet", "redis" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
