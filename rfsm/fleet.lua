@@ -10,11 +10,11 @@
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local opts = require "rfsm.shared.options"
-local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall, rawget = error, ipairs, plain.pcall, rawget
+local error, ipairs, pcall, rawget = error, ipairs, calls.try, rawget
 local rawset, setmetatable = rawset, setmetatable
 local tonumber, tostring, type = tonumber, tostring, type
 

@@ -14,8 +14,8 @@
 -- @module rfsm.record
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local opts = require "rfsm.shared.options"
-local plain = require "rfsm.snapshot.plain"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -91,7 +91,7 @@ end
 local function noting(t)
   return function(read)
     return function(...)
-      local ok, sec, nsec = plain.pcall(read, ...)
+      local ok, sec, nsec = calls.try(read, ...)
       if not ok then
         tracks.note(t, "clock", { text_of(sec) })
         error(sec, 0)
@@ -119,7 +119,7 @@ end
 
 -- Notes the data that the chart keeps in a field of the record, if it has changed.
 local function note_kept(track, field)
-  local ok, kept = plain.pcall(snapshot.take_data, track.fsm)
+  local ok, kept = calls.try(snapshot.take_data, track.fsm)
   if not ok or tracks.same(kept, track.kept) then return end
   track.kept, track.rec[field] = kept, kept
 end
@@ -154,7 +154,7 @@ local function finish(recorder, track)
 end
 
 local function call_guard(track, number, guard, tr, events)
-  local ok, answer = plain.pcall(guard, tr, events)
+  local ok, answer = calls.try(guard, tr, events)
   if track.rec then
     tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
       and text_of(answer))

@@ -10,19 +10,18 @@
 -- @module rfsm.snapshot
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local plain = require "rfsm.snapshot.plain"
 
-local error, ipairs, next, pairs, pcall = error, ipairs, next, pairs, pcall
+local error, ipairs, next, pcall = error, ipairs, next, pcall
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 local floor = math.floor
 local concat = table.concat
 local fail, is_scalar, pack = plain.fail, plain.is_scalar, plain.pack
 local place_of, reason, unpack = plain.place_of, plain.reason, plain.unpack
 local text_of = rfsm.text_of
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 local snapshot = { VERSION = 1 }
 
@@ -283,7 +282,7 @@ local function missing(fsm, snap)
     if i % 3 ~= 2 and type(name) == "string" then names[name] = true end
   end
   for _, field in ipairs { "data", "saved" } do
-    for fqn in pairs(snap[field] or {}) do names[fqn] = true end -- any order: a set
+    for fqn in order.each(snap[field] or {}) do names[fqn] = true end -- a set
   end
   for _, name in ipairs(rfsm.sorted_keys(names)) do
     if type(name) == "string" and not find_node(fsm, name) then
@@ -313,7 +312,7 @@ local function renamed(value, rename, depth)
   if type(value) == "string" then return renamed_text(value, rename) end
   if type(value) ~= "table" then return value end
   local copy = {}
-  for key, inner in pairs(value) do -- any order: each stands alone
+  for key, inner in order.each(value) do -- any order: each stands alone
     copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
   end
   return copy
@@ -324,7 +323,7 @@ local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 
 
 local function rename_states(snap, rename)
   local copy = {}
-  for field, value in pairs(snap) do -- any order: each stands alone
+  for field, value in order.each(snap) do -- any order: each stands alone
     copy[field] = renamed(value, rename, NAMED[field] or 0)
   end
   return copy
@@ -371,7 +370,7 @@ function check_shape(snap)
   end
   if not snap.chart then fail("chart: string expected, got nil") end
   local wrong = {}
-  for field, value in pairs(snap) do -- any order: the least one is named
+  for field, value in order.each(snap) do -- any order: the least one is named
     if type(value) ~= FIELDS[field] then wrong[field] = true end
   end
   local field = next(wrong) ~= nil and rfsm.sorted_keys(wrong)[1]
@@ -392,7 +391,7 @@ end
 local function unpack_queue(snap)
   if not snap.queue then return snap.leaf and {} or { "e_init_fsm" } end
   local queue, count = {}, 0
-  for _ in pairs(snap.queue) do count = count + 1 end -- any order: a number
+  for _ in order.each(snap.queue) do count = count + 1 end -- any order: a number
   for i = 1, count do
     local event = unpack(snap.queue[i], 2)
     if not is_scalar(event) or event ~= event then
@@ -413,9 +412,9 @@ end
 -- Returns the fields of each state, checked: only what `keep` names may be set.
 local function unpack_data(fsm, snap)
   local data, kept = {}, chart_of(fsm).kept
-  for fqn, fields in pairs(snap.data or {}) do -- any order: each stands alone
+  for fqn, fields in order.each(snap.data or {}) do -- any order: each stands alone
     data[fqn] = unpack_table("data", fqn, fields)
-    for name in pairs(data[fqn]) do -- any order: each stands alone
+    for name in order.each(data[fqn]) do -- any order: each stands alone
       if not (kept[fqn] and kept[fqn][name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
       end
@@ -426,7 +425,7 @@ end
 
 local function unpack_saved(fsm, snap)
   local saved = {}
-  for fqn, value in pairs(snap.saved or {}) do -- any order: each stands alone
+  for fqn, value in order.each(snap.saved or {}) do -- any order: each stands alone
     local state = find_state(fsm, fqn)
     if not state or type(state.load) ~= "function" then
       fail("saved: no state '%s' has a function 'load'", text_of(fqn))
@@ -440,7 +439,7 @@ end
 local function unpack_extensions(fsm, snap)
   local values, is_known = {}, {}
   for _, hook in ipairs(fsm._snapshot_hooks or {}) do is_known[hook.name] = true end
-  for name, value in pairs(snap.ext or {}) do -- any order: each stands alone
+  for name, value in order.each(snap.ext or {}) do -- any order: each stands alone
     if not is_known[name] then
       fail("ext: no extension of the machine is named '%s'", text_of(name))
     end
@@ -471,7 +470,7 @@ local function set_targets(fsm, targets)
     local tr, node = transitions[i], nodes[first[i]]
     if tr.tgt ~= node then tr.tgt = node end
   end
-  for tr, node in pairs(targets) do tr.tgt = node end -- any order
+  for tr, node in order.each(targets) do tr.tgt = node end -- any order
 end
 
 local function set_data(fsm, data, saved, is_migrated)
@@ -543,7 +542,7 @@ end
 ---@nodiscard
 function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
-  local ok, snap = plain.pcall(take, fsm, 1)
+  local ok, snap = calls.try(take, fsm, 1)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
   if options and options.structure then snap.structure = chart_of(fsm).lines end
   return snap
@@ -558,7 +557,7 @@ end
 
 local function try_put(fsm, snap, options, is_new)
   if type(options) ~= "table" then options = {} end -- dkjson.decode returns a position
-  local ok, failure = plain.pcall(put, fsm, snap, options, is_new)
+  local ok, failure = calls.try(put, fsm, snap, options, is_new)
   if ok then return true end
   return false, "rfsm.snapshot: " .. reason(failure),
     type(failure) == "table" and failure.difference or nil

@@ -14,6 +14,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
 local opts = require "rfsm.shared.options"
@@ -189,9 +190,8 @@ end
 
 -- A mistake of ours, or of a chart, is no reason to end; Control-C is.
 local function handle_safely(server, request)
-  local ok, reply = pcall(handle, server, request)
+  local ok, reply = calls.try(handle, server, request)
   if ok then return reply end
-  if rfsm.is_interrupt(reply) then error(reply, 0) end
   return { status = 500, body = rfsm.text_of(reply) .. "\n" }
 end
 

@@ -2,14 +2,16 @@
 --
 -- RFSM_EVENTS=100000 makes the storm longer.
 
-local function has(name) return (pcall(require, name)) end
+local helper = require "spec.helper"
 
+local has = helper.package
 local has_modules = has "socket" and has "redis" and has "dkjson"
 local servers = has_modules and require "spec.support.redis"
-if not (servers and servers.are_installed()) then return end
+if not (servers and servers.are_installed()) then
+  return pending("a fleet: redis-server, luasocket, lua-redis or dkjson is missing")
+end
 
 local fleet = require "rfsm.fleet"
-local helper = require "spec.helper"
 local redis = require "rfsm.redis"
 
 local EVENTS = tonumber(os.getenv("RFSM_EVENTS")) or 2000

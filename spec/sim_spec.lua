@@ -314,7 +314,7 @@ describe("at a terminal", function()
   end)
 
   if not has_tmux or not (pcall(require, "posix.signal") or pcall(require, "luv")) then
-    return
+    return pending("tmux, or both luaposix and luv, is missing")
   end
 
   it("Control-C drops a line, ends a run, and interrupts a doo, any time", function()
@@ -338,7 +338,7 @@ describe("at a terminal", function()
   end)
 
   it("Tab completes commands, states and events", function()
-    if not pcall(require, "readline") then return end
+    if not pcall(require, "readline") then return pending("lua-readline is missing") end
     local at = open_terminal("-q " .. file_with(BUSY))
     at.type_in("> breakpoint spin", "brea", "Tab", " sp", "Tab", "Enter")
     at.type_in("> ser e_busy", "ser e_b", "Tab")
@@ -420,7 +420,7 @@ package.path = "./?.lua;" .. package.path
 print = function() end
 local rfsm = require "rfsm"
 local history = require "rfsm.sim.history"
-local names = require "rfsm.sim.names"
+local alphabet = require "rfsm.shared.alphabet"
 local prompt = require "rfsm.sim.prompt"
 local session = require "rfsm.sim.session"
 local dice = require("spec.support.random")(7)
@@ -431,7 +431,7 @@ local function place_of(sim)
 end
 
 local function wander(sim, count)
-  local events, places = rfsm.sorted_keys(names.event_set(sim.fsm)), {}
+  local events, places = rfsm.sorted_keys(alphabet.of_all(sim.fsm).set), {}
   for _ = 1, count do
     if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
     sim.env.step()

@@ -7,7 +7,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local match = require "rfsm.checks.match"
+local calls = require "rfsm.shared.calls"
 
 local error, ipairs, table = error, ipairs, table
 
@@ -16,7 +16,7 @@ local deeds = {}
 -- Calls a callback once; returns the events that it sends to its machine.
 local function dry_run(fsm, callback, obj, what)
   local sent, first = {}, #fsm._intq + 1
-  match.try(callback, fsm, obj, what, {})
+  calls.try(callback, fsm, obj, what, {})
   for i = first, #fsm._intq do sent[#sent + 1] = fsm._intq[i] end
   for i = #fsm._intq, first, -1 do fsm._intq[i] = nil end
   return sent

@@ -7,7 +7,7 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall = error, ipairs, pcall
+local ipairs = ipairs
 local rawequal, rawget = rawequal, rawget
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -51,13 +51,6 @@ function match.may_enable(tr, list, seen)
     if match.may_enable(way, list, seen) then return true end
   end
   return false
-end
-
---- Call a function of the chart; an interrupt such as Control-C is no failure of it.
-function match.try(f, ...)
-  local ok, answer = pcall(f, ...)
-  if not ok and rfsm.is_interrupt(answer) then error(answer, 0) end
-  return ok, answer
 end
 
 return match

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 
 local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
 
@@ -45,25 +46,14 @@ local function words_of(event)
   return words
 end
 
--- Is `b` the word `a` without a letter inside of it, or with two letters in reverse? A
--- letter at the end or the start makes too many words of their own: close, closed;
--- lock, block.
-local function is_edited(a, b)
-  for i = 1, #a do
-    local before, letter, behind = a:sub(1, i - 1), a:sub(i, i), a:sub(i + 1)
-    if i > 1 and i < #a and before .. behind == b
-      or before .. behind:sub(1, 1) .. letter .. behind:sub(2) == b then
-      return true
-    end
-  end
-  return false
-end
-
--- Do two words look alike? Numbers and short words are meant to.
+-- Do two words look alike? Numbers and short words are meant to. A letter more at the
+-- start or the end makes another word: lock, block; close, closed.
 local function is_near(a, b)
-  if a:lower() == b:lower() then return true end
+  a, b = a:lower(), b:lower()
+  if a == b then return true end
   if #a < 4 or #b < 4 or a:find("%d") or b:find("%d") then return false end
-  return is_edited(a, b) or is_edited(b, a)
+  local has_ends = a:byte() == b:byte() and a:byte(-1) == b:byte(-1)
+  return (has_ends or #a == #b) and advice.is_near(a, b)
 end
 
 -- Do two events differ in one word, or in underscores, and look alike there?

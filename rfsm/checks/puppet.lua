@@ -16,6 +16,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
 local deeds = require "rfsm.checks.deeds"
 local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
@@ -121,9 +122,6 @@ end
 local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
   self.transitions[number], self.number_of[tr] = { tr = tr, path = path }, number
-  for _, event in ipairs(tr.events or {}) do
-    if type(event) ~= "function" then self:number_of_event(event) end
-  end
   if tr.guard then tr.guard = function() return self:choose(path) end end
   local deed = deeds.new(self, "effect", path, part.fsm, tr, tr.effect)
   local rivals = order.rivals_of(tr)
@@ -188,6 +186,7 @@ local function add_part(self, part)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
+  for _, event in ipairs(alphabet.of(fsm).list) do self:number_of_event(event) end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     make_transition(self, part, tr)
   end

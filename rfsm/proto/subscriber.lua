@@ -5,9 +5,9 @@
 -- @module rfsm.proto.subscriber
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 
-local error, pcall, require = error, pcall, require
+local pcall, require = pcall, require
 local setmetatable, type = setmetatable, type
 
 local subscriber = {}
@@ -57,9 +57,7 @@ function Client:close() self.udp:close() end
 function subscriber.handle(handlers, target, message)
   local handler = handlers[message.type]
   if not handler or (message.fsm or target.number) ~= target.number then return nil end
-  local ok, problem = pcall(handler, target, message)
-  if ok then return nil end
-  if rfsm.is_interrupt(problem) then error(problem, 0) end
+  if calls.try(handler, target, message) then return nil end
   return "unreadable message '" .. message.type .. "'"
 end
 

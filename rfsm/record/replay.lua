@@ -5,21 +5,20 @@
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
+local calls = require "rfsm.shared.calls"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tostring, type = tostring, type
 local max, min = math.max, math.min
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
 local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
@@ -114,7 +113,7 @@ local function finish_again(session, track)
   local rec = track.rec
   if not rec then return end
   if track.m == nil then watch_clock(session, nil) end
-  local ok, failure = plain.pcall(compare, session, track)
+  local ok, failure = calls.try(compare, session, track)
   if not ok then depart(session, "%s", reason(failure)) end
   if session.is_dry then
     fill(session, track.fsm._intq, rec.sent)
@@ -134,7 +133,7 @@ local function answer_again(session, track, is_called, number, guard, tr, events
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
   elseif is_called then
-    local ok, now = plain.pcall(guard, tr, events)
+    local ok, now = calls.try(guard, tr, events)
     if (ok and now ~= false) ~= (answer == true) then
       depart(session, "the guard of %s behaves otherwise", tostring(tr))
     end
@@ -191,7 +190,7 @@ local function run(session, track)
     local before = session.at
     track.is_fresh = session.records[before + 1].fresh
     if track.is_fresh then rfsm.reset(track.fsm) end
-    local ok, failure = plain.pcall(rfsm.step, track.fsm)
+    local ok, failure = calls.try(rfsm.step, track.fsm)
     if not ok and not rawequal(failure, STOP) then
       depart(session, "%s", reason(failure))
     elseif session.at == before then
@@ -203,7 +202,7 @@ end
 -- A model that says nothing, and is otherwise the same.
 local function quiet(model)
   local copy = {}
-  for key, value in pairs(model) do copy[key] = value end -- any order: a copy
+  for key, value in order.each(model) do copy[key] = value end -- any order: a copy
   copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
   return setmetatable(copy, getmetatable(model))
 end

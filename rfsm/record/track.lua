@@ -6,18 +6,17 @@
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, select, type = rawequal, rawget, select, type
 local concat = table.concat
 local text_of = rfsm.text_of
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 local track = {}
 
@@ -59,10 +58,10 @@ end
 --- Are plain data the same?
 function track.same(a, b)
   if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
-  for key, value in pairs(a) do -- any order: all have to be the same
+  for key, value in order.each(a) do -- any order: all have to be the same
     if not track.same(value, b[key]) then return false end
   end
-  for key in pairs(b) do -- likewise
+  for key in order.each(b) do -- likewise
     if a[key] == nil then return false end
   end
   return true
@@ -91,7 +90,7 @@ end
 -- they are.
 function track.watch_clock(owner, wrap)
   local in_use = clock.in_use
-  for kind, read in pairs(owner.clocks or {}) do -- any order: each stands alone
+  for kind, read in order.each(owner.clocks or {}) do -- any order: each stands alone
     if in_use[kind] == read.own then in_use[kind] = read.before end
   end
   owner.clocks = wrap and {}
@@ -104,7 +103,7 @@ end
 --- Call f(...) meanwhile; return whether it succeeded, and two results.
 function track.with_clock(owner, wrap, f, ...)
   track.watch_clock(owner, wrap)
-  local is_whole, ok, result, problem = pcall(plain.pcall, f, ...)
+  local is_whole, ok, result, problem = pcall(calls.try, f, ...)
   track.watch_clock(owner, nil)
   if not is_whole then error(ok, 0) end
   return ok, result, problem
@@ -155,7 +154,7 @@ end
 function track.detach(tracks)
   for _, own in ipairs(tracks) do
     local fsm = own.fsm
-    for tr, guard in pairs(own.guards) do -- any order: each stands alone
+    for tr, guard in order.each(own.guards) do -- any order: each stands alone
       if rawequal(tr.guard, guard.new) then tr.guard = guard.own end
     end
     if rawget(fsm, "getevents") == own.getevents then

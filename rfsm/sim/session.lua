@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local dry = require "rfsm.sim.dry"
 local history = require "rfsm.sim.history"
@@ -49,7 +50,7 @@ Session.__index = Session
 -- Open a chart ----------------------------------------------------------------------
 
 -- The errors of the chart's own callbacks.
-local function print_err(...) complain(view.texts("\t", ...)) end
+local function print_err(...) complain(calls.text("\t", ...)) end
 
 -- Initialises `model`, silent about its problems: they are returned.
 local function init_quietly(model)
@@ -180,8 +181,8 @@ end
 ---@return fun() release
 function Session:guard_doos()
   local wrapped = {}
-  for _, machine in ipairs(terminal.is_caught() and names.machines(self.fsm) or {}) do
-    for _, state in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
+  for _, place in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
+    for _, state in ipairs(rfsm.elements(place.machine, rfsm.is_leaf)) do
       wrap(wrapped, state)
     end
   end

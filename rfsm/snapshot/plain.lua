@@ -10,18 +10,15 @@
 -- @module rfsm.snapshot.plain
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, rawget, tonumber, type = pcall, rawget, tonumber, type
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local rawget, tonumber, type = rawget, tonumber, type
 local floor, huge = math.floor, math.huge
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
-
--- LuaJIT 2.1.0-beta3 compiles traversals inside of others wrongly: it skips keys, or
--- crashes. So nothing here is compiled.
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end
 
 local plain = {}
 
@@ -43,24 +40,13 @@ function plain.reason(failure)
   return type(failure) == "table" and failure.text or text_of(failure)
 end
 
---- Call a function; an interrupt such as Control-C reaches the caller as itself.
----@param f function
----@param ... any
----@return boolean ok
----@return any ... two results
-function plain.pcall(f, ...)
-  local ok, result, more = pcall(f, ...)
-  if not ok and rfsm.is_interrupt(result) then error(result, 0) end
-  return ok, result, more
-end
-
 --- Call a function of the chart; its error is one of `fail`.
 ---@param what string in front of the error
 ---@param f function
 ---@param ... any
 ---@return any result
 function plain.try(what, f, ...)
-  local ok, result = plain.pcall(f, ...)
+  local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
   return result
 end
@@ -142,7 +128,7 @@ end
 -- Does a table stand for itself: as a list, or with texts as keys?
 local function is_plain(t)
   local count, has_texts, has_others = 0, false, false
-  for key in pairs(t) do -- any order: all of them count
+  for key in order.each(t) do -- any order: all of them count
     count = count + 1
     if type(key) == "string" then has_texts = true else has_others = true end
   end
@@ -187,7 +173,7 @@ function plain.pack(value, path, depth)
   check_table(value, path, depth)
   if not is_plain(value) then return pack_pairs(value, path, depth + 1) end
   local copy = {}
-  for key, inner in pairs(value) do -- any order: each stands alone
+  for key, inner in order.each(value) do -- any order: each stands alone
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
@@ -232,7 +218,7 @@ local function unpack_table(packed, depth)
     return packed[2]
   end
   local t = {}
-  for key, value in pairs(packed) do -- any order: each stands alone
+  for key, value in order.each(packed) do -- any order: each stands alone
     if not is_scalar(key) then fail("a text as key expected, got %s", type(key)) end
     t[key] = unpack(value, depth + 1)
   end

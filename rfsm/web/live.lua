@@ -9,14 +9,14 @@
 
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 local place = require "rfsm.checks.place"
 local View = require "rfsm.web.view"
 
-local ipairs, rawget, select = ipairs, rawget, select
+local ipairs, rawget = ipairs, rawget
 local setmetatable, tostring = setmetatable, tostring
-local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local text_of, utf8 = rfsm.text_of, marsh.utf8
 
@@ -105,9 +105,7 @@ end
 
 -- Returns what a printer was called with, without the id of the record.
 local function line_of(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  return (concat(texts, " "):gsub("^%u+:? ", ""):gsub(":  ", ": "))
+  return (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": "))
 end
 
 -- Nobody asks why an event that the machine sends itself did nothing.

@@ -11,6 +11,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local record = require "rfsm.record"
@@ -18,10 +19,9 @@ local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 
 local io, ipairs, os, package, pcall = io, ipairs, os, package, pcall
-local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
+local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type = type
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
-local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_STEPS = 1000 -- of one run
@@ -52,12 +52,6 @@ Session.__index = Session
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
 
-local function line_of(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
-  return concat(texts, "\t")
-end
-
 -- Adds an entry to the log, also before there is one.
 local function tell(session, kind, text)
   if session.view then return session.view:note(kind, text) end
@@ -67,7 +61,7 @@ end
 -- Calls f(session, ...) while `print` goes to the log; a failure goes there, too.
 local function guarded(session, f, ...)
   local real = rawget(_G, "print")
-  rawset(_G, "print", function(...) tell(session, "output", line_of(...)) end)
+  rawset(_G, "print", function(...) tell(session, "output", calls.text("\t", ...)) end)
   local ok, result = pcall(f, session, ...)
   rawset(_G, "print", real)
   if ok then return result end
@@ -81,7 +75,7 @@ local function init(session, model)
   if model.info == nil then model.info = false end
   if own_warn == nil then
     model.warn = function(...)
-      tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
+      tell(session, "warning", (calls.text("\t", ...):gsub("^WARNING: ", "")))
     end
   end
   local fsm, text, problems = rfsm.init(model)
