@@ -269,7 +269,8 @@ local function load_timer(fsm, timer, left)
   arm_at(fsm, timer, sec + now, nsec + now_nsec)
 end
 
--- A timer that the chart of a snapshot did not have is armed from now on.
+-- Timers follow the chart: one that the chart of a snapshot did not have is armed from
+-- now on, and one that this chart does not have is dropped.
 local function load(fsm, left, how)
   local is_known = {}
   left = left or {}
@@ -280,7 +281,7 @@ local function load(fsm, left, how)
     timer.is_armed, timer.is_waiting = false, false
     if left[timer.name] ~= nil then
       load_timer(fsm, timer, left[timer.name])
-    elseif how.is_migrated then
+    elseif how.is_migrated and how.is_new(timer.name) then
       arm_all(fsm, { timer })
     end
   end
