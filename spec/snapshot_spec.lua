@@ -64,9 +64,9 @@ describe("a snapshot", function()
   end)
 
   it("of a machine that was not entered is empty", function()
-    local fsm = helper.init(lamp())
-    fsm.on.count = nil
-    local snap = snapshot.take(fsm)
+    local model = lamp()
+    model.on.count = nil
+    local snap = snapshot.take(helper.init(model))
     assert.same({ version = 2, chart = snap.chart }, snap)
     local again = assert(snapshot.restore(lamp(), snap))
     rfsm.run(again)

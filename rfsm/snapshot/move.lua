@@ -246,9 +246,9 @@ end
 
 local function rename_states(snap, rename)
   local copy = rename_part(snap, rename)
+  copy.regions = snap.regions and {}
   for prefix, part in pairs(snap.regions or NONE) do -- any order: each stands alone
     local inner, new_prefix = inside(rename, prefix)
-    copy.regions[prefix] = nil
     copy.regions[new_prefix] = rename_part(part, inner)
   end
   return copy
@@ -277,21 +277,41 @@ function move.difference(old, new)
   return list
 end
 
--- Returns the lines of the chart of a snapshot, and those of the machine to compare.
-local function lines_of(fsm, snap, old)
-  local chart = charts.of(fsm)
-  if old then return charts.structure(old), chart.all end
-  local known, is_old = charts.named(snap.chart), not snap.chart:find("-", 1, true)
-  if snap.structure then
-    local has_fields = false
-    for _, line in ipairs(snap.structure) do
-      has_fields = has_fields or type(line) == "string" and line:find("^field ") ~= nil
+local function append(list, prefix, more)
+  for _, line in ipairs(more) do list[#list + 1] = prefix .. line end
+end
+
+-- Returns the lines of the charts that the parts of a snapshot name, if all are known,
+-- and those of the machine and its regions. Without a name there is nothing to compare.
+local function known_lines(fsm, snap)
+  local old, new, is_known = {}, {}, true
+  move.each_part(fsm, snap, function(machine, part, prefix)
+    local chart = charts.of(machine)
+    local was = part.chart and charts.named(part.chart) or not part.chart and chart
+    if not was then
+      is_known = false
+      return
     end
-    return snap.structure, has_fields and chart.all or chart.lines
+    local head = prefix == "root" and "" or prefix .. ": "
+    append(old, head, was.lines)
+    append(new, head, chart.lines)
+    if part.chart and part.chart:find("-", 1, true) then
+      append(old, head, was.fields)
+      append(new, head, chart.fields)
+    end
+  end)
+  return is_known and old or nil, new
+end
+
+-- Returns the lines of the chart of a snapshot, and those of the machine to compare.
+local function lines_of(fsm, snap, given)
+  local chart, has_fields = charts.of(fsm), false
+  if given then return charts.structure(given), chart.all end
+  if not snap.structure then return known_lines(fsm, snap) end
+  for _, line in ipairs(snap.structure) do
+    has_fields = has_fields or type(line) == "string" and line:find("^field ") ~= nil
   end
-  if not known then return nil end
-  if is_old and known.fields[1] then return known.lines, chart.lines end
-  return known.all, chart.all
+  return snap.structure, has_fields and chart.all or chart.lines
 end
 
 -- Lists what a snapshot names and the chart lacks.

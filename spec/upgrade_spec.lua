@@ -1,0 +1,308 @@
+-- Upgrades: a snapshot of one version of a chart becomes a machine of the next one, and
+-- nothing is lost in silence.
+
+local helper = require "spec.helper"
+local json = require "dkjson"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+local timeevent = require "rfsm_timeevent"
+require "rfsm.seqand"
+
+local state, trans = rfsm.state, rfsm.trans
+local now = 0
+
+setup(function() timeevent.set_gettime_hook(function() return now, 0 end) end)
+teardown(function() timeevent.set_gettime_hook(nil) end)
+before_each(function() now = 0 end)
+
+local function itself(snap) return snap end
+
+-- (initial) -> a --events--> b --e_back--> a
+local function chart(events, fields)
+  local model = helper.chart(events, { emem = false })
+  for key, value in pairs(fields or {}) do model[key] = value end
+  return model
+end
+
+local function region(value, fields)
+  local model = { info = false, warn = false, emem = false, keep = { "m" }, m = value,
+    x = state {}, trans { src = "initial", tgt = "x" } }
+  for key, value_of_field in pairs(fields or {}) do model[key] = value_of_field end
+  return state(model)
+end
+
+-- A machine in whose only state the regions run.
+local function regions(members)
+  return state { info = false, warn = false, emem = false, w = rfsm.seqand(members),
+    trans { src = "initial", tgt = "w" } }
+end
+
+local function restored(model, snap, options)
+  return assert(snapshot.restore(model, snap, options))
+end
+
+describe("timers of a machine that migrates", function()
+  local function moved(old, new)
+    local fsm = helper.started(chart(old))
+    now = 2
+    return restored(chart(new), snapshot.take(fsm), { migrate = itself })
+  end
+
+  for _, case in ipairs {
+    { what = "are armed from now on if they are new", old = { "e_x" },
+      new = { "e_x", "e_after(5)" }, left = 5 },
+    { what = "are dropped if they are gone", old = { "e_x", "e_after(5)" },
+      new = { "e_x" }, left = nil },
+    { what = "begin anew if they have changed", old = { "e_after(5)" },
+      new = { "e_after(9)" }, left = 9 },
+    { what = "go on if both charts have them", old = { "e_after(5)" },
+      new = { "e_after(5)", "e_x" }, left = 3 },
+  } do
+    it(case.what, function()
+      local left = timeevent.next_deadline(moved(case.old, case.new))
+      assert.equal(case.left, left and math.floor(left + 0.5))
+    end)
+  end
+
+  it("do not expire again if both charts have them", function()
+    local function forever(events)
+      return chart(events, { [2] = trans { src = "a", tgt = "b", events = events,
+        guard = function() return false end } })
+    end
+    local fsm = helper.started(forever { "e_after(5)" })
+    now = 7
+    rfsm.run(fsm)
+    assert.is_nil(timeevent.next_deadline(fsm))
+    local again = restored(forever { "e_after(5)", "e_x" }, snapshot.take(fsm),
+      { migrate = itself })
+    assert.is_nil(timeevent.next_deadline(again))
+  end)
+
+  it("go on under the new name of their state", function()
+    local fsm = helper.started(chart { "e_after(5)" })
+    now = 2
+    local model = chart { "e_after(5)" }
+    model.a, model.c = nil, state {}
+    model[1].tgt, model[2].src, model[3].tgt = "c", "c", "c"
+    local again = restored(model, snapshot.take(fsm), { rename = { ["root.a"] =
+      "root.c" } })
+    assert.equal(3, math.floor(timeevent.next_deadline(again) + 0.5))
+  end)
+end)
+
+describe("a field", function()
+  local function counter(keep, fields)
+    fields = fields or { n = 1, old = 2 }
+    fields.keep = keep
+    return chart({ "e_x" }, fields)
+  end
+
+  it("that is new has its first value, also in a machine that is there", function()
+    local snap = snapshot.take(helper.started(counter { "n" }))
+    local model = counter({ "n", "more" }, { n = 5, more = { 1, { 2 } } })
+    local fsm = restored(model, snap)
+    assert.same({ 1, { 1, { 2 } } }, { fsm.n, fsm.more })
+    fsm.more[2][1] = 3
+    assert.is_true(snapshot.put(fsm, snap))
+    assert.same({ 1, { 2 } }, fsm.more)
+  end)
+
+  it("that a callback has set to nil stays nil", function()
+    local fsm = helper.started(counter { "n", "old" })
+    fsm.n = nil
+    local again = restored(counter { "n", "old" },
+      (json.decode((json.encode(snapshot.take(fsm))))))
+    assert.same({ nil, 2 }, { again.n, again.old })
+    assert.is_nil(again.n)
+  end)
+
+  it("that is gone is named, unless migrate takes it out", function()
+    local snap = snapshot.take(helper.started(counter { "n", "old" }))
+    local ok, text, list = snapshot.restore(counter { "n" }, snap)
+    assert.same({ false, "rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  field old of root", { "field old of root" } }, { ok, text, list })
+    local seen
+    local fsm = restored(counter { "n" }, snap, { migrate = function(old, difference)
+      old.data.root, seen = { n = 7 }, difference
+    end })
+    assert.same({ 7, { "gone: field old of root" } }, { fsm.n, seen })
+    assert.equal(2, snap.data.root[4 + 1] or snap.data.root.old)
+  end)
+
+  it("that save returned needs a load", function()
+    local model = chart({ "e_x" }, { save = function() return 1 end,
+      load = function() end })
+    assert.equal("rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  what save of root returned", select(2, snapshot.restore(chart { "e_x" },
+        snapshot.take(helper.started(model)))))
+  end)
+end)
+
+describe("a region", function()
+  it("that is new has its first values, and is entered when it is stepped", function()
+    local snap = snapshot.take(helper.started(regions { b = region(2) }))
+    local fsm = restored(regions { b = region(0), c = region(3) }, snap)
+    local substates = fsm.w.substates
+    assert.same({ 2, 3, "root.x", false }, { substates.b.m, substates.c.m,
+      rfsm.get_actleaf_fqn(substates.b), rfsm.get_actleaf_fqn(substates.c) })
+    rfsm.run(fsm)
+    assert.equal("root.x", rfsm.get_actleaf_fqn(substates.c))
+  end)
+
+  it("that is gone is named", function()
+    local snap = snapshot.take(helper.started(regions { a = region(1), b = region(2) }))
+    assert.same({ false, "rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  region root.w.b", { "region root.w.b" } },
+      { snapshot.restore(regions { a = region(1) }, snap) })
+    assert.equal(1, restored(regions { a = region(5) }, snap, { migrate = function(old)
+      old.regions["root.w.b"] = nil
+    end }).w.substates.a.m)
+  end)
+
+  it("with another structure is of another chart", function()
+    local snap = snapshot.take(helper.started(regions { a = region(1) }))
+    local model = regions { a = region(1, { y = state {} }) }
+    assert.equal("rfsm.snapshot: the snapshot is of another chart:\n"
+      .. "  new: root.w.a: state root.y", (select(2, snapshot.restore(model, snap))))
+    local fsm = restored(regions { a = region(1, { x = false, y = state {},
+      trans { src = "initial", tgt = "y" } }) }, snap,
+      { rename = { ["root.w.a.x"] = "root.w.a.y" } })
+    assert.equal("root.y", rfsm.get_actleaf_fqn(fsm.w.substates.a))
+  end)
+
+  it("that the snapshot names and nobody has is refused", function()
+    local fsm = helper.started(regions { a = region(1) })
+    local snap = snapshot.take(fsm)
+    snap.regions["root.w.b"] = { leaf = 7 }
+    assert.equal("rfsm.snapshot: root.w.b: leaf: string expected, got number",
+      (select(2, snapshot.put(fsm, snap))))
+    snap.regions["root.w.b"] = 5
+    assert.equal("rfsm.snapshot: regions: table expected for 'root.w.b', got number",
+      (select(2, snapshot.put(fsm, snap))))
+  end)
+end)
+
+describe("migrate", function()
+  it("gets a copy, so that one that refuses has changed nothing", function()
+    local snap = snapshot.take(helper.started(chart { "e_x" }))
+    assert.is_false((snapshot.restore(chart { "e_y" }, snap, { migrate = function(old)
+      old.leaf, old.regions = "root.b", {}
+      return false
+    end })))
+    assert.same({ "root.a" }, { snap.leaf, snap.regions })
+  end)
+end)
+
+describe("null of JSON", function()
+  for name, null in pairs {
+    ["that of dkjson"] = json.null,
+    ["that of a decoder in C"] = rawget(_G, "ngx") and rawget(_G, "ngx").null
+      or setmetatable({}, { __tojson = function() return "null" end }),
+  } do
+    it("in data is nil: " .. name, function()
+      local fsm = helper.started(chart({ "e_x" }, { keep = { "list", "x" } }))
+      fsm.list, fsm.x = { 1, null, { null }, a = null }, null
+      local again = restored(chart({ "e_x" }, { keep = { "list", "x" } }),
+        snapshot.take(fsm))
+      assert.same({ { [1] = 1, [3] = {} }, nil }, { again.list, again.x })
+    end)
+
+    it("in a snapshot is what is absent: " .. name, function()
+      local snap = snapshot.take(helper.started(chart({ "e_x" }, { keep = { "x" } })))
+      snap.queue, snap.data = null, { root = { x = null } }
+      local fsm = restored(chart({ "e_x" }, { keep = { "x" } }), snap)
+      assert.same({ "root.a", nil }, { rfsm.get_actleaf_fqn(fsm), fsm.x })
+    end)
+  end
+end)
+
+describe("13 tables inside each other", function()
+  local function nested(depth)
+    local value = 0.1 + 0.2
+    for _ = 1, depth do value = { v = value, [true] = "t" } end
+    return value
+  end
+
+  local function depth_of(value)
+    local most = 0
+    if type(value) ~= "table" then return most end
+    for _, inner in pairs(value) do most = math.max(most, depth_of(inner)) end
+    return most + 1
+  end
+
+  -- A machine whose data is in so many regions.
+  local function wrapped(level, value)
+    local model = region(value)
+    for _ = 1, level do model = regions { r = model } end
+    return model
+  end
+
+  for level = 0, 3 do
+    it("are kept with " .. level .. " regions around them", function()
+      local snap = snapshot.take(helper.started(wrapped(level, nested(13))))
+      assert.is_true(depth_of(snap) < 16, "cmsgpack takes 16, one is the value's")
+      local fsm = restored(wrapped(level, 0), (json.decode((json.encode(snap)))))
+      for _ = 1, level do fsm = fsm.w.substates.r end
+      assert.same(nested(13), fsm.m)
+    end)
+
+    it("are the most, and the field is named, with " .. level .. " regions", function()
+      assert.equal("rfsm.snapshot.take: root" .. (".w.r"):rep(level)
+        .. ".m: at most 13 tables inside each other expected",
+        (select(2, pcall(snapshot.take, helper.started(wrapped(level, nested(14)))))
+          :gsub("^%S+:%d+: ", "")))
+    end)
+  end
+end)
+
+describe("a snapshot of format 1", function()
+  local OLD = [[{"version":1,"chart":"844974cfc38","leaf":"root.w",
+    "data":{"root":["%t","n",7]},"ext":{"timers":{"e_after(9)@root.w":[9,0]},
+    "seqand":{"root.w":{
+      "left":["%p",{"version":1,"chart":"9d516a469fe","leaf":"root.x","done":true,
+        "data":{"root":{"m":99}},"ext":{"timers":{"e_after(5)@root.x":[5,0]}}}],
+      "right":["%p",{"version":1,"chart":"9d516a469fe","leaf":"root.x","done":true,
+        "data":{"root":{"m":1}},"ext":{"timers":{"e_after(5)@root.x":[5,0]}}}]}}}}]]
+
+  local function arm(keep)
+    return state { emem = false, keep = keep, m = 1, extra = 4, x = state {},
+      y = state {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "y", events = { "e_after(5)" } } }
+  end
+
+  local function robot(keep)
+    return state { info = false, warn = false, emem = false, keep = { "n" }, n = 1,
+      a = state {}, w = rfsm.seqand { left = arm(keep), right = arm(keep) },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "w", events = { "e_go" } },
+      trans { src = "w", tgt = "a", events = { "e_after(9)" } } }
+  end
+
+  it("is read, and no migration is asked for", function()
+    local fsm = restored(robot { "m" }, (json.decode(OLD)), { migrate = function()
+      error("asked")
+    end })
+    local left = fsm.w.substates.left
+    assert.same({ 7, "root.w", 99, "root.x" }, { fsm.n, rfsm.get_actleaf_fqn(fsm),
+      left.m, rfsm.get_actleaf_fqn(left) })
+    assert.equal(5, math.floor(timeevent.next_deadline(fsm) + 0.5))
+    assert.equal(2, snapshot.take(fsm).version)
+  end)
+
+  it("gets first values for what it lacks, and loses nothing", function()
+    local fsm = restored(robot { "m", "extra" }, (json.decode(OLD)))
+    assert.same({ 99, 4 }, { fsm.w.substates.left.m, fsm.w.substates.left.extra })
+    assert.same({ "field m of root.w.left", "field m of root.w.right" },
+      select(3, snapshot.restore(robot {}, (json.decode(OLD)))))
+  end)
+end)
+
+describe("random charts", function()
+  for _, name in ipairs { "migration", "snapshot" } do
+    local claim = require("spec.support.claims." .. name)
+    it("agree with the claim: " .. claim.name, function()
+      local _, problem = claim.run(40, 1)
+      assert.is_nil(problem)
+    end)
+  end
+end)
