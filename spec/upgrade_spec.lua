@@ -306,3 +306,55 @@ describe("random charts", function()
     end)
   end
 end)
+
+describe("rfsm snapshot diff", function()
+  after_each(helper.remove_files)
+
+  local OLD = [[return rfsm.state { keep = { "n", "old" }, n = 1,
+    a = rfsm.state {}, b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+    rfsm.trans { src = "a", tgt = "b", events = { "e_after(3)" } } }]]
+
+  -- Returns what the command prints on two charts, and the status.
+  local function compare(new)
+    local lines = helper.lines_of(("tools/rfsm snapshot diff %s %s 2>&1; echo $?")
+      :format(helper.file_with(OLD), helper.file_with(new)))
+    local status = tonumber(table.remove(lines))
+    if lines[#lines]:find("^  targets") then -- the premises
+      lines[#lines], lines[#lines - 1] = nil, nil
+    end
+    return lines, status
+  end
+
+  it("says of each state what will happen", function()
+    local new = OLD:gsub("3", "9"):gsub('b = ', 'c = ')
+      :gsub('tgt = "b"', 'tgt = "c"'):gsub("keep", "more = 1, keep")
+    assert.same({ "new: root.a -> root.c on e_after(9)@root.a", "new: state root.c",
+      "gone: root.a -> root.b on e_after(3)@root.a", "gone: state root.b",
+      "in root.a: stays a machine of the old version",
+      "  the root of the new chart has neither 'rename' nor 'migrate'",
+      "in root.b: stays a machine of the old version",
+      "  the root of the new chart has neither 'rename' nor 'migrate'" }, (compare(new)))
+    local lines, status = compare((new:gsub("more = 1",
+      "rename = { ['root.b'] = 'root.c' }")))
+    assert.same({ { "in root.a: moves to root.a",
+      "  timer e_after(3)@root.a is dropped",
+      "  timer e_after(9)@root.a begins, with its whole time",
+      "in root.b: moves to root.c" }, 0 },
+      { { lines[5], lines[6], lines[7], lines[8], lines[9] }, status })
+  end)
+
+  it("names what would be lost", function()
+    local lines, status = compare((OLD:gsub('"n", "old"', '"n"')))
+    assert.same({ "gone: field old of root", "in root.a: stays a machine of the old "
+      .. "version", "  the snapshot holds what the chart lacks",
+      "  field old of root", "in root.b: stays a machine of the old version",
+      "  the snapshot holds what the chart lacks", "  field old of root" }, lines)
+    assert.equal(1, status)
+  end)
+
+  it("says that there is no difference", function()
+    local lines, status = compare(OLD)
+    assert.same({ { "the charts have the same structure and keep the same: nothing "
+      .. "moves" }, 0 }, { lines, status })
+  end)
+end)
