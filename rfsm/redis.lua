@@ -48,7 +48,8 @@ local function open()
   end
   _G.print = print
   return require "rfsm.redis.functions" ({ call = redis.call, json = cjson,
-    error_reply = redis.error_reply, pack = cmsgpack }, charts)
+    error_reply = redis.error_reply, pack = cmsgpack, may = redis.acl_check_cmd },
+    charts, options)
 end
 
 local function register(name, flag)
@@ -70,10 +71,16 @@ end
 
 register("rfsm_create")
 register("rfsm_send")
+register("rfsm_send_at")
+register("rfsm_cancel")
 register("rfsm_tick")
+register("rfsm_wake")
 register("rfsm_get", "no-writes")
 register("rfsm_due", "no-writes")
 register("rfsm_why", "no-writes")
+register("rfsm_find", "no-writes")
+register("rfsm_stats", "no-writes")
+register("rfsm_history", "no-writes")
 ]]
 
 local CHART = [[
@@ -135,9 +142,11 @@ end
 --- Return the text of a library for FUNCTION LOAD.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
+---@param options? rfsm.redis.Options
 ---@return string text
 ---@nodiscard
-function redis.bundle(arguments)
+function redis.bundle(arguments, options)
+  options = options or {}
   require "rfsm_timeevent"
   require "rfsm.await"
   local parts = { HEAD }
@@ -147,6 +156,8 @@ function redis.bundle(arguments)
     check_chart(file)
     parts[#parts + 1] = CHART:format(name, read_chart(file), file)
   end
+  parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s }\n"):format(
+    options.index and "true" or "nil", options.history or "nil")
   parts[#parts + 1] = FOOT
   return concat(parts)
 end

@@ -1,8 +1,8 @@
---- What a new version of a chart means for the machines of the old one, state by state.
+--- What a new version of a chart means for machines of the old one, state by state.
 --
--- For each leaf of the old chart a snapshot is made there. All fields that are kept have
--- a value, the first one or `true`. Regions are in their first leaf. The root of the new
--- chart may have `rename` and `migrate`, as in Redis.
+-- For each leaf of the old chart a snapshot is made there. All fields that are kept
+-- have a value, the first one or `true`. Regions are in their first leaf. The root of
+-- the new chart may have `rename` and `migrate`, as in Redis.
 --
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
@@ -18,8 +18,8 @@ local concat = table.concat
 local diff = {}
 
 --- What is not looked at; the report ends with it.
-diff.PREMISES = "not looked at: values of fields (migrate had the first ones), what save "
-  .. "returns,\n  targets that programs set, events in queues"
+diff.PREMISES = "not looked at: values of fields (migrate had the first ones), what "
+  .. "save returns,\n  targets that programs set, events in queues"
 
 local PRINTERS = { "info", "warn", "err" }
 

@@ -219,6 +219,37 @@ local function without_nulls(t)
   return rest
 end
 
+--- Return data of JSON, in which null is nil.
+---@param value any
+---@return any value
+function plain.without_nulls(value)
+  if is_null(value) then return nil end
+  if type(value) ~= "table" then return value end
+  local copy = {}
+  for key, inner in pairs(value) do -- any order: a copy
+    copy[key] = plain.without_nulls(inner)
+  end
+  return copy
+end
+
+--- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
+-- that JSON has not as texts.
+---@param value any
+---@return any value
+function plain.to_json(value)
+  if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
+  if type(value) ~= "table" then return value end
+  local copy, count = {}, 0
+  for key, inner in pairs(value) do -- any order: a copy
+    count = count + 1
+    if not rawequal(inner, plain.NIL) then copy[key] = plain.to_json(inner) end
+  end
+  if count == #value then return copy end
+  local texts = {}
+  for key, inner in pairs(copy) do texts[text_of(key)] = inner end -- any order: a copy
+  return texts
+end
+
 local to_text
 
 local function pack_table(t, path, depth)
