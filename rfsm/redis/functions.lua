@@ -36,7 +36,7 @@ local copy_of, fail, is_meta, text_of = plain.copy_of, plain.fail, rfsm.is_meta,
 
 local MAX_EVENT, MAX_DATA, MAX_VALUE = 256, 65536, 1048576 -- bytes
 local MAX_STEPS, MAX_LOG = 1000, 1000
-local MAX_ID, MAX_IDS, MAX_LATER = 64, 16, 100 -- bytes, ids and events of a machine
+local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
 --- What the functions use of Redis.
@@ -51,6 +51,7 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@class rfsm.redis.Options
 ---@field index? boolean machines are found by their state
 ---@field history? integer so many moves of each machine are kept
+---@field ids? integer so many ids of events each machine keeps (16)
 
 -- Charts: a machine of each version, which stands where a call wants it ------------
 
@@ -275,8 +276,7 @@ local function now() return sec + nsec / 1e9 end
 ---@field later any[]|false events that come at a time: { time, id, event, ... }
 ---@field moved_by string the events of this call
 
--- Returns what a key holds: name of the chart, snapshot, seconds, nanoseconds, due, ids,
--- later events.
+-- Returns what a key holds, see above.
 local function read_value(host, key)
   local value = host.call("GET", key)
   if not value then
@@ -352,11 +352,11 @@ local function has_id(list, id)
   return false
 end
 
-local function add_id(machine, id)
+local function add_id(lib, machine, id)
   if not id then return end
   machine.ids = machine.ids or {}
   machine.ids[#machine.ids + 1] = id
-  if #machine.ids > MAX_IDS then remove(machine.ids, 1) end
+  if #machine.ids > lib.options.ids then remove(machine.ids, 1) end
 end
 
 local function send(machine, texts)
@@ -369,13 +369,13 @@ end
 
 -- Sends the events whose time has come. One that the chart does not know any more is
 -- noted in the log.
-local function send_later(machine)
+local function send_later(lib, machine)
   local later = machine.later
   while later and later[1] and later[1][1] <= now() do
     local entry = remove(later, 1)
     local id, texts = entry[2], { select(3, unpack(entry)) }
     local ok, problem = pcall(send, machine, texts)
-    add_id(machine, id)
+    add_id(lib, machine, id)
     if not ok then
       machine.notes = machine.notes or {}
       machine.notes[#machine.notes + 1] = "rfsm_send_at: " .. plain.reason(problem)
@@ -530,7 +530,7 @@ function functions.rfsm_create(host, lib, keys, args)
   set_data(host, fsm, args[2])
   local machine = { key = key, chart = chart, fsm = fsm, leaf = false, is_due = false,
     ids = false, later = false, moved_by = "" }
-  add_id(machine, id)
+  add_id(lib, machine, id)
   run(machine)
   return save(host, lib, machine)
 end
@@ -542,9 +542,9 @@ function functions.rfsm_send(host, lib, keys, args)
   local list = read_value(host, key)
   if id and has_id(list, id) then return reply_of(list) end
   local machine = load_machine(host, lib, key, list)
-  send_later(machine)
+  send_later(lib, machine)
   send(machine, args)
-  add_id(machine, id)
+  add_id(lib, machine, id)
   run(machine)
   return save(host, lib, machine)
 end
@@ -567,7 +567,7 @@ function functions.rfsm_send_at(host, lib, keys, args)
     return a[2] < b[2]
   end)
   machine.later = later
-  send_later(machine)
+  send_later(lib, machine)
   run(machine)
   return save(host, lib, machine)
 end
@@ -595,7 +595,7 @@ local function tick(host, lib, key)
     return false
   end
   local machine = load_machine(host, lib, key)
-  send_later(machine)
+  send_later(lib, machine)
   if machine.moved_by == "" then machine.moved_by = "(time)" end
   run(machine)
   return save(host, lib, machine)
@@ -766,6 +766,7 @@ end
 return function(host, list, options)
   local lib, made = { charts = {}, options = options or {}, time = nil }, {}
   local charts = lib.charts
+  lib.options.ids = lib.options.ids or 16
   clock.set_hook(function() return sec, nsec end)
   for _, chart in ipairs(list) do
     charts[chart.name] = charts[chart.name] or {}

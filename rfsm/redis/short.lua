@@ -13,6 +13,7 @@ local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
 local next, type = next, type
+local is_safe = plain.is_safe
 
 local short = {}
 
@@ -97,22 +98,25 @@ local function set_fields(keepers, data)
   end
 end
 
+-- Is there nothing in a snapshot but a leaf, fields that are known, and extensions?
+local function is_usual(self, snap)
+  return self.is_usable and self.leaves[snap.leaf or ""] and snap.version == 2
+    and not (snap.targets or snap.saved or snap.queue or snap.regions)
+    and are_known(self.keepers, snap.data)
+end
+
 --- Put a snapshot of the same chart into the machine of a chart.
 ---@param chart rfsm.redis.Chart
 ---@param snap rfsm.snapshot.Snapshot
 ---@return boolean is_done false: nothing has changed
 function short.put(chart, snap)
-  local self, fsm = of(chart), chart.fsm
-  local leaf = self.leaves[snap.leaf or ""]
-  if not (self.is_usable and leaf) or self.are_targets_moved and #self.nodes > 0
-    or snap.version ~= 2 or snap.targets or snap.saved or snap.queue or snap.regions
-    or not are_known(self.keepers, snap.data) then
+  local self, fsm, ext = of(chart), chart.fsm, snap.ext or NONE
+  if self.are_targets_moved or not is_usual(self, snap) then
     self.are_targets_moved = false -- the long way sets them all
     return false
   end
-  rfsm.place(fsm, leaf, snap.done and "done" or "active", {})
+  rfsm.place(fsm, self.leaves[snap.leaf], snap.done and "done" or "active", {})
   set_fields(self.keepers, snap.data or NONE)
-  local ext = snap.ext or NONE
   for i = 1, #self.hooks do
     local hook = self.hooks[i]
     local value = ext[hook.name]
@@ -121,18 +125,19 @@ function short.put(chart, snap)
   return true
 end
 
+-- Does a value stand for itself, in any encoder?
+local function is_itself(value)
+  local kind = type(value)
+  return kind == "string" or kind == "boolean" or kind == "number" and is_safe(value)
+end
+
 -- Returns the fields of a keeper; nil and true if they need the long way.
 local function take_fields(keeper)
   local state, names, first, fields = keeper.state, keeper.names, keeper.first, nil
   for i = 1, #names do
     local name = names[i]
     local value = state[name]
-    local kind = type(value)
-    if kind == "string" or kind == "boolean" or kind == "number" and value % 1 == 0
-      and value < 1e14 and value > -1e14 and value ~= 0 and name ~= "n" then
-      fields = fields or {}
-      fields[name] = value
-    elseif value == 0 and 1 / value > 0 and name ~= "n" then
+    if value ~= nil and name ~= "n" and is_itself(value) then
       fields = fields or {}
       fields[name] = value
     elseif value ~= nil or first[name] ~= nil then
@@ -142,37 +147,58 @@ local function take_fields(keeper)
   return fields
 end
 
+-- Returns the data of all keepers; nil and true if it needs the long way.
+local function take_data(keepers)
+  local data = nil
+  for i = 1, #keepers do
+    local fields, is_long = take_fields(keepers[i])
+    if is_long then return nil, true end
+    if fields then
+      data = data or {}
+      data[keepers[i].fqn] = fields
+    end
+  end
+  return data
+end
+
+local function take_extensions(hooks, fsm)
+  local ext = nil
+  for i = 1, #hooks do
+    local hook = hooks[i]
+    local value = hook.save(fsm)
+    if value ~= nil then
+      ext = ext or {}
+      ext[hook.name] = plain.pack(value, { owner = hook.name, prefix = "root", base = 4,
+        seen = {} }, 0)
+    end
+  end
+  return ext
+end
+
+-- Does each transition lead where the model says?
+local function are_targets_first(self)
+  local transitions, nodes = self.transitions, self.nodes
+  for i = 1, #transitions do
+    if transitions[i].tgt ~= nodes[i] then return false end
+  end
+  return true
+end
+
 --- Take a snapshot of the machine of a chart.
 ---@param chart rfsm.redis.Chart
 ---@return rfsm.snapshot.Snapshot? snap nil if the long way is to be taken
 function short.take(chart)
   local self, fsm = of(chart), chart.fsm
-  local leaf, nodes, transitions = fsm._act_leaf, self.nodes, self.transitions
-  self.are_targets_moved = true
-  if not (self.is_usable and leaf) or fsm._intq[1] ~= nil then return nil end
-  for i = 1, #transitions do
-    if transitions[i].tgt ~= nodes[i] then return nil end
+  local leaf = fsm._act_leaf
+  self.are_targets_moved = not are_targets_first(self)
+  if self.are_targets_moved or not (self.is_usable and leaf) or fsm._intq[1] ~= nil then
+    return nil
   end
-  self.are_targets_moved = false
-  local data, ext = nil, nil
-  for i = 1, #self.keepers do
-    local fields, is_long = take_fields(self.keepers[i])
-    if is_long then return nil end
-    if fields then
-      data = data or {}
-      data[self.keepers[i].fqn] = fields
-    end
-  end
-  for i = 1, #self.hooks do
-    local value = self.hooks[i].save(fsm)
-    if value ~= nil then
-      ext = ext or {}
-      ext[self.hooks[i].name] = plain.pack(value, { owner = self.hooks[i].name,
-        prefix = "root", base = 4, seen = {} }, 0)
-    end
-  end
+  local data, is_long = take_data(self.keepers)
+  if is_long then return nil end
   return { version = 2, chart = chart.fingerprint, leaf = leaf._fqn,
-    done = leaf._mode == "done" or nil, data = data, ext = ext }
+    done = leaf._mode == "done" or nil, data = data,
+    ext = take_extensions(self.hooks, fsm) }
 end
 
 return short

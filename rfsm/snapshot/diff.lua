@@ -96,7 +96,8 @@ local function fate_of(old, model, leaf, options)
   if not fsm then
     notes[1] = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
     if not (options.rename or options.migrate) and notes[1]:find("another chart") then
-      notes[1], list = "the root of the new chart has neither 'rename' nor 'migrate'", {}
+      notes[1], list = "the root of the new chart has neither 'rename' nor 'migrate'",
+        nil
     end
     for i, text in ipairs(list or {}) do notes[i + 1] = text end
     return { leaf = leaf._fqn, to = false, notes = notes }

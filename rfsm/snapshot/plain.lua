@@ -135,8 +135,10 @@ end
 
 -- Pack --------------------------------------------------------------------------
 
--- Does JSON with 14 digits give back the number, as the integer or float that it is?
-local function is_safe(n)
+--- Does JSON with 14 digits give back a number, as the integer or float that it is?
+---@param n number
+---@return boolean
+function plain.is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
   if math_type then
@@ -147,6 +149,8 @@ local function is_safe(n)
   if is_whole then return n < 1e14 and n > -1e14 end
   return tonumber(("%.14g"):format(n)) == n
 end
+
+local is_safe = plain.is_safe
 
 -- Digits from which any Lua reads the number; a whole float has a point.
 local function digits_of(n)
