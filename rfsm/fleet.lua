@@ -1,10 +1,10 @@
 --- A fleet of machines in Redis: the client.
 --
 -- The machines live in a server that has loaded a library of `rfsm.redis`. The client
--- names their keys, so that machines spread over the slots of a cluster. It gives
--- each event an id, so that the event is applied once also if it must be sent again. It wakes
--- machines that are due, and reads what they emitted. Needs the packages lua-redis and
--- dkjson.
+-- names their keys, so that machines spread over the slots of a cluster. It gives each
+-- event an id, so that the event is applied once also if it must be sent again. It
+-- wakes machines that are due, and reads what they emitted. Needs the packages
+-- lua-redis and dkjson.
 --
 -- The file reads in this order: connect, calls, machines, workers.
 --
@@ -437,8 +437,8 @@ local WORK = {
 --
 -- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
 -- worker of the group gets the entry once more: after `idle` milliseconds, then after
--- twice as long, and so on. After `tries` times it moves to the stream rfsm:dead:{tag}. An entry
--- that all groups have done is taken out of the stream.
+-- twice as long, and so on. After `tries` times it moves to the stream rfsm:dead:{tag}.
+-- An entry that all groups have done is taken out of the stream.
 --
 ---@param group string
 ---@param worker string its name, of its own

@@ -333,7 +333,8 @@ describe("rfsm snapshot diff", function()
       "in root.a: stays a machine of the old version",
       "  the root of the new chart has neither 'rename' nor 'migrate'",
       "in root.b: stays a machine of the old version",
-      "  the root of the new chart has neither 'rename' nor 'migrate'" }, (compare(new)))
+      "  the root of the new chart has neither 'rename' nor 'migrate'" },
+      (compare(new)))
     local lines, status = compare((new:gsub("more = 1",
       "rename = { ['root.b'] = 'root.c' }")))
     assert.same({ { "in root.a: moves to root.a",

@@ -74,6 +74,17 @@ function Server:cli(arguments)
   return output_of(("redis-cli -p %d %s"):format(self.port, arguments))
 end
 
+--- Runs a script of the shell at the same time; returns a function that waits for its
+-- end, and returns the output.
+function servers.beside(script)
+  local pipe = assert(io.popen(script .. " 2>&1"))
+  return function()
+    local output = pipe:read("*a")
+    pipe:close()
+    return output
+  end
+end
+
 --- Starts a server with these options of the command line.
 function servers.start(options)
   local folder = output_of("mktemp -d"):match("%S+")
