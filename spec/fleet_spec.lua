@@ -461,8 +461,8 @@ describe("the client", function()
   for url, text in pairs {
     ["http://here"] = "redis://[USER:PASSWORD@]HOST:PORT[/DB] expected, got "
       .. "'http://here'",
-    ["redis://a/b/c"] = "redis://[USER:PASSWORD@]HOST:PORT[/DB] expected, got "
-      .. "'redis://a/b/c'",
+    ["redis://a/b"] = "redis://[USER:PASSWORD@]HOST:PORT[/DB] expected, got "
+      .. "'redis://a/b'",
   } do
     it("refuses " .. url, function()
       local ok, problem = pcall(fleet.connect, url)
@@ -507,8 +507,8 @@ describe("a chart that cannot run in Redis", function()
 
   it("is not one that only says so, or has fields of that name", function()
     assert(redis.bundle { "c=" .. helper.file_with(chart("local io = {}\n"
-      .. [[local text, t = "os.time()", { debug = 1, [ [=[io]=] ] = 1 } -- io.x]]
-      .. "\nlocal _ = { text, t, io, os.clock() }")) })
+      .. [[local text, t = "os.time()", { debug = 1, [ [=[io]=] ] = 1 } -- io.x]] .. "\n"
+      .. "local _ = { text, t, io, os.clock() }")) })
   end)
 
   it("brings its own modules along if they are plain Lua", function()

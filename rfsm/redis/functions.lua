@@ -254,16 +254,30 @@ end
 
 -- Load: the value of a key becomes a machine that stands there ----------------------
 
--- The clock of the machines: it stands still during a call.
-local sec, nsec = 0, 0
+-- The clock of the machines: it stands still during a call. It is read when it is first
+-- needed, from the host in `unread`.
+local sec, nsec, unread = 0, 0, false
 
--- Reads the clock; once only for all machines of a call that has a `lib.time`.
-local function read_clock(host, lib)
-  local time = lib and lib.time or host.call("TIME")
-  sec, nsec = tonumber(time[1]), tonumber(time[2]) * 1000
+local function set_clock(time)
+  sec, nsec, unread = tonumber(time[1]), tonumber(time[2]) * 1000, false
 end
 
-local function now() return sec + nsec / 1e9 end
+-- Has the clock show the time again; the same for all machines of a call that has a
+-- `lib.time`.
+local function read_clock(host, lib)
+  if lib and lib.time then return set_clock(lib.time) end
+  unread = host
+end
+
+local function gettime()
+  if unread then set_clock(unread.call("TIME")) end
+  return sec, nsec
+end
+
+local function now()
+  gettime()
+  return sec + nsec / 1e9
+end
 
 --- A machine that a call works on.
 ---@class rfsm.redis.Machine
@@ -318,7 +332,7 @@ local function load_machine(host, lib, key, list)
   list = list or read_value(host, key)
   local is_timed = list[4]
   if is_timed then
-    sec, nsec = list[4], list[5]
+    sec, nsec, unread = list[4], list[5], false
   else
     read_clock(host, lib)
   end
@@ -401,7 +415,10 @@ local function pack_machine(host, machine, due)
   local list = { "rfsm", machine.chart.name, snap }
   local ids, later = machine.ids, machine.later
   later = later and later[1] and later or nil
-  if due then list[4], list[5], list[6] = sec, nsec, due end
+  if due then
+    list[4], list[5] = gettime()
+    list[6] = due
+  end
   if ids or later then
     for i = 4, 6 do list[i] = list[i] or false end
     list[7] = ids or false
@@ -767,7 +784,7 @@ return function(host, list, options)
   local lib, made = { charts = {}, options = options or {}, time = nil }, {}
   local charts = lib.charts
   lib.options.ids = lib.options.ids or 16
-  clock.set_hook(function() return sec, nsec end)
+  clock.set_hook(gettime)
   for _, chart in ipairs(list) do
     charts[chart.name] = charts[chart.name] or {}
     charts[chart.name][#charts[chart.name] + 1] = chart
