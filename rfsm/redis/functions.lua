@@ -290,17 +290,21 @@ end
 ---@field later any[]|false events that come at a time: { time, id, event, ... }
 ---@field moved_by string the events of this call
 
--- Returns what a key holds, see above.
-local function read_value(host, key)
-  local value = host.call("GET", key)
-  if not value then
-    fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
-  end
+-- Returns the list in the value of a key, see above.
+local function list_of(host, key, value)
   local ok, list = pcall(host.pack.unpack, value)
   if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
     fail("what is at '%s' is no machine", shown(key))
   end
   return list
+end
+
+local function read_value(host, key)
+  local value = host.call("GET", key)
+  if not value then
+    fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
+  end
+  return list_of(host, key, value)
 end
 
 local function put(chart, snap, options)
@@ -431,68 +435,74 @@ local function pack_machine(host, machine, due)
   return value
 end
 
--- Adds a write to a list; its key must be of a type, or absent, and the user must have
--- the right.
-local function add_write(host, writes, kind, ...)
-  local name, key = ...
-  if not host.may(...) then fail("no right to do %s %s", name, shown(key)) end
+-- The writes of a machine, and what was asked in this call: one may wake many machines.
+local writes, asked = {}, {}
+
+-- Adds a write; its key must be of a type, or absent, and the user must have the right.
+local function add_write(host, kind, name, key, ...)
+  writes[#writes + 1] = { name, key, ... }
+  if asked[key] == name then return end
+  if not host.may(name, key, ...) then
+    fail("no right to do %s %s", name, shown(key))
+  end
   local found = kind and host.call("TYPE", key).ok
   if kind and found ~= kind and found ~= "none" then
     fail("%s expected at '%s', got %s", kind, shown(key), found)
   end
-  writes[#writes + 1] = { ... }
+  asked[key] = name
 end
 
-local function add_due(host, writes, machine, due)
+local function add_due(host, machine, due)
   local key = keys_of.due(machine.key)
   if due then
-    add_write(host, writes, "zset", "ZADD", key, ("%.6f"):format(due), machine.key)
+    add_write(host, "zset", "ZADD", key, ("%.6f"):format(due), machine.key)
   elseif machine.is_due then
-    add_write(host, writes, "zset", "ZREM", key, machine.key)
+    add_write(host, "zset", "ZREM", key, machine.key)
   end
 end
 
 -- Streams: what is to be done outside, and what has failed.
-local function add_streams(host, writes, machine)
+local function add_streams(host, machine)
   for _, entry in ipairs(emitted) do
-    add_write(host, writes, "stream", "XADD", keys_of.out(machine.key), "*", "machine",
+    add_write(host, "stream", "XADD", keys_of.out(machine.key), "*", "machine",
       machine.key, "what", entry[1], "data", entry[2])
   end
   for _, text in ipairs(printed) do
-    add_write(host, writes, "stream", "XADD", keys_of.log(machine.key), "MAXLEN", "~",
+    add_write(host, "stream", "XADD", keys_of.log(machine.key), "MAXLEN", "~",
       MAX_LOG, "*", "error", text)
   end
 end
 
 -- What is to be noted when the machine has got another active leaf.
-local function add_move(host, writes, lib, machine, leaf)
+local function add_move(host, lib, machine, leaf)
   if lib.options.index then
     local key, name = keys_of.index(machine.key), machine.chart.name
     if machine.leaf then
-      add_write(host, writes, "zset", "ZREM", key,
+      add_write(host, "zset", "ZREM", key,
         keys_of.member(name, machine.leaf, machine.key))
     end
-    add_write(host, writes, "zset", "ZADD", key, 0,
+    add_write(host, "zset", "ZADD", key, 0,
       keys_of.member(name, leaf, machine.key))
   end
   if lib.options.history then
-    add_write(host, writes, "stream", "XADD", keys_of.history(machine.key), "MAXLEN",
+    add_write(host, "stream", "XADD", keys_of.history(machine.key), "MAXLEN",
       lib.options.history, "*", "event", machine.moved_by, "from", machine.leaf or "",
       "to", leaf)
   end
-  add_write(host, writes, nil, "SPUBLISH", keys_of.channel(machine.key), leaf)
+  add_write(host, nil, "SPUBLISH", keys_of.channel(machine.key), leaf)
 end
 
 -- Writes all that has changed, and returns the reply: leaf, mode, errors.
 local function save(host, lib, machine)
-  local due, writes = due_of(machine), {}
+  local due = due_of(machine)
   local value = pack_machine(host, machine, due)
   local leaf = machine.fsm._act_leaf
   local reply = { leaf and leaf._fqn or "", leaf and leaf._mode or "inactive" }
-  add_due(host, writes, machine, due)
-  add_streams(host, writes, machine)
+  writes = {}
+  add_due(host, machine, due)
+  add_streams(host, machine)
   if reply[1] ~= (machine.leaf or "") then
-    add_move(host, writes, lib, machine, reply[1])
+    add_move(host, lib, machine, reply[1])
   end
   host.call("SET", machine.key, value)
   for i = 1, #writes do host.call(unpack(writes[i])) end
@@ -606,12 +616,12 @@ function functions.rfsm_cancel(host, lib, keys, args)
 end
 
 local function tick(host, lib, key)
-  local value = host.call("EXISTS", key)
-  if value == 0 then
+  local value = host.call("GET", key)
+  if not value then
     host.call("ZREM", keys_of.due(key), key)
     return false
   end
-  local machine = load_machine(host, lib, key)
+  local machine = load_machine(host, lib, key, list_of(host, key, value))
   send_later(lib, machine)
   if machine.moved_by == "" then machine.moved_by = "(time)" end
   run(machine)
@@ -791,7 +801,7 @@ return function(host, list, options)
   end
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
-      lib.time = nil
+      lib.time, asked = nil, {}
       local ok, reply = pcall(f, host, lib, keys, args)
       if ok then return reply end
       return host.error_reply("ERR " .. name .. ": " .. problem_of(reply))
