@@ -406,6 +406,16 @@ describe("rfsm redis", function()
 end)
 
 describe("the warehouse", function()
+  it("takes a new version of its orders while it works", function()
+    local output = servers.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
+      .. "examples/warehouse/fleet.sh lua5.1 40 upgrade")()
+    assert.matches("\nin root.packing: moves to root.wrapping\n", output)
+    assert.matches("\nin root.received: moves to root.received\n"
+      .. "  timer e_after%(3%)@root.received is dropped\n", output)
+    assert.matches("orders have moved at their next event\n0 are left; 30 shipped, 10 "
+      .. "received\n$", output)
+  end)
+
   it("ships what is paid for, in one command", function()
     local pipe = io.popen("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
       .. "examples/warehouse/fleet.sh lua5.3 8 2>&1")

@@ -193,6 +193,29 @@ describe("migrate", function()
   end)
 end)
 
+describe("what a state keeps", function()
+  for _, name in ipairs { "entry", "exit", "doo", "keep", "save", "load", "getevents",
+    "dbg", "info", "warn", "err", "idle_hook", "pre_step_hook", "post_step_hook",
+    "_mode", "a" } do
+    it("is no field of the engine: " .. name, function()
+      local fsm = helper.init(chart({ "e_x" }, { keep = { name } }))
+      assert.matches("root.keep%[1%]: name of a field with data expected, got '" .. name
+        .. "'", (select(2, pcall(snapshot.take, fsm))))
+    end)
+  end
+
+  it("is plain in a snapshot, if JSON has it", function()
+    local data = { list = { 1, "b", true, { 2 } }, map = { x = { y = 1.5 } }, n = 3 }
+    local fsm = helper.init(chart({ "e_x" }, { keep = { "list", "map", "text" },
+      text = "t", list = data.list, map = data.map }))
+    local first = { list = data.list, map = data.map, text = "t" }
+    assert.same({ root = first }, snapshot.take(fsm).data)
+    fsm.map = data
+    assert.same({ "%t", "list", data.list, "map", data.map, "n", 3 },
+      snapshot.take(fsm).data.root.map)
+  end)
+end)
+
 describe("null of JSON", function()
   for name, null in pairs {
     ["that of dkjson"] = json.null,
@@ -287,6 +310,27 @@ describe("a snapshot of format 1", function()
       left.m, rfsm.get_actleaf_fqn(left) })
     assert.equal(5, math.floor(timeevent.next_deadline(fsm) + 0.5))
     assert.equal(2, snapshot.take(fsm).version)
+  end)
+
+  it("is compared by what it can say: states and transitions", function()
+    local model = robot { "m" }
+    model.c = state {}
+    local list, snap = {}, json.decode(OLD)
+    local function note(_, difference) list[#list + 1] = difference end
+    snapshot.structure(robot { "m" })
+    assert(snapshot.restore(model, snap, { migrate = note }))
+    snap.structure = { "state root", "state root.a", "state root.w",
+      "root.initial -> root.a", "root.a -> root.w on e_go",
+      "root.w -> root.a on e_after(9)@root.w", "connector root.initial" }
+    assert(snapshot.restore(model, snap, { migrate = note }))
+    assert.same({ { "new: state root.c" }, { "new: state root.c" } }, list)
+  end)
+
+  it("of a region that is gone is refused", function()
+    local model = robot { "m" }
+    model.w = rfsm.seqand { left = arm { "m" } }
+    assert.same({ "region root.w.right" }, select(3, snapshot.restore(model,
+      (json.decode(OLD)))))
   end)
 
   it("gets first values for what it lacks, and loses nothing", function()

@@ -21,6 +21,8 @@ end
 ---@param new string
 ---@return boolean is_safe
 function command.compare(old, new)
+  require "rfsm_timeevent"
+  require "rfsm.await"
   local diff, models = require "rfsm.snapshot.diff", {}
   for i, file in ipairs { old, new } do
     common.check_readable(file)
@@ -33,8 +35,6 @@ function command.compare(old, new)
 end
 
 function command.run(options)
-  require "rfsm_timeevent"
-  require "rfsm.await"
   return command.compare(options.old, options.new) and 0 or 1
 end
 
