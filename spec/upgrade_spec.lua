@@ -182,6 +182,76 @@ describe("a region", function()
   end)
 end)
 
+describe("a region that was not entered", function()
+  it("is kept for its events alone, for its target alone, and not if it is blank",
+    function()
+      local function model()
+        return state { info = false, warn = false, emem = false, a = state {},
+          w = rfsm.seqand { x = region(nil), y = region(nil), z = region(nil) },
+          trans { src = "initial", tgt = "a" } }
+      end
+      local fsm = helper.started(model())
+      local substates = fsm.w.substates
+      rfsm.send_events(substates.x, "e_x")
+      substates.y[1].tgt = substates.y.initial
+      local snap = snapshot.take(fsm)
+      assert.same({ ["root.w.x"] = { "e_init_fsm", "e_x" } }, { ["root.w.x"] =
+        snap.regions["root.w.x"].queue })
+      assert.same({ "root", 1, "root.initial" }, snap.regions["root.w.y"].targets)
+      assert.is_nil(snap.regions["root.w.z"])
+      local again = restored(model(), snap)
+      assert.same(snap, snapshot.take(again))
+    end)
+end)
+
+describe("the list of what differs", function()
+  it("shows internal transitions, priorities and connectors", function()
+    local function model(more)
+      local root = chart { "e_x" }
+      for key, value in pairs(more or {}) do root[key] = value end
+      return root
+    end
+    local _, _, list = snapshot.restore(model { k = rfsm.conn {},
+      [4] = trans { src = "a", tgt = "internal", events = { "e_i", 7 }, pn = 2 } },
+      snapshot.take(helper.started(model())))
+    assert.same({ "new: root.a -> internal on e_i, 7 pn 2", "new: connector root.k" },
+      list)
+  end)
+
+  it("is the order if nothing else differs", function()
+    local root = chart { "e_x" }
+    root[2], root[3] = root[3], root[2]
+    assert.same({ "the order of the transitions" }, select(3, snapshot.restore(root,
+      snapshot.take(helper.started(chart { "e_x" })))))
+  end)
+end)
+
+describe("a table as text", function()
+  local function problem_of(text)
+    local fsm = helper.started(chart({ "e_x" }, { keep = { "x" } }))
+    local snap = snapshot.take(fsm)
+    snap.data = { root = { x = { "%s", text } } }
+    local ok, problem = snapshot.put(fsm, snap)
+    return ok and fsm.x or problem
+  end
+
+  for text, expected in pairs {
+    ["{1:a#1.5;1:b{}}"] = { a = 1.5, b = {} }, ["{#1;+#2;-}"] = { true, false },
+    ["3:a:b"] = "a:b",
+    ["3:ab"] = "rfsm.snapshot: the text of a table expected",
+    ["x"] = "rfsm.snapshot: the text of a table expected",
+    ["{1:a"] = "rfsm.snapshot: the text of a table expected",
+    ["{{}+}"] = "rfsm.snapshot: a key expected",
+    ["#x;"] = "rfsm.snapshot: a number as text expected, got string",
+    [("{1:a"):rep(60) .. "+" .. ("}"):rep(60)] =
+      "rfsm.snapshot: at most 40 tables inside each other expected",
+  } do
+    it("is read, or refused: " .. text:sub(1, 20), function()
+      assert.same(expected, problem_of(text))
+    end)
+  end
+end)
+
 describe("migrate", function()
   it("gets a copy, so that one that refuses has changed nothing", function()
     local snap = snapshot.take(helper.started(chart { "e_x" }))
