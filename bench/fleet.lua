@@ -77,7 +77,7 @@ end
 
 local VALUE = ("x"):rep(96)
 local SCRIPT = [[local v = redis.call("GET", KEYS[1]) ]]
-  .. [[if v then cmsgpack.unpack(v) end .call("SET", KEYS[1], ]]
+  .. [[if v then cmsgpack.unpack(v) end redis.call("SET", KEYS[1], ]]
   .. [[cmsgpack.pack({ "rfsm", "area", { version = 2, ]]
   .. [[chart = "844974cfc38-e0429e", leaf = "root.area1.station2", done = true, ]]
   .. [[data = { root = { order = "A-4711", count = 13 } } } })) return 1]]
