@@ -237,7 +237,7 @@ describe("a table as text", function()
 
   for text, expected in pairs {
     ["{1:a#1.5;1:b{}}"] = { a = 1.5, b = {} }, ["{#1;+#2;-}"] = { true, false },
-    ["3:a:b"] = "a:b",
+    ["3:a:b"] = "a:b", ["#nan;"] = nil,
     ["3:ab"] = "rfsm.snapshot: the text of a table expected",
     ["x"] = "rfsm.snapshot: the text of a table expected",
     ["{1:a"] = "rfsm.snapshot: the text of a table expected",
@@ -250,6 +250,16 @@ describe("a table as text", function()
       assert.same(expected, problem_of(text))
     end)
   end
+end)
+
+describe("a list that only looks like packed data", function()
+  it("is a list", function()
+    local fsm = helper.started(chart({ "e_x" }, { keep = { "x" } }))
+    local snap = snapshot.take(fsm)
+    snap.data = { root = { x = { "%s", 5 } } }
+    assert(snapshot.put(fsm, snap))
+    assert.same({ "%s", 5 }, fsm.x)
+  end)
 end)
 
 describe("migrate", function()
@@ -274,7 +284,45 @@ describe("what a state keeps", function()
     end)
   end
 
+  it("is given to load, also nil, but not if the chart is another one", function()
+    local seen = {}
+    local function model(events)
+      return chart(events, { save = function() return nil end,
+        load = function(_, _, value) seen[#seen + 1] = tostring(value) end })
+    end
+    local snap = snapshot.take(helper.started(model { "e_x" }))
+    restored(model { "e_x" }, snap)
+    assert.same({ "nil" }, seen)
+    restored(model { "e_y" }, snap, { migrate = itself })
+    assert.same({ "nil" }, seen)
+  end)
+
+  it("is not renamed, but the names of states are", function()
+    local function model(name)
+      return state { info = false, warn = false, emem = false, keep = { "x", "y" },
+        x = "root.a", y = { ["root.a"] = "e_done@root.a" },
+        [name] = state { keep = { "z" }, z = 1 },
+        trans { src = "initial", tgt = name },
+        trans { src = name, tgt = name, events = { "e_x" } } }
+    end
+    local fsm = helper.started(model "a")
+    fsm.a.z, fsm[2].tgt = 7, fsm.initial
+    rfsm.send_events(fsm, "e_done@root.a", "root.a", "root.ab")
+    local again = restored(model "b", snapshot.take(fsm), { rename = { ["root.a"] =
+      "root.b" } })
+    assert.same({ "root.a", { ["root.a"] = "e_done@root.a" }, 7, "root.initial",
+      { "e_done@root.b", "root.b", "root.ab" } },
+      { again.x, again.y, again.b.z, again[2].tgt._fqn, again._intq })
+  end)
+
   it("is plain in a snapshot, if JSON has it", function()
+    local numbers = { 0, -1, 1.5, 99999999999999, -99999999999999 }
+    local none = helper.init(chart({ "e_x" }, { keep = { "list" }, list = numbers }))
+    assert.same({ root = { list = numbers } }, snapshot.take(none).data)
+    none.list = { 1e14, -1e14, math.huge, -math.huge, 0.1 + 0.2, -1 / math.huge }
+    for _, number in ipairs(snapshot.take(none).data.root.list) do
+      assert.equal("%n", number[1])
+    end
     local data = { list = { 1, "b", true, { 2 } }, map = { x = { y = 1.5 } }, n = 3 }
     local fsm = helper.init(chart({ "e_x" }, { keep = { "list", "map", "text" },
       text = "t", list = data.list, map = data.map }))

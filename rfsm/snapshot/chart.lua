@@ -7,7 +7,7 @@
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
-local ipairs, rawget, rawset, setmetatable = ipairs, rawget, rawset, setmetatable
+local ipairs, setmetatable = ipairs, setmetatable
 local type = type
 local floor = math.floor
 local concat, sort = table.concat, table.sort
@@ -260,12 +260,11 @@ end
 function chart.regions(fsm)
   local self = chart.of(fsm)
   if not self.owners[1] then return nil end
-  local known = rawget(fsm, "_kept_regions")
+  local known = fsm._kept_regions
   if known and known.chart == self then return known end
   known = rfsm.machines(fsm)
   table.remove(known, 1)
-  known.chart = self
-  rawset(fsm, "_kept_regions", known)
+  known.chart, fsm._kept_regions = self, known
   return known
 end
 

@@ -55,7 +55,7 @@ local function snapshot_in(fsm, leaf)
   for _, region in ipairs(rfsm.regions(leaf)) do
     rfsm.place(region, rfsm.elements(region, rfsm.is_leaf)[1] or false, "done", {})
   end
-  return snapshot.take(fsm, { structure = true })
+  return snapshot.take(fsm)
 end
 
 -- Returns the timers of a leaf and the states around it, as a list and a set.

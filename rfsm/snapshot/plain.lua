@@ -99,12 +99,13 @@ end
 
 local place_of = plain.place_of
 
-local SCALARS = { boolean = true, number = true, string = true }
-
 --- Is a value a text, a number or a boolean?
 ---@param value any
 ---@return boolean
-function plain.is_scalar(value) return SCALARS[type(value)] ~= nil end
+function plain.is_scalar(value)
+  local kind = type(value)
+  return kind == "string" or kind == "number" or kind == "boolean"
+end
 
 local is_scalar = plain.is_scalar
 
