@@ -273,6 +273,27 @@ describe("migrate", function()
   end)
 end)
 
+describe("a snapshot", function()
+  it("has no more than is there", function()
+    local fsm = helper.started(chart { "e_x" })
+    local name = snapshot.take(fsm).chart
+    assert.same({ version = 2, chart = name, leaf = "root.a", done = true },
+      snapshot.take(fsm))
+    assert.matches("^%x%x%x%x%x%x%x%x%x%x%x$", name)
+    rfsm.reset(fsm)
+    assert.same({ version = 2, chart = name }, snapshot.take(fsm))
+    rfsm.send_events(fsm, "e_x")
+    assert.same({ "e_init_fsm", "e_x" }, snapshot.take(fsm).queue)
+  end)
+
+  it("names the place of an event that cannot be saved, also in a region", function()
+    local fsm = helper.started(regions { a = region(1) })
+    rfsm.send_events(fsm.w.substates.a, "e_x", print)
+    assert.matches("rfsm.snapshot.take: root.w.a queue%[2%]: an event that is a function",
+      (select(2, pcall(snapshot.take, fsm))))
+  end)
+end)
+
 describe("what a state keeps", function()
   for _, name in ipairs { "entry", "exit", "doo", "keep", "save", "load", "getevents",
     "dbg", "info", "warn", "err", "idle_hook", "pre_step_hook", "post_step_hook",
