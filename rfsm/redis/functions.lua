@@ -404,19 +404,25 @@ end
 -- Save: first all that may fail, then the writes -----------------------------------
 
 -- When a machine is to be woken; nil: not before an event comes.
-local function due_of(machine)
+local function due_of(machine, timers)
   if not machine.is_idle and machine.fsm._act_leaf then return now() end
-  local left = not short.has_no_timers(machine.chart)
-    and timeevent.next_deadline(machine.fsm)
-  local due = left and now() + left or nil
+  local due = nil
+  if not timers then
+    local left = timeevent.next_deadline(machine.fsm)
+    due = left and now() + left or nil
+  elseif next(timers) ~= nil then
+    due = short.next_expiry(timers, now())
+  end
   local later = machine.later and machine.later[1]
   if later then due = min(due or later[1], later[1]) end
   return due
 end
 
-local function pack_machine(host, machine, due)
-  local snap = short.take(machine.chart) or snapshot.take(machine.fsm)
-  local list = { "rfsm", machine.chart.name, snap }
+-- Returns the value of a machine, and when it is due.
+local function pack_machine(host, machine)
+  local snap, timers = short.take(machine.chart)
+  local due = due_of(machine, timers)
+  local list = { "rfsm", machine.chart.name, snap or snapshot.take(machine.fsm) }
   local ids, later = machine.ids, machine.later
   later = later and later[1] and later or nil
   if due then
@@ -432,7 +438,7 @@ local function pack_machine(host, machine, due)
   if #value > MAX_VALUE then
     fail("a machine takes at most %d bytes, this one %d", MAX_VALUE, #value)
   end
-  return value
+  return value, due
 end
 
 -- The writes of a machine, and what was asked in this call: one may wake many machines.
@@ -494,8 +500,7 @@ end
 
 -- Writes all that has changed, and returns the reply: leaf, mode, errors.
 local function save(host, lib, machine)
-  local due = due_of(machine)
-  local value = pack_machine(host, machine, due)
+  local value, due = pack_machine(host, machine)
   local leaf = machine.fsm._act_leaf
   local reply = { leaf and leaf._fqn or "", leaf and leaf._mode or "inactive" }
   writes = {}

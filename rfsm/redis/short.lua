@@ -50,12 +50,18 @@ local function of(chart)
   return chart.short
 end
 
---- Can no timer be armed in a machine of a chart?
----@param chart rfsm.redis.Chart
----@return boolean
-function short.has_no_timers(chart)
-  local self = chart.short
-  return self and self.is_usable and not self.hooks[1] or false
+--- Return when the first timer of a machine expires that was taken.
+---@param timers table<string, any> what the extension keeps: the time that is left of
+--- e_after, the time of e_at
+---@param now number
+---@return number? time nil if none does
+function short.next_expiry(timers, now)
+  local least = nil
+  for name, left in next, timers do -- any order: the least
+    local time = left[1] + left[2] / 1e9 + (name:find("^e_at") and 0 or now)
+    if not least or time < least then least = time end
+  end
+  return least
 end
 
 -- May all fields be set? They have no other names, and each state that has some keeps
@@ -162,7 +168,7 @@ local function take_data(keepers)
 end
 
 local function take_extensions(hooks, fsm)
-  local ext = nil
+  local ext, timers = nil, NONE
   for i = 1, #hooks do
     local hook = hooks[i]
     local value = hook.save(fsm)
@@ -170,9 +176,10 @@ local function take_extensions(hooks, fsm)
       ext = ext or {}
       ext[hook.name] = plain.pack(value, { owner = hook.name, prefix = "root", base = 4,
         seen = {} }, 0)
+      if hook.name == "timers" then timers = value end
     end
   end
-  return ext
+  return ext, timers
 end
 
 -- Does each transition lead where the model says?
@@ -187,6 +194,7 @@ end
 --- Take a snapshot of the machine of a chart.
 ---@param chart rfsm.redis.Chart
 ---@return rfsm.snapshot.Snapshot? snap nil if the long way is to be taken
+---@return table<string, any>? timers see `next_expiry`
 function short.take(chart)
   local self, fsm = of(chart), chart.fsm
   local leaf = fsm._act_leaf
@@ -196,9 +204,9 @@ function short.take(chart)
   end
   local data, is_long = take_data(self.keepers)
   if is_long then return nil end
+  local ext, timers = take_extensions(self.hooks, fsm)
   return { version = 2, chart = chart.fingerprint, leaf = leaf._fqn,
-    done = leaf._mode == "done" or nil, data = data,
-    ext = take_extensions(self.hooks, fsm) }
+    done = leaf._mode == "done" or nil, data = data, ext = ext }, timers
 end
 
 return short
