@@ -200,28 +200,13 @@ local function reset(fsm)
   end
 end
 
--- Snapshots hold those of the regions, by the FQN of the state and their names.
-local function save(fsm, how)
-  local kept = nil
-  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    for i, name in ipairs(state._regions.names) do
-      local snap = how.take(state._regions[i])
-      if snap then
-        kept = kept or {}
-        kept[state._fqn] = kept[state._fqn] or {}
-        kept[state._fqn][name] = snap
-      end
-    end
-  end
-  return kept
-end
+-- Snapshots hold the regions by themselves: nothing is kept here.
+local function save() return nil end
 
-local function load(fsm, kept, how)
+-- A state whose entry is run again after a restore does not step its regions.
+local function load(fsm, _, how)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    local regions, snaps = state._regions, kept and kept[state._fqn] or {}
-    if type(snaps) ~= "table" then error("table of snapshots expected", 0) end
-    for i, name in ipairs(regions.names) do how.put(regions[i], snaps[name]) end
-    regions.is_standing = how.entries and state == fsm._act_leaf or false
+    state._regions.is_standing = how.entries and state == fsm._act_leaf or false
   end
 end
 

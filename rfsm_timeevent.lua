@@ -450,7 +450,8 @@ local function load_timer(fsm, timer, left)
   set(fsm, timer, normalise(sec + now, nsec + now_nsec))
 end
 
--- A timer that the chart of a snapshot did not have is armed from now on.
+-- Timers follow the chart: one that the chart of a snapshot did not have is armed from
+-- now on, and one that this chart does not have is dropped.
 local function load(fsm, left, how)
   local own, is_known = fsm._timeevent, {}
   left = left or {}
@@ -460,7 +461,7 @@ local function load(fsm, left, how)
     disarm(timer)
     if left[timer.name] ~= nil then
       load_timer(fsm, timer, left[timer.name])
-    elseif how.is_migrated then
+    elseif how.is_migrated and how.is_new(timer.name) then
       arm_now(fsm, timer)
     end
   end
