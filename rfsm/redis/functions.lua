@@ -15,6 +15,8 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local keys_of = require "rfsm.redis.keys"
 local plain = require "rfsm.snapshot.plain"
@@ -69,19 +71,15 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@field short rfsm.redis.Short|false what the short way knows, when it was taken
 ---@field takes_all boolean a transition that any event triggers, or a predicate
 
--- Notes an event that a chart knows; also the names in await(e_a, e_b@F)@F.
-local function add_event(chart, event)
-  local text = text_of(event)
-  if type(event) == "function" then chart.takes_all = true end
-  if #text <= MAX_EVENT then chart.events[text] = event end
-  for name in (text:match("^await%((.*)%)") or ""):gmatch("%s*([^,]+)") do
-    chart.events[name] = name
+-- Notes the events that a chart knows.
+local function note_events(chart, fsm)
+  local known = alphabet.of_all(fsm)
+  for _, event in ipairs(known.list) do
+    local text = text_of(event)
+    if #text <= MAX_EVENT then chart.events[text] = event end
   end
-end
-
-local function add_events(chart, tr)
-  if rfsm.is_state(tr.src) and not tr.events[1] then chart.takes_all = true end
-  for _, event in ipairs(tr.events) do add_event(chart, event) end
+  for _, name in ipairs(known.awaited) do chart.events[name] = name end
+  chart.takes_all = known.takes_any or known.predicates[1] ~= nil
 end
 
 -- What callbacks do goes here, as long as the call lasts.
@@ -97,9 +95,7 @@ local function emit_with(json)
 end
 
 local function collect_print(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  printed[#printed + 1] = concat(texts, " ")
+  printed[#printed + 1] = calls.text(" ", ...)
 end
 
 -- One machine of a chart serves all: what callbacks have left in its fields, and the
@@ -187,12 +183,12 @@ local function open(host, chart)
   local fsm, _, problems = rfsm.init(model)
   if not fsm then fail("chart '%s': %s", chart.name, problems[1]) end
   fsm.emit, chart.blank = emit_with(host.json), snapshot.take(fsm)
-  chart.events, chart.takes_all = {}, false
+  chart.events = {}
+  note_events(chart, fsm)
   chart.fields, chart.added = new_fields(new_fields()), {}
   chart.machines, chart.short = {}, false
   for _, at in ipairs(rfsm.machines(fsm)) do
     for _, obj in ipairs(rfsm.elements(at.machine)) do
-      if rfsm.is_trans(obj) then add_events(chart, obj) end
       watch(chart, obj)
     end
   end

@@ -273,7 +273,8 @@ end
 ---@return string[] lines none if the model is wrong
 function chart.structure(model)
   if not rfsm.is_state(model) then return model end
-  local fsm = rfsm.is_initialized_root(model) and model or rfsm.init(model)
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local fsm = rfsm.is_initialized_root(model) and model or init(model)
   return fsm and chart.of(fsm).all or {}
 end
 

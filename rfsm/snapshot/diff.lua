@@ -35,7 +35,8 @@ local function quietly(model, f, ...)
 end
 
 local function new_machine(model)
-  local fsm, text = quietly(model, rfsm.init)
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local fsm, text = quietly(model, init)
   return fsm or error(text, 0)
 end
 
