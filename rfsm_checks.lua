@@ -8,6 +8,7 @@
 -- @module rfsm_checks
 -- @license BSD-3-Clause
 
+local match = require "rfsm.checks.match"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
@@ -38,21 +39,14 @@ local rfsm_checks = {}
 ---@field events table<any, boolean> empty until the first event comes
 ---@field predicates function[]|false functions in events; false: nothing collected yet
 
--- Adds the names in "await(e_a, e_b@F)@F", which are events, too.
-local function add_awaited(events, text)
-  local inside = text:match("^await%s*%((.*)%)") or ""
-  for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do events[name] = true end
-end
-
 local function add_events(known, tr)
   for i = 1, tr.events and #tr.events or 0 do
     local event = tr.events[i]
     known.events[event] = true
     if type(event) == "function" then
       known.predicates[#known.predicates + 1] = event
-    elseif type(event) == "string" then
-      add_awaited(known.events, event)
     end
+    for _, name in ipairs(match.awaited(event)) do known.events[name] = true end
   end
 end
 

@@ -49,7 +49,7 @@ local function seen_in(model, alphabet)
         table.concat(paths, ","), text_of(tgt) }, " ")] = true
     end
   end)
-  return seen, walked.puppet.all_events
+  return seen, walked.puppet:outside_events()
 end
 
 -- Does a mutant react to the events of the chart as the chart does?

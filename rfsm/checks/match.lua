@@ -8,7 +8,7 @@
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawget = rawequal, rawget
+local rawequal, rawget, type = rawequal, rawget, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local match = {}
@@ -34,6 +34,14 @@ function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 --- Does the transition name the event? A predicate names none.
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 
+--- Is there a predicate among the events of the transition?
+function match.has_predicate(tr)
+  for _, event in ipairs(tr.events or {}) do
+    if type(event) == "function" then return true end
+  end
+  return false
+end
+
 --- Can the transition, and a path on from there, react to some events, as far as names
 --- tell, and whatever guards answer?
 ---@param tr rfsm.Transition
@@ -51,6 +59,30 @@ function match.may_enable(tr, list, seen)
     if match.may_enable(way, list, seen) then return true end
   end
   return false
+end
+
+--- List the events that an event waits for: "await(e_a, e_b@F)@F", or any other text.
+---@param event any
+---@return string[] names empty for all events but those of await
+function match.awaited(event)
+  local inside = type(event) == "string" and event:match("^await%s*%((.*)%)")
+  local list = {}
+  if not inside then return list end
+  for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do list[#list + 1] = name end
+  return list
+end
+
+--- Who makes an event? What a machine makes itself has the FQN of its source behind @.
+---@param event any
+---@return "engine"|"await"|"timer"|nil maker nil: it comes from outside
+---@return string? fqn of a timer: the state that has to be active
+function match.maker_of(event)
+  if type(event) ~= "string" then return nil end
+  if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
+  if event:find("^await%s*%(.*%)@root") then return "await" end
+  local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_at%s*%(.*@(root.*)$")
+  if fqn then return "timer", fqn end
 end
 
 --- Call a function of the chart; an interrupt such as Control-C is no failure of it.

@@ -9,15 +9,14 @@
 local rfsm = require "rfsm"
 local puppet = require "rfsm.checks.puppet"
 
-local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
-local require, setmetatable, type = require, setmetatable, type
+local error, ipairs, pairs, require = error, ipairs, pairs, require
+local setmetatable, table, type = setmetatable, table, type
 
 local rehearsal = {}
 
 --- A chart that is rehearsed.
 ---@class rfsm_checks.Rehearsal
 ---@field puppet rfsm_checks.Puppet
----@field now number seconds, as time events see them
 local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
@@ -30,11 +29,6 @@ local function answer(own, who, is_doo)
   return said
 end
 
-local function timeevent()
-  local package = rawget(_G, "package")
-  return package and package.loaded.rfsm_timeevent
-end
-
 --- Begin the rehearsal of a chart.
 -- @raise if it is not valid
 ---@param chart string|rfsm.State a file or a model
@@ -44,19 +38,21 @@ function rehearsal.rehearsal(chart)
   if not rfsm.is_state(model) then
     error("rfsm_checks.rehearsal: file or state expected, got " .. type(chart), 2)
   end
-  local self = setmetatable({ puppet = false, now = 0 }, Rehearsal)
-  local clock = timeevent()
-  if clock then clock.set_gettime_hook(function() return self.now, 0 end) end
-  self.puppet = puppet.new(model, {})
+  local self = setmetatable({ puppet = puppet.new(model, {}) }, Rehearsal)
   self.puppet.choose, self.puppet.said, self.puppet.is_asked = answer, {}, {}
   return self
 end
 
---- Return what to tell a rehearsal about a step of a witness, but for its events.
+--- Return what to tell a rehearsal about a step of a witness.
 ---@param step rfsm_checks.WitnessStep
 ---@return table what see `Rehearsal:step`
 function rehearsal.what_of(step)
-  local what = { guards = {}, ends = {} }
+  local what = { guards = {}, ends = {}, inside = {} }
+  for i = 1, #step.values do what[i] = step.values[i] end
+  for _, inner in ipairs(step.inside) do
+    what.inside[inner.prefix] = what.inside[inner.prefix] or {}
+    table.insert(what.inside[inner.prefix], inner.event)
+  end
   for _, choice in ipairs(step.choices) do
     if choice.is_doo and choice.answer then
       what.ends[#what.ends + 1] = choice.who
@@ -82,22 +78,44 @@ local function unasked(own)
   end
 end
 
+-- Lists the occurrences of events in a step.
+local function occurrences_of(own, what)
+  local list, inside = {}, what.inside or {}
+  for i = 1, #what do list[i] = own:occurrence(own.parts[1], what[i]) end
+  for _, part in ipairs(own.parts) do
+    for _, event in ipairs(part.owner and inside[part.prefix] or {}) do
+      list[#list + 1] = own:occurrence(part, event)
+    end
+  end
+  return list
+end
+
 --- Take a step with the events given, and with what guards and doos decide in it.
 --
 -- `run:step { "e_x", guards = { ["root.trans[2]"] = false }, ends = { "root.busy" } }`
 --
----@param what? table events; `guards` by path; `ends`: paths of doos; `after`: seconds
+---@param what? table events; `guards` by path; `ends`: paths of doos; `after`: seconds;
+-- `inside`: lists of events of regions, by their paths
 ---@return string text "root.trans[2] -> root.b": transitions taken, and the active leaf
 function Rehearsal:step(what)
   what = what or {}
-  local own, events = self.puppet, {}
+  local own = self.puppet
   tell(own, what)
-  for i = 1, #what do events[i] = what[i] end
-  self.now = self.now + (what.after or 0)
-  own:step(events, {})
+  own.now = own.now + (what.after or 0)
+  own:step(occurrences_of(own, what), {})
   local paths, who = own:paths_of(), unasked(own)
   if who then paths[#paths + 1] = "(" .. who .. " was not asked)" end
   return puppet.outcome(paths, rfsm.get_actleaf_fqn(own.parts[1].fsm))
+end
+
+-- Takes the step of a witness again, with its choices one after the other.
+function Rehearsal:repeat_step(step)
+  local own, what, choices = self.puppet, rehearsal.what_of(step), {}
+  for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
+  own.choose = nil
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+  own:step(occurrences_of(own, what), choices)
+  own.choose = answer
 end
 
 -- Witnesses: the run that shows a finding, for the simulator and for pictures ........
@@ -117,10 +135,7 @@ function rehearsal.record_witness(model, steps, sink)
   local run = rehearsal.rehearsal(model)
   local fsm = run.puppet.parts[1].fsm
   local recorder = require("rfsm.record").record(fsm, sink)
-  for _, step in ipairs(steps) do
-    for i = 1, #step.values do rfsm.send_events(fsm, step.values[i]) end
-    run:step(rehearsal.what_of(step))
-  end
+  for _, step in ipairs(steps) do run:repeat_step(step) end
   recorder:stop()
 end
 

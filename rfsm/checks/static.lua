@@ -101,8 +101,8 @@ end
 
 -- The same about a machine and those inside of it.
 local function check_machines(fsm, findings)
-  for _, inner in ipairs(place.machines(fsm)) do
-    check_machine(inner.fsm, inner.location, findings)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    check_machine(entry.machine, place.location_of(entry.prefix), findings)
   end
   return findings
 end
@@ -161,9 +161,9 @@ local function findings_of_model(model)
   end)
   add_lines(findings, found or {}, invalid, "")
   if not fsm then return findings end
-  for i, inner in ipairs(place.machines(fsm)) do
-    local warnings = i > 1 and select(3, rfsm.verify_early(inner.fsm)) or {}
-    add_lines(findings, warnings, codes.of_warning, inner.location)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    local warnings = entry.owner and select(3, rfsm.verify_early(entry.machine)) or {}
+    add_lines(findings, warnings, codes.of_warning, place.location_of(entry.prefix))
   end
   return check_machines(fsm, drop_silenced(fsm, findings))
 end

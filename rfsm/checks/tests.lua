@@ -9,7 +9,6 @@
 local rfsm = require "rfsm"
 local explore = require "rfsm.checks.explore"
 local puppet = require "rfsm.checks.puppet"
-local reactions = require "rfsm.checks.reactions"
 local rehearsal = require "rfsm.checks.rehearsal"
 
 local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
@@ -38,9 +37,9 @@ local tests = {}
 -- A step with an event that is no text cannot be written.
 local function is_plain(events)
   for i = 1, #events do
-    local kind = type(events[i])
+    local kind = type(events[i].event)
     if kind ~= "string" and kind ~= "number" and kind ~= "boolean"
-      and events[i] ~= reactions.OTHER then
+      or events[i].part.owner then
       return false
     end
   end
@@ -126,13 +125,14 @@ local MARGIN = 0.001 -- a timer fires when its time is over
 -- Returns what to tell the rehearsal for a step, and what should come of it.
 local function told_of(walk, edge, waits)
   local step = walk:rerun(edge.from, edge.label)
-  local what = rehearsal.what_of(step)
-  for i, event in ipairs(step.values) do
+  local what, events = rehearsal.what_of(step), {}
+  for i = #what, 1, -1 do events[i], what[i] = what[i], nil end
+  for _, event in ipairs(events) do
     local seconds = waits and seconds_of(event)
     if seconds then
       what.after = seconds + MARGIN
     else
-      what[#what + 1] = event == reactions.OTHER and step.events[i] or event
+      what[#what + 1] = event
     end
   end
   return what, puppet.outcome(step.taken, step.leaf)

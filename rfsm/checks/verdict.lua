@@ -13,8 +13,8 @@ local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
 local static = require "rfsm.checks.static"
 
-local ipairs, pairs, setmetatable, tostring = ipairs, pairs, setmetatable, tostring
-local type = type
+local ipairs, pairs, setmetatable = ipairs, pairs, setmetatable
+local table, tostring, type = table, tostring, type
 local concat = table.concat
 
 local verdict = {}
@@ -25,11 +25,20 @@ local verdict = {}
 ---@field steps integer that were run
 ---@field transitions integer how many the chart has
 ---@field taken integer how many of them some step takes
----@field bound? "configurations"|"depth"|"seconds"|"choices" what was hit
+---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"
+---@field untried string[] what was not tried, as texts; empty without a bound
+---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
----@field properties { name: string, holds: boolean?, witness: table? }[]
+---@field properties rfsm_checks.Verdict[]
 local Exploration = {}
 Exploration.__index = Exploration
+
+--- What is known of a property.
+---@class rfsm_checks.Verdict
+---@field name string
+---@field holds boolean|nil nil: not known
+---@field vacuous? string it holds because of this reason alone
+---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
 
 -- Findings ........................................................................
 
@@ -49,9 +58,13 @@ local function add(result, code, obj, path, text, witness)
   result.findings[#result.findings + 1] = finding
 end
 
--- Returns the set of paths of states that are active in some configuration.
+-- Returns the set of paths of states that are active in some configuration, or entered
+-- by some step.
 local function active_paths(walk)
   local set = {}
+  for _, passed in ipairs(walk.passed) do
+    for path in pairs(passed.moment.active) do set[path] = true end -- any order: a set
+  end
   for _, part in ipairs(walk.puppet.parts) do
     for _, leaf in ipairs(puppet.leaves(part.stands)) do
       for _, path in ipairs(leaf.paths) do set[path] = true end
@@ -88,7 +101,7 @@ local function leaves_of(walk, number)
   for i, leaf in ipairs(leaves) do
     paths[i] = leaf.path
     are_final = are_final
-      and (leaf.state.final == true or place.regions_of(leaf.state)[1] ~= nil)
+      and (leaf.state.final == true or rfsm.regions(leaf.state)[1] ~= nil)
   end
   return leaves, concat(paths, ", "), are_final
 end
@@ -155,7 +168,7 @@ local function find_violations(walk, result, list)
   for i, judged in ipairs(list) do
     local witness = judged.at and walk:witness(judged.at, judged.label)
     result.properties[i] = { name = judged.name, holds = judged.holds,
-      witness = witness }
+      vacuous = judged.holds and judged.vacuous or nil, witness = witness }
     if judged.holds == false then
       add(result, "violated", nil, judged.name, "does not hold", witness)
     end
@@ -187,8 +200,32 @@ function verdict.lines_of(witness)
   return lines
 end
 
-local UNKNOWN = "stopped by the bound on %s: unreached states, transitions not taken "
-  .. "and whether properties hold are not known"
+local NUMBERS = { "one event", "two events", "three events" }
+
+-- Returns what is not known of a chart, and is tried in each way: "guards and doos".
+local function free_text(free)
+  local names = rfsm.sorted_keys(free)
+  local last = table.remove(names)
+  return names[1] and concat(names, ", ") .. " and " .. last or last
+end
+
+-- Returns the premises of a walk: "one event a step; guards and timers free".
+local function premises_of(walk, options)
+  local free = free_text(walk.puppet.free)
+  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
+  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if free then texts[#texts + 1] = free .. " free" end
+  return concat(texts, "; ")
+end
+
+local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
+  .. "properties hold are not known"
+
+local function property_text(judged, premises)
+  if judged.holds == nil then return judged.name .. ": not known" end
+  local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
+  return ("%s: holds%s (%s)"):format(judged.name, how, premises)
+end
 
 local function add_finding_lines(lines, finding, name)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
@@ -208,10 +245,11 @@ function verdict.report(result, name, is_wanted)
   local lines = { ("%s%d configurations, %d of %d transitions taken, %d steps run")
     :format(name, result.configurations, result.taken, result.transitions,
       result.steps) }
-  if result.bound then lines[2] = UNKNOWN:format(result.bound) end
+  if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
   for _, judged in ipairs(result.properties) do
-    local text = judged.holds and "holds" or judged.holds == nil and "not known"
-    if text then lines[#lines + 1] = judged.name .. ": " .. text end
+    if judged.holds ~= false then
+      lines[#lines + 1] = property_text(judged, result.premises)
+    end
   end
   for _, finding in ipairs(result.findings) do
     if not is_wanted or is_wanted[finding.severity] then
@@ -250,7 +288,8 @@ function verdict.of(model, options)
   properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
     transitions = #walk.puppet.transitions, taken = #rfsm.sorted_keys(walk.taken),
-    bound = walk.bound, findings = {}, properties = {} }, Exploration)
+    bound = walk.bound, untried = walk.untried, findings = {}, properties = {},
+    premises = premises_of(walk, options) }, Exploration)
   find_violations(walk, result, list)
   find_stuck(walk, result)
   find_livelock(walk, result)
