@@ -647,7 +647,8 @@ end
 ---@nodiscard
 function snapshot.structure(chart)
   if not rfsm.is_state(chart) then return chart end
-  local fsm = rfsm.is_initialized_root(chart) and chart or rfsm.init(chart)
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local fsm = rfsm.is_initialized_root(chart) and chart or init(chart)
   return fsm and chart_of(fsm).lines or {}
 end
 

@@ -119,7 +119,8 @@ function static.init(model, warn)
     own[name] = model[name]
     if not rfsm.is_fsmobj(own[name]) then model[name] = name == "warn" and warn end
   end
-  local ok, fsm, text, problems = pcall(rfsm.init, model)
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local ok, fsm, text, problems = pcall(init, model)
   for _, name in ipairs(PRINTERS) do model[name] = own[name] end
   if not ok then error(fsm, 0) end
   return fsm, text, problems
