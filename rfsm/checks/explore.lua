@@ -1,8 +1,8 @@
 --- Exploration: every configuration that a chart can reach, breadth first.
 --
 -- Each step is one `rfsm.step` of a puppet, which the engine runs. From a configuration
--- it is taken without an event, with each event that may come and can have an effect, or
--- with each set of up to `options.together` of them, and with those sets that a path
+-- it is taken without an event, with each event that may come and can have an effect,
+-- or with each set of up to `options.together` of them, and with those sets that a path
 -- through connectors needs; each time with every choice of the guards, predicates and
 -- doos asked.
 --

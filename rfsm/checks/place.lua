@@ -48,7 +48,7 @@ function place.tried(fsm, leaf)
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
---- List the regions of a state with their names, in the order in which they are stepped.
+--- List the regions of a state with their names, in the order of their steps.
 ---@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function place.regions_of(state)

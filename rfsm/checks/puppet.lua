@@ -42,9 +42,10 @@ local puppet = {}
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
 ---@field free table<string, true> what the chart has: guards, predicates, timers, doos
----@field wanted table<any, boolean> events of properties: did one come in the last step?
+---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field now number seconds, as time events see them
+---@field steps integer that were taken
 ---@field choices boolean[] in the order in which they were asked
 ---@field askers string[] who asked: the path of a transition or leaf
 ---@field is_doo boolean[] whether that was a doo
@@ -299,21 +300,20 @@ end
 -- Configurations ..................................................................
 
 -- Leaves out what has no effect in the leaf, and what is there twice. Of events that
--- no transition names, one is kept for a predicate; if there is no other event, also for
--- transitions on any event.
+-- count only as any event at all, one is kept if there is no other.
 local function relevant(self, part, leaf, events)
   local found, kept, is_kept, other = reactions.of(part, leaf), {}, {}, nil
   for i = 1, #events do
     local event = events[i]
-    local is_known = found.set[event] or self.wanted[event] ~= nil
+    local is_known = found.has_predicate or found.set[event]
+      or self.wanted[event] ~= nil
     if is_known and not is_kept[event] then
       kept[#kept + 1], is_kept[event] = event, true
     elseif not is_known and other == nil then
       other = event
     end
   end
-  local is_wanted = found.has_predicate or leaf and found.any and kept[1] == nil
-  if is_wanted then kept[#kept + 1] = other end
+  if leaf and found.any and kept[1] == nil then kept[1] = other end
   return kept
 end
 
@@ -470,13 +470,13 @@ local function keep_passed(self)
   end
 end
 
---- Take one step with events and with choices; where that leads to tells `read`. Returns
---- nil if a machine inside never becomes idle.
+--- Take one step with events and with choices; where that leads to tells `read`.
+--- Returns nil if a machine inside never becomes idle.
 ---@param events rfsm_checks.Occurrence[]
 ---@param choices boolean[]
 ---@return true?
 function Puppet:step(events, choices)
-  self.choices, self.asked = choices, 0
+  self.choices, self.asked, self.steps = choices, 0, self.steps + 1
   clear(self.taken)
   clear(self.clashes)
   clear(self.moments)
@@ -539,13 +539,23 @@ end
 
 -- Public functions ................................................................
 
+-- Returns a predicate that is a choice, one for each event in a step.
+local function new_predicate(self, tr)
+  local answers, count = {}, -1
+  return function(event)
+    if count ~= self.steps then answers, count = {}, self.steps end
+    if answers[event] == nil then answers[event] = self:choose(self.path_of[tr]) end
+    return answers[event]
+  end
+end
+
 -- Has each predicate among the events of a machine be a choice.
 local function free_predicates(self, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
       if type(event) == "function" then
         stubs.note_writer(self, "predicate of " .. rfsm.location_of(tr), event)
-        tr.events[i] = function() return self:choose(self.path_of[tr]) end
+        tr.events[i] = new_predicate(self, tr)
       end
     end
   end
@@ -578,7 +588,8 @@ local function new_machine(self, model)
   if not fsm then error("the model has problems\n  " .. concat(problems, "\n  "), 0) end
   if not has_predicate(fsm) then return fsm end
   self.free.predicates = true
-  return (with_preproc(function(own) free_predicates(self, own) end, init, model, false))
+  local function preproc(own) free_predicates(self, own) end
+  return (with_preproc(preproc, init, model, false))
 end
 
 -- Raises an error for events in the alphabet that no transition names. A predicate may
@@ -635,8 +646,8 @@ function puppet.new(model, options)
     flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, clashes = {}, moments = {}, passed = {}, ids = {}, occurrences = {},
-    event_list = {}, event_numbers = {}, wanted = {}, done = {}, alphabet = options.alphabet,
-    now = 0, is_endless = false }, Puppet)
+    event_list = {}, event_numbers = {}, wanted = {}, done = {},
+    alphabet = options.alphabet, now = 0, steps = 0, is_endless = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
   add_parts(self, new_machine(self, model))
   stubs.check_names(self, self.flags_of, "flags")

@@ -12,9 +12,11 @@ local match = require "rfsm.checks.match"
 local opts = require "rfsm.shared.options"
 
 local error, getmetatable, io, ipairs = error, getmetatable, io, ipairs
-local pairs = pairs
+local math, pairs = math, pairs
 local rawget, table, type = rawget, table, type
+local concat, max, min = table.concat, math.max, math.min
 local getinfo = (rawget(_G, "debug") or {}).getinfo
+local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
 local stubs = {}
 
@@ -77,30 +79,57 @@ function stubs.check_list(value) return is_list(value) end
 
 -- Callbacks that change the chart ....................................................
 
-local texts = {} -- of files, by the source of a function
+local sources = {} -- lines by the source of a function
 
-local function read_source(source)
-  if source:sub(1, 1) ~= "@" then return source end
-  local file = io and io.open(source:sub(2))
-  local text = file and file:read("*a") or ""
-  if file then file:close() end
-  return text
+local function lines_of(source)
+  if sources[source] then return sources[source] end
+  local text, lines = source, {}
+  if source:sub(1, 1) == "@" then
+    local file = io and io.open(source:sub(2))
+    text = file and file:read("*a") or ""
+    if file then file:close() end
+  end
+  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
+    lines[#lines + 1] = line:gsub("%-%-.*$", "")
+  end
+  sources[source] = lines
+  return lines
 end
 
--- May a callback write the target of a transition? Any may if its file does.
-local function writes_target(callback)
-  if type(callback) ~= "function" or not getinfo then return false end
-  local source = getinfo(callback, "S").source
-  if texts[source] == nil then
-    local text = read_source(source):gsub("%-%-[^\n]*", "")
-    texts[source] = text:find("[%w_%])]%s*%.%s*tgt%s*=[^=]") ~= nil
+local may_write_target
+
+-- Do the functions that a text names, or that are upvalues of `callback`, write one?
+local function calls_writer(callback, text, seen)
+  local i = 1
+  while getupvalue(callback, i) do
+    local _, value = getupvalue(callback, i)
+    if may_write_target(value, seen) then return true end
+    i = i + 1
   end
-  return texts[source]
+  for name in text:gmatch("[%a_][%w_]*") do
+    if may_write_target(rawget(_G, name), seen) then return true end
+  end
+  return false
+end
+
+-- Is there an assignment to a field `tgt` in the lines of a function, or in those of a
+-- function that it names?
+function may_write_target(callback, seen)
+  if type(callback) ~= "function" or seen[callback] then return false end
+  seen[callback] = true
+  local info = getinfo(callback, "S")
+  if info.what == "C" then return false end
+  local text = concat(lines_of(info.source), "\n", max(info.linedefined, 1),
+    min(max(info.lastlinedefined, 1), #lines_of(info.source)))
+  return text:find("%.%s*tgt%s*=[^=]") ~= nil or text:find("%[?[\"']tgt[\"']%]%s*=[^=]")
+    ~= nil or calls_writer(callback, text, seen)
 end
 
 --- Note a callback that may write the target of a transition.
 function stubs.note_writer(self, name, callback)
-  if writes_target(callback) then table.insert(self.writers, name) end
+  if getinfo and may_write_target(callback, {}) then
+    table.insert(self.writers, name)
+  end
 end
 
 -- Stubs .............................................................................

@@ -17,19 +17,21 @@ local claim = { name = "exploration and random runs", runs = 300 }
 
 local EVENTS = { "e1", "e2", "e3", "e4" }
 
--- Adds a time event, of a time that no other has, or an await to some transitions.
+-- Returns one event more for a transition: of a time that no other has, or an await.
+local function extra_event(random, i)
+  if random:chance(15) then return ("e_after(%d.%03d)"):format(random:below(3), i) end
+  if not random:chance(10) then return nil end
+  return ("await(%s, %s)"):format(random:pick(EVENTS), random:pick(EVENTS))
+end
+
 local function add_events(chart, random)
   for i, tr in ipairs(chart.transitions) do
-    local is_state = chart.nodes[tr.src].kind == "state"
-    local events = is_state and tr.events_ref and not tr.is_internal and {}
-    for n, event in ipairs(events and tr.events_ref or {}) do events[n] = event end
-    if events and random:chance(15) then
-      events[#events + 1] = ("e_after(%d.%03d)"):format(random:below(3), i)
-    elseif events and random:chance(10) then
-      events[#events + 1] = ("await(%s, %s)"):format(random:pick(EVENTS),
-        random:pick(EVENTS))
+    if chart.nodes[tr.src].kind == "state" and tr.events_ref and not tr.is_internal then
+      local events = {}
+      for n, event in ipairs(tr.events_ref) do events[n] = event end
+      events[#events + 1] = extra_event(random, i)
+      tr.events_ref = events
     end
-    tr.events_ref = events or tr.events_ref
   end
 end
 
@@ -55,8 +57,8 @@ function claim.chart(seed, depth)
   return chart
 end
 
--- A model of the chart. `make` has functions that return callbacks; each is named by the
--- path of its element.
+-- A model of the chart. `make` has functions that return callbacks; each is named by
+-- the path of its element.
 local function model_of(chart, make, prefix)
   local own = {}
   for name, f in pairs(make) do -- any order: each stands alone
@@ -84,7 +86,8 @@ local function stands_of(fsm)
   local texts = {}
   for i, entry in ipairs(rfsm.machines(fsm)) do
     local leaf = entry.machine._act_leaf
-    texts[i] = entry.prefix .. " " .. (leaf and leaf._fqn .. " " .. leaf._mode or "none")
+    texts[i] = entry.prefix .. " "
+      .. (leaf and leaf._fqn .. " " .. leaf._mode or "none")
   end
   return texts
 end
@@ -111,7 +114,7 @@ end
 
 local LENGTH = 6 -- steps of a run, on average
 
--- Takes a step with at most one event or timer. Returns whether two timers came at once.
+-- Takes a step with at most one event or timer. Returns whether two timers came.
 local function wander_on(fsm, random, events, clock)
   local choice, fired = random(4), 0
   local wait = choice == 1 and rfsm_timeevent.next_deadline(fsm)
@@ -185,7 +188,14 @@ local function follow(chart, witness, sends)
   end
   local make = wanderer(new_random(1), seen, sends, function() return fsm end)
   make.guard = function() return answer end
-  make.predicate = make.guard
+  make.predicate = function() -- asked once about each event of a step
+    local known, of_step = {}, nil
+    return function(event)
+      if of_step ~= answers then known, of_step = {}, answers end
+      if known[event] == nil then known[event] = answer() or false end
+      return known[event]
+    end
+  end
   make.doo = function()
     return function()
       while not (answers[at + 1] and answer()) do rfsm.yield(true) end
@@ -212,7 +222,7 @@ end
 
 -- The claim -------------------------------------------------------------------------
 
-local BOUND = 3000 -- configurations: charts that have more are left out
+local BOUND = 300 -- configurations: charts that have more are left out
 
 -- Returns random options: an alphabet now and then, and what effects send.
 local function options_of(chart, random)
@@ -248,7 +258,8 @@ local function compare(seed, list)
   local walk = explore_chart(chart, options)
   if walk.bound then return end
   local events, shown = walk.puppet:outside_events(), explored(walk)
-  if options.alphabet then events = options.alphabet else table.insert(events, "e_?") end
+  events = options.alphabet or events
+  if not options.alphabet then table.insert(events, "e_?") end
   local seen = run_at_random(chart, events, sends, seed)
   for text in pairs(seen) do -- any order: sorted
     local is_shown = shown[text] or text:find("^entered")
