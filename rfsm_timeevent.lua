@@ -411,14 +411,14 @@ end
 -- This runs in every iteration. A clock that fails is read once more, and reported.
 local function check_timers(fsm)
   local own = fsm._timeevent
-  local soon, ok, is_nothing_due = own[true], nil, nil
+  local soon, soon_at = own[true], own[false]
   if soon < huge then
     local gettime = (fsm.gettime or fsm._owner) and clock_of(fsm, true) or in_use[true]
-    ok, is_nothing_due = pcall(is_early, gettime, soon)
+    local ok, is_nothing_due = pcall(is_early, gettime, soon)
     if not (ok and is_nothing_due) then raise_expired(fsm, true) end
   end
-  if own[false] < huge then
-    ok, is_nothing_due = pcall(is_early, clock_of(fsm, false), own[false])
+  if soon_at < huge then
+    local ok, is_nothing_due = pcall(is_early, clock_of(fsm, false), soon_at)
     if not (ok and is_nothing_due) then raise_expired(fsm, false) end
   end
 end

@@ -138,6 +138,35 @@ describe("with time events", function()
   end
 end)
 
+describe("in a state whose name has a comma, quote or parenthesis", function()
+  local timeevent = require "rfsm_timeevent"
+
+  for _, name in ipairs { "x,y", "x'y", "f(x)", "x), await(y", "x" } do
+    it("await waits for time events and e_done@ of it: " .. name, function()
+      local now = 0
+      timeevent.set_gettime_hook(function() return now, 0 end)
+      local model = chart({ "e_z" }, { [name] = state {}, xx = state {} })
+      model[1] = trans { src = "initial", tgt = name }
+      model[4] = trans { src = name, tgt = "b",
+        events = { ("await(e_x, e_after(5), e_done@root.xx, 'e_done@root.%s')"):format(
+          name) } }
+      local fsm = started(model)
+      assert.same({ ("await(e_x, e_after(5)@root.%s, e_done@root.xx, e_done@root.%s)"
+        .. "@root.%s"):format(name, name, name) }, fsm[4].events)
+      now = 6
+      helper.post_and_run(fsm, "e_x")
+      assert.equal("root.b", helper.leaf_after(fsm, "e_done@root.xx"))
+    end)
+  end
+
+  it("an await that has been expanded stays as it is", function()
+    local fsm = started(chart({ "e_x" }, { ["f(x)"] = state {} }))
+    assert.is_true((rfsm.fsm_merge(fsm, fsm, trans { src = "f(x)", tgt = "b",
+      events = { "await(e_x, e_y)@root.f(x)" } })))
+    assert.same({ "await(e_x, e_y)@root.f(x)" }, fsm[4].events)
+  end)
+end)
+
 it("a machine without await has nothing of this extension", function()
   local fsm = helper.init(chart { "e_x" })
   assert.same({}, { fsm._awaits, fsm.a._await })
