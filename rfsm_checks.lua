@@ -8,7 +8,6 @@
 -- @module rfsm_checks
 -- @license BSD-3-Clause
 
-local match = require "rfsm.checks.match"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
@@ -46,7 +45,6 @@ local function add_events(known, tr)
     if type(event) == "function" then
       known.predicates[#known.predicates + 1] = event
     end
-    for _, name in ipairs(match.awaited(event)) do known.events[name] = true end
   end
 end
 

@@ -61,14 +61,16 @@ function match.may_enable(tr, list, seen)
   return false
 end
 
---- List the events that an event waits for: "await(e_a, e_b@F)@F", or any other text.
----@param event any
----@return string[] names empty for all events but those of await
-function match.awaited(event)
-  local inside = type(event) == "string" and event:match("^await%s*%((.*)%)")
+--- List the events that a transition with await waits for, see rfsm/await.lua.
+---@param tr rfsm.Transition
+---@return string[] names empty for all other transitions
+function match.awaited(tr)
   local list = {}
-  if not inside then return list end
-  for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do list[#list + 1] = name end
+  for _, await in ipairs(tr.src._await or {}) do
+    for _, name in ipairs(match.names(tr, await.name) and await.wanted or {}) do
+      list[#list + 1] = name
+    end
+  end
   return list
 end
 

@@ -204,15 +204,10 @@ end
 -- Notes the events of a transition, and those that its await waits for.
 local function note_events(self, tr)
   for _, event in ipairs(tr.events or {}) do
-    local names = match.awaited(event)
-    if type(event) == "function" then
-      self.free.predicates = true
-    else
-      self:number_of_event(event)
-    end
-    for _, name in ipairs(names) do self:number_of_event(name) end
+    if type(event) ~= "function" then self:number_of_event(event) end
     if match.maker_of(event) == "timer" then self.free.timers = true end
   end
+  for _, name in ipairs(match.awaited(tr)) do self:number_of_event(name) end
 end
 
 local function make_transition(self, part, tr)

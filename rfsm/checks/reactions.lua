@@ -39,10 +39,8 @@ end
 
 local function add_events(found, tr)
   if match.is_any(tr) then found.any = true end
-  for _, event in ipairs(tr.events or {}) do
-    add_event(found, event)
-    for _, name in ipairs(match.awaited(event)) do add_event(found, name) end
-  end
+  for _, event in ipairs(tr.events or {}) do add_event(found, event) end
+  for _, name in ipairs(match.awaited(tr)) do add_event(found, name) end
 end
 
 -- Adds all events that the regions of a leaf name, whatever state they are in.
