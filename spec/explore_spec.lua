@@ -4,6 +4,7 @@ local ab = require "spec.support.ab"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+require "rfsm_timeevent"
 local claim = require "spec.support.claims.explore"
 
 local state, conn = rfsm.state, rfsm.conn
@@ -31,11 +32,35 @@ describe("explore", function()
   -- A circumstance, the members of a chart, the report; options.
   local CASES = {
     { "nothing in a sound chart", {}, "" },
-    { "a state and transitions that an earlier one keeps from being reached", {
-      c = state {}, [4] = go("a", "c", "e_x"), [5] = go("c", "a", "e_x") }, lines(
-      "warning: root.c: active in no configuration [unreached]",
-      "warning: root.trans[4]: no step takes it (root.a -> root.c) [untaken]",
-      "warning: root.trans[5]: no step takes it (root.c -> root.a) [untaken]") },
+    { "a state that an earlier transition keeps from being reached, once", {
+      c = state {}, [4] = go("a", "c", "e_x", { guard = yes }),
+      [5] = go("c", "a", "e_x"), [2] = go("a", "b", "e_x", { pn = 1 }) },
+      "warning: root.c: active in no configuration [unreached]" },
+    { "a transition that an earlier one keeps from being taken", {
+      [4] = go("a", "a", "e_x", { pn = -1 }) },
+      "warning: root.trans[4]: no step takes it (root.a -> root.a) [untaken]" },
+    { "a connector that no step passes, once", {
+      k = conn {}, [4] = go("a", "k", "e_x", { pn = -1 }),
+      [5] = go("b", "k", "e_x", { pn = -1 }), [6] = go("k", "a") },
+      "warning: root.k: no step passes this connector [closed]" },
+    { "states that lead to each other and never back", {
+      c = state {}, d = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "d", "e_x"),
+      [6] = go("d", "c", "e_x") }, lines(
+      "warning: root.c: root.c and root.d lead to each other, and never back to root.a "
+        .. "[trap]",
+      "  1. no event: root.trans[1] -> root.a", "  2. e_c: root.trans[4] -> root.c") },
+    { "no trap behind states that are left by themselves", {
+      c = state { doo = yes }, d = state {}, [1] = go("initial", "c"),
+      [4] = go("c", "d", "e_done"), [5] = go("d", "a", "e_after(1)") }, "" },
+    { "no trap that has an end", {
+      c = state {}, d = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "d", "e_x"),
+      [6] = go("d", "c", "e_x"), [7] = go("c", "e", "e_y"), e = state { final = true } },
+      "" },
+    { "as a note, that nothing leaves an end that is named so", {
+      FAILED = state {}, [4] = go("a", "FAILED", "e_c") }, lines(
+      "note: root.FAILED: nothing happens any more in this configuration [stuck]",
+      "  1. no event: root.trans[1] -> root.a", "  2. e_c: root.trans[4] -> "
+        .. "root.FAILED") },
     { "a path that needs two events, which one alone does not open", {
       k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c", "e_l"),
       [6] = go("c", "a", "e_x") }, lines(

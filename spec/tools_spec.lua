@@ -401,15 +401,23 @@ describe("rfsm-check", function()
     ]]
     local counts = "FILE: 3 configurations, 3 of 3 transitions taken, 4 steps run\n"
     checks(chart, "FILE: ok\n" .. counts, 0, "--explore")
+    checks(chart, "FILE: ok\n", 0)
+    checks(chart, "FILE: ok\n" .. counts:gsub("3 conf", "2 conf"):gsub("3 of", "1 of")
+      :gsub("4 steps", "1 steps") .. "FILE: not tried: what lies behind the bound on "
+      .. "configurations; unreached states, transitions not taken and whether "
+      .. "properties hold are not known\n", 0, "--configurations 1")
     write_file("chart_properties.lua", [[
       local never = require("rfsm_checks").never
       return { properties = { never "root.b", never { "root.a", "root.b" } } }
     ]])
-    checks(chart, "FILE: ok\n" .. counts .. "never root.a and root.b: holds\n"
-      .. "never root.b: does not hold [violated]\n"
+    local violated = "FILE: never root.b: does not hold [violated]\n"
       .. "  1. no event: root.trans[1] -> root.a\n"
-      .. "  2. e_go: root.trans[2] -> root.b\n", 1,
-      "-x --record '" .. folder .. "/run'")
+      .. "  2. e_go: root.trans[2] -> root.b\n"
+    local holds = "FILE: never root.a and root.b: holds (one event a step)\n"
+    checks(chart, violated .. holds, 1)
+    checks(chart, "FILE: ok\n", 0, "--static")
+    checks(chart, violated .. "  recorded in " .. folder .. "/run\n" .. counts .. holds,
+      1, "-x --record '" .. folder .. "/run'")
     assert.matches("root.b", (run("rfsm-sim -q --dry --replay '" .. folder .. "/run' '"
       .. folder .. "/chart.lua' -e 'print(rfsm.get_actleaf_fqn(fsm))'")))
     for text, problem in pairs { -- any order: each stands alone

@@ -37,7 +37,7 @@ local puppet = {}
 --- The machines of a model, with what was asked of them in the last step.
 ---@class rfsm_checks.Puppet
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions { tr: rfsm.Transition, path: string }[] all of them
+---@field transitions { tr: rfsm.Transition, path: string, prefix: string }[] all
 ---@field names table<string, rfsm.State> states by path
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
@@ -212,7 +212,8 @@ end
 
 local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
-  self.transitions[number], self.number_of[tr] = { tr = tr, path = path }, number
+  self.number_of[tr] = number
+  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix }
   self.path_of[tr] = path
   note_events(self, tr)
   if tr.guard then

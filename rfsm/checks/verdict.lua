@@ -11,6 +11,7 @@ local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
+local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
 
 local ipairs, pairs, setmetatable = ipairs, pairs, setmetatable
@@ -29,6 +30,7 @@ local verdict = {}
 ---@field untried string[] what was not tried, as texts; empty without a bound
 ---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
+---@field silenced rfsm_checks.Silenced
 ---@field properties rfsm_checks.Verdict[]
 local Exploration = {}
 Exploration.__index = Exploration
@@ -42,20 +44,19 @@ Exploration.__index = Exploration
 
 -- Findings ........................................................................
 
--- The static check that sees the same: its silence counts here, too.
-local STATIC = { unreached = "unreachable", untaken = "shadowed", stuck = "dead-end",
-  livelock = "endless", swallowed = "no-default", clash = "conflict" }
-
--- Adds a finding, unless its element expects it.
+-- Adds a finding, unless its element expects it, by this code or that of the static
+-- check that sees the same.
 local function add(result, code, obj, path, text, witness)
-  if obj and (static.is_silenced(obj, code) or static.is_silenced(obj, STATIC[code]))
-  then
-    return
+  for _, name in ipairs { code, codes.twin[code] } do
+    if obj and static.is_silenced(obj, name) then
+      return static.note_silenced(result.silenced, path, name)
+    end
   end
   local file = obj and place.split(rfsm.location_of(obj)) or ""
   local finding = codes.finding(code, file, path, text)
   finding.witness = witness
   result.findings[#result.findings + 1] = finding
+  return finding
 end
 
 -- Returns the set of paths of states that are active in some configuration, or entered
@@ -85,9 +86,48 @@ local function find_unreached(walk, result)
   end
 end
 
-local function find_untaken(walk, result)
+-- Returns the sets of connectors to which a step leads, and of those that one leaves.
+local function passed_connectors(walk)
+  local entered, left = {}, {}
   for number, entry in ipairs(walk.puppet.transitions) do
-    if not walk.taken[number] then
+    if walk.taken[number] then
+      entered[entry.tr.tgt], left[entry.tr.src] = true, true
+    end
+  end
+  return entered, left
+end
+
+-- Connectors in reached states to which transitions lead, and which no step passes.
+local function find_closed(walk, result)
+  local active, _, left = active_paths(walk), passed_connectors(walk)
+  local is_closed = {}
+  for _, entry in ipairs(walk.puppet.transitions) do
+    local connector, prefix = entry.tr.tgt, entry.prefix
+    local is_met = rfsm.is_conn(connector) and not left[connector]
+      and active[place.path(entry.tr.src, prefix)]
+    if is_met and connector._id ~= "initial" and not is_closed[connector] then
+      is_closed[connector] = true
+      add(result, "closed", connector, place.path(connector, prefix), "no step passes "
+        .. "this connector")
+    end
+  end
+  return is_closed
+end
+
+-- Transitions from reached states to reached states, or from connectors that a step
+-- enters. Of others another finding tells.
+local function find_untaken(walk, result, is_closed)
+  local active, entered = active_paths(walk), passed_connectors(walk)
+  local function is_told(entry)
+    local src, tgt = entry.tr.src, entry.tr.tgt
+    if rfsm.is_conn(tgt) and tgt._id == "initial" then tgt = tgt._parent end
+    return is_closed[tgt] or rfsm.is_conn(src) and not entered[src]
+      and not (src._id == "initial" and rfsm.is_root(src._parent))
+      or rfsm.is_state(src) and not active[place.path(src, entry.prefix)]
+      or rfsm.is_state(tgt) and not active[place.path(tgt, entry.prefix)]
+  end
+  for number, entry in ipairs(walk.puppet.transitions) do
+    if not (walk.taken[number] or is_told(entry)) then
       add(result, "untaken", entry.tr, entry.path, ("no step takes it (%s -> %s)")
         :format(entry.tr.src._fqn, entry.tr.tgt._fqn))
     end
@@ -118,8 +158,9 @@ local function find_stuck(walk, result)
           .. "entered", {})
       elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
         is_told[text] = true
-        add(result, "stuck", state, text, "nothing happens any more in this "
-          .. "configuration", walk:witness(number))
+        local finding = add(result, "stuck", state, text, "nothing happens any more in "
+          .. "this configuration", walk:witness(number))
+        if finding and codes.is_named_as_end(state) then finding.severity = "note" end
       end
     end
   end
@@ -143,6 +184,57 @@ local function find_livelock(walk, result)
   if not step then return end
   add(result, "livelock", nil, "root", "a machine in a sequential AND state never "
     .. "becomes idle", walk:witness(step.from, step.label))
+end
+
+-- Returns the paths of the leaves of some configurations, and whether one is final.
+local function leaves_of_all(walk, numbers)
+  local paths, is_listed, has_end = {}, {}, false
+  for _, number in ipairs(numbers) do
+    local leaves, text, are_final = leaves_of(walk, number)
+    has_end = has_end or are_final or not leaves[1]
+    if not is_listed[text] then paths[#paths + 1] = text end
+    is_listed[text] = true
+  end
+  return paths, has_end
+end
+
+-- Does a configuration wait for an event from outside? Not one that goes on by itself.
+local function is_waiting(walk, number)
+  local conf = walk:configuration(number)
+  local goes_on = puppet.is_driven(conf)
+  graph.each_step(walk, number, function(tgt, is_internal)
+    goes_on = goes_on or is_internal and tgt ~= number
+  end)
+  local part = walk.puppet.parts[1]
+  return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
+end
+
+-- Returns the first configuration in which the machine waits and from which some run
+-- leads to one of a set that does not lead back.
+local function find_waiting_before(walk, numbers)
+  local is_in = {}
+  for _, number in ipairs(numbers) do is_in[number] = true end
+  local leads_there = graph.can_reach(walk, is_in)
+  for number = 2, #walk.keys do
+    if leads_there[number] and not is_in[number] and is_waiting(walk, number) then
+      return number
+    end
+  end
+end
+
+-- Configurations that lead to each other and nowhere else, while the machine waited for
+-- an event before that led there.
+local function find_traps(walk, result)
+  for _, numbers in ipairs(graph.bottoms(walk)) do
+    local paths, has_end = leaves_of_all(walk, numbers)
+    local outside = paths[2] and not has_end and find_waiting_before(walk, numbers)
+    if outside then
+      local leaves = leaves_of(walk, numbers[1])
+      local _, name = leaves_of(walk, outside)
+      add(result, "trap", leaves[#leaves].state, paths[1], concat(paths, " and ")
+        .. " lead to each other, and never back to " .. name, walk:witness(numbers[1]))
+    end
+  end
 end
 
 local function find_clashes(walk, result)
@@ -227,39 +319,40 @@ local function property_text(judged, premises)
   return ("%s: holds%s (%s)"):format(judged.name, how, premises)
 end
 
-local function add_finding_lines(lines, finding, name)
+local function add_finding_lines(lines, finding)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
-  local file = finding.file ~= "" and finding.file or name
-  lines[#lines + 1] = file .. kind .. static.line(finding):sub(#finding.file + 1)
+  local text = static.line(finding):sub(#finding.file + 1)
+  lines[#lines + 1] = finding.file .. kind .. text
   for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
     lines[#lines + 1] = "  " .. line
   end
 end
 
---- Return the report of an exploration as lines.
+--- Return what an exploration has done in lines: its numbers, what was not tried, and
+--- the properties that hold or are not known.
 ---@param result rfsm_checks.Exploration
----@param name string in front of the first line, and where no file is known
----@param is_wanted? table<string, boolean> the severities to be reported
+---@param has_numbers boolean? false: no numbers, unless something was not tried
 ---@return string[] lines
-function verdict.report(result, name, is_wanted)
-  local lines = { ("%s%d configurations, %d of %d transitions taken, %d steps run")
-    :format(name, result.configurations, result.taken, result.transitions,
-      result.steps) }
+function verdict.summary(result, has_numbers)
+  local lines = {}
+  if has_numbers or result.bound then
+    lines[1] = ("%d configurations, %d of %d transitions taken, %d steps run"):format(
+      result.configurations, result.taken, result.transitions, result.steps)
+  end
   if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
   for _, judged in ipairs(result.properties) do
     if judged.holds ~= false then
       lines[#lines + 1] = property_text(judged, result.premises)
     end
   end
-  for _, finding in ipairs(result.findings) do
-    if not is_wanted or is_wanted[finding.severity] then
-      add_finding_lines(lines, finding, finding.code == "violated" and "" or name)
-    end
-  end
   return lines
 end
 
-function Exploration:__tostring() return concat(verdict.report(self, ""), "\n") end
+function Exploration:__tostring()
+  local lines = verdict.summary(self, true)
+  for _, finding in ipairs(self.findings) do add_finding_lines(lines, finding) end
+  return concat(lines, "\n")
+end
 
 -- Public functions ................................................................
 
@@ -288,14 +381,15 @@ function verdict.of(model, options)
   properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
     transitions = #walk.puppet.transitions, taken = #rfsm.sorted_keys(walk.taken),
-    bound = walk.bound, untried = walk.untried, findings = {}, properties = {},
-    premises = premises_of(walk, options) }, Exploration)
+    silenced = {}, bound = walk.bound, untried = walk.untried, findings = {},
+    properties = {}, premises = premises_of(walk, options) }, Exploration)
   find_violations(walk, result, list)
   find_stuck(walk, result)
   find_livelock(walk, result)
   if not walk.bound and walk.keys[2] then
     find_unreached(walk, result)
-    find_untaken(walk, result)
+    find_untaken(walk, result, find_closed(walk, result))
+    find_traps(walk, result)
   end
   find_clashes(walk, result)
   find_swallowed(walk, result)
