@@ -43,6 +43,11 @@ describe("explore", function()
       k = conn {}, [4] = go("a", "k", "e_x", { pn = -1 }),
       [5] = go("b", "k", "e_x", { pn = -1 }), [6] = go("k", "a") },
       "warning: root.k: no step passes this connector [closed]" },
+    { "as a note, states that lead to each other, behind others", {
+      c = state {}, d = state {}, [3] = go("b", "b", "e_x"), [4] = go("b", "c", "e_c"),
+      [5] = go("c", "d", "e_x"), [6] = go("d", "c", "e_x") }, lines(
+      "note: root.c: root.c and root.d lead to each other, and never back to root.a "
+        .. "[trap]", "  1. no event: root.trans[1] -> root.a") },
     { "states that lead to each other and never back", {
       c = state {}, d = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "d", "e_x"),
       [6] = go("d", "c", "e_x") }, lines(

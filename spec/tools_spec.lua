@@ -403,7 +403,7 @@ describe("rfsm-check", function()
     checks(chart, "FILE: ok\n" .. counts, 0, "--explore")
     checks(chart, "FILE: ok\n", 0)
     checks(chart, "FILE: ok\n" .. counts:gsub("3 conf", "2 conf"):gsub("3 of", "1 of")
-      :gsub("4 steps", "1 steps") .. "FILE: not tried: what lies behind the bound on "
+      :gsub("4 steps", "2 steps") .. "FILE: not tried: what lies behind the bound on "
       .. "configurations; unreached states, transitions not taken and whether "
       .. "properties hold are not known\n", 0, "--configurations 1")
     write_file("chart_properties.lua", [[

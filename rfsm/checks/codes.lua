@@ -111,13 +111,17 @@ function codes.finding(code, file, at, text)
     text = text, hint = codes.of[code].hint }
 end
 
-local ENDS = { OK = true, FAILED = true, FINI = true, FATAL = true }
+local ENDS = { OK = true, FAILED = true, FINI = true, FATAL = true, FINISHED = true,
+  FINAL = true, END = true }
 
---- Is a leaf named as an end, so that it is meant to be one?
+--- Is there a word in the name of a leaf that means an end?
 ---@param state rfsm.State
 ---@return boolean
 function codes.is_named_as_end(state)
-  return type(state._id) == "string" and ENDS[state._id:upper()] == true
+  for word in rfsm.text_of(state._id):upper():gmatch("%a+") do
+    if ENDS[word] then return true end
+  end
+  return false
 end
 
 -- Texts of the core's warnings, and their codes.

@@ -139,18 +139,20 @@ local function leads_out(walk, component)
   return leaves
 end
 
---- List the sets of configurations that lead to each other and nowhere else.
+--- List the sets of configurations that lead to each other.
 ---@param walk rfsm_checks.Walk
----@return integer[][] sets each sorted
-function graph.bottoms(walk)
+---@return integer[][] bottoms those that lead nowhere else, each sorted
+---@return integer[][] others
+function graph.components(walk)
   local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
     components = {} }
-  local visits, bottoms = { new_visit(walk, search, 1) }, {}
+  local visits, bottoms, others = { new_visit(walk, search, 1) }, {}, {}
   while visits[1] do visit_next(walk, search, visits) end
   for _, component in ipairs(search.components) do
-    if not leads_out(walk, component) then bottoms[#bottoms + 1] = component end
+    local list = leads_out(walk, component) and others or bottoms
+    list[#list + 1] = component
   end
-  return bottoms
+  return bottoms, others
 end
 
 return graph

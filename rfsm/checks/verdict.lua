@@ -209,30 +209,48 @@ local function is_waiting(walk, number)
   return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
 end
 
--- Returns the first configuration in which the machine waits and from which some run
--- leads to one of a set that does not lead back.
-local function find_waiting_before(walk, numbers)
-  local is_in = {}
-  for _, number in ipairs(numbers) do is_in[number] = true end
-  local leads_there = graph.can_reach(walk, is_in)
-  for number = 2, #walk.keys do
-    if leads_there[number] and not is_in[number] and is_waiting(walk, number) then
+-- Returns the first of some configurations in which the machine waits and from which
+-- some run leads to one of a set.
+local function find_waiting_before(walk, numbers, set)
+  local leads_there = graph.can_reach(walk, set)
+  for _, number in ipairs(numbers) do
+    if number > 1 and leads_there[number] and is_waiting(walk, number) then
       return number
     end
   end
 end
 
+-- Returns a configuration in which the machine waited before it came to `numbers`, and
+-- whether it is on a cycle.
+local function find_before(walk, numbers, others)
+  local set, first = {}, nil
+  for _, number in ipairs(numbers) do set[number] = true end
+  for _, component in ipairs(others) do
+    local number = find_waiting_before(walk, component, set)
+    if number and leaves_of_all(walk, component)[2] then return number, true end
+    if number and (not first or number < first) then first = number end
+  end
+  return first, false
+end
+
 -- Configurations that lead to each other and nowhere else, while the machine waited for
--- an event before that led there.
+-- an event before that led there. It may have been set up for them: a note, unless there
+-- is a cycle elsewhere, too.
 local function find_traps(walk, result)
-  for _, numbers in ipairs(graph.bottoms(walk)) do
+  local bottoms, others = graph.components(walk)
+  for _, numbers in ipairs(bottoms) do
     local paths, has_end = leaves_of_all(walk, numbers)
-    local outside = paths[2] and not has_end and find_waiting_before(walk, numbers)
+    local outside, is_cycle = nil, nil
+    if paths[2] and not has_end then
+      outside, is_cycle = find_before(walk, numbers, others)
+    end
     if outside then
       local leaves = leaves_of(walk, numbers[1])
       local _, name = leaves_of(walk, outside)
-      add(result, "trap", leaves[#leaves].state, paths[1], concat(paths, " and ")
-        .. " lead to each other, and never back to " .. name, walk:witness(numbers[1]))
+      local finding = add(result, "trap", leaves[#leaves].state, paths[1],
+        concat(paths, " and ") .. " lead to each other, and never back to " .. name,
+        walk:witness(numbers[1]))
+      if finding and not is_cycle then finding.severity = "note" end
     end
   end
 end
