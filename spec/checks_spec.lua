@@ -344,13 +344,35 @@ local CASES = {
     "root.trans[5] (b -> b): no other transition uses 'e_buttton' (did you mean "
       .. "'e_button'?)", "root.trans[5] (b -> b): no other transition uses 'e_go' (did "
       .. "you mean 'e_Go'?)" },
+  { "typo", "a letter in place of another",
+    { [4] = go("a", "a", "e_start"), [5] = go("b", "b", "e_stert") },
+    "root.trans[5] (b -> b): no other transition uses 'e_stert' (did you mean "
+      .. "'e_start'?)" },
+  { "typo", "the first of several that look alike",
+    { [4] = go("a", "a", { "e_stars", "e_start_later", "e_start" }),
+      [5] = go("b", "b", { "e_start_laetr", "e_start", "e_strat" }) },
+    "root.trans[5] (b -> b): no other transition uses 'e_start_laetr' (did you mean "
+      .. "'e_start_later'?)",
+    "root.trans[5] (b -> b): no other transition uses 'e_strat' (did you mean "
+      .. "'e_start'?)" },
   { "typo", "none of words of their own",
-    { [4] = go("a", "a", { "e_lock", "e_close", "e_left", "e_goto_a", "e_arm1" }),
-      [5] = go("b", "b", { "e_block", "e_closed", "e_lift", "e_goto_b", "e_arm2" }) } },
+    { [4] = go("a", "a", { "e_lock", "e_close", "e_left", "e_goto_a", "e_arm1",
+        "e_gripperL" }),
+      [5] = go("b", "b", { "e_block", "e_closed", "e_lift", "e_goto_b", "e_arm2",
+        "e_gripperR" }) } },
   { "odd-event", "a comma in a name, and a list",
     { [4] = go("a", "b", "e_a, e_b"), [5] = go("b", "a", { { "e_a" } }) },
     "root.trans[4] (a -> b): 'e_a, e_b' is one event with a comma in its name",
     "root.trans[5] (b -> a): a list that holds 'e_a' is one event" },
+  { "odd-event", "a blank or a bar in a name",
+    { [4] = go("a", "b", "e_a e_b"), [5] = go("b", "a", "e_a|e_b"),
+      [6] = go("b", "a", "e_c ") },
+    "root.trans[4] (a -> b): 'e_a e_b' is one event with a blank in its name",
+    "root.trans[5] (b -> a): 'e_a|e_b' is one event with a '|' in its name",
+    "root.trans[6] (b -> a): 'e_c ' is one event with a blank in its name" },
+  { "odd-event", "none in the name of a state, or in parentheses", {
+    ["c d"] = state {}, [4] = go("c d", "b", { "e_done", "e_after( 2 )" }),
+    [5] = go("b", "c d", "e_x") } },
   { "odd-event", "no event of an extension, and no object", { [4] = go("a", "b",
     { "await(e_a, e_b)", { x = 1 }, setmetatable({ "x" }, {}) }) } },
   { "unknown-word", "an event that looks like a call",

@@ -436,6 +436,52 @@ describe("rfsm-check", function()
     os.remove(folder .. "/chart_properties.lua")
   end)
 
+  it("finds a silence whose reason is gone", function()
+    local text = [[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        a = rfsm.state { checks = { ["dead-end"] = "meant" } },
+        b = rfsm.state { checks = { stuck = "meant", trap = "meant" } },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+          checks = { ["unknown-field"] = "later" }, action = 1 },
+      }
+    ]]
+    checks(text, "FILE:4: warning: root.b: no exit, neither this state nor one around "
+      .. "it is ever left (add a transition, or declare final = true) [dead-end]\n"
+      .. "FILE:3: warning: root.a: checks['dead-end']: there is nothing to silence any "
+      .. "more (write checks = { [\"a-code\"] = \"the reason\" }) [silence]\n"
+      .. "FILE:4: warning: root.b: checks['trap']: there is nothing to silence any more "
+      .. "(write checks = { [\"a-code\"] = \"the reason\" }) [silence]\n", 0)
+    checks(text, "^FILE:4: warning: root.b: no exit[^\n]*\n$", 0, "--static")
+  end)
+
+  it("tells once what two checks find, and of ends that are named so only with --all",
+    function()
+    checks([[
+      local rfsm = require "rfsm"
+      return rfsm.state {
+        a = rfsm.state {}, b = rfsm.state {}, FAILED = rfsm.state {},
+        spare = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
+        rfsm.trans { src = "a", tgt = "FAILED", events = { "e_fail" } },
+        rfsm.trans { src = "spare", tgt = "b", events = { "e_go" } },
+      }
+    ]], "FILE:3: warning: root.b: no exit, neither this state nor one around it is ever "
+      .. "left (add a transition, or declare final = true) [dead-end]\n"
+      .. "FILE:4: warning: root.spare: unreachable, no path of transitions leads here "
+      .. "(add a transition to it, or remove it) [unreachable]\n", 0)
+  end)
+
+  it("refuses numbers that are none of events or configurations", function()
+    refuses("rfsm-check -k 0 x", "Error: --together: whole number above 0 expected, got '0'")
+    refuses("rfsm-check -k 1.5 x",
+      "Error: --together: whole number above 0 expected, got '1.5'")
+    refuses("rfsm-check --configurations x y",
+      "Error: --configurations: whole number above 0 expected, got 'x'")
+  end)
+
   it("writes tests that busted runs", function()
     local spec = folder .. "/emem_spec.lua"
     local out, err, status = run("rfsm-check --tests busted -o '" .. spec

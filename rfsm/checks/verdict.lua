@@ -220,8 +220,8 @@ local function find_waiting_before(walk, numbers, set)
   end
 end
 
--- Returns a configuration in which the machine waited before it came to `numbers`, and
--- whether it is on a cycle.
+-- Returns a configuration in which the machine waited before it came to `numbers`,
+-- and whether it is on a cycle.
 local function find_before(walk, numbers, others)
   local set, first = {}, nil
   for _, number in ipairs(numbers) do set[number] = true end
