@@ -27,7 +27,8 @@ local function passes(result, load)
     if not ok then return false end
     mutate.negate(run)
     for _, step in ipairs(planned.steps) do
-      if run:step(step.what) ~= step.result then return false end
+      local is_known, text = pcall(run.step, run, step.what)
+      if not is_known or text ~= step.result then return false end
     end
   end
   return true
@@ -111,6 +112,7 @@ describe("tests of an example", function()
       assert.equal(rfsm_checks.explore(load()).taken, result.taken)
       assert.is_true(result.steps >= result.least)
       run_spec(text, file)
+      assert.is_true(passes(result, function() return mutate.reorder(load()) end))
       local count, killed, alive = kill(load, result)
       all, all_killed = all + count, all_killed + killed
       assert.is_true(killed >= 0.9 * count, table.concat(alive, ", "))
@@ -121,6 +123,27 @@ describe("tests of an example", function()
     assert.is_true(all > 300)
     assert.is_true(all_killed >= 0.9 * all)
     if os.getenv("SHOW") then print(all_killed .. " of " .. all .. " killed") end
+  end)
+end)
+
+describe("tests that are written again", function()
+  it("keep what stands around the marks, and name the chart as the spec sees it",
+    function()
+    local file, load = "examples/on_off.lua", function()
+      return load_chart("examples/on_off.lua")
+    end
+    local text = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua")
+    assert.matches('\nlocal FILE = here .. "../../examples/on_off.lua"\n', text)
+    assert.matches('"../on_off.lua"', (tests.busted(file, load(), {},
+      "examples/spec/on_off_spec.lua")))
+    assert.matches('\nlocal FILE = "examples/on_off.lua"\n',
+      (tests.busted(file, load())))
+    local changed = text:gsub("on %-e_switch%-> off", "nonsense")
+    local own = "-- mine\n" .. changed .. "-- more\n"
+    local again = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua", own)
+    assert.equal("-- mine\n" .. text .. "-- more\n", again)
+    assert.equal(text, (tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua",
+      "nothing marked")))
   end)
 end)
 
@@ -137,23 +160,33 @@ describe("a rehearsal", function()
 
   it("steps a chart without its callbacks", function()
     local run = rfsm_checks.rehearsal(busy())
-    assert.equal("root.trans[1] -> root.a", run:step())
-    assert.equal("no transition -> root.a", run:step())
-    assert.equal("no transition -> root.a", run:step { ends = { "root.a" } })
-    assert.equal("root.trans[2] -> root.b", run:step())
-    assert.equal("no transition -> root.b",
-      run:step { after = 3, guards = { ["root.trans[3]"] = false } })
-    assert.equal("(root.trans[3] was not asked) -> root.b",
-      run:step { "e_x", guards = { ["root.trans[3]"] = false } })
+    assert.equal("initial --> a", run:step())
+    assert.equal("stays in a", run:step { goes_on = { "a" } })
+    assert.equal("stays in a, (a was asked)", run:step())
+    assert.equal("stays in a", run:step { ends = { "a" } })
+    assert.equal("a -e_done-> b", run:step())
+    assert.equal("stays in b",
+      run:step { after = 3, guards = { ["b -e_after(2)-> a"] = false } })
+    assert.equal("stays in b, (b -e_after(2)-> a was not asked)",
+      run:step { "e_x", guards = { ["b -e_after(2)-> a"] = false } })
+  end)
+
+  it("refuses names of what is not there", function()
+    local run = rfsm_checks.rehearsal(busy())
+    local ok, text = pcall(function() return (run:step { ends = { "c" } }) end)
+    assert.is_false(ok)
+    assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: no transition or state "
+      .. "is named 'c'", text)
   end)
 
   it("lets time go by", function()
     local run = rfsm_checks.rehearsal(busy())
     run:step()
-    run:step { ends = { "root.a" } }
+    run:step { ends = { "a" } }
     run:step()
-    assert.equal("no transition -> root.b", run:step { after = 1 })
-    assert.equal("root.trans[3] -> root.a", run:step { after = 1.5 })
+    assert.equal("stays in b", run:step { after = 1 })
+    assert.equal("b -e_after(2)-> a",
+      run:step { after = 1.5, guards = { ["b -e_after(2)-> a"] = true } })
   end)
 
   it("blames the caller for what is no chart", function()

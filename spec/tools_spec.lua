@@ -486,8 +486,8 @@ describe("rfsm-check", function()
     local spec = folder .. "/emem_spec.lua"
     local out, err, status = run("rfsm-check --tests busted -o '" .. spec
       .. "' examples/emem.lua")
-    assert.same({ "", "rfsm check: 5 of 5 transitions in 5 steps (at least 5 are "
-      .. "needed)\n", 0 }, { out, err, status })
+    assert.same({ "", 0 }, { out, status })
+    assert.matches("^rfsm check: 5 of 5 transitions in %d+ steps\n$", err)
     local pipe = io.popen("busted --lua=$(command -v '" .. lua .. "') -o TAP '" .. spec
       .. "' 2>&1")
     assert.matches("^ok 1 %- examples/emem.lua goes to ", pipe:read("*a"))

@@ -73,7 +73,7 @@ describe("a verdict", function()
       go("initial", "parked"), go("parked", "moving", { joystick }),
       go("moving", "parked", "e_stop") }
     assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.parked\n"
-      .. "  2. no event (root.trans[2] true): root.trans[2] -> root.moving",
+      .. "  2. no event (root.trans[2] predicate true): root.trans[2] -> root.moving",
       verdict(model, never "root.moving"))
     assert.equal("p: holds (one event a step; predicates free)",
       verdict(model, never { "root.moving", "root.parked" }))

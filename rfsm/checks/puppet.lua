@@ -46,6 +46,7 @@ local puppet = {}
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
+---@field notes_events boolean keep in `last_events` those that iterations had?
 ---@field choices boolean[] in the order in which they were asked
 ---@field askers string[] who asked: the path of a transition or leaf
 ---@field is_doo boolean[] whether that was a doo
@@ -250,6 +251,7 @@ local function new_hook(self, part)
     count_round(self, part)
     for i = 1, #events do
       local event = events[i]
+      if self.notes_events then self.last_events[#self.last_events + 1] = event end
       if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
         self.wanted[event] = true
       end
@@ -476,6 +478,7 @@ function Puppet:step(events, choices)
   clear(self.taken)
   clear(self.clashes)
   clear(self.moments)
+  clear(self.last_events)
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
@@ -540,7 +543,9 @@ local function new_predicate(self, tr)
   local answers, count = {}, -1
   return function(event)
     if count ~= self.steps then answers, count = {}, self.steps end
-    if answers[event] == nil then answers[event] = self:choose(self.path_of[tr]) end
+    if answers[event] == nil then
+      answers[event] = self:choose(self.path_of[tr] .. " predicate")
+    end
     return answers[event]
   end
 end
@@ -641,9 +646,10 @@ function puppet.new(model, options)
     path_of = {}, names = {}, callbacks = {}, writers = {}, free = {}, flags = {},
     flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, clashes = {}, moments = {}, passed = {}, ids = {}, occurrences = {},
-    event_list = {}, event_numbers = {}, wanted = {}, done = {},
-    alphabet = options.alphabet, now = 0, steps = 0, is_endless = false }, Puppet)
+    taken = {}, clashes = {}, moments = {}, passed = {}, last_events = {}, ids = {},
+    occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
+    alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
+    notes_events = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
   add_parts(self, new_machine(self, model))
   stubs.check_names(self, self.flags_of, "flags")

@@ -234,8 +234,8 @@ local function find_before(walk, numbers, others)
 end
 
 -- Configurations that lead to each other and nowhere else, while the machine waited for
--- an event before that led there. It may have been set up for them: a note, unless there
--- is a cycle elsewhere, too.
+-- an event before that led there. It may have been set up for them: a note, unless
+-- there is a cycle elsewhere, too.
 local function find_traps(walk, result)
   local bottoms, others = graph.components(walk)
   for _, numbers in ipairs(bottoms) do

@@ -50,6 +50,23 @@ function check.add_arguments(command)
     :argname("FILE")
 end
 
+-- Reports the lines that only one of two texts has.
+local function report_difference(old, new)
+  local function lines_of(text)
+    local list, set = {}, {}
+    for line in text:gmatch("[^\n]+") do list[#list + 1], set[line] = line, true end
+    return list, set
+  end
+  local old_list, in_old = lines_of(old)
+  local new_list, in_new = lines_of(new)
+  for _, line in ipairs(old_list) do
+    if not in_new[line] then io.stderr:write("-", line, "\n") end
+  end
+  for _, line in ipairs(new_list) do
+    if not in_old[line] then io.stderr:write("+", line, "\n") end
+  end
+end
+
 -- Writes tests of one chart.
 local function write_tests(options, parser)
   local file = options.files[1]
@@ -58,12 +75,15 @@ local function write_tests(options, parser)
       .. #options.files)
   end
   local model = common.try(common.load_model(file))
+  local old = options.output ~= "-" and io.open(options.output)
+  local old_text = old and old:read("*a")
+  if old then old:close() end
   local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
-    model)
+    model, {}, options.output, old_text)
   common.write(options.output, text)
-  io.stderr:write(("rfsm check: %d of %d transitions in %d steps (at least %d are "
-    .. "needed)\n"):format(result.taken, result.transitions, result.steps,
-    result.least))
+  io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
+    result.taken, result.transitions, result.steps))
+  if old_text then report_difference(old_text, text) end
 end
 
 -- Returns lines about the chart in a file, and the gravest severity.
