@@ -451,8 +451,8 @@ describe("rfsm-check", function()
       .. "it is ever left (add a transition, or declare final = true) [dead-end]\n"
       .. "FILE:3: warning: root.a: checks['dead-end']: there is nothing to silence any "
       .. "more (write checks = { [\"a-code\"] = \"the reason\" }) [silence]\n"
-      .. "FILE:4: warning: root.b: checks['trap']: there is nothing to silence any more "
-      .. "(write checks = { [\"a-code\"] = \"the reason\" }) [silence]\n", 0)
+      .. "FILE:4: warning: root.b: checks['trap']: there is nothing to silence any "
+      .. "more (write checks = { [\"a-code\"] = \"the reason\" }) [silence]\n", 0)
     checks(text, "^FILE:4: warning: root.b: no exit[^\n]*\n$", 0, "--static")
   end)
 
@@ -468,14 +468,15 @@ describe("rfsm-check", function()
         rfsm.trans { src = "a", tgt = "FAILED", events = { "e_fail" } },
         rfsm.trans { src = "spare", tgt = "b", events = { "e_go" } },
       }
-    ]], "FILE:3: warning: root.b: no exit, neither this state nor one around it is ever "
-      .. "left (add a transition, or declare final = true) [dead-end]\n"
+    ]], "FILE:3: warning: root.b: no exit, neither this state nor one around it is "
+      .. "ever left (add a transition, or declare final = true) [dead-end]\n"
       .. "FILE:4: warning: root.spare: unreachable, no path of transitions leads here "
       .. "(add a transition to it, or remove it) [unreachable]\n", 0)
   end)
 
   it("refuses numbers that are none of events or configurations", function()
-    refuses("rfsm-check -k 0 x", "Error: --together: whole number above 0 expected, got '0'")
+    refuses("rfsm-check -k 0 x",
+      "Error: --together: whole number above 0 expected, got '0'")
     refuses("rfsm-check -k 1.5 x",
       "Error: --together: whole number above 0 expected, got '1.5'")
     refuses("rfsm-check --configurations x y",
