@@ -333,6 +333,8 @@ local CASES = {
     "root.k: the entry of a connector is never called" },
   { "never-called", "none where they belong", { b = state { entry = yes },
     [4] = go("a", "a", "e", { guard = yes, effect = yes }) } },
+  { "shadowed", "none behind a connector that the path has passed", { k = conn {},
+    [4] = go("a", "k", "e"), [5] = go("k", "k"), [6] = go("k", "b") } },
   { "typo", "two letters in reverse",
     { [4] = go("a", "a", "e_start"), [5] = go("b", "b", "e_start"),
       [6] = go("b", "a", "e_strat") },

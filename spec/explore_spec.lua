@@ -59,7 +59,8 @@ describe("explore", function()
       [4] = go("c", "d", "e_done"), [5] = go("d", "a", "e_after(1)") }, "" },
     { "no trap that has an end", {
       c = state {}, d = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "d", "e_x"),
-      [6] = go("d", "c", "e_x"), [7] = go("c", "e", "e_y"), e = state { final = true } },
+      [6] = go("d", "c", "e_x"), [7] = go("c", "e", "e_y"),
+      e = state { final = true } },
       "" },
     { "as a note, that nothing leaves an end that is named so", {
       FAILED = state {}, [4] = go("a", "FAILED", "e_c") }, lines(

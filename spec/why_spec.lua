@@ -2,6 +2,7 @@
 
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
+local claim = require "spec.support.claims.checks"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
@@ -138,6 +139,15 @@ describe("enabled", function()
   end)
 end)
 
+describe("enabled", function()
+  it("asks guards of transitions on any event about each event", function()
+    local events = rfsm_checks.enabled(machine { [7] = trans { src = "root", tgt = "a",
+      guard = function(_, list) return list[1] == "e_c" end },
+      [8] = trans { src = "b", tgt = "a", events = { "e_c" } } })
+    assert.same({ "e_b", "e_c", any = false }, events)
+  end)
+end)
+
 -- What the engine itself finds, node by node.
 local function engine_finds(fsm, events)
   local node = fsm
@@ -162,6 +172,12 @@ local function number_of(fsm, place)
     if rfsm.location_of(tr):find(place, 1, true) then return tr.number end
   end
 end
+
+describe(claim.name, function()
+  it("agree on random charts", function()
+    assert.is_nil((select(2, claim.run(60, 1))))
+  end)
+end)
 
 describe("why and the engine", function()
   it("agree on random charts", function()

@@ -40,13 +40,35 @@ local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.names(tr, event)
 end
 
+-- Does some path of connectors lead from one to another?
+local function leads_to(connector, tgt, seen)
+  if connector == tgt then return true end
+  if seen[connector] then return false end
+  seen[connector] = true
+  for _, tr in ipairs(connector._otrs) do
+    if is_conn(tr.tgt) and leads_to(tr.tgt, tgt, seen) then return true end
+  end
+  return false
+end
+
+-- Returns the set of connectors that a path to a node may have passed: it cannot pass
+-- one of them again.
+local function passed_before(fsm, node)
+  local passed = {}
+  for _, connector in ipairs(is_conn(node) and rfsm.elements(fsm, is_conn) or {}) do
+    passed[connector] = leads_to(connector, node, {}) or nil
+  end
+  return passed
+end
+
 -- Returns a transition that is tried before `tr`, from its source or a composite that
 -- the source is in, and always taken on the event.
 local function find_shadow(fsm, tr, event)
   for _, node in ipairs(is_conn(tr.src) and { tr.src } or place.line(fsm, tr.src)) do
     for _, other in ipairs(node._otrs) do
       if other == tr then break end
-      if is_enabled_by(other, event) and is_always_enabled(other, {}) then
+      if is_enabled_by(other, event)
+        and is_always_enabled(other, passed_before(fsm, tr.src)) then
         return other
       end
     end

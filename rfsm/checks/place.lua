@@ -48,13 +48,16 @@ function place.tried(fsm, leaf)
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
---- List the regions of a state with their names, in the order of their steps.
+--- List the regions of a state with their names, sorted by name.
 ---@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function place.regions_of(state)
-  local regions = {}
+  local regions, machines = {}, {}
   for i, machine in ipairs(rfsm.regions(state)) do
-    regions[i] = { name = text_of(state._regions.names[i]), machine = machine }
+    machines[state._regions.names[i]] = machine
+  end
+  for i, name in ipairs(rfsm.sorted_keys(machines)) do
+    regions[i] = { name = text_of(name), machine = machines[name] }
   end
   return regions
 end
