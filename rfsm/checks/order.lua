@@ -100,28 +100,28 @@ end
 
 -- Does only its position keep `tr` from being taken before `other`? A guard in front of
 -- a transition without one reads as if and else, but the engine warns in connectors.
-local function is_rival(tr, other)
+local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))
 end
 
 --- List the transitions behind `tr` that only their position keeps from being taken
 --- before it.
-function order.rivals_of(tr)
-  local rivals, is_behind = {}, false
+function order.conflicts_of(tr)
+  local conflicts, is_behind = {}, false
   for _, other in ipairs(tr.src._otrs) do
-    if is_behind and is_rival(other, tr) then rivals[#rivals + 1] = other end
+    if is_behind and may_clash(other, tr) then conflicts[#conflicts + 1] = other end
     is_behind = is_behind or other == tr
   end
-  return rivals
+  return conflicts
 end
 
---- Is a rival enabled where `tr` was taken: in a connector by all events of a step, in
---- a state by one of them that enables both?
-function order.is_clash(tr, rival, list)
-  if is_conn(tr.src) then return match.may_enable(rival, list) end
+--- Is another one enabled where `tr` was taken: in a connector by all events of a step,
+--- in a state by one of them that enables both?
+function order.is_clash(tr, other, list)
+  if is_conn(tr.src) then return match.may_enable(other, list) end
   for i = 1, #list do
-    if is_enabled_by(tr, list[i]) and match.may_enable(rival, { list[i] }) then
+    if is_enabled_by(tr, list[i]) and match.may_enable(other, { list[i] }) then
       return true
     end
   end
@@ -147,7 +147,7 @@ end
 local function check_conflicts(tr, add)
   for _, other in ipairs(tr.src._otrs) do
     if other == tr then return end
-    local event = is_rival(tr, other) and shared_event(tr, other)
+    local event = may_clash(tr, other) and shared_event(tr, other)
     if event then return add("conflict", tr, order.conflict_text(other, event)) end
   end
 end

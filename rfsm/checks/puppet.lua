@@ -222,13 +222,13 @@ local function make_transition(self, part, tr)
     tr.guard, self.free.guards = function() return self:choose(path) end, true
   end
   local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
-  local rivals = order.rivals_of(tr)
+  local conflicts = order.conflicts_of(tr)
   tr.likely = nil
   tr.effect = function(fsm, _, _, events)
     self.taken[#self.taken + 1] = number
-    for _, rival in ipairs(rivals) do
-      if order.is_clash(tr, rival, events) then
-        self.clashes[#self.clashes + 1] = { self.number_of[rival], number }
+    for _, other in ipairs(conflicts) do
+      if order.is_clash(tr, other, events) then
+        self.clashes[#self.clashes + 1] = { self.number_of[other], number }
       end
     end
     if stub then stub(fsm) end
