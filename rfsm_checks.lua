@@ -141,8 +141,8 @@ end
 --
 -- Notes are left out; `rfsm_checks.findings` returns them, too. A leaf that nothing
 -- leaves is no finding if it is declared `final = true`, and no finding is one that the
--- field `checks` of its element expects. Without the folder rfsm/checks beside this file
--- the lines are those of `rfsm.init`, without codes.
+-- field `checks` of its element expects. Without the folder rfsm/checks beside this
+-- file the lines are those of `rfsm.init`, without codes.
 --
 -- @raise if `model` is no state
 ---@param model rfsm.State a model, or a machine

@@ -167,6 +167,32 @@ describe("in a state whose name has a comma, quote or parenthesis", function()
   end)
 end)
 
+it("awaits agree with counting, on random charts", function()
+  local cases, problem = require("spec.support.claims.await").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+
+  it("has the events that were received, and no others", function()
+    local fsm = started(chart(XY))
+    check(fsm, "e_x=a")
+    local snap = snapshot.take(fsm)
+    assert.same({ ["await(e_x, e_y)@root.a"] = { e_x = true } }, snap.ext.await)
+    check(assert(snapshot.restore(chart(XY), snap)), "e_z=a e_y=b")
+    local other = started(chart(XY))
+    check(other, "e_y=a")
+    assert(snapshot.put(other, snap))
+    check(other, "e_x=a e_y=b")
+    assert.is_nil((snapshot.take(started(chart(XY))).ext or {}).await)
+    snap.ext.await["await(e_x, e_y)@root.a"] = 5
+    local _, problem = snapshot.restore(chart(XY), snap)
+    assert.is_truthy(problem:find("set of events expected", 1, true), problem)
+  end)
+end)
+
 it("a machine without await has nothing of this extension", function()
   local fsm = helper.init(chart { "e_x" })
   assert.same({}, { fsm._awaits, fsm.a._await })

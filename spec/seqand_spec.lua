@@ -72,6 +72,7 @@ end
 
 describe("rfsm.seqand", function()
   it("is the module rfsm_seqand, and returns a leaf state", function()
+    assert.equal(seqand, rawget(_G, "rfsm_seqand"))
     assert.equal(require "rfsm_seqand", seqand)
     assert.is_true(rfsm.is_leaf(two {}))
   end)
@@ -405,7 +406,10 @@ describe("an event", function()
     rfsm.pre_step_hook_add(fsm.par.substates.left, function(_, events)
       for i = 1, #events do trace[#trace + 1] = events[i] end
     end)
-    for _ = 1, 20 do rfsm.step(fsm) end
+    for _ = 1, 20 do
+      rfsm.step(fsm)
+      assert.equal(count, #trace) -- also those of the iteration of the doo
+    end
     for i = 1, #trace do expected[i] = i end
     assert.same(expected, trace)
     assert.is_true(#trace >= 15)
@@ -473,14 +477,17 @@ describe("a machine given as a region", function()
   it("stands for its model in further ones, with what was set on it", function()
     local given, model = given_and_model()
     local records = helper.said(given, "dbg", "STATE_ENTER")
-    local function now() return 7, 0 end
-    given.gettime = now
+    local fields = { "info", "warn", "err", "getevents", "pre_step_hook",
+      "post_step_hook", "gettime" }
+    for _, field in ipairs(fields) do given[field] = function() end end
     local first, second = started(model), init(model)
     helper.clear(records)
     rfsm.run(second)
     local region_of_second = second.par.substates.left
     assert.not_equal(given, region_of_second)
-    assert.equal(now, region_of_second.gettime)
+    for _, field in ipairs(fields) do
+      assert.equal(given[field], region_of_second[field])
+    end
     assert.same({ "STATE_ENTER root", "STATE_ENTER root.a" }, records)
     run(second, "e_x")
     assert.equal("root.a root.b", first.par.substates.left._act_leaf._fqn .. " "
@@ -595,6 +602,29 @@ describe("instances", function()
   end)
 end)
 
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+
+  it("has the regions, and is put without an advance", function()
+    local trace = {}
+    local model = parent(two(trace, { step = 2 }))
+    local fsm = started(model)
+    rfsm.send_events(fsm.par.substates.left, "e_x")
+    rfsm.run(fsm)
+    local snap = snapshot.take(fsm)
+    helper.clear(trace)
+    local other = assert(snapshot.restore(model, snap))
+    assert.same({}, trace)
+    run(other, "e_x")
+    assert.equal("root.a root.b", leaves(other.par))
+    other = assert(snapshot.restore(model, snap, { entries = true }))
+    assert.equal("root.b root.a", leaves(other.par))
+    run(other, "e_leave")
+    run(other, "e_enter")
+    assert.equal("root.a root.a", leaves(other.par))
+  end)
+end)
+
 describe("reset", function()
   it("resets the regions, without exits", function()
     local trace = {}
@@ -615,6 +645,12 @@ describe("reset", function()
     assert.equal("none none", leaves(fsm.par))
     assert.is_false(rfsm.get_actleaf_fqn(fsm))
   end)
+end)
+
+it("regions agree with machines stepped by hand, on random charts", function()
+  local cases, problem = require("spec.support.claims.seqand").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
 end)
 
 it("a machine without sequential AND states has nothing of this extension", function()

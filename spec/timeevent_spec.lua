@@ -358,7 +358,12 @@ describe("a time event that is wrong", function()
     rfsm.init(model)
     assert.equal("WARNING: root.trans[1].events (initial -> a): 'e_after(1)' never "
       .. "fires here, 'root.initial' is no state", helper.without_file(warnings[1]))
+    assert.same({ "e_init_fsm", "e_after(1)@root.initial" }, init(model)[1].events)
   end)
+end)
+
+it("the module is the global of its flat name, too", function()
+  assert.equal(timeevent, rawget(_G, "rfsm_timeevent"))
 end)
 
 it("is_timeevent knows objects and texts", function()
@@ -705,11 +710,14 @@ describe("the clock of a machine", function()
   end)
 
   it("may want a clock id", function()
-    local ids = {}
+    local ids, hours = {}, 0
     local fsm = started(chart({ "e_after(3)" }, { gettime = function(id)
       ids[#ids + 1] = assert(id)
-      return now[1], now[2]
+      return now[1] + (id == "CLOCK_REALTIME" and hours or 0), now[2]
     end }))
+    hours = 3600
+    check(fsm, "+3=a +0,1=b e_back=a +3=a +0,1=b e_back=a")
+    hours, now = 0, { 1000, 0 }
     helper.clear(ids)
     check(fsm, "=a")
     assert.same({ "CLOCK_MONOTONIC" }, ids)
@@ -822,6 +830,12 @@ describe("a clock that returns seconds in one number", function()
   end)
 end)
 
+it("time events agree with a list of deadlines, on random charts", function()
+  local cases, problem = require("spec.support.claims.timeevent").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
 it("two machines of one model have timers of their own", function()
   local model = chart { e_after(3) }
   local first = started(model)
@@ -879,12 +893,99 @@ describe("fsm_merge", function()
   end)
 end)
 
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+  local model = chart { "e_after(3)", "e_after(1)", "e_at(1005)" }
+  model[2].guard, model[4] = closed, another("a", "b", "e_after(5)")
+
+  -- A machine from the snapshot of one that was entered two seconds before.
+  local function restored(change)
+    now = { 1000, 0 }
+    local fsm = started(model)
+    check(fsm, "+2=a")
+    local snap = snapshot.take(fsm)
+    now = { 5000, 7 }
+    if change then change(snap.ext.timers) end
+    local other, problem = snapshot.restore(model, snap)
+    return other, other and said(other, "dbg", "TIMEEVENT") or problem
+  end
+
+  it("has the time that is left, and the timers that fired", function()
+    local fsm, fired = restored()
+    check(fsm, "=a +1=a +0,1=a +2=b")
+    assert.same({ "TIMEEVENT e_at(1005)@root.a", "TIMEEVENT e_after(3)@root.a",
+      "TIMEEVENT e_after(5)@root.a" }, fired)
+    assert.same({ "e_after(3)@root.a", "e_after(5)@root.a", "e_at(1005)@root.a" },
+      rfsm.sorted_keys(snapshot.take((restored())).ext.timers))
+    assert.equal(1 + 1e-9, (next_deadline((restored(function(timers)
+      timers["e_at(1005)@root.a"] = nil
+    end)))))
+  end)
+
+  it("of a machine without armed timers has none", function()
+    local fsm = started(model)
+    check(fsm, "+9=b")
+    assert.is_nil((snapshot.take(fsm).ext or {}).timers)
+  end)
+
+  it("has timers that wait for the clock", function()
+    local fsm = init(chart({ "e_after(3)" }, { err = false }))
+    set_gettime_hook(fail)
+    rfsm.run(fsm)
+    local snap = snapshot.take(fsm)
+    assert.same({ ["e_after(3)@root.a"] = true }, snap.ext.timers)
+    local other = assert(snapshot.restore(chart({ "e_after(3)" }, { err = false }),
+      snap))
+    set_gettime_hook(clock)
+    check(other, "=a +3=a +0,1=b")
+  end)
+
+  it("is refused if a timer is wrong or not there, or the clock fails", function()
+    for _, case in ipairs {
+      { name = "e_x", value = { 1, 2 }, problem = "no active state has a timer 'e_x'" },
+      { name = "e_after(3)@root.a", value = "3", problem = "seconds and nanoseconds "
+        .. "expected for timer 'e_after(3)@root.a'" },
+      { name = "e_after(3)@root.a", value = { 1 }, problem = "seconds and "
+        .. "nanoseconds expected for timer 'e_after(3)@root.a'" },
+    } do
+      local fsm, problem = restored(function(timers) timers[case.name] = case.value end)
+      assert.is_false(fsm)
+      assert.is_truthy(problem:find(case.problem, 1, true), problem)
+    end
+    local fsm, problem = restored(function() set_gettime_hook(fail) end)
+    assert.is_false(fsm)
+    assert.is_truthy(problem:find("the clock failed: out of order", 1, true), problem)
+  end)
+end)
+
+describe("rfsm.clock", function()
+  local clock_module = require "rfsm.clock"
+
+  it("read returns seconds and nanoseconds, or nil and the error", function()
+    clock_module.set_hook(clock, function() return 5 end)
+    assert.same({ 1000, 0 }, { clock_module.read(true) })
+    assert.same({ 0, 5 }, { clock_module.read(false) })
+    clock_module.set_hook(fail)
+    assert.same({ n = 2, nil, "out of order" },
+      { n = select("#", clock_module.read(true)), clock_module.read(false) })
+  end)
+
+  it("without any clock raises an error", function()
+    helper.with(_G, { os = false, rtt = false }, function()
+      local hidden = { ["posix.time"] = {}, posix = {}, socket = {}, rtp = {} }
+      helper.with(package.loaded, hidden, function()
+        assert.equal("no clock is installed", select(2, pcall(clock_module.find(true))))
+      end)
+    end)
+  end)
+end)
+
 describe("the cost of an iteration", function()
-  local function reads(fsm)
+  local function reads(fsm, time)
     local count = 0
     set_gettime_hook(function()
       count = count + 1
-      return 1000, 0
+      return unpack(time or { 1000, 0 })
     end)
     count = 0 -- it was tried
     rfsm.step(fsm)
@@ -894,6 +995,47 @@ describe("the cost of an iteration", function()
   it("is nothing without time events", function()
     local fsm = started(chart { "e_x" })
     assert.same({ 0 }, { reads(fsm), fsm._timeevent, fsm.a._timers })
+  end)
+
+  it("is one reading of a clock that wants an id, and of one of nanoseconds",
+    function()
+      local count = 0
+      for _, read in ipairs {
+        function(id) return assert(id) and 1000, 0 end, function() return 1e15 end,
+      } do
+        local fsm = started(chart({ "e_after(1)" }, { gettime = function(id)
+          count = count + 1
+          return read(id)
+        end }))
+        count = 0
+        rfsm.step(fsm)
+        assert.equal(1, count)
+      end
+    end)
+
+  it("is one reading until a millisecond before the next timer", function()
+    local model = chart { "e_after(1)", "e_after(9.9)" }
+    model[2].guard = closed
+    local fsm = started(model)
+    check(fsm, "+2=a")
+    now = { 1009, 898000000 }
+    assert.equal(1, reads(fsm, now))
+    now = { 1009, 899500000 }
+    assert.equal(2, reads(fsm, now))
+  end)
+
+  it("with an entry is one reading more, for all its timers", function()
+    local fsm, count = started(chart { "e_after(1)", "e_after(2)" }), 0
+    check(fsm, "+2=b")
+    fsm.gettime = function()
+      count = count + 1
+      return now[1], now[2]
+    end
+    check(fsm, "e_back=a +3=b") -- it has been tried now
+    count = 0
+    rfsm.send_events(fsm, "e_back")
+    rfsm.step(fsm)
+    assert.equal(1, count)
   end)
 
   it("is no reading of the clock while no timer is armed, one while one is", function()

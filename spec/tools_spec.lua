@@ -570,3 +570,57 @@ describe("rfsm-check", function()
       "Did you mean one of these: '-a' '-h' '-k' '-o' '-q' '-s' '-v' '-x'?")
   end)
 end)
+
+describe("a chart that uses globals of the original", function()
+  local function check_chart(text, out, err, status)
+    local file = write_file("globals.lua", ([[
+local rfsm = require "rfsm"
+%s
+return rfsm.state {
+  a = rfsm.state { entry = function() assert(rfsmpp.fsm2str) end }, b = m,
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_after(3)" } },
+  rfsm.trans { src = "b", tgt = "a", events = { "e_low" } },
+}
+]]):format(text))
+    check("rfsm check " .. file, (out:gsub("FILE", file)), (err:gsub("FILE", file)),
+      status)
+  end
+
+  local OK = "FILE: ok\n"
+
+  it("finds rfsm_timeevent and rfsm_ext while it is read", function()
+    check_chart([[
+rfsm_timeevent.set_gettime_hook(function() return 5, 0 end)
+m = rfsm_ext.gen_monitor_state { montab = { e_low = print } }]], OK, "")
+  end)
+
+  it("switches time events on only if it reads rfsm_timeevent", function()
+    for first, expected in pairs { -- any order: each stands alone
+      [""] = '"e_after(3)"', ["_ = rfsm_timeevent"] = '"e_after(3)@root.m"',
+    } do
+      local out = run("rfsm json -o - " .. write_file("unread.lua", first .. [[
+
+local rfsm = require "rfsm"
+local m = rfsm_ext.gen_monitor_state { montab = { e_low = rfsmpp.fsm2str } }
+return rfsm.state { m = m, rfsm.trans { src = "initial", tgt = "m" },
+  rfsm.trans { src = "m", tgt = "m", events = { "e_after(3)", "e_low" } } }
+]]))
+      assert.is_truthy(out:find(expected, 1, true), out)
+    end
+  end)
+
+  it("finds rfsmpp also while it runs", function()
+    local file = write_file("runs.lua", [[
+local rfsm = require "rfsm"
+return rfsm.state { info = false, warn = false,
+  a = rfsm.state { entry = function(fsm) print("tree " .. #rfsmpp.fsm2str(fsm)) end },
+  rfsm.trans { src = "initial", tgt = "a" } }
+]])
+    local pipe = io.popen(("echo run | LUA=%s tools/rfsm sim -q %s 2>&1"):format(lua,
+      file))
+    local text = pipe:read("*a")
+    pipe:close()
+    assert.matches("tree %d+", text)
+  end)
+end)
