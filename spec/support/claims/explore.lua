@@ -1,6 +1,6 @@
 -- Exploration against brute force: random charts with timers, awaits, predicates and
--- sequential AND states. Whatever random runs reach was reached, and each witness leads
--- where it says, on a machine of its own.
+-- sequential AND states. Whatever random runs reach was reached, also of several
+-- machines at once, and each witness leads to its end on a machine of its own.
 
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
@@ -81,7 +81,7 @@ end
 
 -- Random runs -----------------------------------------------------------------------
 
--- Returns the leaf and mode of each machine, as texts.
+-- Returns the leaf and mode of each machine as texts, and all of them as one.
 local function stands_of(fsm)
   local texts = {}
   for i, entry in ipairs(rfsm.machines(fsm)) do
@@ -89,6 +89,7 @@ local function stands_of(fsm)
     texts[i] = entry.prefix .. " "
       .. (leaf and leaf._fqn .. " " .. leaf._mode or "none")
   end
+  texts[#texts + 1] = table.concat(texts, "; ")
   return texts
 end
 
@@ -166,11 +167,13 @@ end
 local function explored(walk)
   local shown, own = {}, walk.puppet
   for number = 1, #walk.keys do
+    local texts = {}
     for i, stand in ipairs(walk:configuration(number)) do
-      local text = own.parts[i].prefix .. " " .. (stand.leaf
+      texts[i] = own.parts[i].prefix .. " " .. (stand.leaf
         and stand.leaf._fqn .. " " .. stand.mode or "none")
-      shown[text] = shown[text] or { at = number }
     end
+    texts[#texts + 1] = table.concat(texts, "; ")
+    for _, text in ipairs(texts) do shown[text] = shown[text] or { at = number } end
   end
   for number, step in pairs(walk.taken) do -- any order: a set
     shown["taken " .. own.transitions[number].tr.number] = { at = step.from,
