@@ -39,6 +39,7 @@ local puppet = {}
 ---@field parts rfsm_checks.Part[] the machine itself first
 ---@field transitions { tr: rfsm.Transition, path: string, prefix: string }[] all
 ---@field names table<string, rfsm.State> states by path
+---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
 ---@field free table<string, true> what the chart has: guards, predicates, timers, doos
@@ -184,11 +185,12 @@ end
 
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
-  self.names[path] = state
+  self.names[path], self.paths[#self.paths + 1] = state, path
   local own = state._regions or state -- the callbacks of such a state are the library's
   local entry = stubs.new(self, "entry", path, part.fsm, state, own.entry)
   own.entry = entry
-  if part.owner or rfsm.is_composite(state) and is_passable(state) then
+  if part.owner or not rfsm.is_root(state) and rfsm.is_composite(state)
+    and is_passable(state) then
     function own.entry(fsm)
       if entry then entry(fsm) end
       note_moment(self, state)
@@ -643,8 +645,8 @@ end
 ---@return rfsm_checks.Puppet
 function puppet.new(model, options)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
-    path_of = {}, names = {}, callbacks = {}, writers = {}, free = {}, flags = {},
-    flags_of = {}, flag_numbers = {}, sends = options.sends or {},
+    path_of = {}, names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
+    flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, clashes = {}, moments = {}, passed = {}, last_events = {}, ids = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},

@@ -77,7 +77,7 @@ end
 -- States that are never active, but not those in another one.
 local function find_unreached(walk, result)
   local active = active_paths(walk)
-  for _, path in ipairs(rfsm.sorted_keys(walk.puppet.names)) do
+  for _, path in ipairs(walk.puppet.paths) do
     local state = walk.puppet.names[path]
     local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
     if not active[path] and (not above or active[above]) then
@@ -387,6 +387,12 @@ local function properties_of(model, options)
   return given
 end
 
+local function count_of(set)
+  local count = 0
+  for _ in pairs(set) do count = count + 1 end -- any order: a number
+  return count
+end
+
 --- Explore a model and judge what was found.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
@@ -398,7 +404,7 @@ function verdict.of(model, options)
   end)
   properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
-    transitions = #walk.puppet.transitions, taken = #rfsm.sorted_keys(walk.taken),
+    transitions = #walk.puppet.transitions, taken = count_of(walk.taken),
     silenced = {}, bound = walk.bound, untried = walk.untried, findings = {},
     properties = {}, premises = premises_of(walk, options) }, Exploration)
   find_violations(walk, result, list)
