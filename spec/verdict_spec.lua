@@ -1,6 +1,7 @@
 -- Verdicts: nothing is said to hold that does not, and each names its premises.
 
 local ab = require "spec.support.ab"
+local claim = require "spec.support.claims.after"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
@@ -306,6 +307,12 @@ describe("options of an exploration", function()
     assert.is_false(ok)
     assert.equal("rfsm_checks.explore: property 'p': no transition names the event "
       .. "'e_after(3)@root.a' (did you mean 'e_after(2)@root.a'?)", text)
+  end)
+end)
+
+describe(claim.name, function()
+  it("agree on random charts", function()
+    assert.is_nil((select(2, claim.run(15, 1))))
   end)
 end)
 
