@@ -69,6 +69,14 @@ function add_reactions(found, node, seen)
   end
 end
 
+-- Adds the events of the regions of the active leaf to the set alone: those that can
+-- have an effect now are listed for the regions themselves.
+local function add_own_regions(found, leaf)
+  local count = #found
+  add_regions(found, leaf)
+  for i = #found, count + 1, -1 do found[i] = nil end
+end
+
 local function add_timers(found, nodes)
   local is_active = {}
   for _, node in ipairs(nodes) do is_active[node._fqn] = true end
@@ -126,7 +134,7 @@ function reactions.collect(fsm, leaf)
     for _, tr in ipairs(nodes[i]._otrs) do add_sets(found, tr, {}, {}) end
   end
   add_timers(found, leaf and nodes or {})
-  if leaf then add_regions(found, leaf) end
+  if leaf then add_own_regions(found, leaf) end
   return found
 end
 
