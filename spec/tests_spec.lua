@@ -179,6 +179,20 @@ describe("a rehearsal", function()
       .. "is named 'c'", text)
   end)
 
+  it("has names without positions", function()
+    local run = rfsm_checks.rehearsal(state { info = false, warn = false,
+      a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "root", tgt = "a", events = { "e_y", "e_x" } },
+      trans { src = "root", tgt = "a", events = { "e_x", "e_y" }, pn = -1 },
+      trans { src = "a", tgt = "internal", events = { "e_z" } } })
+    run:step()
+    assert.equal("root -e_x, e_y-> a", run:step { "e_x" })
+    assert.equal("a -e_z-> internal", run:step { "e_z" })
+    local names = {}
+    for i, entry in ipairs(run.puppet.transitions) do names[i] = entry.name end
+    assert.equal("root -e_x, e_y-> a #2", names[3])
+  end)
+
   it("lets time go by", function()
     local run = rfsm_checks.rehearsal(busy())
     run:step()
