@@ -209,12 +209,12 @@ end
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
 -- Appends the events that enable a transition of the machine, or of one in its leaf.
--- Unless a predicate is asked, those that count only as any event are not tried.
+-- Those that count only as any event are tried, too: guards may tell them apart.
 local function add_enabled(list, is_listed, fsm)
   local found = reactions.collect(fsm, fsm._act_leaf)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
   local function is_enabled(event)
-    if not (found.has_predicate or found.set[event]) then return takes_any end
+    if not (found.any or found.set[event]) then return false end
     return select(2, answers_of(fsm, { event }))
   end
   for _, event in ipairs(alphabet.of(fsm).list) do
