@@ -12,7 +12,7 @@ local IS_TEXT = { dot = true, svg = false, png = false, pdf = false, plantuml = 
   mermaid = true, json = true }
 local BY_ENDING = { gv = "dot", puml = "plantuml", mmd = "mermaid" }
 
-local viz = { summary = "Draw charts.", epilog = "Graphviz lays out the pictures." }
+local viz = { summary = "Draw charts.", epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
 
 local function to_depth(text)
   local depth = tonumber(text)
@@ -79,6 +79,7 @@ end
 function viz.run(options, parser)
   local format = format_of(options, parser)
   local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
+  local encode = IS_TEXT[format] and exporter.encode or exporter.layout
   local looks = {
     depth = options.depth, direction = options.direction,
     active = options.active[1] and options.active,
@@ -87,7 +88,7 @@ function viz.run(options, parser)
   }
   local text = concat(common.encode_all(options.files, function(fsm, title)
     looks.title = title
-    return exporter.encode(fsm, looks)
+    return common.try(encode(fsm, looks))
   end))
   if not IS_TEXT[format] then text = common.try(exporter.render(text, format)) end
   common.write(options.output, text)

@@ -47,6 +47,7 @@ local diagram = {}
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.pictures.Node absent at the root
+---@field depth integer of composites around it
 ---@field index? integer among the nodes of the parent
 ---@field nodes rfsm.pictures.Node[] regions, too
 ---@field arrows rfsm.pictures.Arrow[] those with both ends in this composite
@@ -56,6 +57,7 @@ local diagram = {}
 ---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
 ---@field is_region? true
+---@field is_on_border? true a connector, used by arrows across the frame around it
 ---@field is_cut? true there are nodes in it that are not drawn
 
 --- A transition.
@@ -176,7 +178,8 @@ local function read_node(chart, tab, parent, fqn, depth)
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
     kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
     nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
-    is_final = tab.final, is_cut = depth == 0 and kind == "composite" or nil,
+    depth = parent and parent.depth + 1 or 0, is_final = tab.final,
+    is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -214,9 +217,11 @@ local function find_node(chart, fqn)
   return chart.by_fqn[fqn]
 end
 
--- Returns the innermost composite that has both ends of an arrow in it; nil if one is
--- the root.
-local function find_home(src, tgt)
+--- Return the innermost composite that has both ends of an arrow in it.
+---@param src rfsm.pictures.Node
+---@param tgt rfsm.pictures.Node
+---@return rfsm.pictures.Node? home nil if one is the root
+function diagram.find_home(src, tgt)
   local home = src.parent
   while home and not is_inside(tgt, home) do home = home.parent end
   return home
@@ -246,8 +251,11 @@ local function parts_of(tr, text_of)
 end
 
 local function add_arrow(chart, arrow)
-  local home = find_home(arrow.src, arrow.tgt)
+  local src, tgt = arrow.src, arrow.tgt
+  local home = diagram.find_home(src, tgt)
   arrow.home = home
+  src.is_on_border = src.is_on_border or home ~= src.parent or nil
+  tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
   local arrows = (home or chart).arrows
   arrows[#arrows + 1] = arrow
   chart.all[#chart.all + 1] = arrow
@@ -376,9 +384,13 @@ local function read_description(chart, tab, depth)
   read_transitions(chart, tab, "root", marsh.gen_event_text())
 end
 
--- Reads a machine or a description for the public function `where`, whose caller is
+--- Read a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
-local function read(source, where, options)
+---@param source rfsm.Machine|rfsm.marsh.Node
+---@param where string
+---@param options? rfsm.pictures.Options|string
+---@return rfsm.pictures.Chart chart
+function diagram.read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
   local settings, problem = opts.read(OPTIONS,
@@ -439,11 +451,12 @@ function diagram.exporter(name, global, draw)
   local exporter = {}
 
   function exporter.encode(fsm, options)
-    return (draw(read(fsm, name .. ".encode", options)))
+    return (draw(diagram.read(fsm, name .. ".encode", options)))
   end
 
   function exporter.save(fsm, file, options)
-    local chart, where = read(fsm, name .. ".save", options), name .. ".save: "
+    local chart = diagram.read(fsm, name .. ".save", options)
+    local where = name .. ".save: "
     if type(file) ~= "string" then
       error(where .. "file name expected, got " .. type(file), 2)
     end
