@@ -18,7 +18,7 @@ local diagram = require "rfsm.pictures.diagram"
 local layout = require "rfsm.pictures.layout"
 local looks = require "rfsm.pictures.looks"
 
-local io, ipairs, os = io, ipairs, os
+local io, ipairs, os = rawget(_G, "io"), ipairs, rawget(_G, "os")
 local max, min = math.max, math.min
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of

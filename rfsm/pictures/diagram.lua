@@ -12,10 +12,11 @@ local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
-local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
+local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
+local io = rawget(_G, "io") -- absent in a browser
 local rawset, select, tonumber, tostring = rawset, select, tonumber, tostring
 local type = type
-local concat = table.concat
+local concat, max = table.concat, math.max
 
 local diagram = {}
 
@@ -102,13 +103,17 @@ end
 ---@return string
 ---@nodiscard
 function diagram.clean(text)
+  if not text:find("[%z\1-\31\127-\255]") then return text end
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
   return (text:gsub("[%z\1-\9\11-\31\127]", "\239\191\189"))
 end
 
 local clean = diagram.clean
 
-local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) end
+local function length_of(text)
+  if not text:find("[\128-\191]") then return #text end
+  return select(2, text:gsub("[^\128-\191]", ""))
+end
 
 local CHARACTER = "[^\128-\191][\128-\191]*"
 
@@ -121,20 +126,32 @@ local function add_word(lines, word, width, can_join)
   end
   while length_of(word) > width do
     local head = word:match("^" .. CHARACTER:rep(width))
-    head = head:match("^.+[_./:,;(@-]") or head
-    lines[#lines + 1], word = head, word:sub(#head + 1)
+    head = head:match("^.+ ") or head:match("^.+[_./:,;(@-]") or head
+    lines[#lines + 1], word = head:gsub(" $", ""), word:sub(#head + 1)
   end
   lines[#lines + 1] = word
+end
+
+-- Returns the words of a line; what is in parentheses belongs to the word before it.
+local function words_in(line)
+  local words, depth = {}, 0
+  for word in line:gmatch("[^ ]+") do
+    if depth > 0 then
+      words[#words] = words[#words] .. " " .. word
+    else
+      words[#words + 1] = word
+    end
+    local _, opened = word:gsub("%(", "")
+    local _, closed = word:gsub("%)", "")
+    depth = max(0, depth + opened - closed)
+  end
+  return words
 end
 
 -- Appends a line, in several if it is too long.
 local function add_line(lines, line, width, can_join)
   if length_of(line) <= width then return add_word(lines, line, width, can_join) end
-  can_join = false
-  for word in line:gmatch("[^ ]+") do
-    add_word(lines, word, width, can_join)
-    can_join = true
-  end
+  for i, word in ipairs(words_in(line)) do add_word(lines, word, width, i > 1) end
 end
 
 --- Return texts in short lines. One that is short goes on in the line before it.

@@ -32,6 +32,7 @@ local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;
 ---@param text string
 ---@return string
 function looks.quoted(text)
+  if not text:find('[&\\"\n]') then return '"' .. text .. '"' end
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
 end
 
@@ -48,6 +49,7 @@ end
 
 -- Lines of HTML, each at the left.
 local function html(text)
+  if not text:find('[&<>"\n]') then return text end
   return (text:gsub('[&<>"]', CODES):gsub("\n", '<BR ALIGN="LEFT"/>'))
 end
 
