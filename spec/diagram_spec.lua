@@ -293,27 +293,25 @@ digraph "lamp" {
   node [shape=box, style="rounded,filled", height=0.4, margin="0.15,0.07"]
   edge [fontname="Helvetica,Arial,sans-serif", fontsize=10, color="#555555", arrowsize=0.7]
   subgraph cluster_root {
-    graph [id="root", label="lamp", margin=10, style=rounded, color="#555555", penwidth=1, class="state"]
+    graph [id="root", label="lamp", margin=10, style="rounded,filled", fillcolor="white", color="#555555", penwidth=1, class="state"]
     root_initial [id="root.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
     root_off [id="root.off", label="off", class="state"]
     subgraph cluster_root_on {
-      graph [id="root.on", label="on", margin=10, style=rounded, color="#555555", penwidth=1, class="state"]
+      graph [id="root.on", label="on", margin=10, style="rounded,filled", fillcolor="#F4F6F8", color="#555555", penwidth=1, class="state"]
       root_on_initial [id="root.on.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
       root_on_bright [id="root.on.bright", label="bright", class="state"]
     }
-    { node [shape=box, style="", penwidth=0, fontsize=10, width=0, height=0, margin="0.04,0.03"]
-      root_off_to_root_on [id="root.trans[2]", label="e_on", class="transition"]
-      root_on_to_root_off [id="root.trans[3]", label="e_off", class="transition"]
-      root_on_to_root_on [id="root.again", label="any event", class="transition"]
-    }
+    root_off_to_root_on [id="root.trans[2]", shape=plain, style="", fontsize=10, label=<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"><TR><TD CELLPADDING="4" BORDER="1" SIDES="B">e_on</TD></TR><TR><TD PORT="l" WIDTH="1" HEIGHT="1"></TD></TR></TABLE>>, class="transition"]
+    root_on_to_root_off [id="root.trans[3]", shape=plain, style="", fontsize=10, label=<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"><TR><TD CELLPADDING="4" BORDER="1" SIDES="B">e_off</TD></TR><TR><TD PORT="l" WIDTH="1" HEIGHT="1"></TD></TR></TABLE>>, class="transition"]
+    root_on_to_root_on [id="root.again", shape=plain, style="", fontsize=10, label=<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="l" WIDTH="1" HEIGHT="1"></TD></TR><TR><TD CELLPADDING="4" BORDER="1" SIDES="TRB"> </TD></TR><TR><TD PORT="r" WIDTH="1" HEIGHT="1"></TD></TR></TABLE>>, class="transition"]
   }
   root_initial -> root_off [id="root.trans[1]", class="transition"]
-  root_off -> root_off_to_root_on [id="root.trans[2]/src", class="transition", dir=none]
-  root_off_to_root_on -> root_on_initial [id="root.trans[2]/tgt", class="transition", lhead=cluster_root_on]
-  root_on_to_root_off -> root_on_initial [id="root.trans[3]/src", class="transition", lhead=cluster_root_on, dir=none]
-  root_off -> root_on_to_root_off [id="root.trans[3]/tgt", class="transition", dir=back]
-  root_on_bright -> root_on_to_root_on [id="root.again/src", class="transition", ltail=cluster_root_on, dir=none]
-  root_on_bright -> root_on_to_root_on [id="root.again/tgt", class="transition", ltail=cluster_root_on, dir=back]
+  root_off -> root_off_to_root_on:l:w [id="root.trans[2]/src", class="transition", dir=none]
+  root_off_to_root_on:l:e -> root_on_initial [id="root.trans[2]/tgt", class="transition", lhead=cluster_root_on]
+  root_on_to_root_off:l:e -> root_on_initial [id="root.trans[3]/src", class="transition", lhead=cluster_root_on, dir=none]
+  root_off -> root_on_to_root_off:l:w [id="root.trans[3]/tgt", class="transition", dir=back]
+  root_on_bright -> root_on_to_root_on:l:w [id="root.again/src", class="transition", ltail=cluster_root_on, dir=none]
+  root_on_bright -> root_on_to_root_on:r:w [id="root.again/tgt", class="transition", ltail=cluster_root_on, dir=back]
   root_on_initial -> root_on_bright [id="root.on.trans[1]", class="transition"]
 }
 ]=], require("rfsm.dot").encode(helper.init(state {
