@@ -172,7 +172,8 @@ local function links_of(chart, arrow)
   if not is_down then upper, lower, head = into, out, "upper" end
   list[#list + 1] = link_of(home.level, {
     arrow = arrow, upper = upper, lower = lower, is_turned = not is_down,
-    is_home = true, is_loop = src == tgt, head = not into.gate and head or nil,
+    is_home = true, is_loop = src == tgt and src.kind ~= "connector",
+    head = not into.gate and head or nil,
   }, "")
   return append(list, reversed(inner))
 end

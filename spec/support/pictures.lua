@@ -96,8 +96,8 @@ end
 local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
   ["#39"] = "'" }
 
---- The elements of a picture by id, each with a box and, if it is an edge, its ends and
--- the tip of its arrowhead.
+--- The elements of a picture by id, each with a box and, if it is an edge, its ends, the
+-- tip of its arrowhead, and the position of its label.
 function pictures.shapes_of(svg)
   local shapes = {}
   for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
@@ -107,8 +107,12 @@ function pictures.shapes_of(svg)
     for _, list in ipairs { path or {}, head or {} } do
       for _, point in ipairs(list) do all[#all + 1] = point end
     end
-    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all),
-      ends = path and { path[1], path[#path] }, tip = head and head[2] }
+    local cx, cy, rx = body:match('<ellipse [^>]*cx="(%S+)" cy="(%S+)" rx="(%S+)"')
+    if cx then all = { { cx - rx, cy - rx }, { cx + rx, cy + rx } } end
+    local x, y = body:match('<text [^>]*x="(%-?[%d.]+)" y="(%-?[%d.]+)"')
+    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all), path = path,
+      ends = path and { path[1], path[#path] }, tip = head and head[2],
+      label = x and { tonumber(x), tonumber(y) } }
   end
   return shapes
 end
