@@ -4,12 +4,12 @@
 -- other, and returns a graph with the position of everything: pictures are drawn from
 -- that. `encode` needs no Graphviz and has no positions: composites are clusters, and a
 -- label is a node in the line of its arrow, so that Graphviz lets nothing run through
--- it. All its edges point onward in the order of the walk from `initial`: those of arrows
--- that lead back are reversed, and drawn backwards.
+-- it. All its edges point onward in the order of the walk from `initial`: those of
+-- arrows that lead back are reversed, and drawn backwards.
 --
 -- In the SVG each state, connector and transition is an element whose id is its FQN or
--- key. In that of `encode` an arrow with a label has two more, `KEY/src` and `KEY/tgt`.
--- Classes are `state`, `connector`, `initial`, `region`, `transition`, `active`, `done`.
+-- key. In that of `encode` an arrow with a label has `KEY/src` and `KEY/tgt`, too.
+-- Classes: `state`, `connector`, `initial`, `region`, `transition`, `active`, `done`.
 --
 -- @module rfsm.dot
 -- @license BSD-3-Clause
@@ -23,7 +23,7 @@ local max, min = math.max, math.min
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
 
--- Nodes: composites are clusters ------------------------------------------------
+-- Nodes: composites are clusters ----------------------------------------------
 
 local function add_labels(lines, depth, composite)
   for _, arrow in ipairs(composite.arrows) do

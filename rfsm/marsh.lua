@@ -47,7 +47,7 @@ local marsh = {}
 ---@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; their FQNs
 -- begin with that of the state and the region's name: "root.arms.left.open"
 
--- Order: a walk from `initial` ---------------------------------------------------
+-- Order: a walk from `initial` ------------------------------------------------
 
 local function append(lists, key, value)
   local list = lists[key] or {}
@@ -83,13 +83,15 @@ local function new_walk(fsm)
   local links, entries = {}, {}
   rfsm.mapfsm(function(tr) note_links(tr, links, entries) end, fsm, rfsm.is_trans)
   return function(composite)
-    local order, is_listed, done = {}, {}, 0
+    local order, is_listed, done, count = {}, {}, 0, 0
     local function add(node)
-      if not is_listed[node] then order[#order + 1], is_listed[node] = node, true end
+      if is_listed[node] then return end
+      count = count + 1
+      order[count], is_listed[node] = node, true
     end
     local function start(node)
       add(node)
-      while done < #order do
+      while done < count do
         done = done + 1
         for _, tgt in ipairs(links[order[done]] or {}) do add(tgt) end
       end
@@ -102,7 +104,7 @@ local function new_walk(fsm)
   end
 end
 
--- Callbacks: their name, text or comment in the source, or their line ----------------
+-- Callbacks: their name, text or comment in the source, or their line ---------
 
 --- Read a source file. A host without `io` may put a function of its own here.
 ---@param name string of the chunk, without its first character: "chart.lua"
@@ -198,7 +200,7 @@ local function new_callback_text()
   end
 end
 
--- Events: a text for any value, and words for a reader ------------------------------
+-- Events: a text for any value, and words for a reader ------------------------
 
 -- Returns the text of a value; nil if it is an address, which no two runs share.
 local function text_without_address(value)
@@ -242,7 +244,7 @@ function marsh.words_of(text, fqn)
   return kind .. " " .. time .. (tonumber(time) and " s" or "")
 end
 
--- Tables -----------------------------------------------------------------------------
+-- Tables ----------------------------------------------------------------------
 
 --- How the tables of a machine are made.
 ---@class rfsm.marsh.Writer
@@ -390,7 +392,7 @@ function marsh.actinfo2tab(fsm)
   return leaf._fqn, rfsm.get_sta_mode(leaf), false
 end
 
--- JSON: UTF-8, and numbers that look alike -------------------------------------------
+-- JSON: UTF-8, and numbers that look alike ------------------------------------
 
 local REPLACEMENT = "\239\191\189" -- U+FFFD
 

@@ -87,6 +87,17 @@ describe("the order of nodes", function()
     assert.same({ "initial", "d", "e", "c", "a", "b" }, ids)
   end)
 
+  it("is the same when LuaJIT has compiled the walk", function()
+    local model, expected = state { trans { src = "initial", tgt = "s1" } }, {
+      "initial" }
+    for i = 1, 100 do
+      model["s" .. i], expected[i + 1] = state {}, "s" .. i
+      model[#model + 1] = i > 1 and trans { src = "s" .. i - 1, tgt = "s" .. i } or nil
+    end
+    expected = table.concat(expected, " ")
+    for _ = 1, 10 do assert.equal(expected, order_of(model)) end
+  end)
+
   it("takes a transition between inner nodes for one of the composites", function()
     assert.equal("initial q p", order_of(state {
       p = state { x = state {}, trans { src = "initial", tgt = "x" } },

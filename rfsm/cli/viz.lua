@@ -12,7 +12,8 @@ local IS_TEXT = { dot = true, svg = false, png = false, pdf = false, plantuml = 
   mermaid = true, json = true }
 local BY_ENDING = { gv = "dot", puml = "plantuml", mmd = "mermaid" }
 
-local viz = { summary = "Draw charts.", epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
+local viz = { summary = "Draw charts.",
+  epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
 
 local function to_depth(text)
   local depth = tonumber(text)

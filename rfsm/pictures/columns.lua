@@ -2,9 +2,9 @@
 --
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
 -- composite without a frame, which Graphviz lays out. An arrow from a column to a later
--- one leaves it below, runs up in the channel before the other one, and enters that from
--- above. One that leads back takes the same way in the other direction. If the direction
--- is LR, the columns are rows.
+-- one leaves it below, runs up in the channel before the other one, and enters that
+-- from above. One that leads back takes the same way in the other direction. If the
+-- direction is LR, the columns are rows.
 --
 -- Positions have two parts: `u` runs across, from column to column, and `v` along, from
 -- the upper end of the columns to the lower one.
@@ -12,24 +12,25 @@
 -- @module rfsm.pictures.columns
 -- @license BSD-3-Clause
 
+local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
 
 local abs, floor, ipairs, log = math.abs, math.floor, ipairs, math.log
-local max, min, select, sort, sqrt = math.max, math.min, select, table.sort, math.sqrt
+local max, min, select, sort = math.max, math.min, select, table.sort
 
 local columns = {}
 
 local RATIO = 4 / 3 -- of width to height
 
+local function misfit_of(width, height) return abs(log(width / height / RATIO)) end
+
 --- Return how far a level is from the ratio that is aimed at; 0 if it has it.
 ---@param level rfsm.pictures.Level
 ---@return number misfit
-function columns.misfit(level) return abs(log(level.width / level.height / RATIO)) end
+function columns.misfit(level) return misfit_of(level.width, level.height) end
 
--- Columns: which nodes are in them -----------------------------------------------------
-
-local GAP, CHANNEL = 40, 60 -- points between nodes, and between columns, about
+-- Columns: which nodes are in them --------------------------------------------
 
 -- Returns the size of a box: across and along.
 local function size_of(box, direction)
@@ -37,22 +38,54 @@ local function size_of(box, direction)
   return box.height, box.width
 end
 
+local GAP, CHANNEL, TRACKS, CHARACTER = 35, 28, 60, 5.5 -- points, about
+
+-- Returns the width of the widest label in a level, about.
+local function label_width(level)
+  local most = 0
+  for _, link in ipairs(level.links) do
+    for _, line in ipairs(diagram.label_lines(link.arrow)) do
+      most = max(most, #line)
+    end
+  end
+  return most * CHARACTER
+end
+
+-- Returns the space between nodes in a column, and that beside them: labels are beside
+-- the lines, which run through the middle of columns and between them.
+local function gaps_of(level, across)
+  local label = label_width(level)
+  if level.direction == "LR" then return GAP + label, CHANNEL end
+  return GAP, max(0, label - across / 2) + CHANNEL + label
+end
+
 -- Returns into how many columns a level goes best.
 local function count_for(level)
   local across, along, direction = 0, 0, level.direction
   for _, box in ipairs(level.boxes) do
     local u, v = size_of(box, direction)
-    across, along = max(across, u), along + v + GAP
+    across, along = max(across, u), along + v
   end
-  local ratio = direction == "TB" and RATIO or 1 / RATIO
-  return max(1, min(#level.boxes, floor(sqrt(ratio * along / (across + GAP + CHANNEL)) + 0.5)))
+  local gap, channel = gaps_of(level, across)
+  along = along + gap * #level.boxes
+  local best, least = 1, 1 / 0
+  for count = 1, #level.boxes do
+    local width, height = (across + channel) * count, along / count + TRACKS
+    if direction == "LR" then width, height = height, width end
+    local misfit = misfit_of(width, height)
+    if misfit < least then best, least = count, misfit end
+  end
+  return best
 end
 
 -- Returns the numbers of the columns that nodes go to, so that these are of about the
 -- same length.
 local function deal(level, count)
   local total, sum, numbers, last = 0, 0, {}, 0
-  local function length_of(box) return select(2, size_of(box, level.direction)) + GAP end
+  local gap = gaps_of(level, 0)
+  local function length_of(box)
+    return select(2, size_of(box, level.direction)) + gap
+  end
   for _, box in ipairs(level.boxes) do total = total + length_of(box) end
   for i, box in ipairs(level.boxes) do
     local length = length_of(box)
@@ -105,7 +138,7 @@ function columns.split(chart, level, numbers)
   return levels
 end
 
--- Tracks: where the arrows between columns run ---------------------------------------------
+-- Tracks: where the arrows between columns run --------------------------------
 
 local PITCH = 8 -- points between tracks
 
@@ -180,7 +213,9 @@ local function place_header(grid, header)
     end
   end
   place_across(grid, from)
-  if header and grid.direction == "TB" then grid.across = max(grid.across, header.width) end
+  if header and grid.direction == "TB" then
+    grid.across = max(grid.across, header.width)
+  end
   grid.foot = grid.start + grid.length
   grid.along = grid.foot + grid.below
   return from > 0

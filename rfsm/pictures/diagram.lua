@@ -81,7 +81,7 @@ local diagram = {}
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
 
--- Text --------------------------------------------------------------------------
+-- Text ------------------------------------------------------------------------
 
 --- Return an identifier that nothing else in the drawing has.
 ---@param chart rfsm.pictures.Chart
@@ -170,7 +170,7 @@ function diagram.wrap(texts, width)
   return lines
 end
 
--- Nodes ---------------------------------------------------------------------------
+-- Nodes -----------------------------------------------------------------------
 
 local function kind_of(tab)
   if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
@@ -214,7 +214,7 @@ local function read_node(chart, tab, parent, fqn, depth)
   return node
 end
 
--- Arrows --------------------------------------------------------------------------
+-- Arrows ----------------------------------------------------------------------
 
 --- Is `node` somewhere inside of `composite`?
 ---@param node rfsm.pictures.Node
@@ -305,7 +305,7 @@ local function read_transitions(chart, tab, fqn, text_of)
   end
 end
 
--- Charts --------------------------------------------------------------------------
+-- Charts ----------------------------------------------------------------------
 
 local function is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
@@ -427,10 +427,15 @@ function diagram.read(source, where, options)
   return chart
 end
 
+--- Return the lines of the label of an arrow.
+---@param arrow rfsm.pictures.Arrow
+---@return string[] lines
+function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
+
 --- Return the label of an arrow as one text.
 ---@param arrow rfsm.pictures.Arrow
 ---@return string label
-function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
+function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
 
 --- Append a line, indented.
 ---@param lines string[]

@@ -20,7 +20,7 @@ local graphs = {}
 --- What has Graphviz lay out graphs. Returns them with positions, or nil and a problem.
 ---@alias rfsm.pictures.Run fun(graphs: string): string?, string?
 
--- Boxes: composites, with a port for each gate ------------------------------------------
+-- Boxes: composites, with a port for each gate --------------------------------
 
 local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0">'
 local CELL = '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"%s>%s</TD>'
@@ -77,7 +77,7 @@ local function box_text(level)
     .. table_of(level.direction == "LR" and "TB" or "LR", rows) .. ">"
 end
 
--- Graphs ----------------------------------------------------------------------------
+-- Graphs ----------------------------------------------------------------------
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
@@ -96,12 +96,16 @@ local function add_border(lines, level)
     local list = gate.is_upper and first or last
     list[#list + 1] = gate.id
   end
-  if first[1] then add(lines, 1, "{ rank=source; " .. concat(first, "; ") .. " }") end
-  if last[1] then add(lines, 1, "{ rank=sink; " .. concat(last, "; ") .. " }") end
+  local function add_rank(rank, ids)
+    if not ids[1] then return end
+    add(lines, 1, ("{ rank=%s; %s }"):format(rank, concat(ids, "; ")))
+  end
+  add_rank("source", first)
+  add_rank("sink", last)
 end
 
-local HIDDEN = '  n%d -> n%d [style=invis, label=<<TABLE BORDER="0" CELLPADDING="0"><TR>'
-  .. '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"></TD></TR></TABLE>>]'
+local HIDDEN = '  n%d -> n%d [style=invis, label=<<TABLE BORDER="0" CELLPADDING="0">'
+  .. '<TR><TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"></TD></TR></TABLE>>]'
 
 local function add_nodes(lines, level)
   for i, node in ipairs(level.composite.nodes) do
@@ -137,7 +141,7 @@ local function add_regions(lines, composite)
   add(lines, 1, ("{ rank=same; %s [style=invis] }"):format(concat(ids, " -> ")))
 end
 
--- Puts a composite in a column, and what no arrow in it leads to, below the node before.
+-- Puts a composite in a column, and what no arrow there leads to, below what is before.
 local function add_stack(lines, level)
   local is_led_to = {}
   for _, link in ipairs(level.links) do
@@ -200,7 +204,7 @@ local function graph_of(level)
   return concat(lines, "\n")
 end
 
--- Answers -----------------------------------------------------------------------------
+-- Answers ---------------------------------------------------------------------
 
 -- Returns where a value that begins at a position ends.
 local function value_end(text, from)
@@ -295,7 +299,7 @@ local function read_level(level, text, position)
   end
 end
 
--- Public functions ----------------------------------------------------------------------
+-- Public functions ------------------------------------------------------------
 
 local MARGIN = 10 -- points between a frame and what is in it
 

@@ -13,7 +13,7 @@ local concat, add = table.concat, diagram.add
 
 local layout = {}
 
--- Positions: from those in a level to those in the picture -----------------------------
+-- Positions: from those in a level to those in the picture --------------------
 
 -- Puts a composite, and all that is in it, where its lower left corner shall be.
 local function move(composite, left, bottom)
@@ -37,7 +37,7 @@ end
 
 local function point_text(x, y) return number_text(x) .. "," .. number_text(y) end
 
--- Lines: the links of an arrow, joined ----------------------------------------------------
+-- Lines: the links of an arrow, joined ----------------------------------------
 
 -- Returns the line from one leg of an arch to the other, around the label.
 local function arch_line(box, from, to, direction)
@@ -50,8 +50,8 @@ local function arch_line(box, from, to, direction)
 end
 
 -- Joins the links of an arrow. Returns the line, the tip and the position of the label.
-local function line_of(arrow)
-  local line, tip, label = {}, nil, nil
+local function line_of(arrow, direction)
+  local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, link in ipairs(arrow.links) do
     local level, arch = link.level, link.arch
     local function place(point) return { level.x + point[1], level.y + point[2] } end
@@ -60,16 +60,16 @@ local function line_of(arrow)
       local box = level.arches[arch.id]
       label = place { box.x, box.y }
       lines.join(line, arch_line({ x = label[1], y = label[2], width = box.width,
-        height = box.height }, line[#line], points[1], level.direction))
+        height = box.height }, line[#line], points[1], level.direction), axis)
     end
-    lines.join(line, points)
+    lines.join(line, points, axis)
     tip = link.head and place(link.tip) or tip
     label = link.label_at and place(link.label_at) or label
   end
   return line, tip, label
 end
 
--- The graph ---------------------------------------------------------------------------------
+-- The graph -------------------------------------------------------------------
 
 local add_node
 
@@ -106,8 +106,8 @@ local function end_text(name, node)
   return node.level and (", %s=cluster_%s"):format(name, node.id) or ""
 end
 
-local function add_arrow(texts, arrow)
-  local line, tip, label = line_of(arrow)
+local function add_arrow(texts, arrow, direction)
+  local line, tip, label = line_of(arrow, direction)
   local points = {}
   for i, point in ipairs(line) do points[i] = point_text(point[1], point[2]) end
   add(texts, 1, ('%s -> %s [%s, %s%s%s, pos="e,%s %s"%s]'):format(
@@ -124,17 +124,17 @@ end
 ---@return string? graph
 ---@return string? problem
 function layout.draw(chart, run)
-  local root, top = chart.root, nil
+  local root = chart.root
   root.name = chart.title or root.name
   local problem = levels.lay_out(chart, run)
   if problem then return nil, problem end
-  top = chart.top
+  local top = chart.top
   move(top, 0, 0)
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
     .. 'bb="0,0,%s"]'):format(point_text(top.level.width, top.level.height)) }
   add_nodes(texts, 1, top)
-  for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow) end
+  for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow, chart.direction) end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"
 end

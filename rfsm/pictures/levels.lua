@@ -1,7 +1,7 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
--- Graphviz lays out each level. One that is too tall or too wide is put into columns, or
--- turned to the other direction. Loops at states are drawn here.
+-- Graphviz lays out each level. One that is too tall or too wide is put into columns,
+-- or turned to the other direction. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
@@ -15,7 +15,7 @@ local ipairs, log, max = ipairs, math.log, math.max
 
 local levels = {}
 
--- Loops: arrows from a state to itself, beside it ------------------------------------------
+-- Loops: arrows from a state to itself, beside it -----------------------------
 
 local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
 
@@ -82,7 +82,14 @@ local function draw_loops(level)
   end
 end
 
--- Levels that do not fit --------------------------------------------------------------------
+-- Has Graphviz lay out levels, and draws their loops.
+local function lay_out(list, run)
+  local problem = graphs.lay_out(list, run)
+  for _, level in ipairs(problem and {} or list) do draw_loops(level) end
+  return problem
+end
+
+-- Levels that do not fit ------------------------------------------------------
 
 local FEWEST = 6 -- nodes in what is changed
 local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never changed
@@ -102,17 +109,13 @@ local function is_misfit(chart, level)
   return composite == chart.root or level.height > TALLEST or level.width > WIDEST
 end
 
--- Puts levels into columns.
-local function divide(chart, list, run)
-  if not list[1] then return nil end
-  local parts, labels, owners = {}, {}, {}
+-- Has Graphviz measure name and rows of levels, and the labels between their columns.
+local function measure_labels(list, run)
+  local owners, labels = {}, {}
   local function add_label(owner, label)
     owners[#owners + 1], labels[#labels + 1] = owner, label
   end
   for _, level in ipairs(list) do
-    for _, part in ipairs(columns.split(chart, level, level.plan)) do
-      parts[#parts + 1] = part
-    end
     add_label(level, "label=" .. looks.state_label(level.composite))
     for _, link in ipairs(level.links) do
       if link.is_home and link.arrow.parts[1] then
@@ -120,12 +123,22 @@ local function divide(chart, list, run)
       end
     end
   end
-  local problem = graphs.lay_out(parts, run)
+  local boxes, problem = graphs.sizes_of(labels, run)
+  for i, box in ipairs(boxes or {}) do owners[i].label_box = box end
+  return problem
+end
+
+-- Puts levels into columns.
+local function divide(chart, list, run)
+  if not list[1] then return nil end
+  local parts = {}
+  for _, level in ipairs(list) do
+    for _, part in ipairs(columns.split(chart, level, level.plan)) do
+      parts[#parts + 1] = part
+    end
+  end
+  local problem = lay_out(parts, run) or measure_labels(list, run)
   if problem then return problem end
-  for _, part in ipairs(parts) do draw_loops(part) end
-  local boxes, why = graphs.sizes_of(labels, run)
-  if not boxes then return why end
-  for i, owner in ipairs(owners) do owner.label_box = boxes[i] end
   for _, level in ipairs(list) do
     columns.arrange(level, level.label_box)
     graphs.measure(level)
@@ -190,7 +203,7 @@ local function turn(list, run)
     before[i], level.direction = columns.misfit(level), OTHER[level.direction]
     spread(level)
   end
-  local problem = graphs.lay_out(list, run)
+  local problem = lay_out(list, run)
   if problem then return problem end
   for i, level in ipairs(list) do
     if columns.misfit(level) > before[i] then
@@ -198,7 +211,7 @@ local function turn(list, run)
       spread(level)
     end
   end
-  return worse[1] and graphs.lay_out(worse, run)
+  return worse[1] and lay_out(worse, run)
 end
 
 local function mend(chart, list, run)
@@ -213,7 +226,7 @@ local function mend(chart, list, run)
   return turn(turned, run) or divide(chart, divided, run)
 end
 
--- Layout ------------------------------------------------------------------------------------
+-- Layout ----------------------------------------------------------------------
 
 -- The levels by height: those in front have none of those behind in them.
 local function levels_by_height(chart)
@@ -239,12 +252,7 @@ function levels.lay_out(chart, run)
   links.prepare(chart)
   local problem = find_loops(chart, run)
   for _, list in ipairs(levels_by_height(chart)) do
-    problem = problem or graphs.lay_out(list, run)
-    for _, level in ipairs(list) do
-      if not problem then draw_loops(level) end
-    end
-    problem = problem or mend(chart, list, run)
-    if problem then return problem end
+    problem = problem or lay_out(list, run) or mend(chart, list, run)
   end
   return problem
 end

@@ -24,12 +24,23 @@ local function add_straight(line, point)
   line[#line + 1] = point
 end
 
---- Add a line to the end of another one, which may have no points yet.
+local NEAR = 3 -- points: gates of a box are where Graphviz has room for a port
+
+--- Add a line to the end of another one, which may have no points yet. It begins where
+-- that one ends if it is near, so that there is no bend at a gate.
 ---@param line number[][]
 ---@param more number[][]
-function lines.join(line, more)
-  add_straight(line, more[1])
-  for i = 2, #more do line[#line + 1] = more[i] end
+---@param axis 1|2 across the direction
+function lines.join(line, more, axis)
+  local last = line[#line]
+  local shift = last and last[axis] - more[1][axis] or 0
+  for i, point in ipairs(more) do
+    if i <= 2 and abs(shift) < NEAR then
+      point = { point[1], point[2] }
+      point[axis] = point[axis] + shift
+    end
+    if i == 1 then add_straight(line, point) else line[#line + 1] = point end
+  end
 end
 
 local ROUND = 6 -- points, the radius of corners

@@ -1,10 +1,10 @@
 --- Levels: the inside of each composite; links: what arrows are in them.
 --
--- In the level of its parent a composite is a box. Where an arrow crosses the frame of a
--- composite there is a gate at its upper or its lower side: a port of the box, and a
+-- In the level of its parent a composite is a box. Where an arrow crosses the frame of
+-- a composite there is a gate at its upper or its lower side: a port of the box, and a
 -- point in the level of the composite. So an arrow is a chain of links, from its source
 -- out to its home and from there in to its target. Links lead downward in the order of
--- the walk from `initial`; those of an arrow that leads back are turned.
+-- the walk from `initial`. Those of an arrow that leads back are turned.
 --
 -- "Upper" and "lower" are left and right if the direction is LR.
 --
@@ -63,13 +63,13 @@ local links = {}
 ---@field is_home? boolean it has the label
 ---@field is_loop? boolean
 ---@field head? "upper"|"lower" the end with the arrowhead
----@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite, and
--- two links to its frame
+---@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
+-- and two links to its frame
 ---@field points? number[][] the line
 ---@field tip? number[] of the arrowhead
 ---@field label_at? number[]
 
--- Gates and links ---------------------------------------------------------------
+-- Gates and links -------------------------------------------------------------
 
 --- Return an empty level.
 ---@param composite rfsm.pictures.Node
@@ -117,7 +117,7 @@ local function reversed(list)
   return result
 end
 
--- Chains: from the source out to the home, and in to the target ----------------------
+-- Chains: from the source out to the home, and in to the target ---------------
 
 -- Returns the end in its home of an arrow that begins or ends at a node, and the links
 -- from there out to its home.
@@ -126,11 +126,11 @@ local function climb(chart, arrow, node, is_upper, is_src)
   local composite = node.parent or home
   while composite ~= home do
     local gate = gate_of(composite.level, arrow, is_upper, "")
-    local head = not (is_src or finish.gate) and (is_upper and "lower" or "upper")
+    local upper, lower, head = finish, { gate = gate }, "upper"
+    if is_upper then upper, lower, head = lower, finish, "lower" end
     list[#list + 1] = link_of(composite.level, {
-      arrow = arrow, upper = is_upper and { gate = gate } or finish,
-      lower = is_upper and finish or { gate = gate }, head = head or nil,
-      is_turned = is_upper == is_src,
+      arrow = arrow, upper = upper, lower = lower, is_turned = is_upper == is_src,
+      head = not (is_src or finish.gate) and head or nil,
     }, "")
     finish = { node = composite, gate = gate }
     composite = composite.parent or home

@@ -86,7 +86,7 @@ function looks.roomy_label(arrow)
     ' CELLPADDING="3"')
 end
 
--- Nodes -------------------------------------------------------------------------
+-- Nodes -----------------------------------------------------------------------
 
 local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222", '
   .. 'fillcolor="#222222"'
@@ -144,14 +144,15 @@ local FOOT = '<TD PORT="%s" WIDTH="1" HEIGHT="1"></TD>'
 -- tied. Some sides of the label are lines, too.
 local function label_node(arrow, direction, feet, sides)
   local cells = {}
-  for i, foot in ipairs(feet) do cells[i] = foot == "text" and foot or FOOT:format(foot) end
   local text = ('<TD CELLPADDING="4"%s>%s</TD>'):format(sides
     and (' BORDER="1" SIDES="%s"'):format(sides) or "",
     centred(arrow.parts[1] and diagram.label_of(arrow) or " "))
+  for i, foot in ipairs(feet) do
+    cells[i] = foot == "text" and text or FOOT:format(foot)
+  end
   local row = concat(cells, direction == "TB" and "" or "</TR><TR>")
   return ('shape=plain, style="", fontsize=10, label=%s, %s'):format(table_of(
-    "<TR>" .. row:gsub("text", (text:gsub("%%", "%%%%"))) .. "</TR>",
-    ' CELLPADDING="0"'), look_of(arrow, "transition"))
+    "<TR>" .. row .. "</TR>", ' CELLPADDING="0"'), look_of(arrow, "transition"))
 end
 
 --- Return the attributes of a label that a line runs around, with a foot at each end.

@@ -9,7 +9,9 @@ local rfsm = require "rfsm"
 
 -- What should be drawn: read from the description -----------------------------------
 
-local function new_graph() return { parents = {}, names = {}, arrows = {}, seen = {} } end
+local function new_graph()
+  return { parents = {}, names = {}, arrows = {}, seen = {} }
+end
 
 local function add_node(graph, id, parent, name)
   assert(not graph.parents[id], "two nodes have the id " .. id)
@@ -42,7 +44,9 @@ local function graph_of(tab)
     ids[fqn] = new_id(graph, fqn)
     add_node(graph, ids[fqn], parent and ids[parent],
       node.type == "state" and diagram.clean(node.id) or false)
-    for _, tr in ipairs(node.transitions or {}) do transitions[#transitions + 1] = tr end
+    for _, tr in ipairs(node.transitions or {}) do
+      transitions[#transitions + 1] = tr
+    end
     for _, field in ipairs { "subnodes", "regions" } do
       for _, subnode in ipairs(node[field] or {}) do
         visit(subnode, fqn .. "." .. subnode.id, fqn)
@@ -151,7 +155,7 @@ local function read_dot(text)
   return graph
 end
 
--- PlantUML and Mermaid: a statement a line ----------------------------------------------
+-- PlantUML and Mermaid: a statement a line ------------------------------------
 
 -- Reads a text; `decode` gives a name as it was.
 local function read_lines(text, decode)
@@ -209,7 +213,7 @@ local function as_plantuml(graph, is_initial)
   end)
 end
 
--- Are all arrows from an initial plain ones? None leads to it, all stay in its composite.
+-- Does no arrow lead to an initial, and all from it stay in its composite?
 local function is_plain(graph, initial)
   for _, arrow in ipairs(graph.arrows) do
     local src, tgt = arrow:match("^(.*) %-> (.*)$")
@@ -222,7 +226,7 @@ local function is_plain(graph, initial)
   return true
 end
 
--- Mermaid: no frame for the root, which is a leaf where arrows use it; an initial is [*]
+-- Mermaid: no frame for the root, a leaf where arrows use it; an initial is [*],
 -- or a diamond behind one.
 local function as_mermaid(graph, is_initial)
   local diamonds = {}
