@@ -187,6 +187,7 @@ local FEW = 6 -- leaves around a node that stay at one side of it
 local function spread(level)
   local hubs, rays = rays_of(level)
   for _, hub in ipairs(hubs) do
+    level.is_spread = level.is_spread or #rays[hub] > FEW
     for i = 2, #rays[hub] > FEW and #rays[hub] or 0, 2 do
       for _, link in ipairs(rays[hub][i]) do swap(link) end
     end
@@ -209,6 +210,7 @@ local function turn(list, run)
     if columns.misfit(level) > before[i] then
       level.direction, worse[#worse + 1] = OTHER[level.direction], level
       spread(level)
+      level.is_spread = false
     end
   end
   return worse[1] and lay_out(worse, run)
