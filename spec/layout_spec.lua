@@ -273,6 +273,21 @@ describe("an arrow across frames", function()
     end
   end)
 
+  it("leaves the name in the middle of a frame that it does not cross", function()
+    local text = assert(dot.layout(helper.init(state {
+      a = state {}, b = state { x = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "x", events = "e_long_enough" } },
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "b" },
+    })))
+    local count = 0
+    local BOX = 'bb="([%d.]+),[%d.]+,([%d.]+),[%d.]+", lp="([%d.]+)'
+    for left, right, x in text:gmatch(BOX) do
+      assert.is_true(math.abs((left + right) / 2 - x) < 1)
+      count = count + 1
+    end
+    assert.equal(2, count)
+  end)
+
   for _, direction in ipairs { "TB", "LR" } do
     it("goes around its label outside, if it leads into its source, " .. direction,
       function()

@@ -304,6 +304,17 @@ end
 
 local MARGIN = 10 -- points between a frame and what is in it
 
+-- Gives a gate its position at the frame.
+local function place_gate(level, gate)
+  local x, y = gate.at[1] + level.x, gate.at[2] + level.y
+  if level.direction == "TB" then
+    gate.x, gate.y, gate.offset = x, gate.is_upper and level.height or 0, x
+  else
+    gate.x, gate.y = gate.is_upper and 0 or level.width, y
+    gate.offset = level.height - y
+  end
+end
+
 --- Give a level its size, and its gates their positions.
 ---@param level rfsm.pictures.Level
 function graphs.measure(level)
@@ -313,15 +324,12 @@ function graphs.measure(level)
   level.width, level.height = ceil(level.inner_width) + 2 * margin,
     max(ceil(level.inner_height) + 2 * margin, ceil(least))
   level.x, level.y = margin, level.height - ceil(level.inner_height) - margin
+  local is_centred = level.header ~= nil
   for _, gate in ipairs(level.gates) do
-    local x, y = gate.at[1] + level.x, gate.at[2] + level.y
-    if level.direction == "TB" then
-      gate.x, gate.y, gate.offset = x, gate.is_upper and level.height or 0, x
-    else
-      gate.x, gate.y, gate.offset = gate.is_upper and 0 or level.width, y,
-        level.height - y
-    end
+    is_centred = is_centred and not gate.is_upper
+    place_gate(level, gate)
   end
+  if is_centred then level.header.x = level.inner_width / 2 end
 end
 
 --- Have Graphviz lay out levels.
