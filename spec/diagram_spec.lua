@@ -326,6 +326,57 @@ digraph "lamp" {
 end)
 
 -- luacheck: pop
+describe("a picture by Graphviz", function()
+  local dot = require "rfsm.dot"
+
+  it("has a class, and a colour, for what is marked", function()
+    local fsm = lamp()
+    local options = {
+      coverage = { states = { ["root.off"] = 2 },
+        transitions = { ["root.trans[2]"] = 3 } },
+      trace = { "root.trans[2]" }, active = "root.on.idle",
+    }
+    local laid_out = assert(dot.layout(fsm, options))
+    for _, text in ipairs { dot.encode(fsm, options), laid_out } do
+      assert.matches('"root.off"[^\n]*class="state covered"[^\n]', text)
+      assert.matches('"root.on.moving"[^\n]*class="state missed", color="#D55E00"', text)
+      assert.matches('"root.on.idle"[^\n]*"state active missed", color="#0072B2"',
+        text)
+      assert.matches('"root.on.idle"[^\n]*fillcolor="#D6EAF8"', text)
+      assert.matches('"root.trans%[2%]/?%l*"[^\n]*class="transition traced", '
+        .. 'color="#D55E00", penwidth=2', text)
+      assert.matches('"root.trans%[6%]/?%l*"[^\n]*class="transition missed"', text)
+    end
+  end)
+
+  it("has frames of two colours, in turn", function()
+    local text = dot.encode(helper.init(state {
+      a = state { b = state { c = state {}, trans { src = "initial", tgt = "c" } },
+        trans { src = "initial", tgt = "b" } },
+      trans { src = "initial", tgt = "a" },
+    }))
+    local colours = {}
+    for colour in text:gmatch('margin=10[^\n]-fillcolor="([^"]*)"') do
+      colours[#colours + 1] = colour
+    end
+    assert.same({ "white", "#F4F6F8", "white" }, colours)
+  end)
+
+  it("marks what is final, cut off or a region", function()
+    local text = dot.encode(helper.init(state {
+      a = state { b = state {}, trans { src = "initial", tgt = "b" } },
+      c = state { final = true }, d = rfsm.seqand { left = state { info = false } },
+      trans { src = "initial", tgt = "a" },
+    }), { depth = 1 })
+    assert.matches('"root.a", label="a …"', text)
+    assert.matches('"root.c"[^\n]*peripheries=2', text)
+    assert.is_falsy(text:find("left", 1, true))
+    assert.matches('"root.d.left"[^\n]*class="state region"[^\n]*style="filled,dashed"',
+      dot.encode(helper.init(state { d = rfsm.seqand { left = state { info = false } },
+        trans { src = "initial", tgt = "d" } })))
+  end)
+end)
+
 describe("rfsm.mermaid", function()
   local encode = require("rfsm.mermaid").encode
 

@@ -330,6 +330,23 @@ describe("rfsm.json", function()
   end)
 end)
 
+describe("decode_all", function()
+  it("gives the values of a text, without a last line that was cut off", function()
+    assert.same({ { a = 1 } }, json.decode_all('{"a":1}'))
+    assert.same({ 1, "b", { 2 } }, json.decode_all('1 "b"\n[2]\n'))
+    assert.same({ 1 }, json.decode_all('1\n{"a":'))
+    assert.same({}, json.decode_all(" \n"))
+  end)
+
+  it("raises an error in one line if there is more behind what is none", function()
+    for _, text in ipairs { "x", "1\nx\n2", '{"a":' } do
+      local ok, problem = pcall(json.decode_all, text)
+      assert.is_false(ok)
+      assert.matches("^no JSON: [^\n]+$", problem)
+    end
+  end)
+end)
+
 describe("rfsm.json", function()
   local function encoded(events, pn)
     return json.encode(helper.init(state {
