@@ -339,7 +339,7 @@ describe("a picture by Graphviz", function()
     local laid_out = assert(dot.layout(fsm, options))
     for _, text in ipairs { dot.encode(fsm, options), laid_out } do
       assert.matches('"root.off"[^\n]*class="state covered"[^\n]', text)
-      assert.matches('"root.on.moving"[^\n]*class="state missed", color="#D55E00"', text)
+      assert.matches('"root.on.moving"[^\n]*"state missed", color="#D55E00"', text)
       assert.matches('"root.on.idle"[^\n]*"state active missed", color="#0072B2"',
         text)
       assert.matches('"root.on.idle"[^\n]*fillcolor="#D6EAF8"', text)
