@@ -84,6 +84,12 @@ describe("utf8", function()
       ["\237\160\128"] = mark .. mark .. mark, -- a surrogate
       ["\224\160"] = mark .. mark, -- cut off
       ["\195\169\169"] = "\195\169" .. mark,
+      ["\240\143\191\191"] = mark:rep(4), -- longer than it need be
+      ["\240\144\128\128"] = false,
+      ["\244\144\128\128"] = mark:rep(4), -- beyond U+10FFFF
+      ["\244\143\191\191"] = false,
+      ["\224\159\191"] = mark:rep(3),
+      ["\237\159\191"] = false,
     } do
       assert.equal(expected or text, marsh.utf8(text))
     end

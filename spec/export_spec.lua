@@ -176,6 +176,17 @@ describe("the text of a callback", function()
       { tab.entry, tab.exit, tab.subnodes[2].entry, tab.subnodes[2].exit })
   end)
 
+  it("needs neither io nor os", function()
+    assert.equal(":3\ntrue\ntrue", helper.output_of([[
+      io, os = nil, nil
+      local rfsm = require "rfsm"
+      local fsm = rfsm.init(rfsm.state { info = false, entry = function() go() end })
+      print(require("rfsm.marsh").model2tab(fsm, true).entry)
+      print(#require("rfsm.dot").encode(fsm) > 0)
+      print(#require("rfsm.mermaid").encode(fsm) > 0)
+    ]]))
+  end)
+
   it("is in the source that a host reads", function()
     local read = marsh.read_source
     marsh.read_source = function(name)

@@ -6,6 +6,8 @@ local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local lines = require "rfsm.pictures.lines"
+local marsh = require "rfsm.marsh"
+local Picture = require "rfsm.web.picture"
 local pictures = require "spec.support.pictures"
 local rfsm = require "rfsm"
 
@@ -329,6 +331,26 @@ describe("dot.layout", function()
       dot.render = render
       assert.same({ nil, "dot: no memory" }, { graph, why })
     end
+  end)
+
+  it("is what a server draws while it goes on", function()
+    local tab = marsh.model2tab(helper.init(chain(12)), true)
+    local picture = Picture.start(dot.encode(tab), tab)
+    local svg, last = nil, os.time() + 60
+    while picture.is_pending and os.time() < last do svg = picture:take() end
+    assert.equal(dot.render(assert(dot.layout(tab)), "svg"), svg)
+    assert.is_nil(io.open(picture.input))
+    assert.is_nil(io.open(picture.output))
+    assert.is_nil(picture:take())
+  end)
+
+  it("is stopped with its files", function()
+    local picture = Picture.start(dot.encode(helper.init(chain(12))))
+    assert.is_true(picture.is_pending)
+    picture:drop()
+    assert.is_false(picture.is_pending)
+    assert.is_nil(picture:take())
+    assert.is_nil(io.open(picture.input))
   end)
 
   it("draws connectors with a ring where arrows cross their frame", function()

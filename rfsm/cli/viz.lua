@@ -80,7 +80,6 @@ end
 function viz.run(options, parser)
   local format = format_of(options, parser)
   local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
-  local encode = IS_TEXT[format] and exporter.encode or exporter.layout
   local looks = {
     depth = options.depth, direction = options.direction,
     active = options.active[1] and options.active,
@@ -89,7 +88,9 @@ function viz.run(options, parser)
   }
   local text = concat(common.encode_all(options.files, function(fsm, title)
     looks.title = title
-    return common.try(encode(fsm, looks))
+    -- Graphviz can fail at a part of a chart; it draws the whole without positions
+    return not IS_TEXT[format] and exporter.layout(fsm, looks)
+      or exporter.encode(fsm, looks)
   end))
   if not IS_TEXT[format] then text = common.try(exporter.render(text, format)) end
   common.write(options.output, text)
