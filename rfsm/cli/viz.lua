@@ -86,13 +86,16 @@ function viz.run(options, parser)
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),
   }
+  local machine
   local text = concat(common.encode_all(options.files, function(fsm, title)
-    looks.title = title
-    -- Graphviz can fail at a part of a chart; it draws the whole without positions
-    return not IS_TEXT[format] and exporter.layout(fsm, looks)
-      or exporter.encode(fsm, looks)
+    looks.title, machine = title, fsm
+    return exporter.encode(fsm, looks)
   end))
-  if not IS_TEXT[format] then text = common.try(exporter.render(text, format)) end
+  if not IS_TEXT[format] then
+    -- Graphviz can fail at a part of a chart, and yet draw the whole
+    local graph = exporter.layout(machine, looks) or text
+    text = common.try(exporter.render(graph, format))
+  end
   common.write(options.output, text)
 end
 
