@@ -224,16 +224,33 @@ describe("the server", function()
     tcp:close()
   end)
 
-  it("drops a page that does not read its stream", function()
+  it("keeps one message for a page that does not read, and drops it in the end", function()
+    local server = open()
+    local page, name = http.page(server), ("x"):rep(1900)
+    page.tcp:setoption("recv-buffer-size", 4096)
+    local connection = server.http.connections[1]
+    for _ = 1, 400 do
+      connection.cursor = nil -- as long after the last frame
+      server.source.view:note("output", name)
+      server:step(0)
+    end
+    assert.is_true(connection.pending ~= "")
+    assert.is_true(#connection.pending < 2e6)
+    now = 31
+    server:step(0)
+    assert.same({ 0, 0 }, { #server.http.connections, server.http.streams })
+    page.tcp:close()
+  end)
+
+  it("sends a heartbeat when nothing has changed for a while", function()
     local server = open()
     local page = http.page(server)
-    local megabyte = ": " .. ("x"):rep(1000000) .. "\n\n"
-    for _ = 1, 100 do
-      server.http:send_all(megabyte)
-      if not server.http.connections[1] then break end
-    end
-    assert.equal(0, #server.http.connections)
-    page.tcp:close()
+    now = 16
+    assert.is_true(http.until_done(server, function()
+      local data, _, partly = page.tcp:receive("*a")
+      page.text = page.text .. (data or partly or "")
+      return page.text:find(": beat\n\n", 1, true) ~= nil
+    end))
   end)
 
   it("has room for a page after 1,000 connections that say nothing", function()
@@ -251,17 +268,26 @@ describe("the server", function()
     for i = 701, 1000 do silent[i]:close() end
   end)
 
-  it("refuses more streams than it can feed", function()
+  it("feeds no stream without the token", function()
+    local server = open()
+    for _, query in ipairs { "", "?token=", "?token=0", "?x=" .. server.token } do
+      assert.equal(403, (http.request(server, "GET", "/events" .. query)))
+    end
+    assert.equal(0, server.http.streams)
+  end)
+
+  it("has room for one more page: the oldest silent one has to go", function()
     local server, pages = open(), {}
     for i = 1, 32 do pages[i] = http.page(server) end
-    assert.equal(503, (http.request(server, "GET", "/events")))
-    pages[1].tcp:close()
-    assert.is_truthy(http.until_done(server, function()
-      return #server.http.connections < 32
-    end))
-    local _, first = http.page(server)
-    assert.equal("root.off", first.leaf)
-    for i = 2, 32 do pages[i].tcp:close() end
+    local stuck = server.http.connections[7]
+    stuck.pending, stuck.sent, stuck.since = ("x"):rep(1e7), 0, now - 1
+    pages[33] = http.page(server)
+    assert.equal(32, server.http.streams)
+    for i, page in ipairs(pages) do
+      assert.equal(i ~= 7, server.http.connections[i > 7 and i - 1 or i] ~= stuck
+        and i ~= 7)
+      page.tcp:close()
+    end
   end)
 
   it("goes on when a client resets its connection", function()
@@ -316,9 +342,9 @@ describe("a page", function()
     local message = page:send("e_more")
     assert.same({ "lost: no transition" }, texts_of(message.log))
     assert.same({ "e_more" }, message.log[1].events)
-    assert.matches("^no transition would be taken on e_more in root.off\n", message.why)
-    assert.matches("%(off %-> on%): waits for e_push", message.why)
-    assert.is_false(page:send("e_push").why)
+    local _, why = http.command(server, { command = "why" })
+    assert.matches("^no transition would be taken on e_more in root.off\n", why)
+    assert.matches("%(off %-> on%): waits for e_push", why)
   end)
 
   it("sees the queue, steps, and goes back without a callback", function()
@@ -348,8 +374,10 @@ describe("a page", function()
     assert.equal("root.on.dim", page:command("back", { to = 3 }).leaf)
     assert.equal("root.on.bright", page:send("e_more").leaf)
     local message = page:command "reset"
-    assert.same({ "root.off", 2, false },
-      { message.leaf, #message.log, message.can_back })
+    assert.same({ "root.off", true }, { message.leaf, message.can_back })
+    assert.same({ "note: reset", "output: dark", "step: root.initial → root.off" },
+      texts_of(message.log))
+    assert.equal("root.on.bright", page:command("back").leaf)
   end)
 
   it("is told the same as another page", function()
@@ -397,7 +425,7 @@ describe("a page", function()
     assert.is_false(page:next().can_back)
   end)
 
-  it("asks guards what is enabled, and goes back past them", function()
+  it("is told what could do something, and goes back past guards", function()
     local server = open([[
       local rfsm = require "rfsm"
       is_open = false
@@ -410,8 +438,8 @@ describe("a page", function()
       }
     ]])
     local page, first = http.page(server)
-    assert.same({}, first.enabled)
-    assert.same({}, page:send("e_go").enabled)
+    assert.equal(1, #first.enabled)
+    assert.equal("root.a", page:send("e_go").leaf)
     rawset(_G, "is_open", true)
     local there = page:send("e_go")
     assert.same({ "root.b", 1 }, { there.leaf, #there.enabled })
@@ -457,11 +485,10 @@ describe("a page", function()
     for i, number in ipairs(first.active) do
       names[i] = chart.nodes[number + 1].fqn
     end
-    assert.same({ "root", "root.working", "root.working.left", "root.working.left.open",
-      "root.working.right", "root.working.right.open" }, names)
+    assert.same({ "root", "root.working", "root.working.right",
+      "root.working.right.open", "root.working.left", "root.working.left.open" }, names)
     local message = page:send("e_grasp")
-    assert.is_false(message.why)
-    assert.equal("root.working.right.closed",
+    assert.equal("root.working.left.closed",
       chart.nodes[message.active[#message.active] + 1].fqn)
   end)
 end)
@@ -530,20 +557,147 @@ describe("rfsm.web.serve", function()
   it("hosts the page of a machine that its program drives", function()
     local traced = 0
     local fsm = rfsm.init(lamp { dbg = function() traced = traced + 1 end })
-    local server = opened(web.serve(fsm, { port = 0, title = "lamp" }))
+    local server = opened(web.serve(fsm, { port = 0, title = "lamp",
+      allow_send = true, allow_why = true }))
     rfsm.run(fsm)
     local page, first = http.page(server)
     assert.equal("root.off", first.leaf)
     assert.is_true(traced > 0)
-    assert.same({ "send" }, http.chart(server).commands)
+    assert.same({ "inspect", "send", "why" }, http.chart(server).commands)
     assert.same({ "e_push" }, page:command("send", { event = "e_push" }).queue)
     rfsm.run(fsm)
     assert.equal("root.on", page:next().leaf)
     rfsm.send_events(fsm, "e_nothing")
     rfsm.run(fsm)
-    assert.matches("^no transition would be taken on e_nothing", page:next().why)
+    assert.same({ "lost: no transition" }, texts_of(page:next().log))
+    local _, why = http.command(server, { command = "why" })
+    assert.matches("^no transition would be taken on e_nothing", why)
     rfsm.reset(fsm)
     assert.equal("inactive", page:next().mode)
+  end)
+
+  -- Returns a machine whose guard empties a list of five readings.
+  local function with_port()
+    local readings = { 1, 2, 3, 4, 5 }
+    local model = lamp()
+    model[2].guard = function() return table.remove(readings, 1) == 3 end
+    local fsm = rfsm.init(model)
+    rfsm.run(fsm)
+    return fsm, readings
+  end
+
+  it("calls no guard by itself, a page open or not", function()
+    local fsm, readings = with_port()
+    local server = opened(web.serve(fsm, { port = 0 }))
+    for i = 1, 20 do
+      if i == 10 then http.page(server) end
+      rfsm.send_events(fsm, "e_other")
+      rfsm.run(fsm)
+      server:step(0)
+    end
+    assert.equal(5, #readings)
+    assert.equal(400, (http.command(server, { command = "why" })))
+    assert.equal(5, #readings)
+  end)
+
+  it("calls guards when a page asks why, if the host allows that", function()
+    local fsm, readings = with_port()
+    local server = opened(web.serve(fsm, { port = 0, allow_why = true }))
+    http.page(server)
+    rfsm.send_events(fsm, "e_push")
+    rfsm.run(fsm)
+    assert.equal(4, #readings)
+    server:step(0)
+    assert.matches("guard", select(2, http.command(server, { command = "why" })))
+    assert.equal(3, #readings)
+  end)
+
+  it("takes no event unless the host allows it", function()
+    local fsm = rfsm.init(lamp())
+    local server = opened(web.serve(fsm, { port = 0 }))
+    rfsm.run(fsm)
+    assert.equal(400, (http.command(server, { command = "send", event = "e_push" })))
+    assert.same({}, fsm._intq)
+  end)
+
+  -- What a program can see of the printers and hooks of its machine.
+  local function outside_of(fsm)
+    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks }
+  end
+
+  it("leaves the machine alone while no page is open", function()
+    local fsm = rfsm.init(lamp())
+    local before = outside_of(fsm)
+    local server = opened(web.serve(fsm, { port = 0, clock = function() return now end }))
+    rfsm.run(fsm)
+    server:step(0)
+    assert.same(before, outside_of(fsm))
+    local page = http.page(server)
+    assert.is_false(fsm.dbg == before[1])
+    page.tcp:close()
+    http.until_done(server, function() return server.http.streams == 0 end)
+    now = now + 1
+    server:step(0)
+    assert.is_false(fsm.dbg == before[1]) -- a page that is loaded anew
+    now = now + 5
+    server:step(0)
+    assert.same(before, outside_of(fsm))
+  end)
+
+  it("gives back the printers when it is closed, but those set meanwhile", function()
+    local fsm, own = rfsm.init(lamp { err = false }), function() end
+    local err, warn = fsm.err, fsm.warn
+    local server = web.serve(fsm, { port = 0 })
+    assert.is_false(fsm.err == err)
+    fsm.warn = own
+    server:close()
+    assert.same({ err, own }, { fsm.err, fsm.warn })
+    assert.is_false(warn == own)
+  end)
+
+  it("notes failures while no page is open, each at its state", function()
+    local model, said = lamp(), {}
+    model.err = function(...) said[#said + 1] = { ... } end
+    model.on.entry = function() error("no power", 0) end
+    model[3].effect = function() error("no effect", 0) end
+    local fsm = rfsm.init(model)
+    local server = opened(web.serve(fsm, { port = 0 }))
+    rfsm.run(fsm)
+    for _ = 1, 4 do helper.post_and_run(fsm, "e_push") end
+    assert.equal(4, #said)
+    local _, first = http.page(server)
+    local number = first.active[2] -- off
+    local chart, failures = http.chart(server), {}
+    for i = 1, #first.failures, 2 do
+      failures[chart.nodes[first.failures[i] + 1].fqn] = first.failures[i + 1]
+    end
+    assert.same({ ["root.on"] = 4 }, failures)
+    assert.equal("root.off", chart.nodes[number + 1].fqn)
+    assert.equal(4, #first.log)
+  end)
+
+  it("builds one message a frame, however much happens", function()
+    local fsm, count = rfsm.init(lamp()), 0
+    local server = opened(web.serve(fsm, { port = 0 }))
+    rfsm.run(fsm)
+    local page = http.page(server)
+    local encode, at = server.json.encode, 0
+    server.gettime = function() return at end
+    helper.with(server.json, { encode = function(...)
+      count = count + 1
+      return encode(...)
+    end }, function()
+      for _ = 1, 1000 do
+        at = at + 0.0001 -- 10,000 events a second
+        helper.post_and_run(fsm, "e_push")
+        server:step(0)
+      end
+    end)
+    assert.is_true(count >= 2 and count <= 4, count)
+    page:next()
+    local message = page:next()
+    assert.equal(60, #message.log)
+    assert.is_true(message.skipped > 100)
   end)
 
   it("raises an error that says what is wrong", function()
@@ -551,7 +705,9 @@ describe("rfsm.web.serve", function()
     local used = opened(web.serve(fsm, { port = 0 }))
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
-      ["unknown option 'prot', expected: clock, host, port, title"] = { prot = 1 },
+      ["unknown option 'prot', expected: allow_send, allow_why, clock, history, host, "
+        .. "port, title"] = { prot = 1 },
+      ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },
       ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)
         .. ": address already in use"] = { port = used.port },

@@ -1,8 +1,5 @@
 --- The view of a machine that runs elsewhere, as `rfsm.proto` describes it.
 --
--- Its guards are not known here: an event counts as enabled if a transition from an
--- active state names it.
---
 -- @module rfsm.web.remote
 -- @license BSD-3-Clause
 
@@ -33,17 +30,8 @@ local function active_numbers(view)
 end
 
 function RemoteView:now()
-  local active, is_active, enabled = active_numbers(self), {}, {}
-  for _, number in ipairs(active) do is_active[number] = true end
-  for _, edge in ipairs(self.outline.edges) do
-    for _, event in ipairs(is_active[edge.src] and edge.events or {}) do
-      enabled[#enabled + 1] = event
-    end
-  end
-  return {
-    active = active, leaf = self.leaf, mode = self.mode, queue = {},
-    enabled = enabled, any = false,
-  }
+  return { active = active_numbers(self), leaf = self.leaf, mode = self.mode,
+    queue = {} }
 end
 
 local function take_state(view, message)
@@ -52,7 +40,7 @@ local function take_state(view, message)
   if leaf ~= view.leaf then view:note("step", leaf or "not active") end
   view.leaf, view.mode = leaf, message.act_leaf_state or "inactive"
   for _, number in ipairs(active_numbers(view)) do view:see_node(number) end
-  view.is_dirty = true
+  view:touch()
 end
 
 --- A connection that a page watches.

@@ -151,7 +151,9 @@ end
 
 -- Begins with a machine: where another one stood, if the chart still has that state.
 local function begin(session, fsm, snap)
+  if session.view then session.view:close() end
   session.view = Live.new(fsm, function() return session.now end)
+  session.view:watch(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
   if not (snap and snapshot.put(fsm, snap, { migrate = itself })) then
     session.now = 0
@@ -187,7 +189,7 @@ function commands.send(session, message)
   if event == nil then return "event: text or number of an event expected" end
   begin_turn(session)
   rfsm.send_events(session.view.fsm, event)
-  session.view.is_dirty = true
+  session.view:touch()
   if message.run then run(session) end
 end
 
@@ -218,11 +220,23 @@ function commands.back(session, message)
   start_clock(session)
 end
 
-function commands.reset(session) guarded(session, load, false) end
+-- The log goes on, and `back` leads to before.
+function commands.reset(session)
+  begin_turn(session)
+  rfsm.reset(session.view.fsm)
+  session.view:note("note", "reset")
+  run(session)
+end
+
+function commands.why(session)
+  local text = guarded(session, function() return session.view:why() end)
+  return nil, text or "not known: an error in the log"
+end
 
 function commands.clock(session, message)
   if session.is_live then begin_turn(session) end
-  session.is_live, session.view.is_dirty = message.live == true, true
+  session.is_live = message.live == true
+  session.view:touch()
   start_clock(session)
 end
 
@@ -237,6 +251,12 @@ end
 function commands.wait(session, message)
   if not is_seconds(message.seconds) then return "seconds: number expected" end
   pass(session, message.seconds)
+end
+
+function commands.inspect(session, message)
+  local about = session.view:inspect(message.node)
+  if not about then return "node: number of a state expected" end
+  return nil, about
 end
 
 -- Seconds to the next timer of the chart; nil if there is none.
