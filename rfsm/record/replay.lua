@@ -91,6 +91,45 @@ local function begin_again(session, track, events)
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
 end
 
+-- Returns data for a reader.
+local function data_text(value)
+  if type(value) == "string" then return ("'%s'"):format(value) end
+  return type(value) == "table" and "a table" or value == nil and "nothing"
+    or text_of(value)
+end
+
+-- Returns the path of the first field in which data differs, and the two values.
+local function find_difference(old, new, path)
+  if type(old) ~= "table" or type(new) ~= "table" then return path, old, new end
+  local all = {}
+  for key in pairs(old) do all[key] = true end -- any order: they are sorted below
+  for key in pairs(new) do all[key] = true end
+  for _, key in ipairs(rfsm.sorted_keys(all)) do
+    if not same(old[key], new[key]) then
+      return find_difference(old[key], new[key], path
+        .. (type(key) == "string" and "." .. key or "[" .. text_of(key) .. "]"))
+    end
+  end
+end
+
+local function values_of(packed) return packed and plain.unpack(packed, 0) or {} end
+
+-- Returns the text of what differs between data that was kept, and that of now.
+local function difference(old, new)
+  for _, part in ipairs { "data", "saved" } do
+    local before, now = old[part] or {}, new[part] or {}
+    for _, fqn in ipairs(rfsm.sorted_keys(same(before, now) and {} or before)) do
+      if not same(before[fqn], now[fqn]) then
+        local path, a, b = find_difference(values_of(before[fqn]), values_of(now[fqn]),
+          part == "data" and fqn or "save of " .. fqn)
+        return ("%s: %s expected, got %s"):format(path, data_text(a), data_text(b))
+      end
+    end
+  end
+  return same(old.targets, new.targets) and "there is data that was not there"
+    or "the targets of transitions are not as they were"
+end
+
 local function compare(session, track)
   local fsm, rec, leaf = track.fsm, track.rec, track.fsm._act_leaf
   local place = place_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
@@ -106,7 +145,7 @@ local function compare(session, track)
       list_text(sent))
   end
   if rec.kept and not same(rec.kept, snapshot.take_data(fsm)) then
-    depart(session, "the data of the machine is not as it was")
+    depart(session, "%s", difference(rec.kept, snapshot.take_data(fsm)))
   end
 end
 
