@@ -36,6 +36,7 @@ local record = { VERSION = 1 }
 ---@field record integer version of the format, 1
 ---@field file? string the chart, if it is known
 ---@field clock? any[] readings while the snapshot was taken
+---@field guards? any[] for each machine that has guards: their numbers and texts
 ---@field snapshot rfsm.snapshot.Snapshot where the machine stood
 
 --- One iteration of one machine. What is absent is empty or false.
@@ -43,6 +44,7 @@ local record = { VERSION = 1 }
 ---@field m? integer number of a machine in a sequential AND state
 ---@field fresh? true the machine was reset before
 ---@field events? any[] of the iteration, before hooks have changed them
+---@field added? any[] events that hooks have added: those of timers, for a reader
 ---@field had? table the user's data, if it has changed since the iteration before
 ---@field got? any[] those that getevents returned since the iteration before
 ---@field clock? any[] readings: { seconds, nanoseconds } or { failure }
@@ -134,14 +136,23 @@ local function is_empty(track, rec)
   return true
 end
 
--- Notes what followed, and writes the record. An interrupt has to wait for that.
-local function finish(recorder, track, events)
-  local rec, queue, leaf = track.rec, track.fsm._intq, track.fsm._act_leaf
-  if not rec then return end
+-- Notes the events that wait now, sent by the machine, and those that hooks have added.
+local function note_events(track, rec, events)
+  local queue = track.fsm._intq
   for i = 1, #queue do
     local is_got = i >= track.first and i <= track.last
     if not is_got then tracks.note(rec, "sent", tracks.pack_event(queue[i])) end
   end
+  for i = (rec.events and #rec.events or 0) + 1, #events do
+    tracks.note(rec, "added", tracks.pack_event(events[i]))
+  end
+end
+
+-- Notes what followed, and writes the record. An interrupt has to wait for that.
+local function finish(recorder, track, events)
+  local rec, leaf = track.rec, track.fsm._act_leaf
+  if not rec then return end
+  note_events(track, rec, events)
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
   local is_whole, interrupt = pcall(note_kept, track, "kept")
   track.rec = false
@@ -216,6 +227,7 @@ function record.record(fsm, sink)
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
   recorder.write = writer_to(recorder.sink)
+  header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
   recorder.tracks = tracks.attach(fsm, add_recorder, recorder)
   return recorder
@@ -267,6 +279,7 @@ end
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
 ---@field dry? boolean call no callback
+---@field migrate? boolean replay also if the chart has changed, up to a difference
 ---@field guards? boolean call guards, too, and compare their results
 ---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
 

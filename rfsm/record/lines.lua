@@ -54,18 +54,19 @@ local function lengthen(short, before)
   local rec = {}
   for key, value in pairs(short) do rec[key] = value end -- any order: a copy
   local is_told = short.leaf ~= nil
-  if short.events == nil then rec.events = before.sent
-  else rec.events = list_or_nil(short.events) end
-  if is_told then rec.leaf = short.leaf or nil
-  else rec.leaf, rec.done = before.leaf, before.done end
-  if short.sent ~= nil then rec.sent = list_or_nil(short.sent)
-  elseif is_told then rec.sent = usual(rec.leaf, rec.done) end
+  rec.events = list_or_nil(short.events or before.sent or NONE)
+  if is_told then
+    rec.leaf = short.leaf or nil
+  else
+    rec.leaf, rec.done = before.leaf, before.done
+  end
+  rec.sent = list_or_nil(short.sent or is_told and usual(rec.leaf, rec.done) or NONE)
   return rec
 end
 
 -- Write ---------------------------------------------------------------------------
 
-local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "got", "clock",
+local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got", "clock",
   "guards", "reset", "sent", "leaf", "done", "kept" }
 
 local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") end
@@ -95,9 +96,13 @@ local function plain_list(list, quote)
   local texts = {}
   for i = 1, #list do
     local item = list[i]
-    if type(item) == "string" then texts[i] = quote(item)
-    elseif type(item) == "boolean" then texts[i] = tostring(item)
-    else return nil end
+    if type(item) == "string" then
+      texts[i] = quote(item)
+    elseif type(item) == "boolean" then
+      texts[i] = tostring(item)
+    else
+      return nil
+    end
   end
   return "[" .. concat(texts, ",") .. "]"
 end
@@ -135,7 +140,7 @@ function lines.writer(stream)
     if rec.record then
       before = {}
       line = lines.encode { record = lines.VERSION, file = rec.file, clock = rec.clock,
-        snapshot = rec.snapshot }
+        guards = rec.guards, snapshot = rec.snapshot }
     else
       local machine = rec.m or 0
       local short = shorten(rec, before[machine] or NONE)

@@ -13,7 +13,7 @@ local tracks = require "rfsm.record.track"
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tostring, type = tostring, type
-local max, min = math.max, math.min
+local max, min, remove = math.max, math.min, table.remove
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
 local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
@@ -169,7 +169,7 @@ local function answer_again(session, track, is_called, number, guard, tr, events
   local list, at = track.rec.guards or {}, track.guard_at + 1
   local answer = list[at + 1]
   track.guard_at = at + 1
-  if list[at] ~= number then
+  if (track.numbers[list[at]] or list[at]) ~= number then
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
   elseif is_called then
@@ -212,8 +212,25 @@ local function dry(session, track)
   end
 end
 
+-- Returns the numbers that guards have now, by those they had when they were recorded,
+-- for a chart that has changed.
+local function numbers_of(track, session)
+  local now, numbers = {}, {}
+  local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
+  for number, tr in ipairs(rfsm.elements(track.fsm, rfsm.is_trans)) do
+    local text = tostring(tr)
+    if tr.guard then tracks.note(now, text, number) end
+  end
+  for i = 1, #then_texts, 2 do
+    local same_texts = now[then_texts[i + 1]]
+    numbers[then_texts[i]] = same_texts and remove(same_texts, 1) or nil
+  end
+  return numbers
+end
+
 local function add_player(track, session, options)
   local fsm = track.fsm
+  track.numbers = numbers_of(track, session)
   track.at, track.guard_at = 0, 0
   track.records = track.m and (session.inner[track.m] or {}) or session.records
   track.own_getevents, fsm.getevents = rawget(fsm, "getevents"), nil
@@ -250,7 +267,8 @@ end
 -- Splits a recording: the records of the machine, and those of others by number.
 local function new_session(recording, options)
   local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
-    is_dry = options.dry and true or false, problem = nil }
+    is_dry = options.dry and true or false, guards = recording[1].guards,
+    problem = nil }
   for i = 2, #recording do
     local rec = recording[i]
     session.step_of[rec] = #session.records + 1
@@ -270,6 +288,8 @@ local function settle(session, model, fsm)
   return fsm
 end
 
+local function itself(snap) return snap end
+
 --- Run a machine through a recording, which is one.
 ---@param model rfsm.State
 ---@param recording table[]
@@ -280,7 +300,8 @@ end
 return function(model, recording, options)
   local session, header = new_session(recording, options), recording[1]
   local ok, fsm, problem = with_clock(session, reading(session, header.clock),
-    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot)
+    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot,
+    { migrate = options.migrate and itself or nil })
   if not ok or not fsm then return false, problem or text_of(fsm) end
   local all = tracks.attach(fsm, add_player, session, options)
   if options.watch then options.watch(fsm) end

@@ -12,7 +12,8 @@ local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local rawequal, rawget, select, type = rawequal, rawget, select, type
+local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
+local type = type
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -210,6 +211,24 @@ local function replace_guards(own)
       tr.guard, own.guards[tr] = ask, { own = guard, new = ask }
     end
   end
+end
+
+--- Return the numbers and texts of the guards of a machine and of those in its states;
+-- nil if it has none.
+---@param fsm rfsm.Machine
+---@return any[]? texts a list for each machine: number, text, number, text ...
+function track.guard_texts(fsm)
+  local lists, has_some = {}, false
+  for i, machine in ipairs(snapshot.machines(fsm)) do
+    lists[i] = {}
+    for number, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+      if tr.guard then
+        has_some = true
+        track.note(lists, i, number, tostring(tr))
+      end
+    end
+  end
+  return has_some and lists or nil
 end
 
 --- Make the tracks of a machine and of those in its states, by add(track, ...).
