@@ -156,7 +156,14 @@ local COMPLAINTS = {
     .. "got 'helo' (did you mean 'hello'?)\n",
   ["delete 9"] = "delete: number of a breakpoint expected, got 9\n",
   ["watch 1 +"] = "^watch:1: [^\n]*\n$",
-  ["clock -1"] = "clock: seconds, a number not below 0, expected, got -1\n",
+  ["clock -1"] = "clock: seconds from 0 to 1e9 expected, got -1\n",
+  ["clock 1e308"] = "^clock: seconds from 0 to 1e9 expected, got 1e%+308\n$",
+  ["clock(0/0)"] = "^clock: seconds from 0 to 1e9 expected, got %-?nan\n$",
+  ["step -1"] = "step: whole number from 1 expected, got -1\n",
+  ["step 1.5"] = "step: whole number from 1 expected, got 1.5\n",
+  ["step 0"] = "step: whole number from 1 expected, got 0\n",
+  ["forward 0"] = "forward: number from 1 expected, got 0\n",
+  ["forward"] = "forward: nothing was undone\n",
   ["clock x"] = "clock: number expected, got string\n",
   ["next"] = "next: no timer is armed\n",
   ["goto(-1)"] = "^goto: number of an iteration from 0 to %d+ expected, got %-1\n$",
@@ -292,14 +299,22 @@ local function open_terminal(arguments, lua_init)
 end
 
 local BUSY = [[
+local n = 0
+local function poll() for i = 1, 10 do n = n + i end end
 return rfsm.state {
   warn = false, info = false,
   idle = rfsm.state {},
   busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
   spin = rfsm.state { doo = function() while true do end end },
+  deaf = rfsm.state { doo = function() while true do pcall(poll) end end },
+  mute = rfsm.state { entry = function() while true do pcall(poll) end end },
   rfsm.trans { src = "initial", tgt = "idle" },
   rfsm.trans { src = "idle", tgt = "busy", events = "e_busy" },
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
+  rfsm.trans { src = "idle", tgt = "deaf", events = "e_deaf" },
+  rfsm.trans { src = "idle", tgt = "mute", events = "e_mute" },
+  rfsm.trans { src = "deaf", tgt = "idle", events = "e_stop" },
+  rfsm.trans { src = "mute", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "spin", tgt = "idle", events = "e_stop" },
 }]]
@@ -335,6 +350,18 @@ describe("at a terminal", function()
     assert.is_nil(text:find("\n[12]\n"))
     assert.equal(3, select(2, text:gsub("interrupted!", "")))
     assert.matches("%* busy\n.*active: root.busy%(active%)", text)
+  end)
+
+  it("Control-C gets out of a callback that catches every error", function()
+    local at = open_terminal("-q " .. file_with(BUSY))
+    at.type_in("taken:  root.initial -> root.idle", "run", "Enter")
+    at.type_in("root.deaf on e_deaf", "ser e_deaf", "Enter")
+    at.type_in("interrupted!", "C-c")
+    at.type_in("root.deaf -> root.idle", "ser e_stop", "Enter")
+    at.type_in("root.mute on e_mute", "ser e_mute", "Enter")
+    at.type_in("active: root.mute(done)", "C-c")
+    at.type_in("root.mute -> root.idle", "ser e_stop", "Enter")
+    at.close()
   end)
 
   it("Tab completes commands, states and events", function()

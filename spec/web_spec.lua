@@ -795,7 +795,8 @@ describe("rfsm.watch", function()
 
   -- A client that has received these messages.
   local function client(messages)
-    return { receive = function() return table.remove(messages, 1) end }
+    return { receive = function() return table.remove(messages, 1) end,
+      address = "robot:7", clock = function() return now end }
   end
 
   local function state_message(leaf, fsm)
@@ -825,6 +826,28 @@ describe("rfsm.watch", function()
       end))
   end)
 
+  it("says when it has heard nothing: at a terminal below the log", function()
+    local screens, calls = helper.printed(function()
+      local silent = client {}
+      local calls = 0
+      silent.receive = function()
+        calls, now = calls + 1, now + 1
+        return calls == 3 and state_message "root.off"
+          or calls == 16 and state_message "root.on" or nil
+      end
+      watch.run(silent, { number = 1, count = 2, is_terminal = true })
+    end)
+    assert.is_nil(calls)
+    local lines = {}
+    for i, screen in ipairs(screens) do lines[i] = screen:match("[^\n]*$") end
+    assert.equal("waiting for robot:7", lines[1])
+    assert.matches("root.off %(done%)$", lines[3])
+    assert.matches("root.off %(done%)$", lines[5]) -- 2 s later
+    assert.equal("no answer since 3 s", lines[6])
+    assert.equal("no answer since 12 s", lines[15])
+    assert.matches("root.on %(done%)$", lines[16])
+  end)
+
   it("goes on after a message that cannot be read", function()
     for _, message in ipairs(UNREADABLE) do
       assert.same({ "unreadable message '" .. message.type .. "'", "not active" },
@@ -842,6 +865,9 @@ describe("the command line", function()
       .. command .. " 2>&1 | tail -1"))
   end
 
+  local LAST_COMMAND = "   watch                 Print a machine that runs elsewhere, "
+    .. "as it changes."
+
   for command, expected in pairs { -- any order: each stands alone
     ["rfsm-web"] = "Error: FILE or --attach expected",
     ["rfsm-web --attach a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
@@ -851,6 +877,10 @@ describe("the command line", function()
       = "rfsm web: port: whole number from 0 to 65535 expected, got 65536",
     ["rfsm-web nothing.lua"] = "rfsm web: nothing.lua: No such file or directory",
     ["rfsm-web ."] = "rfsm web: .: Is a directory",
+    ["rfsm examples/on_off.lua"] = "rfsm: 'examples/on_off.lua' is no command. To step "
+      .. "through that chart, type: rfsm sim examples/on_off.lua",
+    ["rfsm help nothing"] = "Error: no command is named 'nothing'",
+    ["rfsm"] = LAST_COMMAND, ["rfsm help"] = LAST_COMMAND,
     ["rfsm-watch a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
   } do
     it("refuses " .. command .. " in one line", function()

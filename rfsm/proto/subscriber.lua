@@ -16,6 +16,8 @@ local BEAT = 1 -- seconds between two heartbeats; the host waits for three
 
 --- A subscription.
 ---@class rfsm.proto.Client
+---@field address string
+---@field clock fun(): number seconds
 ---@field is_heard boolean the host has answered to the last subscription
 local Client = {}
 Client.__index = Client
@@ -80,6 +82,7 @@ function subscriber.connect(host, port)
   if not is_set then return nil, ("%s: %s"):format(host, problem) end
   return setmetatable({
     udp = udp, json = json, clock = socket.gettime, due = 0, is_heard = false,
+    address = ("%s:%d"):format(host, port),
   }, Client)
 end
 

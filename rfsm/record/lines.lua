@@ -66,8 +66,8 @@ end
 
 -- Write ---------------------------------------------------------------------------
 
-local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got", "clock",
-  "guards", "reset", "sent", "leaf", "done", "kept" }
+local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got",
+  "clock", "guards", "reset", "sent", "leaf", "done", "kept" }
 
 local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") end
 

@@ -63,7 +63,7 @@ group "Advance"
 add("step([n])", "advance by n transitions or doo cycles (1)", [[
 Enters the machine when it is called first. Example: step 3]],
 function(sim, n)
-  if n ~= nil and (type(n) ~= "number" or n < 1 or n % 1 ~= 0) then
+  if type(n) == "number" and (n < 1 or n % 1 ~= 0) then
     error("step: whole number from 1 expected, got " .. text_of(n), 0)
   end
   advance(sim, rfsm.step, n or 1)

@@ -13,6 +13,7 @@ local rfsm = require "rfsm"
 local record = require "rfsm.record"
 local record_lines = require "rfsm.record.lines"
 local snapshot = require "rfsm.snapshot"
+local terminal = require "rfsm.sim.terminal"
 local tracks = require "rfsm.record.track"
 
 local error, io, ipairs, min, pairs = error, io, ipairs, math.min, pairs
@@ -139,8 +140,10 @@ function history.cut(sim)
   local own = sim.history
   local chunk = own.chunks[#own.chunks]
   if own.recorder and not own.fresh and chunk and chunk.count >= history.CHUNK then
-    stop(own)
-    continue(sim)
+    terminal.uninterrupted(function()
+      stop(own)
+      continue(sim)
+    end)
   end
 end
 

@@ -17,7 +17,8 @@ local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 
-local io, ipairs, os, package, pcall = io, ipairs, os, package, pcall
+local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
+local pcall = pcall
 local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
 local type = type
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
@@ -121,7 +122,7 @@ local function begin_turn(session)
     session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
   end
   clock.set_hook(session.gettime)
-  session.turn = session.turn + 1
+  session.turn, session.stopped = session.turn + 1, false
   session.turns[session.turn] = {
     now = session.now, count = session.recorder and session.recorder.count,
     queue = { unpack(session.view.fsm._intq) },
@@ -131,11 +132,35 @@ end
 
 local function step(session) return rfsm.step(session.view.fsm) end
 
--- Steps until the machine is idle, or too long.
+-- Returns the breakpoint that was entered since `entered` was copied; nil if none was.
+local function find_stop(session, entered)
+  for _, number in ipairs(session.points) do
+    if (session.view.entered[number] or 0) > (entered[number] or 0) then return number end
+  end
+end
+
+-- Is a breakpoint entered in the step? A page is told.
+local function has_stopped(session, entered)
+  local number = find_stop(session, entered)
+  if number then
+    session.stopped = session.view.outline.nodes[number + 1].fqn
+    session.view:note("note", "stopped at " .. session.stopped)
+  end
+  return number ~= nil
+end
+
+local function copy(t)
+  local new = {}
+  for key, value in pairs(t) do new[key] = value end -- any order: a copy
+  return new
+end
+
+-- Steps until the machine is idle, has entered a breakpoint, or too long.
 local function run(session)
   for _ = 1, MAX_STEPS do
+    local entered = session.points[1] and copy(session.view.entered)
     local is_idle = guarded(session, step)
-    if is_idle == nil then return end
+    if is_idle == nil or entered and has_stopped(session, entered) then return end
     if is_idle then return session.view:settle() end
   end
   session.view:note("note", ("not idle after %d steps"):format(MAX_STEPS))
@@ -169,7 +194,7 @@ local function load(session, keeps_place)
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.turn = session.generation + 1, 0
-  session.recorder, session.turns = false, {}
+  session.recorder, session.turns, session.points = false, {}, {}
   clock.set_hook(session.gettime)
   local fsm, problems = load_machine(session)
   session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
@@ -253,6 +278,18 @@ function commands.wait(session, message)
   pass(session, message.seconds)
 end
 
+-- Sets or removes a breakpoint at a state.
+function commands.breakpoint(session, message)
+  if not session.view:inspect(message.node) then return "node: number of a state expected" end
+  local points = {}
+  for _, number in ipairs(session.points) do
+    if number ~= message.node then points[#points + 1] = number end
+  end
+  if message.on then points[#points + 1] = message.node end
+  session.points = points
+  session.view:touch()
+end
+
 function commands.inspect(session, message)
   local about = session.view:inspect(message.node)
   if not about then return "node: number of a state expected" end
@@ -305,6 +342,7 @@ end
 function Session:describe(message)
   message.clock, message.live = self.now, self.is_live
   message.timer = next_timer(self) or false
+  message.points, message.stopped = self.points, self.stopped
   message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
 end
 
@@ -316,7 +354,7 @@ function Session.open(file, real)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
     generation = 0, turn = 0, turns = {}, recorder = false, now = 0, since = 0,
-    is_live = true,
+    is_live = true, points = {}, stopped = false,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Session)
   local start = os.time() -- of the day, for e_at
