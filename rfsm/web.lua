@@ -36,6 +36,7 @@ local OPTIONS = {
   clock = { "function that returns seconds", rfsm.is_callable },
   history = { "boolean", is_boolean, false },
   host = { "name or address", opts.is_text, "127.0.0.1" },
+  machine = { "whole number from 1 on", opts.is_whole(1, huge) },
   port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
   title = { "text", opts.is_text },
 }
@@ -316,6 +317,7 @@ end
 ---@field allow_send? boolean may pages send events to a hosted machine? default false
 ---@field allow_why? boolean may pages ask why an event did nothing, which calls guards?
 -- default false
+---@field machine? integer with `attach`: its number at that port, default 1
 ---@field history? boolean note what a hosted machine does while no page is open, too?
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1
@@ -429,7 +431,8 @@ function web.attach(host, port, options)
   local settings, remote, problem
   settings, problem = prepare(options)
   if not settings then return nil, problem end
-  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now())
+  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now(),
+    settings.machine)
   if not remote then return nil, problem end
   return open_server(remote, settings)
 end

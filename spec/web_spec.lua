@@ -707,7 +707,7 @@ describe("rfsm.web.serve", function()
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
       ["unknown option 'prot', expected: allow_send, allow_why, clock, history, host, "
-        .. "port, title"] = { prot = 1 },
+        .. "machine, port, title"] = { prot = 1 },
       ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },
       ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)
@@ -753,6 +753,29 @@ describe("a machine elsewhere", function()
     assert.equal("off", chart.nodes[3].name)
     http.command(server, { command = "send", event = "e_push" })
     assert.is_true(wait_for(server, fsm, page, "root.on"))
+    local other, first = http.page(server)
+    assert.equal("root.off → root.on", first.log[#first.log].text)
+    assert.equal(1, #first.taken)
+    assert.equal("root.off", chart.nodes[chart.edges[first.taken[1] + 1].src + 1].fqn)
+    other.tcp:close()
+  end)
+
+  it("is chosen by its number", function()
+    local one, door = host(false)
+    local model = lamp { third = state {} }
+    model[4] = trans { src = "off", tgt = "third", events = { "e_third" } }
+    local two = rfsm.init(model)
+    rfsm.run(two)
+    local server = opened(assert(web.attach("127.0.0.1", door.port,
+      { port = 0, machine = 2 })))
+    local page = http.page(server)
+    for _ = 1, 20 do
+      rfsm.run(one)
+      server:step(0.001)
+    end
+    assert.is_true(wait_for(server, two, page, "root.off"))
+    assert.is_truthy(http.chart(server).title:find(", machine 2", 1, true))
+    assert.equal(5, #http.chart(server).nodes)
   end)
 
   it("goes on after a message that cannot be read", function()

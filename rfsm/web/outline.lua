@@ -122,12 +122,13 @@ end
 
 -- Adds the events of the edges from a node, and of those behind connectors.
 local function add_possible(list, found, node, is_seen)
+  local own_kind = list.nodes[node + 1].kind
+  local is_state = own_kind == "leaf" or own_kind == "composite"
   is_seen[node] = true
   for _, edge in ipairs(list.from[node] or {}) do
     local kind = list.nodes[(edge.tgt or node) + 1].kind
     local is_through = kind == "connector" or kind == "initial"
     for _, number in ipairs(edge.events) do found.set[number] = true end
-    local is_state = list.nodes[node + 1].kind ~= "connector"
     if is_state and not edge.events[1] then found.any = true end
     if is_through and not is_seen[edge.tgt] then
       add_possible(list, found, edge.tgt, is_seen)

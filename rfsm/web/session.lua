@@ -135,7 +135,8 @@ local function step(session) return rfsm.step(session.view.fsm) end
 -- Returns the breakpoint that was entered since `entered` was copied; nil if none was.
 local function find_stop(session, entered)
   for _, number in ipairs(session.points) do
-    if (session.view.entered[number] or 0) > (entered[number] or 0) then return number end
+    local count = session.view.entered[number] or 0
+    if count > (entered[number] or 0) then return number end
   end
 end
 
@@ -280,7 +281,9 @@ end
 
 -- Sets or removes a breakpoint at a state.
 function commands.breakpoint(session, message)
-  if not session.view:inspect(message.node) then return "node: number of a state expected" end
+  if not session.view:inspect(message.node) then
+    return "node: number of a state expected"
+  end
   local points = {}
   for _, number in ipairs(session.points) do
     if number ~= message.node then points[#points + 1] = number end
