@@ -54,6 +54,8 @@ local record = { VERSION = 1 }
 ---@field leaf? string FQN of the active leaf then
 ---@field done? true the leaf is done
 ---@field kept? table the user's data, if it has changed
+---@field regions? any[] data of machines in states, if it has changed outside of their
+-- own iterations: number, data, number, data ...
 
 -- Record -------------------------------------------------------------------------
 
@@ -104,6 +106,24 @@ local function note_kept(track, field)
   track.kept, track.rec[field] = kept, kept
 end
 
+-- Notes the data of regions that has changed while they were left or reset.
+local function note_regions(recorder, rec)
+  for _, track in ipairs(recorder.tracks) do
+    if track.m and tracks.may_have_changed(track.watched) then
+      local kept = snapshot.take_data(track.fsm)
+      if not tracks.same(kept, track.kept) then
+        track.kept = kept
+        tracks.note(rec, "regions", track.m, kept)
+      end
+    end
+  end
+end
+
+local function note_data(recorder, track)
+  note_kept(track, "kept")
+  if track.m == nil then note_regions(recorder, track.rec) end
+end
+
 -- Is a doo resumed in the iteration that begins?
 local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" end
 
@@ -122,7 +142,8 @@ local function begin(recorder, track, events)
 end
 
 -- Fields of a record of an iteration that has done something.
-local DEEDS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset" }
+local DEEDS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset",
+  "regions" }
 
 -- Has an iteration of the outermost machine without events, also of timers, done
 -- nothing: was no doo resumed? Such an iteration is not written.
@@ -154,7 +175,7 @@ local function finish(recorder, track, events)
   if not rec then return end
   note_events(track, rec, events)
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
-  local is_whole, interrupt = pcall(note_kept, track, "kept")
+  local is_whole, interrupt = pcall(plain.pcall, note_data, recorder, track)
   track.rec = false
   if track.m == nil then tracks.leave_clocks(recorder.clocks) end
   if events[1] ~= nil or not is_empty(track, rec) then

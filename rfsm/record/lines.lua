@@ -67,7 +67,7 @@ end
 -- Write ---------------------------------------------------------------------------
 
 local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got",
-  "clock", "guards", "reset", "sent", "leaf", "done", "kept" }
+  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions" }
 
 local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") end
 

@@ -158,6 +158,9 @@ local function finish_again(session, track)
   if session.is_dry then
     fill(session, track.fsm._intq, rec.sent)
     if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
+    for i = 1, rec.regions and #rec.regions or 0, 2 do
+      snapshot.put_data(session.tracks[rec.regions[i] + 1].fsm, rec.regions[i + 1])
+    end
   end
   track.rec = false
   if track.m == nil and not session.problem then session.at = session.at + 1 end
@@ -304,6 +307,7 @@ return function(model, recording, options)
     { migrate = options.migrate and itself or nil })
   if not ok or not fsm then return false, problem or text_of(fsm) end
   local all = tracks.attach(fsm, add_player, session, options)
+  session.tracks = all
   if options.watch then options.watch(fsm) end
   ok, problem = with_clock(session, reading(session), run, session, all[1])
   tracks.detach(all)
