@@ -502,6 +502,12 @@ describe("goto", function()
   end)
 end)
 
+it("random commands do what the same calls do, and back leads where it was", function()
+  local n = tonumber(os.getenv "RFSM_N") or 5
+  assert.same({ n }, { require("spec.support.claims.sim").run(n, 11) })
+  require("rfsm.clock").set_hook(nil)
+end)
+
 describe("a picture", function()
   it("is kept up to date, in the format of its ending", function()
     local file = file_with("") .. ".dot"

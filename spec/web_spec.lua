@@ -493,6 +493,11 @@ describe("a page", function()
   end)
 end)
 
+it("random commands do what the same calls do, and back leads where it was", function()
+  local n = tonumber(os.getenv "RFSM_N") or 8
+  assert.same({ n }, { require("spec.support.claims.web").run(n, 1) })
+end)
+
 describe("a chart in a file", function()
   local BAD = LAMP:gsub('tgt = "off" }', 'tgt = "offf" }')
     :gsub("function%(%).-end", "7")

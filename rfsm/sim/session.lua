@@ -118,7 +118,9 @@ local function advance_in_parts(sim, n)
     local idle = rfsm.step(fsm, min(left, history.CHUNK))
     left = left - history.CHUNK
     history.cut(sim)
-  until idle or left < 1 or not fsm._act_leaf
+    -- not entered: it was reset, or there is no way in, and that ends the rest at once
+    if not (idle or left < 1 or fsm._act_leaf) then return rfsm.step(fsm, left) end
+  until idle or left < 1
 end
 
 -- Advances by `how`. Whoever traces, or keeps the machine busy, sees one call.

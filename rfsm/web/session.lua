@@ -25,7 +25,6 @@ local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, 
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local MAX_STEPS = 1000 -- of one run
 local MAX_RECORDED = 10000 -- iterations that can be undone
 local LOOK_TIME = 0.5 -- seconds between two looks at the file
 local TICK = 1e-6 -- seconds are rounded up to these
@@ -48,7 +47,7 @@ local TICK = 1e-6 -- seconds are rounded up to these
 ---@field snap table? of the machine before a chart with a mistake
 ---@field now number seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
-local Session = {}
+local Session = { MAX_STEPS = 1000 } -- of one run
 Session.__index = Session
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
@@ -158,13 +157,13 @@ end
 
 -- Steps until the machine is idle, has entered a breakpoint, or too long.
 local function run(session)
-  for _ = 1, MAX_STEPS do
+  for _ = 1, Session.MAX_STEPS do
     local entered = session.points[1] and copy(session.view.entered)
     local is_idle = guarded(session, step)
     if is_idle == nil or entered and has_stopped(session, entered) then return end
     if is_idle then return session.view:settle() end
   end
-  session.view:note("note", ("not idle after %d steps"):format(MAX_STEPS))
+  session.view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
 end
 
 local function itself(snap) return snap end

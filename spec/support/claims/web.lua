@@ -8,10 +8,8 @@ local rfsm = require "rfsm"
 
 local Session = drive.require "rfsm.web.session"
 
-local MAX_STEPS = 1000 -- as in rfsm.web.session
-
 local function run(fsm)
-  for _ = 1, MAX_STEPS do
+  for _ = 1, Session.MAX_STEPS do
     if rfsm.step(fsm) then return end
   end
 end
@@ -64,6 +62,8 @@ end
 
 local function check(seed)
   local random, name, places = new_random(seed), drive.file(seed), {}
+  local steps = Session.MAX_STEPS
+  Session.MAX_STEPS = 30
   local session = Session.open(name, function() return 0 end)
   local model = kept.model(seed)
   model.err = false
@@ -71,6 +71,7 @@ local function check(seed)
   run(fsm)
   local problem = wander(session, fsm, random, places)
     or check_back(session, random, places)
+  Session.MAX_STEPS = steps
   if session.recorder then session.recorder:stop() end
   os.remove(name)
   return problem
