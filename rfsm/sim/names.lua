@@ -8,10 +8,8 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local place = require "rfsm.checks.place"
 
 local ipairs, type = ipairs, type
-local regions_of = place.regions_of
 
 local names = {}
 
@@ -21,21 +19,16 @@ local names = {}
 ---@return string name
 function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 
-local function add_machines(list, fsm, prefix)
-  list[#list + 1] = { fsm = fsm, prefix = prefix }
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(regions_of(state)) do
-      add_machines(list, region.machine,
-        names.full(prefix, state._fqn) .. "." .. region.name)
-    end
-  end
-  return list
-end
-
 --- List a machine and those inside its states.
 ---@param fsm rfsm.Machine
 ---@return { fsm: rfsm.Machine, prefix: string }[] machines
-function names.machines(fsm) return add_machines({}, fsm, "root") end
+function names.machines(fsm)
+  local machines = {}
+  for i, location in ipairs(rfsm.machines(fsm)) do
+    machines[i] = { fsm = location.machine, prefix = location.prefix }
+  end
+  return machines
+end
 
 --- Return the events that transitions name, as a set.
 ---@param fsm rfsm.Machine
