@@ -43,6 +43,7 @@ end
 
 local AT_HELLO = "active: root.hello(done)\nqueue:  e_done@root.hello\n"
 local AT_END = "hello\nworld\nactive: root.world(done)\nqueue:  \n"
+local AFTER = "active: root.world(done)\nqueue:  \n"
 local AT_WORLD = "active: root.world(done)\nqueue:  e_done@root.world\n"
 
 after_each(helper.remove_files)
@@ -105,6 +106,17 @@ local SAID = {
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
   ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
   ["next({ 7 })"] = "1\t7\n",
+  ["run\nback\nforward\nhistory"] = AT_END .. "active: <none>\nqueue:  e_init_fsm\n"
+    .. AFTER .. "   1  e_init_fsm                      root.hello(done)\n"
+    .. "   2  e_done@root.hello               root.world(done)\n"
+    .. "   3  e_done@root.world               root.world(done)\n",
+  ["step\nstep\nback 2\nforward 9"] = AT_HELLO .. "hello\nworld\n" .. AT_WORLD
+    .. "active: <none>\nqueue:  e_init_fsm\n" .. AT_WORLD,
+  ["step\nstep\nback\nses e_restart"] = AT_HELLO .. "hello\nworld\n"
+    .. AT_WORLD .. AT_HELLO .. "hello\nworld\n" .. AT_WORLD,
+  ["run()\nif true then go_to(1) end"] = AT_END .. AT_HELLO,
+  ["run\ngoto 2\ngoto 0\ngoto 3"] = AT_END .. AT_WORLD
+    .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER,
   ["step\nse e_done"] = AT_HELLO
     .. "queue:  e_done@root.hello, e_done@root.hello\n",
   ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO
@@ -508,6 +520,36 @@ it("random commands do what the same calls do, and back leads where it was", fun
   require("rfsm.clock").set_hook(nil)
 end)
 
+it("the history keeps its size", function()
+  local drive = require "spec.support.claims.drive"
+  local session = drive.require "rfsm.sim.session"
+  local history = drive.require "rfsm.sim.history"
+  local prompt = drive.require "rfsm.sim.prompt"
+  local opened = assert(session.open("examples/on_off.lua", false))
+  prompt.install(opened)
+  local chunk, limit = history.CHUNK, history.LIMIT
+  history.CHUNK, history.LIMIT = 10, 100
+  drive.silently(function()
+    for _ = 1, 300 do opened.env.ses("e_nothing") end
+  end)
+  history.CHUNK, history.LIMIT = chunk, limit
+  local own, count = opened.history, 0
+  for _, part in ipairs(own.chunks) do count = count + part.count end
+  assert.is_true(count >= 100 and count <= 120, count)
+  assert.equal(own.last, own.chunks[1].first + count)
+  assert.is_true(#own.marks <= 121)
+  local ok, problem = pcall(history.go_to, opened, own.chunks[1].first - 1)
+  assert.is_false(ok)
+  assert.matches(("from %d to %d expected"):format(own.chunks[1].first, own.last),
+    problem)
+  own.recorder:stop()
+end)
+
+it("the history shows the timer that was the cause", function()
+  local out = sim("-q examples/timeevent.lua", "clock 0\nnext\nhistory 2\n")
+  assert.matches("%d  e_after%(60%)@root.lights +root.dark", out)
+end)
+
 describe("a picture", function()
   it("is kept up to date, in the format of its ending", function()
     local file = file_with("") .. ".dot"
@@ -547,6 +589,44 @@ describe("a recording", function()
     assert.matches("^rfsm sim: %S+: step 2: active leaf root.hello%(done%) expected, "
       .. "got root.world%(done%)\n$", complaints)
     assert.matches("replayed 1 iterations of", out)
+  end)
+
+  -- a --e_go--> b, and what a mended chart has besides
+  local function chart(more)
+    return file_with([[
+      local rfsm = require "rfsm"
+      local count = 0
+      return rfsm.state { info = false, warn = false,
+        a = rfsm.state {}, b = rfsm.state {}, ]] .. (more or "") .. [[
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+          guard = function() return true end },
+        rfsm.trans { src = "b", tgt = "a", events = { "e_go" } },
+      }]])
+  end
+
+  it("of a failure runs through the mended chart up to the first difference",
+  function()
+    local name = recorded(chart(), "run\nser e_go\nser e_go\nser e_go\n")
+    local out, complaints, status = sim("-q -r " .. name .. " -e showfqn "
+      .. chart("c = rfsm.state {}, rfsm.trans { src = 'c', tgt = 'a', "
+        .. "guard = function() end },"))
+    assert.same({ "", 0 }, { complaints, status })
+    assert.matches("replayed %d iterations.*active: root.b%(done%)\n$", out)
+    out, complaints = sim("-q -r " .. name .. " -e showfqn "
+      .. chart("c = rfsm.state {}, rfsm.trans { src = 'b', tgt = 'c', pn = 1, "
+        .. "events = { 'e_go' } },"))
+    assert.matches("step 5: active leaf root.a%(done%) expected, got root.c%(done%)\n$",
+      complaints)
+    assert.matches("replayed 4 iterations.*active: root.b%(done%)\n$", out)
+  end)
+
+  it("that was cut off is replayed up to there, and says so", function()
+    local name = recorded(chart(), "run\nser e_go\n")
+    local out, complaints = sim("-q -r " .. file_with(content(name):sub(1, -3))
+      .. " -e showfqn " .. chart())
+    assert.matches("^rfsm sim: %S+: the last line was cut off\n$", complaints)
+    assert.matches("active: root.b%(done%)\n$", out)
   end)
 
   it("that is none is refused", function()

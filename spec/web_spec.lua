@@ -3,6 +3,7 @@
 -- in spec/browser/.
 
 local helper = require "spec.helper"
+local dkjson = require "dkjson"
 local http = require "spec.support.http"
 local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
@@ -195,6 +196,16 @@ describe("the server", function()
       if i % 20 == 0 then assert.equal(200, (http.request(server, "GET", "/"))) end
     end
     assert.matches("^HTTP/1.1 200 OK", http.receive_all(server, tcp))
+  end)
+
+  it("takes a head of 8 KiB, and no more", function()
+    local server = open()
+    for _, case in ipairs { { size = 8191, status = 200 },
+      { size = 8192, status = 431 } } do
+      local text = "GET / HTTP/1.1\r\nHost: localhost\r\nX: "
+      text = text .. ("x"):rep(case.size - #text) .. "\r\n\r\n"
+      assert.equal(case.status, (http.talk(server, text)), case.size)
+    end
   end)
 
   it("drops a request that is not complete in time", function()
@@ -406,6 +417,32 @@ describe("a page", function()
     assert.same({ "error: error executing entry of root.b: no power",
       "step: root.a → root.b", "error: no hook" }, texts_of(message.log))
     assert.equal(204, (http.command(server, { command = "run" })))
+  end)
+
+  it("asks what is known of a state, and stops where it wants", function()
+    local server = open()
+    local page, first = http.page(server)
+    local function inspect(number)
+      local status, body = http.command(server, { command = "inspect", node = number })
+      return status == 200 and dkjson.decode(body) or status
+    end
+    local about = inspect(first.active[2])
+    assert.same({ "root.off", { "entry" }, 1, 0, {} }, { about.fqn, about.callbacks,
+      about.entered, about.failures, about.data })
+    assert.matches(":3$", about.file)
+    assert.same({ 400, 400, 400 }, { inspect(99), inspect("x"), inspect(-1) })
+    local dim
+    for i, node in ipairs(http.chart(server).nodes) do
+      if node.fqn == "root.on.dim" then dim = i - 1 end
+    end
+    assert.same({ dim }, page:command("breakpoint", { node = dim, on = true }).points)
+    local message = page:send("e_push")
+    assert.same({ "root.on.dim", "root.on.dim" }, { message.leaf, message.stopped })
+    assert.same({ "e_done@root.on.dim" }, message.queue) -- the rest of the run waits
+    assert.same({}, page:command("breakpoint", { node = dim, on = false }).points)
+    assert.equal(400, (http.command(server, { command = "breakpoint", node = 99 })))
+    page:send("e_push")
+    assert.is_false(page:send("e_push").stopped)
   end)
 
   it("ends a run that has no end", function()
@@ -812,6 +849,34 @@ describe("a machine elsewhere", function()
     rfsm.run(fsm)
     assert.equal("root.off (done)\nroot.on (done)\n", pipe:read("*a"))
     pipe:close()
+  end)
+end)
+
+describe("a subscriber", function()
+  it("subscribes, and says once a second that it is there", function()
+    local udp = assert(require("socket").udp4())
+    udp:setsockname("127.0.0.1", 0)
+    udp:settimeout(1)
+    local client = assert(subscriber.connect("127.0.0.1",
+      tonumber((select(2, udp:getsockname()))), { path = true, only = 2 }))
+    local at = 100
+    client.clock = function() return at end
+    local function sent()
+      client:receive(0)
+      udp:settimeout(0.05)
+      local data, ip, port = udp:receivefrom()
+      if data then udp:sendto('{"type":"x"}', ip, port) end
+      require("socket").select({ client.udp }, nil, data and 1 or 0)
+      return data and dkjson.decode(data) or false
+    end
+    assert.same({ type = "subscribe", path = true, fsm = 2 }, sent())
+    assert.is_false(sent())
+    at = 100.9
+    assert.is_false(sent())
+    at = 101
+    assert.same({ type = "heartbeat" }, sent())
+    client:close()
+    udp:close()
   end)
 end)
 
