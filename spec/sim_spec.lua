@@ -106,17 +106,10 @@ local SAID = {
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
   ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
   ["next({ 7 })"] = "1\t7\n",
-  ["run\nback\nforward\nhistory"] = AT_END .. "active: <none>\nqueue:  e_init_fsm\n"
-    .. AFTER .. "   1  e_init_fsm                      root.hello(done)\n"
-    .. "   2  e_done@root.hello               root.world(done)\n"
-    .. "   3  e_done@root.world               root.world(done)\n",
   ["step\nstep\nback 2\nforward 9"] = AT_HELLO .. "hello\nworld\n" .. AT_WORLD
     .. "active: <none>\nqueue:  e_init_fsm\n" .. AT_WORLD,
   ["step\nstep\nback\nses e_restart"] = AT_HELLO .. "hello\nworld\n"
     .. AT_WORLD .. AT_HELLO .. "hello\nworld\n" .. AT_WORLD,
-  ["run()\nif true then go_to(1) end"] = AT_END .. AT_HELLO,
-  ["run\ngoto 2\ngoto 0\ngoto 3"] = AT_END .. AT_WORLD
-    .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER,
   ["step\nse e_done"] = AT_HELLO
     .. "queue:  e_done@root.hello, e_done@root.hello\n",
   ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO
@@ -543,6 +536,14 @@ it("the history keeps its size", function()
   assert.matches(("from %d to %d expected"):format(own.chunks[1].first, own.last),
     problem)
   own.recorder:stop()
+end)
+
+it("the history is gone through: back, forward, goto, go_to in Lua", function()
+  assert.equal(AT_END .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER
+    .. AT_WORLD .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER .. AT_HELLO
+    .. "   1  e_init_fsm                      root.hello(done)\n",
+    said("run\nback\nforward\ngoto 2\ngoto 0\ngoto 3\n"
+      .. "if true then go_to(1) end\nhistory"))
 end)
 
 it("the history shows the timer that was the cause", function()
