@@ -92,6 +92,7 @@ build = {
     ["rfsm.proto.subscriber"] = "rfsm/proto/subscriber.lua",
     ["rfsm.quick"] = "rfsm/quick.lua",
     ["rfsm.record"] = "rfsm/record.lua",
+    ["rfsm.record.lines"] = "rfsm/record/lines.lua",
     ["rfsm.record.replay"] = "rfsm/record/replay.lua",
     ["rfsm.record.track"] = "rfsm/record/track.lua",
     ["rfsm.redis"] = "rfsm/redis.lua",

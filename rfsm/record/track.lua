@@ -14,7 +14,8 @@ local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
 local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawget, select, type = rawequal, rawget, select, type
+local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
+local type = type
 local concat = table.concat
 local text_of = rfsm.text_of
 
@@ -84,7 +85,83 @@ function track.truncate(records, count)
   for i = #records, kept + 1, -1 do records[i] = nil end
 end
 
+-- What may have changed: the data that the chart keeps, and targets -----------------
+
+--- Return what tells cheaply that the data of a machine is as it was.
+---@param fsm rfsm.Machine
+---@return table watched
+function track.watch_data(fsm)
+  local watched = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
+    states = {}, names = {}, values = {}, is_deep = false }
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    if type(state.save) == "function" then watched.is_deep = true end
+    for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
+      watched.states[#watched.states + 1] = state
+      watched.names[#watched.names + 1] = name
+    end
+  end
+  track.may_have_changed(watched)
+  return watched
+end
+
+--- May the data have changed since the last call? A table may, at any time.
+---@param watched table
+---@return boolean
+function track.may_have_changed(watched)
+  local may, values, names = watched.is_deep, watched.values, watched.names
+  for i, state in ipairs(watched.states) do
+    local value = state[names[i]]
+    if type(value) == "table" or not rawequal(value, values[i]) then may = true end
+    values[i] = value
+  end
+  local targets = watched.targets
+  for i, tr in ipairs(watched.transitions) do
+    local tgt = tr.tgt
+    if targets[i] ~= tgt then targets[i], may = tgt, true end
+  end
+  return may
+end
+
 -- Clock --------------------------------------------------------------------------
+
+--- Two clocks of an owner, made once, to be read in place of those in use.
+---@class rfsm.record.Clocks
+---@field before table<boolean, function> those in use, while the owner's are read
+
+--- Return clocks that note each reading by note(...), or a failure.
+---@param note fun(ok: boolean, ...)
+---@return rfsm.record.Clocks clocks
+function track.new_clocks(note)
+  local clocks = { before = {} }
+  for _, kind in ipairs { true, false } do
+    clocks[kind] = function(...)
+      local ok, sec, nsec = calls.try(clocks.before[kind], ...)
+      note(ok, sec, nsec)
+      if not ok then error(sec, 0) end
+      return sec, nsec
+    end
+  end
+  return clocks
+end
+
+--- Have clocks read through those of an owner from now on.
+function track.use_clocks(clocks)
+  local in_use, before = clock.in_use, clocks.before
+  for i = 1, 2 do
+    local kind = i == 1
+    local read = in_use[kind]
+    if read ~= clocks[kind] then before[kind], in_use[kind] = read, clocks[kind] end
+  end
+end
+
+--- Have clocks read as before, unless somebody has set another one.
+function track.leave_clocks(clocks)
+  local in_use, before = clock.in_use, clocks.before
+  for i = 1, 2 do
+    local kind = i == 1
+    if in_use[kind] == clocks[kind] then in_use[kind] = before[kind] end
+  end
+end
 
 --- Have clocks read through wrap(read), in place of what the owner had before; nil: as
 -- they are.
@@ -133,6 +210,24 @@ local function replace_guards(own)
       tr.guard, own.guards[tr] = ask, { own = guard, new = ask }
     end
   end
+end
+
+--- Return the numbers and texts of the guards of a machine and of those in its states;
+-- nil if it has none.
+---@param fsm rfsm.Machine
+---@return any[]? texts a list for each machine: number, text, number, text ...
+function track.guard_texts(fsm)
+  local lists, has_some = {}, false
+  for i, machine in ipairs(snapshot.machines(fsm)) do
+    lists[i] = {}
+    for number, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+      if tr.guard then
+        has_some = true
+        track.note(lists, i, number, tostring(tr))
+      end
+    end
+  end
+  return has_some and lists or nil
 end
 
 --- Make the tracks of a machine and of those in its states, by add(track, ...).
