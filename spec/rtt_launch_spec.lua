@@ -624,14 +624,6 @@ return rfsm.state { info = false, warn = false,
     assert.equal("0 0", updated(1000, 3))
   end)
 
-  -- Lua's stack and some lists grow once.
-  pending("reads, loads and allocates nothing from the first update on: the core must "
-    .. "compile in rfsm.prepare #alloc", function()
-    local files, grown = updated(0, 1):match("(%d+) (%d+)")
-    assert.equal("0", files)
-    assert.is_true(tonumber(grown) < 1000, grown .. " bytes in 10,000 updates")
-  end)
-
   it("can be stopped when a doo is busy for ever, and counts overruns", function()
     local arm = launched { fsmfile = chart_file(BUSY) }
     deploy("setActivity", "arm", 0.01, 0, 0)

@@ -514,7 +514,7 @@ it("random commands do what the same calls do, and back leads where it was", fun
 end)
 
 it("the history keeps its size", function()
-  local drive = require "spec.support.claims.drive"
+  local drive = require "spec.support.drive"
   local session = drive.require "rfsm.sim.session"
   local history = drive.require "rfsm.sim.history"
   local prompt = drive.require "rfsm.sim.prompt"

@@ -830,8 +830,12 @@ describe("a clock that returns seconds in one number", function()
   end)
 end)
 
+-- LuaJIT 2.1.0-beta3 crashes now and then in what it compiles of this claim.
 it("time events agree with a list of deadlines, on random charts", function()
+  local jit = rawget(_G, "jit") or { off = function() end, on = function() end }
+  jit.off()
   local cases, problem = require("spec.support.claims.timeevent").run(40, 1)
+  jit.on()
   assert.is_nil(problem)
   assert.equal(40, cases)
 end)

@@ -92,9 +92,9 @@ end
 
 -- Returns data for a reader.
 local function data_text(value)
+  if value == nil or rawequal(value, plain.NIL) then return "nothing" end
   if type(value) == "string" then return ("'%s'"):format(value) end
-  return type(value) == "table" and "a table" or value == nil and "nothing"
-    or text_of(value)
+  return type(value) == "table" and "a table" or text_of(value)
 end
 
 -- Returns the path of the first field in which data differs, and the two values.

@@ -1,7 +1,7 @@
 -- rfsm.proto: what a client sees is what the machine did, iteration by iteration.
 
 local dkjson = require "dkjson"
-local drive = require "spec.support.claims.drive"
+local drive = require "spec.support.drive"
 local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
 local proto = require "rfsm.proto"

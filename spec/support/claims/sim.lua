@@ -1,7 +1,7 @@
 -- The simulator: commands leave the machine where the same calls in Lua leave it; back,
 -- goto and forward land where the machine stood then.
 
-local drive = require "spec.support.claims.drive"
+local drive = require "spec.support.drive"
 local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"

@@ -1,7 +1,7 @@
 -- The page: its commands leave the machine where the same calls in Lua leave it; back
 -- lands where the machine stood after that turn.
 
-local drive = require "spec.support.claims.drive"
+local drive = require "spec.support.drive"
 local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
