@@ -873,6 +873,7 @@ do
 
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
+    if src then src.is_left = true end
     local tgt, tgt_reason, is_internal = find_target(build, def, src)
     local list = def.parent.is_leaf and build.warnings or build.problems
     if src_reason then add(list, def, nil, src_reason) end
@@ -2248,7 +2249,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. place_of(def, field)
 end
 
-local build_plan, new_build, new_machine, plan_of
+local build_plan, check_ways_in, new_build, new_machine, plan_of
 
 do
   -- The plans of models, kept by their machines; the latest one in any case, for
@@ -2271,6 +2272,18 @@ do
           .. "is ignored")
       else
         append(root.data, { key, data[i + 1] })
+      end
+    end
+  end
+
+  -- A path into a composite ends at an `initial` that nothing leaves.
+  function check_ways_in(build, first)
+    local nodes = build.plan.nodes
+    for i = first, #nodes do
+      local def = nodes[i]
+      if def.id == "initial" and def.kind == "connector" and not def.is_left then
+        add(build.problems, def, nil,
+          "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
       end
     end
   end
@@ -2299,6 +2312,7 @@ do
     local root = new_node(build, "state", model, nil, "root")
     clone_below(build, 1)
     resolve(build, 1)
+    check_ways_in(build, 1)
     drop_taken_names(build, root)
     check_root(build, root)
     return build

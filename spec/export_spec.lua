@@ -318,7 +318,9 @@ describe("rfsm.json", function()
 
   it("writes empty lists as arrays", function()
     assert.matches('"events":%[%]', json.encode(machine()))
-    local empty = helper.init(state { x = conn {}, initial = conn {} })
+    local empty = helper.init(state {
+      a = state {}, x = state { y = state {} }, trans { src = "initial", tgt = "a" },
+    })
     assert.matches('"transitions":%[%]', json.encode(empty))
   end)
 
