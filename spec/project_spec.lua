@@ -149,8 +149,8 @@ describe("tools/test.sh", function()
   local function run(text, settings)
     local busted = helper.file_with("#!/bin/sh\ncat <<EOF\n" .. text .. "EOF\n")
     os.execute("chmod +x " .. busted)
-    local command = ("%s FILES='%s' BUSTED=%s tools/test.sh %s"):format(settings or "",
-      FILES, busted, arg[-1])
+    local command = ("%s FILES='%s' BUSTED=%s tools/test.sh %s"):format(
+      settings or "PENDING=", FILES, busted, arg[-1])
     return lines_of("{ " .. command .. "; echo $?; } 2>/dev/null"),
       lines_of(command .. " 2>&1 >/dev/null")
   end
