@@ -21,7 +21,8 @@ describe("a protected call", function()
     local ok, found = calls.try(error, failure)
     assert.is_false(ok)
     assert.equal(failure, found)
-    assert.same({ false }, { calls.try(error) })
+    local _, none = calls.try(error) -- Lua 5.5 has a text in place of nil
+    assert.is_true(none == nil or none == "<no error object>")
   end)
 
   it("lets an interrupt through as itself", function()

@@ -1,5 +1,7 @@
 -- Real Redis servers for the specs, on loopback, and many clients at once.
 
+local helper = require "spec.helper"
+
 local has_socket, socket = pcall(require, "socket")
 
 local servers = {}
@@ -17,7 +19,7 @@ end
 -- all there.
 function servers.missing()
   for _, name in ipairs { "socket", "redis", "dkjson" } do
-    if not pcall(require, name) then
+    if not helper.package(name) then
       return ("the module %s is missing for %s"):format(name, _VERSION)
     end
   end
