@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web lint fuzz bench bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -67,6 +67,15 @@ lint:                   ## luacheck, and the syntax under the oldest Lua
 
 fuzz:                   ## compare core and oracle on N random charts from SEED, with LUA
 	$(LUA) spec/support/fuzz.lua $(N) $(SEED)
+
+torture: N = 1000
+torture:                ## the claims (or CLAIM) on N random charts each, from SEED, with LUA
+	@$(LUA) spec/support/torture.lua $(N) $(SEED) $(CLAIM)
+
+mutants: N = 100
+mutants: LUA = $(firstword $(shell command -v luajit lua5.4))
+mutants:                ## change ROOM's files N times from SEED: do its specs notice?
+	@$(LUA) tools/mutants.lua "$(ROOM)" $(N) $(SEED)
 
 bench:                  ## run the measurements in bench/, with LUA
 	$(LUA) bench/run.lua

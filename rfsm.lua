@@ -2147,6 +2147,18 @@ do
     end
   end
 
+  -- A path into a composite ends at an `initial` that nothing leaves.
+  function check_ways_in(build, first)
+    local nodes = build.plan.nodes
+    for i = first, #nodes do
+      local def = nodes[i]
+      if def.id == "initial" and def.kind == "connector" and not def.is_left then
+        add(build.problems, def, nil,
+          "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
+      end
+    end
+  end
+
   local function check_root(build, root)
     local model = root.model
     for i = 1, #HOOKS do check_callable(build, root, HOOKS[i], model[HOOKS[i]]) end

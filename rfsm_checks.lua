@@ -38,28 +38,24 @@ local rfsm_checks = {}
 ---@field events table<any, boolean> empty until the first event comes
 ---@field predicates function[]|false functions in events; false: nothing collected yet
 
--- Adds the names in "await(e_a, e_b@F)@F", which are events, too.
-local function add_awaited(events, text)
-  local inside = text:match("^await%s*%((.*)%)") or ""
-  for name in (inside .. ","):gmatch("%s*([^,]-)%s*,") do events[name] = true end
-end
-
 local function add_events(known, tr)
   for i = 1, tr.events and #tr.events or 0 do
     local event = tr.events[i]
     known.events[event] = true
     if type(event) == "function" then
       known.predicates[#known.predicates + 1] = event
-    elseif type(event) == "string" then
-      add_awaited(known.events, event)
     end
   end
 end
 
--- Collects the events of the transitions, and those of the engine itself.
+-- Collects the events of the transitions, those that they await, and those of the
+-- engine itself.
 local function collect_known(fsm, known)
   known.events, known.predicates = { e_init_fsm = true }, {}
   for _, tr in ipairs(elements(fsm, rfsm.is_trans)) do add_events(known, tr) end
+  for _, await in ipairs(fsm._awaits or {}) do
+    for _, event in ipairs(await.wanted) do known.events[event] = true end
+  end
   for _, leaf in ipairs(elements(fsm, is_leaf)) do
     known.events["e_done@" .. leaf._fqn] = true
   end
@@ -114,17 +110,39 @@ local ELSEWHERE = {
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
 }
 
+-- Returns a module of the folder rfsm/checks; nil if this file was copied without it.
+local function find_part(name)
+  local ok, part = pcall(require, name)
+  if ok then return part end
+  if not text_of(part):find("module '" .. name .. "' not found", 1, true) then
+    error(part, 0)
+  end
+end
+
 setmetatable(rfsm_checks, { __index = function(_, name)
   if not ELSEWHERE[name] then return nil end
-  rfsm_checks[name] = require(ELSEWHERE[name])[name]
+  local part = find_part(ELSEWHERE[name])
+  if not part then
+    error(("rfsm_checks.%s: module '%s' is not installed"):format(name,
+      ELSEWHERE[name]), 2)
+  end
+  rfsm_checks[name] = part[name]
   return rfsm_checks[name]
 end })
+
+-- Lists the problems and warnings that `rfsm.init` finds.
+local function check_early(model)
+  local _, problems, warnings = rfsm.verify_early(model)
+  for _, line in ipairs(warnings) do problems[#problems + 1] = line end
+  return problems
+end
 
 --- Find what is wrong, dead or risky in a model, as lines of text.
 --
 -- Notes are left out; `rfsm_checks.findings` returns them, too. A leaf that nothing
 -- leaves is no finding if it is declared `final = true`, and no finding is one that the
--- field `checks` of its element expects.
+-- field `checks` of its element expects. Without the folder rfsm/checks beside this
+-- file the lines are those of `rfsm.init`, without codes.
 --
 -- @raise if `model` is no state
 ---@param model rfsm.State a model, or a machine
@@ -134,11 +152,14 @@ function rfsm_checks.check(model)
   if not is_state(model) then
     error("rfsm_checks.check: state expected, got " .. type(model), 2)
   end
-  local findings, lines = rfsm_checks.findings(model), {}
-  local line_of = require("rfsm.checks.static").line
+  local static = find_part("rfsm.checks.static")
+  if not static then return check_early(model) end
+  local findings, lines = static.findings(model), {}
   for _, severity in ipairs { "error", "warning" } do
     for _, finding in ipairs(findings) do
-      if finding.severity == severity then lines[#lines + 1] = line_of(finding) end
+      if finding.severity == severity then
+        lines[#lines + 1] = static.line(finding)
+      end
     end
   end
   return lines

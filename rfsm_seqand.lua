@@ -6,7 +6,7 @@
 -- state was left in that iteration.
 --
 -- Each instance of a model has regions of its own, in the field `substates` of the
--- state.
+-- state. A machine that is given as a region is that region in the first instance.
 --
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
@@ -29,7 +29,7 @@ local step, run = rfsm.step, rfsm.run
 ---@field step? number how many steps a region advances in each cycle (1)
 ---@field run? boolean run each region instead
 ---@field idle_doo? boolean|"auto" the value that the doo yields (true)
----@field seqanddbg? boolean|fun(text: string) print each advance, with `info` or this
+---@field seqanddbg? boolean|fun(text: string) print the order once and each advance
 ---@field entry? function called before the regions are entered
 ---@field exit? function called after the regions were left
 
@@ -41,6 +41,15 @@ local function has_regions(state)
   return is_state(state) and getmetatable(state.substates) == Substates
 end
 
+-- Returns names as "a, b", each between two `quote`.
+local function list_text(names, quote)
+  local texts = {}
+  for i, name in ipairs(names) do
+    texts[i] = (quote or "") .. text_of(name) .. (quote or "")
+  end
+  return concat(texts, ", ")
+end
+
 -- Returns a wrong field and its problem.
 local function check_order(order, regions)
   if order == nil then return nil end
@@ -49,10 +58,9 @@ local function check_order(order, regions)
   end
   for i, name in ipairs(order) do
     if regions[name] == nil then
-      local names = rfsm.sorted_keys(regions)
-      for j = 1, #names do names[j] = "'" .. text_of(names[j]) .. "'" end
+      local names = list_text(rfsm.sorted_keys(regions), "'")
       return "order[" .. i .. "]", "name of a region expected, " .. got(name)
-        .. " (there are " .. (names[1] and concat(names, ", ") or "none") .. ")"
+        .. " (there are " .. (names ~= "" and names or "none") .. ")"
     end
   end
 end
@@ -81,6 +89,7 @@ end
 ---@field names any[] likewise
 ---@field entry? function the user's own
 ---@field exit? function
+---@field is_shown boolean their order has been printed
 ---@field is_forwarded boolean the regions have got the events of this iteration
 ---@field is_standing boolean they come from a snapshot, and the entry is run again
 
@@ -92,14 +101,30 @@ local function try(fsm, f, region, ...)
   return false
 end
 
-local function print_advance(fsm, state, i)
-  local printer = state.seqanddbg or state.andseqdbg
-  if not printer then return end
-  local regions = state._regions
-  local text = ("SEQAND %s: %s advanced to %s"):format(state._fqn,
-    text_of(regions.names[i]), text_of(rfsm.get_actleaf_fqn(regions[i])))
-  if printer == true then return rfsm.report(fsm, "info", text) end
-  try(fsm, printer, text)
+-- The printer of machines whose `info` is off; made when it is first needed.
+local silent
+
+local function print_line(fsm, state, printer, text)
+  text = "SEQAND " .. state._fqn .. ": " .. text
+  if printer ~= true then return try(fsm, printer, text) end
+  silent = silent or rfsm.init(rfsm.state { info = false, warn = false }).info
+  if fsm.info and fsm.info ~= silent then return rfsm.report(fsm, "info", text) end
+  rawget(_G, "print")(text)
+end
+
+-- Advances region number i by as much as the fields of the state say.
+local function advance(fsm, state, i)
+  local regions, printer = state._regions, state.seqanddbg or state.andseqdbg
+  if printer and not regions.is_shown then
+    regions.is_shown = true
+    print_line(fsm, state, printer, "order " .. list_text(regions.names))
+  end
+  local idle = try(fsm, state.run and run or step, regions[i], state.step)
+  if printer then
+    print_line(fsm, state, printer, text_of(regions.names[i]) .. " advanced to "
+      .. text_of(rfsm.get_actleaf_fqn(regions[i])))
+  end
+  return idle
 end
 
 local function forward(fsm, regions, events)
@@ -124,20 +149,16 @@ local function advance_all(fsm, state)
   while true do
     local are_all_idle = true
     forward(fsm, regions, fsm._curq)
-    for i = 1, #regions do
-      local idle = try(fsm, state.run and run or step, regions[i], state.step)
-      are_all_idle = idle and are_all_idle
-      print_advance(fsm, state, i)
-    end
+    for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
     rfsm.yield(idle_flag(state, are_all_idle))
   end
 end
 
--- The entry: the user's own, then one step of each region.
+-- The entry: the user's own, then each region is advanced as in the doo.
 local function enter_all(fsm, state, what)
   local regions, ok, failure = state._regions, true, nil
   if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
-  for i = 1, regions.is_standing and 0 or #regions do try(fsm, step, regions[i]) end
+  for i = 1, regions.is_standing and 0 or #regions do advance(fsm, state, i) end
   regions.is_standing = false
   if not ok then error(failure, 0) end
 end
@@ -179,28 +200,13 @@ local function reset(fsm)
   end
 end
 
--- Snapshots hold those of the regions, by the FQN of the state and their names.
-local function save(fsm, how)
-  local kept = nil
-  for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    for i, name in ipairs(state._regions.names) do
-      local snap = how.take(state._regions[i])
-      if snap then
-        kept = kept or {}
-        kept[state._fqn] = kept[state._fqn] or {}
-        kept[state._fqn][name] = snap
-      end
-    end
-  end
-  return kept
-end
+-- Snapshots hold the regions by themselves: nothing is kept here.
+local function save() return nil end
 
-local function load(fsm, kept, how)
+-- A state whose entry is run again after a restore does not step its regions.
+local function load(fsm, _, how)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    local regions, snaps = state._regions, kept and kept[state._fqn] or {}
-    if type(snaps) ~= "table" then error("table of snapshots expected", 0) end
-    for i, name in ipairs(regions.names) do how.put(regions[i], snaps[name]) end
-    regions.is_standing = how.entries and state == fsm._act_leaf or false
+    state._regions.is_standing = how.entries and state == fsm._act_leaf or false
   end
 end
 
@@ -209,14 +215,14 @@ end
 -- Fields that tools set on a machine, and that its fresh instance gets.
 local HANDED_ON = {
   "dbg", "info", "warn", "err", "getevents", "idle_hook", "pre_step_hook",
-  "post_step_hook",
+  "post_step_hook", "gettime",
 }
 
 local PRINTERS = { "info", "warn", "err" }
 
 -- Returns a fresh machine for a region; false and its problems if it is not valid.
 -- While it is made its model has the printers of the parent machine for those it lacks.
-local function new_region(fsm, given)
+local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
   local model = is_machine and given._plan.model or given
   for _, name in ipairs(PRINTERS) do
@@ -231,6 +237,20 @@ local function new_region(fsm, given)
   if region and is_machine then
     for _, field in ipairs(HANDED_ON) do region[field] = rawget(given, field) end
   end
+  return region, problems
+end
+
+local is_apart = false -- a machine for a tool is being made
+
+-- Returns the machine for a region: the given one if it is a machine that no parent
+-- machine has, else a fresh one. Its field `_owner` is the parent machine.
+local function new_region(fsm, given)
+  local region, problems = given, nil
+  if is_apart or not rfsm.is_initialized_root(given) or given._owner
+    and rfsm.is_initialized_root(given._owner) then
+    region, problems = fresh_region(fsm, given)
+  end
+  if region then rawset(region, "_owner", fsm) end
   return region, problems
 end
 
@@ -273,7 +293,8 @@ local function new_regions(state)
   add(state.order or {})
   add(rfsm.sorted_keys(state.substates))
   for i = 1, #names do regions[i] = state.substates[names[i]] end
-  regions.names, regions.is_forwarded, regions.is_standing = names, false, false
+  regions.names, regions.is_shown = names, false
+  regions.is_forwarded, regions.is_standing = false, false
   return regions
 end
 
@@ -350,6 +371,24 @@ function rfsm_seqand.new(fields, more)
   local state, text = new_state(fields)
   if not state then error("rfsm.seqand: " .. text, 2) end
   return state
+end
+
+--- Make a machine that leaves the machines given as regions alone; for tools.
+--
+-- It runs machines of their models instead, so that a check can be made before the
+-- machine is.
+--
+---@param model rfsm.State
+---@return rfsm.Machine? fsm as `rfsm.init`
+---@return string? text
+---@return string[]? problems
+function rfsm_seqand.init_apart(model)
+  local was_apart = is_apart
+  is_apart = true
+  local ok, fsm, text, problems = pcall(rfsm.init, model)
+  is_apart = was_apart
+  if not ok then error(fsm, 0) end
+  return fsm, text, problems
 end
 
 setmetatable(rfsm_seqand, { __call = rfsm_seqand.new })

@@ -3,26 +3,160 @@
 -- Once this module is loaded, each machine initialised afterwards understands the
 -- events `"e_after(T)"` and `"e_at(T)"` in its transitions. A timer is armed when the
 -- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
--- iteration that finds the timer expired, once per entry. F is the FQN of the source.
+-- iteration that finds the timer expired, once per entry.
 --
--- Most iterations find no timer expired. They read the clock and compare it with the
--- earliest deadline of the machine; only when that is past are timers looked at.
+-- An entry notes the time for all timers of the state. Most iterations find no timer
+-- expired: they read the clock and compare it with one number. Single timers are looked
+-- at only when that number is past.
 --
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
 
-local clock = require "rfsm.clock"
 local rfsm = require "rfsm"
 
 local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
-local pcall, rawget, rawset, setmetatable = pcall, rawget, rawset, setmetatable
-local type = type
-local huge, max, min = math.huge, math.max, math.min
-local insert, sort = table.insert, table.sort
+local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
+local require, setmetatable, tonumber, type = require, setmetatable, tonumber, type
+local abs, floor, huge, max = math.abs, math.floor, math.huge, math.max
+local min, insert, sort = math.min, table.insert, table.sort
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
-local read, gettimes = clock.read, clock.in_use
 
 local rfsm_timeevent = {}
+
+-- Times: whole seconds, and whole nanoseconds from 0 below a billion ---------------
+
+local BILLION = 1000000000
+
+-- Carries whole seconds from nanoseconds to seconds. Both may have a fraction. The
+-- remainder is taken off before the division, which then is exact.
+local function normalise(sec, nsec)
+  local whole = floor(sec)
+  nsec = floor(nsec) + floor((sec - whole) * BILLION + 0.5)
+  local rest = nsec % BILLION
+  if rest < 0 then rest = rest + BILLION end -- Lua 5.1 rounds large quotients up
+  return whole + floor((nsec - rest) / BILLION), rest
+end
+
+-- Splits seconds in one number, which may be infinite.
+local function from_number(seconds)
+  if seconds - seconds ~= 0 then return seconds, 0 end
+  return normalise(seconds, 0)
+end
+
+-- Splits a text such as "0.25", digit by digit; nil if it is no number of seconds.
+local function from_text(text)
+  local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
+  if not whole then
+    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
+    if number then return from_number(number) end
+    return nil
+  elseif whole == "" and fraction == "" then
+    return nil
+  end
+  local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth only rounds
+  return normalise(tonumber("0" .. whole), floor(tonumber(digits) / 10 + 0.5))
+end
+
+-- Clocks: the machine's, its parent machine's, or the process's ---------------------
+--
+-- Each is a pair of functions, by whether a timer is relative: e_after wants a clock
+-- that nobody sets, e_at the time of day.
+
+-- Reads the clock that the standard library has.
+local function read_standard()
+  local os = rawget(_G, "os")
+  if not (os and os.time) then error("no clock is installed", 0) end
+  return os.time(), 0
+end
+
+-- What rfsm.clock offers, for a folder without that file.
+local function new_standard_clock()
+  local function find() return read_standard end
+  local in_use = setmetatable({}, { __index = find })
+  local function set_hook(relative, absolute)
+    in_use[true], in_use[false] = relative, absolute or relative
+  end
+  return { in_use = in_use, find = find, set_hook = set_hook }
+end
+
+local has_clock, clock = pcall(require, "rfsm.clock")
+if not has_clock then clock = new_standard_clock() end
+
+local in_use = clock.in_use
+
+-- Returns the pair of functions that a clock of the user means. If it wants a clock id,
+-- it is given one. The time of RTT is not that of the day. Any other one is for both,
+-- for nobody knows what it counts.
+local function clocks_of(gettime)
+  local rtt = rawget(_G, "rtt")
+  if type(rtt) == "table" and rawequal(rtt.getTime, gettime) then
+    return { [true] = gettime, [false] = clock.find(false) }
+  elseif pcall(gettime) or not pcall(gettime, "CLOCK_MONOTONIC") then
+    return { [true] = gettime, [false] = gettime }
+  end
+  return {
+    [true] = function() return gettime("CLOCK_MONOTONIC") end,
+    [false] = function() return gettime("CLOCK_REALTIME") end,
+  }
+end
+
+-- Returns the clock of a machine: its field `gettime`, or that of a machine around it.
+local function clock_of(fsm, is_relative)
+  local own, owner, gettime = fsm._timeevent, fsm, fsm.gettime
+  while not gettime and owner._owner do
+    owner = owner._owner
+    gettime = owner.gettime
+  end
+  if not gettime then return in_use[is_relative] end
+  if not rawequal(own.gettime, gettime) then
+    own.gettime, own.clocks = gettime, clocks_of(gettime)
+  end
+  return own.clocks[is_relative]
+end
+
+-- Returns the time; nil and the error of a clock that fails.
+local function read(fsm, is_relative)
+  local ok, sec, nsec = pcall(clock_of(fsm, is_relative))
+  if not ok then
+    return nil, sec
+  elseif type(sec) ~= "number" or nsec ~= nil and type(nsec) ~= "number" then
+    local got = type(sec) == "number" and type(nsec) or type(sec)
+    return nil, "seconds and nanoseconds expected, got " .. got
+  elseif sec - sec ~= 0 or nsec and nsec - nsec ~= 0 then
+    return nil, "a time must be finite"
+  elseif nsec then
+    return normalise(sec, nsec)
+  end
+  return normalise(0, sec) -- nanoseconds
+end
+
+local function read_or_raise(fsm, is_relative)
+  local sec, nsec = read(fsm, is_relative)
+  if sec then return sec, nsec end
+  error("rfsm_timeevent: the clock failed: " .. text_of(nsec), 0)
+end
+
+local function report_clock(fsm, reason)
+  report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
+end
+
+-- Clocks that were reported to return seconds in one number.
+local suspects = setmetatable({}, { __mode = "k" })
+
+local DAY = 86400
+
+-- Warns of a clock that returns one number, nanoseconds, which must be seconds: it is
+-- less than a millisecond since any start, or the time of day in seconds.
+local function check_unit(fsm, number)
+  local os, gettime = rawget(_G, "os"), clock_of(fsm, true)
+  local is_small = number > 0 and number < 1e6
+  local is_day = os and os.time and abs(number - os.time()) < DAY
+  if suspects[gettime] or not (is_small or is_day) then return end
+  suspects[gettime] = true
+  report(fsm, "warn", ("WARNING: the clock returned one number, %.14g, which means "
+    .. "nanoseconds; seconds need two: function() return os.time(), 0 end"):format(
+    number))
+end
 
 -- Time events: objects and texts ----------------------------------------------
 
@@ -46,7 +180,7 @@ local function new_event(kind, x, id)
     event.timeout, event.id = x, id
     event.name = kind .. "(" .. (id == nil and "function" or text_of(id)) .. ")"
   elseif type(x) == "number" and x >= 0 then
-    event.sec, event.nsec = clock.from_number(x)
+    event.sec, event.nsec = from_number(x)
     event.name = kind .. "(" .. text_of(x) .. ")"
   else
     local got = type(x) == "number" and text_of(x) or type(x)
@@ -61,7 +195,7 @@ end
 local function parse(text)
   local kind = text:match("^(e_after)%s*%(") or text:match("^(e_at)%s*%(")
   if not kind or text:find("@", 1, true) then return nil end
-  local sec, nsec = clock.from_text(text:match("%((.*)%)$") or "")
+  local sec, nsec = from_text(text:match("%((.*)%)$") or "")
   if not sec then
     return nil, ("'%s': seconds expected, as in %s(0.5)"):format(text, kind)
   end
@@ -71,131 +205,184 @@ end
 
 -- Run: arm, raise ----------------------------------------------------------------
 
---- The earliest deadline of one kind of timers; no armed timer has one before. The
--- field `_timeevent` of a machine has that of e_after at `true`, that of e_at at
--- `false`, and the number of its timers in `count`.
----@class rfsm_timeevent.Deadline
----@field is_relative boolean
----@field sec number huge if there is none
----@field nsec number
----@field soon number seconds; until then a look at the clock as one number is enough
+--- What time events keep in a machine, in its field `_timeevent`. At `true` and `false`
+-- it has a time as one number, seconds, for e_after and e_at: before that none of them
+-- expires. huge: none is armed, -huge: some wait for the clock to work again.
+---@class rfsm_timeevent.Own
+---@field count integer number of timers
+---@field gettime any the clock of the machine, and
+---@field clocks table<boolean, function> what it means
 
---- A timer; they are the field `_timers` of the source, as a list and by name.
+--- The timers of a state, as a list and by name; its field `_timers`.
+---@class rfsm_timeevent.Timers
+---@field entry integer number of times the state was entered
+---@field sec number|false the time of the latest entry; false: the clock failed
+---@field nsec number
+---@field delay number|false the shortest e_after; huge: functions only, false: none
+---@field time number|false likewise of e_at
+
+--- A timer. It is armed with all timers of its state when that is entered, unless it
+-- has been set alone since.
 ---@class rfsm_timeevent.Timer
 ---@field name string of the event that it raises
 ---@field event rfsm_timeevent.Timeevent
 ---@field is_relative boolean that of the event
 ---@field rank integer its position among the timers of the machine
----@field is_armed boolean
----@field is_waiting boolean to be armed when the clock works again
----@field sec number deadline
+---@field timers rfsm_timeevent.Timers the list that it is in
+---@field entry integer the entry of the state for which it was set alone
+---@field sec number|false its deadline then; huge: not armed, false: it waits
 ---@field nsec number
-
-local NEVER, PAST = { sec = huge, nsec = 0 }, { sec = -huge, nsec = 0 }
-
-local function is_before(a, b)
-  if a.sec ~= b.sec then return a.sec < b.sec end
-  return a.nsec < b.nsec
-end
-
-local function expires_before(a, b)
-  if is_before(a, b) or is_before(b, a) then return is_before(a, b) end
-  return a.rank < b.rank
-end
 
 local MARGIN = 0.001 -- seconds; more than the error of a time as one number
 
-local function set(deadline, time)
-  deadline.sec, deadline.nsec = time.sec, time.nsec
-  deadline.soon = time.sec + time.nsec / 1e9 - MARGIN
+-- Returns the deadline of a timer, also in whole nanoseconds; as the field `sec`.
+local function deadline_of(timer)
+  local timers, event = timer.timers, timer.event
+  if timer.entry == timers.entry then return timer.sec, timer.nsec end
+  if not timer.is_relative then return event.sec, event.nsec end
+  if not timers.sec then return false, 0 end
+  return normalise(timers.sec + event.sec, timers.nsec + event.nsec)
 end
 
-local function new_deadline(is_relative)
-  return { is_relative = is_relative, sec = huge, nsec = 0, soon = huge }
+-- Notes that a timer may expire at a time.
+local function note_deadline(fsm, is_relative, sec, nsec)
+  local own = fsm._timeevent
+  own[is_relative] = min(own[is_relative], sec + nsec * 1e-9 - MARGIN)
 end
 
-local function report_clock(fsm, reason)
-  report(fsm, "err", "TIMEEVENT", "the clock failed: ", reason)
+-- Sets a timer alone.
+local function set(fsm, timer, sec, nsec)
+  timer.entry, timer.sec, timer.nsec = timer.timers.entry, sec, nsec
+  note_deadline(fsm, timer.is_relative, sec or -huge, nsec)
 end
 
--- Returns the time for which a timer is set; nil if a timeout function fails.
+local function disarm(timer) timer.entry, timer.sec = timer.timers.entry, huge end
+
+-- Returns the time for which a timer is set; huge if a timeout function fails.
 local function duration_of(fsm, timer)
   local event = timer.event
   if not event.timeout then return event.sec, event.nsec end
   local ok, seconds = pcall(event.timeout, event.id)
   if ok and type(seconds) == "number" and seconds == seconds then
-    return clock.from_number(max(seconds, 0))
+    return from_number(max(seconds, 0))
   elseif ok then
     seconds = "number of seconds expected, got "
       .. (seconds ~= seconds and "NaN" or type(seconds))
   end
   report(fsm, "err", "TIMEEVENT", "error executing timeout of " .. timer.name .. ": ",
     seconds)
+  return huge, 0
 end
 
-local function arm_at(fsm, timer, sec, nsec)
-  timer.sec, timer.nsec = clock.normalise(sec, nsec)
-  timer.is_armed = true
-  local deadline = fsm._timeevent[timer.is_relative]
-  if is_before(timer, deadline) then set(deadline, timer) end
-end
-
--- Arms a timer, counting from `sec`, `nsec`.
+-- Arms a timer alone, counting from `sec`, `nsec` if it is relative.
 local function arm(fsm, timer, sec, nsec)
+  if timer.is_relative and not sec then return set(fsm, timer, false, 0) end
   local delay, rest = duration_of(fsm, timer)
-  timer.is_armed, timer.is_waiting = false, false
-  if delay and delay < huge then arm_at(fsm, timer, sec + delay, nsec + rest) end
+  if delay == huge then return disarm(timer) end
+  if timer.is_relative then delay, rest = normalise(sec + delay, nsec + rest) end
+  set(fsm, timer, delay, rest)
 end
 
--- Has a timer wait for the clock to work again.
-local function wait(fsm, timer)
-  timer.is_armed, timer.is_waiting = false, true
-  set(fsm._timeevent[true], PAST)
+-- Arms a timer alone, from now on.
+local function arm_now(fsm, timer)
+  local sec, nsec = nil, nil
+  if timer.is_relative then
+    sec, nsec = read(fsm, true)
+    if not sec then report_clock(fsm, nsec) end
+  end
+  arm(fsm, timer, sec, nsec)
 end
 
--- Arms the timers of a list; without a clock, the relative ones later.
-local function arm_all(fsm, timers)
-  local sec, nsec = false, nil -- not read yet
-  for i = 1, #timers do
-    if not timers[i].is_relative then
-      arm(fsm, timers[i], 0, 0)
-    else
-      if sec == false then
-        sec, nsec = read(true)
-        if not sec then report_clock(fsm, nsec) end
-      end
-      if sec then arm(fsm, timers[i], sec, nsec) else wait(fsm, timers[i]) end
-    end
+-- Returns the time as one number, then as the clock returned it: nil and nanoseconds if
+-- those are one number, too. Raises an error or returns false for what is no time.
+local function time_of(gettime)
+  local sec, nsec = gettime()
+  if not nsec then return sec < huge and sec * 1e-9, nil, sec end
+  local time = sec + nsec * 1e-9
+  return sec < huge and time - time == 0 and time, sec, nsec
+end
+
+-- Returns the time as above from a clock that is unusual: one that returns one number,
+-- or one that fails, which is read once more and reported.
+local function read_unusual(fsm, time, nsec)
+  if time then
+    check_unit(fsm, nsec)
+    return time, 0, nsec
+  end
+  local sec, reason = read(fsm, true)
+  if sec then return sec + reason * 1e-9, sec, reason end
+  report_clock(fsm, reason)
+  return -huge, false, 0
+end
+
+-- Notes the time of entry for the timers of a state.
+local function note_entry(fsm, timers, own)
+  local gettime = (fsm.gettime or fsm._owner) and clock_of(fsm, true) or in_use[true]
+  local ok, time, sec, nsec = pcall(time_of, gettime)
+  if not (ok and sec and time) then
+    time, sec, nsec = read_unusual(fsm, ok and time, nsec)
+  end
+  timers.sec, timers.nsec = sec, nsec
+  time = time + timers.delay
+  if time < own[true] then own[true] = time end
+end
+
+-- Arms the timers of a state that is entered.
+local function enter_state(fsm, state)
+  local timers, own = state._timers, fsm._timeevent
+  timers.entry = timers.entry + 1
+  if timers.delay then note_entry(fsm, timers, own) end
+  if not timers.time then return end
+  if timers.time < own[false] then own[false] = timers.time end
+  for _, timer in ipairs(timers) do
+    if timer.event.timeout then arm(fsm, timer, timers.sec, timers.nsec) end
   end
 end
 
-local function enter_state(fsm, state) arm_all(fsm, state._timers) end
-
--- Lists the timers of active states whose `flag` is set.
-local function list_timers(fsm, flag)
+-- Lists the timers of active states.
+local function list_timers(fsm)
   local list, state = {}, fsm._mode ~= "inactive" and fsm
   while state do
     local timers = state._timers
-    for i = 1, timers and #timers or 0 do
-      if timers[i][flag] then list[#list + 1] = timers[i] end
-    end
+    for i = 1, timers and #timers or 0 do list[#list + 1] = timers[i] end
     state = state._actchild
   end
   return list
 end
 
--- Disarms and returns the timers of one kind that have expired. Notes the earliest
--- deadline of the others.
-local function take_expired(fsm, deadline, now)
+-- Arms the timers that wait for the clock.
+local function arm_waiting(fsm, sec, nsec)
+  for _, timer in ipairs(list_timers(fsm)) do
+    if not deadline_of(timer) then arm(fsm, timer, sec, nsec) end
+  end
+end
+
+local function is_before(sec, nsec, than_sec, than_nsec)
+  if sec ~= than_sec then return sec < than_sec end
+  return nsec < than_nsec
+end
+
+-- Orders timers that have expired, each with its deadline.
+local function expires_before(a, b)
+  if a.sec ~= b.sec or a.nsec ~= b.nsec then
+    return is_before(a.sec, a.nsec, b.sec, b.nsec)
+  end
+  return a.timer.rank < b.timer.rank
+end
+
+-- Disarms and lists the timers of one kind that have expired. Notes the deadlines of
+-- the others.
+local function take_expired(fsm, is_relative, sec, nsec)
   local expired = {}
-  set(deadline, NEVER)
-  for _, timer in ipairs(list_timers(fsm, "is_armed")) do
-    local is_meant = timer.is_relative == deadline.is_relative
-    if is_meant and is_before(timer, now) then
-      timer.is_armed = false
-      expired[#expired + 1] = timer
-    elseif is_meant and is_before(timer, deadline) then
-      set(deadline, timer)
+  fsm._timeevent[is_relative] = huge
+  for _, timer in ipairs(list_timers(fsm)) do
+    local at, rest = deadline_of(timer)
+    local is_meant = timer.is_relative == is_relative
+    if is_meant and is_before(at, rest, sec, nsec) then
+      disarm(timer)
+      expired[#expired + 1] = { timer = timer, sec = at, nsec = rest }
+    elseif is_meant then
+      note_deadline(fsm, is_relative, at, rest)
     end
   end
   sort(expired, expires_before)
@@ -203,15 +390,14 @@ local function take_expired(fsm, deadline, now)
 end
 
 -- Raises the events of the timers of one kind that have expired.
-local function raise_expired(fsm, deadline)
-  local sec, nsec = read(deadline.is_relative)
+local function raise_expired(fsm, is_relative)
+  local sec, nsec = read(fsm, is_relative)
   if not sec then return report_clock(fsm, nsec) end
-  if deadline.is_relative then arm_all(fsm, list_timers(fsm, "is_waiting")) end
-  if sec < deadline.sec or sec == deadline.sec and nsec <= deadline.nsec then return end
+  if is_relative then arm_waiting(fsm, sec, nsec) end
   local events = fsm._curq
-  for _, timer in ipairs(take_expired(fsm, deadline, { sec = sec, nsec = nsec })) do
-    events[#events + 1] = timer.name
-    report(fsm, "dbg", "TIMEEVENT", timer.name)
+  for _, at in ipairs(take_expired(fsm, is_relative, sec, nsec)) do
+    events[#events + 1] = at.timer.name
+    report(fsm, "dbg", "TIMEEVENT", at.timer.name)
   end
 end
 
@@ -224,35 +410,30 @@ end
 
 -- This runs in every iteration. A clock that fails is read once more, and reported.
 local function check_timers(fsm)
-  local deadline = fsm._timeevent[true]
-  for _ = 1, 2 do
-    if deadline.soon < huge then
-      local ok, is_nothing_due = pcall(is_early, gettimes[deadline.is_relative],
-        deadline.soon)
-      if not (ok and is_nothing_due) then raise_expired(fsm, deadline) end
-    end
-    deadline = fsm._timeevent[false]
+  local own = fsm._timeevent
+  local soon, soon_at = own[true], own[false]
+  if soon < huge then
+    local gettime = (fsm.gettime or fsm._owner) and clock_of(fsm, true) or in_use[true]
+    local ok, is_nothing_due = pcall(is_early, gettime, soon)
+    if not (ok and is_nothing_due) then raise_expired(fsm, true) end
+  end
+  if soon_at < huge then
+    local ok, is_nothing_due = pcall(is_early, clock_of(fsm, false), soon_at)
+    if not (ok and is_nothing_due) then raise_expired(fsm, false) end
   end
 end
 
 -- Snapshots: timers are kept with the time that is left, by their names ----------
 
-local function read_or_raise(is_relative)
-  local sec, nsec = read(is_relative)
-  if sec then return sec, nsec end
-  error("rfsm_timeevent: the clock failed: " .. text_of(nsec), 0)
-end
-
 local function save(fsm)
   local left, now, now_nsec = {}, nil, nil
-  for _, timer in ipairs(list_timers(fsm, "is_waiting")) do left[timer.name] = true end
-  for _, timer in ipairs(list_timers(fsm, "is_armed")) do
-    local sec, nsec = timer.sec, timer.nsec
-    if timer.is_relative then
-      if not now then now, now_nsec = read_or_raise(true) end
-      sec, nsec = clock.normalise(sec - now, nsec - now_nsec)
+  for _, timer in ipairs(list_timers(fsm)) do
+    local sec, nsec = deadline_of(timer)
+    if sec and sec < huge and timer.is_relative then
+      if not now then now, now_nsec = read_or_raise(fsm, true) end
+      sec, nsec = normalise(sec - now, nsec - now_nsec)
     end
-    left[timer.name] = { sec, nsec }
+    if sec ~= huge then left[timer.name] = sec and { sec, nsec } or true end
   end
   return next(left) and left
 end
@@ -260,28 +441,28 @@ end
 -- Arms a timer of which `left` was kept: seconds and nanoseconds, or true.
 local function load_timer(fsm, timer, left)
   local sec, nsec, now, now_nsec = left, 0, 0, 0
-  if left == true then return wait(fsm, timer) end
+  if left == true then return set(fsm, timer, false, 0) end
   if type(left) == "table" then sec, nsec = left[1], left[2] end
   if type(sec) ~= "number" or type(nsec) ~= "number" or sec - sec ~= nsec - nsec then
     error("seconds and nanoseconds expected for timer '" .. timer.name .. "'", 0)
   end
-  if timer.is_relative then now, now_nsec = read_or_raise(true) end
-  arm_at(fsm, timer, sec + now, nsec + now_nsec)
+  if timer.is_relative then now, now_nsec = read_or_raise(fsm, true) end
+  set(fsm, timer, normalise(sec + now, nsec + now_nsec))
 end
 
--- A timer that the chart of a snapshot did not have is armed from now on.
+-- Timers follow the chart: one that the chart of a snapshot did not have is armed from
+-- now on, and one that this chart does not have is dropped.
 local function load(fsm, left, how)
-  local is_known = {}
+  local own, is_known = fsm._timeevent, {}
   left = left or {}
-  set(fsm._timeevent[true], NEVER)
-  set(fsm._timeevent[false], NEVER)
-  for _, timer in ipairs(list_timers(fsm, "name")) do
+  own[true], own[false] = huge, huge
+  for _, timer in ipairs(list_timers(fsm)) do
     is_known[timer.name] = true
-    timer.is_armed, timer.is_waiting = false, false
+    disarm(timer)
     if left[timer.name] ~= nil then
       load_timer(fsm, timer, left[timer.name])
-    elseif how.is_migrated then
-      arm_all(fsm, { timer })
+    elseif how.is_migrated and how.is_new(timer.name) then
+      arm_now(fsm, timer)
     end
   end
   for _, name in ipairs(how.is_migrated and {} or rfsm.sorted_keys(left)) do
@@ -296,16 +477,24 @@ end
 -- Makes a machine look for expired timers, and a state arm its own.
 local function prepare_timers(fsm, state)
   if not fsm._timeevent then
-    fsm._timeevent = { [true] = new_deadline(true), [false] = new_deadline(false),
-      count = 0 }
+    fsm._timeevent = { [true] = huge, [false] = huge, count = 0, gettime = false,
+      clocks = false }
     rfsm.pre_step_hook_add(fsm, check_timers, "before") -- other hooks see the events
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then
-    state._timers = {}
+    state._timers = { entry = 0, sec = false, nsec = 0, delay = false, time = false }
     rfsm.entry_hook_add(fsm, state, enter_state)
   end
   return fsm._timeevent, state._timers
+end
+
+-- Notes the shortest time of a list, for entries.
+local function note_shortest(timers, event)
+  local field = event.is_relative and "delay" or "time"
+  local seconds = event.timeout and huge or event.sec + event.nsec * 1e-9 - MARGIN
+  timers[field] = min(timers[field] or huge, seconds)
+  if event.timeout then timers.time = timers.time or huge end
 end
 
 -- Do two events of one source always expire together?
@@ -332,9 +521,10 @@ local function add_timer(fsm, state, event)
   if timer then return name end
   own.count = own.count + 1
   timer = { name = name, event = event, is_relative = event.is_relative,
-    rank = own.count, is_armed = false, is_waiting = false, sec = huge, nsec = 0 }
+    rank = own.count, timers = timers, entry = timers.entry, sec = huge, nsec = 0 }
   timers[#timers + 1], timers[name] = timer, timer
-  if state._mode ~= "inactive" then arm_all(fsm, { timer }) end -- merged
+  note_shortest(timers, event)
+  if state._mode ~= "inactive" then arm_now(fsm, timer) end -- merged
   return name
 end
 
@@ -402,11 +592,12 @@ function rfsm_timeevent.is_timeevent(value)
   return type(value) == "string" and parse((value:gsub("@.*$", ""))) ~= nil
 end
 
---- Set the clock that all machines use, for e_after and e_at alike.
+--- Set the clock of the process: that of each machine without a field `gettime`.
 --
 -- Set it before machines run: armed timers keep the times of the clock before. A clock
--- returns seconds and nanoseconds, or nanoseconds in one number. One that wants a clock
--- id is given "CLOCK_MONOTONIC".
+-- returns seconds and nanoseconds, or nanoseconds in one number. It is for e_after and
+-- e_at, but one that wants a clock id is given "CLOCK_MONOTONIC" for e_after and
+-- "CLOCK_REALTIME" for e_at, and that of RTT is for e_after alone.
 --
 ---@param gettime? fun(id?: string): number, number? nil for the best clock installed
 function rfsm_timeevent.set_gettime_hook(gettime)
@@ -414,33 +605,38 @@ function rfsm_timeevent.set_gettime_hook(gettime)
     error("rfsm_timeevent.set_gettime_hook: function expected, got " .. type(gettime),
       2)
   end
-  clock.set_hook(gettime)
+  local clocks = gettime and clocks_of(gettime) or {}
+  clock.set_hook(clocks[true], clocks[false])
 end
 
 -- Returns the seconds until the first timer of one kind can fire; huge: there is none.
-local function remaining(fsm, deadline)
-  take_expired(fsm, deadline, PAST)
-  if deadline.sec == huge then return huge end
-  local sec, nsec = read_or_raise(deadline.is_relative)
-  sec, nsec = clock.normalise(deadline.sec - sec, deadline.nsec - nsec + 1)
+local function remaining(fsm, is_relative)
+  local first, first_nsec = huge, 0
+  for _, timer in ipairs(list_timers(fsm)) do
+    local sec, nsec = deadline_of(timer)
+    local is_meant = timer.is_relative == is_relative
+    if is_meant and is_before(sec, nsec, first, first_nsec) then
+      first, first_nsec = sec, nsec
+    end
+  end
+  if first == huge then return huge end
+  local sec, nsec = read_or_raise(fsm, is_relative)
+  sec, nsec = normalise(first - sec, first_nsec - nsec + 1)
   return max(sec + nsec / 1e9, 0)
 end
 
 -- Returns the seconds until the first timer of a machine can fire, also of machines in
 -- its active states; huge: there is none.
 local function earliest_deadline(fsm)
-  local least, state = huge, fsm
-  if fsm._timeevent then
-    local waiting = list_timers(fsm, "is_waiting")
-    if waiting[1] then read_or_raise(true) end
-    arm_all(fsm, waiting)
-    least = min(remaining(fsm, fsm._timeevent[true]),
-      remaining(fsm, fsm._timeevent[false]))
+  local least, state = huge, fsm._mode ~= "inactive" and fsm
+  local own = fsm._timeevent
+  if own then
+    if own[true] == -huge then arm_waiting(fsm, read_or_raise(fsm, true)) end
+    least = min(remaining(fsm, true), remaining(fsm, false))
   end
   while state do
-    local machines = type(state.substates) == "table" and state.substates or {}
-    for _, name in ipairs(rfsm.sorted_keys(machines, rfsm.is_initialized_root)) do
-      least = min(least, earliest_deadline(machines[name]))
+    for _, region in ipairs(rfsm.regions(state)) do
+      least = min(least, earliest_deadline(region))
     end
     state = state._actchild
   end

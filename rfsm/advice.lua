@@ -59,10 +59,13 @@ ALIASES.root = ALIASES.state
 
 local function plain(word) return (word:lower():gsub("_", "")) end
 
--- Are two words the same but for case and underscores, for one letter too many or too
--- few, or for two letters in reverse? One letter in place of another makes too many
--- words of their own: exit, edit.
-local function is_near(a, b)
+--- Are two words the same but for case and underscores, for one letter too many or too
+--- few, or for two letters in reverse? One letter in place of another makes another
+--- word: exit, edit.
+---@param a string
+---@param b string
+---@return boolean
+function advice.is_near(a, b)
   a, b = plain(a), plain(b)
   if #a ~= #b then return edit_distance(a, b) == 1 end
   for i = 1, #a - 1 do
@@ -81,7 +84,8 @@ function advice.field_meant(kind, key)
     if key == field then return "" end
   end
   for _, field in ipairs(FIELDS[kind]) do
-    if ALIASES[kind][plain(key)] == field or is_near(key, field) then return field end
+    local is_alias = ALIASES[kind][plain(key)] == field
+    if is_alias or advice.is_near(key, field) then return field end
   end
   return ""
 end
@@ -167,7 +171,9 @@ function advice.module_of(word)
   if module and loaded[module] then return "" end -- it has warned itself
   if module then return (" (require %q)"):format(module) end
   for _, known in ipairs({ "await", "e_after", "e_at" }) do
-    if is_near(word, known) then return (" (did you mean '%s(...)'?)"):format(known) end
+    if advice.is_near(word, known) then
+      return (" (did you mean '%s(...)'?)"):format(known)
+    end
   end
   return ""
 end

@@ -92,24 +92,42 @@ end
 
 -- Prepare: await(...) becomes an event of its own -----------------------------------
 
+-- Stands for the FQN of the source, which may have a comma or parenthesis in it, while
+-- a text is read.
+local SOURCE = "\1"
+
+local function hide_source(text, fqn)
+  local from, to = text:find("@" .. fqn, 1, true)
+  while from do
+    local rest = text:sub(to + 1)
+    if rest:find("^[,)%s'\"]") or rest == "" then
+      text = text:sub(1, from) .. SOURCE .. rest
+    end
+    from, to = text:find("@" .. fqn, from + 1, true)
+  end
+  return text
+end
+
 -- Splits "e_a, 'e_b'" into names without blanks and quotes; nil if one is empty.
-local function split(text)
+local function split(text, fqn)
   local names = {}
   for part in (text .. ","):gmatch("([^,]*),") do
     local name = part:match("^%s*(.-)%s*$")
     name = name:match("^(['\"]).*%1$") and name:sub(2, -2) or name
     if name == "" then return nil end
-    names[#names + 1] = name
+    local event, count = name:gsub("@" .. SOURCE .. "$", "")
+    names[#names + 1] = count == 1 and event .. "@" .. fqn or name
   end
   return names
 end
 
--- Returns the names in "await(e_a, e_b)"; nil if it is another event, false and the
--- reason if it was meant to be one.
-local function parse(event)
-  local inside = type(event) == "string" and event:match("^await%s*%((.*)$")
-  if not inside or inside:find("%)@[^%)]*$") then return nil end
-  local names = inside:match("%)$") and split(inside:sub(1, -2))
+-- Returns the names in "await(e_a, e_b)" at a source; nil if it is another event, false
+-- and the reason if it was meant to be one.
+local function parse(event, fqn)
+  local text = type(event) == "string" and hide_source(event, fqn)
+  local inside = text and text:match("^await%s*%((.*)$")
+  if not inside or inside:find("%)@" .. SOURCE .. "$") then return nil end
+  local names = inside:match("%)$") and split(inside:sub(1, -2), fqn)
   if names and not inside:find("await(", 1, true) then return names end
   return false, "await: a list of events expected, got '" .. event
     .. "' (await(e_a, e_b) would be right)"
@@ -170,7 +188,7 @@ rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   local problems = {}
   for _, tr in ipairs(rfsm.elements(merged or fsm, rfsm.is_trans)) do
     for i, event in ipairs(tr.events) do
-      local names, reason = parse(event)
+      local names, reason = parse(event, tr.src._fqn)
       if names then
         tr.events[i] = expand(fsm, tr, names)
       elseif names == false then

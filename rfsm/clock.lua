@@ -1,68 +1,15 @@
---- Clocks: the time as two whole numbers, seconds and nanoseconds, never as one float.
+--- Clocks: the one that the process uses, or the best one that is installed.
 --
--- `clock.read` reads the clock that was given to `clock.set_hook`. Without one it reads
--- the best clock that is installed: rtp, luaposix, luasocket, `os.time`.
+-- The best one is that of a running RTT, then those of rtp, luaposix and luasocket,
+-- then `os.time`. RTT, rtp and luaposix have a clock that nobody sets.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
 
 local error, pcall, rawget, require = error, pcall, rawget, require
-local setmetatable, tonumber, type = setmetatable, tonumber, type
-local floor = math.floor
+local setmetatable, type = setmetatable, type
 
 local clock = {}
-
--- Times: whole seconds, and whole nanoseconds from 0 below a billion -------------
-
-local BILLION = 1000000000
-
-local function is_finite(x) return x - x == 0 end
-
---- Carry whole seconds from nanoseconds to seconds. Both may have a fraction.
----@param sec number
----@param nsec number
----@return number sec
----@return number nsec
-function clock.normalise(sec, nsec)
-  local whole = floor(sec)
-  nsec = floor(nsec) + floor((sec - whole) * BILLION + 0.5)
-  local carry = floor(nsec / BILLION)
-  return whole + carry, nsec - carry * BILLION
-end
-
---- Split seconds in one number, which may be infinite.
----@param seconds number
----@return number sec
----@return number nsec
-function clock.from_number(seconds)
-  if not is_finite(seconds) then return seconds, 0 end
-  return clock.normalise(seconds, 0)
-end
-
---- Split a text such as "0.25", digit by digit.
----@param text string
----@return number? sec nil if the text is no number of seconds
----@return number? nsec
-function clock.from_text(text)
-  local whole, fraction = text:match("^%s*(%d*)%.?(%d*)%s*$")
-  if not whole then
-    local number = text:match("^%s*%d*%.?%d*[eE][+-]?%d+%s*$") and tonumber(text)
-    if number then return clock.from_number(number) end
-    return nil
-  elseif whole == "" and fraction == "" then
-    return nil
-  end
-  local digits = (fraction .. ("0"):rep(10)):sub(1, 10) -- the tenth only rounds
-  return clock.normalise(tonumber("0" .. whole), floor(tonumber(digits) / 10 + 0.5))
-end
-
--- Splits nanoseconds in one number; exact, since the remainder is taken off first.
-local function from_nanoseconds(ns)
-  ns = floor(ns)
-  local nsec = ns % BILLION
-  if nsec < 0 then nsec = nsec + BILLION end -- Lua 5.1 rounds large quotients up
-  return (ns - nsec) / BILLION, nsec
-end
 
 -- Clocks that are installed ------------------------------------------------------
 
@@ -72,6 +19,12 @@ local function find_module(name)
   if not ok then return nil end
   if type(module) ~= "table" then module = rawget(_G, name) end
   return type(module) == "table" and module or nil
+end
+
+-- The Lua of RTT sets the global `rtt`. Its time begins with the computer.
+local function find_rtt_clock(is_monotonic)
+  local rtt = rawget(_G, "rtt")
+  return is_monotonic and type(rtt) == "table" and rtt.getTime
 end
 
 local function find_rtp_clock(is_monotonic)
@@ -111,9 +64,14 @@ end
 
 local function no_clock() error("no clock is installed", 0) end
 
-local FINDERS = { find_rtp_clock, find_posix_clock, find_socket_clock, find_os_clock }
+local FINDERS = {
+  find_rtt_clock, find_rtp_clock, find_posix_clock, find_socket_clock, find_os_clock,
+}
 
-local function find_clock(is_monotonic)
+--- Return the best clock that is installed.
+---@param is_monotonic boolean prefer a clock that is never set to the time of day?
+---@return fun(): number, number? gettime
+function clock.find(is_monotonic)
   for i = 1, #FINDERS do
     local found = FINDERS[i](is_monotonic)
     if found and pcall(found) then return found end
@@ -123,47 +81,34 @@ end
 
 -- The clock in use ---------------------------------------------------------------
 
-local hook = nil
+local hooks = {}
 
 --- The function that reads the time, by whether the clock should be monotonic. It is
 -- found when it is first needed.
 ---@type table<boolean, fun(): number, number?>
 clock.in_use = setmetatable({}, { __index = function(in_use, is_monotonic)
-  in_use[is_monotonic] = hook or find_clock(is_monotonic)
+  in_use[is_monotonic] = hooks[is_monotonic] or clock.find(is_monotonic)
   return in_use[is_monotonic]
 end })
 
---- Set the clock.
---
--- It returns seconds and nanoseconds, or nanoseconds in one number. One that fails
--- without an argument, and works with "CLOCK_MONOTONIC", is called with that.
---
----@param gettime? fun(id?: string): number, number? nil: the best clock installed
-function clock.set_hook(gettime)
-  hook = gettime
-  if gettime and not pcall(gettime) and pcall(gettime, "CLOCK_MONOTONIC") then
-    hook = function() return gettime("CLOCK_MONOTONIC") end
-  end
+--- Set the clock of the process. It returns seconds and nanoseconds, or nanoseconds in
+-- one number.
+---@param gettime? fun(): number, number? nil: the best clock installed
+---@param time_of_day? fun(): number, number? default the first one
+function clock.set_hook(gettime, time_of_day)
+  hooks[true], hooks[false] = gettime, time_of_day or gettime
   clock.in_use[true], clock.in_use[false] = nil, nil
 end
 
---- Return the time; an error of the clock is returned, not raised.
+--- Return seconds and nanoseconds; an error of the clock is returned, not raised.
 ---@param is_monotonic boolean prefer a clock that is never set?
 ---@return number? sec nil if the clock fails
 ---@return number|any nsec the error in that case
 function clock.read(is_monotonic)
   local ok, sec, nsec = pcall(clock.in_use[is_monotonic])
-  if not ok then
-    return nil, sec
-  elseif type(sec) ~= "number" or nsec ~= nil and type(nsec) ~= "number" then
-    local got = type(sec) == "number" and type(nsec) or type(sec)
-    return nil, "seconds and nanoseconds expected, got " .. got
-  elseif not (is_finite(sec) and is_finite(nsec or 0)) then
-    return nil, "a time must be finite"
-  elseif nsec then
-    return clock.normalise(sec, nsec)
-  end
-  return from_nanoseconds(sec)
+  if not ok then return nil, sec end
+  if nsec == nil then return 0, sec end -- nanoseconds
+  return sec, nsec
 end
 
 return clock

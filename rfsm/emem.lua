@@ -6,6 +6,9 @@
 -- there. The counts are set to 0 when the state is left. `emem = false` switches this
 -- off, for a state or, in the root, for the machine.
 --
+-- Of the events that no transition names, a state remembers a thousand at most. When
+-- one more comes, it forgets them and begins again.
+--
 -- @module rfsm.emem
 -- @license BSD-3-Clause
 
@@ -17,8 +20,18 @@ local jit = rawget(_G, "jit")
 
 local rfsm_emem = {}
 
+--- What is kept in a machine, in its field `_emem`.
+---@class rfsm.emem.Own
+---@field is_blocked table<rfsm.State, boolean> states with a state of the name `emem`
+---@field others table<rfsm.State, integer> how many of its events no transition names
+---@field declared table<any, boolean>|false the events of transitions; false: not known
+
 -- The counts forget an event with its object.
 local WEAK = { __mode = "k" }
+
+-- So many events that no transition names are counted in a state. Events with data in
+-- their names would take ever more memory.
+local MOST_OTHERS = 1000
 
 local function clear(_, state)
   local emem = state.emem
@@ -26,22 +39,62 @@ local function clear(_, state)
   for event in pairs(emem) do emem[event] = 0 end -- any order: all of them
 end
 
-if jit then jit.off(clear) end -- compiled traversals of LuaJIT 2.1 may skip keys
+local function forget_others(emem, declared)
+  for event in pairs(emem) do -- any order: likewise
+    if not declared[event] then emem[event] = nil end
+  end
+end
+
+if jit then -- compiled traversals of LuaJIT 2.1 may skip keys
+  jit.off(clear)
+  jit.off(forget_others)
+end
+
+local function declared_events(fsm)
+  local declared = {}
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    for _, event in ipairs(tr.events) do declared[event] = true end
+  end
+  return declared
+end
+
+-- Counts an event that has not come before.
+local function count_new(fsm, state, event)
+  local own, emem = fsm._emem, state.emem
+  own.declared = own.declared or declared_events(fsm)
+  if not own.declared[event] then
+    own.others[state] = (own.others[state] or 0) + 1
+    if own.others[state] > MOST_OTHERS then
+      forget_others(emem, own.declared)
+      own.others[state] = 1
+    end
+  end
+  emem[event] = 1
+end
+
+local function count_event(fsm, state, emem, event)
+  local n = emem[event]
+  if n then
+    emem[event] = n + 1
+  elseif event == event then -- not NaN
+    count_new(fsm, state, event)
+  end
+end
 
 -- This runs in every iteration.
 local function count(fsm)
   local events, state = fsm._curq, fsm._act_leaf and fsm
+  local is_blocked = fsm._emem.is_blocked
   while state do
-    local emem = state.emem
-    for i = 1, emem and #events or 0 do
-      local event = events[i]
-      if event == event then emem[event] = (emem[event] or 0) + 1 end -- no NaN
-    end
+    local emem = not is_blocked[state] and state.emem
+    for i = 1, emem and #events or 0 do count_event(fsm, state, emem, events[i]) end
     state = state._actchild
   end
 end
 
-local function has_emem(obj) return rfsm.is_state(obj) and obj.emem ~= false end
+local function has_emem(obj)
+  return rfsm.is_state(obj) and obj.emem ~= false and not rfsm.is_fsmobj(obj.emem)
+end
 
 local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
@@ -64,6 +117,7 @@ local function load(fsm, counts)
     local emem, kept = state.emem or {}, counts and counts[state._fqn] or {}
     if type(kept) ~= "table" then error("table of counts expected", 0) end
     for _, event in ipairs(rfsm.sorted_keys(emem)) do emem[event] = nil end
+    fsm._emem.others[state] = #rfsm.sorted_keys(kept) -- at most
     for _, event in ipairs(rfsm.sorted_keys(kept)) do
       if type(kept[event]) ~= "number" then error("number of events expected", 0) end
       emem[event] = kept[event]
@@ -71,24 +125,39 @@ local function load(fsm, counts)
   end
 end
 
+local function prepare_machine(fsm)
+  fsm._emem = { is_blocked = {}, others = {}, declared = false }
+  rfsm.pre_step_hook_add(fsm, count)
+  rfsm.reset_hook_add(fsm, reset)
+  rfsm.snapshot_hook_add(fsm, "emem", save, load)
+end
+
+local function prepare_state(fsm, state)
+  if not fsm._emem then prepare_machine(fsm) end
+  if rfsm.is_fsmobj(state.emem) then
+    fsm._emem.is_blocked[state] = true
+    return rfsm.report(fsm, "warn", ("WARNING: %s: 'emem' is a %s here, so that "
+      .. "rfsm.emem cannot count"):format(rfsm.location_of(state), state.emem:type()))
+  end
+  state.emem = setmetatable({}, WEAK)
+  rfsm.exit_hook_add(fsm, state, clear)
+end
+
+local function wants_emem(obj) return rfsm.is_state(obj) and obj.emem ~= false end
+
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   if fsm.emem == false then return end
-  for _, state in ipairs(rfsm.elements(merged or fsm, has_emem)) do
-    state.emem = setmetatable({}, WEAK)
-    rfsm.exit_hook_add(fsm, state, clear)
-    if not fsm._has_emem then
-      fsm._has_emem = true
-      rfsm.pre_step_hook_add(fsm, count)
-      rfsm.reset_hook_add(fsm, reset)
-      rfsm.snapshot_hook_add(fsm, "emem", save, load)
-    end
+  for _, state in ipairs(rfsm.elements(merged or fsm, wants_emem)) do
+    prepare_state(fsm, state)
   end
+  if fsm._emem then fsm._emem.declared = false end
 end
 
 --- Set the counts of a state to 0.
 ---@param state rfsm.State
 function rfsm_emem.emem_reset(state)
-  if not rfsm.is_state(state) or type(state.emem) ~= "table" then
+  if not rfsm.is_state(state) or type(state.emem) ~= "table"
+    or rfsm.is_fsmobj(state.emem) then
     error("rfsm.emem.emem_reset: state with an event memory expected, got "
       .. type(state), 2)
   end

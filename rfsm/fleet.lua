@@ -1,58 +1,64 @@
 --- A fleet of machines in Redis: the client.
 --
 -- The machines live in a server that has loaded a library of `rfsm.redis`. The client
--- names their keys, so that machines spread over the slots of a cluster, follows slots
--- that have moved, wakes machines that are due, and reads what they emitted. Needs the
--- packages lua-redis and dkjson.
+-- names their keys, so that machines spread over the slots of a cluster. It gives each
+-- event an id, so that the event is applied once also if it must be sent again. It
+-- wakes machines that are due, and reads what they emitted. Needs the packages
+-- lua-redis and dkjson.
 --
--- The file reads in this order: connections, calls, machines, workers.
+-- The file reads in this order: connect, calls, machines, workers.
 --
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
+local try = require("rfsm.shared.calls").try
+local connection = require "rfsm.redis.connection"
+local keys_of = require "rfsm.redis.keys"
 local opts = require "rfsm.shared.options"
-local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall, rawget = error, ipairs, plain.pcall, rawget
-local rawset, setmetatable = rawset, setmetatable
+local error, io, ipairs, pcall = error, io, ipairs, try
+local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local tonumber, tostring, type = tonumber, tostring, type
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
 
 local function need(name) return opts.need("rfsm.fleet", name, "lua-" .. name) end
 
--- Connections --------------------------------------------------------------------
+-- Connect ------------------------------------------------------------------------
 
 --- A connection to a fleet.
 ---@class rfsm.fleet.Fleet
 ---@field name string of the machines, in front of their keys
 ---@field tags integer over how many hash tags they spread
----@field nodes table<string, table> connections by address
----@field node_of table<string, table> connections by hash tag
----@field first table
+---@field connection rfsm.redis.Connection
+---@field id string in front of the ids of events
+---@field count integer of events
 local Fleet = {}
 Fleet.__index = Fleet
 
-local commands = {}
+local function is_positive(x) return type(x) == "number" and x > 0 end
 
--- Sends a command; raises the error of the server without a position.
-local function command(client, name, ...)
-  commands[name] = commands[name] or need("redis").command(name)
-  local ok, reply = pcall(commands[name], client, ...)
-  if ok then return reply end
-  reply = tostring(reply):gsub("^.-redis error: ", "")
-  error((reply:gsub("^%S+redis%.lua:%d+: ", "")), 0)
-end
+local OPTIONS = {
+  name = { "text", opts.is_text, "machine" },
+  tags = { "a whole number from 1 to 16384", opts.is_whole(1, 16384), 64 },
+  timeout = { "seconds above 0", is_positive, 5 },
+  patience = { "seconds", opts.is_seconds, 10 },
+  tls = { "table", function(x) return type(x) == "table" end, nil },
+}
 
-local function node(self, host, port)
-  local address = host .. ":" .. port
-  if not self.nodes[address] then
-    local ok, client = pcall(need("redis").connect, host, tonumber(port))
-    if not ok then error("rfsm.fleet: cannot connect to " .. address, 0) end
-    self.nodes[address] = client
+-- Returns a text that no other client has.
+local function new_id()
+  local file, text = io.open("/dev/urandom", "rb"), nil
+  if file then
+    text = file:read(5):gsub(".", function(byte)
+      return ("%02x"):format(byte:byte())
+    end)
+    file:close()
   end
-  return self.nodes[address], address
+  return text or ("%.6f"):format(need("socket").gettime()) .. tostring({}):sub(-6)
 end
 
 --- Connect to a server, or to any node of a cluster.
@@ -61,54 +67,30 @@ end
 --    local robots = fleet.connect("redis://localhost:6379", { name = "robot" })
 --
 -- @raise if there is no server
----@param url? string default redis://127.0.0.1:6379
----@param options? { name: string?, tags: integer? } `tags`: 64
+---@param url? string|string[] redis[s]://[USER:PASSWORD@]HOST[:PORT][/DB], default
+--- redis://127.0.0.1:6379; of several the others are tried if the first is lost
+---@param options? table `name`, `tags` (64), `timeout` of a call (5 s), `patience`
+--- while no server answers (10 s), `tls` for luasec
 ---@return rfsm.fleet.Fleet fleet
 function fleet.connect(url, options)
-  options = options or {}
-  local host, port = (url or "redis://127.0.0.1"):match("^redis://([^:/]+):?(%d*)/?$")
-  if not host then
-    error("rfsm.fleet.connect: redis://HOST:PORT expected, got '" .. url .. "'", 2)
+  local settings, problem = opts.read(OPTIONS, options or {})
+  if not settings then error("rfsm.fleet.connect: " .. problem, 2) end
+  local ok, made = pcall(connection.connect, url or "redis://127.0.0.1", settings)
+  if not ok then
+    error(made, made:find("^rfsm.fleet.connect") and 2 or 0)
   end
-  local self = setmetatable({ name = options.name or "machine",
-    tags = options.tags or 64, nodes = {}, node_of = {}, first = false }, Fleet)
-  self.first = node(self, host, port == "" and "6379" or port)
-  return self
+  return setmetatable({ name = settings.name, tags = settings.tags, connection = made,
+    id = new_id(), count = 0 }, Fleet)
 end
 
-local MAX_TRIES = 600 -- each waits a hundredth of a second while a slot moves
-
--- Returns the node to try next after an error, and whether it is asked once only.
-local function redirected(self, tag, text)
-  local kind, host, port = text:match("^(%u+) %d+ ([^:]+):(%d+)$")
-  if kind == "MOVED" then
-    self.node_of[tag] = node(self, host, port)
-    return self.node_of[tag], false
-  elseif kind == "ASK" then
-    return node(self, host, port), true
-  elseif text:find("^TRYAGAIN") or text:find("^CLUSTERDOWN") then
-    need("socket").sleep(0.01)
-    return self.node_of[tag] or self.first, false
-  end
-end
-
---- Send a command to the node that has the keys of a hash tag.
+--- Send a command to the node that has the keys of a hash tag. It may come twice, if
+-- the connection was lost before its answer came.
 -- @raise the error of the server
 ---@param tag string
 ---@param name string
 ---@param ... any
 ---@return any reply
-function Fleet:call(tag, name, ...)
-  local client, is_asked = self.node_of[tag] or self.first, false
-  for _ = 1, MAX_TRIES do
-    if is_asked then command(client, "ASKING") end
-    local ok, reply = pcall(command, client, name, ...)
-    if ok then return reply end
-    client, is_asked = redirected(self, tag, reply)
-    if not client then error(reply, 0) end
-  end
-  error("rfsm.fleet: the slot of {" .. tag .. "} does not come to rest", 0)
-end
+function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) end
 
 -- Calls: keys and replies ---------------------------------------------------------
 
@@ -128,8 +110,14 @@ end
 -- Calls a function; a cluster must know all keys that it writes.
 local function call_function(self, name, id, ...)
   local key, tag = self:key_of(id)
-  return pcall(self.call, self, tag, "FCALL", name, 4, key, "rfsm:due:{" .. tag .. "}",
-    "rfsm:out:{" .. tag .. "}", key .. ":log", ...)
+  return pcall(self.call, self, tag, "FCALL", name, 6, key, keys_of.due(key),
+    keys_of.out(key), keys_of.log(key), keys_of.index(key), keys_of.history(key), ...)
+end
+
+-- Returns a new id for an event.
+local function next_id(self)
+  self.count = self.count + 1
+  return self.id .. "-" .. ("%d"):format(self.count)
 end
 
 --- Where a machine stands after a call.
@@ -155,17 +143,54 @@ end
 ---@return rfsm.fleet.Reply? reply
 ---@return string? problem
 function Fleet:create(id, chart, data)
-  local text = data and need("dkjson").encode(data)
-  return reply_of(call_function(self, "rfsm_create", id, chart, text))
+  local text = data and rfsm.sorted_keys(data)[1] ~= nil and need("dkjson").encode(data)
+    or "{}"
+  return reply_of(call_function(self, "rfsm_create", id, chart, text, "ID",
+    next_id(self)))
 end
 
---- Send events to a machine, and run it.
+local function texts_of(events)
+  local texts = {}
+  for i, event in ipairs(events) do texts[i] = rfsm.text_of(event) end
+  return texts
+end
+
+--- Send events to a machine, and run it. They are applied once, also if the connection
+-- is lost and they must be sent again.
 ---@param id any
 ---@param ... any events
 ---@return rfsm.fleet.Reply? reply
 ---@return string? problem
 function Fleet:send(id, ...)
-  return reply_of(call_function(self, "rfsm_send", id, ...))
+  local texts = texts_of { ... }
+  texts[#texts + 1], texts[#texts + 2] = "ID", next_id(self)
+  return reply_of(call_function(self, "rfsm_send", id, unpack(texts)))
+end
+
+--- Send events to a machine when a time has come, if a worker wakes it.
+---@param id any
+---@param seconds number from now on
+---@param ... any events
+---@return string? ticket for `cancel`
+---@return string? problem
+function Fleet:send_after(id, seconds, ...)
+  local texts, ticket = texts_of { ... }, next_id(self)
+  texts[#texts + 1], texts[#texts + 2] = "ID", ticket
+  local ok, problem = call_function(self, "rfsm_send_at", id,
+    "+" .. ("%.6f"):format(seconds), unpack(texts))
+  if ok then return ticket end
+  return nil, problem
+end
+
+--- Take back what `send_after` has sent.
+---@param id any
+---@param ticket string
+---@return boolean? was_there
+---@return string? problem
+function Fleet:cancel(id, ticket)
+  local ok, reply = call_function(self, "rfsm_cancel", id, ticket)
+  if ok then return reply == 1 end
+  return nil, reply
 end
 
 --- Run a machine that is due.
@@ -199,6 +224,22 @@ function Fleet:why(id, event)
   return nil, lines
 end
 
+--- Return the latest moves of a machine, the newest first. The library needs --history.
+---@param id any
+---@param count? integer default 10
+---@return { time: number, event: string, from: string, to: string }[]? moves
+---@return string? problem
+function Fleet:history(id, count)
+  local ok, list = call_function(self, "rfsm_history", id, count or 10)
+  if not ok then return nil, list end
+  local moves = {}
+  for i = 1, #list, 4 do
+    moves[#moves + 1] = { time = tonumber(list[i]), event = list[i + 1],
+      from = list[i + 2], to = list[i + 3] }
+  end
+  return moves
+end
+
 -- Reads a list of texts that the server sends without being asked.
 local function read_list(client)
   local read, list = client.network.read, {}
@@ -215,12 +256,9 @@ end
 ---@param f fun(leaf: string): boolean?
 function Fleet:watch(id, f)
   local key, tag = self:key_of(id)
-  local channel = "rfsm:{" .. tag .. "}:" .. key
   self:call(tag, "EXISTS", key) -- finds the node
-  local socket = (self.node_of[tag] or self.first).network.socket
-  local host, port = socket:getpeername()
-  local client = need("redis").connect(host, tonumber(port))
-  local message = command(client, "SSUBSCRIBE", channel)
+  local client, command = self.connection:open_for(tag)
+  local message = command("SSUBSCRIBE", keys_of.channel(key))
   repeat
     if message[1] == "smessage" and f(message[3]) then break end
     message = read_list(client)
@@ -230,22 +268,60 @@ end
 
 -- Workers ------------------------------------------------------------------------
 
---- Run the machines that are due.
----@param limit? integer at most that many of each tag (100)
----@return integer count
-function Fleet:wake(limit)
-  local count = 0
+-- Calls `f(tag, key)` for each hash tag; the key has that tag.
+local function each_tag(self, f)
   for number = 0, self.tags - 1 do
     local tag = ("%d"):format(number)
-    local due = self:call(tag, "FCALL", "rfsm_due", 1, "rfsm:due:{" .. tag .. "}",
-      limit or 100)
-    for _, key in ipairs(due) do
-      self:tick(key)
-      count = count + 1
+    f(tag, "{" .. tag .. "}")
+  end
+end
+
+-- Calls a function for each hash tag, all at once; returns the replies.
+local function call_tags(self, name, keys, ...)
+  local tags, calls, rest = {}, {}, { ... }
+  each_tag(self, function(tag, key)
+    local call = { "FCALL", name, #keys }
+    for i, of in ipairs(keys) do call[3 + i] = of(key) end
+    for _, value in ipairs(rest) do call[#call + 1] = value end
+    tags[#tags + 1], calls[#calls + 1] = tag, call
+  end)
+  return self.connection:call_all(tags, calls)
+end
+
+--- Run the machines that are due. What cannot be run is put aside for a minute.
+---@param limit? integer at most that many of each tag (100)
+---@return integer count
+---@return integer failed machines that were put aside
+function Fleet:wake(limit)
+  local count, failed = 0, 0
+  for _, reply in ipairs(call_tags(self, "rfsm_wake", { keys_of.due, keys_of.out,
+    keys_of.aside }, limit or 100)) do
+    count, failed = count + reply[1], failed + reply[2]
+  end
+  return count, failed
+end
+
+--- Return the keys of machines in a state. The library needs --index.
+---@param chart string
+---@param state string FQN of a leaf or composite
+---@param limit? integer default 100
+---@return string[]? keys
+---@return string? problem
+function Fleet:find(chart, state, limit)
+  limit = limit or 100
+  local ok, replies = pcall(call_tags, self, "rfsm_find", { keys_of.index }, chart,
+    state, limit)
+  if not ok then return nil, replies end
+  local found = {}
+  for _, reply in ipairs(replies) do
+    for _, key in ipairs(reply) do
+      found[#found + 1] = #found < limit and key or nil
     end
   end
-  return count
+  return found
 end
+
+-- Messages ------------------------------------------------------------------------
 
 -- An entry of a stream as a table.
 local function entry_of(raw)
@@ -255,69 +331,139 @@ local function entry_of(raw)
   return entry
 end
 
--- Hands entries to f; those that it has done are taken out of the stream.
-local function handle(self, tag, stream, group, entries, f)
-  local count = 0
-  for _, raw in ipairs(entries) do
-    if type(raw) == "table" and type(raw[2]) == "table" then
-      f(entry_of(raw))
-      self:call(tag, "XACK", stream, group, raw[1])
-      self:call(tag, "XDEL", stream, raw[1])
-      count = count + 1
-    end
+--- A worker at the stream of one hash tag.
+---@class rfsm.fleet.Work
+---@field fleet rfsm.fleet.Fleet
+---@field tag string
+---@field stream string
+---@field group string
+---@field worker string
+---@field options table
+---@field count integer entries that were handled
+---@field failures string[]
+
+-- Moves an entry that has failed too often to the stream of such entries.
+local function bury(work, raw, deliveries, problem)
+  local fields = { unpack(raw[2]) }
+  for _, text in ipairs { "group", work.group, "id", raw[1], "deliveries", deliveries,
+    "error", problem } do
+    fields[#fields + 1] = text
   end
-  return count
+  work.fleet:call(work.tag, "XADD", keys_of.dead("{" .. work.tag .. "}"), "*",
+    unpack(fields))
+  work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
 end
 
--- Returns the entries that a worker has been given and has not done for `idle` ms; the
--- group of workers is made when it is first needed.
-local function claim(self, tag, stream, group, worker, idle, count)
-  local ok, reply = pcall(self.call, self, tag, "XAUTOCLAIM", stream, group, worker,
-    idle, "0", "COUNT", count)
-  if ok then return reply[2] end
-  if not reply:find("^NOGROUP") then error(reply, 0) end
-  ok, reply = pcall(self.call, self, tag, "XGROUP", "CREATE", stream, group, "0",
-    "MKSTREAM")
+-- Hands an entry to f. One that fails stays with the group, until it has failed often.
+local function handle(work, f, raw, deliveries)
+  if type(raw) ~= "table" or type(raw[2]) ~= "table" then return end
+  local ok, problem = pcall(f, entry_of(raw))
+  if ok then
+    work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
+    work.count = work.count + 1
+    return
+  end
+  problem = rfsm.text_of(problem)
+  work.failures[#work.failures + 1] = problem
+  if deliveries >= work.options.tries then bury(work, raw, deliveries, problem) end
+end
+
+-- Makes a group that sees all entries that are there.
+local function make_group(work)
+  local ok, reply = pcall(work.fleet.call, work.fleet, work.tag, "XGROUP", "CREATE",
+    work.stream, work.group, "0", "MKSTREAM")
   if not ok and not reply:find("^BUSYGROUP") then error(reply, 0) end -- another's
+end
+
+-- Lists the entries that workers of the group have not done for some time.
+local function pending(work)
+  local ok, reply = pcall(work.fleet.call, work.fleet, work.tag, "XPENDING",
+    work.stream, work.group, "IDLE", work.options.idle, "-", "+", work.options.count)
+  if ok then return reply end
+  if not reply:find("^NOGROUP") then error(reply, 0) end
+  make_group(work)
   return {}
 end
 
---- Hand what machines have emitted to `f(entry)`, at least once each.
+-- Handles entries once more that were given to a worker and not done: each time after
+-- twice the time.
+local function retry(work, f)
+  for _, entry in ipairs(pending(work)) do
+    local id, idle, deliveries = entry[1], entry[3], entry[4]
+    local wait = work.options.idle * 2 ^ (deliveries - 1)
+    if idle >= wait then
+      local claimed = work.fleet:call(work.tag, "XCLAIM", work.stream, work.group,
+        work.worker, ("%d"):format(wait), id)
+      for _, raw in ipairs(claimed) do handle(work, f, raw, deliveries + 1) end
+    end
+  end
+end
+
+-- Returns the id behind one.
+local function next_entry(id)
+  local ms, number = id:match("^(%d+)%-(%d+)$")
+  return ms .. "-" .. ("%d"):format(number + 1)
+end
+
+local function is_before(a, b)
+  local ms, number = a:match("^(%d+)%-(%d+)$")
+  local other_ms, other_number = b:match("^(%d+)%-(%d+)$")
+  if ms ~= other_ms then return tonumber(ms) < tonumber(other_ms) end
+  return tonumber(number) < tonumber(other_number)
+end
+
+-- Takes what all groups have done out of the stream.
+local function trim(work)
+  local least = nil
+  for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
+    local group = {}
+    for i = 1, #info, 2 do group[info[i]] = info[i + 1] end
+    local id = next_entry(group["last-delivered-id"])
+    local first = group.pending > 0 and work.fleet:call(work.tag, "XPENDING",
+      work.stream, group.name)[2]
+    id = first or id
+    if not least or is_before(id, least) then least = id end
+  end
+  if least then work.fleet:call(work.tag, "XTRIM", work.stream, "MINID", least) end
+end
+
+local WORK = {
+  count = { "a whole number", opts.is_whole(1, 1e6), 100 },
+  idle = { "milliseconds", opts.is_seconds, 30000 },
+  tries = { "a whole number", opts.is_whole(1, 1000), 5 },
+}
+
+--- Hand what machines have emitted to `f(entry)`, at least once each, for each group.
 --
--- An entry has `machine`, `what` and `data`. If `f` raises or the worker dies, another
--- worker of the group gets the entry, when it has been idle for some time.
+-- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
+-- worker of the group gets the entry once more: after `idle` milliseconds, then after
+-- twice as long, and so on. After `tries` times it moves to the stream rfsm:dead:{tag}.
+-- An entry that all groups have done is taken out of the stream.
 --
 ---@param group string
 ---@param worker string its name, of its own
 ---@param f fun(entry: table)
----@param options? { count: integer?, idle: integer? } `idle`: milliseconds (30000)
+---@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
 ---@return integer count entries that were handled
+---@return string[] failures what `f` raised
 function Fleet:work(group, worker, f, options)
-  options = options or {}
-  local count, idle, total = options.count or 100, options.idle or 30000, 0
-  for number = 0, self.tags - 1 do
-    local tag = ("%d"):format(number)
-    local stream = "rfsm:out:{" .. tag .. "}"
-    local left = claim(self, tag, stream, group, worker, idle, count)
-    total = total + handle(self, tag, stream, group, left, f)
-    local new = self:call(tag, "XREADGROUP", "GROUP", group, worker, "COUNT", count,
-      "STREAMS", stream, ">")
-    total = total + handle(self, tag, stream, group, new and new[1][2] or {}, f)
-  end
-  return total
+  local settings, problem = opts.read(WORK, options or {})
+  if not settings then error("rfsm.fleet.work: " .. problem, 2) end
+  local total, failures = 0, {}
+  each_tag(self, function(tag, key)
+    local work = { fleet = self, tag = tag, stream = keys_of.out(key), group = group,
+      worker = worker, options = settings, count = 0, failures = failures }
+    retry(work, f)
+    local new = self:call(tag, "XREADGROUP", "GROUP", group, worker, "COUNT",
+      settings.count, "STREAMS", work.stream, ">")
+    for _, raw in ipairs(new and new[1][2] or {}) do handle(work, f, raw, 1) end
+    if work.count > 0 then trim(work) end
+    total = total + work.count
+  end)
+  return total, failures
 end
 
--- Returns the server, or the nodes of the cluster that take writes.
-local function masters(self)
-  local ok, text = pcall(command, self.first, "CLUSTER", "NODES")
-  if not ok then return { self.first } end
-  local list = {}
-  for line in text:gmatch("[^\n]+") do
-    local host, port = line:match("^%S+ ([^:]+):(%d+)@%S* %S*master")
-    if host then list[#list + 1] = node(self, host, port) end
-  end
-  return list
-end
+-- Libraries and numbers --------------------------------------------------------------
 
 --- Load a library into the server, or each node of the cluster, in place of the one
 -- that is there.
@@ -325,11 +471,52 @@ end
 ---@return boolean ok
 ---@return string? problem
 function Fleet:load(text)
-  for _, client in ipairs(masters(self)) do
-    local ok, problem = pcall(command, client, "FUNCTION", "LOAD", "REPLACE", text)
-    if not ok then return false, problem end
+  local ok, problem = pcall(self.connection.each_master, self.connection,
+    function(call) call("FUNCTION", "LOAD", "REPLACE", text) end)
+  return ok, not ok and problem or nil
+end
+
+-- Calls `f(tag)` for each hash tag that the machines of a server have.
+local function scan_tags(call, f)
+  local at, is_known = "0", {}
+  repeat
+    local reply = call("SCAN", at, "MATCH", "rfsm:*:{*}", "COUNT", 1000)
+    at = reply[1]
+    for _, key in ipairs(reply[2]) do
+      local tag = key:match("{(.*)}$")
+      if not is_known[tag] then f(tag) end
+      is_known[tag] = true
+    end
+  until at == "0"
+end
+
+local function label(text) return (text:gsub('[\\"\n]', { ["\\"] = "\\\\",
+  ['"'] = '\\"', ["\n"] = "\\n" })) end
+
+--- Return the numbers of all machines in the server, as Prometheus reads them: by chart
+-- and state (the library needs --index), due, put aside, and entries that wait.
+---@return string text
+function Fleet:stats()
+  local states, sums = {}, { 0, 0, 0 }
+  self.connection:each_master(function(call)
+    scan_tags(call, function(tag)
+      local reply = call("FCALL", "rfsm_stats", 1, keys_of.index("{" .. tag .. "}"))
+      for i = 1, #reply[1], 3 do
+        local name = ('rfsm_machines{chart="%s",state="%s"}'):format(label(reply[1][i]),
+          label(reply[1][i + 1]))
+        states[name] = (states[name] or 0) + reply[1][i + 2]
+      end
+      for i = 1, 3 do sums[i] = sums[i] + reply[i + 1] end
+    end)
+  end)
+  local lines = { "# TYPE rfsm_machines gauge" }
+  for _, name in ipairs(rfsm.sorted_keys(states)) do
+    lines[#lines + 1] = ("%s %d"):format(name, states[name])
   end
-  return true
+  for i, name in ipairs { "rfsm_timers", "rfsm_aside", "rfsm_entries" } do
+    lines[#lines + 1] = ("# TYPE %s gauge\n%s %d"):format(name, name, sums[i])
+  end
+  return concat(lines, "\n") .. "\n"
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_fleet", fleet) end

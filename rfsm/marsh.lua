@@ -11,7 +11,7 @@
 
 local rfsm = require "rfsm"
 
-local io, ipairs, rawget, rawset = io, ipairs, rawget, rawset
+local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local math_type, debug = rawget(math, "type"), rawget(_G, "debug")
 
@@ -47,7 +47,7 @@ local marsh = {}
 ---@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; their FQNs
 -- begin with that of the state and the region's name: "root.arms.left.open"
 
--- Order: a walk from `initial` ---------------------------------------------------
+-- Order: a walk from `initial` ------------------------------------------------
 
 local function append(lists, key, value)
   local list = lists[key] or {}
@@ -83,13 +83,15 @@ local function new_walk(fsm)
   local links, entries = {}, {}
   rfsm.mapfsm(function(tr) note_links(tr, links, entries) end, fsm, rfsm.is_trans)
   return function(composite)
-    local order, is_listed, done = {}, {}, 0
+    local order, is_listed, done, count = {}, {}, 0, 0
     local function add(node)
-      if not is_listed[node] then order[#order + 1], is_listed[node] = node, true end
+      if is_listed[node] then return end
+      count = count + 1
+      order[count], is_listed[node] = node, true
     end
     local function start(node)
       add(node)
-      while done < #order do
+      while done < count do
         done = done + 1
         for _, tgt in ipairs(links[order[done]] or {}) do add(tgt) end
       end
@@ -102,16 +104,23 @@ local function new_walk(fsm)
   end
 end
 
--- Callbacks: their name or text in the source, or its file and line ------------------
+-- Callbacks: their name, text or comment in the source, or their line ---------
+
+--- Read a source file. A host without `io` may put a function of its own here.
+---@param name string of the chunk, without its first character: "chart.lua"
+---@return string? text nil if it cannot be read
+function marsh.read_source(name)
+  local file = io and io.open(name)
+  local text = file and file:read("*a")
+  if file then file:close() end
+  return text
+end
 
 -- Returns the lines of a source; none where it cannot be read.
 local function lines_of(source)
-  local text, lines = source, {}
-  if source:find("^[@=]") then
-    local file = source:sub(1, 1) == "@" and io.open(source:sub(2))
-    text = file and file:read("*a") or ""
-    if file then file:close() end
-  end
+  local name, lines = source:match("^[@=](.*)$"), {}
+  local text = source
+  if name then text = marsh.read_source(name) or "" end
   for line in text:gmatch("([^\n]*)\n?") do lines[#lines + 1] = line end
   return lines
 end
@@ -131,38 +140,67 @@ local function arguments_of(f, parameters)
 end
 
 local IS_FIELD = { entry = true, exit = true, doo = true, guard = true, effect = true }
-local LONGEST = 40 -- bytes of a body
-
--- Returns what a line calls the function that begins in it, or the function's body.
-local function text_in_line(f, info, line)
-  local _, count = line:gsub("%f[%w_]function%f[^%w_]", "")
+-- Returns what a line calls the function that begins in it.
+local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
   name = name or line:match("([%a_][%w_]*)%s*=%s*function%f[^%w_]")
-  if name and not IS_FIELD[name] then return name end
-  if count ~= 1 or info.linedefined ~= info.lastlinedefined then return nil end
-  local body = line:match("function%s*%b()%s*(.*)%f[%w_]end%f[^%w_]") or ""
-  body = body:gsub("^return%f[^%w_]%s*", ""):gsub("%s+$", "")
-  return #body <= LONGEST and body ~= "" and body or nil
+  return not IS_FIELD[name or "entry"] and name or nil
+end
+
+local LONGEST = 40 -- bytes of a body
+
+-- Returns the body of a function that has one line: in its first line, or between the
+-- first and the last one.
+local function body_of(info, lines, count)
+  local first, last = info.linedefined, info.lastlinedefined
+  local body
+  if first == last and count == 1 then
+    body = lines[first]:match("function%s*%b()%s*(.*)%f[%w_]end%f[^%w_]")
+  elseif last == first + 2 and lines[first]:find("function%s*%b()%s*$") then
+    body = lines[first + 1]:gsub("%s+%-%-.*$", ""):match("^%s*(.*)$")
+  end
+  body = (body or ""):gsub("^return%f[^%w_]%s*", ""):gsub("[%s;]+$", "")
+  return #body <= LONGEST and body ~= "" and not body:find("^%-%-") and body or nil
+end
+
+local LONGEST_COMMENT = 60 -- bytes
+
+-- Returns the comment behind the head of a function, or the line of it in front.
+local function comment_of(info, lines)
+  local line, before = lines[info.linedefined], lines[info.linedefined - 1] or ""
+  local text = line:match("function%s*%b()%s*%-%-+%s*(.-)%s*$")
+    or before:match("^%s*%-%-+%s*(.-)%s*$")
+  if not text or text:find("^%[=*%[") or not text:find("%w") then return nil end
+  return #text <= LONGEST_COMMENT and text or nil
+end
+
+-- Returns the text of a function in its source.
+local function text_in_source(f, info, lines)
+  local line = lines[info.linedefined]
+  if not line then return nil end
+  local _, count = line:gsub("%f[%w_]function%f[^%w_]", "")
+  return name_in_line(f, line, count) or body_of(info, lines, count)
+    or comment_of(info, lines)
 end
 
 -- Returns a function that gives a callback a text, the same on each run and each Lua.
+-- The file of the first callback is not named.
 local function new_callback_text()
-  local sources = {}
+  local sources, first = {}, nil
   return function(f)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
     if not info or info.what == "C" then return type(f) end
     local source = info.source
-    sources[source] = sources[source] or lines_of(source)
-    local line = sources[source][info.linedefined]
-    local text = line and text_in_line(f, info, line)
+    first, sources[source] = first or source, sources[source] or lines_of(source)
+    local text = text_in_source(f, info, sources[source])
     if text then return text end
-    local file = source:match("^[@=](.*)$")
-    return (file and file:match("[^/\\]*$") or "line") .. ":" .. info.linedefined
+    local file = source ~= first and source:match("^[@=].-([^/\\]*)$") or ""
+    return file .. ":" .. info.linedefined
   end
 end
 
--- Events: a text for any value, and words for a reader ------------------------------
+-- Events: a text for any value, and words for a reader ------------------------
 
 -- Returns the text of a value; nil if it is an address, which no two runs share.
 local function text_without_address(value)
@@ -206,7 +244,7 @@ function marsh.words_of(text, fqn)
   return kind .. " " .. time .. (tonumber(time) and " s" or "")
 end
 
--- Tables -----------------------------------------------------------------------------
+-- Tables ----------------------------------------------------------------------
 
 --- How the tables of a machine are made.
 ---@class rfsm.marsh.Writer
@@ -214,6 +252,32 @@ end
 ---@field prefix string the FQN of the root
 ---@field callback_text? fun(f: function): string only of a full description
 ---@field event_text fun(event: any): string
+---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
+
+-- Returns the regions in each state of a machine, at any depth.
+local function regions_by_state(fsm)
+  local regions_of = {}
+  for _, region in ipairs(rfsm.machines(fsm)) do
+    if region.state then append(regions_of, region.state, region) end
+  end
+  return regions_of
+end
+
+local function source_of(f)
+  return debug and type(f) == "function" and debug.getinfo(f, "S").source
+end
+
+-- Returns what has the user's callbacks of a state. That of regions has a doo of its
+-- extension, which may have put itself before entry and exit and keep the user's.
+local function callbacks_of(state, regions)
+  if not regions then return state end
+  local kept, source = state._regions or {}, source_of(state.doo)
+  local function user_s(field)
+    local f = kept[field] or state[field]
+    return (not f or source_of(f) ~= source) and f or nil
+  end
+  return { entry = user_s("entry"), exit = user_s("exit"), doc = state.doc }
+end
 
 local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) end
 
@@ -256,17 +320,15 @@ local machine_table
 
 -- Adds the part of a state that only a full description has.
 local function add_details(writer, tab, state)
-  local regions, mode = state._regions, rfsm.get_sta_mode(state)
-  add_texts(writer, tab, regions and { entry = regions.entry, exit = regions.exit,
-    doc = state.doc } or state, PROGRAMS)
+  local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
+  add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
   tab.final = state.final and true or nil
   tab.mode = mode ~= "inactive" and mode or nil
   if not regions then return end
   tab.regions = {}
   for i, region in ipairs(regions) do
-    local id = rfsm.text_of(regions.names[i])
-    tab.regions[i] = machine_table(region, id, path_of(writer, state) .. "." .. id,
-      writer)
+    local id = region.prefix:sub(#path_of(writer, state) + 2)
+    tab.regions[i] = machine_table(region.machine, id, region.prefix, writer)
   end
 end
 
@@ -288,7 +350,8 @@ end
 -- Returns the table of a machine under a name; texts are those of `texts`.
 function machine_table(fsm, id, prefix, texts)
   local tab = node_table({ walk = new_walk(fsm), prefix = prefix,
-    callback_text = texts.callback_text, event_text = texts.event_text }, fsm)
+    callback_text = texts.callback_text, event_text = texts.event_text,
+    regions_of = texts.regions_of }, fsm)
   tab.id = id
   return tab
 end
@@ -296,6 +359,7 @@ end
 local function description_of(fsm, is_full)
   return machine_table(fsm, "root", "root", is_full and {
     callback_text = new_callback_text(), event_text = marsh.gen_event_text(),
+    regions_of = regions_by_state(fsm),
   } or {})
 end
 
@@ -328,7 +392,7 @@ function marsh.actinfo2tab(fsm)
   return leaf._fqn, rfsm.get_sta_mode(leaf), false
 end
 
--- JSON: UTF-8, and numbers that look alike -------------------------------------------
+-- JSON: UTF-8, and numbers that look alike ------------------------------------
 
 local REPLACEMENT = "\239\191\189" -- U+FFFD
 

@@ -27,7 +27,9 @@ local function prepare_target(fsm, target)
   if not target.prepare and rfsm.is_conn(target) and target._id == "initial" then
     target = target._parent
   end
-  if target.prepare then try(fsm, target, "prepare") end
+  if target.prepare and not rfsm.is_fsmobj(target.prepare) then
+    try(fsm, target, "prepare")
+  end
 end
 
 -- This runs at the end of every iteration.

@@ -18,8 +18,8 @@ local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 
-local error, ipairs, pairs, pcall, rawget = error, ipairs, pairs, pcall, rawget
-local rawset, setmetatable, tonumber = rawset, setmetatable, tonumber
+local error, ipairs, pairs, pcall, rawequal = error, ipairs, pairs, pcall, rawequal
+local rawget, rawset, setmetatable, tonumber = rawget, rawset, setmetatable, tonumber
 local tostring, type = tostring, type
 local huge, remove = math.huge, table.remove
 local is_seconds, is_text, is_whole = opts.is_seconds, opts.is_text, opts.is_whole
@@ -165,8 +165,10 @@ end
 local function send_state(feed)
   feed.cnt = feed.cnt + 1
   if not feed.server.subscribers[1] then return end
-  local leaf, mode, path = marsh.actinfo2tab(feed.fsm)
+  local leaf, mode = marsh.actinfo2tab(feed.fsm)
   local quote = feed.server.json.quotestring
+  local path = feed.path and quote(feed.path)
+  feed.path = false
   local body = ('"act_leaf":%s,"act_leaf_state":%s,"path":%s'):format(
     leaf and quote(leaf) or "false", mode and quote(mode) or "false", tostring(path))
   local text = message_text(feed, "active_state", body)
@@ -199,6 +201,7 @@ function MESSAGES.subscribe(server, message, ip, port)
     subscribers[#subscribers + 1] = sub
   end
   sub.ip, sub.port, sub.seen, sub.only = ip, port, server.now, only
+  sub.has_path = message.path == true
   sub.has_graph_of = setmetatable({}, { __mode = "k" })
 end
 
@@ -302,15 +305,43 @@ local function receive(server)
   return failure
 end
 
+-- The path that was taken: for subscribers that ask, since tracing has its cost ---
+
+local function wants_path(feed)
+  for _, sub in ipairs(feed.server.subscribers) do
+    if sub.has_path and (not sub.only or sub.only == feed.number) then return true end
+  end
+  return false
+end
+
+-- Has the `dbg` of a machine note the path that is taken, or no more.
+local function trace_path(feed, is_wanted)
+  local fsm = feed.fsm
+  if is_wanted and not feed.dbg then
+    local own = fsm.dbg
+    feed.raw_dbg = rawget(fsm, "dbg")
+    function feed.dbg(id, text, ...)
+      if id == "EXEC_PATH" then feed.path = rfsm.text_of(text) end
+      if rfsm.is_callable(own) then return own(id, text, ...) end
+    end
+    fsm.dbg = feed.dbg
+  elseif feed.dbg and not is_wanted then
+    if rawequal(rawget(fsm, "dbg"), feed.dbg) then fsm.dbg = feed.raw_dbg end
+    feed.dbg, feed.path = false, false
+  end
+end
+
 -- Hooks of a machine -----------------------------------------------------------
 
 -- Lets a machine answer at a port. It gets its number with its first step: machines
 -- that never run have none.
 local function attach(fsm, server)
-  local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false }
+  local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
+    path = false, dbg = false }
   local before_step, after_step, after_reset
 
   local function detach()
+    trace_path(feed, false)
     rfsm.pre_step_hook_rm(fsm, before_step)
     rfsm.post_step_hook_rm(fsm, after_step)
     rfsm.reset_hook_rm(fsm, after_reset)
@@ -323,6 +354,7 @@ local function attach(fsm, server)
       feed.number, server.feeds[server.count] = server.count, feed
     end
     local failure = receive(server)
+    trace_path(feed, wants_path(feed))
     send_graph(feed)
     if failure then rfsm.report(fsm, "err", "PROTO", "the clock failed: ", failure) end
   end

@@ -14,16 +14,15 @@
 -- @module rfsm.record
 -- @license BSD-3-Clause
 
-local opts = require "rfsm.shared.options"
-local plain = require "rfsm.snapshot.plain"
+local calls = require "rfsm.shared.calls"
+local lines = require "rfsm.record.lines"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall, rawget, rawset = error, ipairs, pcall, rawget, rawset
-local require, setmetatable, type = require, setmetatable, type
-local io = rawget(_G, "io")
+local setmetatable, type = setmetatable, type
 local max = math.max
 local concat = table.concat
 local text_of = rfsm.text_of
@@ -37,6 +36,7 @@ local record = { VERSION = 1 }
 ---@field record integer version of the format, 1
 ---@field file? string the chart, if it is known
 ---@field clock? any[] readings while the snapshot was taken
+---@field guards? any[] for each machine that has guards: their numbers and texts
 ---@field snapshot rfsm.snapshot.Snapshot where the machine stood
 
 --- One iteration of one machine. What is absent is empty or false.
@@ -44,6 +44,7 @@ local record = { VERSION = 1 }
 ---@field m? integer number of a machine in a sequential AND state
 ---@field fresh? true the machine was reset before
 ---@field events? any[] of the iteration, before hooks have changed them
+---@field added? any[] events that hooks have added: those of timers, for a reader
 ---@field had? table the user's data, if it has changed since the iteration before
 ---@field got? any[] those that getevents returned since the iteration before
 ---@field clock? any[] readings: { seconds, nanoseconds } or { failure }
@@ -53,6 +54,8 @@ local record = { VERSION = 1 }
 ---@field leaf? string FQN of the active leaf then
 ---@field done? true the leaf is done
 ---@field kept? table the user's data, if it has changed
+---@field regions? any[] data of machines in states, if it has changed outside of their
+-- own iterations: number, data, number, data ...
 
 -- Record -------------------------------------------------------------------------
 
@@ -63,43 +66,21 @@ local record = { VERSION = 1 }
 local Recorder = {}
 Recorder.__index = Recorder
 
-local KEY_ORDER = {
-  "record", "file", "m", "fresh", "had", "events", "got", "clock", "guards", "reset",
-  "sent", "leaf", "done", "kept",
-}
-
--- Returns a record as a line of JSON.
-local function encode(rec)
-  local dkjson = opts.need("rfsm.record", "dkjson", "lua-dkjson")
-  return dkjson.encode(rec, { keyorder = KEY_ORDER })
-end
-
 -- Returns a function that appends a record to the sink.
 local function writer_to(sink)
   if type(sink) == "function" then return sink end
   if type(sink) == "table" and type(sink.write) ~= "function" then
     return function(rec) sink[#sink + 1] = rec end
   end
-  opts.need("rfsm.record", "dkjson", "lua-dkjson")
-  return function(rec)
-    sink:write(encode(rec), "\n")
-    if sink.flush then sink:flush() end
-  end
+  return lines.writer(sink)
 end
 
--- Has readings of the clock noted in t.clock.
-local function noting(t)
-  return function(read)
-    return function(...)
-      local ok, sec, nsec = plain.pcall(read, ...)
-      if not ok then
-        tracks.note(t, "clock", { text_of(sec) })
-        error(sec, 0)
-      end
-      tracks.note(t, "clock", { tracks.pack(sec), nsec and tracks.pack(nsec) })
-      return sec, nsec
-    end
-  end
+-- Returns clocks that note their readings in the record that is under way.
+local function noting_clocks(recorder)
+  return tracks.new_clocks(function(ok, sec, nsec)
+    tracks.note(recorder.timed, "clock", ok and { tracks.pack(sec),
+      nsec and tracks.pack(nsec) } or { text_of(sec) })
+  end)
 end
 
 -- Sees to it that what getevents returns is noted.
@@ -119,10 +100,32 @@ end
 
 -- Notes the data that the chart keeps in a field of the record, if it has changed.
 local function note_kept(track, field)
-  local ok, kept = plain.pcall(snapshot.take_data, track.fsm)
+  if not tracks.may_have_changed(track.watched) then return end
+  local ok, kept = calls.try(snapshot.take_data, track.fsm)
   if not ok or tracks.same(kept, track.kept) then return end
   track.kept, track.rec[field] = kept, kept
 end
+
+-- Notes the data of regions that has changed while they were left or reset.
+local function note_regions(recorder, rec)
+  for _, track in ipairs(recorder.tracks) do
+    if track.m and tracks.may_have_changed(track.watched) then
+      local kept = snapshot.take_data(track.fsm)
+      if not tracks.same(kept, track.kept) then
+        track.kept = kept
+        tracks.note(rec, "regions", track.m, kept)
+      end
+    end
+  end
+end
+
+local function note_data(recorder, track)
+  note_kept(track, "kept")
+  if track.m == nil then note_regions(recorder, track.rec) end
+end
+
+-- Is a doo resumed in the iteration that begins?
+local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" end
 
 -- Begins the record of an iteration. One that a hook has cut short has none.
 local function begin(recorder, track, events)
@@ -131,30 +134,59 @@ local function begin(recorder, track, events)
   note_kept(track, "had")
   track.got, track.is_fresh, track.first, track.last = nil, false, 1, 0
   wrap_getevents(track)
-  if track.m == nil then tracks.watch_clock(recorder, noting(track.rec)) end
+  if track.m ~= nil then return end
+  local leaf = track.fsm._act_leaf
+  track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
+  recorder.timed = track.rec
+  tracks.use_clocks(recorder.clocks)
 end
 
--- Notes what followed, and writes the record. An interrupt has to wait for that.
-local function finish(recorder, track)
-  local rec, queue, leaf = track.rec, track.fsm._intq, track.fsm._act_leaf
-  if not rec then return end
+-- Fields of a record of an iteration that has done something.
+local DEEDS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset",
+  "regions" }
+
+-- Has an iteration of the outermost machine without events, also of timers, done
+-- nothing: was no doo resumed? Such an iteration is not written.
+local function is_empty(track, rec)
+  local leaf = track.fsm._act_leaf
+  if track.m ~= nil or track.has_doo or leaf ~= track.leaf then return false end
+  if leaf and leaf._mode ~= track.mode then return false end
+  for _, field in ipairs(DEEDS) do
+    if rec[field] then return false end
+  end
+  return true
+end
+
+-- Notes the events that wait now, sent by the machine, and those that hooks have added.
+local function note_events(track, rec, events)
+  local queue = track.fsm._intq
   for i = 1, #queue do
     local is_got = i >= track.first and i <= track.last
     if not is_got then tracks.note(rec, "sent", tracks.pack_event(queue[i])) end
   end
-  if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
-  local is_whole, interrupt = pcall(note_kept, track, "kept")
-  track.rec = false
-  if track.m == nil then
-    tracks.watch_clock(recorder, nil)
-    recorder.count = recorder.count + 1
+  for i = (rec.events and #rec.events or 0) + 1, #events do
+    tracks.note(rec, "added", tracks.pack_event(events[i]))
   end
-  recorder.write(rec)
+end
+
+-- Notes what followed, and writes the record. An interrupt has to wait for that.
+local function finish(recorder, track, events)
+  local rec, leaf = track.rec, track.fsm._act_leaf
+  if not rec then return end
+  note_events(track, rec, events)
+  if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
+  local is_whole, interrupt = pcall(calls.try, note_data, recorder, track)
+  track.rec = false
+  if track.m == nil then tracks.leave_clocks(recorder.clocks) end
+  if events[1] ~= nil or not is_empty(track, rec) then
+    if track.m == nil then recorder.count = recorder.count + 1 end
+    recorder.write(rec)
+  end
   if not is_whole then error(interrupt, 0) end
 end
 
 local function call_guard(track, number, guard, tr, events)
-  local ok, answer = plain.pcall(guard, tr, events)
+  local ok, answer = calls.try(guard, tr, events)
   if track.rec then
     tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
       and text_of(answer))
@@ -165,8 +197,9 @@ end
 
 local function add_recorder(track, recorder)
   track.is_fresh, track.kept = false, snapshot.take_data(track.fsm)
+  track.watched = tracks.watch_data(track.fsm)
   function track.begin(_, events) begin(recorder, track, events) end
-  function track.finish() finish(recorder, track) end
+  function track.finish(_, events) finish(recorder, track, events) end
   function track.reset()
     if track.rec then track.rec.reset = true else track.is_fresh = true end
   end
@@ -177,7 +210,7 @@ end
 --- Record no more.
 function Recorder:stop()
   tracks.detach(self.tracks)
-  tracks.watch_clock(self, nil)
+  tracks.leave_clocks(self.clocks)
   if self.file then self.file:close() end
   self.tracks, self.file = {}, nil
 end
@@ -187,7 +220,8 @@ end
 --- Record a machine from now on.
 --
 -- The sink is a list, which gets the records; a function, called with each; or a file
--- or its name, which gets a line of JSON for each.
+-- or its name, which gets a line of JSON for each: a run more, if the file is there.
+-- Iterations in which no event came and no doo was resumed are left out.
 --
 -- @usage
 --    local recorder = record.record(fsm, "run.jsonl")
@@ -199,16 +233,22 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0 }, Recorder)
-  local ok, snap = tracks.with_clock(recorder, noting(header), snapshot.take, fsm)
+  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header },
+    Recorder)
+  recorder.clocks = noting_clocks(recorder)
+  tracks.use_clocks(recorder.clocks)
+  local is_whole, ok, snap = pcall(calls.try, snapshot.take, fsm)
+  tracks.leave_clocks(recorder.clocks)
+  if not is_whole then error(ok, 0) end
   if not ok then error("rfsm.record.record: " .. text_of(snap), 2) end
   if type(sink) == "string" then
-    local file, problem = io.open(sink, "a")
+    local file, problem = lines.open(sink)
     if not file then error("rfsm.record.record: " .. problem, 2) end
     recorder.sink, recorder.file = file, file
   end
   header.snapshot, header.file = snap, rfsm.location_of(fsm):match("^(.*):%d+: root$")
   recorder.write = writer_to(recorder.sink)
+  header.guards = tracks.guard_texts(fsm)
   recorder.write(header)
   recorder.tracks = tracks.attach(fsm, add_recorder, recorder)
   return recorder
@@ -260,6 +300,7 @@ end
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
 ---@field dry? boolean call no callback
+---@field migrate? boolean replay also if the chart has changed, up to a difference
 ---@field guards? boolean call guards, too, and compare their results
 ---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
 
@@ -286,17 +327,19 @@ function record.replay(model, recording, options)
   return replay(model, recording, options or {})
 end
 
---- Read the records in a file. A last line that was cut off is left out.
--- @raise if the file cannot be read, or a line is no record
+--- Read the records of a run in a file. A last line that was cut off is left out.
+-- @raise if the file cannot be read, a line is no record, or there is no such run
 ---@param file string
+---@param run? integer the last one if it is absent
 ---@return table[] recording
+---@return { runs: integer, is_cut: boolean } about `is_cut`: a line was left out
 ---@nodiscard
-function record.read(file)
-  local handle, problem = io.open(file)
-  if not handle then error("rfsm.record: " .. problem, 0) end
-  local ok, recording = pcall(require("rfsm.json").decode_all, handle:read("*a"))
-  handle:close()
-  return ok and recording or error(("rfsm.record: %s: %s"):format(file, recording), 0)
+function record.read(file, run)
+  local ok, recording, about = pcall(lines.read, file, run)
+  if ok then return recording, about end
+  local problem = text_of(recording)
+  if problem:sub(1, #file) ~= file then problem = file .. ": " .. problem end
+  error("rfsm.record: " .. problem, 0)
 end
 
 local SPEC = [[
@@ -332,10 +375,10 @@ function record.to_spec(recording, options)
   if type(recording) == "string" then recording = record.read(recording) end
   local header = check_recording(recording)
   if type(header) == "string" then error(header, 0) end
-  local chart, lines, mark = options.chart or header.file, {}, "="
+  local chart, texts, mark = options.chart or header.file, {}, "="
   if not chart then error("rfsm.record.to_spec: the file of the chart expected", 2) end
-  for i, rec in ipairs(recording) do lines[i] = encode(rec) end
-  local text = concat(lines, "\n")
+  for i, rec in ipairs(recording) do texts[i] = lines.encode(rec) end
+  local text = concat(texts, "\n")
   while text:find("]" .. mark .. "]", 1, true) do mark = mark .. "=" end
   return SPEC:format(chart, ("[%s[\n%s\n]%s]"):format(mark, text, mark),
     text_of(options.dry and true or false))

@@ -9,6 +9,7 @@
 local bundle = require "rfsm.redis.bundle"
 local chart = require "rfsm.shared.chart"
 local rfsm = require "rfsm"
+local sandbox = require "rfsm.redis.sandbox"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require
 local io = io
@@ -20,6 +21,9 @@ local redis = {}
 local ROOTS = {
   "rfsm.redis.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
+
+-- Names that the library knows, see FOOT.
+local ALIASES = { ["rfsm.ext"] = true, rfsm_emem = true, rfsm_await = true }
 
 -- While Redis loads a library hardly any global is there; later none can be set, and
 -- reading one that is absent is an error. So the modules see locals in their place, and
@@ -48,7 +52,8 @@ local function open()
   end
   _G.print = print
   return require "rfsm.redis.functions" ({ call = redis.call, json = cjson,
-    error_reply = redis.error_reply, pack = cmsgpack }, charts)
+    error_reply = redis.error_reply, pack = cmsgpack, may = redis.acl_check_cmd },
+    charts, options)
 end
 
 local function register(name, flag)
@@ -70,10 +75,16 @@ end
 
 register("rfsm_create")
 register("rfsm_send")
+register("rfsm_send_at")
+register("rfsm_cancel")
 register("rfsm_tick")
+register("rfsm_wake")
 register("rfsm_get", "no-writes")
 register("rfsm_due", "no-writes")
 register("rfsm_why", "no-writes")
+register("rfsm_find", "no-writes")
+register("rfsm_stats", "no-writes")
+register("rfsm_history", "no-writes")
 ]]
 
 local CHART = [[
@@ -84,20 +95,27 @@ end)(%q)
 end }
 ]]
 
--- Appends modules, and those that they name.
-local function add_modules(parts, names, is_there)
+-- Appends modules, and those that they require. A chart's own are plain Lua.
+local function add_modules(parts, names, is_there, where)
   for _, name in ipairs(names) do
     if not is_there[name] then
       is_there[name] = true
-      local text, needed = bundle.add(parts, name), {}
+      local text = bundle.add(parts, name)
       if not text then
-        error("rfsm.redis: the source of " .. name .. " is missing", 0)
+        error(("%s: module '%s' is not there as plain Lua, so it cannot run in Redis")
+          :format(where, name), 0)
       end
+      local needed = {}
       for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
         local is_needed = called == "require" or called == "find_module"
         needed[#needed + 1] = is_needed and other or nil
       end
-      add_modules(parts, needed, is_there)
+      if not name:find("^rfsm") then
+        for _, module in ipairs(sandbox.required(text)) do
+          needed[#needed + 1] = module.name
+        end
+      end
+      add_modules(parts, needed, is_there, name)
     end
   end
 end
@@ -113,42 +131,61 @@ function redis.name_of(argument)
   return name or (file:match("([^/]*)$"):gsub("%.lua$", "")), file
 end
 
-local function check_chart(file)
-  local model, problem = chart.load(file)
-  if not model then error(problem, 0) end
-  model.info, model.warn, model.err = false, false, false
-  local ok, fsm, _, problems = pcall(rfsm.init, model)
-  if not ok then error(chart.reason(file, fsm), 0) end
-  if not fsm then error(chart.line(file, problems[1]), 0) end
-  local kept, text = pcall(require("rfsm.snapshot").take, fsm)
-  if not kept then error(chart.reason(file, text), 0) end
-end
-
 local function read_chart(file)
   local handle, problem = io.open(file)
-  if not handle then error(problem, 0) end
+  if not handle then error("cannot open " .. problem, 0) end
   local text = handle:read("*a"):gsub("^#[^\n]*", "")
   handle:close()
   return text
 end
 
+-- Raises what is wrong with a chart, here or in Redis.
+local function check_chart(file, text)
+  local model, problem = chart.load(file)
+  if not model then error(problem, 0) end
+  model, problem = sandbox.load(text, file)
+  if not model then error(problem, 0) end
+  model.info, model.warn, model.err = false, false, false
+  local ok, fsm, _, problems = pcall(rfsm.init, model)
+  if not ok then error(chart.reason(file, fsm), 0) end
+  if not fsm then error(chart.line(file, problems[1]), 0) end
+  local kept, failure = pcall(require("rfsm.snapshot").take, fsm)
+  if not kept then error(chart.reason(file, failure), 0) end
+end
+
 --- Return the text of a library for FUNCTION LOAD.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
+---@param options? rfsm.redis.Options
 ---@return string text
+---@return string[] warnings
 ---@nodiscard
-function redis.bundle(arguments)
+function redis.bundle(arguments, options)
+  options = options or {}
   require "rfsm_timeevent"
   require "rfsm.await"
-  local parts = { HEAD }
-  add_modules(parts, ROOTS, {})
+  local parts, is_there, warnings = { HEAD }, {}, {}
+  add_modules(parts, ROOTS, is_there, "rfsm.redis")
   for _, argument in ipairs(arguments) do
     local name, file = redis.name_of(argument)
-    check_chart(file)
-    parts[#parts + 1] = CHART:format(name, read_chart(file), file)
+    local text = read_chart(file)
+    for _, module in ipairs(sandbox.required(text)) do
+      if not ALIASES[module.name] then
+        add_modules(parts, { module.name }, is_there, file .. ":" .. module.line)
+      end
+    end
+    check_chart(file, text)
+    for _, line in ipairs(sandbox.endless(sandbox.code_of(text))) do
+      warnings[#warnings + 1] = ("%s:%d: warning: this loop has no end: in Redis it "
+        .. "would hold up all others"):format(file, line)
+    end
+    parts[#parts + 1] = CHART:format(name, text, file)
   end
+  parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s }"
+    ):format(options.index and "true" or "nil", options.history or "nil",
+    options.ids or "nil")
   parts[#parts + 1] = FOOT
-  return concat(parts)
+  return concat(parts), warnings
 end
 
 return redis

@@ -12,6 +12,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local held_port = require "rfsm.rtt.port"
 
 local error, pcall, rawget, rawset, require = error, pcall, rawget, rawset, require
 local select, setmetatable, tostring, type = select, setmetatable, tostring, type
@@ -20,6 +21,8 @@ local package = package
 ---@class rfsm.rtt
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
 ---@field component_launch_rfsm fun(args: rfsm.rtt.Launch): any
+---@field service_halt_rfsm fun(component: any, seconds?: number): boolean
+---@field service_resume_rfsm fun(exec_str: function)
 local rfsm_rtt = {}
 
 -- Types: how values of Lua and samples of RTT become each other -----------------
@@ -65,12 +68,16 @@ local function port_problem(port, method, kind)
     kind and " of type " .. kind or "", got) or nil
 end
 
+-- Is a sample an event? RTT makes the text of its status at each read. A table that
+-- holds these texts keeps them from being garbage each time.
+local IS_NEW = { NewData = true, OldData = false, NoData = false }
+
 -- Returns a function that appends the new samples of a port to a list.
 local function new_reader(port)
   local var, double = new_variables(port)
   return function(events)
     local status, event = port:read(var)
-    while status == "NewData" do
+    while IS_NEW[status] do
       if double then double:assign(var) end
       if var then event = (double or var):tolua() end
       events[#events + 1] = event
@@ -94,7 +101,8 @@ end
 -- Makes a getevents of ports; blames the caller of the public function for wrong ones.
 -- When a port raises, the events of the others are kept for the next call.
 local function gen_reader(where, kind, ...)
-  local n, readers, events, is_taken = select("#", ...), {}, {}, false
+  local n, readers, is_taken = select("#", ...), {}, false
+  local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for the first ones
   if n == 0 then error(where .. ": at least one port expected, got none", 3) end
   for i = 1, n do
     local port = (select(i, ...))
@@ -186,7 +194,8 @@ end
 
 --- Make a post step hook that writes the FQN of the active leaf to a string port.
 --
--- It writes on change only, and `<none>` at once and when the machine is reset.
+-- It writes on change only, and `<none>` at once and when the machine is reset. A port
+-- of the component that was deleted is not written. One that has its name is.
 --
 -- @usage
 --    rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(port))
@@ -198,20 +207,25 @@ end
 function rfsm_rtt.gen_write_fqn(port)
   local problem = port_problem(port, "write", "string")
   if problem then error("rfsm.rtt.gen_write_fqn: " .. problem, 2) end
-  local write, written = new_writer(port), setmetatable({}, { __mode = "k" })
+  local held = held_port.hold(port, info_of(port))
+  local write, written = new_writer(held), setmetatable({}, { __mode = "k" })
   local function write_change(fsm)
     local leaf = fsm._act_leaf
     local fqn = leaf and leaf._fqn or "<none>"
     if fqn == written[fsm] then return end
-    write(fqn)
+    write(held.samples[fqn] or fqn) -- RTT needs long to convert a text
     written[fsm] = fqn
+  end
+  local function write_reset(fsm)
+    held:find()
+    write_change(fsm)
   end
   write("<none>")
   return function(fsm)
     if not written[fsm or false] then
       rfsm.check_machine(fsm, "rfsm.rtt.write_fqn")
       written[fsm] = "<none>"
-      rfsm.reset_hook_add(fsm, write_change)
+      rfsm.reset_hook_add(fsm, write_reset)
     end
     write_change(fsm)
   end
@@ -219,10 +233,13 @@ end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
+local ELSEWHERE = {
+  service_launch_rfsm = true, component_launch_rfsm = true,
+  service_halt_rfsm = true, service_resume_rfsm = true,
+}
+
 setmetatable(rfsm_rtt, { __index = function(_, name)
-  if name == "service_launch_rfsm" or name == "component_launch_rfsm" then
-    return require("rfsm.rtt.launch")[name]
-  end
+  return ELSEWHERE[name] and require("rfsm.rtt.launch")[name] or nil
 end })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_rtt", rfsm_rtt) end

@@ -7,7 +7,7 @@
 local dot = require "rfsm.dot"
 local subscriber = require "rfsm.proto.subscriber"
 
-local ipairs, os, select = ipairs, os, select
+local io, ipairs, os, select = io, ipairs, os, select
 local setmetatable = setmetatable
 local concat, remove = table.concat, table.remove
 
@@ -63,7 +63,23 @@ end
 -- Clears the screen, and prints the tree and the log.
 local function draw(self)
   local tree = self.graph and add_tree({}, self.graph, "root", self.leaf) or {}
-  print("\27[H\27[J" .. concat(tree, "\n") .. "\n\n" .. concat(self.log, "\n"))
+  local status = self.status ~= "" and "\n" .. self.status or ""
+  print("\27[H\27[J" .. concat(tree, "\n") .. "\n\n" .. concat(self.log, "\n")
+    .. status)
+end
+
+local SILENCE = 3 -- seconds without a message
+
+-- Says when nothing was heard: at a terminal in each drawing, in a pipe once.
+local function note_silence(self, client)
+  local seconds = client.clock() - (self.heard_at or self.began_at)
+  self.status = ""
+  if seconds < SILENCE and self.heard_at then return end
+  self.status = self.heard_at and ("no answer since %d s"):format(seconds)
+    or "waiting for " .. client.address
+  if self.is_terminal or self.said_at then return end
+  self.said_at = true
+  io.stderr:write(self.status, "\n")
 end
 
 --- Print a machine as it changes; without an end, unless `count` is given.
@@ -72,12 +88,18 @@ end
 function watch.run(client, options)
   local self = setmetatable({
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,
+    status = "", heard_at = false, said_at = false, began_at = client.clock(),
   }, Watch)
   while self.count < (options.count or 1 / 0) do
     local message = client:receive(1)
     local problem = message and subscriber.handle(TAKE, self, message)
     if problem then add(self, problem) end
-    if message and self.is_terminal then draw(self) end
+    if message then
+      self.heard_at, self.said_at, self.status = client.clock(), false, ""
+    else
+      note_silence(self, client)
+    end
+    if self.is_terminal then draw(self) end
   end
 end
 

@@ -14,6 +14,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
 local opts = require "rfsm.shared.options"
@@ -27,15 +28,23 @@ local huge, min = math.huge, math.min
 
 local web = {}
 
+local function is_boolean(x) return type(x) == "boolean" end
+
 -- Description, test, default of each option.
 local OPTIONS = {
+  allow_send = { "boolean", is_boolean, false },
+  allow_why = { "boolean", is_boolean, false },
   clock = { "function that returns seconds", rfsm.is_callable },
+  history = { "boolean", is_boolean, false },
   host = { "name or address", opts.is_text, "127.0.0.1" },
+  machine = { "whole number from 1 on", opts.is_whole(1, huge) },
   port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
   title = { "text", opts.is_text },
 }
 
 local MAX_DRAWN = 2000 -- nodes
+local FRAME = 1 / 30 -- seconds between two messages to a page
+local LINGER = 5 -- seconds that a machine is watched when the last page is gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -76,27 +85,31 @@ end
 local Server = {}
 Server.__index = Server
 
-local function message_text(server, kind, message)
-  return ("event: %s\ndata: %s\n\n"):format(kind, server.json.encode(message))
-end
-
 -- Returns the name of the chart that is drawn; a page with another one fetches it.
 local function version_of(server)
   return ("%s-%d-%d"):format(server.id, server.source.generation, server.picture_count)
 end
 
-local function state_message(server, is_full)
-  local source = server.source
-  local message = source.view and source.view:state(is_full) or { is_full = is_full }
-  message.version, message.server = version_of(server), server.id
+-- Returns the message for a page that knows what a cursor says, and its next cursor.
+local function state_message(server, cursor, version)
+  local source, message = server.source, {}
+  local view, next_cursor = source.view, { version = version, rewrites = -1 }
+  if view then
+    local is_known = cursor and cursor.version == version
+    message, next_cursor = view:state(is_known and cursor or nil)
+    next_cursor.version, next_cursor.revision = version, view.revision
+  end
+  next_cursor.at, message.is_full = server.gettime(), message.is_full ~= false
+  message.version, message.server = version, server.id
   source:describe(message)
-  return message_text(server, "state", message)
+  local text = server.json.encode(message)
+  return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
 local function chart_reply(server)
   local source = server.source
   local chart = source.view and source.view:chart() or {}
-  chart.title, chart.version = source.title, version_of(server)
+  chart.title, chart.version, chart.server = source.title, version_of(server), server.id
   chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
   chart.has_picture = server.picture ~= false
   return { type = "application/json", body = server.json.encode(chart) }
@@ -116,9 +129,12 @@ local function command_reply(server, request)
   local command = message and server.source.commands[message.command]
   if not command then return { status = 400, body = "no such command\n" } end
   if not server.source.view then return { status = 400, body = "no machine\n" } end
-  local problem = command(server.source, message)
+  local problem, answer = command(server.source, message)
   if problem then return { status = 400, body = problem .. "\n" } end
-  return { status = 204 }
+  if type(answer) == "table" then
+    return { type = "application/json", body = server.json.encode(answer) }
+  end
+  return { status = answer and 200 or 204, body = answer }
 end
 
 -- Pictures ------------------------------------------------------------------------
@@ -154,11 +170,10 @@ local ROUTES = {
     if not server.picture then return { status = 404 } end
     return { type = "image/svg+xml", body = server.picture }
   end },
-  ["/events"] = { GET = function(server)
-    return {
-      type = "text/event-stream", is_stream = true,
-      body = "retry: 1000\n\n" .. state_message(server, true),
-    }
+  ["/events"] = { GET = function(server, request)
+    if request.query ~= "token=" .. server.token then return { status = 403 } end
+    if server.source.watch then server.source:watch(true) end
+    return { type = "text/event-stream", is_stream = true, body = "retry: 1000\n\n" }
   end },
   ["/command"] = { POST = command_reply },
 }
@@ -189,22 +204,52 @@ end
 
 -- A mistake of ours, or of a chart, is no reason to end; Control-C is.
 local function handle_safely(server, request)
-  local ok, reply = pcall(handle, server, request)
+  local ok, reply = calls.try(handle, server, request)
   if ok then return reply end
-  if rfsm.is_interrupt(reply) then error(reply, 0) end
   return { status = 500, body = rfsm.text_of(reply) .. "\n" }
 end
 
 -- Public functions ------------------------------------------------------------------
 
--- Sends what has changed to all pages.
+-- Sends what has changed to each page that has taken its last message, at most once a
+-- frame. Pages that know the same get the same text.
 local function send_changes(server)
-  local view, version = server.source.view, version_of(server)
-  local is_new = version ~= server.sent_version
-  if not (is_new or view and view.is_dirty) then return end
-  server.http:send_all(state_message(server, is_new or view.is_rewritten))
-  server.sent_version = version
-  if view then view:set_sent() end
+  local http = server.http
+  if http.streams == 0 then return end
+  local version, view = version_of(server), server.source.view
+  local revision, messages, now = view and view.revision, {}, server.gettime()
+  server.is_late = false
+  http:feed(function(connection)
+    local cursor = connection.cursor
+    if cursor and cursor.version == version and cursor.revision == revision then
+      return nil
+    end
+    if cursor and now < cursor.at + FRAME and now >= cursor.at then
+      server.is_late = true
+      return nil
+    end
+    local key = cursor or server
+    local message = messages[key]
+    if not message then
+      message = { state_message(server, cursor, version) }
+      messages[key] = message
+    end
+    connection.cursor = message[2]
+    return message[1]
+  end)
+end
+
+-- Has the machine of a program noted no more when nobody looks.
+local function rest(server)
+  local source, now = server.source, server.http.clock
+  if not source.is_watched then return end
+  if server.http.streams > 0 then
+    server.seen_at = false
+  elseif not server.seen_at then
+    server.seen_at = now()
+  elseif now() > server.seen_at + LINGER then
+    source:watch(false)
+  end
 end
 
 --- Serve what is ready, and wait at most `timeout` seconds for it.
@@ -215,8 +260,10 @@ function Server:step(timeout)
   send_changes(self)
   local wait = min(timeout or 0, self.source:wait())
   if self.drawing and self.drawing.is_pending then wait = min(wait, 0.02) end
+  if self.is_late then wait = min(wait, FRAME) end
   self.http:step(wait)
   send_changes(self)
+  rest(self)
 end
 
 --- Serve until the program ends.
@@ -228,6 +275,7 @@ end
 function Server:close()
   self.http:close()
   if self.drawing then self.drawing:drop() end
+  if self.source.close then self.source:close() end
 end
 
 -- Returns the options and the packages; nil and a problem.
@@ -248,9 +296,9 @@ local function open_server(source, settings)
   if page then token, problem = new_secret(16) end
   if not token then return nil, problem end
   local server = setmetatable({
-    source = source, json = settings.json, token = token, id = new_secret(4),
-    name = settings.host, picture = false, picture_count = 0, drawing = false,
-    drawn = false, graph = "", sent_version = "",
+    source = source, json = settings.json, gettime = settings.gettime, token = token,
+    id = new_secret(4), name = settings.host, picture = false, picture_count = 0,
+    drawing = false, drawn = false, graph = "", is_late = false, seen_at = false,
   }, Server)
   server.page = page:gsub("{{token}}", token)
   server.page_headers = { ["Content-Security-Policy"] = CSP:format(token) }
@@ -266,6 +314,12 @@ end
 
 --- How a page is served.
 ---@class rfsm.web.Options
+---@field allow_send? boolean may pages send events to a hosted machine? default false
+---@field allow_why? boolean may pages ask why an event did nothing, which calls guards?
+-- default false
+---@field machine? integer with `attach`: its number at that port, default 1
+---@field history? boolean note what a hosted machine does while no page is open, too?
+-- default false
 ---@field host? string address to listen on, default 127.0.0.1
 ---@field port? integer default 8044; 0: one that is free
 ---@field title? string of the page
@@ -280,19 +334,44 @@ local function seconds_from_now()
   end
 end
 
--- A machine that a program drives; the page watches it and may send events.
-local Hosted = { commands = {} }
+-- A machine that a program drives; the page watches it, and may do what its commands
+-- allow.
+local Hosted = {}
 Hosted.__index = Hosted
 
-function Hosted.commands.send(hosted, message)
+local HOSTED = {}
+
+function HOSTED.send(hosted, message)
   local event = hosted.view:event_of(message)
   if event == nil then return "event: text or number of an event expected" end
   rfsm.send_events(hosted.view.fsm, event)
-  hosted.view.is_dirty = true
+  hosted.view:touch()
 end
 
+function HOSTED.why(hosted) return nil, hosted.view:why() end
+
+function HOSTED.inspect(hosted, message)
+  local about = hosted.view:inspect(message.node)
+  if not about then return "node: number of a state expected" end
+  return nil, about
+end
+
+-- Returns the commands that a program allows.
+local function hosted_commands(settings)
+  return { inspect = HOSTED.inspect, send = settings.allow_send and HOSTED.send or nil,
+    why = settings.allow_why and HOSTED.why or nil }
+end
+
+function Hosted:watch(is_wanted)
+  self.is_watched = is_wanted or self.has_history
+  self.view:watch(self.is_watched)
+end
+
+function Hosted:close() self.view:close() end
+
 function Hosted:poll()
-  if not self.view.fsm._intq[1] then self.view:settle() end
+  local view = self.view
+  if view.lost[1] ~= nil and view.fsm._intq[1] == nil then view:settle() end
 end
 
 function Hosted.wait() return huge end
@@ -319,7 +398,10 @@ function web.serve(fsm, options)
   local source = setmetatable({
     view = Live.new(fsm, seconds_from_now()),
     title = settings.title or "machine", problems = {}, generation = 1,
+    commands = hosted_commands(settings), has_history = settings.history,
+    is_watched = false,
   }, Hosted)
+  if settings.history then source:watch(true) end
   local server
   server, problem = open_server(source, settings)
   if not server then error("rfsm.web.serve: " .. problem, 2) end
@@ -349,7 +431,8 @@ function web.attach(host, port, options)
   local settings, remote, problem
   settings, problem = prepare(options)
   if not settings then return nil, problem end
-  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now())
+  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now(),
+    settings.machine)
   if not remote then return nil, problem end
   return open_server(remote, settings)
 end

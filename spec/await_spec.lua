@@ -138,6 +138,61 @@ describe("with time events", function()
   end
 end)
 
+describe("in a state whose name has a comma, quote or parenthesis", function()
+  local timeevent = require "rfsm_timeevent"
+
+  for _, name in ipairs { "x,y", "x'y", "f(x)", "x), await(y", "x" } do
+    it("await waits for time events and e_done@ of it: " .. name, function()
+      local now = 0
+      timeevent.set_gettime_hook(function() return now, 0 end)
+      local model = chart({ "e_z" }, { [name] = state {}, xx = state {} })
+      model[1] = trans { src = "initial", tgt = name }
+      model[4] = trans { src = name, tgt = "b",
+        events = { ("await(e_x, e_after(5), e_done@root.xx, 'e_done@root.%s')"):format(
+          name) } }
+      local fsm = started(model)
+      assert.same({ ("await(e_x, e_after(5)@root.%s, e_done@root.xx, e_done@root.%s)"
+        .. "@root.%s"):format(name, name, name) }, fsm[4].events)
+      now = 6
+      helper.post_and_run(fsm, "e_x")
+      assert.equal("root.b", helper.leaf_after(fsm, "e_done@root.xx"))
+    end)
+  end
+
+  it("an await that has been expanded stays as it is", function()
+    local fsm = started(chart({ "e_x" }, { ["f(x)"] = state {} }))
+    assert.is_true((rfsm.fsm_merge(fsm, fsm, trans { src = "f(x)", tgt = "b",
+      events = { "await(e_x, e_y)@root.f(x)" } })))
+    assert.same({ "await(e_x, e_y)@root.f(x)" }, fsm[4].events)
+  end)
+end)
+
+it("awaits agree with counting, on random charts", function()
+  local cases, problem = require("spec.support.claims.await").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+
+  it("has the events that were received, and no others", function()
+    local fsm = started(chart(XY))
+    check(fsm, "e_x=a")
+    local snap = snapshot.take(fsm)
+    assert.same({ ["await(e_x, e_y)@root.a"] = { e_x = true } }, snap.ext.await)
+    check(assert(snapshot.restore(chart(XY), snap)), "e_z=a e_y=b")
+    local other = started(chart(XY))
+    check(other, "e_y=a")
+    assert(snapshot.put(other, snap))
+    check(other, "e_x=a e_y=b")
+    assert.is_nil((snapshot.take(started(chart(XY))).ext or {}).await)
+    snap.ext.await["await(e_x, e_y)@root.a"] = 5
+    local _, problem = snapshot.restore(chart(XY), snap)
+    assert.is_truthy(problem:find("set of events expected", 1, true), problem)
+  end)
+end)
+
 it("a machine without await has nothing of this extension", function()
   local fsm = helper.init(chart { "e_x" })
   assert.same({}, { fsm._awaits, fsm.a._await })

@@ -108,3 +108,10 @@ describe("bench/extensions.lua", function()
       output_of("extensions.lua 'rfsm.emem off'", QUICK))
   end)
 end)
+
+describe("bench/rtt.lua", function()
+  it("wants RTT", function()
+    assert.same({ "bench/rtt.lua: RTT expected: rttlua bench/rtt.lua", "status 1" },
+      output_of("rtt.lua"))
+  end)
+end)

@@ -84,6 +84,12 @@ describe("utf8", function()
       ["\237\160\128"] = mark .. mark .. mark, -- a surrogate
       ["\224\160"] = mark .. mark, -- cut off
       ["\195\169\169"] = "\195\169" .. mark,
+      ["\240\143\191\191"] = mark:rep(4), -- longer than it need be
+      ["\240\144\128\128"] = false,
+      ["\244\144\128\128"] = mark:rep(4), -- beyond U+10FFFF
+      ["\244\143\191\191"] = false,
+      ["\224\159\191"] = mark:rep(3),
+      ["\237\159\191"] = false,
     } do
       assert.equal(expected or text, marsh.utf8(text))
     end
@@ -293,27 +299,25 @@ digraph "lamp" {
   node [shape=box, style="rounded,filled", height=0.4, margin="0.15,0.07"]
   edge [fontname="Helvetica,Arial,sans-serif", fontsize=10, color="#555555", arrowsize=0.7]
   subgraph cluster_root {
-    graph [id="root", label="lamp", margin=10, style=rounded, color="#555555", penwidth=1, class="state"]
+    graph [id="root", label="lamp", margin=10, style="rounded,filled", fillcolor="white", color="#555555", penwidth=1, class="state"]
     root_initial [id="root.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
     root_off [id="root.off", label="off", class="state"]
     subgraph cluster_root_on {
-      graph [id="root.on", label="on", margin=10, style=rounded, color="#555555", penwidth=1, class="state"]
+      graph [id="root.on", label="on", margin=10, style="rounded,filled", fillcolor="#F4F6F8", color="#555555", penwidth=1, class="state"]
       root_on_initial [id="root.on.initial", shape=circle, label="", width=0.15, height=0.15, color="#222222", fillcolor="#222222", class="initial"]
       root_on_bright [id="root.on.bright", label="bright", class="state"]
     }
-    { node [shape=box, style="", penwidth=0, fontsize=10, width=0, height=0, margin="0.04,0.03"]
-      root_off_to_root_on [id="root.trans[2]", label="e_on", class="transition"]
-      root_on_to_root_off [id="root.trans[3]", label="e_off", class="transition"]
-      root_on_to_root_on [id="root.again", label="any event", class="transition"]
-    }
+    root_off_to_root_on [id="root.trans[2]", shape=plain, style="", fontsize=10, label=<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"><TR><TD CELLPADDING="4" BORDER="1" SIDES="B">e_on</TD></TR><TR><TD PORT="l" WIDTH="1" HEIGHT="1"></TD></TR></TABLE>>, class="transition"]
+    root_on_to_root_off [id="root.trans[3]", shape=plain, style="", fontsize=10, label=<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"><TR><TD CELLPADDING="4" BORDER="1" SIDES="B">e_off</TD></TR><TR><TD PORT="l" WIDTH="1" HEIGHT="1"></TD></TR></TABLE>>, class="transition"]
+    root_on_to_root_on [id="root.again", shape=plain, style="", fontsize=10, label=<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="l" WIDTH="1" HEIGHT="1"></TD></TR><TR><TD CELLPADDING="4" BORDER="1" SIDES="TRB"> </TD></TR><TR><TD PORT="r" WIDTH="1" HEIGHT="1"></TD></TR></TABLE>>, class="transition"]
   }
   root_initial -> root_off [id="root.trans[1]", class="transition"]
-  root_off -> root_off_to_root_on [id="root.trans[2]/src", class="transition", dir=none]
-  root_off_to_root_on -> root_on_initial [id="root.trans[2]/tgt", class="transition", lhead=cluster_root_on]
-  root_on_to_root_off -> root_on_initial [id="root.trans[3]/src", class="transition", lhead=cluster_root_on, dir=none]
-  root_off -> root_on_to_root_off [id="root.trans[3]/tgt", class="transition", dir=back]
-  root_on_bright -> root_on_to_root_on [id="root.again/src", class="transition", ltail=cluster_root_on, dir=none]
-  root_on_bright -> root_on_to_root_on [id="root.again/tgt", class="transition", ltail=cluster_root_on, dir=back]
+  root_off -> root_off_to_root_on:l:w [id="root.trans[2]/src", class="transition", dir=none]
+  root_off_to_root_on:l:e -> root_on_initial [id="root.trans[2]/tgt", class="transition", lhead=cluster_root_on]
+  root_on_to_root_off:l:e -> root_on_initial [id="root.trans[3]/src", class="transition", lhead=cluster_root_on, dir=none]
+  root_off -> root_on_to_root_off:l:w [id="root.trans[3]/tgt", class="transition", dir=back]
+  root_on_bright -> root_on_to_root_on:l:w [id="root.again/src", class="transition", ltail=cluster_root_on, dir=none]
+  root_on_bright -> root_on_to_root_on:r:w [id="root.again/tgt", class="transition", ltail=cluster_root_on, dir=back]
   root_on_initial -> root_on_bright [id="root.on.trans[1]", class="transition"]
 }
 ]=], require("rfsm.dot").encode(helper.init(state {
@@ -328,6 +332,57 @@ digraph "lamp" {
 end)
 
 -- luacheck: pop
+describe("a picture by Graphviz", function()
+  local dot = require "rfsm.dot"
+
+  it("has a class, and a colour, for what is marked", function()
+    local fsm = lamp()
+    local options = {
+      coverage = { states = { ["root.off"] = 2 },
+        transitions = { ["root.trans[2]"] = 3 } },
+      trace = { "root.trans[2]" }, active = "root.on.idle",
+    }
+    local laid_out = assert(dot.layout(fsm, options))
+    for _, text in ipairs { dot.encode(fsm, options), laid_out } do
+      assert.matches('"root.off"[^\n]*class="state covered"[^\n]', text)
+      assert.matches('"root.on.moving"[^\n]*"state missed", color="#D55E00"', text)
+      assert.matches('"root.on.idle"[^\n]*"state active missed", color="#0072B2"',
+        text)
+      assert.matches('"root.on.idle"[^\n]*fillcolor="#D6EAF8"', text)
+      assert.matches('"root.trans%[2%]/?%l*"[^\n]*class="transition traced", '
+        .. 'color="#D55E00", penwidth=2', text)
+      assert.matches('"root.trans%[6%]/?%l*"[^\n]*class="transition missed"', text)
+    end
+  end)
+
+  it("has frames of two colours, in turn", function()
+    local text = dot.encode(helper.init(state {
+      a = state { b = state { c = state {}, trans { src = "initial", tgt = "c" } },
+        trans { src = "initial", tgt = "b" } },
+      trans { src = "initial", tgt = "a" },
+    }))
+    local colours = {}
+    for colour in text:gmatch('margin=10[^\n]-fillcolor="([^"]*)"') do
+      colours[#colours + 1] = colour
+    end
+    assert.same({ "white", "#F4F6F8", "white" }, colours)
+  end)
+
+  it("marks what is final, cut off or a region", function()
+    local text = dot.encode(helper.init(state {
+      a = state { b = state {}, trans { src = "initial", tgt = "b" } },
+      c = state { final = true }, d = rfsm.seqand { left = state { info = false } },
+      trans { src = "initial", tgt = "a" },
+    }), { depth = 1 })
+    assert.matches('"root.a", label="a …"', text)
+    assert.matches('"root.c"[^\n]*peripheries=2', text)
+    assert.is_falsy(text:find("left", 1, true))
+    assert.matches('"root.d.left"[^\n]*class="state region"[^\n]*style="filled,dashed"',
+      dot.encode(helper.init(state { d = rfsm.seqand { left = state { info = false } },
+        trans { src = "initial", tgt = "d" } })))
+  end)
+end)
+
 describe("rfsm.mermaid", function()
   local encode = require("rfsm.mermaid").encode
 

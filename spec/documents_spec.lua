@@ -86,27 +86,27 @@ end
 
 after_each(helper.remove_files)
 
-for _, document in ipairs(lines_of("ls *.md doc/*.md")) do
-  local blocks, folder = blocks_of(document), nil
-
-  describe("who follows " .. document, function()
-    setup(function() folder = new_folder() end)
-    teardown(function() os.execute("rm -r " .. folder) end)
-
-    for _, block in ipairs(blocks) do
-      if block.file then
-        it("saves " .. block.file .. " at line " .. block.line, function()
-          write_file(folder .. "/" .. block.file, block.text)
-        end)
-      end
-      for _, step in ipairs(block.commands or {}) do
-        it(("sees at line %d: %s"):format(block.line, step.command), function()
-          assert.same(step.lines, replay(folder, step))
-        end)
-      end
-    end
-  end)
+-- Saves the files of a block, and types its commands.
+local function follow(folder, block)
+  if block.file then write_file(folder .. "/" .. block.file, block.text) end
+  for _, step in ipairs(block.commands or {}) do
+    assert.same(step.lines, replay(folder, step),
+      ("at line %d: %s"):format(block.line, step.command))
+  end
 end
+
+describe("who follows", function()
+  local folder
+
+  before_each(function() folder = new_folder() end)
+  after_each(function() os.execute("rm -r " .. folder) end)
+
+  for _, document in ipairs(lines_of("ls *.md doc/*.md")) do
+    it(document .. " sees what it says", function()
+      for _, block in ipairs(blocks_of(document)) do follow(folder, block) end
+    end)
+  end
+end)
 
 describe("the chart in the README", function()
   local folder

@@ -141,6 +141,106 @@ describe("emem", function()
   end)
 end)
 
+describe("events that no transition names", function()
+  -- A machine in which so many different ones came, and its memory.
+  local function after(n)
+    local fsm = started(nil, "e_next", "e_next")
+    for i = 1, n do rfsm.send_events(fsm, "e_pos(" .. i .. ")") end
+    rfsm.step(fsm)
+    return fsm, fsm.emem
+  end
+
+  it("are remembered up to a thousand, then forgotten", function()
+    local fsm, emem = after(1000)
+    assert.equal(1001, #rfsm.sorted_keys(emem))
+    run(fsm, "e_pos(1)", "e_pos(1000)")
+    assert.same({ 2, 1, 2 }, { emem["e_pos(1)"], emem["e_pos(2)"],
+      emem["e_pos(1000)"] })
+    run(fsm, "e_pos(1001)", "e_pos(1)")
+    assert.same({ ["e_pos(1001)"] = 1, ["e_pos(1)"] = 1, e_next = 2 }, emem)
+  end)
+
+  it("leave others as they are, also those that were merged", function()
+    local fsm, emem = after(3000)
+    assert.equal(2, emem.e_next)
+    rfsm.fsm_merge(fsm, fsm.c, trans { src = "a", tgt = "b", events = { "e_more" } })
+    run(fsm, "e_more")
+    for i = 1, 1500 do rfsm.send_events(fsm, i) end
+    rfsm.step(fsm)
+    assert.same({ 1, 500 }, { emem.e_more, #rfsm.sorted_keys(emem, function(_, key)
+      return type(key) == "number"
+    end) })
+  end)
+end)
+
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+
+  it("has the counts, and takes the place of those that are there", function()
+    local fsm = started(nil, "e_x", "e_y")
+    local snap = snapshot.take(fsm)
+    assert.same({ e_x = 1, e_y = 1 }, snap.ext.emem["root.c.a"])
+    assert.is_nil(snap.ext.emem["root.c.b"])
+    local other = started(nil, "e_z", "e_z")
+    other.c.b.emem.e_x = 3
+    assert(snapshot.put(other, snap))
+    assert.same({ e_x = 1, e_y = 1 }, other.c.a.emem)
+    assert.same({}, other.c.b.emem)
+    run(other, "e_x")
+    assert.same({ e_x = 2, e_y = 1 }, other.c.a.emem)
+  end)
+
+  it("of a machine without counts has none", function()
+    assert.is_nil((snapshot.take(helper.init(chart())).ext or {}).emem)
+  end)
+
+  it("with other data is refused", function()
+    for _, case in ipairs {
+      { emem = { ["root.c"] = 5 }, problem = "table of counts expected" },
+      { emem = { ["root.c"] = { e_x = "5" } }, problem = "number of events expected" },
+    } do
+      local snap = snapshot.take(started(nil, "e_x"))
+      snap.ext.emem = case.emem
+      local _, problem = snapshot.restore(chart(), snap)
+      assert.is_truthy(problem:find(case.problem, 1, true), problem)
+    end
+  end)
+
+  it("counts towards the thousand", function()
+    local fsm = started()
+    local snap = snapshot.take(started(nil, "e_x"))
+    for i = 1, 1000 do snap.ext.emem.root["e_pos(" .. i .. ")"] = 1 end
+    assert(snapshot.put(fsm, snap))
+    run(fsm, "e_new")
+    assert.same({ e_new = 1 }, fsm.emem)
+  end)
+end)
+
+describe("a state named emem", function()
+  it("stays one, in a state that does not count, and init warns", function()
+    local model = state { info = false, c = state { emem = state {},
+      trans { src = "initial", tgt = "emem" },
+      trans { src = "emem", tgt = "emem", events = { "e_again" } } },
+      trans { src = "initial", tgt = "c" } }
+    local warnings = helper.said(model, "warn")
+    local fsm = helper.started(model)
+    assert.equal("WARNING: root.c: 'emem' is a state here, so that rfsm.emem cannot "
+      .. "count", helper.without_file(warnings[1]))
+    assert.equal("root.c.emem", helper.leaf_after(fsm, "e_x"))
+    assert.is_nil(rawget(fsm.c.emem, "e_x"))
+    assert.same({ 1, 1 }, { fsm.emem.e_x, fsm.c.emem.emem.e_x })
+    rfsm.reset(fsm)
+    assert.is_false((pcall(rfsm_emem.emem_reset, fsm.c)))
+    assert.equal("root.c.emem", helper.leaf_after(fsm))
+  end)
+end)
+
+it("memories agree with counting, on random charts", function()
+  local cases, problem = require("spec.support.claims.emem").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
+end)
+
 describe("what a user writes into emem", function()
   it("is counted on, and set to 0 on exit", function()
     local fsm, emem = started()

@@ -87,6 +87,17 @@ describe("the order of nodes", function()
     assert.same({ "initial", "d", "e", "c", "a", "b" }, ids)
   end)
 
+  it("is the same when LuaJIT has compiled the walk", function()
+    local model, expected = state { trans { src = "initial", tgt = "s1" } }, {
+      "initial" }
+    for i = 1, 100 do
+      model["s" .. i], expected[i + 1] = state {}, "s" .. i
+      model[#model + 1] = i > 1 and trans { src = "s" .. i - 1, tgt = "s" .. i } or nil
+    end
+    expected = table.concat(expected, " ")
+    for _ = 1, 10 do assert.equal(expected, order_of(model)) end
+  end)
+
   it("takes a transition between inner nodes for one of the composites", function()
     assert.equal("initial q p", order_of(state {
       p = state { x = state {}, trans { src = "initial", tgt = "x" } },
@@ -112,20 +123,80 @@ describe("the text of a callback", function()
     assert.equal("says(2)", text_of(says(2)))
   end)
 
-  it("is its body if that is short", function()
+  -- The text of the function that a chunk returns.
+  local function text_in(chunk, name)
+    local load = rawget(_G, "loadstring") or load
+    return text_of(assert(load(chunk, name))())
+  end
+
+  it("is its body if that is one short line", function()
     local distance = 1
     assert.equal("distance > 0", text_of(function() return distance > 0 end))
     assert.equal("near() near()", text_of(function() near() near() end))
+    assert.equal("near()", text_of(function()
+      near() -- enough
+    end))
+    assert.equal("far(1)", text_in("return function()\n  return far(1);\nend"))
+    local forty = ("x"):rep(38) .. "()"
+    assert.equal(forty, text_in("return function() " .. forty .. " end"))
+    assert.equal(":1", text_in("return function() x" .. forty .. " end"))
+    assert.equal(":1", text_in("return function()\n-- nothing\nend"))
+    assert.equal(":1", text_in("return function()\nlocal a =\n1 return a\nend"))
+    assert.equal(":1", text_in("return function() return function() end end"))
   end)
 
-  it("is its file and line otherwise", function()
-    assert.matches("^export_spec.lua:%d+$", text_of(function()
-      near()
-    end))
-    assert.matches("^export_spec.lua:%d+$", text_of(function() end))
+  it("is the comment behind its head, or the line of it in front", function()
+    local two = "\n  near()\n  near()\nend"
+    for text, chunk in pairs { -- any order: each stands alone
+      ["opens the valve"] = "--- opens the valve \nreturn function()" .. two,
+      ["shut: it leaks"] = "-- not this\nreturn function() -- shut: it leaks" .. two,
+      [("x"):rep(60)] = "-- " .. ("x"):rep(60) .. "\nreturn function()" .. two,
+      [":2"] = "-- " .. ("x"):rep(61) .. "\nreturn function()" .. two,
+      [":3"] = "-- a\n\nreturn function()" .. two,
+      [":4"] = "\n\n-----\nreturn function()" .. two,
+      [":1"] = "return function()" .. two,
+    } do
+      assert.equal(text, text_in(chunk))
+    end
+  end)
+
+  it("is its line otherwise, behind its file if that is not the first one", function()
+    assert.matches("^:%d+$", text_of(function() end))
+    assert.equal(":2", text_in("return\nfunction()\nend"))
+    assert.equal(":1", text_in("return function()\nend", "=rFSM"))
     local load = rawget(_G, "loadstring") or load
-    assert.equal("line:2", text_of(load("return\nfunction()\nend")()))
-    assert.equal("rFSM:1", text_of(load("return function()\nend", "=rFSM")()))
+    local a = load("return function()\nend, function() end", "@lib/a.lua")
+    local _, second = a()
+    local tab = marsh.model2tab(helper.init(state {
+      entry = second, exit = load("return\nfunction()\nend", "@lib\\b.lua")(),
+      x = state { entry = load("return function()\nend", "=c")(), exit = (a()) },
+      trans { src = "initial", tgt = "x" },
+    }), true)
+    assert.same({ ":2", "b.lua:2", "c:1", ":1" },
+      { tab.entry, tab.exit, tab.subnodes[2].entry, tab.subnodes[2].exit })
+  end)
+
+  it("needs neither io nor os", function()
+    assert.equal(":3\ntrue\ntrue", helper.output_of([[
+      io, os = nil, nil
+      local rfsm = require "rfsm"
+      local fsm = rfsm.init(rfsm.state { info = false, entry = function() go() end })
+      print(require("rfsm.marsh").model2tab(fsm, true).entry)
+      print(#require("rfsm.dot").encode(fsm) > 0)
+      print(#require("rfsm.mermaid").encode(fsm) > 0)
+    ]]))
+  end)
+
+  it("is in the source that a host reads", function()
+    local read = marsh.read_source
+    marsh.read_source = function(name)
+      return name == "chart" and "-- opens it\nreturn function()\n\n\nend" or nil
+    end
+    local text = text_in("\nreturn function()\n\n\nend", "=chart")
+    local other = text_in("\nreturn function()\n\n\nend", "@other")
+    marsh.read_source = read
+    assert.same({ "opens it", ":2" }, { text, other })
+    assert.is_nil(read("/nowhere/x.lua"))
   end)
 
   it("is its type if there is no more to find", function()
@@ -183,6 +254,7 @@ describe("the full description", function()
     rfsm.step(fsm)
     local arms = marsh.model2tab(fsm, true).subnodes[2]
     assert.same({ "arms", "near", "active" }, { arms.id, arms.exit, arms.mode })
+    assert.is_nil(arms.entry)
     assert.is_nil(arms.doo)
     assert.same({ id = "right", type = "state", mode = "active",
       subnodes = { { id = "initial", type = "connector" },
@@ -246,7 +318,9 @@ describe("rfsm.json", function()
 
   it("writes empty lists as arrays", function()
     assert.matches('"events":%[%]', json.encode(machine()))
-    local empty = helper.init(state { x = conn {}, initial = conn {} })
+    local empty = helper.init(state {
+      a = state {}, x = state { y = state {} }, trans { src = "initial", tgt = "a" },
+    })
     assert.matches('"transitions":%[%]', json.encode(empty))
   end)
 
@@ -266,6 +340,23 @@ describe("rfsm.json", function()
       trans { src = "a", tgt = "a", events = { event, 7, true, 1 / 0 } },
     })
     assert.matches('"events":%["an event",7,true,"inf"%]', json.encode(fsm))
+  end)
+end)
+
+describe("decode_all", function()
+  it("gives the values of a text, without a last line that was cut off", function()
+    assert.same({ { a = 1 } }, json.decode_all('{"a":1}'))
+    assert.same({ 1, "b", { 2 } }, json.decode_all('1 "b"\n[2]\n'))
+    assert.same({ 1 }, json.decode_all('1\n{"a":'))
+    assert.same({}, json.decode_all(" \n"))
+  end)
+
+  it("raises an error in one line if there is more behind what is none", function()
+    for _, text in ipairs { "x", "1\nx\n2", '{"a":' } do
+      local ok, problem = pcall(json.decode_all, text)
+      assert.is_false(ok)
+      assert.matches("^no JSON: [^\n]+$", problem)
+    end
   end)
 end)
 

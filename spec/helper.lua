@@ -182,6 +182,16 @@ function helper.remove_files()
   end
 end
 
+--- Returns a module of Debian; nil if it is missing. Those in Lua are packaged up to
+--- 5.3, and also serve later ones.
+function helper.package(name)
+  local path = package.path
+  package.path = path .. ";/usr/share/lua/5.3/?.lua"
+  local ok, module = pcall(require, name)
+  package.path = path
+  return ok and module or nil
+end
+
 --- Returns the interpreter that runs this, as the shell can call it.
 function helper.interpreter()
   local i = 0

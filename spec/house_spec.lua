@@ -21,7 +21,7 @@ local ENTRIES = {
 
 describe("the tree", function()
   local files = tracked()
-  if not files then return end
+  if not files then return pending("git, or its folder, is missing") end
 
   it("has these entries at the top, at most 24", function()
     local entries, is_listed = {}, {}

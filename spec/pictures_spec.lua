@@ -20,10 +20,11 @@ local function run(command)
   return text, content(log)
 end
 
--- The picture of a machine, which Graphviz draws without a word.
-local function svg_of(fsm, options)
-  local file = file_with(require("rfsm.dot").encode(fsm, options))
-  local picture, messages = run("dot -Tsvg '" .. file .. "'")
+local dot = require "rfsm.dot"
+
+-- The picture of a graph, which Graphviz draws without a word.
+local function svg_of(graph)
+  local picture, messages = run("dot -Tsvg '" .. file_with(graph) .. "'")
   assert.equal("", messages)
   assert.equal("</svg>\n", picture:sub(-7))
   return picture
@@ -56,9 +57,9 @@ end
 -- Names as they are in ids.
 local function id_of(fqn) return (diagram.clean(fqn):gsub("\n", "\\n")) end
 
--- The composites whose frames are around the middle of a label.
-local function frames_around(box, shapes, nodes)
-  local x, y = (box.left + box.right) / 2, (box.top + box.bottom) / 2
+-- The composites whose frames are around a point.
+local function frames_around(point, shapes, nodes)
+  local x, y = point[1], point[2]
   return rfsm.sorted_keys(nodes, function(tab, fqn)
     local frame = shapes[id_of(fqn)].box
     return is_composite(tab) and x > frame.left and x < frame.right and y > frame.top
@@ -79,47 +80,89 @@ local function composites_around(tr, nodes)
   end)
 end
 
+-- How far a point is from the border of a box.
 local function distance_to(box, point)
   local x, y = point[1], point[2]
-  return math.min(math.abs(x - box.left), math.abs(x - box.right),
-    math.abs(y - box.top), math.abs(y - box.bottom))
+  local across = math.max(box.left - x, x - box.right)
+  local along = math.max(box.top - y, y - box.bottom)
+  if across < 0 and along < 0 then return -math.max(across, along) end
+  return math.max(across, along)
 end
 
-local TOUCH = 3 -- points between the end of an arrow and a border
+-- Points between the end of an arrow and what it belongs to: the text of a connector is
+-- beside its mark, states have round corners.
+local TOUCH = { state = 4, connector = 8 }
 
 local function check_arrow(tr, shapes, nodes)
-  local label = shapes[id_of(tr.key)]
-  local tail, head = shapes[id_of(tr.key) .. "/src"] or label,
-    shapes[id_of(tr.key) .. "/tgt"] or label
-  if tail ~= label then
-    assert.same(composites_around(tr, nodes), frames_around(label.box, shapes, nodes),
-      tr.key)
+  local arrow, tgt = shapes[id_of(tr.key)], target_of(tr)
+  if arrow.label then
+    assert.same(composites_around(tr, nodes),
+      frames_around(arrow.label, shapes, nodes), tr.key)
   end
-  local src, tgt = shapes[id_of(tr.src)].box, shapes[id_of(target_of(tr))].box
-  if is_composite(nodes[tr.src]) then
-    assert.is_true(math.min(distance_to(src, tail.ends[1]),
-      distance_to(src, tail.ends[2])) < TOUCH, tr.key .. " begins at its frame")
+  assert.is_true(distance_to(shapes[id_of(tr.src)].box, arrow.ends[1])
+    <= TOUCH[nodes[tr.src].type], tr.key .. " begins at " .. tr.src)
+  assert.is_true(distance_to(shapes[id_of(tgt)].box, arrow.tip)
+    <= TOUCH[nodes[tgt].type], tr.key .. " ends at " .. tgt)
+  assert.is_true(pictures.sharpest_bend(arrow.path) < 10, tr.key .. " is smooth")
+end
+
+local function is_apart(a, b)
+  return a.right <= b.left or b.right <= a.left or a.bottom <= b.top
+    or b.bottom <= a.top
+end
+
+-- Checks that what is in a composite is inside of its frame, and that nothing in it
+-- covers anything else.
+local function check_members(composite, fqn, shapes)
+  local frame, boxes = shapes[id_of(fqn)].box, {}
+  for _, list in ipairs { composite.subnodes or {}, composite.regions or {} } do
+    for _, node in ipairs(list) do
+      local box = shapes[id_of(fqn .. "." .. node.id)].box
+      assert.is_true(box.left > frame.left and box.right < frame.right
+        and box.top > frame.top and box.bottom < frame.bottom, node.id .. " is outside")
+      for _, other in ipairs(boxes) do
+        assert.is_true(is_apart(box, other), node.id .. " covers another state")
+      end
+      boxes[#boxes + 1] = box
+    end
   end
-  if is_composite(nodes[target_of(tr)]) then
-    assert.is_true(distance_to(tgt, head.tip) < TOUCH, tr.key .. " ends at its frame")
+end
+
+-- Regions are from left to right, in the order in which they are stepped.
+local function check_regions(state, fqn, shapes)
+  local right = -1 / 0
+  for _, region in ipairs(state.regions or {}) do
+    local box = shapes[id_of(fqn .. "." .. region.id)].box
+    assert.is_true(box.left > right, region.id .. " is beside another region")
+    right = box.right
   end
 end
 
 describe("Graphviz", function()
-  for number = seed, seed + 9 do
+  for number = seed, seed + 5 do
     it(("puts random chart %d where it belongs"):format(number), function()
       local fsm = random_machine(number)
       local nodes, arrows = elements_of(marsh.model2tab(fsm, true), "root", {}, {})
-      local shapes = pictures.shapes_of(svg_of(fsm))
-      for fqn in pairs(nodes) do -- any order
-        assert.is_truthy(shapes[id_of(fqn)], fqn)
+      for _, direction in ipairs { "TB", "LR" } do
+        local shapes = pictures.shapes_of(svg_of(assert(dot.layout(fsm, {
+          direction = direction }))))
+        for fqn, tab in pairs(nodes) do -- any order
+          assert.is_truthy(shapes[id_of(fqn)], fqn)
+          check_members(tab, fqn, shapes)
+          if direction == "TB" then check_regions(tab, fqn, shapes) end
+        end
+        for _, tr in ipairs(arrows) do check_arrow(tr, shapes, nodes) end
       end
-      for _, tr in ipairs(arrows) do check_arrow(tr, shapes, nodes) end
     end)
   end
 
+  it("draws a graph without positions, too", function()
+    for number = seed, seed + 4 do svg_of(dot.encode(random_machine(number))) end
+  end)
+
   it("shows any names as they are", function()
-    local picture = svg_of(helper.init(pictures.odd()), 'T "x" \\ & <i>\nnew')
+    local picture = svg_of(assert(dot.layout(helper.init(pictures.odd()),
+      'T "x" \\ & <i>\nnew')))
     for _, text in ipairs { "q&quot;q", "&lt;b&gt;", "&amp;amp;", "%d", "état",
       "&lt;&lt;choice&gt;&gt;", "|", "T &quot;x&quot; \\ &amp; &lt;i&gt;", "new" } do
       assert.is_truthy(picture:find(">" .. text .. "<", 1, true), text)
@@ -135,7 +178,7 @@ local function compare_ids(fsm, file)
   for _, tr in ipairs(arrows) do expected[id_of(tr.key)] = true end
   for id in pairs(expected) do assert.is_truthy(found[id], file .. " lacks " .. id) end
   for id in pairs(found) do -- any order
-    assert.is_truthy(expected[id:gsub("/%l+$", "")], file .. " has " .. id)
+    assert.is_truthy(expected[id], file .. " has " .. id)
   end
 end
 

@@ -138,3 +138,13 @@ describe("a machine without likely transitions", function()
     assert.is_nil(helper.init(chart {})._has_preview)
   end)
 end)
+
+it("a state named prepare is not called", function()
+  local model = state { warn = false, info = false, b = state {},
+    a = state { prepare = state {}, trans { src = "initial", tgt = "prepare" } },
+    trans { src = "initial", tgt = "b" },
+    trans { src = "b", tgt = "a", events = { "e" }, likely = yes } }
+  local errors = helper.said(model, "err")
+  assert.equal("root.a.prepare", helper.leaf_after(helper.started(model), "e"))
+  assert.same({}, errors)
+end)

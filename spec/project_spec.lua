@@ -142,14 +142,49 @@ describe("tools/size.lua", function()
 end)
 
 describe("tools/test.sh", function()
-  it("prints a line as each interpreter ends, and the sum", function()
-    local busted = helper.file_with("#!/bin/sh\n"
-      .. "echo '2 successes / 0 failures / 0 errors / 0 pending : 0.1 seconds'\n")
+  local FILES = "spec/[a-c]*_spec.lua"
+  local SPECS = #lines_of("ls " .. FILES)
+
+  -- Runs it with a busted that prints this; returns the lines, and those on stderr.
+  local function run(text, settings)
+    local busted = helper.file_with("#!/bin/sh\ncat <<EOF\n" .. text .. "EOF\n")
     os.execute("chmod +x " .. busted)
-    local n = 2 * #lines_of("ls spec/*_spec.lua")
-    local lines = lines_of(("BUSTED=%s tools/test.sh %s"):format(busted, arg[-1]))
-    assert.matches("^%S+: " .. n .. " passed, 0 failed, %d+ s$", lines[1])
-    assert.equal(n .. " passed, 0 failed", lines[2])
+    local command = ("%s FILES='%s' BUSTED=%s tools/test.sh %s"):format(
+      settings or "PENDING=", FILES, busted, arg[-1])
+    return lines_of("{ " .. command .. "; echo $?; } 2>/dev/null"),
+      lines_of(command .. " 2>&1 >/dev/null")
+  end
+
+  it("prints a line as each interpreter ends, and the sum", function()
+    local lines = run("2 successes / 0 failures / 0 errors / 0 pending : 0.1 seconds\n")
+    local sum = 2 * SPECS .. " passed, 0 failed, 0 pending"
+    assert.matches("^%S+: " .. sum .. ", %d+ s$", lines[1])
+    assert.same({ sum, "0" }, { lines[2], lines[3] })
+  end)
+
+  it("counts failures and errors", function()
+    local lines = run("1 success / 1 failure / 2 errors / 0 pending : 0.1 seconds\n")
+    assert.same({ SPECS .. " passed, " .. 3 * SPECS .. " failed, 0 pending", "1" },
+      { lines[2], lines[3] })
+  end)
+
+  it("lists what is pending, which is no failure unless it is to be one", function()
+    local text = "1 success / 0 failures / 0 errors / 1 pending : 0.1 seconds\n"
+      .. "\nPending -> spec/x_spec.lua @ 1\na fleet: it is missing\n"
+    local lines = run(text)
+    assert.matches("^pending: a fleet: it is missing %(.*%)$", lines[2])
+    assert.same({ ("%d passed, 0 failed, %d pending"):format(SPECS, SPECS), "0" },
+      { lines[#lines - 1], lines[#lines] })
+    lines = run(text, "PENDING=no")
+    assert.equal("1", lines[#lines])
+  end)
+
+  it("announces each tenth of the files, and the time to go", function()
+    local _, messages = run("1 success / 0 failures / 0 errors / 0 pending : 0.1 s\n")
+    assert.is_true(#messages >= SPECS / 2 and #messages <= SPECS)
+    for _, line in ipairs(messages) do
+      assert.matches("^%d+ of " .. SPECS .. " files, about %d+ s to go$", line)
+    end
   end)
 end)
 
@@ -267,14 +302,14 @@ local function run_block(env, block, name)
 end
 
 -- The blocks of one document share their globals, as at one prompt.
-for _, file in ipairs(files("*.md", "doc/*.md")) do
-  describe(file, function()
-    local env = setmetatable({}, { __index = _G })
-    for _, block in ipairs(lua_blocks(file)) do
-      it("runs at line " .. block.line .. ", and prints what it says", function()
+describe("each block of code", function()
+  for _, file in ipairs(files("*.md", "doc/*.md")) do
+    it("in " .. file .. " runs, and prints what it says", function()
+      local env = setmetatable({}, { __index = _G })
+      for _, block in ipairs(lua_blocks(file)) do
         local printed, expected = run_block(env, block, file), promised(block)
-        if expected[1] then assert.same(expected, printed) end
-      end)
-    end
-  end)
-end
+        if expected[1] then assert.same(expected, printed, "at line " .. block.line) end
+      end
+    end)
+  end
+end)

@@ -644,3 +644,9 @@ it("has an example that runs unattended", function()
     "sends e_push", "active: root.off",
   }, lines)
 end)
+
+it("shows a client what the machine did, iteration by iteration", function()
+  local n = tonumber(os.getenv "RFSM_N") or 10
+  assert.same({ n }, { require("spec.support.claims.proto").run(n, 1) })
+  require("rfsm.clock").set_hook(nil)
+end)

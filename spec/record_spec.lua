@@ -2,6 +2,7 @@
 --
 -- RFSM_N=10000 makes the random part longer.
 
+local claim = require "spec.support.claims.record"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
@@ -14,6 +15,13 @@ local state, trans = rfsm.state, rfsm.trans
 local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
+
+local function overwritten(file, text)
+  local handle = assert(io.open(file, "wb"))
+  handle:write(text)
+  handle:close()
+  return file
+end
 
 -- idle --e_go--> busy --e_done--> idle; go is guarded by what `sensor` returns
 local function worker(trace, sensor)
@@ -59,15 +67,14 @@ describe("a recording", function()
       { events = { "e_init_fsm" }, sent = { "e_done@root.idle" }, leaf = "root.idle",
         done = true },
       { events = { "e_done@root.idle" }, leaf = "root.idle", done = true },
-      { leaf = "root.idle", done = true },
       { events = { "e_go" }, guards = { 2, true }, kept = { data = { root =
         { count = 1 } } }, sent = { "e_own1", "e_done@root.busy" }, leaf = "root.busy",
         done = true },
-    }, { sink[2], sink[3], sink[4], sink[5] })
-    assert.same({ 13, 14 }, { recorder.count, #sink })
+    }, { sink[2], sink[3], sink[4] })
+    assert.same({ 9, 10 }, { recorder.count, #sink })
     recorder:stop()
     helper.post_and_run(fsm, "e_go")
-    assert.equal(14, #sink)
+    assert.equal(10, #sink)
   end)
 
   it("is replayed with the callbacks, and the guards as they were", function()
@@ -107,7 +114,7 @@ describe("a recording", function()
   it("is replayed up to an iteration", function()
     local sink = {}
     recorded(sink)
-    local fsm = assert(record.replay(worker({}, yes), sink, { dry = true, to = 4 }))
+    local fsm = assert(record.replay(worker({}, yes), sink, { dry = true, to = 3 }))
     assert.same({ "root.busy", 1 }, { rfsm.get_actleaf_fqn(fsm), fsm.count })
     assert.same({ "e_own1", "e_done@root.busy" }, fsm._intq)
     assert.equal(false, rfsm.get_actleaf_fqn(assert(
@@ -122,19 +129,19 @@ describe("a recording", function()
       fsm.count = fsm.count + 1
       rfsm.send_events(fsm, "e_mine")
     end
-    assert.same({ false, "step 4: events sent: e_own1, e_done@root.busy expected, "
-      .. "got e_mine, e_done@root.busy", 3 }, { record.replay(model, sink) })
-    assert.same({ false, "step 8: the guard of T={ src='root.idle', tgt='root.busy', "
-      .. "events='e_go' } behaves otherwise", 7 },
+    assert.same({ false, "step 3: events sent: e_own1, e_done@root.busy expected, "
+      .. "got e_mine, e_done@root.busy", 2 }, { record.replay(model, sink) })
+    assert.same({ false, "step 6: the guard of T={ src='root.idle', tgt='root.busy', "
+      .. "events='e_go' } behaves otherwise", 5 },
       { record.replay(worker({}, yes), sink, { guards = true }) })
   end)
 
   it("reports the step at which a chart goes another way", function()
     local sink = {}
     recorded(sink)
-    sink[5].leaf = "root.idle"
-    assert.same({ false, "step 4: active leaf root.idle(done) expected, got "
-      .. "root.busy(done)", 3 }, { record.replay(worker({}, yes), sink,
+    sink[4].leaf = "root.idle"
+    assert.same({ false, "step 3: active leaf root.idle(done) expected, got "
+      .. "root.busy(done)", 2 }, { record.replay(worker({}, yes), sink,
       { dry = true }) })
     assert.same({ false, "rfsm.record: a recording of format 1 expected" },
       { record.replay(worker({}, yes), {}) })
@@ -149,8 +156,30 @@ describe("a recording", function()
     local sink = {}
     local _, fsm = recorded(sink)
     helper.post_and_run(fsm, print)
-    assert.equal("step 14: an event that is a function cannot be replayed",
+    assert.equal("step 10: an event that is a function cannot be replayed",
       select(2, record.replay(worker({}, yes), sink, { dry = true })))
+  end)
+
+  it("names the field and both values when the data is not as it was", function()
+    local sink = {}
+    recorded(sink)
+    local function problem(change)
+      local model = worker({}, yes)
+      local own = model.busy.entry
+      model.busy.entry = function(fsm) own(fsm) change(fsm) end
+      return select(2, record.replay(model, sink))
+    end
+    assert.equal("step 3: root.count: 1 expected, got 7",
+      problem(function(fsm) fsm.count = 7 end))
+    assert.equal("step 3: root.count: 1 expected, got 'x'",
+      problem(function(fsm) fsm.count = "x" end))
+    assert.equal("step 3: root.count: 1 expected, got a table",
+      problem(function(fsm) fsm.count = {} end))
+    assert.equal("step 3: root.count: 1 expected, got nothing",
+      problem(function(fsm) fsm.count = nil end))
+    sink[4].kept.data.root.list = { { x = "y" } }
+    assert.equal("step 3: root.list: a table expected, got nothing",
+      problem(function() end))
   end)
 
   it("in a file has a line for each record; one that was cut does not count", function()
@@ -158,15 +187,65 @@ describe("a recording", function()
     recorded(file)
     recorded(sink)
     local text = helper.content(file)
-    assert.equal(14, select(2, text:gsub("\n", "")))
-    assert.matches('^{"record":1,', text)
-    assert.same(json.decode(json.encode(sink)), record.read(file))
-    local cut = helper.file_with(text:sub(1, -9))
-    assert.equal(13, #record.read(cut))
+    assert.equal(10, select(2, text:gsub("\n", "")))
+    assert.matches('^{"record":2,', text)
+    assert.same(json.decode(json.encode(sink)), (record.read(file)))
+    local cut = helper.file_with(text:sub(1, -3))
+    assert.same({ runs = 1, is_cut = true }, select(2, record.read(cut)))
+    assert.equal(9, #record.read(cut))
     assert.equal("root.idle", rfsm.get_actleaf_fqn(assert(
       record.replay(worker({}, yes), cut, { dry = true }))))
     local broken = helper.file_with((text:gsub("\n{", "\n?", 1)))
-    assert.matches(": no JSON: .* at line 2,", select(2, pcall(record.read, broken)))
+    assert.matches(": no JSON: .* at line 2$", select(2, pcall(record.read, broken)))
+  end)
+
+  it("of an event and its completion takes 60 bytes in a file", function()
+    local file = helper.file_with("")
+    local fsm = helper.init(state { info = false, warn = false, off = state {},
+      on = state {}, trans { src = "initial", tgt = "off" },
+      trans { src = "off", tgt = "on", events = { "e_push" } },
+      trans { src = "on", tgt = "off", events = { "e_push" } } })
+    rfsm.run(fsm)
+    local recorder = record.record(fsm, file)
+    local before = #helper.content(file)
+    for _ = 1, 10 do helper.post_and_run(fsm, "e_push") end
+    for _ = 1, 1000 do rfsm.run(fsm) end -- nothing comes
+    recorder:stop()
+    assert.is_true(#helper.content(file) - before <= 600)
+    assert.equal(20, recorder.count)
+  end)
+
+  it("of files of format 1 is read as before", function()
+    local sink = {}
+    recorded(sink)
+    local texts = {}
+    for i, rec in ipairs(sink) do texts[i] = json.encode(rec) end
+    local file = helper.file_with(table.concat(texts, "\n"))
+    assert.same(json.decode(json.encode(sink)), (record.read(file)))
+  end)
+
+  it("in the same file is a run more; a line that was cut harms no other", function()
+    local file = helper.file_with("")
+    recorded(file)
+    local whole, text = record.read(file), helper.content(file)
+    overwritten(file, text:sub(1, -3))
+    recorded(file)
+    recorded(file)
+    assert.same({ 9, { runs = 3, is_cut = true } },
+      { #record.read(file, 1), select(2, record.read(file, 1)) })
+    for _, number in ipairs { 2, 3 } do
+      assert.same(whole, (record.read(file, number)))
+    end
+    assert.same({ whole, { runs = 3, is_cut = false } }, { record.read(file) })
+    for _, number in ipairs { 0, 4, 1.5, "x" } do
+      assert.equal("rfsm.record: " .. file .. ": run: number from 1 to 3 expected, got "
+        .. tostring(number), select(2, pcall(record.read, file, number)))
+    end
+    assert.matches("No such file", select(2, pcall(record.read, "nothing.jsonl")))
+    assert.equal("rfsm.record: " .. file .. ": no recording",
+      select(2, pcall(record.read, (overwritten(file, "\n")))))
+    assert.matches("line 1: header expected",
+      select(2, pcall(record.read, (overwritten(file, "{}\n")))))
   end)
 
   it("becomes a spec that passes, as long as the chart does that", function()
@@ -229,8 +308,8 @@ describe("back", function()
     local recorder, fsm, trace = recorded(sink)
     local count = #trace
     assert.is_true(recorder:back(1))
-    assert.is_true(recorder:back(8))
-    assert.same({ "root.busy", 1, 4, 5, count },
+    assert.is_true(recorder:back(5))
+    assert.same({ "root.busy", 1, 3, 4, count },
       { rfsm.get_actleaf_fqn(fsm), fsm.count, recorder.count, #sink, #trace })
     rfsm.run(fsm)
     assert.equal("root.idle", rfsm.get_actleaf_fqn(fsm))
@@ -262,6 +341,11 @@ describe("back", function()
     assert.error_matches(function() recorder:back() end,
       "rfsm.record: back: a recording in a list expected")
   end)
+end)
+
+it("what is recorded, in a list or a file, gives the same run", function()
+  local count, problem = claim.run(N, 2050)
+  assert.same({ N }, { count, problem })
 end)
 
 describe("a random run", function()

@@ -2,11 +2,14 @@
 --
 -- RFSM_EVENTS=100000 makes the storm longer.
 
-local function has(name) return (pcall(require, name)) end
+local servers = require "spec.support.redis"
 
-local has_modules = has "socket" and has "redis" and has "dkjson"
-local servers = has_modules and require "spec.support.redis"
-if not (servers and servers.are_installed()) then return end
+if servers.missing() then
+  describe("a fleet", function()
+    it("runs in Redis", function() pending(servers.missing()) end)
+  end)
+  return
+end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
@@ -128,9 +131,9 @@ describe("a fleet", function()
 
   it("hands on what machines emit, once more if a worker dies", function()
     machines:create(1, "lamp", { owner = "me" })
-    assert.is_false(pcall(machines.work, machines, "g", "w1", function()
-      error("killed")
-    end))
+    assert.same({ 0, { "killed" } }, { machines:work("g", "w1", function()
+      error("killed", 0)
+    end) })
     local seen = {}
     local function note(entry)
       seen[#seen + 1] = { entry.machine, entry.what, entry.data }
@@ -396,12 +399,23 @@ describe("rfsm redis", function()
       .. "state or connector is named 'b' in 'root'[^\n]*\n$", run(chart))
     assert.equal("rfsm redis: cannot open /nowhere.lua: No such file or directory\n",
       run("/nowhere.lua"))
-    assert.equal("rfsm redis: rfsm.fleet: cannot connect to 127.0.0.1:1\n",
+    assert.equal("rfsm redis: rfsm.fleet: cannot connect to 127.0.0.1:1: "
+      .. "connection refused\n",
       run(helper.file_with(COUNTER) .. " --load redis://127.0.0.1:1"))
   end)
 end)
 
 describe("the warehouse", function()
+  it("takes a new version of its orders while it works", function()
+    local output = servers.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
+      .. "examples/warehouse/fleet.sh lua5.1 40 upgrade")()
+    assert.matches("\nin root.packing: moves to root.wrapping\n", output)
+    assert.matches("\nin root.received: moves to root.received\n"
+      .. "  timer e_after%(3%)@root.received is dropped\n", output)
+    assert.matches("orders have moved at their next event\n0 are left; 30 shipped, 10 "
+      .. "received\n$", output)
+  end)
+
   it("ships what is paid for, in one command", function()
     local pipe = io.popen("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
       .. "examples/warehouse/fleet.sh lua5.3 8 2>&1")

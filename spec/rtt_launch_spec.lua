@@ -4,6 +4,7 @@
 local helper = require "spec.helper"
 local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
+local rfsm = require "rfsm"
 local rfsm_rtt = require "rfsm.rtt"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -215,10 +216,68 @@ describe("service_launch_rfsm", function()
     end)
   end
 
-  it("finds the modules where the caller does", function()
-    exec_str("package.path = '/nowhere/?.lua'")
-    launch(chart_file(), exec_str)
-    assert.equal("/nowhere/?.lua;" .. package.path, evaluate(exec_str, "package.path"))
+  it("takes our modules from where they are here, others from where the caller does",
+    function()
+      local other = file_with("error('another rfsm', 0)") -- is found for every name
+      exec_str(("package.path = %q"):format(other))
+      launch(chart_file(), exec_str)
+      local path = evaluate(exec_str, "package.path")
+      assert.equal(other .. ";" .. package.path, (path:gsub("^[^;]*;", "")))
+    end)
+
+  it("is refused beside another rfsm, loaded in that Lua before", function()
+    exec_str("package.loaded.rfsm = { load = print }")
+    assert.is_false((pcall(launch, chart_file(), exec_str)))
+    assert.equal(1, #logged("another rfsm is loaded in this Lua"))
+  end)
+
+  it("does nothing in its Lua once the hook is enabled, 40 times beside a thread",
+    function()
+      for i = 1, 40 do
+        local other, exec_other = load_host("h" .. i)
+        other:stop()
+        deploy("setActivity", "h" .. i, 0.001, 0, 0)
+        start(other, function() end)
+        launch(chart_file(), exec_other, true)
+        advance(0.005)
+        assert.is_true(rfsm_rtt.service_halt_rfsm(other))
+        assert.equal("true", evaluate(exec_other, "rfsm.is_initialized_root(fsm)"))
+        other:stop()
+      end
+    end)
+
+  it("halts in the thread of the component, and goes on", function()
+    local send, came = started()
+    assert.is_true(rfsm_rtt.service_halt_rfsm(host))
+    send("e_go")
+    assert.equal("<none> a", came())
+    assert.is_true(rfsm_rtt.service_halt_rfsm(host))
+    rfsm_rtt.service_resume_rfsm(exec_str)
+    settle()
+    assert.equal("b", came())
+    assert.is_true(rfsm_rtt.service_halt_rfsm(host))
+    exec_str("rtt.getTC():getAttribute('rfsm_halted'):set(false)")
+    assert.matches("RTT's log has the reason",
+      refusal(rfsm_rtt.service_resume_rfsm, exec_str))
+    assert.equal(1, #logged("the machine is not halted"))
+  end)
+
+  it("is halted without a hook; a thread that does not update is none of its own",
+    function()
+      launch(chart_file(), exec_str)
+      assert.is_true(rfsm_rtt.service_halt_rfsm(host))
+      local idle, exec_idle = load_host("idle")
+      deploy("setActivity", "idle", 0, 0, 0)
+      launch(chart_file(), exec_idle, true)
+      assert.is_false(rfsm_rtt.service_halt_rfsm(idle, 0.05))
+      assert.is_false(idle:getAttribute("rfsm_halt"):get())
+    end)
+
+  it("refuses to halt and to resume what was not launched", function()
+    assert.matches("machine in its Lua service expected, got",
+      refusal(rfsm_rtt.service_halt_rfsm, host))
+    assert.matches("RTT's log has the reason",
+      refusal(rfsm_rtt.service_resume_rfsm, exec_str))
   end)
 
   describe("refuses", function()
@@ -236,6 +295,9 @@ describe("service_launch_rfsm", function()
         ["env: table of globals by name expected, got 3"] = { chart, print, true, 3 },
         ["unknown option 'runs'"] = { chart, print, true, nil, { runs = true } },
         ["options: table expected, got boolean"] = { chart, print, true, nil, true },
+        ["unknown option 'enter'"] = { chart, print, true, nil, { enter = "start" } },
+        ["steps: expected without sync and run, which are numbers of steps"] = {
+          chart, print, true, nil, { steps = 2, run = true } },
         ["RTT's log has the reason"] = { chart, function() return false end },
         ["no connection"] = { chart, function() error("no connection", 0) end },
       } do
@@ -346,17 +408,45 @@ describe("component_launch_rfsm", function()
       "collectgarbage('setpause', 200) <= 100, collectgarbage('setstepmul', 200)"))
   end)
 
-  it("reads a port of the name given, and those of extra_in_ports", function()
-    for _, port in ipairs { "commands", "alarms" } do
-      local send, came = started({ ev_inport = "commands", prestr = [[
+  -- Fields of a launch, fields of the chart, the port that is written.
+  for title, case in pairs { -- any order: each is a spec of its own
+    ["a port of the name given"] = {
+      fields = { ev_inport = "commands" }, port = "commands" },
+    ["those of extra_in_ports"] = {
+      fields = { ev_inport = "commands" }, port = "alarms" },
+    ["those of extra_in_ports without a port for events"] = {
+      fields = { ev_inport = false }, port = "alarms" },
+    ["those of extra_in_ports when the chart has a getevents"] = {
+      fields = {}, chart = "getevents = function() return { 'e_none' } end,",
+      port = "alarms" },
+  } do
+    it("reads " .. title, function()
+      case.fields.fsmfile = chart_file(case.chart)
+      case.fields.sync = true
+      case.fields.prestr = [[
 local port = rtt.InputPort("string", "alarms")
 rtt.getTC():addEventPort(port)
-extra_in_ports = { port }]] }, port)
+extra_in_ports = { port }]]
+      local send, came = started(case.fields, case.port)
       send("e_go")
       assert.equal("<none> a b", came())
-      rtt_helper.reset()
-    end
-  end)
+    end)
+  end
+
+  it("reads the chart's getevents and extra_in_ports, loses nothing when one raises",
+    function()
+      local _, exec_str = launched { fsmfile = chart_file(
+        "getevents = function() return mail() end,"), prestr = [[
+port = { read = function() return box() end, info = function() return {} end }
+extra_in_ports = { port }]] }
+      exec_str [[mail = function() return { "e_a", "e_b" } end
+        box = function() error("torn", 0) end
+        ok = pcall(fsm.getevents)
+        mail = function() return nil end
+        box = function() return "NoData" end
+        list = fsm.getevents() ]]
+      assert.equal("false 2 e_a e_b", evaluate(exec_str, "ok, #list, list[1], list[2]"))
+    end)
 
   it("has no port for events if told so, and replaces none", function()
     assert.is_false(has_port(launched { ev_inport = false }, "events_in"))
@@ -387,7 +477,8 @@ extra_in_ports = { port }]] }, port)
       evaluate(exec_str, "words"))
     assert.same({}, logged("already in use"))
     assert.equal("nil table", evaluate(exec_str, -- nobody needs the first any more
-      "package.loaded['rfsm.rtt.launch'], type(package.loaded['rfsm.rtt'])"))
+      "package.loaded['rfsm.rtt.component'] or package.loaded['rfsm.rtt.update'], "
+      .. "type(package.loaded['rfsm.rtt'])"))
   end)
 
   it("defines env as values, tables among them, and touches no global here", function()
@@ -418,6 +509,289 @@ extra_in_ports = { port }]] }, port)
     assert.is_true(arm:start())
     spin()
     assert.equal("b", came())
+  end)
+
+  it("has the attributes of an update, for overruns and failures", function()
+    local _, _, arm = started()
+    for _, case in ipairs { { "rfsm_overruns", 0 }, { "rfsm_failures", 0 } } do
+      assert.equal(case[2], arm:getAttribute(case[1]):get())
+    end
+    local live = arm:getAttribute("rfsm_live"):get()
+    local peak = arm:getAttribute("rfsm_peak"):get()
+    assert.is_true(10 < live and live <= peak)
+  end)
+
+  local BUSY = "busy = rfsm.state { "
+    .. "doo = function() while true do rfsm.yield() end end },"
+    .. "rfsm.trans { src = 'a', tgt = 'busy', events = { 'e_busy' } },"
+
+  -- Code for a burst of garbage that fills the pool.
+  local BURST = rtt_helper.is_standin
+    and "function burst() tlsf.fill(1) error('not enough memory', 0) end"
+    or "function burst() local t = {} for i = 1, 1e6 do t[i] = { i } end end"
+
+  it("leaves a full pool: a burst costs a callback or an update, not the machine",
+    function()
+      local send, came, arm, exec_str = started {
+        luatype = "OCL::LuaTLSFComponent", prestr = BURST }
+      exec_str("fsm.b.entry = burst")
+      send("e_go")
+      assert.equal("<none> a b", came())
+      assert.is_truthy(logged("not enough memory")[1])
+      exec_str("fsm.pre_step_hook = burst")
+      send("e_none")
+      send("e_none")
+      exec_str("fsm.pre_step_hook = nil")
+      local failures = arm:getAttribute("rfsm_failures"):get()
+      assert.is_true(failures >= 2)
+      assert.equal(failures, #logged("Error: rfsm.rtt: not enough memory"))
+      send("e_back")
+      assert.equal("a", came())
+      assert.is_true(arm:getAttribute("rfsm_live"):get() < 900)
+      assert.is_true(arm:getAttribute("rfsm_peak"):get() > 900)
+    end)
+
+  it("collects before a pool is full, and not at each update #standin", function()
+    if not rtt_helper.is_standin then return end
+    local send, _, arm, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
+    exec_str("tlsf.fill(0.96)")
+    send("e_none")
+    assert.equal(512, arm:getAttribute("rfsm_live"):get())
+    exec_str("n = 0 collectgarbage = function() n = n + 1 end")
+    exec_str("tlsf.fill(0.94)")
+    send("e_none")
+    assert.equal("0", evaluate(exec_str, "n"))
+  end)
+
+  -- Updates that go from state to state, after `before` of them: what was opened, read
+  -- or compiled, and the bytes by which the heap has grown; the least of three.
+  local UPDATES = [=[
+local feed, var = rttlib.port_clone_conn(ev_inport), rtt.Variable("string")
+local jit, count, opened = jit, collectgarbage, 0
+if jit then jit.off() jit.flush() end
+for _, place in ipairs { { io, "open" }, { _G, "loadfile" }, { _G, "loadstring" },
+  { _G, "load" }, { _G, "require" } } do
+  local f = place[1][place[2]]
+  place[1][place[2]] = f and function(...) opened = opened + 1 return f(...) end
+end
+local function update(n)
+  for i = 1, n do
+    var:assign(i % 2 == 1 and "e_go" or "e_back")
+    feed:write(var)
+    updateHook()
+  end
+end
+local least = math.huge
+count("stop")
+update(before)
+opened = 0
+for i = 1, tries do
+  local kib = count("count")
+  update(10000)
+  least = math.min(least, count("count") - kib)
+end
+count("restart")
+if jit then jit.on() end
+files, grown = opened, math.floor(least * 1024)]=]
+
+  -- A composite, a connector, guards, effects, entries and exits, on a circle.
+  local SHAPES = [[
+local rfsm = require "rfsm"
+local function f() end
+local function yes() return true end
+return rfsm.state { info = false, warn = false,
+  a = rfsm.state { entry = f, exit = f,
+    a1 = rfsm.state { exit = f }, a2 = rfsm.state { entry = f },
+    rfsm.trans { src = "initial", tgt = "a1" },
+    rfsm.trans { src = "a1", tgt = "a2", events = { "e_go" }, guard = yes } },
+  b = rfsm.state {}, c = rfsm.state { entry = f }, k = rfsm.conn {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_back" }, effect = f },
+  rfsm.trans { src = "b", tgt = "k", events = { "e_go" } },
+  rfsm.trans { src = "k", tgt = "c", events = { "e_go" }, guard = yes },
+  rfsm.trans { src = "c", tgt = "a", events = { "e_back" }, effect = f },
+}]]
+
+  local function updated(before, tries)
+    local arm, exec_str = launched { fsmfile = file_with(SHAPES),
+      env = { before = before, tries = tries } }
+    assert(arm:configure())
+    assert.is_true(exec_str(UPDATES))
+    return evaluate(exec_str, "files, grown")
+  end
+
+  it("reads, loads and allocates nothing in the steady state #alloc", function()
+    assert.equal("0 0", updated(1000, 3))
+  end)
+
+  it("can be stopped when a doo is busy for ever, and counts overruns", function()
+    local arm = launched { fsmfile = chart_file(BUSY) }
+    deploy("setActivity", "arm", 0.01, 0, 0)
+    start(arm, function() advance(0.05) end)
+    feed("arm.events_in"):write("e_busy")
+    advance(0.1)
+    assert.is_true(arm:getAttribute("rfsm_overruns"):get() > 3)
+    assert.is_true(arm:stop())
+  end)
+
+  it("makes as many steps in an update as it may, and goes on by itself", function()
+    local arm, exec_str = launched { steps = 2, fsmfile = chart_file(DONE) }
+    start(arm, spin)
+    assert.equal("c", leaf_of(exec_str))
+    assert.equal(1, arm:getAttribute("rfsm_overruns"):get())
+  end)
+
+  it("counts no overrun and triggers nothing if it cannot be entered", function()
+    local arm, exec_str = launched { fsmfile = file_with(
+      "local rfsm = require 'rfsm' return rfsm.state { a = rfsm.state {}, "
+      .. "rfsm.trans { src = 'initial', tgt = 'a', "
+      .. "guard = function() return false end } }") }
+    start(arm, spin)
+    assert.equal("false", evaluate(exec_str, "fsm._act_leaf"))
+    assert.equal(0, arm:getAttribute("rfsm_overruns"):get())
+  end)
+
+  it("logs where the chart never becomes idle, unless it says why", function()
+    local AGAIN = "rfsm.trans { src = 'b', tgt = 'a', events = { 'e_done' } },"
+      .. "rfsm.trans { src = 'a', tgt = 'b', events = { 'e_done' } },"
+    launched { fsmfile = chart_file(AGAIN) }
+    local lines = logged("run never becomes idle")
+    assert.equal(1, #lines)
+    assert.matches("^Warning: root%.a: .* root%.a %-> root%.b.*%[endless%]$", lines[1])
+    local _, exec_leg = launched { name = "leg", fsmfile = file_with(
+      "local rfsm = require 'rfsm' return rfsm.state { "
+      .. "a = rfsm.state { checks = { endless = 'a heartbeat' } }, b = rfsm.state {}, "
+      .. "rfsm.trans { src = 'initial', tgt = 'a' }, " .. AGAIN .. "}") }
+    assert.equal(1, #logged("run never becomes idle"))
+    assert.equal("nil", evaluate(exec_leg, "package.loaded['rfsm.checks.loops']"))
+  end)
+
+  it("is entered in startHook if it shall, so that the first event is not lost",
+    function()
+      local arm, exec_str = launched { enter = "start",
+        poststr = "function startHook() words = 'start' .. tostring(fsm._act_leaf) "
+          .. "return true end" }
+      local names = listen("arm.fqn")
+      local out = feed("arm.events_in")
+      assert(arm:configure())
+      out:write("e_go")
+      assert.equal("<none>", leaves(names))
+      assert(arm:start())
+      assert.equal("a", leaves(names))
+      spin()
+      assert.equal("startfalse b", evaluate(exec_str, "words") .. " " .. leaves(names))
+      arm:stop()
+      assert(arm:start())
+      assert.equal("b", leaf_of(exec_str))
+    end)
+
+  it("is not started, nor entered, if the program's startHook refuses", function()
+    local arm, exec_str = launched { enter = "start",
+      poststr = "function startHook() return false end" }
+    assert(arm:configure())
+    assert.is_false(arm:start())
+    assert.equal("false", evaluate(exec_str, "fsm._act_leaf"))
+  end)
+
+  it("is woken exactly when a time event is due, without a period", function()
+    local _, exec_str = launched { timer = true,
+      prestr = "require('rfsm_timeevent').set_gettime_hook(rtt.getTime)",
+      fsmfile = chart_file((DONE:gsub("e_done", "e_after(0.2)", 1))),
+    }
+    local arm = rtt_helper.deployer():getPeer("arm")
+    start(arm, spin)
+    advance(0.1)
+    assert.equal("a", leaf_of(exec_str))
+    advance(0.2)
+    assert.equal("c", leaf_of(exec_str))
+    arm:stop()
+    assert.same({ "arm", "arm_timer" }, rtt_helper.loaded())
+    assert.same({}, logged("needs timer = true"))
+  end)
+
+  it("logs that nothing wakes it for a time event, unless it has a period", function()
+    local arm = launched { fsmfile = chart_file((DONE:gsub("e_done", "e_after(9)", 1))),
+      prestr = "require 'rfsm_timeevent'" }
+    start(arm, spin)
+    local text = "Warning: e_after(9)@root.a is late: a component without a period "
+      .. "needs timer = true"
+    assert.same({ text }, logged("timer = true"))
+    arm:stop()
+    deploy("setActivity", "arm", 0.01, 0, 0)
+    assert(arm:start())
+    assert.same({ text }, logged("timer = true"))
+  end)
+
+  it("names the chart in the log when it fails", function()
+    local chart = file_with("return 3")
+    assert.is_false((pcall(launched, { fsmfile = chart })))
+    assert.equal(1, #logged("launch of '" .. chart .. "': rfsm.load: no valid rfsm"))
+    assert.is_false((pcall(launched, { prestr = "error('x')" })))
+    assert.equal(1, #logged("prestr:1: x"))
+  end)
+
+  local CLEANUP = "function cleanupHook() rttlib.tc_cleanup() rfsm.reset(fsm) end"
+
+  for _, ports in ipairs { "launch", "configure" } do
+    it("can be cleaned up and started again and again, ports made at " .. ports,
+      function()
+        local arm, exec_str = launched { sync = true, ev_outport = true,
+          ports = ports == "configure" and ports or nil, poststr = CLEANUP }
+        assert.equal(ports == "launch", has_port(arm, "fqn"))
+        for _ = 1, 3 do
+          assert(arm:configure())
+          local send, came = connected("arm", spin)
+          local out = listen("arm.events_out")
+          assert(arm:start())
+          spin()
+          send("e_go")
+          exec_str("emit_event('e_out')")
+          assert.equal("<none> a b", came())
+          assert.same({ "e_out" }, samples(out))
+          assert.equal("fqn events_in", evaluate(exec_str,
+            "fqn:info().name, ev_inport:info().name"))
+          assert.is_true(arm:stop())
+          assert.is_true(arm:cleanup())
+          assert.same({}, arm:getPortNames())
+          assert.equal("nil nil false", evaluate(exec_str,
+            "fqn, ev_inport, fsm._act_leaf"))
+        end
+        assert(arm:configure())
+        assert.equal(0, arm:getAttribute("rfsm_failures"):get())
+      end)
+  end
+
+  it("finds the ports that the program's hook has made, and refuses wrong ones",
+    function()
+      local arm, exec_str = launched { ports = "configure", poststr = [[
+function configureHook()
+  rtt.getTC():addPort(rtt.OutputPort("string", "fqn"))
+  rtt.getTC():addEventPort(rtt.InputPort(kind or "string", "events_in"))
+  return true
+end ]] .. CLEANUP }
+      start(arm, spin)
+      assert.same({}, logged("already in use"))
+      assert.equal("a", leaves(listen("arm.fqn")))
+      arm:stop()
+      arm:cleanup()
+      exec_str("kind = 'int'")
+      assert.is_false(arm:configure())
+      assert.equal(1, #logged("port 'events_in': input port of type string expected, "
+        .. "got an input port of type int"))
+    end)
+
+  it("bears a cleanupHook that fails, and hooks that a lua_file defines", function()
+    local arm = launched { sync = true }
+    arm:getProperty("lua_file"):set(file_with [[
+function cleanupHook() rttlib.tc_cleanup() error("no brake", 0) end
+function startHook() return true end]])
+    for i = 1, 3 do
+      start(arm, spin)
+      assert.equal("a", leaves(listen("arm.fqn")))
+      arm:stop()
+      arm:cleanup()
+      assert.equal(i, #logged("no brake"))
+    end
   end)
 
   it("bears a clean-up of its ports by rttlib; can be unloaded, its name used again",
@@ -511,6 +885,96 @@ extra_in_ports = { port }]] }, port)
       assert.matches("no peer nobody", refused_with { deployer = "nobody" })
       assert.matches("getOperation", refused_with { deployer = {} })
     end)
+  end)
+end)
+
+-- Random charts: in a component as without RTT -------------------------------------
+
+describe("a launched machine", function()
+  local new_random = require "spec.support.random"
+
+  -- A chart as text. An `e_done` leads to a later state, so that each run has an end.
+  local function random_chart(random)
+    local lines, n = {}, 1 + random:below(4)
+    for i = 1, n do lines[i] = ("s%d = rfsm.state {},"):format(i) end
+    lines[#lines + 1] = "rfsm.trans { src = 'initial', tgt = 's1' },"
+    for _ = 1, 2 * n do
+      local src, tgt = random:below(n), random:below(n)
+      local event = src < tgt and random:chance(30) and "e_done"
+        or "e_" .. random:below(3)
+      lines[#lines + 1] = ("rfsm.trans { src = 's%d', tgt = 's%d', events = { '%s' }, "
+        .. "pn = %d },"):format(src, tgt, event, random:below(3))
+    end
+    return "local rfsm = require 'rfsm'\nreturn rfsm.state { info = false, "
+      .. "warn = false, " .. table.concat(lines, "\n") .. "}"
+  end
+
+  -- Returns a machine of the chart, which writes its leaves; and the function that
+  -- returns those that came.
+  local function without_rtt(file)
+    local list, fsm = {}, assert(rfsm.init(rfsm.load(file)))
+    rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn {
+      write = function(_, fqn) list[#list + 1] = fqn:gsub("root%.", "") end })
+    return fsm, function()
+      local text = table.concat(list, " ")
+      list = {}
+      return text
+    end
+  end
+
+  -- Compares when threads have had the time that they need.
+  local function check_leaves(names, wanted, message)
+    local came, tries = leaves(names), 0
+    while came ~= wanted and tries < 25 do
+      spin()
+      local more = leaves(names)
+      came, tries = (came .. " " .. more):gsub("^ ", ""):gsub(" $", ""), tries + 1
+    end
+    assert.equal(wanted, came, message)
+  end
+
+  it("writes the leaves that it writes without RTT, whatever is stopped, started and "
+    .. "cleaned up", function()
+    for seed = 1, 25 do
+      local random = new_random(seed)
+      local file = file_with(random_chart(random))
+      local fsm, expected = without_rtt(file)
+      local arm = rfsm_rtt.component_launch_rfsm { name = "arm", fsmfile = file,
+        steps = 1 + random:below(3), enter = random:chance(50) and "start" or nil,
+        ports = random:chance(50) and "configure" or nil,
+        poststr = "function cleanupHook() rttlib.tc_cleanup() rfsm.reset(fsm) end" }
+      local events, names
+      local function begin()
+        assert(arm:configure())
+        events, names = feed("arm.events_in"), listen("arm.fqn")
+        assert(arm:start())
+        spin()
+        rfsm.run(fsm)
+      end
+      begin()
+      for _ = 1, 12 do
+        if random:chance(10) then
+          arm:stop()
+          check_leaves(names, expected(), "seed " .. seed)
+          arm:cleanup()
+          rfsm.reset(fsm)
+          begin()
+        else
+          local count = random:below(3) -- a thread could read one before the others
+          if count > 1 then arm:stop() end
+          for _ = 1, count do
+            local event = "e_" .. random:below(4)
+            events:write(event)
+            rfsm.send_events(fsm, event)
+          end
+          if count > 1 then arm:start() end
+        end
+        rfsm.run(fsm)
+        spin()
+        check_leaves(names, expected(), "seed " .. seed)
+      end
+      rtt_helper.reset()
+    end
   end)
 end)
 

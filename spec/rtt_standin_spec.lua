@@ -232,6 +232,49 @@ describe("a Lua of RTT", function()
     assert.is_false(deploy("unloadComponent", "arm"))
   end)
 
+  it("has attributes, whose values stay when they are removed", function()
+    local attribute = rtt.Attribute.new("uint", "count")
+    local value = attribute:getRaw()
+    arm:addAttribute(attribute)
+    value:assign(3)
+    assert.equal(3, arm:getAttribute("count"):get())
+    arm:getAttribute("count"):set(4)
+    assert.equal(4, value:tolua())
+    arm:removeAttribute("count")
+    assert.is_false(pcall(arm.getAttribute, arm, "count"))
+    assert.is_false(pcall(arm.removeAttribute, arm, "count"))
+    value:assign(5)
+    assert.equal(5, value:tolua())
+  end)
+
+  it("loses its ports and attributes by rttlib.tc_cleanup", function()
+    exec_str("require 'rttlib' local own = rtt.getTC() "
+      .. "own:addPort(rtt.OutputPort('int', 'out')) "
+      .. "own:addAttribute(rtt.Attribute('int', 'n')) rttlib.tc_cleanup()")
+    assert.same({}, arm:getPortNames())
+    assert.is_false(pcall(arm.getAttribute, arm, "n"))
+  end)
+
+  it("has a period, 0 without one, and a timer triggers it when it is armed", function()
+    local timer = rtt_helper.load("timer", "OCL::TimerComponent")
+    assert.is_true(timer:configure() and timer:start())
+    exec_str("n = 0 function updateHook() n = n + 1 end "
+      .. "port = rtt.InputPort.new('int', 'timer') rtt.getTC():addEventPort(port)")
+    assert.is_true(arm:getPort("timer"):connect(timer:getPort("timer_0")))
+    assert.equal(0, arm:getOperation("getPeriod")())
+    assert.is_true(arm:configure() and arm:start())
+    spin()
+    timer:getOperation("arm")(0, 0.1)
+    rtt_helper.advance(0.05)
+    assert.equal("1", evaluate(exec_str, "n"))
+    rtt_helper.advance(0.15)
+    assert.equal("2", evaluate(exec_str, "n"))
+    arm:stop()
+    timer:stop()
+    deploy("setActivity", "arm", 0.1, 0, 0)
+    assert.equal(0.1, arm:getOperation("getPeriod")())
+  end)
+
   it("removes a hook that does not return true, in any state", function()
     exec_str("n = 0 function count() n = n + 1 return n < 3 end "
       .. "hook = rtt.EEHook.new('count') hook:enable()")
@@ -293,6 +336,24 @@ describe("an error of a user #standin", function()
         .. "hook:enable() " .. deed)
       arm:getOperation("trigger")()
       assert.has_error(spin)
+      rtt.standin.reset()
+    end
+  end)
+
+  it("that uses a port which another pointer has deleted ends the process", function()
+    local _, exec_str = rtt_helper.load("arm")
+    assert.is_false(exec_str("require 'rttlib' out = rtt.OutputPort('int', 'out') "
+      .. "rtt.getTC():addPort(out) rttlib.tc_cleanup() pcall(out.write, out, 3)"))
+    assert.has_error(rtt.standin.check)
+    rtt.standin.reset()
+  end)
+
+  it("that calls something in a Lua with an enabled hook ends the process", function()
+    for code, is_alive in pairs { [""] = true, ["type(3)"] = false } do -- any order
+      local _, exec_str = rtt_helper.load("arm")
+      exec_str("function count() return true end hook = rtt.EEHook.new('count') "
+        .. "hook:enable() " .. code)
+      assert.equal(is_alive, (pcall(rtt.standin.check)))
       rtt.standin.reset()
     end
   end)

@@ -72,6 +72,7 @@ end
 
 describe("rfsm.seqand", function()
   it("is the module rfsm_seqand, and returns a leaf state", function()
+    assert.equal(seqand, rawget(_G, "rfsm_seqand"))
     assert.equal(require "rfsm_seqand", seqand)
     assert.is_true(rfsm.is_leaf(two {}))
   end)
@@ -101,14 +102,6 @@ describe("rfsm.seqand", function()
     assert.is_table(fields.left)
   end)
 
-  it("takes initialised machines, and what was set on them", function()
-    local given = init(region({}, "left"))
-    local records = helper.said(given, "dbg")
-    assert.equal("root.a none", leaves(started(parent(seqand { left = given })).par))
-    assert.is_false(rfsm.get_actleaf_fqn(given))
-    assert.is_true(#records > 0)
-  end)
-
   it("may be the root of a machine", function()
     local fsm = started(two({}, { warn = false, info = false }))
     run(fsm, "e_x")
@@ -126,7 +119,7 @@ describe("rfsm.seqand", function()
 end)
 
 describe("a wrong sequential AND state", function()
-  -- What is wrong, and the message, which points at the caller.
+  -- The message, which points at the caller, and the fields.
   for _, case in ipairs {
     { "step: either a number of steps or run = true, not both",
       { step = 2, run = true } },
@@ -187,7 +180,7 @@ describe("entry and exit", function()
     "left entry a" }
   local LEFT = { "right exit b", "right exit root", "left exit b", "left exit root" }
 
-  it("are the user's around one step, and the end, of each region in order", function()
+  it("are the user's around an advance and the end of each region", function()
     local trace = {}
     local function note(_, self, what) trace[#trace + 1] = what .. " " .. self._fqn end
     local fsm = init(parent(two(trace, { order = { "right", "left" }, entry = note,
@@ -239,27 +232,33 @@ describe("entry and exit", function()
 end)
 
 describe("doo", function()
-  -- The fields, the cycles of each worker, what they note in a run after the entry.
+  -- The fields, the cycles of each worker, what they note in the entry and after it.
   for _, case in ipairs {
-    { "steps each region once, by name", {}, { c = 9, a = 9, b = 9 }, "a 1 b 1 c 1" },
-    { "steps those of order first, a duplicate once", { order = { "c", "c" } },
-      { c = 9, a = 9, b = 9 }, "c 1 a 1 b 1" },
-    { "steps as often as step says, while the regions are busy", { step = 3 },
-      { a = 9, b = 9 }, "a 1 a 2 a 3 b 1 b 2 b 3" },
-    { "runs each region when run is set", { run = true }, { a = 3, b = 2 },
-      "a 1 a 2 a 3 b 1 b 2" },
-    { "runs all work in one run when idle_doo is 'auto'", { idle_doo = "auto" },
-      { a = 3, b = 5 }, "a 1 b 1 a 2 b 2 a 3 b 3 b 4 b 5" },
+    { "steps each region once, by name", fields = {},
+      cycles = { c = 9, a = 9, b = 9 }, trace = "| a 1 b 1 c 1" },
+    { "steps those of order first, a duplicate once",
+      fields = { order = { "c", "c" } }, cycles = { c = 9, a = 9, b = 9 },
+      trace = "| c 1 a 1 b 1" },
+    { "steps as often as step says, while the regions are busy",
+      fields = { step = 3 }, cycles = { a = 9, b = 9 },
+      trace = "a 1 a 2 b 1 b 2 | a 3 a 4 a 5 b 3 b 4 b 5" },
+    { "runs each region when run is set", fields = { run = true },
+      cycles = { a = 3, b = 2 }, trace = "a 1 a 2 a 3 b 1 b 2 |" },
+    { "runs all work in one run when idle_doo is 'auto'",
+      fields = { idle_doo = "auto" }, cycles = { a = 3, b = 5 },
+      trace = "| a 1 b 1 a 2 b 2 a 3 b 3 b 4 b 5" },
   } do
     it(case[1], function()
-      local trace, fields = {}, case[2]
-      for name, cycles in pairs(case[3]) do -- any order: a set
+      local trace, fields = {}, case.fields
+      for name, cycles in pairs(case.cycles) do -- any order: a set
         fields[name] = worker(trace, name, cycles)
       end
       local fsm = init(parent(seqand(fields)))
       rfsm.step(fsm)
+      local entered = #trace
       assert.is_true(rfsm.run(fsm))
-      assert.equal(case[4], table.concat(trace, " "))
+      table.insert(trace, entered + 1, "|")
+      assert.equal(case.trace, table.concat(trace, " "))
     end)
   end
 
@@ -308,13 +307,39 @@ describe("doo", function()
     assert.equal("root.a none", leaves(fsm.par))
   end)
 
+  local ORDER = "SEQAND root.par: order right, left"
+
   for _, field in ipairs { "andseqdbg", "seqanddbg" } do
-    it("prints each advance when " .. field .. " is set", function()
-      local model = parent(seqand { left = region({}, "left"), [field] = true })
+    it("prints the order once and each advance when " .. field .. " is set", function()
+      local model = parent(two({}, { order = { "right" }, [field] = true }))
       local said = helper.said(model, "info")
-      started(model)
-      assert.equal("SEQAND root.par: left advanced to root.a", said[#said])
+      local fsm = init(model)
+      helper.clear(said)
+      rfsm.run(fsm)
+      local right = "SEQAND root.par: right advanced to root.a"
+      local left = "SEQAND root.par: left advanced to root.a"
+      assert.same({ ORDER, right, left, right, left }, said)
+      helper.clear(said)
+      run(fsm, "e_leave")
+      run(fsm, "e_enter")
+      assert.same({ right, left, right, left }, said)
     end)
+
+    it("prints that by print when info is off, and to a function: " .. field,
+      function()
+        for _, live in ipairs { true, false } do
+          local lines = helper.printed(function()
+            local fsm = init(parent(two({}, { order = { "right" }, [field] = true })))
+            if live then fsm.info = false end
+            rfsm.step(fsm)
+          end)
+          assert.same({ ORDER, 3 }, { lines[1], #lines })
+        end
+        local said = {}
+        rfsm.step(init(parent(two({}, { order = { "right" },
+          [field] = function(text) said[#said + 1] = text end }))))
+        assert.same({ ORDER, 3 }, { said[1], #said })
+      end)
   end
 end)
 
@@ -381,7 +406,10 @@ describe("an event", function()
     rfsm.pre_step_hook_add(fsm.par.substates.left, function(_, events)
       for i = 1, #events do trace[#trace + 1] = events[i] end
     end)
-    for _ = 1, 20 do rfsm.step(fsm) end
+    for _ = 1, 20 do
+      rfsm.step(fsm)
+      assert.equal(count, #trace) -- also those of the iteration of the doo
+    end
     for i = 1, #trace do expected[i] = i end
     assert.same(expected, trace)
     assert.is_true(#trace >= 15)
@@ -426,6 +454,92 @@ describe("nesting", function()
         "leaf exit b", "leaf exit root" }, trace)
     end)
   end
+end)
+
+describe("a machine given as a region", function()
+  local function given_and_model()
+    local given = init(region({}, "left"))
+    return given, parent(seqand { left = given, idle_doo = "auto" })
+  end
+
+  it("is that region in the first machine of the model", function()
+    local given, model = given_and_model()
+    local records = helper.said(given, "dbg", "STATE_ENTER")
+    local fsm = started(model)
+    rfsm.send_events(given, "e_x")
+    rfsm.run(fsm)
+    assert.equal(given, fsm.par.substates.left)
+    assert.equal("root.b", given._act_leaf._fqn)
+    assert.same({ "STATE_ENTER root", "STATE_ENTER root.a", "STATE_ENTER root.b" },
+      records)
+  end)
+
+  it("stands for its model in further ones, with what was set on it", function()
+    local given, model = given_and_model()
+    local records = helper.said(given, "dbg", "STATE_ENTER")
+    local fields = { "info", "warn", "err", "getevents", "pre_step_hook",
+      "post_step_hook", "gettime" }
+    for _, field in ipairs(fields) do given[field] = function() end end
+    local first, second = started(model), init(model)
+    helper.clear(records)
+    rfsm.run(second)
+    local region_of_second = second.par.substates.left
+    assert.not_equal(given, region_of_second)
+    for _, field in ipairs(fields) do
+      assert.equal(given[field], region_of_second[field])
+    end
+    assert.same({ "STATE_ENTER root", "STATE_ENTER root.a" }, records)
+    run(second, "e_x")
+    assert.equal("root.a root.b", first.par.substates.left._act_leaf._fqn .. " "
+      .. region_of_second._act_leaf._fqn)
+  end)
+
+  it("at two places is the region of the first one", function()
+    local given = init(region({}, "left"))
+    local model = parent(seqand { left = given })
+    model.off = seqand { left = given }
+    local fsm = init(model)
+    local is_given = fsm.par.substates.left == given
+    assert.not_equal(is_given, fsm.off.substates.left == given)
+  end)
+
+  it("is left and reset with the state, and by a reset", function()
+    local given, model = given_and_model()
+    local fsm = started(model)
+    run(fsm, "e_leave")
+    assert.is_false(rfsm.get_actleaf_fqn(given))
+    run(fsm, "e_enter")
+    rfsm.reset(fsm)
+    assert.same({ false, { "e_init_fsm" } }, { given._act_leaf, given._intq })
+  end)
+
+  it("is free again if the parent machine is not valid", function()
+    local given, model = given_and_model()
+    helper.with_preproc(function() return { "root: no" } end, function()
+      model.err = false
+      assert.is_false((rfsm.init(model)))
+    end)
+    assert.equal(given, init(model).par.substates.left)
+  end)
+
+  it("is left alone by checks and by the structure of snapshots", function()
+    local given, model = given_and_model()
+    local checks, snapshot = require "rfsm_checks", require "rfsm.snapshot"
+    checks.check(model)
+    checks.explore(model)
+    snapshot.structure(model)
+    assert.same({ false, { "e_init_fsm" } }, { given._act_leaf, given._intq })
+    assert.equal(given, started(model).par.substates.left)
+  end)
+
+  it("is restored as a part of the parent machine", function()
+    local snapshot = require "rfsm.snapshot"
+    local fsm = started((select(2, given_and_model())))
+    run(fsm, "e_x")
+    local given, model = given_and_model()
+    assert(snapshot.restore(model, snapshot.take(fsm)))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(given))
+  end)
 end)
 
 describe("instances", function()
@@ -488,6 +602,29 @@ describe("instances", function()
   end)
 end)
 
+describe("a snapshot", function()
+  local snapshot = require "rfsm.snapshot"
+
+  it("has the regions, and is put without an advance", function()
+    local trace = {}
+    local model = parent(two(trace, { step = 2 }))
+    local fsm = started(model)
+    rfsm.send_events(fsm.par.substates.left, "e_x")
+    rfsm.run(fsm)
+    local snap = snapshot.take(fsm)
+    helper.clear(trace)
+    local other = assert(snapshot.restore(model, snap))
+    assert.same({}, trace)
+    run(other, "e_x")
+    assert.equal("root.a root.b", leaves(other.par))
+    other = assert(snapshot.restore(model, snap, { entries = true }))
+    assert.equal("root.b root.a", leaves(other.par))
+    run(other, "e_leave")
+    run(other, "e_enter")
+    assert.equal("root.a root.a", leaves(other.par))
+  end)
+end)
+
 describe("reset", function()
   it("resets the regions, without exits", function()
     local trace = {}
@@ -508,6 +645,12 @@ describe("reset", function()
     assert.equal("none none", leaves(fsm.par))
     assert.is_false(rfsm.get_actleaf_fqn(fsm))
   end)
+end)
+
+it("regions agree with machines stepped by hand, on random charts", function()
+  local cases, problem = require("spec.support.claims.seqand").run(40, 1)
+  assert.is_nil(problem)
+  assert.equal(40, cases)
 end)
 
 it("a machine without sequential AND states has nothing of this extension", function()

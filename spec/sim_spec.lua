@@ -43,6 +43,7 @@ end
 
 local AT_HELLO = "active: root.hello(done)\nqueue:  e_done@root.hello\n"
 local AT_END = "hello\nworld\nactive: root.world(done)\nqueue:  \n"
+local AFTER = "active: root.world(done)\nqueue:  \n"
 local AT_WORLD = "active: root.world(done)\nqueue:  e_done@root.world\n"
 
 after_each(helper.remove_files)
@@ -105,6 +106,10 @@ local SAID = {
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
   ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
   ["next({ 7 })"] = "1\t7\n",
+  ["step\nstep\nback 2\nforward 9"] = AT_HELLO .. "hello\nworld\n" .. AT_WORLD
+    .. "active: <none>\nqueue:  e_init_fsm\n" .. AT_WORLD,
+  ["step\nstep\nback\nses e_restart"] = AT_HELLO .. "hello\nworld\n"
+    .. AT_WORLD .. AT_HELLO .. "hello\nworld\n" .. AT_WORLD,
   ["step\nse e_done"] = AT_HELLO
     .. "queue:  e_done@root.hello, e_done@root.hello\n",
   ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO
@@ -156,7 +161,14 @@ local COMPLAINTS = {
     .. "got 'helo' (did you mean 'hello'?)\n",
   ["delete 9"] = "delete: number of a breakpoint expected, got 9\n",
   ["watch 1 +"] = "^watch:1: [^\n]*\n$",
-  ["clock -1"] = "clock: seconds, a number not below 0, expected, got -1\n",
+  ["clock -1"] = "clock: seconds from 0 to 1e9 expected, got -1\n",
+  ["clock 1e308"] = "^clock: seconds from 0 to 1e9 expected, got 1e%+308\n$",
+  ["clock(0/0)"] = "^clock: seconds from 0 to 1e9 expected, got %-?nan\n$",
+  ["step -1"] = "step: whole number from 1 expected, got -1\n",
+  ["step 1.5"] = "step: whole number from 1 expected, got 1.5\n",
+  ["step 0"] = "step: whole number from 1 expected, got 0\n",
+  ["forward 0"] = "forward: number from 1 expected, got 0\n",
+  ["forward"] = "forward: nothing was undone\n",
   ["clock x"] = "clock: number expected, got string\n",
   ["next"] = "next: no timer is armed\n",
   ["goto(-1)"] = "^goto: number of an iteration from 0 to %d+ expected, got %-1\n$",
@@ -292,14 +304,22 @@ local function open_terminal(arguments, lua_init)
 end
 
 local BUSY = [[
+local n = 0
+local function poll() for i = 1, 10 do n = n + i end end
 return rfsm.state {
   warn = false, info = false,
   idle = rfsm.state {},
   busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
   spin = rfsm.state { doo = function() while true do end end },
+  deaf = rfsm.state { doo = function() while true do pcall(poll) end end },
+  mute = rfsm.state { entry = function() while true do pcall(poll) end end },
   rfsm.trans { src = "initial", tgt = "idle" },
   rfsm.trans { src = "idle", tgt = "busy", events = "e_busy" },
   rfsm.trans { src = "idle", tgt = "spin", events = "e_spin" },
+  rfsm.trans { src = "idle", tgt = "deaf", events = "e_deaf" },
+  rfsm.trans { src = "idle", tgt = "mute", events = "e_mute" },
+  rfsm.trans { src = "deaf", tgt = "idle", events = "e_stop" },
+  rfsm.trans { src = "mute", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "busy", tgt = "idle", events = "e_stop" },
   rfsm.trans { src = "spin", tgt = "idle", events = "e_stop" },
 }]]
@@ -314,7 +334,7 @@ describe("at a terminal", function()
   end)
 
   if not has_tmux or not (pcall(require, "posix.signal") or pcall(require, "luv")) then
-    return
+    return pending("tmux, or both luaposix and luv, is missing")
   end
 
   it("Control-C drops a line, ends a run, and interrupts a doo, any time", function()
@@ -337,8 +357,20 @@ describe("at a terminal", function()
     assert.matches("%* busy\n.*active: root.busy%(active%)", text)
   end)
 
+  it("Control-C gets out of a callback that catches every error", function()
+    local at = open_terminal("-q " .. file_with(BUSY))
+    at.type_in("taken:  root.initial -> root.idle", "run", "Enter")
+    at.type_in("root.deaf on e_deaf", "ser e_deaf", "Enter")
+    at.type_in("interrupted!", "C-c")
+    at.type_in("root.deaf -> root.idle", "ser e_stop", "Enter")
+    at.type_in("root.mute on e_mute", "ser e_mute", "Enter")
+    at.type_in("active: root.mute(done)", "C-c")
+    at.type_in("root.mute -> root.idle", "ser e_stop", "Enter")
+    at.close()
+  end)
+
   it("Tab completes commands, states and events", function()
-    if not pcall(require, "readline") then return end
+    if not pcall(require, "readline") then return pending("lua-readline is missing") end
     local at = open_terminal("-q " .. file_with(BUSY))
     at.type_in("> breakpoint spin", "brea", "Tab", " sp", "Tab", "Enter")
     at.type_in("> ser e_busy", "ser e_b", "Tab")
@@ -420,7 +452,7 @@ package.path = "./?.lua;" .. package.path
 print = function() end
 local rfsm = require "rfsm"
 local history = require "rfsm.sim.history"
-local names = require "rfsm.sim.names"
+local alphabet = require "rfsm.shared.alphabet"
 local prompt = require "rfsm.sim.prompt"
 local session = require "rfsm.sim.session"
 local dice = require("spec.support.random")(7)
@@ -431,7 +463,7 @@ local function place_of(sim)
 end
 
 local function wander(sim, count)
-  local events, places = rfsm.sorted_keys(names.event_set(sim.fsm)), {}
+  local events, places = rfsm.sorted_keys(alphabet.of_all(sim.fsm).set), {}
   for _ = 1, count do
     if dice(9) == 1 then sim.env.reset() else sim.env.se(events[dice(#events)]) end
     sim.env.step()
@@ -475,6 +507,50 @@ describe("goto", function()
   end)
 end)
 
+it("random commands do what the same calls do, and back leads where it was", function()
+  local n = tonumber(os.getenv "RFSM_N") or 5
+  assert.same({ n }, { require("spec.support.claims.sim").run(n, 11) })
+  require("rfsm.clock").set_hook(nil)
+end)
+
+it("the history keeps its size", function()
+  local drive = require "spec.support.drive"
+  local session = drive.require "rfsm.sim.session"
+  local history = drive.require "rfsm.sim.history"
+  local prompt = drive.require "rfsm.sim.prompt"
+  local opened = assert(session.open("examples/on_off.lua", false))
+  prompt.install(opened)
+  local chunk, limit = history.CHUNK, history.LIMIT
+  history.CHUNK, history.LIMIT = 10, 100
+  drive.silently(function()
+    for _ = 1, 300 do opened.env.ses("e_nothing") end
+  end)
+  history.CHUNK, history.LIMIT = chunk, limit
+  local own, count = opened.history, 0
+  for _, part in ipairs(own.chunks) do count = count + part.count end
+  assert.is_true(count >= 100 and count <= 120, count)
+  assert.equal(own.last, own.chunks[1].first + count)
+  assert.is_true(#own.marks <= 121)
+  local ok, problem = pcall(history.go_to, opened, own.chunks[1].first - 1)
+  assert.is_false(ok)
+  assert.matches(("from %d to %d expected"):format(own.chunks[1].first, own.last),
+    problem)
+  own.recorder:stop()
+end)
+
+it("the history is gone through: back, forward, goto, go_to in Lua", function()
+  assert.equal(AT_END .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER
+    .. AT_WORLD .. "active: <none>\nqueue:  e_init_fsm\n" .. AFTER .. AT_HELLO
+    .. "   1  e_init_fsm                      root.hello(done)\n",
+    said("run\nback\nforward\ngoto 2\ngoto 0\ngoto 3\n"
+      .. "if true then go_to(1) end\nhistory"))
+end)
+
+it("the history shows the timer that was the cause", function()
+  local out = sim("-q examples/timeevent.lua", "clock 0\nnext\nhistory 2\n")
+  assert.matches("%d  e_after%(60%)@root.lights +root.dark", out)
+end)
+
 describe("a picture", function()
   it("is kept up to date, in the format of its ending", function()
     local file = file_with("") .. ".dot"
@@ -514,6 +590,44 @@ describe("a recording", function()
     assert.matches("^rfsm sim: %S+: step 2: active leaf root.hello%(done%) expected, "
       .. "got root.world%(done%)\n$", complaints)
     assert.matches("replayed 1 iterations of", out)
+  end)
+
+  -- a --e_go--> b, and what a mended chart has besides
+  local function chart(more)
+    return file_with([[
+      local rfsm = require "rfsm"
+      local count = 0
+      return rfsm.state { info = false, warn = false,
+        a = rfsm.state {}, b = rfsm.state {}, ]] .. (more or "") .. [[
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
+          guard = function() return true end },
+        rfsm.trans { src = "b", tgt = "a", events = { "e_go" } },
+      }]])
+  end
+
+  it("of a failure runs through the mended chart up to the first difference",
+  function()
+    local name = recorded(chart(), "run\nser e_go\nser e_go\nser e_go\n")
+    local out, complaints, status = sim("-q -r " .. name .. " -e showfqn "
+      .. chart("c = rfsm.state {}, rfsm.trans { src = 'c', tgt = 'a', "
+        .. "guard = function() end },"))
+    assert.same({ "", 0 }, { complaints, status })
+    assert.matches("replayed %d iterations.*active: root.b%(done%)\n$", out)
+    out, complaints = sim("-q -r " .. name .. " -e showfqn "
+      .. chart("c = rfsm.state {}, rfsm.trans { src = 'b', tgt = 'c', pn = 1, "
+        .. "events = { 'e_go' } },"))
+    assert.matches("step 5: active leaf root.a%(done%) expected, got root.c%(done%)\n$",
+      complaints)
+    assert.matches("replayed 4 iterations.*active: root.b%(done%)\n$", out)
+  end)
+
+  it("that was cut off is replayed up to there, and says so", function()
+    local name = recorded(chart(), "run\nser e_go\n")
+    local out, complaints = sim("-q -r " .. file_with(content(name):sub(1, -3))
+      .. " -e showfqn " .. chart())
+    assert.matches("^rfsm sim: %S+: the last line was cut off\n$", complaints)
+    assert.matches("active: root.b%(done%)\n$", out)
   end)
 
   it("that is none is refused", function()

@@ -3,6 +3,7 @@
 -- in spec/browser/.
 
 local helper = require "spec.helper"
+local dkjson = require "dkjson"
 local http = require "spec.support.http"
 local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
@@ -197,6 +198,16 @@ describe("the server", function()
     assert.matches("^HTTP/1.1 200 OK", http.receive_all(server, tcp))
   end)
 
+  it("takes a head of 8 KiB, and no more", function()
+    local server = open()
+    for _, case in ipairs { { size = 8191, status = 200 },
+      { size = 8192, status = 431 } } do
+      local text = "GET / HTTP/1.1\r\nHost: localhost\r\nX: "
+      text = text .. ("x"):rep(case.size - #text) .. "\r\n\r\n"
+      assert.equal(case.status, (http.talk(server, text)), case.size)
+    end
+  end)
+
   it("drops a request that is not complete in time", function()
     local server = open()
     local tcp = http.connect(server)
@@ -224,16 +235,33 @@ describe("the server", function()
     tcp:close()
   end)
 
-  it("drops a page that does not read its stream", function()
+  it("keeps one message for a page that does not read, then drops it", function()
+    local server = open()
+    local page, name = http.page(server), ("x"):rep(1900)
+    page.tcp:setoption("recv-buffer-size", 4096)
+    local connection = server.http.connections[1]
+    for _ = 1, 400 do
+      connection.cursor = nil -- as long after the last frame
+      server.source.view:note("output", name)
+      server:step(0)
+    end
+    assert.is_true(connection.pending ~= "")
+    assert.is_true(#connection.pending < 2e6)
+    now = 31
+    server:step(0)
+    assert.same({ 0, 0 }, { #server.http.connections, server.http.streams })
+    page.tcp:close()
+  end)
+
+  it("sends a heartbeat when nothing has changed for a while", function()
     local server = open()
     local page = http.page(server)
-    local megabyte = ": " .. ("x"):rep(1000000) .. "\n\n"
-    for _ = 1, 100 do
-      server.http:send_all(megabyte)
-      if not server.http.connections[1] then break end
-    end
-    assert.equal(0, #server.http.connections)
-    page.tcp:close()
+    now = 16
+    assert.is_true(http.until_done(server, function()
+      local data, _, partly = page.tcp:receive("*a")
+      page.text = page.text .. (data or partly or "")
+      return page.text:find(": beat\n\n", 1, true) ~= nil
+    end))
   end)
 
   it("has room for a page after 1,000 connections that say nothing", function()
@@ -251,17 +279,26 @@ describe("the server", function()
     for i = 701, 1000 do silent[i]:close() end
   end)
 
-  it("refuses more streams than it can feed", function()
+  it("feeds no stream without the token", function()
+    local server = open()
+    for _, query in ipairs { "", "?token=", "?token=0", "?x=" .. server.token } do
+      assert.equal(403, (http.request(server, "GET", "/events" .. query)))
+    end
+    assert.equal(0, server.http.streams)
+  end)
+
+  it("has room for one more page: the oldest silent one has to go", function()
     local server, pages = open(), {}
     for i = 1, 32 do pages[i] = http.page(server) end
-    assert.equal(503, (http.request(server, "GET", "/events")))
-    pages[1].tcp:close()
-    assert.is_truthy(http.until_done(server, function()
-      return #server.http.connections < 32
-    end))
-    local _, first = http.page(server)
-    assert.equal("root.off", first.leaf)
-    for i = 2, 32 do pages[i].tcp:close() end
+    local stuck = server.http.connections[7]
+    stuck.pending, stuck.sent, stuck.since = ("x"):rep(1e7), 0, now - 1
+    pages[33] = http.page(server)
+    assert.equal(32, server.http.streams)
+    for i, page in ipairs(pages) do
+      assert.equal(i ~= 7, server.http.connections[i > 7 and i - 1 or i] ~= stuck
+        and i ~= 7)
+      page.tcp:close()
+    end
   end)
 
   it("goes on when a client resets its connection", function()
@@ -316,9 +353,9 @@ describe("a page", function()
     local message = page:send("e_more")
     assert.same({ "lost: no transition" }, texts_of(message.log))
     assert.same({ "e_more" }, message.log[1].events)
-    assert.matches("^no transition would be taken on e_more in root.off\n", message.why)
-    assert.matches("%(off %-> on%): waits for e_push", message.why)
-    assert.is_false(page:send("e_push").why)
+    local _, why = http.command(server, { command = "why" })
+    assert.matches("^no transition would be taken on e_more in root.off\n", why)
+    assert.matches("%(off %-> on%): waits for e_push", why)
   end)
 
   it("sees the queue, steps, and goes back without a callback", function()
@@ -348,8 +385,10 @@ describe("a page", function()
     assert.equal("root.on.dim", page:command("back", { to = 3 }).leaf)
     assert.equal("root.on.bright", page:send("e_more").leaf)
     local message = page:command "reset"
-    assert.same({ "root.off", 2, false },
-      { message.leaf, #message.log, message.can_back })
+    assert.same({ "root.off", true }, { message.leaf, message.can_back })
+    assert.same({ "note: reset", "output: dark", "step: root.initial → root.off" },
+      texts_of(message.log))
+    assert.equal("root.on.bright", page:command("back").leaf)
   end)
 
   it("is told the same as another page", function()
@@ -380,6 +419,32 @@ describe("a page", function()
     assert.equal(204, (http.command(server, { command = "run" })))
   end)
 
+  it("asks what is known of a state, and stops where it wants", function()
+    local server = open()
+    local page, first = http.page(server)
+    local function inspect(number)
+      local status, body = http.command(server, { command = "inspect", node = number })
+      return status == 200 and dkjson.decode(body) or status
+    end
+    local about = inspect(first.active[2])
+    assert.same({ "root.off", { "entry" }, 1, 0, {} }, { about.fqn, about.callbacks,
+      about.entered, about.failures, about.data })
+    assert.matches(":3$", about.file)
+    assert.same({ 400, 400, 400 }, { inspect(99), inspect("x"), inspect(-1) })
+    local dim
+    for i, node in ipairs(http.chart(server).nodes) do
+      if node.fqn == "root.on.dim" then dim = i - 1 end
+    end
+    assert.same({ dim }, page:command("breakpoint", { node = dim, on = true }).points)
+    local message = page:send("e_push")
+    assert.same({ "root.on.dim", "root.on.dim" }, { message.leaf, message.stopped })
+    assert.same({ "e_done@root.on.dim" }, message.queue) -- the rest of the run waits
+    assert.same({}, page:command("breakpoint", { node = dim, on = false }).points)
+    assert.equal(400, (http.command(server, { command = "breakpoint", node = 99 })))
+    page:send("e_push")
+    assert.is_false(page:send("e_push").stopped)
+  end)
+
   it("ends a run that has no end", function()
     local server = open([[
       local rfsm = require "rfsm"
@@ -397,7 +462,7 @@ describe("a page", function()
     assert.is_false(page:next().can_back)
   end)
 
-  it("asks guards what is enabled, and goes back past them", function()
+  it("is told what could do something, and goes back past guards", function()
     local server = open([[
       local rfsm = require "rfsm"
       is_open = false
@@ -410,8 +475,8 @@ describe("a page", function()
       }
     ]])
     local page, first = http.page(server)
-    assert.same({}, first.enabled)
-    assert.same({}, page:send("e_go").enabled)
+    assert.equal(1, #first.enabled)
+    assert.equal("root.a", page:send("e_go").leaf)
     rawset(_G, "is_open", true)
     local there = page:send("e_go")
     assert.same({ "root.b", 1 }, { there.leaf, #there.enabled })
@@ -457,13 +522,17 @@ describe("a page", function()
     for i, number in ipairs(first.active) do
       names[i] = chart.nodes[number + 1].fqn
     end
-    assert.same({ "root", "root.working", "root.working.left", "root.working.left.open",
-      "root.working.right", "root.working.right.open" }, names)
+    assert.same({ "root", "root.working", "root.working.right",
+      "root.working.right.open", "root.working.left", "root.working.left.open" }, names)
     local message = page:send("e_grasp")
-    assert.is_false(message.why)
-    assert.equal("root.working.right.closed",
+    assert.equal("root.working.left.closed",
       chart.nodes[message.active[#message.active] + 1].fqn)
   end)
+end)
+
+it("random commands do what the same calls do, and back leads where it was", function()
+  local n = tonumber(os.getenv "RFSM_N") or 8
+  assert.same({ n }, { require("spec.support.claims.web").run(n, 1) })
 end)
 
 describe("a chart in a file", function()
@@ -530,20 +599,148 @@ describe("rfsm.web.serve", function()
   it("hosts the page of a machine that its program drives", function()
     local traced = 0
     local fsm = rfsm.init(lamp { dbg = function() traced = traced + 1 end })
-    local server = opened(web.serve(fsm, { port = 0, title = "lamp" }))
+    local server = opened(web.serve(fsm, { port = 0, title = "lamp",
+      allow_send = true, allow_why = true }))
     rfsm.run(fsm)
     local page, first = http.page(server)
     assert.equal("root.off", first.leaf)
     assert.is_true(traced > 0)
-    assert.same({ "send" }, http.chart(server).commands)
+    assert.same({ "inspect", "send", "why" }, http.chart(server).commands)
     assert.same({ "e_push" }, page:command("send", { event = "e_push" }).queue)
     rfsm.run(fsm)
     assert.equal("root.on", page:next().leaf)
     rfsm.send_events(fsm, "e_nothing")
     rfsm.run(fsm)
-    assert.matches("^no transition would be taken on e_nothing", page:next().why)
+    assert.same({ "lost: no transition" }, texts_of(page:next().log))
+    local _, why = http.command(server, { command = "why" })
+    assert.matches("^no transition would be taken on e_nothing", why)
     rfsm.reset(fsm)
     assert.equal("inactive", page:next().mode)
+  end)
+
+  -- Returns a machine whose guard empties a list of five readings.
+  local function with_port()
+    local readings = { 1, 2, 3, 4, 5 }
+    local model = lamp()
+    model[2].guard = function() return table.remove(readings, 1) == 3 end
+    local fsm = rfsm.init(model)
+    rfsm.run(fsm)
+    return fsm, readings
+  end
+
+  it("calls no guard by itself, a page open or not", function()
+    local fsm, readings = with_port()
+    local server = opened(web.serve(fsm, { port = 0 }))
+    for i = 1, 20 do
+      if i == 10 then http.page(server) end
+      rfsm.send_events(fsm, "e_other")
+      rfsm.run(fsm)
+      server:step(0)
+    end
+    assert.equal(5, #readings)
+    assert.equal(400, (http.command(server, { command = "why" })))
+    assert.equal(5, #readings)
+  end)
+
+  it("calls guards when a page asks why, if the host allows that", function()
+    local fsm, readings = with_port()
+    local server = opened(web.serve(fsm, { port = 0, allow_why = true }))
+    http.page(server)
+    rfsm.send_events(fsm, "e_push")
+    rfsm.run(fsm)
+    assert.equal(4, #readings)
+    server:step(0)
+    assert.matches("guard", select(2, http.command(server, { command = "why" })))
+    assert.equal(3, #readings)
+  end)
+
+  it("takes no event unless the host allows it", function()
+    local fsm = rfsm.init(lamp())
+    local server = opened(web.serve(fsm, { port = 0 }))
+    rfsm.run(fsm)
+    assert.equal(400, (http.command(server, { command = "send", event = "e_push" })))
+    assert.same({}, fsm._intq)
+  end)
+
+  -- What a program can see of the printers and hooks of its machine.
+  local function outside_of(fsm)
+    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks }
+  end
+
+  it("leaves the machine alone while no page is open", function()
+    local fsm = rfsm.init(lamp())
+    local before = outside_of(fsm)
+    local server = opened(web.serve(fsm,
+      { port = 0, clock = function() return now end }))
+    rfsm.run(fsm)
+    server:step(0)
+    assert.same(before, outside_of(fsm))
+    local page = http.page(server)
+    assert.is_false(fsm.dbg == before[1])
+    page.tcp:close()
+    http.until_done(server, function() return server.http.streams == 0 end)
+    now = now + 1
+    server:step(0)
+    assert.is_false(fsm.dbg == before[1]) -- a page that is loaded anew
+    now = now + 5
+    server:step(0)
+    assert.same(before, outside_of(fsm))
+  end)
+
+  it("gives back the printers when it is closed, but those set meanwhile", function()
+    local fsm, own = rfsm.init(lamp { err = false }), function() end
+    local err, warn = fsm.err, fsm.warn
+    local server = web.serve(fsm, { port = 0 })
+    assert.is_false(fsm.err == err)
+    fsm.warn = own
+    server:close()
+    assert.same({ err, own }, { fsm.err, fsm.warn })
+    assert.is_false(warn == own)
+  end)
+
+  it("notes failures while no page is open, each at its state", function()
+    local model, said = lamp(), {}
+    model.err = function(...) said[#said + 1] = { ... } end
+    model.on.entry = function() error("no power", 0) end
+    model[3].effect = function() error("no effect", 0) end
+    local fsm = rfsm.init(model)
+    local server = opened(web.serve(fsm, { port = 0 }))
+    rfsm.run(fsm)
+    for _ = 1, 4 do helper.post_and_run(fsm, "e_push") end
+    assert.equal(4, #said)
+    local _, first = http.page(server)
+    local number = first.active[2] -- off
+    local chart, failures = http.chart(server), {}
+    for i = 1, #first.failures, 2 do
+      failures[chart.nodes[first.failures[i] + 1].fqn] = first.failures[i + 1]
+    end
+    assert.same({ ["root.on"] = 4 }, failures)
+    assert.equal("root.off", chart.nodes[number + 1].fqn)
+    assert.equal(4, #first.log)
+  end)
+
+  it("builds one message a frame, however much happens", function()
+    local fsm, count = rfsm.init(lamp()), 0
+    local server = opened(web.serve(fsm, { port = 0 }))
+    rfsm.run(fsm)
+    local page = http.page(server)
+    local encode, at = server.json.encode, 0
+    server.gettime = function() return at end
+    helper.with(server.json, { encode = function(...)
+      count = count + 1
+      return encode(...)
+    end }, function()
+      for _ = 1, 1000 do
+        at = at + 0.0001 -- 10,000 events a second
+        helper.post_and_run(fsm, "e_push")
+        server:step(0)
+      end
+    end)
+    assert.is_true(count >= 2 and count <= 4, count)
+    page:next()
+    local message = page:next()
+    assert.equal(60, #message.log)
+    assert.is_true(message.skipped > 100)
   end)
 
   it("raises an error that says what is wrong", function()
@@ -551,7 +748,9 @@ describe("rfsm.web.serve", function()
     local used = opened(web.serve(fsm, { port = 0 }))
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
-      ["unknown option 'prot', expected: clock, host, port, title"] = { prot = 1 },
+      ["unknown option 'prot', expected: allow_send, allow_why, clock, history, host, "
+        .. "machine, port, title"] = { prot = 1 },
+      ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },
       ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)
         .. ": address already in use"] = { port = used.port },
@@ -596,6 +795,29 @@ describe("a machine elsewhere", function()
     assert.equal("off", chart.nodes[3].name)
     http.command(server, { command = "send", event = "e_push" })
     assert.is_true(wait_for(server, fsm, page, "root.on"))
+    local other, first = http.page(server)
+    assert.equal("root.off → root.on", first.log[#first.log].text)
+    assert.equal(1, #first.taken)
+    assert.equal("root.off", chart.nodes[chart.edges[first.taken[1] + 1].src + 1].fqn)
+    other.tcp:close()
+  end)
+
+  it("is chosen by its number", function()
+    local one, door = host(false)
+    local model = lamp { third = state {} }
+    model[4] = trans { src = "off", tgt = "third", events = { "e_third" } }
+    local two = rfsm.init(model)
+    rfsm.run(two)
+    local server = opened(assert(web.attach("127.0.0.1", door.port,
+      { port = 0, machine = 2 })))
+    local page = http.page(server)
+    for _ = 1, 20 do
+      rfsm.run(one)
+      server:step(0.001)
+    end
+    assert.is_true(wait_for(server, two, page, "root.off"))
+    assert.is_truthy(http.chart(server).title:find(", machine 2", 1, true))
+    assert.equal(5, #http.chart(server).nodes)
   end)
 
   it("goes on after a message that cannot be read", function()
@@ -630,6 +852,34 @@ describe("a machine elsewhere", function()
   end)
 end)
 
+describe("a subscriber", function()
+  it("subscribes, and says once a second that it is there", function()
+    local udp = assert(require("socket").udp4())
+    udp:setsockname("127.0.0.1", 0)
+    udp:settimeout(1)
+    local client = assert(subscriber.connect("127.0.0.1",
+      tonumber((select(2, udp:getsockname()))), { path = true, only = 2 }))
+    local at = 100
+    client.clock = function() return at end
+    local function sent()
+      client:receive(0)
+      udp:settimeout(0.05)
+      local data, ip, port = udp:receivefrom()
+      if data then udp:sendto('{"type":"x"}', ip, port) end
+      require("socket").select({ client.udp }, nil, data and 1 or 0)
+      return data and dkjson.decode(data) or false
+    end
+    assert.same({ type = "subscribe", path = true, fsm = 2 }, sent())
+    assert.is_false(sent())
+    at = 100.9
+    assert.is_false(sent())
+    at = 101
+    assert.same({ type = "heartbeat" }, sent())
+    client:close()
+    udp:close()
+  end)
+end)
+
 describe("rfsm.watch", function()
   local GRAPH = { id = "root", type = "state", subnodes = {
     { id = "initial", type = "connector" }, { id = "off", type = "state" },
@@ -638,7 +888,8 @@ describe("rfsm.watch", function()
 
   -- A client that has received these messages.
   local function client(messages)
-    return { receive = function() return table.remove(messages, 1) end }
+    return { receive = function() return table.remove(messages, 1) end,
+      address = "robot:7", clock = function() return now end }
   end
 
   local function state_message(leaf, fsm)
@@ -668,6 +919,28 @@ describe("rfsm.watch", function()
       end))
   end)
 
+  it("says when it has heard nothing: at a terminal below the log", function()
+    local screens, calls = helper.printed(function()
+      local silent = client {}
+      local calls = 0
+      silent.receive = function()
+        calls, now = calls + 1, now + 1
+        return calls == 3 and state_message "root.off"
+          or calls == 16 and state_message "root.on" or nil
+      end
+      watch.run(silent, { number = 1, count = 2, is_terminal = true })
+    end)
+    assert.is_nil(calls)
+    local lines = {}
+    for i, screen in ipairs(screens) do lines[i] = screen:match("[^\n]*$") end
+    assert.equal("waiting for robot:7", lines[1])
+    assert.matches("root.off %(done%)$", lines[3])
+    assert.matches("root.off %(done%)$", lines[5]) -- 2 s later
+    assert.equal("no answer since 3 s", lines[6])
+    assert.equal("no answer since 12 s", lines[15])
+    assert.matches("root.on %(done%)$", lines[16])
+  end)
+
   it("goes on after a message that cannot be read", function()
     for _, message in ipairs(UNREADABLE) do
       assert.same({ "unreadable message '" .. message.type .. "'", "not active" },
@@ -685,6 +958,9 @@ describe("the command line", function()
       .. command .. " 2>&1 | tail -1"))
   end
 
+  local LAST_COMMAND = "   watch                 Print a machine that runs elsewhere, "
+    .. "as it changes."
+
   for command, expected in pairs { -- any order: each stands alone
     ["rfsm-web"] = "Error: FILE or --attach expected",
     ["rfsm-web --attach a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
@@ -694,6 +970,10 @@ describe("the command line", function()
       = "rfsm web: port: whole number from 0 to 65535 expected, got 65536",
     ["rfsm-web nothing.lua"] = "rfsm web: nothing.lua: No such file or directory",
     ["rfsm-web ."] = "rfsm web: .: Is a directory",
+    ["rfsm examples/on_off.lua"] = "rfsm: 'examples/on_off.lua' is no command. To step "
+      .. "through that chart, type: rfsm sim examples/on_off.lua",
+    ["rfsm help nothing"] = "Error: no command is named 'nothing'",
+    ["rfsm"] = LAST_COMMAND, ["rfsm help"] = LAST_COMMAND,
     ["rfsm-watch a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
   } do
     it("refuses " .. command .. " in one line", function()

@@ -1,23 +1,27 @@
 #!/bin/sh
 # Runs the specs on each interpreter named, as many spec files at a time as there are
 # cores. A line is printed as an interpreter ends, after the output of its failures. The
-# last line is the sum: "N passed, N failed".
+# last line is the sum: "N passed, N failed, N pending". What is pending lacks a program
+# or a package; each is listed before the sum. With PENDING=no they count as failures.
+# On stderr, every tenth of the files is announced, with the time that the rest will take.
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
 # sees what another has loaded. It is stopped after LIMIT seconds (300).
+# FILES names other spec files than spec/*_spec.lua.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 
 busted=${BUSTED:-busted} limit=${LIMIT:-300}
 command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 
-# These files need modules in C, which the Lua 5.5 in tools/ cannot load. It is skipped if
-# its Python package is missing.
-NEEDS_C='spec/(bench|extensions|project|proto|redis|web)_spec'
+# These files need modules in C, which the Lua 5.5 in tools/ cannot load: they are not for
+# it. It is skipped if its Python package is missing.
+NEEDS_C='spec/(bench|extensions|fleet|project|proto|redis|web)_spec'
 
 # Prints a line "LUA FILE" for each spec file that an interpreter can run.
 list_files() { # list_files LUA
-  files=$(ls spec/*_spec.lua)
+  # shellcheck disable=SC2086
+  files=$(ls ${FILES:-spec/*_spec.lua})
   if [ "$1" = tools/lua5.5 ]; then
     why=$("$1" -e '' 2>&1) || { echo "$1: skipped, $why" >&2; return 0; }
     files=$(echo "$files" | grep -vE "$NEEDS_C")
@@ -25,17 +29,34 @@ list_files() { # list_files LUA
   echo "$files" | sed "s|^|$1 |"
 }
 
-# Adds up the closing lines of logs: "passed failed".
+# Adds up the closing lines of logs: "passed failed pending".
 count() {
   cat /dev/null "$@" 2>/dev/null |
-    sed -nE 's/^([0-9]+) success[a-z]* \/ ([0-9]+) failures? \/ ([0-9]+) errors? .*/\1 \2 \3/p' |
-    awk '{ passed += $1; failed += $2 + $3 } END { print passed + 0, failed + 0 }'
+    sed -nE 's,^([0-9]+) success[a-z]* / ([0-9]+) fail.* / ([0-9]+) err.* / ([0-9]+) pend.*,\1 \2 \3 \4,p' |
+    awk '{ passed += $1; failed += $2 + $3; pending += $4 }
+      END { print passed + 0, failed + 0, pending + 0 }'
+}
+
+# Prints what is pending and why, once for all interpreters.
+list_pending() { # list_pending LOG ...
+  for log in "$@"; do
+    awk -v lua="$(basename "$(dirname "$log")")" \
+      '/^Pending/ { getline; print "pending: " $0 " (" lua ")" }' "$log"
+  done | sort
+}
+
+# Announces each tenth of the files, and the time that the rest will take.
+announce() { # announce LOGS
+  done=$(ls "$1"/*/ | grep -c '\.done$') all=$(grep -c . "$1/files")
+  mkdir "$1/announced$((done * 10 / all))" 2>/dev/null || return 0
+  time=$(($(date +%s) - $(cat "$1/time")))
+  echo "$done of $all files, about $((time * (all - done) / done)) s to go" >&2
 }
 
 # Runs a file; the last one of an interpreter prints the line.
 run_file() { # run_file LOGS LUA FILE
   logs=$1/$(basename "$2") log=$1/$(basename "$2")/$(basename "$3") options=
-  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=misses"
+  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=misses --filter-out=at.a.terminal"
   mkdir "$logs/began" 2>/dev/null && date +%s >"$logs/time"
   if ! $timeout $busted --lua="$(command -v "$2")" $options "$3" >"$log" 2>&1; then
     grep -qE '^[0-9]+ success' "$log" || {
@@ -45,13 +66,14 @@ run_file() { # run_file LOGS LUA FILE
     cat "$log"
   fi
   mv "$log" "$log.done"
+  announce "$1"
   # shellcheck disable=SC2012
   [ "$(ls "$logs" | grep -c '\.done$')" = "$(grep -c . "$logs/files")" ] || return 0
   mkdir "$logs/ended" 2>/dev/null || return 0
   time=$(($(date +%s) - $(cat "$logs/time")))
   # shellcheck disable=SC2046
   set -- "$2" $(count "$logs"/*.done)
-  echo "$1: $2 passed, $3 failed, $time s"
+  echo "$1: $2 passed, $3 failed, $4 pending, $time s"
 }
 
 if [ "${1:-}" = --one ]; then
@@ -66,8 +88,10 @@ for lua in "$@"; do
   mkdir "$logs/$(basename "$lua")"
   list_files "$lua" | tee "$logs/$(basename "$lua")/files"
 done >"$logs/files"
+date +%s >"$logs/time"
 xargs -P "$(getconf _NPROCESSORS_ONLN || echo 2)" -n 2 "$0" --one "$logs" <"$logs/files"
+list_pending "$logs"/*/*.done
 # shellcheck disable=SC2046
 set -- $(count "$logs"/*/*.done)
-echo "$1 passed, $2 failed"
-[ "$2" = 0 ] && [ "$1" != 0 ]
+echo "$1 passed, $2 failed, $3 pending"
+[ "$2" = 0 ] && [ "$1" != 0 ] && { [ "$3" = 0 ] || [ "${PENDING:-}" != no ]; }

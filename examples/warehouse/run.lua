@@ -16,7 +16,7 @@ if not url then
 end
 
 local orders = fleet.connect(url, { name = "order", tags = 4 })
-assert(orders:load(redis.bundle { "order=examples/warehouse/order.lua" }))
+assert(orders:load((redis.bundle { "order=examples/warehouse/order.lua" })))
 
 -- Take orders; each fourth is never paid.
 local ITEMS = { "bolts", "nuts", "gears" }

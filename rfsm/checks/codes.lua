@@ -25,6 +25,12 @@ codes.list = {}
 ---@type table<string, rfsm_checks.Code>
 codes.of = {}
 
+--- The code of the static check that finds what an exploration finds under a code.
+---@type table<string, string>
+codes.twin = { unreached = "unreachable", untaken = "shadowed", stuck = "dead-end",
+  livelock = "endless", swallowed = "no-default", clash = "conflict",
+  closed = "connector-end" }
+
 --- How many of them are found by static checks; they come first.
 codes.static = 0
 
@@ -79,8 +85,12 @@ define("warning", "unreached", "a state that is active in no configuration",
   "see which guard, priority or event keeps its transitions from being taken")
 define("warning", "untaken", "a transition that no step takes",
   "see which transition is tried earlier, or which connector is closed")
+define("warning", "closed", "a connector that no step passes",
+  "see which guards and events its transitions need together")
 define("warning", "stuck", "a configuration that nothing leaves",
   "add a transition, or declare final = true")
+define("warning", "trap", "states that lead to each other, and never back or to an end",
+  "add a transition back, or silence the finding at one of them")
 define("warning", "livelock", "a configuration from which run never becomes idle",
   "let a state of the cycle wait for an event, or have a doo")
 define("note", "clash", "a transition enabled together with one of equal pn",
@@ -99,6 +109,19 @@ define("error", "violated", "a property that does not hold",
 function codes.finding(code, file, at, text)
   return { code = code, severity = codes.of[code].severity, file = file, place = at,
     text = text, hint = codes.of[code].hint }
+end
+
+local ENDS = { OK = true, FAILED = true, FINI = true, FATAL = true, FINISHED = true,
+  FINAL = true, END = true }
+
+--- Is there a word in the name of a leaf that means an end?
+---@param state rfsm.State
+---@return boolean
+function codes.is_named_as_end(state)
+  for word in rfsm.text_of(state._id):upper():gmatch("%a+") do
+    if ENDS[word] then return true end
+  end
+  return false
 end
 
 -- Texts of the core's warnings, and their codes.

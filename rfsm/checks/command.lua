@@ -10,7 +10,9 @@ local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
 local assert, error, io, ipairs = assert, error, io, ipairs
-local loadfile, os, pcall, require, type = loadfile, os, pcall, require, type
+local loadfile, os, pairs, pcall = loadfile, os, pairs, pcall
+local rawget, require, type = rawget, require, type
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local command = {}
 
@@ -52,7 +54,8 @@ end
 local function line_of(file, finding)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
   local line = static.line(finding)
-  if finding.code ~= "invalid" and not finding.text:find("%)$") then
+  local has_hint = finding.code ~= "invalid" and finding.code ~= "violated"
+  if has_hint and not finding.text:find("%)$") then
     line = line:gsub(" %[[%w-]*%]$", function(code)
       return " (" .. finding.hint .. ")" .. code
     end)
@@ -65,24 +68,6 @@ local function gravest_of(findings)
   local found = {}
   for _, finding in ipairs(findings) do found[finding.severity] = true end
   return found.error and "error" or found.warning and "warning" or nil
-end
-
--- Returns the findings about a chart in lines, those of each severity in the order of
--- the tree, and the gravest severity.
-local function report(file, findings, warnings, has_notes)
-  local lines = {}
-  for _, severity in ipairs { "error", "warning", has_notes and "note" } do
-    if severity == "warning" then
-      for _, line in ipairs(warnings) do lines[#lines + 1] = line end
-    end
-    for _, finding in ipairs(findings) do
-      if finding.severity == severity then
-        lines[#lines + 1] = line_of(file, finding)
-      end
-    end
-  end
-  if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
-  return lines, gravest_of(findings) or warnings[1] and "warning" or nil
 end
 
 -- Explore .........................................................................
@@ -99,6 +84,8 @@ local function declared_for(file)
   return declared
 end
 
+local MANY = 10000 -- configurations, if no option has another number
+
 local real_stderr = io and io.stderr
 
 -- Returns a function that keeps a line of a terminal up to date; nil without one.
@@ -110,46 +97,103 @@ local function progress_line()
   end
 end
 
--- Writes the run that shows the first finding to a new file.
-local function write_witness(model, findings, name)
+-- Writes the runs that show findings to files: FILE, FILE.2, FILE.3; notes their names.
+local function write_witnesses(model, findings, name)
+  local count = 0
   for _, finding in ipairs(findings) do
     if finding.witness and finding.witness[1] then
-      os.remove(name) -- a recording is appended to
-      return rfsm_checks.record_witness(model, finding.witness, name)
+      count = count + 1
+      finding.record = count > 1 and name .. "." .. count or name
+      os.remove(finding.record) -- a recording is appended to
+      rfsm_checks.record_witness(model, finding.witness, finding.record)
     end
   end
 end
 
--- Appends the report of an exploration; returns the gravest severity.
-local function explore(lines, file, model, settings, options)
+-- Explores a chart, with what the file beside it declares.
+local function explore(file, model, options)
   local own = declared_for(file)
-  own.together, own.seconds = options.together, options.seconds
-  own.configurations, own.progress = options.configurations, progress_line()
+  for _, name in ipairs { "together", "seconds", "configurations" } do
+    if options[name] ~= nil then own[name] = options[name] end
+  end
+  own.configurations = own.configurations or MANY
+  own.progress = progress_line()
   local result = rfsm_checks.explore(model, own)
   if own.progress then real_stderr:write("\r\27[K") end
-  result.findings = static.apply(result.findings, settings)
-  if options.record then write_witness(model, result.findings, options.record) end
-  local is_wanted = { error = true, warning = true, note = options.all }
-  local name = chart.name_of(file) .. ": "
-  for _, line in ipairs(verdict.report(result, name, is_wanted)) do
-    lines[#lines + 1] = line
-  end
-  return gravest_of(result.findings)
+  return result
 end
 
---- Return the findings about a chart in lines.
+-- Does a static check tell of the same element what an exploration tells?
+local function is_told(findings, finding)
+  for _, other in ipairs(findings) do
+    local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
+    if path == finding.place and other.code == codes.twin[finding.code] then
+      return true
+    end
+  end
+  return false
+end
+
+-- Returns all findings about a chart, and what was explored; nil: nothing was.
+local function find_all(file, model, settings, options)
+  local findings, silenced = static.findings(model, {})
+  local result = nil
+  if not (options.static or gravest_of(findings) == "error") then
+    result = explore(file, model, options)
+    local count = #findings
+    for _, finding in ipairs(result.findings) do
+      if not is_told({ unpack(findings, 1, count) }, finding) then
+        findings[#findings + 1] = finding
+      end
+    end
+    for note in pairs(result.silenced) do silenced[note] = true end -- a set
+    for _, finding in ipairs(result.bound and {} or static.idle_silences(model,
+      silenced)) do
+      findings[#findings + 1] = finding
+    end
+  end
+  return static.apply(findings, settings), result
+end
+
+-- Appends the lines of a finding: itself, and the run that shows it.
+local function add_finding(lines, file, finding)
+  lines[#lines + 1] = line_of(file, finding)
+  for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
+    lines[#lines + 1] = "  " .. line
+  end
+  if finding.record then lines[#lines + 1] = "  recorded in " .. finding.record end
+end
+
+local function lines_of_all(file, findings, warnings, has_notes)
+  local lines = {}
+  for _, severity in ipairs { "error", "warning", has_notes and "note" } do
+    for _, line in ipairs(severity == "warning" and warnings or {}) do
+      lines[#lines + 1] = line
+    end
+    for _, finding in ipairs(findings) do
+      if finding.severity == severity then add_finding(lines, file, finding) end
+    end
+  end
+  return lines
+end
+
+--- Return the findings about a chart in lines, those of each severity in the order of
+--- the tree, and what was explored.
 ---@param file string of the chart
 ---@param model rfsm.State
 ---@param warnings string[] about its file
 ---@param settings table<string, string>
----@param options table of the command: all, explore, together ...
+---@param options table of the command: all, static, together ...
 ---@return string[] lines "chart.lua: ok" if there is nothing to report
 ---@return "error"|"warning"|nil gravest severity, but for notes
 function command.review(file, model, warnings, settings, options)
-  local lines, gravest = report(file, static.findings(model, settings), warnings,
-    options.all)
-  if options.explore and gravest ~= "error" then
-    gravest = explore(lines, file, model, settings, options) or gravest
+  local findings, result = find_all(file, model, settings, options)
+  local gravest = gravest_of(findings) or warnings[1] and "warning" or nil
+  if options.record then write_witnesses(model, findings, options.record) end
+  local lines = lines_of_all(file, findings, warnings, options.all)
+  if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
+  for _, line in ipairs(result and verdict.summary(result, options.explore) or {}) do
+    lines[#lines + 1] = chart.name_of(file) .. ": " .. line
   end
   return lines, gravest
 end

@@ -132,8 +132,8 @@ function coverage.coverage(fsm, earlier)
     end
     own[field] = copy_of(counts)
   end
-  for _, inner in ipairs(place.machines(fsm)) do
-    count_machine(own, inner.fsm, inner.prefix)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    count_machine(own, entry.machine, entry.prefix)
   end
   return own
 end

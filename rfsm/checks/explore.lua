@@ -1,9 +1,10 @@
 --- Exploration: every configuration that a chart can reach, breadth first.
 --
 -- Each step is one `rfsm.step` of a puppet, which the engine runs. From a configuration
--- it is taken without events from outside, with each event that can have an effect, or
--- with each set of up to `options.together` of them, and with those sets that a path
--- through connectors needs; each time with every choice of the guards and doos asked.
+-- it is taken without an event, with each event that may come and can have an effect,
+-- or with each set of up to `options.together` of them, and with those sets that a path
+-- through connectors needs; each time with every choice of the guards, predicates and
+-- doos asked.
 --
 -- A configuration is kept as its key, the number of the one it was first reached from,
 -- and the label of that step. The steps are kept as numbers of configurations, those
@@ -18,6 +19,7 @@ local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
+local stubs = require "rfsm.checks.stubs"
 
 local assert, error, ipairs, math = assert, error, ipairs, math
 local rawget, require = rawget, require
@@ -29,7 +31,7 @@ local explore = {}
 
 --- Options of an exploration.
 ---@class rfsm_checks.Options
----@field together? integer how many events from outside a step may have (1)
+---@field together? integer how many events a step may have (1; for `after` 2)
 ---@field alphabet? any[] the events from outside; default: all that transitions name
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
@@ -56,10 +58,19 @@ local explore = {}
 ---@field moves table<integer, true> configurations that a step leaves or acts in
 ---@field expanded integer configurations whose steps were all taken
 ---@field endless table? the first step in which a machine inside never becomes idle
----@field bound string? what was hit
+---@field bound string? what was hit first
+---@field untried string[] what was not tried, as texts
+---@field passed rfsm_checks.Passed[] moments of steps, each once
 ---@field count integer steps that were run
 local Walk = {}
 Walk.__index = Walk
+
+--- A moment in a step in which a state is active that the step leaves again.
+---@class rfsm_checks.Passed
+---@field moment rfsm_checks.Moment
+---@field from integer configuration
+---@field tgt integer configuration
+---@field label string
 
 -- Configurations and labels of steps ................................................
 
@@ -87,11 +98,9 @@ local function find_configuration(walk, key, from, label)
 end
 
 -- Returns the events of a step by number, and its choices: "3,5:101".
-local function label_of(walk, events, choices, asked)
+local function label_of(events, choices, asked)
   local numbers, digits = {}, {}
-  for i, event in ipairs(events) do
-    numbers[i] = walk.puppet:number_of_event(event)
-  end
+  for i, event in ipairs(events) do numbers[i] = event.number end
   for i = 1, asked do digits[i] = choices[i] and "1" or "0" end
   return concat(numbers, ",") .. ":" .. concat(digits)
 end
@@ -100,7 +109,7 @@ local function read_label(walk, label)
   local numbers, digits = label:match("^(.*):(.*)$")
   local events, choices = {}, {}
   for number in numbers:gmatch("%d+") do
-    events[#events + 1] = walk.puppet.event_list[tonumber(number)]
+    events[#events + 1] = walk.puppet.occurrences[tonumber(number)]
   end
   for digit in digits:gmatch("%d") do choices[#choices + 1] = digit == "1" end
   return events, choices
@@ -118,6 +127,27 @@ local function note(walk, from, label)
     local number, by = clash[1], clash[2]
     walk.clashes[number] = walk.clashes[number]
       or { from = from, label = label(), by = by }
+  end
+end
+
+-- Notes that something was not tried, so that what was not found is not known.
+local function note_untried(walk, bound, text)
+  walk.bound = walk.bound or bound
+  for _, other in ipairs(walk.untried) do
+    if other == text then return end
+  end
+  walk.untried[#walk.untried + 1] = text
+end
+
+-- Notes the states that a step has entered and left again.
+local function note_passed(walk, from, tgt, label)
+  for _, moment in ipairs(walk.puppet.passed) do
+    local key = concat(rfsm.sorted_keys(moment.active), " ") .. moment.flags .. tgt
+    if not walk.passed[key] then
+      walk.passed[key] = true
+      walk.passed[#walk.passed + 1] = { moment = moment, from = from, tgt = tgt,
+        label = label() }
+    end
   end
 end
 
@@ -139,7 +169,7 @@ local function try_events(walk, from, conf, events, seen)
     own:put(conf)
     local ended, asked, text = own:step(events, choices), own.asked, nil
     local function label()
-      text = text or label_of(walk, events, choices, asked)
+      text = text or label_of(events, choices, asked)
       return text
     end
     walk.count, tries = walk.count + 1, tries + 1
@@ -149,11 +179,14 @@ local function try_events(walk, from, conf, events, seen)
       local tgt = find_configuration(walk, own:read(), from, label)
       add_step(walk, seen, from, tgt, events[1] == nil)
       if tgt ~= from or own.taken[1] then walk.moves[from] = true end
+      note_passed(walk, from, tgt, label)
       walk:look(from, tgt, events, label)
     else
       walk.endless = walk.endless or { from = from, label = label() }
     end
-    if tries == MANY_CHOICES then walk.bound = walk.bound or "choices" end
+    if tries == MANY_CHOICES then
+      note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
+    end
   until tries == MANY_CHOICES or not puppet.next_choices(choices, asked)
   return has_taken
 end
@@ -172,14 +205,15 @@ end
 
 -- Notes that an event alone took no transition, though one that names it leads to a
 -- connector.
-local function note_swallowed(walk, from, leaf, event)
+local function note_swallowed(walk, from, leaf, occurrence)
+  local event = occurrence.event
   local fsm = walk.puppet.parts[1].fsm
   for _, node in ipairs(leaf and place.line(fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
       if rfsm.is_conn(tr.tgt) and match.names(tr, event) then
         local key = tr.tgt._fqn .. " " .. rfsm.text_of(event)
         walk.swallowed[key] = walk.swallowed[key] or { from = from, event = event,
-          connector = tr.tgt, leaf = leaf, label = label_of(walk, { event }, {}, 0) }
+          connector = tr.tgt, leaf = leaf, label = label_of({ occurrence }, {}, 0) }
       end
     end
   end
@@ -188,8 +222,12 @@ end
 -- Takes all steps from a configuration.
 local function expand(walk, from, seen)
   local conf = walk:configuration(from)
-  local list, needed = reactions.from_outside(walk.puppet, conf)
+  local list, needed, is_cut = reactions.that_may_come(walk.puppet, conf)
   walk.first[from] = #walk.steps + 1
+  if is_cut then
+    note_untried(walk, "sets", ("some sets of events that paths from %s need"):format(
+      conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
+  end
   walk:add_wanted(list)
   for _, events in ipairs(sets_of(list, walk.together)) do
     if events[1] ~= nil or puppet.is_busy(conf) then
@@ -219,7 +257,7 @@ local function walk_all(walk, options)
   while walk.keys[at] do
     local bound = find_bound(walk, options, at, began)
     if bound then
-      walk.bound = bound
+      note_untried(walk, bound, "what lies behind the bound on " .. bound)
       break
     end
     if options.progress and at % EVERY == 0 then
@@ -241,18 +279,30 @@ function Walk.add_wanted() end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
+local is_count = opts.is_whole(1, math.huge)
+
 local function is_table(x) return type(x) == "table" end
 
 local function is_boolean(x) return type(x) == "boolean" end
 
 local KNOWN = {
-  together = { "number", is_number, 1 }, configurations = { "number", is_number, 1e6 },
+  together = { "whole number above 0", is_count },
+  configurations = { "whole number above 0", is_count, 1e6 },
   depth = { "number", is_number, math.huge },
   seconds = { "number", is_number, math.huge },
-  alphabet = { "list", is_table }, sends = { "table", is_table, {} },
-  dry_run = { "boolean", is_boolean, false }, flags = { "table", is_table, {} },
+  alphabet = { "list", stubs.check_list },
+  sends = { "table of lists", stubs.check_sends, {} },
+  dry_run = { "boolean", is_boolean, false },
+  flags = { "table of flags", stubs.check_flags, {} },
   properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
 }
+
+-- Callbacks that write the targets of transitions are not followed.
+local function check_writers(walk)
+  for _, name in ipairs(walk.puppet.writers) do
+    note_untried(walk, "targets", "targets that the " .. name .. " may write")
+  end
+end
 
 --- Walk over the configurations of a model, without judging them.
 ---@param model rfsm.State
@@ -262,10 +312,12 @@ local KNOWN = {
 function explore.walk(model, options, prepare)
   local settings = assert(opts.read(KNOWN, options))
   local own = puppet.new(model, settings)
-  local walk = setmetatable({ puppet = own, together = settings.together,
+  local walk = setmetatable({ puppet = own, together = settings.together or 1,
+    is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, clashes = {}, swallowed = {}, endless = nil, bound = nil,
     moves = {}, count = 0, expanded = 0 }, Walk)
+  check_writers(walk)
   if prepare then prepare(walk) end
   find_configuration(walk, own:read(), 0, function() return "" end)
   walk_all(walk, settings)
@@ -274,27 +326,43 @@ end
 
 --- A step of a witness.
 ---@class rfsm_checks.WitnessStep
----@field events string[] from outside, as texts
----@field values any[] the events themselves
+---@field events string[] that came, as texts
+---@field values any[] those that came to the machine itself
+---@field inside { prefix: string, event: any }[] time events of machines inside of it
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
 ---@field taken string[] paths of the transitions that it takes
 ---@field leaf string|false FQN of the active leaf then
+
+local function text_of_event(occurrence)
+  local text, part = rfsm.text_of(occurrence.event), occurrence.part
+  return part.owner and text .. " in " .. part.prefix or text
+end
 
 --- Run a step again.
 ---@param from integer
 ---@param label string
 ---@return rfsm_checks.WitnessStep step what it did
 function Walk:rerun(from, label)
-  local own, texts, answers = self.puppet, {}, {}
+  local own = self.puppet
+  local step = { events = {}, values = {}, inside = {}, choices = {} }
   local events, choices = read_label(self, label)
   own:put(self:configuration(from))
   own:step(events, choices)
-  for i, event in ipairs(events) do texts[i] = rfsm.text_of(event) end
-  for i = 1, own.asked do
-    answers[i] = { who = own.askers[i], answer = choices[i], is_doo = own.is_doo[i] }
+  for i, occurrence in ipairs(events) do
+    local part, event = occurrence.part, occurrence.event
+    step.events[i] = text_of_event(occurrence)
+    if part.owner then
+      step.inside[#step.inside + 1] = { prefix = part.prefix, event = event }
+    else
+      step.values[#step.values + 1] = event
+    end
   end
-  return { events = texts, values = events, choices = answers, taken = own:paths_of(),
-    leaf = rfsm.get_actleaf_fqn(own.parts[1].fsm) }
+  for i = 1, own.asked do
+    step.choices[i] = { who = own.askers[i], answer = choices[i],
+      is_doo = own.is_doo[i] }
+  end
+  step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+  return step
 end
 
 --- Return the shortest way to a configuration, and the step given behind it.

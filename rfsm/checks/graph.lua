@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local ipairs, table = ipairs, table
+local abs, min = math.abs, math.min
 
 local graph = {}
 
@@ -85,6 +86,73 @@ function graph.must_reach(walk, goals)
     if from ~= tgt then left[from] = left[from] - 1 end
     return left[from] == 0
   end)
+end
+
+-- A visit of Tarjan's search for strongly connected components: where it has come to.
+local function new_visit(walk, search, number)
+  search.count = search.count + 1
+  search.order[number], search.low[number] = search.count, search.count
+  search.open[#search.open + 1], search.is_open[number] = number, true
+  return { number = number, at = walk.first[number] or 1,
+    last = (walk.first[number + 1] or 1) - 1 }
+end
+
+-- Takes the component of a configuration from the open ones.
+local function take_component(search, root)
+  local component = {}
+  repeat
+    local number = table.remove(search.open)
+    search.is_open[number] = false
+    component[#component + 1] = number
+  until number == root
+  table.sort(component)
+  search.components[#search.components + 1] = component
+end
+
+-- Goes on with the visit on top of the stack: deeper, or back.
+local function visit_next(walk, search, visits)
+  local visit, low = visits[#visits], search.low
+  if visit.at <= visit.last then
+    local tgt = abs(walk.steps[visit.at])
+    visit.at = visit.at + 1
+    if not search.order[tgt] then
+      visits[#visits + 1] = new_visit(walk, search, tgt)
+    elseif search.is_open[tgt] then
+      low[visit.number] = min(low[visit.number], search.order[tgt])
+    end
+    return
+  end
+  visits[#visits] = nil
+  local above = visits[#visits]
+  if above then low[above.number] = min(low[above.number], low[visit.number]) end
+  if low[visit.number] == search.order[visit.number] then
+    take_component(search, visit.number)
+  end
+end
+
+local function leads_out(walk, component)
+  local is_in, leaves = {}, false
+  for _, number in ipairs(component) do is_in[number] = true end
+  for _, number in ipairs(component) do
+    graph.each_step(walk, number, function(tgt) leaves = leaves or not is_in[tgt] end)
+  end
+  return leaves
+end
+
+--- List the sets of configurations that lead to each other.
+---@param walk rfsm_checks.Walk
+---@return integer[][] bottoms those that lead nowhere else, each sorted
+---@return integer[][] others
+function graph.components(walk)
+  local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
+    components = {} }
+  local visits, bottoms, others = { new_visit(walk, search, 1) }, {}, {}
+  while visits[1] do visit_next(walk, search, visits) end
+  for _, component in ipairs(search.components) do
+    local list = leads_out(walk, component) and others or bottoms
+    list[#list + 1] = component
+  end
+  return bottoms, others
 end
 
 return graph

@@ -7,8 +7,7 @@
 
 local rfsm = require "rfsm"
 
-local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawget = rawequal, rawget
+local ipairs, rawequal, rawget, type = ipairs, rawequal, rawget, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local match = {}
@@ -34,6 +33,14 @@ function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 --- Does the transition name the event? A predicate names none.
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 
+--- Is there a predicate among the events of the transition?
+function match.has_predicate(tr)
+  for _, event in ipairs(tr.events or {}) do
+    if type(event) == "function" then return true end
+  end
+  return false
+end
+
 --- Can the transition, and a path on from there, react to some events, as far as names
 --- tell, and whatever guards answer?
 ---@param tr rfsm.Transition
@@ -53,11 +60,30 @@ function match.may_enable(tr, list, seen)
   return false
 end
 
---- Call a function of the chart; an interrupt such as Control-C is no failure of it.
-function match.try(f, ...)
-  local ok, answer = pcall(f, ...)
-  if not ok and rfsm.is_interrupt(answer) then error(answer, 0) end
-  return ok, answer
+--- List the events that a transition with await waits for, see rfsm/await.lua.
+---@param tr rfsm.Transition
+---@return string[] names empty for all other transitions
+function match.awaited(tr)
+  local list = {}
+  for _, await in ipairs(tr.src._await or {}) do
+    for _, name in ipairs(match.names(tr, await.name) and await.wanted or {}) do
+      list[#list + 1] = name
+    end
+  end
+  return list
+end
+
+--- Who makes an event? What a machine makes itself has the FQN of its source behind @.
+---@param event any
+---@return "engine"|"await"|"timer"|nil maker nil: it comes from outside
+---@return string? fqn of a timer: the state that has to be active
+function match.maker_of(event)
+  if type(event) ~= "string" then return nil end
+  if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
+  if event:find("^await%s*%(.*%)@root") then return "await" end
+  local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_at%s*%(.*@(root.*)$")
+  if fqn then return "timer", fqn end
 end
 
 return match

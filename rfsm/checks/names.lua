@@ -24,11 +24,16 @@ end
 
 -- Several events in one ..........................................................
 
--- A name with a comma, but for word(a, b), and a list, which no other table equals.
+local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
+
+-- A name with a comma, bar or blank, but for word(a, b) and what follows @; and a list,
+-- which no other table equals.
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
-    if type(event) == "string" and event:find("^[^(]*,") then
-      add("odd-event", tr, "'" .. event .. "' is one event with a comma in its name")
+    local mark = type(event) == "string" and event:match("^[^(@]*"):match("[,|%s]")
+    if mark then
+      add("odd-event", tr, ("'%s' is one event with %s in its name"):format(event,
+        MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"))
     elseif type(event) == "table" and not getmetatable(event)
       and type(event[1]) == "string" then
       add("odd-event", tr, "a list that holds '" .. event[1] .. "' is one event")
@@ -45,13 +50,15 @@ local function words_of(event)
   return words
 end
 
--- Is `b` the word `a` without a letter inside of it, or with two letters in reverse? A
--- letter at the end or the start makes too many words of their own: close, closed;
--- lock, block.
+-- Is `b` the word `a` without a letter inside of it, or with another one there, or with
+-- two letters in reverse? A letter at the end or the start makes too many words that
+-- are meant: close, closed; lock, block; so do letters in short words: load, lead.
 local function is_edited(a, b)
   for i = 1, #a do
     local before, letter, behind = a:sub(1, i - 1), a:sub(i, i), a:sub(i + 1)
-    if i > 1 and i < #a and before .. behind == b
+    local is_inside = i > 1 and i < #a
+    if is_inside and (before .. behind == b or #a > 4 and #a == #b
+        and before .. b:sub(i, i) .. behind == b)
       or before .. behind:sub(1, 1) .. letter .. behind:sub(2) == b then
       return true
     end
@@ -99,17 +106,50 @@ local function usage_of(fsm)
   return list, users
 end
 
--- An event that one transition uses, and a similar one that as many or more use.
+-- Calls f(key) for the event without underscores, and for the same without each of its
+-- letters. Two events that look alike have one of them in common.
+local function each_key(event, f)
+  local text = event:lower():gsub("[_%W]", "")
+  f(text)
+  for i = 1, #text do f(text:sub(1, i - 1) .. text:sub(i + 1)) end
+end
+
+-- Returns lists of positions of events, by their keys.
+local function index_of(list)
+  local index = {}
+  for i, event in ipairs(list) do
+    each_key(event, function(key)
+      index[key] = index[key] or {}
+      table.insert(index[key], i)
+    end)
+  end
+  return index
+end
+
+-- Returns the first event that looks like event `i`, and that as many or more use.
+local function find_similar(list, users, index, i)
+  local least
+  each_key(list[i], function(key)
+    for _, j in ipairs(index[key]) do
+      local is_rarer = #users[list[j]] > 1 or j < i
+      if j ~= i and is_rarer and (not least or j < least)
+        and is_misspelt(list[i], list[j]) then
+        least = j
+      end
+    end
+  end)
+  return least and list[least]
+end
+
+-- An event that one transition uses, and a similar one.
 local function check_typos(fsm, add)
   local list, users = usage_of(fsm)
+  local index = index_of(list)
   for i, event in ipairs(list) do
-    for j, other in ipairs(list) do
-      local is_rarer = #users[other] > 1 or j < i
-      if i ~= j and not users[event][2] and is_rarer and is_misspelt(event, other) then
-        add("typo", users[event][1], ("no other transition uses '%s' (did you mean "
-          .. "'%s'?)"):format(event, other))
-        break
-      end
+    local other = not users[event][2] and find_similar(list, users, index, i)
+    if other then
+      add("typo", users[event][1], ("no other transition uses '%s' (did you mean "
+        .. "'%s'?)"):format(event, other))
     end
   end
 end

@@ -40,13 +40,35 @@ local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.names(tr, event)
 end
 
+-- Does some path of connectors lead from one to another?
+local function leads_to(connector, tgt, seen)
+  if connector == tgt then return true end
+  if seen[connector] then return false end
+  seen[connector] = true
+  for _, tr in ipairs(connector._otrs) do
+    if is_conn(tr.tgt) and leads_to(tr.tgt, tgt, seen) then return true end
+  end
+  return false
+end
+
+-- Returns the set of connectors that a path to a node may have passed: it cannot pass
+-- one of them again.
+local function passed_before(fsm, node)
+  local passed = {}
+  for _, connector in ipairs(is_conn(node) and rfsm.elements(fsm, is_conn) or {}) do
+    passed[connector] = leads_to(connector, node, {}) or nil
+  end
+  return passed
+end
+
 -- Returns a transition that is tried before `tr`, from its source or a composite that
 -- the source is in, and always taken on the event.
 local function find_shadow(fsm, tr, event)
   for _, node in ipairs(is_conn(tr.src) and { tr.src } or place.line(fsm, tr.src)) do
     for _, other in ipairs(node._otrs) do
       if other == tr then break end
-      if is_enabled_by(other, event) and is_always_enabled(other, {}) then
+      if is_enabled_by(other, event)
+        and is_always_enabled(other, passed_before(fsm, tr.src)) then
         return other
       end
     end
@@ -78,28 +100,28 @@ end
 
 -- Does only its position keep `tr` from being taken before `other`? A guard in front of
 -- a transition without one reads as if and else, but the engine warns in connectors.
-local function is_rival(tr, other)
+local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))
 end
 
 --- List the transitions behind `tr` that only their position keeps from being taken
 --- before it.
-function order.rivals_of(tr)
-  local rivals, is_behind = {}, false
+function order.conflicts_of(tr)
+  local conflicts, is_behind = {}, false
   for _, other in ipairs(tr.src._otrs) do
-    if is_behind and is_rival(other, tr) then rivals[#rivals + 1] = other end
+    if is_behind and may_clash(other, tr) then conflicts[#conflicts + 1] = other end
     is_behind = is_behind or other == tr
   end
-  return rivals
+  return conflicts
 end
 
---- Is a rival enabled where `tr` was taken: in a connector by all events of a step, in
---- a state by one of them that enables both?
-function order.is_clash(tr, rival, list)
-  if is_conn(tr.src) then return match.may_enable(rival, list) end
+--- Is another one enabled where `tr` was taken: in a connector by all events of a step,
+--- in a state by one of them that enables both?
+function order.is_clash(tr, other, list)
+  if is_conn(tr.src) then return match.may_enable(other, list) end
   for i = 1, #list do
-    if is_enabled_by(tr, list[i]) and match.may_enable(rival, { list[i] }) then
+    if is_enabled_by(tr, list[i]) and match.may_enable(other, { list[i] }) then
       return true
     end
   end
@@ -125,7 +147,7 @@ end
 local function check_conflicts(tr, add)
   for _, other in ipairs(tr.src._otrs) do
     if other == tr then return end
-    local event = is_rival(tr, other) and shared_event(tr, other)
+    local event = may_clash(tr, other) and shared_event(tr, other)
     if event then return add("conflict", tr, order.conflict_text(other, event)) end
   end
 end

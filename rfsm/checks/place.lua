@@ -6,7 +6,7 @@
 
 local rfsm = require "rfsm"
 
-local ipairs, table, type = ipairs, table, type
+local ipairs, table = ipairs, table
 local text_of = rfsm.text_of
 
 local place = {}
@@ -28,7 +28,7 @@ end
 
 --- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
----@param prefix? string path of the region
+---@param prefix? string of its machine, see `rfsm.machines`
 ---@return string path
 function place.path(obj, prefix)
   local path = obj._fqn or place.of(obj):gsub(" %(.* %-> .*%)$", "")
@@ -48,42 +48,22 @@ function place.tried(fsm, leaf)
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
---- List the machines inside a state, its regions, sorted by name.
+--- List the regions of a state with their names, sorted by name.
 ---@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function place.regions_of(state)
-  local machines = type(state.substates) == "table" and state.substates or {}
-  local regions = {}
-  for i, name in ipairs(rfsm.sorted_keys(machines, rfsm.is_initialized_root)) do
+  local regions, machines = {}, {}
+  for i, machine in ipairs(rfsm.regions(state)) do
+    machines[state._regions.names[i]] = machine
+  end
+  for i, name in ipairs(rfsm.sorted_keys(machines)) do
     regions[i] = { name = text_of(name), machine = machines[name] }
   end
   return regions
 end
 
-local function add_machine(list, machine)
-  list[#list + 1] = machine
-  for _, leaf in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(place.regions_of(leaf)) do
-      local name = "." .. region.name
-      add_machine(list, { fsm = region.machine, owner = machine, leaf = leaf,
-        prefix = place.path(leaf, machine.prefix) .. name,
-        location = machine.location .. leaf._fqn .. name .. ": " })
-    end
-  end
-  return list
-end
-
---- A machine, or one inside of it.
----@class rfsm_checks.Inner
----@field fsm rfsm.Machine
----@field prefix? string path of the region: "root.par.left"
----@field location string in front of findings: "root.par.left: "; "" for the outermost
----@field owner? rfsm_checks.Inner the machine around it
----@field leaf? rfsm.State where it is in that machine
-
---- List a machine and those inside of it, each before those inside of its states.
-function place.machines(fsm)
-  return add_machine({}, { fsm = fsm, prefix = nil, location = "" })
-end
+--- Return the path of a region in front of findings about it: "root.par.left: "; empty
+--- for the machine itself.
+function place.location_of(prefix) return prefix ~= "root" and prefix .. ": " or "" end
 
 return place

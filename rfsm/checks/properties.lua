@@ -8,6 +8,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local graph = require "rfsm.checks.graph"
 local match = require "rfsm.checks.match"
 
@@ -99,7 +100,8 @@ end
 ---@class rfsm_checks.Judged
 ---@field name string
 ---@field property rfsm_checks.Property
----@field holds boolean|nil nil if a bound was hit and nothing was found against it
+---@field holds boolean|nil nil if something was not tried and nothing was found
+---@field vacuous? string why nothing was there to be judged
 ---@field at? integer configuration that shows that it does not
 ---@field label? string of a step from there
 
@@ -127,11 +129,17 @@ local function holds(condition, active)
   return true
 end
 
--- Returns the set of configurations in which a condition holds.
-local function set_of(walk, condition)
+-- Returns the set of configurations in which a condition holds; with `field`, "from" or
+-- "tgt", also those with a step in which it holds for a moment.
+local function set_of(walk, condition, field)
   local set = {}
   for number = 2, #walk.keys do
     set[number] = holds(condition, walk.puppet:view(walk:configuration(number)))
+  end
+  for _, passed in ipairs(field and walk.passed or {}) do
+    local number = passed[field]
+    set[number] = set[number]
+      or holds(condition, walk.puppet:view_of_moment(passed.moment))
   end
   return set
 end
@@ -148,21 +156,51 @@ end
 
 local ALL, NONE = setmetatable({}, { __index = function() return true end }), {}
 
+local function is_empty(set)
+  for _, is_in in pairs(set) do -- any order: is one there?
+    if is_in then return false end
+  end
+  return true
+end
+
 local JUDGES = {}
 
-function JUDGES.never(walk, judged, set) find_first(walk, judged, set, NONE) end
+-- Some moment of a step may fulfil the condition, too.
+function JUDGES.never(walk, judged)
+  find_first(walk, judged, set_of(walk, judged.property.what), NONE)
+  if judged.holds == false then return end
+  for _, passed in ipairs(walk.passed) do
+    if holds(judged.property.what, walk.puppet:view_of_moment(passed.moment)) then
+      judged.holds, judged.at, judged.label = false, passed.from, passed.label
+      return
+    end
+  end
+end
 
-function JUDGES.always(walk, judged, set) find_first(walk, judged, ALL, set) end
+function JUDGES.always(walk, judged)
+  find_first(walk, judged, ALL, set_of(walk, judged.property.what))
+end
 
 -- With a bound nothing is known against it: the way may lead through the rest.
-function JUDGES.from(walk, judged, set)
-  if walk.bound then return end
-  find_first(walk, judged, set,
-    graph.can_reach(walk, set_of(walk, judged.property.goal)))
+function JUDGES.from(walk, judged)
+  local property = judged.property
+  local set = set_of(walk, property.what, "tgt")
+  if is_empty(set) then
+    judged.vacuous = "no configuration has " .. text_of(property.what)
+  elseif not walk.bound then
+    find_first(walk, judged, set,
+      graph.can_reach(walk, set_of(walk, property.goal, "from")))
+  end
 end
 
 function JUDGES.after(walk, judged)
   local set = graph.must_reach(walk, set_of(walk, judged.property.goal))
+  local event = rfsm.text_of(judged.property.what)
+  if not judged.has_come then
+    judged.vacuous = event .. " never comes"
+  elseif not judged.is_taken then
+    judged.vacuous = "no transition takes " .. event
+  end
   for number = 1, #walk.keys do
     local step = walk.owed[judged][number]
     local is_known = number <= walk.expanded or not walk.bound
@@ -187,28 +225,57 @@ local function check_names(walk, judged)
   end
 end
 
+-- Raises an error for an event that the machine would make itself, and does not.
+local function check_event(own, judged)
+  local event = judged.property.what
+  if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
+    return
+  end
+  error(("rfsm_checks.explore: property '%s': no transition names the event '%s'%s")
+    :format(judged.name, event, advice.nearest_name(event, own:named_texts())), 0)
+end
+
+-- Is the event named by one of the transitions that the step took? Or do they take any?
+local function is_taken(own, event)
+  for _, number in ipairs(own.taken) do
+    local tr = own.transitions[number].tr
+    if match.is_any(tr) or match.names(tr, event) or match.has_predicate(tr) then
+      return true
+    end
+  end
+  return false
+end
+
 -- Has the walk take steps with the events of `after`, and note where they lead.
 local function watch_events(walk, list)
-  local afters = {}
+  local afters, own = {}, walk.puppet
   walk.owed = {}
   for _, judged in ipairs(list) do
     if judged.property.kind == "after" then
+      check_event(own, judged)
       afters[#afters + 1], walk.owed[judged] = judged, {}
+      own.wanted[judged.property.what] = false
     end
   end
   if not afters[1] then return end
+  if not walk.is_together_given then walk.together = 2 end
   function walk.add_wanted(_, events)
     for _, judged in ipairs(afters) do
       local event = judged.property.what
-      if not match.has(events, event) then events[#events + 1] = event end
+      local occurrence = own:occurrence(own.parts[1], event)
+      if not (own:maker_of(event) or match.has(events, occurrence)) then
+        events[#events + 1] = occurrence
+      end
     end
   end
-  function walk.look(_, from, tgt, events, label)
-    if not walk.puppet.parts[1].stand.leaf then return end -- before the first entry
+  function walk.look(_, from, tgt, _, label)
+    if not own.parts[1].stand.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed = walk.owed[judged]
-      if not owed[tgt] and match.has(events, judged.property.what) then
-        owed[tgt] = { from = from, label = label() }
+      local owed, event = walk.owed[judged], judged.property.what
+      if own.wanted[event] then
+        judged.has_come = true
+        judged.is_taken = judged.is_taken or is_taken(own, event)
+        owed[tgt] = owed[tgt] or { from = from, label = label() }
       end
     end
   end
@@ -228,8 +295,10 @@ end
 --- Judge properties when the walk is over.
 function properties.judge(walk, list)
   for _, judged in ipairs(list) do
-    local kind, what = judged.property.kind, judged.property.what
-    JUDGES[kind](walk, judged, kind ~= "after" and set_of(walk, what))
+    JUDGES[judged.property.kind](walk, judged)
+    if walk.expanded < 2 and not walk.keys[2] then
+      judged.holds, judged.vacuous = nil, "the machine is never entered"
+    end
     if judged.holds == nil and not walk.bound then judged.holds = true end
   end
 end

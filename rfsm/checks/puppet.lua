@@ -1,13 +1,15 @@
---- A puppet: a machine of a model whose callbacks do nothing, and decide what they are
---- told to. Exploration runs the engine with it.
+--- A puppet: a machine of a model that has stubs for callbacks. Exploration runs the
+--- engine with it.
 --
--- A guard is a choice, and so is whether a doo ends. Entries, exits and effects do
--- nothing but note that they ran, set flags and send events (`rfsm.checks.deeds`). The
--- machines inside of sequential AND states are puppets, too.
+-- The answer of a guard is a choice, and so is that of a predicate among events, and
+-- whether a doo ends. Entries, exits and effects set flags and send events
+-- (`rfsm.checks.stubs`). The clock stands still: time events come when a step says so.
+-- The machine, and those inside of sequential AND states, are the *parts* of a puppet.
 --
--- A configuration is where all these machines stand: for each of them the active leaf,
--- its mode, and the events that wait; and the flags. Events that nothing in the leaf
--- can react to are left out of it. Its key is a text.
+-- A *stand* is where one part is: its active leaf, the mode of that, the events that
+-- wait, and those that transitions with await have received. A configuration is a stand
+-- for each part, and the flags. Events that nothing in the leaf can react to are left
+-- out of it. Its key is a text.
 --
 -- The file reads in this order: the machines, configurations, steps, public functions.
 --
@@ -16,27 +18,36 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local deeds = require "rfsm.checks.deeds"
+local match = require "rfsm.checks.match"
 local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
+local stubs = require "rfsm.checks.stubs"
 
-local error, ipairs, pcall = error, ipairs, pcall
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
 local concat, max, sort = table.concat, math.max, table.sort
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local is_conn = rfsm.is_conn
 
 local puppet = {}
 
 --- The machines of a model, with what was asked of them in the last step.
 ---@class rfsm_checks.Puppet
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions { tr: rfsm.Transition, path: string }[] all of them
+---@field transitions { tr: rfsm.Transition, path: string, prefix: string }[] all
 ---@field names table<string, rfsm.State> states by path
+---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
----@field events any[] from outside, of the last step
+---@field writers string[] callbacks that may write the targets of transitions
+---@field free table<string, true> what the chart has: guards, predicates, timers, doos
+---@field wanted table<any, boolean> events of properties: did it come in a step?
+---@field passed rfsm_checks.Moment[] of the last step
+---@field now number seconds, as time events see them
+---@field steps integer that were taken
+---@field notes_events boolean keep in `last_events` those that iterations had?
 ---@field choices boolean[] in the order in which they were asked
 ---@field askers string[] who asked: the path of a transition or leaf
 ---@field is_doo boolean[] whether that was a doo
@@ -47,12 +58,27 @@ local Puppet = {}
 Puppet.__index = Puppet
 
 --- One of the machines of a puppet.
----@class rfsm_checks.Part: rfsm_checks.Inner
+---@class rfsm_checks.Part
+---@field fsm rfsm.Machine
+---@field prefix string see `rfsm.machines`
+---@field owner rfsm_checks.Part|false the part around it
+---@field leaf rfsm.State|false where it is in that part
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
 ---@field stands rfsm_checks.Stand[] where it can stand
 ---@field ids table<string, integer> their numbers
 ---@field stand rfsm_checks.Stand where it was put
 ---@field rounds integer iterations since then
+
+--- An event that comes to a part of a puppet in a step.
+---@class rfsm_checks.Occurrence
+---@field part rfsm_checks.Part
+---@field event any
+---@field number integer
+
+--- A moment in a step: the entry of a state that the same step leaves again.
+---@class rfsm_checks.Moment
+---@field active table<string, boolean> paths of states
+---@field flags string
 
 --- What is known of a leaf, or of a machine that was not entered.
 ---@class rfsm_checks.Leaf
@@ -70,6 +96,7 @@ Puppet.__index = Puppet
 ---@field known rfsm_checks.Leaf
 ---@field mode string
 ---@field waiting any[] events
+---@field received string a digit for each event of each await
 
 --- Where all of them stand: a stand for each, and `flags`, a text.
 ---@alias rfsm_checks.Configuration rfsm_checks.Stand[]
@@ -108,34 +135,105 @@ function Puppet:number_of_event(event)
   return number
 end
 
+--- Who makes an event: see `match.maker_of`. An e_done of what is no leaf comes from
+--- outside.
+function Puppet:maker_of(event)
+  local maker, fqn = match.maker_of(event)
+  if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
+    return nil
+  end
+  return maker, fqn
+end
+
+--- Return the occurrence of an event in a part: always the same table.
+---@return rfsm_checks.Occurrence
+function Puppet:occurrence(part, event)
+  local found = part.occurrences[event]
+  if not found then
+    found = { part = part, event = event, number = #self.occurrences + 1 }
+    part.occurrences[event], self.occurrences[found.number] = found, found
+  end
+  return found
+end
+
+-- Does a connector inside of a composite lead out of it? Then a step may pass through.
+local function is_passable(state)
+  local is_found = false
+  rfsm.mapfsm(function(tr)
+    local tgt = tr.tgt
+    while is_conn(tr.src) and tgt ~= state and not rfsm.is_root(tgt) do
+      tgt = tgt._parent
+    end
+    is_found = is_found or is_conn(tr.src) and tgt ~= state
+  end, state, rfsm.is_trans)
+  return is_found
+end
+
+-- Notes the moment in which a state is entered.
+local function note_moment(self, state)
+  local active = {}
+  for _, part in ipairs(self.parts) do
+    local node = part.fsm._mode ~= "inactive" and part.fsm
+    while node do
+      active[place.path(node, part.prefix)] = true
+      node = rfsm.actchild_get(node)
+    end
+  end
+  self.moments[#self.moments + 1] = { state = state, active = active,
+    flags = concat(self.flags) }
+end
+
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
-  self.names[path] = state
+  self.names[path], self.paths[#self.paths + 1] = state, path
   local own = state._regions or state -- the callbacks of such a state are the library's
-  own.entry = deeds.new(self, "entry", path, part.fsm, state, own.entry)
-  own.exit = deeds.new(self, "exit", path, part.fsm, state, own.exit)
-  if state.doo and not state._regions then state.doo = new_doo(self, part, path) end
+  local entry = stubs.new(self, "entry", path, part.fsm, state, own.entry)
+  own.entry = entry
+  if part.owner or not rfsm.is_root(state) and rfsm.is_composite(state)
+    and is_passable(state) then
+    function own.entry(fsm)
+      if entry then entry(fsm) end
+      note_moment(self, state)
+    end
+  end
+  own.exit = stubs.new(self, "exit", path, part.fsm, state, own.exit)
+  if state.doo and not state._regions then
+    stubs.note_writer(self, "doo " .. path, state.doo)
+    state.doo, self.free.doos = new_doo(self, part, path), true
+  end
   state.prepare = nil
+end
+
+-- Notes the events of a transition, and those that its await waits for.
+local function note_events(self, tr)
+  for _, event in ipairs(tr.events or {}) do
+    if type(event) ~= "function" then self:number_of_event(event) end
+    if match.maker_of(event) == "timer" then self.free.timers = true end
+  end
+  for _, name in ipairs(match.awaited(tr)) do self:number_of_event(name) end
 end
 
 local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
-  self.transitions[number], self.number_of[tr] = { tr = tr, path = path }, number
-  for _, event in ipairs(tr.events or {}) do
-    if type(event) ~= "function" then self:number_of_event(event) end
+  self.number_of[tr] = number
+  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix }
+  self.path_of[tr] = path
+  note_events(self, tr)
+  if tr.guard then
+    stubs.note_writer(self, "guard " .. path, tr.guard)
+    tr.guard, self.free.guards = function() return self:choose(path) end, true
   end
-  if tr.guard then tr.guard = function() return self:choose(path) end end
-  local deed = deeds.new(self, "effect", path, part.fsm, tr, tr.effect)
-  local rivals = order.rivals_of(tr)
+  local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
+  local conflicts = order.conflicts_of(tr)
   tr.likely = nil
   tr.effect = function(fsm, _, _, events)
     self.taken[#self.taken + 1] = number
-    for _, rival in ipairs(rivals) do
-      if order.is_clash(tr, rival, events) then
-        self.clashes[#self.clashes + 1] = { self.number_of[rival], number }
+    for _, other in ipairs(conflicts) do
+      if order.is_clash(tr, other, events) then
+        self.clashes[#self.clashes + 1] = { self.number_of[other], number }
       end
     end
-    if deed then deed(fsm) end
+    if stub then stub(fsm) end
   end
 end
 
@@ -149,19 +247,18 @@ local function count_round(self, part)
   end
 end
 
-local jit_off = (rawget(_G, "jit") or {}).off or function() end
-
--- The first iteration of the machine itself gets the events of the step, too. A trace
--- of LuaJIT 2.1.0-beta3 with this in it may go on with the list as it was before.
+-- Notes the events of properties that an iteration has.
 local function new_hook(self, part)
-  local function hook(_, events)
+  return function(_, events)
     count_round(self, part)
-    if part.rounds > 1 or part.owner then return end
-    local length = #events
-    for i = 1, #self.events do events[length + i] = self.events[i] end
+    for i = 1, #events do
+      local event = events[i]
+      if self.notes_events then self.last_events[#self.last_events + 1] = event end
+      if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
+        self.wanted[event] = true
+      end
+    end
   end
-  jit_off(hook, true)
-  return hook
 end
 
 -- Notes a leaf, or false for a machine that was not entered.
@@ -181,10 +278,11 @@ local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "d
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.stands, part.ids, part.stand = {}, {}, {}, false
-  part.rounds = 0
+  part.occurrences, part.rounds = {}, 0
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
+  fsm.gettime = function() return self.now, 0 end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
@@ -192,7 +290,10 @@ local function add_part(self, part)
     make_transition(self, part, tr)
   end
   add_leaf(part, false, 0)
-  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do add_leaf(part, leaf, i) end
+  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    self.done["e_done@" .. leaf._fqn] = true
+    add_leaf(part, leaf, i)
+  end
   rfsm.pre_step_hook_add(fsm, new_hook(self, part))
 end
 
@@ -200,30 +301,59 @@ end
 
 -- Leaves out what has no effect in the leaf, and what is there twice. Of events that
 -- count only as any event at all, one is kept if there is no other.
-local function relevant(part, leaf, events)
-  local found, kept, is_kept = reactions.of(part, leaf), {}, {}
+local function relevant(self, part, leaf, events)
+  local found, kept, is_kept, other = reactions.of(part, leaf), {}, {}, nil
   for i = 1, #events do
     local event = events[i]
-    if (found.has_predicate or found.set[event]) and not is_kept[event] then
+    local is_known = found.has_predicate or found.set[event]
+      or self.wanted[event] ~= nil
+    if is_known and not is_kept[event] then
       kept[#kept + 1], is_kept[event] = event, true
+    elseif not is_known and other == nil then
+      other = event
     end
   end
-  if leaf and found.any and kept[1] == nil then kept[1] = events[1] end
+  if leaf and found.any and kept[1] == nil then kept[1] = other end
   return kept
+end
+
+-- Returns a digit for each event that the transitions with await of a machine wait for:
+-- 1 if it was received. See rfsm/await.lua for the tables.
+local function read_awaits(fsm)
+  local digits = {}
+  for _, await in ipairs(fsm._awaits or {}) do
+    for _, event in ipairs(await.wanted) do
+      digits[#digits + 1] = await.received[event] and "1" or "0"
+    end
+  end
+  return concat(digits)
+end
+
+local function put_awaits(fsm, digits)
+  local at = 0
+  for _, await in ipairs(fsm._awaits) do
+    await.missing = 0
+    for _, event in ipairs(await.wanted) do
+      at = at + 1
+      await.received[event] = digits:sub(at, at) == "1"
+      if not await.received[event] then await.missing = await.missing + 1 end
+    end
+  end
 end
 
 -- Returns the place where a machine stands, with the events that wait: always the same
 -- table.
 local function find_stand(self, part, leaf, mode, events)
-  local waiting, numbers = relevant(part, leaf, events), {}
+  local waiting, numbers = relevant(self, part, leaf, events), {}
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   sort(numbers)
-  local known = part.known[leaf]
-  local key = known.number .. mode .. concat(numbers, ",")
+  local known, received = part.known[leaf], read_awaits(part.fsm)
+  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. received
   local id = part.ids[key] or #part.stands + 1
   part.ids[key] = id
   part.stands[id] = part.stands[id]
-    or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting }
+    or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
+      received = received }
   return part.stands[id]
 end
 
@@ -231,7 +361,9 @@ end
 local function read_stand(self, part)
   local leaf, queue = part.fsm._act_leaf, part.fsm._intq
   local mode = leaf and leaf._mode or "inactive"
-  if queue[2] ~= nil then return find_stand(self, part, leaf, mode, queue) end
+  if queue[2] ~= nil or part.fsm._awaits then
+    return find_stand(self, part, leaf, mode, queue)
+  end
   local noted, first = part.known[leaf].noted[mode], queue[1]
   if first == nil then first = NOTHING end
   noted[first] = noted[first] or find_stand(self, part, leaf, mode, queue)
@@ -264,10 +396,11 @@ local function put_stand(part, stand)
   local fsm, leaf, waiting = part.fsm, stand.leaf, stand.waiting
   local queue, mode = fsm._intq, (leaf or fsm)._mode
   part.stand, part.rounds = stand, 0
-  if rawequal(fsm._act_leaf, leaf) and mode == stand.mode then
+  if rawequal(fsm._act_leaf, leaf) and mode == stand.mode and not fsm._awaits then
     for i = 1, max(#queue, #waiting) do queue[i] = waiting[i] end
   else
     rfsm.place(fsm, leaf, stand.mode, { unpack(waiting) })
+    if fsm._awaits then put_awaits(fsm, stand.received) end
   end
 end
 
@@ -289,17 +422,11 @@ function puppet.leaves(conf)
   return leaves
 end
 
---- Return a function that tells of a path or flag if it is active in a configuration.
----@param conf rfsm_checks.Configuration
----@return fun(name: string): boolean
-function Puppet:view(conf)
-  local active = {}
-  for _, leaf in ipairs(puppet.leaves(conf)) do
-    for _, path in ipairs(leaf.paths) do active[path] = true end
-  end
+-- Returns a function that tells of a path or flag if it is active.
+local function new_view(self, active, flags)
   return function(name)
     local number = self.flag_numbers[name]
-    if number then return conf.flags:sub(number, number) == "+" end
+    if number then return flags:sub(number, number) == "+" end
     if self.names[name] then return active[name] == true end
     local names = rfsm.sorted_keys(self.names)
     for _, flag in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
@@ -310,16 +437,60 @@ function Puppet:view(conf)
   end
 end
 
+--- Return a function that tells of a path or flag if it is active in a configuration.
+---@param conf rfsm_checks.Configuration
+---@return fun(name: string): boolean
+function Puppet:view(conf)
+  local active = {}
+  for _, leaf in ipairs(puppet.leaves(conf)) do
+    for _, path in ipairs(leaf.paths) do active[path] = true end
+  end
+  return new_view(self, active, conf.flags)
+end
+
+--- The same for a moment in a step.
+---@param moment rfsm_checks.Moment
+function Puppet:view_of_moment(moment)
+  return new_view(self, moment.active, moment.flags)
+end
+
 -- Steps ...........................................................................
 
---- Take one step with events from outside and with choices; where that leads to tells
---- `read`. Returns nil if a machine inside never becomes idle.
+local function clear(list)
+  for i = #list, 1, -1 do list[i] = nil end
+end
+
+-- Keeps the moments of states that the step has left again.
+local function keep_passed(self)
+  clear(self.passed)
+  for _, moment in ipairs(self.moments) do
+    if moment.state._mode == "inactive" then
+      self.passed[#self.passed + 1] = moment
+    end
+  end
+end
+
+--- Take one step with events and with choices; where that leads to tells `read`.
+--- Returns nil if a machine inside never becomes idle.
+---@param events rfsm_checks.Occurrence[]
+---@param choices boolean[]
+---@return true?
 function Puppet:step(events, choices)
-  self.events, self.choices, self.asked = events, choices, 0
-  for i = #self.taken, 1, -1 do self.taken[i] = nil end
-  for i = #self.clashes, 1, -1 do self.clashes[i] = nil end
+  self.choices, self.asked, self.steps = choices, 0, self.steps + 1
+  clear(self.taken)
+  clear(self.clashes)
+  clear(self.moments)
+  clear(self.last_events)
+  for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
+  for i = 1, #events do
+    local queue = events[i].part.fsm._intq
+    queue[#queue + 1] = events[i].event
+  end
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
-  if ok then return true end
+  if ok then
+    keep_passed(self)
+    return true
+  end
   if not self.is_endless then error(failure, 0) end
   self.is_endless = false
   for _, part in ipairs(self.parts) do rfsm.reset(part.fsm) end
@@ -369,26 +540,123 @@ end
 
 -- Public functions ................................................................
 
+-- Returns a predicate that is a choice, one for each event in a step.
+local function new_predicate(self, tr)
+  local answers, count = {}, -1
+  return function(event)
+    if count ~= self.steps then answers, count = {}, self.steps end
+    if answers[event] == nil then
+      answers[event] = self:choose(self.path_of[tr] .. " predicate")
+    end
+    return answers[event]
+  end
+end
+
+-- Has each predicate among the events of a machine be a choice.
+local function free_predicates(self, fsm)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    for i, event in ipairs(tr.events) do
+      if type(event) == "function" then
+        stubs.note_writer(self, "predicate of " .. rfsm.location_of(tr), event)
+        tr.events[i] = new_predicate(self, tr)
+      end
+    end
+  end
+end
+
+-- Returns f(...), with one more preproc function.
+local function with_preproc(preproc, f, ...)
+  local list = rfsm.preproc
+  list[#list + 1] = preproc
+  local ok, fsm, text, problems = pcall(f, ...)
+  table.remove(list)
+  if not ok then error(fsm, 0) end
+  return fsm, text, problems
+end
+
+local function has_predicate(fsm)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
+      if match.has_predicate(tr) then return true end
+    end
+  end
+  return false
+end
+
+-- Makes a silent machine of a model. One with its own predicates comes first: plans
+-- are shared, and others need not have stubs in theirs.
+local function new_machine(self, model)
+  local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
+  local fsm, _, problems = init(model, false)
+  if not fsm then error("the model has problems\n  " .. concat(problems, "\n  "), 0) end
+  if not has_predicate(fsm) then return fsm end
+  self.free.predicates = true
+  local function preproc(own) free_predicates(self, own) end
+  return (with_preproc(preproc, init, model, false))
+end
+
+-- Raises an error for events in the alphabet that no transition names. A predicate may
+-- accept any.
+local function check_alphabet(self, alphabet)
+  for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
+    if not self.event_numbers[event] then
+      error(("alphabet: no transition names the event '%s'%s"):format(
+        rfsm.text_of(event), type(event) == "string"
+        and advice.nearest_name(event, self:named_texts()) or ""), 0)
+    end
+  end
+end
+
+--- List the events that transitions name, those that are texts.
+---@return string[] names
+function Puppet:named_texts()
+  local list = {}
+  for _, event in ipairs(self.event_list) do
+    if type(event) == "string" then list[#list + 1] = event end
+  end
+  return list
+end
+
+--- List the events that transitions name and the machine does not make itself.
+---@return any[] events
+function Puppet:outside_events()
+  local list = {}
+  for _, event in ipairs(self.event_list) do
+    if not self:maker_of(event) then list[#list + 1] = event end
+  end
+  return list
+end
+
+-- Adds the machines, each before those inside of it.
+local function add_parts(self, fsm)
+  local part_of = { [false] = false }
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    local part = { fsm = entry.machine, prefix = entry.prefix, leaf = entry.state,
+      owner = part_of[entry.owner] }
+    part_of[entry.machine] = part
+    add_part(self, part)
+  end
+end
+
 --- Make a puppet of a model, in the configuration before the first entry.
 -- @raise if the model is not valid, or an option is wrong
 ---@param model rfsm.State
 ---@param options { alphabet?: any[], flags?: table, sends?: table, dry_run?: boolean }
 ---@return rfsm_checks.Puppet
 function puppet.new(model, options)
-  local is_machine = rfsm.is_initialized_root(model)
-  local fsm, _, problems = (is_machine and rfsm.init or static.init)(model, false)
-  if not fsm then error("the model has problems\n  " .. concat(problems, "\n  "), 0) end
-  local self = setmetatable({ parts = {}, transitions = {}, number_of = {}, names = {},
-    deeds = {}, flags = {}, flags_of = {}, flag_numbers = {},
-    sends = options.sends or {}, is_dry_run = options.dry_run, events = {},
-    choices = {}, askers = {}, is_doo = {}, asked = 0, taken = {}, clashes = {},
-    ids = {}, event_list = {}, event_numbers = {}, alphabet = options.alphabet,
-    all_events = false, is_endless = false }, Puppet)
-  deeds.read_flags(self, options.flags or {})
-  for _, part in ipairs(place.machines(fsm)) do add_part(self, part) end
-  deeds.check(self, self.flags_of, "flags")
-  deeds.check(self, self.sends, "sends")
-  self.all_events = options.alphabet or { unpack(self.event_list) }
+  local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
+    path_of = {}, names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
+    flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
+    is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
+    taken = {}, clashes = {}, moments = {}, passed = {}, last_events = {}, ids = {},
+    occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
+    alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
+    notes_events = false }, Puppet)
+  stubs.read_flags(self, options.flags or {})
+  add_parts(self, new_machine(self, model))
+  stubs.check_names(self, self.flags_of, "flags")
+  stubs.check_names(self, self.sends, "sends")
+  check_alphabet(self, options.alphabet)
   return self
 end
 

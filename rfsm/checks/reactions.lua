@@ -1,5 +1,9 @@
 --- Reactions: the events that can have an effect while a leaf is active, and those of
---- them that come from outside.
+--- them that may come next.
+--
+-- An event that a machine in a sequential AND state can react to counts for the leaf
+-- that has the machine, and for those from which a transition leads there: the events
+-- of an iteration are forwarded.
 --
 -- @module rfsm.checks.reactions
 -- @license BSD-3-Clause
@@ -8,7 +12,7 @@ local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 
-local ipairs, setmetatable, type = ipairs, setmetatable, type
+local ipairs, type = ipairs, type
 local is_conn = rfsm.is_conn
 
 local reactions = {}
@@ -19,51 +23,98 @@ local reactions = {}
 ---@field set table<any, boolean> the same events as a set
 ---@field any boolean any other event can, too
 ---@field has_predicate boolean
+---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events without which a path cannot be taken
+---@field is_cut boolean there are more than MANY_SETS of them
 
-local add_reactions
+local add_reactions, add_regions
 
-local function add_reaction(found, tr, seen)
+local function add_event(found, event)
+  if type(event) == "function" then
+    found.has_predicate, found.any = true, true
+  elseif not found.set[event] then
+    found.set[event], found[#found + 1] = true, event
+  end
+end
+
+local function add_events(found, tr)
   if match.is_any(tr) then found.any = true end
-  for _, event in ipairs(tr.events or {}) do
-    if type(event) == "function" then
-      found.has_predicate, found.any = true, true
-    elseif not found.set[event] then
-      found.set[event], found[#found + 1] = true, event
+  for _, event in ipairs(tr.events or {}) do add_event(found, event) end
+  for _, name in ipairs(match.awaited(tr)) do add_event(found, name) end
+end
+
+-- Adds all events that the regions of a leaf name, whatever state they are in.
+function add_regions(found, leaf)
+  for _, region in ipairs(rfsm.regions(leaf)) do
+    for _, tr in ipairs(rfsm.elements(region, rfsm.is_trans)) do
+      add_events(found, tr)
+    end
+    for _, inner in ipairs(rfsm.elements(region, rfsm.is_leaf)) do
+      add_regions(found, inner)
     end
   end
-  if is_conn(tr.tgt) then add_reactions(found, tr.tgt, seen) end
 end
 
 -- Collects the events of the transitions from a node, and of those behind connectors.
 function add_reactions(found, node, seen)
   if seen[node] then return end
   seen[node] = true
-  for _, tr in ipairs(node._otrs) do add_reaction(found, tr, seen) end
+  for _, tr in ipairs(node._otrs) do
+    add_events(found, tr)
+    if is_conn(tr.tgt) then
+      add_reactions(found, tr.tgt, seen)
+    else
+      add_regions(found, tr.tgt)
+    end
+  end
 end
 
--- Lists the sets of events that a path needs with a segment more; predicates are left
--- out.
+-- Adds the events of the regions of the active leaf to the set alone: those that can
+-- have an effect now are listed for the regions themselves.
+local function add_own_regions(found, leaf)
+  local count = #found
+  add_regions(found, leaf)
+  for i = #found, count + 1, -1 do found[i] = nil end
+end
+
+local function add_timers(found, nodes)
+  local is_active = {}
+  for _, node in ipairs(nodes) do is_active[node._fqn] = true end
+  for _, event in ipairs(found) do
+    local _, fqn = match.maker_of(event)
+    if fqn and is_active[fqn] then found.timers[#found.timers + 1] = event end
+  end
+end
+
+-- Lists the sets of events that a path needs with a segment more. A predicate may
+-- accept an event that is there already.
 local function extend(set, tr)
-  local sets = {}
+  local sets, is_free = {}, match.is_any(tr)
   for _, event in ipairs(tr.events or {}) do
     if match.has(set, event) then return { set } end
-    if type(event) ~= "function" then sets[#sets + 1] = match.with(set, event) end
+    if type(event) == "function" then
+      is_free = true
+    else
+      sets[#sets + 1] = match.with(set, event)
+    end
   end
-  return sets[1] and sets or { set }
+  if is_free then sets[#sets + 1] = set end
+  return sets
 end
 
-local MANY_SETS = 100 -- of one leaf; more are not tried
+local MANY_SETS = 1000 -- of one leaf; more are not tried
 
 -- Adds the sets of several events that the paths from a transition on need.
 local function add_sets(found, tr, set, seen)
-  if seen[tr] or #found >= MANY_SETS then return end
+  if seen[tr] or found.is_cut then return end
   seen[tr] = true
   for _, longer in ipairs(extend(set, tr)) do
     if is_conn(tr.tgt) then
       for _, way in ipairs(tr.tgt._otrs) do add_sets(found, way, longer, seen) end
     elseif longer[2] ~= nil then
-      found[#found + 1] = longer
+      found.is_cut = #found.sets >= MANY_SETS
+      if found.is_cut then break end
+      found.sets[#found.sets + 1] = longer
     end
   end
   seen[tr] = nil
@@ -74,13 +125,16 @@ end
 ---@param leaf rfsm.State|false false before the first entry
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
-  local found = { set = {}, any = false, has_predicate = false, sets = {} }
+  local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
+    is_cut = false }
   local seen, nodes = {}, place.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do
     add_reactions(found, nodes[i], seen)
-    for _, tr in ipairs(nodes[i]._otrs) do add_sets(found.sets, tr, {}, {}) end
+    for _, tr in ipairs(nodes[i]._otrs) do add_sets(found, tr, {}, {}) end
   end
+  add_timers(found, leaf and nodes or {})
+  if leaf then add_own_regions(found, leaf) end
   return found
 end
 
@@ -91,17 +145,10 @@ function reactions.of(part, leaf)
   return known.reactions
 end
 
--- Events from outside ...............................................................
+-- What may come .....................................................................
 
---- Stands for each event that nothing names.
-reactions.OTHER = setmetatable({}, {
-  __tostring = function() return "(another event)" end,
-})
-
-local function is_internal(event)
-  return type(event) == "string"
-    and (event == "e_init_fsm" or event:find("^e_done@root") ~= nil)
-end
+--- Stands for each event that no transition names.
+reactions.OTHER = "(another event)"
 
 local function is_allowed(self, event)
   return not self.alphabet or match.has(self.alphabet, event)
@@ -110,47 +157,58 @@ end
 -- Appends the events from outside that can have an effect in a stand.
 local function add_outside(self, list, is_listed, found)
   local function add(event)
-    if not is_listed[event] and not is_internal(event) and is_allowed(self, event) then
-      is_listed[event], list[#list + 1] = true, event
+    if not (is_listed[event] or self:maker_of(event)) and is_allowed(self, event) then
+      is_listed[event] = true
+      list[#list + 1] = self:occurrence(self.parts[1], event)
     end
   end
   for _, event in ipairs(found) do add(event) end
-  if found.has_predicate or found.any and self.alphabet then
-    for _, event in ipairs(self.all_events) do add(event) end
-  end
+  for _, event in ipairs(found.any and self.alphabet or {}) do add(event) end
   if found.any then add(reactions.OTHER) end
 end
 
--- Adds the sets of several events from outside, but for those that cannot come.
-local function add_outside_sets(self, sets, found)
-  for _, set in ipairs(found.sets) do
-    local kept, may_come = {}, true
-    for _, event in ipairs(set) do
-      local is_own = is_internal(event)
-      may_come = may_come and (is_own or is_allowed(self, event))
-      if not is_own then kept[#kept + 1] = event end
+-- Adds a set of several events, but for those that the machine makes itself; not if one
+-- of them cannot come.
+local function add_set(self, part, sets, set, timers)
+  local kept = {}
+  for _, event in ipairs(set) do
+    local maker = self:maker_of(event)
+    if maker == "timer" then
+      if not match.has(timers, event) then return end
+      kept[#kept + 1] = self:occurrence(part, event)
+    elseif not maker then
+      if not is_allowed(self, event) then return end
+      kept[#kept + 1] = self:occurrence(self.parts[1], event)
     end
-    if may_come and kept[2] ~= nil then sets[#sets + 1] = kept end
   end
+  if kept[2] ~= nil then sets[#sets + 1] = kept end
 end
 
---- List the events from outside that can have an effect in a configuration, and the
---- sets of several of them that a path through connectors needs.
+--- List the events that may come in a configuration and can have an effect: from
+--- outside, and time events; and the sets of several that a path through connectors
+--- needs.
 ---@param self rfsm_checks.Puppet
 ---@param conf rfsm_checks.Configuration
----@return any[] events
----@return any[][] sets
-function reactions.from_outside(self, conf)
-  local list, sets, is_listed, leaf_of = {}, {}, {}, {}
+---@return rfsm_checks.Occurrence[] events
+---@return rfsm_checks.Occurrence[][] sets
+---@return boolean is_cut there are more sets than these
+function reactions.that_may_come(self, conf)
+  local list, sets, is_cut, is_listed, leaf_of = {}, {}, false, {}, {}
   for i, part in ipairs(self.parts) do
     leaf_of[part] = conf[i].leaf
     if not part.owner or leaf_of[part.owner] == part.leaf then
       local found = reactions.of(part, conf[i].leaf)
       add_outside(self, list, is_listed, found)
-      add_outside_sets(self, sets, found)
+      for _, timer in ipairs(found.timers) do
+        list[#list + 1] = self:occurrence(part, timer)
+      end
+      for _, set in ipairs(found.sets) do
+        add_set(self, part, sets, set, found.timers)
+      end
+      is_cut = is_cut or found.is_cut
     end
   end
-  return list, sets
+  return list, sets, is_cut
 end
 
 return reactions

@@ -1,23 +1,26 @@
 --- Rehearsal: a chart run step by step without its callbacks, for tests and witnesses.
 --
--- Guards answer true, and doos go on, unless a step says otherwise. Time is what the
--- rehearsal says.
+-- A step says what guards answer and which doos end; one that is asked and not
+-- mentioned is part of the result. Time is what the rehearsal says.
 --
 -- @module rfsm.checks.rehearsal
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local named = require "rfsm.checks.named"
+local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 
-local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
-local require, setmetatable, type = require, setmetatable, type
+local error, ipairs, require = error, ipairs, require
+local setmetatable, table, type = setmetatable, table, type
+local concat = table.concat
 
 local rehearsal = {}
 
 --- A chart that is rehearsed.
 ---@class rfsm_checks.Rehearsal
 ---@field puppet rfsm_checks.Puppet
----@field now number seconds, as time events see them
 local Rehearsal = {}
 Rehearsal.__index = Rehearsal
 
@@ -25,14 +28,30 @@ Rehearsal.__index = Rehearsal
 local function answer(own, who, is_doo)
   local said = own.said[who]
   own.asked = own.asked + 1
+  if said == nil and not own.is_asked[who] then
+    own.unmentioned[#own.unmentioned + 1] = who
+  end
   own.is_asked[who] = true
   if said == nil then return not is_doo end
   return said
 end
 
-local function timeevent()
-  local package = rawget(_G, "package")
-  return package and package.loaded.rfsm_timeevent
+-- Gives each transition and doo a name, and each name what the puppet asks with.
+local function add_names(own)
+  own.asker_of, own.name_of = {}, {}
+  named.add(own.transitions)
+  local function add(name, who)
+    own.asker_of[name], own.name_of[who] = own.asker_of[name] or who, name
+  end
+  for _, entry in ipairs(own.transitions) do
+    add(entry.name, entry.path)
+    add(entry.name .. " predicate", entry.path .. " predicate")
+  end
+  for _, part in ipairs(own.parts) do
+    for _, leaf in ipairs(rfsm.elements(part.fsm, rfsm.is_leaf)) do
+      add(named.node(leaf, part.prefix), place.path(leaf, part.prefix))
+    end
+  end
 end
 
 --- Begin the rehearsal of a chart.
@@ -44,60 +63,125 @@ function rehearsal.rehearsal(chart)
   if not rfsm.is_state(model) then
     error("rfsm_checks.rehearsal: file or state expected, got " .. type(chart), 2)
   end
-  local self = setmetatable({ puppet = false, now = 0 }, Rehearsal)
-  local clock = timeevent()
-  if clock then clock.set_gettime_hook(function() return self.now, 0 end) end
-  self.puppet = puppet.new(model, {})
+  local self = setmetatable({ puppet = puppet.new(model, {}) }, Rehearsal)
   self.puppet.choose, self.puppet.said, self.puppet.is_asked = answer, {}, {}
+  add_names(self.puppet)
   return self
 end
 
---- Return what to tell a rehearsal about a step of a witness, but for its events.
+-- Returns the events of the step of a witness, as `Rehearsal:step` takes them.
+local function events_of(step)
+  local what = { inside = {} }
+  for i = 1, #step.values do what[i] = step.values[i] end
+  for _, inner in ipairs(step.inside) do
+    what.inside[inner.prefix] = what.inside[inner.prefix] or {}
+    table.insert(what.inside[inner.prefix], inner.event)
+  end
+  return what
+end
+
+--- Return what to tell a rehearsal about a step of a witness.
 ---@param step rfsm_checks.WitnessStep
 ---@return table what see `Rehearsal:step`
-function rehearsal.what_of(step)
-  local what = { guards = {}, ends = {} }
+function Rehearsal:what_of(step)
+  local what, name_of = events_of(step), self.puppet.name_of
+  what.guards, what.ends, what.goes_on = {}, {}, {}
   for _, choice in ipairs(step.choices) do
-    if choice.is_doo and choice.answer then
-      what.ends[#what.ends + 1] = choice.who
-    elseif not (choice.is_doo or choice.answer) then
-      what.guards[choice.who] = false
+    local name = name_of[choice.who]
+    if choice.is_doo then
+      table.insert(choice.answer and what.ends or what.goes_on, name)
+    else
+      what.guards[name] = choice.answer and what.guards[name] ~= false
     end
   end
   return what
 end
 
+-- Returns what the puppet asks with, for a name.
+local function find_asker(own, name)
+  local who = own.asker_of[name]
+  if who then return who end
+  error(("rfsm_checks.rehearsal: no transition or state is named '%s'%s"):format(
+    rfsm.text_of(name), advice.nearest_name(rfsm.text_of(name),
+      rfsm.sorted_keys(own.asker_of))), 4)
+end
+
 -- Tells the puppet what to decide in the next step.
 local function tell(own, what)
-  own.said, own.is_asked = {}, {}
-  for who, said in pairs(what.guards or {}) do own.said[who] = said end -- a copy
-  for _, who in ipairs(what.ends or {}) do own.said[who] = true end
+  own.said, own.is_asked, own.unmentioned = {}, {}, {}
+  for _, name in ipairs(rfsm.sorted_keys(what.guards or {})) do
+    own.said[find_asker(own, name)] = what.guards[name]
+  end
+  for _, name in ipairs(what.goes_on or {}) do
+    own.said[find_asker(own, name)] = false
+  end
+  for _, name in ipairs(what.ends or {}) do own.said[find_asker(own, name)] = true end
   for _, part in ipairs(own.parts) do part.rounds = 0 end
 end
 
--- Returns the first path of which something was said in vain: nothing has asked.
-local function unasked(own)
-  for _, who in ipairs(rfsm.sorted_keys(own.said)) do
-    if not own.is_asked[who] then return who end
+-- Lists what was asked and not mentioned, and what was mentioned and not asked.
+local function surprises(own)
+  local list = {}
+  for _, who in ipairs(own.unmentioned) do
+    list[#list + 1] = "(" .. (own.name_of[who] or who) .. " was asked)"
   end
+  for _, who in ipairs(rfsm.sorted_keys(own.said)) do
+    if not own.is_asked[who] then
+      list[#list + 1] = "(" .. own.name_of[who] .. " was not asked)"
+    end
+  end
+  return list
+end
+
+-- Lists the occurrences of events in a step.
+local function occurrences_of(own, what)
+  local list, inside = {}, what.inside or {}
+  for i = 1, #what do list[i] = own:occurrence(own.parts[1], what[i]) end
+  for _, part in ipairs(own.parts) do
+    for _, event in ipairs(part.owner and inside[part.prefix] or {}) do
+      list[#list + 1] = own:occurrence(part, event)
+    end
+  end
+  return list
+end
+
+-- Returns the outcome of a step as a text: the transitions taken by name.
+local function outcome(own)
+  local texts, leaf = {}, own.parts[1].fsm._act_leaf
+  for i, number in ipairs(own.taken) do texts[i] = own.transitions[number].name end
+  if not texts[1] then
+    texts[1] = leaf and "stays in " .. named.node(leaf, "root") or "is not entered"
+  end
+  for _, text in ipairs(surprises(own)) do texts[#texts + 1] = text end
+  return concat(texts, ", ")
 end
 
 --- Take a step with the events given, and with what guards and doos decide in it.
 --
--- `run:step { "e_x", guards = { ["root.trans[2]"] = false }, ends = { "root.busy" } }`
+-- `run:step { "e_x", guards = { ["off -e_x-> on"] = false }, ends = { "busy" } }`
 --
----@param what? table events; `guards` by path; `ends`: paths of doos; `after`: seconds
----@return string text "root.trans[2] -> root.b": transitions taken, and the active leaf
+---@param what? table events; `guards`: answers by transition; `ends`, `goes_on`: lists
+-- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
+-- regions, by their paths
+---@return string text "off -e_x-> on": transitions taken; "stays in off": none. What
+-- was asked and not mentioned follows, and what was mentioned and not asked
 function Rehearsal:step(what)
   what = what or {}
-  local own, events = self.puppet, {}
+  local own = self.puppet
   tell(own, what)
-  for i = 1, #what do events[i] = what[i] end
-  self.now = self.now + (what.after or 0)
-  own:step(events, {})
-  local paths, who = own:paths_of(), unasked(own)
-  if who then paths[#paths + 1] = "(" .. who .. " was not asked)" end
-  return puppet.outcome(paths, rfsm.get_actleaf_fqn(own.parts[1].fsm))
+  own.now = own.now + (what.after or 0)
+  own:step(occurrences_of(own, what), {})
+  return outcome(own)
+end
+
+-- Takes the step of a witness again, with its choices one after the other.
+function Rehearsal:repeat_step(step)
+  local own, what, choices = self.puppet, events_of(step), {}
+  for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
+  own.choose = nil
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+  own:step(occurrences_of(own, what), choices)
+  own.choose = answer
 end
 
 -- Witnesses: the run that shows a finding, for the simulator and for pictures ........
@@ -117,10 +201,7 @@ function rehearsal.record_witness(model, steps, sink)
   local run = rehearsal.rehearsal(model)
   local fsm = run.puppet.parts[1].fsm
   local recorder = require("rfsm.record").record(fsm, sink)
-  for _, step in ipairs(steps) do
-    for i = 1, #step.values do rfsm.send_events(fsm, step.values[i]) end
-    run:step(rehearsal.what_of(step))
-  end
+  for _, step in ipairs(steps) do run:repeat_step(step) end
   recorder:stop()
 end
 

@@ -26,7 +26,7 @@ local static = {}
 ---@field hint string how to mend it
 
 --- A check: calls `add` for each finding about a machine.
----@alias rfsm_checks.Add fun(code: string, obj: table, text: string)
+---@alias rfsm_checks.Add fun(code: string, obj: table, text: string, severity?: any)
 ---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
 
 local CHECKS = {
@@ -62,20 +62,52 @@ function static.is_silenced(obj, code)
   return type(reason) == "string" and reason:find("%S") ~= nil
 end
 
+--- The codes that elements have silenced: "root.a dead-end".
+---@alias rfsm_checks.Silenced table<string, true>
+
+--- Note that a finding was silenced at a path.
+function static.note_silenced(silenced, path, code)
+  silenced[path .. " " .. code] = true
+end
+
+--- List findings about silences that silence nothing.
+---@param model rfsm.State
+---@param silenced rfsm_checks.Silenced
+---@return rfsm_checks.Finding[]
+function static.idle_silences(model, silenced)
+  local findings = {}
+  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+    for _, obj in ipairs(rfsm.elements(entry.machine)) do
+      for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
+        local path = place.path(obj, entry.prefix)
+        if static.is_silenced(obj, code) and not silenced[path .. " " .. code] then
+          local file, at = place.split(rfsm.location_of(obj))
+          findings[#findings + 1] = codes.finding("silence", file,
+            place.location_of(entry.prefix) .. at,
+            ("checks['%s']: there is nothing to silence any more"):format(code))
+        end
+      end
+    end
+  end
+  return findings
+end
+
 -- Leaves out the findings of init that an element expects.
-local function drop_silenced(fsm, findings)
+local function drop_silenced(fsm, findings, silenced)
   local is_dropped = {}
   for _, obj in ipairs(rfsm.elements(fsm)) do
     for code in pairs(silences_of(obj)) do -- any order: a set
       if static.is_silenced(obj, code) then
         local _, events = place.split(rfsm.location_of(obj, "events"))
-        is_dropped[code .. place.of(obj)], is_dropped[code .. events] = true, true
+        local note = place.path(obj) .. " " .. code
+        is_dropped[code .. place.of(obj)], is_dropped[code .. events] = note, note
       end
     end
   end
   local kept = {}
   for _, finding in ipairs(findings) do
-    if not is_dropped[finding.code .. finding.place] then kept[#kept + 1] = finding end
+    local note = is_dropped[finding.code .. finding.place]
+    if note then silenced[note] = true else kept[#kept + 1] = finding end
   end
   return kept
 end
@@ -83,14 +115,19 @@ end
 -- Checks ..........................................................................
 
 -- Appends the findings about a machine, in the order of its elements.
-local function check_machine(fsm, location, findings)
+local function check_machine(entry, findings, silenced)
+  local fsm, location = entry.machine, place.location_of(entry.prefix)
   local by_element, elements = {}, rfsm.elements(fsm)
   if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
   for _, obj in ipairs(elements) do by_element[obj] = {} end
-  local function add(code, obj, text)
-    if static.is_silenced(obj, code) then return end
+  local function add(code, obj, text, severity)
+    if static.is_silenced(obj, code) then
+      return static.note_silenced(silenced, place.path(obj, entry.prefix), code)
+    end
     local file, at = place.split(rfsm.location_of(obj))
-    table.insert(by_element[obj], codes.finding(code, file, location .. at, text))
+    local finding = codes.finding(code, file, location .. at, text)
+    finding.severity = severity or finding.severity
+    table.insert(by_element[obj], finding)
   end
   for _, name in ipairs(CHECKS) do require(name).check(fsm, add) end
   for _, obj in ipairs(elements) do check_silences(obj, add) end
@@ -100,9 +137,9 @@ local function check_machine(fsm, location, findings)
 end
 
 -- The same about a machine and those inside of it.
-local function check_machines(fsm, findings)
-  for _, inner in ipairs(place.machines(fsm)) do
-    check_machine(inner.fsm, inner.location, findings)
+local function check_machines(fsm, findings, silenced)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    check_machine(entry, findings, silenced)
   end
   return findings
 end
@@ -119,7 +156,8 @@ function static.init(model, warn)
     own[name] = model[name]
     if not rfsm.is_fsmobj(own[name]) then model[name] = name == "warn" and warn end
   end
-  local ok, fsm, text, problems = pcall(rfsm.init, model)
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local ok, fsm, text, problems = pcall(init, model)
   for _, name in ipairs(PRINTERS) do model[name] = own[name] end
   if not ok then error(fsm, 0) end
   return fsm, text, problems
@@ -147,7 +185,7 @@ end
 local function invalid() return "invalid" end
 
 -- Returns all findings about a model: problems, warnings of init, those of the checks.
-local function findings_of_model(model)
+local function findings_of_model(model, silenced)
   local findings = {}
   local is_valid, problems, early = rfsm.verify_early(model)
   add_lines(findings, problems, invalid, "")
@@ -161,11 +199,11 @@ local function findings_of_model(model)
   end)
   add_lines(findings, found or {}, invalid, "")
   if not fsm then return findings end
-  for i, inner in ipairs(place.machines(fsm)) do
-    local warnings = i > 1 and select(3, rfsm.verify_early(inner.fsm)) or {}
-    add_lines(findings, warnings, codes.of_warning, inner.location)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    local warnings = entry.owner and select(3, rfsm.verify_early(entry.machine)) or {}
+    add_lines(findings, warnings, codes.of_warning, place.location_of(entry.prefix))
   end
-  return check_machines(fsm, drop_silenced(fsm, findings))
+  return check_machines(fsm, drop_silenced(fsm, findings, silenced), silenced)
 end
 
 --- Give findings the severity that a project has set, and drop those that are off.
@@ -191,6 +229,7 @@ end
 ---@param model rfsm.State a model, or a machine
 ---@param settings? table<string, string>
 ---@return rfsm_checks.Finding[] findings in the order of the tree
+---@return rfsm_checks.Silenced silenced what elements expect
 ---@nodiscard
 function static.findings(model, settings)
   if not rfsm.is_state(model) then
@@ -199,8 +238,10 @@ function static.findings(model, settings)
   local problem = codes.check_settings(settings or {})
   if problem then error("rfsm_checks.findings: settings: " .. problem, 2) end
   local is_machine = rfsm.is_initialized_root(model)
-  local findings = is_machine and check_machines(model, {}) or findings_of_model(model)
-  return static.apply(findings, settings or {})
+  local silenced = {}
+  local findings = is_machine and check_machines(model, {}, silenced)
+    or findings_of_model(model, silenced)
+  return static.apply(findings, settings or {}), silenced
 end
 
 --- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a

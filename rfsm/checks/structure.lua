@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local codes = require "rfsm.checks.codes"
 local place = require "rfsm.checks.place"
 
 local ipairs = ipairs
@@ -54,7 +55,8 @@ local function check_node(fsm, node, reached, add)
       .. "it is ever taken")
   elseif node ~= fsm and is_leaf(node) and not node.final
     and not has_way_out(fsm, node) then
-    add("dead-end", node, "no exit, neither this state nor one around it is ever left")
+    add("dead-end", node, "no exit, neither this state nor one around it is ever left",
+      codes.is_named_as_end(node) and "note")
   end
 end
 

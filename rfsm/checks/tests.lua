@@ -1,22 +1,26 @@
---- Tests: runs that together take every transition of a chart that can be taken.
+--- Tests: runs that together take every transition of a chart that can be taken, on
+--- each of its events, and show which of two is taken if both are enabled.
 --
--- The steps come from an exploration. From where a run stands it goes on to the nearest
--- transition that is still to be taken; a new run begins if that is nearer.
+-- The steps come from an exploration with two events a step. From where a run stands it
+-- goes on to the nearest thing that is still to be shown; a new run begins if that is
+-- nearer. Where a run comes to a leaf first, steps follow that it ignores: without an
+-- event, with one that nothing names, and with one that other leaves react to.
 --
 -- @module rfsm.checks.tests
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 local explore = require "rfsm.checks.explore"
+local match = require "rfsm.checks.match"
+local named = require "rfsm.checks.named"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local rehearsal = require "rfsm.checks.rehearsal"
 
-local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
+local ipairs, pairs, rawget = ipairs, pairs, rawget
 local tonumber, type = tonumber, type
 local ceil, max = math.ceil, math.max
 local concat = table.concat
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local tests = {}
 
@@ -27,39 +31,68 @@ local tests = {}
 ---@field least integer no tests can do with fewer steps
 ---@field taken integer how many transitions they take
 ---@field transitions integer of the chart
+---@field skipped integer runs that a rehearsal cannot repeat
 
 --- A step: what the rehearsal is told, and what it returns.
 ---@class rfsm_checks.TestStep
 ---@field what table see `Rehearsal:step`
 ---@field result string
 
+-- Returns the transition from the same node that is tried next.
+local function next_of(tr)
+  for i, other in ipairs(tr.src._otrs) do
+    if other == tr then return tr.src._otrs[i + 1] end
+  end
+end
+
 -- Steps of the exploration ..........................................................
 
 -- A step with an event that is no text cannot be written.
 local function is_plain(events)
   for i = 1, #events do
-    local kind = type(events[i])
+    local kind = type(events[i].event)
     if kind ~= "string" and kind ~= "number" and kind ~= "boolean"
-      and events[i] ~= reactions.OTHER then
+      or events[i].part.owner then
       return false
     end
   end
   return true
 end
 
--- Notes every step that leads on, once for each target and what it takes.
+-- Returns what a step shows: each transition with each of its events that came, and
+-- those behind a transition that is tried earlier and was taken.
+local function shown_by(own)
+  local keys, events = {}, own.last_events
+  for _, number in ipairs(own.taken) do
+    local tr, key = own.transitions[number].tr, "taken " .. number
+    keys[#keys + 1] = key
+    for _, event in ipairs(events) do
+      if match.names(tr, event) then
+        keys[#keys + 1] = key .. " on " .. own:number_of_event(event)
+      end
+    end
+    local following = next_of(tr)
+    if following and match.may_enable(following, events) then
+      keys[#keys + 1] = key .. " before " .. own.number_of[following]
+    end
+  end
+  return keys
+end
+
+-- Notes every step that leads on, once for each target and what it shows.
 local function watch_steps(walk)
-  local edges, is_noted = {}, {}
+  local edges, is_noted, own = {}, {}, walk.puppet
+  own.notes_events = true
   function walk.look(_, from, tgt, events, label)
-    local taken = { unpack(walk.puppet.taken) }
-    local key = from .. " " .. tgt .. " " .. concat(taken, ",")
-    if is_noted[key] or not is_plain(events) or tgt == from and not taken[1] then
+    local keys = shown_by(own)
+    local key = from .. " " .. tgt .. " " .. concat(keys, ",")
+    if is_noted[key] or not is_plain(events) or tgt == from and not keys[1] then
       return
     end
     is_noted[key] = true
     edges[from] = edges[from] or {}
-    edges[from][#edges[from] + 1] = { from = from, tgt = tgt, taken = taken,
-      label = label() }
+    edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
+      taken = #own.taken, label = label() }
   end
   walk.edges = edges
 end
@@ -67,8 +100,8 @@ end
 -- Runs ..............................................................................
 
 local function is_wanted(edge, left)
-  for _, number in ipairs(edge.taken) do
-    if left[number] then return true end
+  for _, key in ipairs(edge.shows) do
+    if left[key] then return true end
   end
   return false
 end
@@ -108,7 +141,7 @@ local function plan(walk, left)
     end
     for _, edge in ipairs(way) do
       run[#run + 1] = edge
-      for _, number in ipairs(edge.taken) do left[number] = nil end
+      for _, key in ipairs(edge.shows) do left[key] = nil end
     end
     at = way[#way].tgt
   end
@@ -123,29 +156,61 @@ end
 
 local MARGIN = 0.001 -- a timer fires when its time is over
 
--- Returns what to tell the rehearsal for a step, and what should come of it.
-local function told_of(walk, edge, waits)
-  local step = walk:rerun(edge.from, edge.label)
-  local what = rehearsal.what_of(step)
-  for i, event in ipairs(step.values) do
+-- Returns what to tell the rehearsal for a step.
+local function told_of(walk, own, edge, waits)
+  local what, events = own:what_of(walk:rerun(edge.from, edge.label)), {}
+  for i = #what, 1, -1 do events[i], what[i] = what[i], nil end
+  for _, event in ipairs(events) do
     local seconds = waits and seconds_of(event)
     if seconds then
       what.after = seconds + MARGIN
     else
-      what[#what + 1] = event == reactions.OTHER and step.events[i] or event
+      what[#what + 1] = event
     end
   end
-  return what, puppet.outcome(step.taken, step.leaf)
+  return what
+end
+
+-- Lists steps in which a machine stays where it is: without an event; with one that
+-- nothing names; with one that other leaves react to.
+local function steps_at_rest(walk, number)
+  local own, conf = walk.puppet, walk:configuration(number)
+  local leaf = conf[1].leaf
+  local found = reactions.of(own.parts[1], leaf)
+  if puppet.is_driven(conf) or found.any or rfsm.regions(leaf)[1] then return {} end
+  local goes_on = conf[1].mode == "active" and { named.node(leaf, "root") } or nil
+  local list = { { goes_on = goes_on }, { "e_unknown" } }
+  for _, event in ipairs(own:named_texts()) do
+    if not (found.set[event] or own:maker_of(event)) then
+      list[3] = { event }
+      break
+    end
+  end
+  return list
+end
+
+-- Does the rehearsal what the exploration did in a step?
+local function is_as_explored(walk, own, edge)
+  local step = walk:rerun(edge.from, edge.label)
+  local paths = own.puppet:paths_of()
+  return concat(step.taken, ",") == concat(paths, ",")
+    and step.leaf == rfsm.get_actleaf_fqn(own.puppet.parts[1].fsm)
 end
 
 -- Rehearses a run as planned; with `waits` timers fire because time goes by. Returns
--- its steps, nil if something else happens.
-local function rehearse(walk, model, run, waits)
+-- its steps, nil if something else happens. Leaves that it comes to first are noted.
+local function rehearse(walk, model, run, waits, is_seen)
   local steps, own = {}, rehearsal.rehearsal(model)
-  for i, edge in ipairs(run) do
-    local what, outcome = told_of(walk, edge, waits)
-    steps[i] = { what = what, result = own:step(what) }
-    if steps[i].result ~= outcome then return nil end
+  local function add(what)
+    steps[#steps + 1] = { what = what, result = own:step(what) }
+  end
+  for _, edge in ipairs(run) do
+    add(told_of(walk, own, edge, waits))
+    if not is_as_explored(walk, own, edge) then return nil end
+    local leaf = walk:configuration(edge.tgt)[1].leaf
+    local at_rest = not is_seen[leaf] and steps_at_rest(walk, edge.tgt) or {}
+    is_seen[leaf] = is_seen[leaf] or at_rest[1] ~= nil
+    for _, what in ipairs(at_rest) do add(what) end
   end
   return steps
 end
@@ -157,22 +222,29 @@ end
 ---@param options? rfsm_checks.Options
 ---@return rfsm_checks.Tests
 function tests.plan(model, options)
-  local walk = explore.walk(model, options or {}, watch_steps)
-  local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0, taken = 0,
-    transitions = #walk.puppet.transitions }
+  options = options or {}
+  options.together = options.together or 2
+  local walk = explore.walk(model, options, watch_steps)
+  local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
+    taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.puppet.transitions,
+    skipped = 0 }
   for _, list in pairs(walk.edges) do -- any order: a set, and the greatest
     for _, edge in ipairs(list) do
-      most = max(most, #edge.taken)
-      for _, number in ipairs(edge.taken) do left[number] = true end
+      most = max(most, edge.taken)
+      for _, key in ipairs(edge.shows) do left[key] = true end
     end
   end
-  for _ in pairs(left) do result.taken = result.taken + 1 end -- any order: counted
   result.least = ceil(result.taken / most)
-  for i, run in ipairs(plan(walk, left)) do
-    local steps = rehearse(walk, model, run, true) or rehearse(walk, model, run, false)
-    if not steps then error("rfsm bug: a planned run cannot be rehearsed") end
-    result.runs[i] = { steps = steps }
-    result.steps = result.steps + #steps
+  local is_seen = {}
+  for _, run in ipairs(plan(walk, left)) do
+    local steps = rehearse(walk, model, run, true, is_seen)
+      or rehearse(walk, model, run, false, is_seen)
+    if steps then
+      result.runs[#result.runs + 1] = { steps = steps }
+      result.steps = result.steps + #steps
+    else
+      result.skipped = result.skipped + 1
+    end
   end
   return result
 end
@@ -183,8 +255,22 @@ local function quoted(value)
   return type(value) == "string" and ("%q"):format(value) or rfsm.text_of(value)
 end
 
+local function guard_texts(guards)
+  local texts = {}
+  for i, name in ipairs(rfsm.sorted_keys(guards or {})) do
+    texts[i] = ("[%q] = %s"):format(name, rfsm.text_of(guards[name]))
+  end
+  return texts
+end
+
+local function quoted_list(list)
+  local texts = {}
+  for i, value in ipairs(list or {}) do texts[i] = quoted(value) end
+  return texts
+end
+
 local function step_text(what)
-  local parts, guards, ends = {}, {}, {}
+  local parts = {}
   local function add(field, items)
     if items[1] then
       parts[#parts + 1] = field .. " = { " .. concat(items, ", ") .. " }"
@@ -192,26 +278,28 @@ local function step_text(what)
   end
   for i = 1, #what do parts[i] = quoted(what[i]) end
   if what.after then parts[#parts + 1] = "after = " .. rfsm.text_of(what.after) end
-  for i, path in ipairs(rfsm.sorted_keys(what.guards)) do
-    guards[i] = ("[%q] = false"):format(path)
-  end
-  add("guards", guards)
-  for i, path in ipairs(what.ends) do ends[i] = quoted(path) end
-  add("ends", ends)
+  add("guards", guard_texts(what.guards))
+  add("ends", quoted_list(what.ends))
+  add("goes_on", quoted_list(what.goes_on))
   return parts[1] and "run:step { " .. concat(parts, ", ") .. " }" or "run:step()"
 end
 
 local HEAD = [[
--- Runs of %s that take %d of its %d transitions: %d steps,
--- where at least %d are needed. Made by rfsm check --tests; yours from now on.
+-- Runs of %s that take %d of its %d transitions, in %d steps.
 --
--- Callbacks of the chart do not run. Guards answer true and doos go on, unless a step
--- says otherwise; `after` lets that many seconds go by.
+-- Callbacks of the chart do not run. `guards` has the answers of guards, `ends` and
+-- `goes_on` the states whose doo does so; `after` lets that many seconds go by. What is
+-- asked and not mentioned is part of the result.
 
 %slocal rehearsal = require("rfsm_checks").rehearsal
 
-describe(%q, function()
+local here = debug.getinfo(1, "S").source:match("^@(.*/)") or ""
+local FILE = %s
+
 ]]
+
+local BEGIN = "-- rfsm check --tests: what stands from here ...\n"
+local END = "-- rfsm check --tests: ... to here is written anew.\n"
 
 -- The longest piece of a line that may stand before it is broken.
 local WIDTH = 88
@@ -229,9 +317,9 @@ end
 local function name_of(run)
   local names, last = {}, nil
   for _, step in ipairs(run.steps) do
-    local leaf = step.result:match("%-> (.*)$"):gsub("^root%.", "")
-    if leaf ~= last then names[#names + 1] = leaf end
-    last = leaf
+    local leaf = step.result:gsub(", %(.*$", ""):match("%-> ([^>]*)$")
+    if leaf and leaf ~= last then names[#names + 1] = leaf end
+    last = leaf or last
   end
   local text = concat(names, ", ")
   while #text > WIDTH - 30 and names[3] do
@@ -241,25 +329,52 @@ local function name_of(run)
   return "goes to " .. text
 end
 
+-- Returns the expression for the chart's file as seen from the folder of the spec.
+local function file_text(file, output)
+  local folder = output and output ~= "-" and output:match("^(.*/)") or ""
+  if file:sub(1, 1) == "/" or not output or output == "-"
+    or folder:sub(1, 1) == "/" or folder:find("..", 1, true) then
+    return quoted(file)
+  end
+  local first = folder:match("^[^/]*/")
+  while first and file:sub(1, #first) == first do
+    folder, file = folder:sub(#first + 1), file:sub(#first + 1)
+    first = folder:match("^[^/]*/")
+  end
+  return "here .. " .. quoted(folder:gsub("%.?[^/]*/", "../") .. file)
+end
+
+-- Returns an old file with new runs in place of its own; the new one without marks.
+local function merge(old, head, body)
+  local _, from = (old or ""):find(BEGIN, 1, true)
+  local to = from and old:find(END, from + 1, true)
+  if not to then return head .. BEGIN .. body .. END end
+  return old:sub(1, from) .. body .. old:sub(to)
+end
+
 --- Write the runs of a chart as a spec for busted.
----@param file string of the chart, as the spec is to load it
+---@param file string of the chart
 ---@param model rfsm.State
 ---@param options? rfsm_checks.Options
+---@param output? string the file of the spec; the chart is loaded relative to it
+---@param old? string what stands in that file: only the marked lines are written anew
 ---@return string text
 ---@return rfsm_checks.Tests
-function tests.busted(file, model, options)
+function tests.busted(file, model, options, output, old)
   local result = tests.plan(model, options)
   local modules = rawget(_G, "package").loaded.rfsm_timeevent
     and 'require "rfsm_timeevent"\n' or ""
   local blocks = {}
   for i, run in ipairs(result.runs) do
     local lines = { ("  it(%q, function()"):format(name_of(run)),
-      ("    local run = rehearsal(%q)"):format(file) }
+      "    local run = rehearsal(FILE)" }
     for _, step in ipairs(run.steps) do add_step(lines, step) end
     blocks[i] = concat(lines, "\n") .. "\n  end)\n"
   end
-  return HEAD:format(file, result.taken, result.transitions, result.steps,
-    result.least, modules, file) .. concat(blocks, "\n") .. "end)\n", result
+  local head = HEAD:format(file, result.taken, result.transitions, result.steps,
+    modules, file_text(file, output))
+  return merge(old, head, ("describe(%q, function()\n"):format(file)
+    .. concat(blocks, "\n") .. "end)\n"), result
 end
 
 return tests

@@ -11,10 +11,11 @@ local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
+local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
 
-local ipairs, pairs, setmetatable, tostring = ipairs, pairs, setmetatable, tostring
-local type = type
+local ipairs, pairs, setmetatable = ipairs, pairs, setmetatable
+local table, tostring, type = table, tostring, type
 local concat = table.concat
 
 local verdict = {}
@@ -25,33 +26,46 @@ local verdict = {}
 ---@field steps integer that were run
 ---@field transitions integer how many the chart has
 ---@field taken integer how many of them some step takes
----@field bound? "configurations"|"depth"|"seconds"|"choices" what was hit
+---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"
+---@field untried string[] what was not tried, as texts; empty without a bound
+---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
----@field properties { name: string, holds: boolean?, witness: table? }[]
+---@field silenced rfsm_checks.Silenced
+---@field properties rfsm_checks.Verdict[]
 local Exploration = {}
 Exploration.__index = Exploration
 
+--- What is known of a property.
+---@class rfsm_checks.Verdict
+---@field name string
+---@field holds boolean|nil nil: not known
+---@field vacuous? string it holds because of this reason alone
+---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
+
 -- Findings ........................................................................
 
--- The static check that sees the same: its silence counts here, too.
-local STATIC = { unreached = "unreachable", untaken = "shadowed", stuck = "dead-end",
-  livelock = "endless", swallowed = "no-default", clash = "conflict" }
-
--- Adds a finding, unless its element expects it.
+-- Adds a finding, unless its element expects it, by this code or that of the static
+-- check that sees the same.
 local function add(result, code, obj, path, text, witness)
-  if obj and (static.is_silenced(obj, code) or static.is_silenced(obj, STATIC[code]))
-  then
-    return
+  for _, name in ipairs { code, codes.twin[code] } do
+    if obj and static.is_silenced(obj, name) then
+      return static.note_silenced(result.silenced, path, name)
+    end
   end
   local file = obj and place.split(rfsm.location_of(obj)) or ""
   local finding = codes.finding(code, file, path, text)
   finding.witness = witness
   result.findings[#result.findings + 1] = finding
+  return finding
 end
 
--- Returns the set of paths of states that are active in some configuration.
+-- Returns the set of paths of states that are active in some configuration, or entered
+-- by some step.
 local function active_paths(walk)
   local set = {}
+  for _, passed in ipairs(walk.passed) do
+    for path in pairs(passed.moment.active) do set[path] = true end -- any order: a set
+  end
   for _, part in ipairs(walk.puppet.parts) do
     for _, leaf in ipairs(puppet.leaves(part.stands)) do
       for _, path in ipairs(leaf.paths) do set[path] = true end
@@ -63,7 +77,7 @@ end
 -- States that are never active, but not those in another one.
 local function find_unreached(walk, result)
   local active = active_paths(walk)
-  for _, path in ipairs(rfsm.sorted_keys(walk.puppet.names)) do
+  for _, path in ipairs(walk.puppet.paths) do
     local state = walk.puppet.names[path]
     local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
     if not active[path] and (not above or active[above]) then
@@ -72,9 +86,48 @@ local function find_unreached(walk, result)
   end
 end
 
-local function find_untaken(walk, result)
+-- Returns the sets of connectors to which a step leads, and of those that one leaves.
+local function passed_connectors(walk)
+  local entered, left = {}, {}
   for number, entry in ipairs(walk.puppet.transitions) do
-    if not walk.taken[number] then
+    if walk.taken[number] then
+      entered[entry.tr.tgt], left[entry.tr.src] = true, true
+    end
+  end
+  return entered, left
+end
+
+-- Connectors in reached states to which transitions lead, and which no step passes.
+local function find_closed(walk, result)
+  local active, _, left = active_paths(walk), passed_connectors(walk)
+  local is_closed = {}
+  for _, entry in ipairs(walk.puppet.transitions) do
+    local connector, prefix = entry.tr.tgt, entry.prefix
+    local is_met = rfsm.is_conn(connector) and not left[connector]
+      and active[place.path(entry.tr.src, prefix)]
+    if is_met and connector._id ~= "initial" and not is_closed[connector] then
+      is_closed[connector] = true
+      add(result, "closed", connector, place.path(connector, prefix), "no step passes "
+        .. "this connector")
+    end
+  end
+  return is_closed
+end
+
+-- Transitions from reached states to reached states, or from connectors that a step
+-- enters. Of others another finding tells.
+local function find_untaken(walk, result, is_closed)
+  local active, entered = active_paths(walk), passed_connectors(walk)
+  local function is_told(entry)
+    local src, tgt = entry.tr.src, entry.tr.tgt
+    if rfsm.is_conn(tgt) and tgt._id == "initial" then tgt = tgt._parent end
+    return is_closed[tgt] or rfsm.is_conn(src) and not entered[src]
+      and not (src._id == "initial" and rfsm.is_root(src._parent))
+      or rfsm.is_state(src) and not active[place.path(src, entry.prefix)]
+      or rfsm.is_state(tgt) and not active[place.path(tgt, entry.prefix)]
+  end
+  for number, entry in ipairs(walk.puppet.transitions) do
+    if not (walk.taken[number] or is_told(entry)) then
       add(result, "untaken", entry.tr, entry.path, ("no step takes it (%s -> %s)")
         :format(entry.tr.src._fqn, entry.tr.tgt._fqn))
     end
@@ -88,7 +141,7 @@ local function leaves_of(walk, number)
   for i, leaf in ipairs(leaves) do
     paths[i] = leaf.path
     are_final = are_final
-      and (leaf.state.final == true or place.regions_of(leaf.state)[1] ~= nil)
+      and (leaf.state.final == true or rfsm.regions(leaf.state)[1] ~= nil)
   end
   return leaves, concat(paths, ", "), are_final
 end
@@ -105,8 +158,9 @@ local function find_stuck(walk, result)
           .. "entered", {})
       elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
         is_told[text] = true
-        add(result, "stuck", state, text, "nothing happens any more in this "
-          .. "configuration", walk:witness(number))
+        local finding = add(result, "stuck", state, text, "nothing happens any more in "
+          .. "this configuration", walk:witness(number))
+        if finding and codes.is_named_as_end(state) then finding.severity = "note" end
       end
     end
   end
@@ -132,6 +186,75 @@ local function find_livelock(walk, result)
     .. "becomes idle", walk:witness(step.from, step.label))
 end
 
+-- Returns the paths of the leaves of some configurations, and whether one is final.
+local function leaves_of_all(walk, numbers)
+  local paths, is_listed, has_end = {}, {}, false
+  for _, number in ipairs(numbers) do
+    local leaves, text, are_final = leaves_of(walk, number)
+    has_end = has_end or are_final or not leaves[1]
+    if not is_listed[text] then paths[#paths + 1] = text end
+    is_listed[text] = true
+  end
+  return paths, has_end
+end
+
+-- Does a configuration wait for an event from outside? Not one that goes on by itself.
+local function is_waiting(walk, number)
+  local conf = walk:configuration(number)
+  local goes_on = puppet.is_driven(conf)
+  graph.each_step(walk, number, function(tgt, is_internal)
+    goes_on = goes_on or is_internal and tgt ~= number
+  end)
+  local part = walk.puppet.parts[1]
+  return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
+end
+
+-- Returns the first of some configurations in which the machine waits and from which
+-- some run leads to one of a set.
+local function find_waiting_before(walk, numbers, set)
+  local leads_there = graph.can_reach(walk, set)
+  for _, number in ipairs(numbers) do
+    if number > 1 and leads_there[number] and is_waiting(walk, number) then
+      return number
+    end
+  end
+end
+
+-- Returns a configuration in which the machine waited before it came to `numbers`,
+-- and whether it is on a cycle.
+local function find_before(walk, numbers, others)
+  local set, first = {}, nil
+  for _, number in ipairs(numbers) do set[number] = true end
+  for _, component in ipairs(others) do
+    local number = find_waiting_before(walk, component, set)
+    if number and leaves_of_all(walk, component)[2] then return number, true end
+    if number and (not first or number < first) then first = number end
+  end
+  return first, false
+end
+
+-- Configurations that lead to each other and nowhere else, while the machine waited for
+-- an event before that led there. It may have been set up for them: a note, unless
+-- there is a cycle elsewhere, too.
+local function find_traps(walk, result)
+  local bottoms, others = graph.components(walk)
+  for _, numbers in ipairs(bottoms) do
+    local paths, has_end = leaves_of_all(walk, numbers)
+    local outside, is_cycle = nil, nil
+    if paths[2] and not has_end then
+      outside, is_cycle = find_before(walk, numbers, others)
+    end
+    if outside then
+      local leaves = leaves_of(walk, numbers[1])
+      local _, name = leaves_of(walk, outside)
+      local finding = add(result, "trap", leaves[#leaves].state, paths[1],
+        concat(paths, " and ") .. " lead to each other, and never back to " .. name,
+        walk:witness(numbers[1]))
+      if finding and not is_cycle then finding.severity = "note" end
+    end
+  end
+end
+
 local function find_clashes(walk, result)
   local transitions = walk.puppet.transitions
   for _, number in ipairs(rfsm.sorted_keys(walk.clashes)) do
@@ -155,7 +278,7 @@ local function find_violations(walk, result, list)
   for i, judged in ipairs(list) do
     local witness = judged.at and walk:witness(judged.at, judged.label)
     result.properties[i] = { name = judged.name, holds = judged.holds,
-      witness = witness }
+      vacuous = judged.holds and judged.vacuous or nil, witness = witness }
     if judged.holds == false then
       add(result, "violated", nil, judged.name, "does not hold", witness)
     end
@@ -187,41 +310,67 @@ function verdict.lines_of(witness)
   return lines
 end
 
-local UNKNOWN = "stopped by the bound on %s: unreached states, transitions not taken "
-  .. "and whether properties hold are not known"
+local NUMBERS = { "one event", "two events", "three events" }
 
-local function add_finding_lines(lines, finding, name)
+-- Returns what is not known of a chart, and is tried in each way: "guards and doos".
+local function free_text(free)
+  local names = rfsm.sorted_keys(free)
+  local last = table.remove(names)
+  return names[1] and concat(names, ", ") .. " and " .. last or last
+end
+
+-- Returns the premises of a walk: "one event a step; guards and timers free".
+local function premises_of(walk, options)
+  local free = free_text(walk.puppet.free)
+  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
+  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if free then texts[#texts + 1] = free .. " free" end
+  return concat(texts, "; ")
+end
+
+local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
+  .. "properties hold are not known"
+
+local function property_text(judged, premises)
+  if judged.holds == nil then return judged.name .. ": not known" end
+  local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
+  return ("%s: holds%s (%s)"):format(judged.name, how, premises)
+end
+
+local function add_finding_lines(lines, finding)
   local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
-  local file = finding.file ~= "" and finding.file or name
-  lines[#lines + 1] = file .. kind .. static.line(finding):sub(#finding.file + 1)
+  local text = static.line(finding):sub(#finding.file + 1)
+  lines[#lines + 1] = finding.file .. kind .. text
   for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
     lines[#lines + 1] = "  " .. line
   end
 end
 
---- Return the report of an exploration as lines.
+--- Return what an exploration has done in lines: its numbers, what was not tried, and
+--- the properties that hold or are not known.
 ---@param result rfsm_checks.Exploration
----@param name string in front of the first line, and where no file is known
----@param is_wanted? table<string, boolean> the severities to be reported
+---@param has_numbers boolean? false: no numbers, unless something was not tried
 ---@return string[] lines
-function verdict.report(result, name, is_wanted)
-  local lines = { ("%s%d configurations, %d of %d transitions taken, %d steps run")
-    :format(name, result.configurations, result.taken, result.transitions,
-      result.steps) }
-  if result.bound then lines[2] = UNKNOWN:format(result.bound) end
-  for _, judged in ipairs(result.properties) do
-    local text = judged.holds and "holds" or judged.holds == nil and "not known"
-    if text then lines[#lines + 1] = judged.name .. ": " .. text end
+function verdict.summary(result, has_numbers)
+  local lines = {}
+  if has_numbers or result.bound then
+    lines[1] = ("%d configurations, %d of %d transitions taken, %d steps run"):format(
+      result.configurations, result.taken, result.transitions, result.steps)
   end
-  for _, finding in ipairs(result.findings) do
-    if not is_wanted or is_wanted[finding.severity] then
-      add_finding_lines(lines, finding, finding.code == "violated" and "" or name)
+  if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
+  for _, judged in ipairs(result.properties) do
+    if judged.holds ~= false then
+      lines[#lines + 1] = property_text(judged, result.premises)
     end
   end
   return lines
 end
 
-function Exploration:__tostring() return concat(verdict.report(self, ""), "\n") end
+function Exploration:__tostring()
+  local lines = verdict.summary(self, true)
+  for _, finding in ipairs(self.findings) do add_finding_lines(lines, finding) end
+  return concat(lines, "\n")
+end
 
 -- Public functions ................................................................
 
@@ -238,6 +387,12 @@ local function properties_of(model, options)
   return given
 end
 
+local function count_of(set)
+  local count = 0
+  for _ in pairs(set) do count = count + 1 end -- any order: a number
+  return count
+end
+
 --- Explore a model and judge what was found.
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
@@ -249,14 +404,16 @@ function verdict.of(model, options)
   end)
   properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
-    transitions = #walk.puppet.transitions, taken = #rfsm.sorted_keys(walk.taken),
-    bound = walk.bound, findings = {}, properties = {} }, Exploration)
+    transitions = #walk.puppet.transitions, taken = count_of(walk.taken),
+    silenced = {}, bound = walk.bound, untried = walk.untried, findings = {},
+    properties = {}, premises = premises_of(walk, options) }, Exploration)
   find_violations(walk, result, list)
   find_stuck(walk, result)
   find_livelock(walk, result)
   if not walk.bound and walk.keys[2] then
     find_unreached(walk, result)
-    find_untaken(walk, result)
+    find_untaken(walk, result, find_closed(walk, result))
+    find_traps(walk, result)
   end
   find_clashes(walk, result)
   find_swallowed(walk, result)

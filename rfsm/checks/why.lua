@@ -7,6 +7,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
+local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
@@ -50,7 +52,7 @@ end
 local function is_accepted(tr, event)
   for _, wanted in ipairs(tr.events) do
     local ok, answer = true, false
-    if type(wanted) == "function" then ok, answer = match.try(wanted, event) end
+    if type(wanted) == "function" then ok, answer = calls.try(wanted, event) end
     if ok and answer then return true end
   end
   return match.names(tr, event)
@@ -85,7 +87,7 @@ local function judge(search, tr)
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local ok, answer = true, true
-  if tr.guard then ok, answer = match.try(tr.guard, tr, search.events) end
+  if tr.guard then ok, answer = calls.try(tr.guard, tr, search.events) end
   if not ok then return "failed", "its guard fails: " .. text_of(answer) end
   if answer == false then return "guard", "its guard returns false" end
   local tgt = target_of(tr)
@@ -207,20 +209,18 @@ end
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
 -- Appends the events that enable a transition of the machine, or of one in its leaf.
--- Unless a predicate is asked, those that count only as any event are not tried.
+-- Those that count only as any event are tried, too: guards may tell them apart.
 local function add_enabled(list, is_listed, fsm)
   local found = reactions.collect(fsm, fsm._act_leaf)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
   local function is_enabled(event)
-    if not (found.has_predicate or found.set[event]) then return takes_any end
+    if not (found.any or found.set[event]) then return false end
     return select(2, answers_of(fsm, { event }))
   end
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    for _, event in ipairs(tr.events or {}) do
-      if type(event) ~= "function" and not is_listed[event] and is_enabled(event) then
-        is_listed[event] = true
-        list[#list + 1] = event
-      end
+  for _, event in ipairs(alphabet.of(fsm).list) do
+    if not is_listed[event] and is_enabled(event) then
+      is_listed[event] = true
+      list[#list + 1] = event
     end
   end
   list.any = list.any or takes_any

@@ -5,6 +5,7 @@
 
 local chart = require "rfsm.shared.chart"
 local common = require "rfsm.cli.common"
+local opts = require "rfsm.shared.options"
 
 local concat = table.concat
 
@@ -20,24 +21,50 @@ local function print_codes()
 end
 
 function check.add_arguments(command)
-  local function add_number(names, description)
-    command:option(names, "explore: " .. description):argname("N"):convert(tonumber)
+  local function add_number(names, description, is_right, expected)
+    command:option(names, description):argname("N"):convert(function(text)
+      local number = tonumber(text)
+      if number and is_right(number) then return number end
+      return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"), expected,
+        text)
+    end)
   end
+  local is_count = opts.is_whole(1, math.huge)
   common.add_files(command)
   command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
   command:flag("--codes", "list the codes of findings and end"):action(print_codes)
-  command:flag("-x --explore", "walk over every configuration, and judge properties")
-  add_number("-k --together", "events in one step, at most")
-  add_number("--configurations", "stop after so many")
-  add_number("--seconds", "stop after so long")
-  command:option("--record", "explore: write the run that shows the first finding")
+  command:flag("-x --explore", "print the numbers of the exploration, too")
+  command:flag("--static", "do not explore: check the structure only")
+  add_number("-k --together", "events in one step, at most", is_count,
+    "whole number above 0")
+  add_number("--configurations", "explore so many, at most (10000)", is_count,
+    "whole number above 0")
+  add_number("--seconds", "explore so long, at most", opts.is_seconds, "seconds")
+  command:option("--record", "write the runs that show findings: FILE, FILE.2, ...")
     :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
   command:option("-o --output", "tests: file to write; - is stdout", "-")
     :argname("FILE")
+end
+
+-- Reports the lines that only one of two texts has.
+local function report_difference(old, new)
+  local function lines_of(text)
+    local list, set = {}, {}
+    for line in text:gmatch("[^\n]+") do list[#list + 1], set[line] = line, true end
+    return list, set
+  end
+  local old_list, in_old = lines_of(old)
+  local new_list, in_new = lines_of(new)
+  for _, line in ipairs(old_list) do
+    if not in_new[line] then io.stderr:write("-", line, "\n") end
+  end
+  for _, line in ipairs(new_list) do
+    if not in_old[line] then io.stderr:write("+", line, "\n") end
+  end
 end
 
 -- Writes tests of one chart.
@@ -48,12 +75,15 @@ local function write_tests(options, parser)
       .. #options.files)
   end
   local model = common.try(common.load_model(file))
+  local old = options.output ~= "-" and io.open(options.output)
+  local old_text = old and old:read("*a")
+  if old then old:close() end
   local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
-    model)
+    model, {}, options.output, old_text)
   common.write(options.output, text)
-  io.stderr:write(("rfsm check: %d of %d transitions in %d steps (at least %d are "
-    .. "needed)\n"):format(result.taken, result.transitions, result.steps,
-    result.least))
+  io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
+    result.taken, result.transitions, result.steps))
+  if old_text then report_difference(old_text, text) end
 end
 
 -- Returns lines about the chart in a file, and the gravest severity.

@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local diagram = require "rfsm.pictures.diagram"
 
@@ -32,9 +33,7 @@ function common.with_streams(stream, f, ...)
   local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
   set_streams(function(...)
-    local texts = { ... }
-    for i = 1, select("#", ...) do texts[i] = rfsm.text_of(texts[i]) end
-    stream:write(concat(texts, "\t"), "\n")
+    stream:write(calls.text("\t", ...), "\n")
   end, stream, stream, err)
   local ok, result, more, list = pcall(f, ...)
   set_streams(printer, out, err, default)

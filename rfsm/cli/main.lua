@@ -12,7 +12,8 @@ local opts = require "rfsm.shared.options"
 local cli = {}
 
 local COMMANDS = {
-  "check", "sim", "viz", "redis", "json", "plantuml", "dot", "mermaid", "web", "watch",
+  "check", "sim", "viz", "snapshot", "redis", "json", "plantuml", "dot", "mermaid",
+  "web", "watch",
 }
 
 local function print_version()
@@ -30,6 +31,24 @@ end
 local function prepare(parser)
   parser.error = report_usage
   parser:flag("-v --version", "print the version and end"):action(print_version)
+end
+
+-- Prints the list of commands, or the help of one.
+local function print_help(parser, parsers, argv)
+  local command = argv[2] and parsers[argv[2]]
+  if argv[2] and not command then
+    parser:error("no command is named '" .. argv[2] .. "'")
+  end
+  print((command or parser):get_help())
+  return 0
+end
+
+-- A chart without a command: ends the program with what to type.
+local function refuse_file(commands, name)
+  if commands[name] or not name:find("%.lua$") then return end
+  io.stderr:write("rfsm: '", name, "' is no command. To step through that chart, ",
+    "type: rfsm sim ", name, "\n")
+  os.exit(2)
 end
 
 --- Run a command.
@@ -52,6 +71,10 @@ function cli.main(argv)
     command.add_arguments(parsers[name])
     prepare(parsers[name])
   end
+  if argv[1] == nil or argv[1] == "help" then
+    return print_help(parser, parsers, argv)
+  end
+  refuse_file(commands, argv[1])
   local options = parser:parse(argv)
   common.command = options.command
   return commands[options.command].run(options, parsers[options.command]) or 0

@@ -13,21 +13,64 @@ local redis = {
 }
 
 function redis.add_arguments(command)
-  command:argument("files", "Lua files that return a chart"):args("+")
+  command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE")
   command:option("-o --output", "file to write; - is stdout"):argname("FILE")
   command:option("-l --load", "load the library into this server"):argname("URL")
+  command:flag("--index", "machines can be found by their state")
+  command:option("--history", "keep so many moves of each machine"):argname("N")
+  command:option("--ids", "keep so many ids of events of each machine, default 16")
+    :argname("N")
+  command:flag("--diff", "report what a new version means for machines in each state: "
+    .. "of charts with one name, the last and the one before")
+  command:option("--stats", "print the numbers of machines in this server, as "
+    .. "Prometheus reads them"):argname("URL")
 end
 
-function redis.run(options)
-  local ok, text = common.with_streams(io.stderr, require("rfsm.redis").bundle,
-    options.files)
-  if not ok then common.fail(chart.first_line(text)) end
-  if options.load then
-    local connected, fleet = pcall(require("rfsm.fleet").connect, options.load)
-    if not connected then common.fail(chart.first_line(fleet)) end
-    common.try(fleet:load(text))
+local function connect(url)
+  local connected, fleet = pcall(require("rfsm.fleet").connect, url)
+  if not connected then common.fail(chart.first_line(fleet)) end
+  return fleet
+end
+
+-- Reports on each chart of which there are two versions; returns whether all are safe.
+local function compare(files)
+  local latest, is_safe, count = {}, true, 0
+  for _, argument in ipairs(files) do
+    local name, file = require("rfsm.redis").name_of(argument)
+    if latest[name] then
+      common.write("-", ("%s: %s -> %s\n"):format(name, latest[name], file))
+      is_safe = require("rfsm.cli.snapshot").compare(latest[name], file) and is_safe
+      count = count + 1
+    end
+    latest[name] = file
   end
+  if count == 0 then common.fail("--diff: two versions of a chart expected", 2) end
+  return is_safe
+end
+
+local function number_of(parser, name, text)
+  local number = tonumber(text)
+  if text and not (number and number >= 1 and number % 1 == 0 and number <= 1e6) then
+    parser:error(("--%s: a whole number above 0 expected, got '%s'"):format(name, text))
+  end
+  return number
+end
+
+function redis.run(options, parser)
+  if options.stats then
+    common.write("-", connect(options.stats):stats())
+    return
+  end
+  if not options.files[1] then parser:error("a chart expected") end
+  if options.diff then return compare(options.files) and 0 or 1 end
+  local ok, text, warnings = common.with_streams(io.stderr,
+    require("rfsm.redis").bundle, options.files, { index = options.index,
+      history = number_of(parser, "history", options.history),
+      ids = number_of(parser, "ids", options.ids) })
+  if not ok then common.fail(chart.first_line(text)) end
+  for _, line in ipairs(warnings) do io.stderr:write("rfsm redis: ", line, "\n") end
+  if options.load then common.try(connect(options.load):load(text)) end
   if options.output or not options.load then
     common.write(options.output or "-", text)
   end

@@ -12,7 +12,8 @@ local IS_TEXT = { dot = true, svg = false, png = false, pdf = false, plantuml = 
   mermaid = true, json = true }
 local BY_ENDING = { gv = "dot", puml = "plantuml", mmd = "mermaid" }
 
-local viz = { summary = "Draw charts.", epilog = "Graphviz lays out the pictures." }
+local viz = { summary = "Draw charts.",
+  epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
 
 local function to_depth(text)
   local depth = tonumber(text)
@@ -85,11 +86,16 @@ function viz.run(options, parser)
     coverage = options.coverage and read_coverage(options.coverage),
     trace = options.trace and read_trace(options.trace),
   }
+  local machine
   local text = concat(common.encode_all(options.files, function(fsm, title)
-    looks.title = title
+    looks.title, machine = title, fsm
     return exporter.encode(fsm, looks)
   end))
-  if not IS_TEXT[format] then text = common.try(exporter.render(text, format)) end
+  if not IS_TEXT[format] then
+    -- Graphviz can fail at a part of a chart, and yet draw the whole
+    local graph = exporter.layout(machine, looks) or text
+    text = common.try(exporter.render(graph, format))
+  end
   common.write(options.output, text)
 end
 

@@ -14,6 +14,8 @@ function web.add_arguments(command)
   common.add_file(command):args("?")
   command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
     :argname("HOST:PORT")
+  command:option("-m --machine", "with --attach: its number at that port, 1")
+    :argname("N"):convert(tonumber)
   command:option("-p --port", "of the page; 0 is one that is free", "8044")
     :argname("N"):convert(tonumber)
   command:option("--host", "the address of the page", "127.0.0.1"):argname("HOST")
@@ -24,7 +26,7 @@ function web.run(options, parser)
     parser:error("FILE or --attach expected")
   end
   local server
-  local page = { host = options.host, port = options.port }
+  local page = { host = options.host, port = options.port, machine = options.machine }
   if options.attach then
     local host, port = common.address_of(parser, options.attach)
     server = common.try(require("rfsm.web").attach(host, port, page))

@@ -12,10 +12,11 @@ local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
-local error, io, ipairs, pcall, rawget = error, io, ipairs, pcall, rawget
+local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
+local io = rawget(_G, "io") -- absent in a browser
 local rawset, select, tonumber, tostring = rawset, select, tonumber, tostring
 local type = type
-local concat = table.concat
+local concat, max = table.concat, math.max
 
 local diagram = {}
 
@@ -47,6 +48,7 @@ local diagram = {}
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
 ---@field parent? rfsm.pictures.Node absent at the root
+---@field depth integer of composites around it
 ---@field index? integer among the nodes of the parent
 ---@field nodes rfsm.pictures.Node[] regions, too
 ---@field arrows rfsm.pictures.Arrow[] those with both ends in this composite
@@ -56,6 +58,7 @@ local diagram = {}
 ---@field mark? "covered"|"missed"|"traced"
 ---@field is_final? true
 ---@field is_region? true
+---@field is_on_border? true a connector, used by arrows across the frame around it
 ---@field is_cut? true there are nodes in it that are not drawn
 
 --- A transition.
@@ -78,7 +81,7 @@ local diagram = {}
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are given
 
--- Text --------------------------------------------------------------------------
+-- Text ------------------------------------------------------------------------
 
 --- Return an identifier that nothing else in the drawing has.
 ---@param chart rfsm.pictures.Chart
@@ -100,13 +103,17 @@ end
 ---@return string
 ---@nodiscard
 function diagram.clean(text)
+  if not text:find("[%z\1-\31\127-\255]") then return text end
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
   return (text:gsub("[%z\1-\9\11-\31\127]", "\239\191\189"))
 end
 
 local clean = diagram.clean
 
-local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) end
+local function length_of(text)
+  if not text:find("[\128-\191]") then return #text end
+  return select(2, text:gsub("[^\128-\191]", ""))
+end
 
 local CHARACTER = "[^\128-\191][\128-\191]*"
 
@@ -119,20 +126,32 @@ local function add_word(lines, word, width, can_join)
   end
   while length_of(word) > width do
     local head = word:match("^" .. CHARACTER:rep(width))
-    head = head:match("^.+[_./:,;(@-]") or head
-    lines[#lines + 1], word = head, word:sub(#head + 1)
+    head = head:match("^.+ ") or head:match("^.+[_./:,;(@-]") or head
+    lines[#lines + 1], word = head:gsub(" $", ""), word:sub(#head + 1)
   end
   lines[#lines + 1] = word
+end
+
+-- Returns the words of a line; what is in parentheses belongs to the word before it.
+local function words_in(line)
+  local words, depth = {}, 0
+  for word in line:gmatch("[^ ]+") do
+    if depth > 0 then
+      words[#words] = words[#words] .. " " .. word
+    else
+      words[#words + 1] = word
+    end
+    local _, opened = word:gsub("%(", "")
+    local _, closed = word:gsub("%)", "")
+    depth = max(0, depth + opened - closed)
+  end
+  return words
 end
 
 -- Appends a line, in several if it is too long.
 local function add_line(lines, line, width, can_join)
   if length_of(line) <= width then return add_word(lines, line, width, can_join) end
-  can_join = false
-  for word in line:gmatch("[^ ]+") do
-    add_word(lines, word, width, can_join)
-    can_join = true
-  end
+  for i, word in ipairs(words_in(line)) do add_word(lines, word, width, i > 1) end
 end
 
 --- Return texts in short lines. One that is short goes on in the line before it.
@@ -151,7 +170,7 @@ function diagram.wrap(texts, width)
   return lines
 end
 
--- Nodes ---------------------------------------------------------------------------
+-- Nodes -----------------------------------------------------------------------
 
 local function kind_of(tab)
   if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
@@ -176,7 +195,8 @@ local function read_node(chart, tab, parent, fqn, depth)
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
     kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
     nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
-    is_final = tab.final, is_cut = depth == 0 and kind == "composite" or nil,
+    depth = parent and parent.depth + 1 or 0, is_final = tab.final,
+    is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
@@ -194,7 +214,7 @@ local function read_node(chart, tab, parent, fqn, depth)
   return node
 end
 
--- Arrows --------------------------------------------------------------------------
+-- Arrows ----------------------------------------------------------------------
 
 --- Is `node` somewhere inside of `composite`?
 ---@param node rfsm.pictures.Node
@@ -214,9 +234,11 @@ local function find_node(chart, fqn)
   return chart.by_fqn[fqn]
 end
 
--- Returns the innermost composite that has both ends of an arrow in it; nil if one is
--- the root.
-local function find_home(src, tgt)
+--- Return the innermost composite that has both ends of an arrow in it.
+---@param src rfsm.pictures.Node
+---@param tgt rfsm.pictures.Node
+---@return rfsm.pictures.Node? home nil if one is the root
+function diagram.find_home(src, tgt)
   local home = src.parent
   while home and not is_inside(tgt, home) do home = home.parent end
   return home
@@ -246,8 +268,11 @@ local function parts_of(tr, text_of)
 end
 
 local function add_arrow(chart, arrow)
-  local home = find_home(arrow.src, arrow.tgt)
+  local src, tgt = arrow.src, arrow.tgt
+  local home = diagram.find_home(src, tgt)
   arrow.home = home
+  src.is_on_border = src.is_on_border or home ~= src.parent or nil
+  tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
   local arrows = (home or chart).arrows
   arrows[#arrows + 1] = arrow
   chart.all[#chart.all + 1] = arrow
@@ -280,7 +305,7 @@ local function read_transitions(chart, tab, fqn, text_of)
   end
 end
 
--- Charts --------------------------------------------------------------------------
+-- Charts ----------------------------------------------------------------------
 
 local function is_state(node)
   return node.kind == "leaf" or node.kind == "composite"
@@ -376,9 +401,13 @@ local function read_description(chart, tab, depth)
   read_transitions(chart, tab, "root", marsh.gen_event_text())
 end
 
--- Reads a machine or a description for the public function `where`, whose caller is
+--- Read a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
-local function read(source, where, options)
+---@param source rfsm.Machine|rfsm.marsh.Node
+---@param where string
+---@param options? rfsm.pictures.Options|string
+---@return rfsm.pictures.Chart chart
+function diagram.read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
   local settings, problem = opts.read(OPTIONS,
@@ -398,10 +427,15 @@ local function read(source, where, options)
   return chart
 end
 
+--- Return the lines of the label of an arrow.
+---@param arrow rfsm.pictures.Arrow
+---@return string[] lines
+function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
+
 --- Return the label of an arrow as one text.
 ---@param arrow rfsm.pictures.Arrow
 ---@return string label
-function diagram.label_of(arrow) return concat(diagram.wrap(arrow.parts, 28), "\n") end
+function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
 
 --- Append a line, indented.
 ---@param lines string[]
@@ -439,11 +473,12 @@ function diagram.exporter(name, global, draw)
   local exporter = {}
 
   function exporter.encode(fsm, options)
-    return (draw(read(fsm, name .. ".encode", options)))
+    return (draw(diagram.read(fsm, name .. ".encode", options)))
   end
 
   function exporter.save(fsm, file, options)
-    local chart, where = read(fsm, name .. ".save", options), name .. ".save: "
+    local chart = diagram.read(fsm, name .. ".save", options)
+    local where = name .. ".save: "
     if type(file) ~= "string" then
       error(where .. "file name expected, got " .. type(file), 2)
     end

@@ -5,9 +5,9 @@
 -- @module rfsm.proto.subscriber
 -- @license BSD-3-Clause
 
-local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 
-local error, pcall, require = error, pcall, require
+local pcall, require = pcall, require
 local setmetatable, type = setmetatable, type
 
 local subscriber = {}
@@ -16,6 +16,8 @@ local BEAT = 1 -- seconds between two heartbeats; the host waits for three
 
 --- A subscription.
 ---@class rfsm.proto.Client
+---@field address string
+---@field clock fun(): number seconds
 ---@field is_heard boolean the host has answered to the last subscription
 local Client = {}
 Client.__index = Client
@@ -27,7 +29,8 @@ function Client:send(message) self.udp:send(self.json.encode(message)) end
 -- Subscribes, or says that somebody is still here.
 local function beat(client)
   if client.clock() < client.due then return end
-  client:send { type = client.is_heard and "heartbeat" or "subscribe" }
+  client:send(client.is_heard and { type = "heartbeat" }
+    or { type = "subscribe", path = client.has_path, fsm = client.only })
   client.due = client.clock() + BEAT
 end
 
@@ -57,9 +60,7 @@ function Client:close() self.udp:close() end
 function subscriber.handle(handlers, target, message)
   local handler = handlers[message.type]
   if not handler or (message.fsm or target.number) ~= target.number then return nil end
-  local ok, problem = pcall(handler, target, message)
-  if ok then return nil end
-  if rfsm.is_interrupt(problem) then error(problem, 0) end
+  if calls.try(handler, target, message) then return nil end
   return "unreadable message '" .. message.type .. "'"
 end
 
@@ -68,7 +69,9 @@ end
 ---@param port integer
 ---@return rfsm.proto.Client? client
 ---@return string? problem in one line
-function subscriber.connect(host, port)
+---@param options? { path: boolean?, only: integer? } ask for the paths that are taken;
+-- for one machine only
+function subscriber.connect(host, port, options)
   local has_socket, socket = pcall(require, "socket")
   local has_json, json = pcall(require, "dkjson")
   if not (has_socket and has_json) then
@@ -80,6 +83,8 @@ function subscriber.connect(host, port)
   if not is_set then return nil, ("%s: %s"):format(host, problem) end
   return setmetatable({
     udp = udp, json = json, clock = socket.gettime, due = 0, is_heard = false,
+    address = ("%s:%d"):format(host, port), has_path = options and options.path,
+    only = options and options.only,
   }, Client)
 end
 

@@ -5,21 +5,20 @@
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
+local calls = require "rfsm.shared.calls"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tostring, type = tostring, type
-local max, min = math.max, math.min
+local max, min, remove = math.max, math.min, table.remove
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
 local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
@@ -91,6 +90,45 @@ local function begin_again(session, track, events)
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
 end
 
+-- Returns data for a reader.
+local function data_text(value)
+  if value == nil or rawequal(value, plain.NIL) then return "nothing" end
+  if type(value) == "string" then return ("'%s'"):format(value) end
+  return type(value) == "table" and "a table" or text_of(value)
+end
+
+-- Returns the path of the first field in which data differs, and the two values.
+local function find_difference(old, new, path)
+  if type(old) ~= "table" or type(new) ~= "table" then return path, old, new end
+  local all = {}
+  for key in pairs(old) do all[key] = true end -- any order: they are sorted below
+  for key in pairs(new) do all[key] = true end
+  for _, key in ipairs(rfsm.sorted_keys(all)) do
+    if not same(old[key], new[key]) then
+      return find_difference(old[key], new[key], path
+        .. (type(key) == "string" and "." .. key or "[" .. text_of(key) .. "]"))
+    end
+  end
+end
+
+local function values_of(packed) return packed and plain.unpack(packed, 0) or {} end
+
+-- Returns the text of what differs between data that was kept, and that of now.
+local function difference(old, new)
+  for _, part in ipairs { "data", "saved" } do
+    local before, now = old[part] or {}, new[part] or {}
+    for _, fqn in ipairs(rfsm.sorted_keys(same(before, now) and {} or before)) do
+      if not same(before[fqn], now[fqn]) then
+        local path, a, b = find_difference(values_of(before[fqn]), values_of(now[fqn]),
+          part == "data" and fqn or "save of " .. fqn)
+        return ("%s: %s expected, got %s"):format(path, data_text(a), data_text(b))
+      end
+    end
+  end
+  return same(old.targets, new.targets) and "there is data that was not there"
+    or "the targets of transitions are not as they were"
+end
+
 local function compare(session, track)
   local fsm, rec, leaf = track.fsm, track.rec, track.fsm._act_leaf
   local place = place_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
@@ -106,7 +144,7 @@ local function compare(session, track)
       list_text(sent))
   end
   if rec.kept and not same(rec.kept, snapshot.take_data(fsm)) then
-    depart(session, "the data of the machine is not as it was")
+    depart(session, "%s", difference(rec.kept, snapshot.take_data(fsm)))
   end
 end
 
@@ -114,11 +152,14 @@ local function finish_again(session, track)
   local rec = track.rec
   if not rec then return end
   if track.m == nil then watch_clock(session, nil) end
-  local ok, failure = plain.pcall(compare, session, track)
+  local ok, failure = calls.try(compare, session, track)
   if not ok then depart(session, "%s", reason(failure)) end
   if session.is_dry then
     fill(session, track.fsm._intq, rec.sent)
     if rec.kept then snapshot.put_data(track.fsm, rec.kept) end
+    for i = 1, rec.regions and #rec.regions or 0, 2 do
+      snapshot.put_data(session.tracks[rec.regions[i] + 1].fsm, rec.regions[i + 1])
+    end
   end
   track.rec = false
   if track.m == nil and not session.problem then session.at = session.at + 1 end
@@ -130,11 +171,11 @@ local function answer_again(session, track, is_called, number, guard, tr, events
   local list, at = track.rec.guards or {}, track.guard_at + 1
   local answer = list[at + 1]
   track.guard_at = at + 1
-  if list[at] ~= number then
+  if (track.numbers[list[at]] or list[at]) ~= number then
     depart(session, "the guard of %s was not called then", tostring(tr))
     return false
   elseif is_called then
-    local ok, now = plain.pcall(guard, tr, events)
+    local ok, now = calls.try(guard, tr, events)
     if (ok and now ~= false) ~= (answer == true) then
       depart(session, "the guard of %s behaves otherwise", tostring(tr))
     end
@@ -173,8 +214,25 @@ local function dry(session, track)
   end
 end
 
+-- Returns the numbers that guards have now, by those they had when they were recorded,
+-- for a chart that has changed.
+local function numbers_of(track, session)
+  local now, numbers = {}, {}
+  local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
+  for number, tr in ipairs(rfsm.elements(track.fsm, rfsm.is_trans)) do
+    local text = tostring(tr)
+    if tr.guard then tracks.note(now, text, number) end
+  end
+  for i = 1, #then_texts, 2 do
+    local same_texts = now[then_texts[i + 1]]
+    numbers[then_texts[i]] = same_texts and remove(same_texts, 1) or nil
+  end
+  return numbers
+end
+
 local function add_player(track, session, options)
   local fsm = track.fsm
+  track.numbers = numbers_of(track, session)
   track.at, track.guard_at = 0, 0
   track.records = track.m and (session.inner[track.m] or {}) or session.records
   track.own_getevents, fsm.getevents = rawget(fsm, "getevents"), nil
@@ -191,7 +249,7 @@ local function run(session, track)
     local before = session.at
     track.is_fresh = session.records[before + 1].fresh
     if track.is_fresh then rfsm.reset(track.fsm) end
-    local ok, failure = plain.pcall(rfsm.step, track.fsm)
+    local ok, failure = calls.try(rfsm.step, track.fsm)
     if not ok and not rawequal(failure, STOP) then
       depart(session, "%s", reason(failure))
     elseif session.at == before then
@@ -203,7 +261,7 @@ end
 -- A model that says nothing, and is otherwise the same.
 local function quiet(model)
   local copy = {}
-  for key, value in pairs(model) do copy[key] = value end -- any order: a copy
+  for key, value in order.each(model) do copy[key] = value end -- any order: a copy
   copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
   return setmetatable(copy, getmetatable(model))
 end
@@ -211,7 +269,8 @@ end
 -- Splits a recording: the records of the machine, and those of others by number.
 local function new_session(recording, options)
   local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
-    is_dry = options.dry and true or false, problem = nil }
+    is_dry = options.dry and true or false, guards = recording[1].guards,
+    problem = nil }
   for i = 2, #recording do
     local rec = recording[i]
     session.step_of[rec] = #session.records + 1
@@ -231,6 +290,8 @@ local function settle(session, model, fsm)
   return fsm
 end
 
+local function itself(snap) return snap end
+
 --- Run a machine through a recording, which is one.
 ---@param model rfsm.State
 ---@param recording table[]
@@ -241,9 +302,11 @@ end
 return function(model, recording, options)
   local session, header = new_session(recording, options), recording[1]
   local ok, fsm, problem = with_clock(session, reading(session, header.clock),
-    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot)
+    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot,
+    { migrate = options.migrate and itself or nil })
   if not ok or not fsm then return false, problem or text_of(fsm) end
   local all = tracks.attach(fsm, add_player, session, options)
+  session.tracks = all
   if options.watch then options.watch(fsm) end
   ok, problem = with_clock(session, reading(session), run, session, all[1])
   tracks.detach(all)

@@ -6,18 +6,18 @@
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
 
+local order = require "rfsm.shared.order"
+local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local rawequal, rawget, select, type = rawequal, rawget, select, type
+local error, ipairs, pcall = error, ipairs, pcall
+local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
+local type = type
 local concat = table.concat
 local text_of = rfsm.text_of
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 local track = {}
 
@@ -59,10 +59,10 @@ end
 --- Are plain data the same?
 function track.same(a, b)
   if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
-  for key, value in pairs(a) do -- any order: all have to be the same
+  for key, value in order.each(a) do -- any order: all have to be the same
     if not track.same(value, b[key]) then return false end
   end
-  for key in pairs(b) do -- likewise
+  for key in order.each(b) do -- likewise
     if a[key] == nil then return false end
   end
   return true
@@ -85,13 +85,89 @@ function track.truncate(records, count)
   for i = #records, kept + 1, -1 do records[i] = nil end
 end
 
+-- What may have changed: the data that the chart keeps, and targets -----------------
+
+--- Return what tells cheaply that the data of a machine is as it was.
+---@param fsm rfsm.Machine
+---@return table watched
+function track.watch_data(fsm)
+  local watched = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
+    states = {}, names = {}, values = {}, is_deep = false }
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    if type(state.save) == "function" then watched.is_deep = true end
+    for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
+      watched.states[#watched.states + 1] = state
+      watched.names[#watched.names + 1] = name
+    end
+  end
+  track.may_have_changed(watched)
+  return watched
+end
+
+--- May the data have changed since the last call? A table may, at any time.
+---@param watched table
+---@return boolean
+function track.may_have_changed(watched)
+  local may, values, names = watched.is_deep, watched.values, watched.names
+  for i, state in ipairs(watched.states) do
+    local value = state[names[i]]
+    if type(value) == "table" or not rawequal(value, values[i]) then may = true end
+    values[i] = value
+  end
+  local targets = watched.targets
+  for i, tr in ipairs(watched.transitions) do
+    local tgt = tr.tgt
+    if targets[i] ~= tgt then targets[i], may = tgt, true end
+  end
+  return may
+end
+
 -- Clock --------------------------------------------------------------------------
+
+--- Two clocks of an owner, made once, to be read in place of those in use.
+---@class rfsm.record.Clocks
+---@field before table<boolean, function> those in use, while the owner's are read
+
+--- Return clocks that note each reading by note(...), or a failure.
+---@param note fun(ok: boolean, ...)
+---@return rfsm.record.Clocks clocks
+function track.new_clocks(note)
+  local clocks = { before = {} }
+  for _, kind in ipairs { true, false } do
+    clocks[kind] = function(...)
+      local ok, sec, nsec = calls.try(clocks.before[kind], ...)
+      note(ok, sec, nsec)
+      if not ok then error(sec, 0) end
+      return sec, nsec
+    end
+  end
+  return clocks
+end
+
+--- Have clocks read through those of an owner from now on.
+function track.use_clocks(clocks)
+  local in_use, before = clock.in_use, clocks.before
+  for i = 1, 2 do
+    local kind = i == 1
+    local read = in_use[kind]
+    if read ~= clocks[kind] then before[kind], in_use[kind] = read, clocks[kind] end
+  end
+end
+
+--- Have clocks read as before, unless somebody has set another one.
+function track.leave_clocks(clocks)
+  local in_use, before = clock.in_use, clocks.before
+  for i = 1, 2 do
+    local kind = i == 1
+    if in_use[kind] == clocks[kind] then in_use[kind] = before[kind] end
+  end
+end
 
 --- Have clocks read through wrap(read), in place of what the owner had before; nil: as
 -- they are.
 function track.watch_clock(owner, wrap)
   local in_use = clock.in_use
-  for kind, read in pairs(owner.clocks or {}) do -- any order: each stands alone
+  for kind, read in order.each(owner.clocks or {}) do -- any order: each stands alone
     if in_use[kind] == read.own then in_use[kind] = read.before end
   end
   owner.clocks = wrap and {}
@@ -104,7 +180,7 @@ end
 --- Call f(...) meanwhile; return whether it succeeded, and two results.
 function track.with_clock(owner, wrap, f, ...)
   track.watch_clock(owner, wrap)
-  local is_whole, ok, result, problem = pcall(plain.pcall, f, ...)
+  local is_whole, ok, result, problem = pcall(calls.try, f, ...)
   track.watch_clock(owner, nil)
   if not is_whole then error(ok, 0) end
   return ok, result, problem
@@ -136,6 +212,24 @@ local function replace_guards(own)
   end
 end
 
+--- Return the numbers and texts of the guards of a machine and of those in its states;
+-- nil if it has none.
+---@param fsm rfsm.Machine
+---@return any[]? texts a list for each machine: number, text, number, text ...
+function track.guard_texts(fsm)
+  local lists, has_some = {}, false
+  for i, machine in ipairs(snapshot.machines(fsm)) do
+    lists[i] = {}
+    for number, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+      if tr.guard then
+        has_some = true
+        track.note(lists, i, number, tostring(tr))
+      end
+    end
+  end
+  return has_some and lists or nil
+end
+
 --- Make the tracks of a machine and of those in its states, by add(track, ...).
 function track.attach(fsm, add, ...)
   local tracks = {}
@@ -155,7 +249,7 @@ end
 function track.detach(tracks)
   for _, own in ipairs(tracks) do
     local fsm = own.fsm
-    for tr, guard in pairs(own.guards) do -- any order: each stands alone
+    for tr, guard in order.each(own.guards) do -- any order: each stands alone
       if rawequal(tr.guard, guard.new) then tr.guard = guard.own end
     end
     if rawget(fsm, "getevents") == own.getevents then

@@ -2,160 +2,24 @@
 --
 -- `service_launch_rfsm` puts a chart into the Lua service of a component,
 -- `component_launch_rfsm` into a Lua component of its own. Both are fields of
--- `rfsm.rtt`. They execute a text in the other Lua, which loads this module there.
+-- `rfsm.rtt`. They execute a text in the other Lua, which loads
+-- `rfsm.rtt.component` there.
 --
 -- @submodule rfsm.rtt
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local rfsm_rtt = require "rfsm.rtt"
+local component = require "rfsm.rtt.component"
+local options = require "rfsm.shared.options"
 
-local assert, collectgarbage, error, ipairs = assert, collectgarbage, error, ipairs
-local loadfile, package, pairs, pcall = loadfile, package, pairs, pcall
-local rawget, rawset, require, select = rawget, rawset, require, select
-local tostring, type = tostring, type
-local concat = table.concat
-local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local debug, error, ipairs, loadfile = debug, error, ipairs, loadfile
+local package, pairs, pcall, tostring = package, pairs, pcall, tostring
+local type = type
+local concat, huge = table.concat, math.huge
 
 local rtt_launch = {}
 
--- In the other Lua: the ports, the machine, its updates --------------------------
-
--- Returns a printer to RTT's log. It logs texts only, since OCL mutes the log of the
--- whole process at an error that is no text.
-local function printer(rtt, level)
-  return function(...)
-    local texts = {}
-    for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
-    rtt.logl(level, concat(texts, " "))
-  end
-end
-
--- Returns the machine, and the getevents of the chart.
-local function load_machine(rtt, file)
-  local model = rfsm.load(file)
-  for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
-    if model[name] == nil then model[name] = printer(rtt, level) end -- any order
-  end
-  local fsm, _, problems = rfsm.init(model)
-  if not fsm then error("no machine, problems of the chart: " .. #problems, 0) end
-  return fsm, model.getevents
-end
-
--- Runs a file or a text, if there is one.
-local function run(load, source)
-  if source then assert(load(source))() end
-end
-
-local function set_globals(globals)
-  for name, value in pairs(globals) do rawset(_G, name, value) end -- any order: a set
-end
-
-local PORTS = { -- by field of a launch: direction, name if it is true, description
-  fqn_port = { "OutputPort", "fqn", "FQN of the active leaf" },
-  ev_outport = { "OutputPort", "events_out", "events of the machine" },
-  ev_inport = { "InputPort", "events_in", "events for the machine" },
-}
-
-local function has_port(component, name)
-  return (pcall(function() return component:getPort(name) end))
-end
-
--- Adds the port that a field of the launch asks for: true, or its name. RTT would
--- replace and disconnect one whose name is used again.
-local function add_port(launch, field)
-  local component, wanted = launch.component, launch[field]
-  if not wanted then return nil end
-  local direction, name, text = unpack(PORTS[field])
-  if wanted ~= true then name = wanted end
-  if has_port(component, name) then
-    error(("'%s' has a port '%s' already"):format(component:getName(), name), 0)
-  end
-  local port = launch.rtt[direction].new("string", name, text)
-  local is_trigger = direction == "InputPort" and launch.is_component
-  component[is_trigger and "addEventPort" or "addPort"](component, port)
-  launch.ports[#launch.ports + 1] = port
-  return port
-end
-
--- Returns a function that advances the machine. It returns true whatever happens: RTT
--- removes a hook that does not.
-local function new_trigger(launch, fsm)
-  local log = printer(launch.rtt, "Error")
-  local runs = launch.run or launch.is_component and not launch.sync
-  local advance = runs and rfsm.run or rfsm.step
-  return function()
-    local is_on = not launch.running_only or launch.component:getState() == "Running"
-    local ok, why = pcall(is_on and advance or type, fsm)
-    if not ok then log("rfsm.rtt:", why) end
-    return true
-  end
-end
-
--- RTT looks the function up by its name at each update. It ends the process if the
--- function is not there, or if the hook was collected. So the name is one that no chart
--- uses, and the function holds the hook.
-local HOOK = "rfsm.rtt: function of the EEHook"
-
-local function enable_hook(launch, trigger)
-  launch.hook = launch.rtt.EEHook.new(HOOK)
-  set_globals { [HOOK] = trigger, eehook = launch.hook }
-  launch.hook:enable()
-end
-
--- By default, a chart with a getevents gets no port for events, nor does a component
--- that has one of that name. The global `extra_in_ports` lists ports of a prefile.
-local function set_up(launch)
-  run(loadfile, launch.prefile)
-  run(loadstring, launch.prestr)
-  local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
-  local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
-  set_globals {
-    fqn = fqn, setfqn = write_fqn, ev_outport = out,
-    emit_event = out and rfsm_rtt.gen_raise_event(out),
-  }
-  local fsm, getevents = load_machine(launch.rtt, launch.fsmfile)
-  rfsm.post_step_hook_add(fsm, write_fqn)
-  if launch.ev_inport == nil then
-    launch.ev_inport = not getevents and not has_port(launch.component, "events_in")
-  end
-  local input, extra = add_port(launch, "ev_inport"), rawget(_G, "extra_in_ports") or {}
-  if input then fsm.getevents = rfsm_rtt.gen_read_events(input, unpack(extra)) end
-  local trigger = new_trigger(launch, fsm)
-  set_globals {
-    fsm = fsm, trigger = trigger, ev_inport = input,
-    updateHook = launch.is_component and function() trigger() end or nil,
-  }
-  run(loadfile, launch.postfile)
-  run(loadstring, launch.poststr)
-  if launch.eehook then enable_hook(launch, trigger) end
-end
-
--- Is called in the other Lua. Charts rely on rttlib, which makes constructors callable
--- and operations methods, and on utils: both are loaded if they can be had.
-function rtt_launch.launch(launch)
-  local rtt = package.loaded.rtt
-  if not rtt then error("no module 'rtt' in this Lua", 0) end
-  if rfsm.is_initialized_root(rawget(_G, "fsm")) then
-    error("a machine was launched here before, it is the global 'fsm'", 0)
-  end
-  pcall(require, "rttlib")
-  local has_utils, utils = pcall(require, "utils")
-  if has_utils and not rawget(_G, "utils") then set_globals { utils = utils } end
-  launch.rtt, launch.component, launch.ports = rtt, rtt.getTC(), {}
-  local ok, why = pcall(set_up, launch)
-  package.loaded["rfsm.rtt.launch"] = nil -- not needed here any more
-  collectgarbage()
-  if ok then return end
-  for _, port in ipairs(launch.ports) do -- which are no garbage for Lua
-    launch.component:removePort(port:info().name) -- else `delete` ends the process
-    port:delete()
-  end
-  error(rfsm.text_of(why), 0)
-end
-
--- In the Lua of the caller: arguments, and the text that the other Lua executes -----
+-- Arguments, and the text that the other Lua executes ------------------------------
 
 local function is(kind) return function(value) return type(value) == kind end end
 local function is_anything() return true end
@@ -164,15 +28,35 @@ local function is_file(value)
   if type(value) == "string" then return loadfile(value) end
 end
 
+local function is_word(word)
+  return function(value) return value == word end
+end
+
 local BOOLEAN, STRING = { "boolean", is "boolean" }, { "string", is "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 
-local FIELDS = { -- for rfsm.shared.options
-  name = STRING, deployer = NAME, exec_str = { "operation exec_str", is_anything },
-  luatype = STRING, env = { "table of globals by name", is_env, {} },
+-- Fields of both launches, for options.read.
+local COMMON = {
+  env = { "table of globals by name", is_env, {} },
   fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
   fqn_port = { "string", is "string", "fqn" }, ev_inport = NAME, ev_outport = NAME,
-  eehook = BOOLEAN, run = BOOLEAN, running_only = BOOLEAN, sync = BOOLEAN,
+  run = BOOLEAN, running_only = BOOLEAN, sync = BOOLEAN,
+  steps = { "whole number, at least 1", options.is_whole(1, huge) },
+}
+
+-- Returns COMMON with more fields.
+local function with_common(fields)
+  for name, field in pairs(COMMON) do fields[name] = field end -- any order: a set
+  return fields
+end
+
+local SERVICE = with_common {
+  exec_str = { "operation exec_str", is_anything }, eehook = BOOLEAN,
+}
+local COMPONENT = with_common {
+  name = STRING, deployer = NAME, luatype = STRING, timer = BOOLEAN,
+  enter = { "'start'", is_word "start" },
+  ports = { "'configure'", is_word "configure" },
 }
 
 -- Returns a value as Lua writes it; raises if there is something in it that Lua cannot
@@ -194,29 +78,48 @@ local function to_text(value, path)
   return "{ " .. concat(texts, ", ") .. " }"
 end
 
--- The pool of a TLSF component fails when it is full, so the collector begins early.
+-- Our modules come first, from where this one is: another rfsm may be installed. The
+-- pool of a TLSF component fails when it is full, so the collector begins early.
+-- Nothing is done in this Lua after the hook is enabled, since OCL takes no lock.
 local PROGRAM = [[
 local launch = %s
+package.path = %q .. package.path .. %q
 for name, value in pairs(launch.env) do rawset(_G, name, value) end
 local tune = rawget(_G, "tlsf") and collectgarbage or type
 pcall(tune, "setpause", 100)
 pcall(tune, "setstepmul", 1000)
-if not pcall(require, "rfsm") then package.path = package.path .. %q end
-require("rfsm.rtt.launch").launch(launch)
+local ok, component = pcall(require, "rfsm.rtt.component")
+if not ok then error("launch of '" .. launch.fsmfile .. "': " .. component, 0) end
+local hook = component.launch(launch)
+if hook then hook:enable() end
 ]]
 
--- Returns the text that launches a machine. Raises if an argument is wrong, or one of
--- those named is missing.
-local function program(args, ...)
-  local launch, problem = require("rfsm.shared.options").read(FIELDS, args)
+-- Returns the template of our modules, with a semicolon; empty if it is not known.
+local function own_template()
+  local source = debug and debug.getinfo(1, "S").source
+  local folder = source and source:match("^@(.*)rfsm[/\\]rtt[/\\]launch%.lua$")
+  return folder and folder .. "?.lua;" or ""
+end
+
+-- Returns the settings of a launch. Raises if an argument is wrong, or one of those
+-- named is missing.
+local function read(fields, args, ...)
+  local launch, problem = options.read(fields, args)
   if not launch then error(problem, 0) end
   for _, name in ipairs { ... } do
     if launch[name] == nil then
-      error(name .. ": " .. FIELDS[name][1] .. " expected, got nil", 0)
+      error(name .. ": " .. fields[name][1] .. " expected, got nil", 0)
     end
   end
-  launch.is_component, launch.deployer, launch.exec_str = not launch.exec_str, nil, nil
-  return PROGRAM:format(to_text(launch, ""), ";" .. package.path)
+  if launch.steps and (launch.sync or launch.run) then
+    error("steps: expected without sync and run, which are numbers of steps", 0)
+  end
+  return launch
+end
+
+-- Returns the text that launches a machine.
+local function program(launch)
+  return PROGRAM:format(to_text(launch, ""), own_template(), ";" .. package.path)
 end
 
 -- Launch ----------------------------------------------------------------------------
@@ -232,9 +135,9 @@ end
 -- The service's Lua gets the globals `fsm`, `trigger`, `setfqn`, `eehook`. With
 -- `eehook` the machine takes a step at each update, otherwise at each `trigger()`.
 --
--- Fields of `options`: `run` (run the machine, do not only step), `running_only` (not
--- while the component is stopped or not configured), and the fields of rfsm.rtt.Launch
--- for ports and programs.
+-- Fields of `options`: `run` (run the machine, do not only step), `steps`,
+-- `running_only` (not while the component is stopped or not configured), and the fields
+-- of rfsm.rtt.Launch for ports and programs.
 --
 -- @usage
 --    local exec_str = component:provides("Lua"):getOperation("exec_str")
@@ -245,37 +148,101 @@ end
 ---@param exec_str fun(code: string): boolean the service's operation
 ---@param eehook? boolean
 ---@param env? table<string, any> globals: strings, numbers, booleans, tables of these
----@param options? table
+---@param more? table options
 ---@return boolean launched true
-function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, options)
+function rtt_launch.service_launch_rfsm(file, exec_str, eehook, env, more)
   local ok, why = pcall(function()
     local args = { fsmfile = file, exec_str = exec_str, eehook = eehook, env = env }
-    if options ~= nil and type(options) ~= "table" then
-      error("options: table expected, " .. rfsm.got(options), 0)
+    if more ~= nil and type(more) ~= "table" then
+      error("options: table expected, " .. rfsm.got(more), 0)
     end
-    for name, value in pairs(options or {}) do args[name] = value end -- any order
-    call(exec_str, program(args, "fsmfile", "exec_str"))
+    for name, value in pairs(more or {}) do args[name] = value end -- any order
+    local launch = read(SERVICE, args, "fsmfile", "exec_str")
+    launch.exec_str, launch.is_component = nil, false
+    call(exec_str, program(launch))
   end)
   if ok then return true end
   error("rfsm.rtt.service_launch_rfsm: " .. rfsm.text_of(why), 2)
 end
 
+--- Halt the machine of a service, so that `exec_str` can be used.
+--
+-- OCL takes no lock between `exec_str` and a hook. So the component's thread itself
+-- removes the hook, at its next update, and this function waits for it.
+--
+-- @usage
+--    if rfsm_rtt.service_halt_rfsm(component) then
+--      exec_str("print(rfsm.get_actleaf_fqn(fsm))")
+--      rfsm_rtt.service_resume_rfsm(exec_str)
+--    end
+--
+-- @raise when there is no machine in a service of the component
+---@param target any the component
+---@param seconds? number how long to wait, default 1
+---@return boolean halted false if the component did not update in that time
+function rtt_launch.service_halt_rfsm(target, seconds)
+  local ok, halt, halted = pcall(function()
+    return target:getAttribute("rfsm_halt"), target:getAttribute("rfsm_halted")
+  end)
+  if not ok then
+    error("rfsm.rtt.service_halt_rfsm: component with a machine in its Lua service "
+      .. "expected, " .. rfsm.got(target), 2)
+  end
+  local sleep, millisecond = package.loaded.rtt.sleep, 1000000
+  halt:set(true)
+  for _ = 1, (seconds or 1) * 1000 do
+    local is_halted = halted:get()
+    sleep(0, millisecond) -- the thread leaves this Lua after the value is set
+    if is_halted then return true end
+  end
+  halt:set(false)
+  return halted:get()
+end
+
+--- Have the machine of a service go on after `service_halt_rfsm`.
+--
+-- @raise if the service has no machine that is halted
+---@param exec_str fun(code: string): boolean the service's operation
+function rtt_launch.service_resume_rfsm(exec_str)
+  if exec_str(("rawget(_G, %q)()"):format(component.RESUME)) then return end
+  error("rfsm.rtt.service_resume_rfsm: RTT's log has the reason", 2)
+end
+
+-- Loads a component that writes to its port when a time has passed.
+local function load_timer(deployer, name)
+  call(deployer:getOperation("loadComponent"), name, "OCL::TimerComponent")
+  local timer = deployer:getPeer(name)
+  timer:configure()
+  timer:start()
+  return timer
+end
+
+local function unload(deployer, name)
+  pcall(function() deployer:getPeer(name):stop() end)
+  pcall(deployer:getOperation("unloadComponent"), name)
+end
+
 -- Loads the component, and launches the machine in it.
 local function launch_component(args)
-  local text = program(args, "name", "fsmfile")
-  local name, kind = args.name, args.luatype or "OCL::LuaComponent"
-  local deployer = args.deployer or "Deployer"
+  local launch = read(COMPONENT, args, "name", "fsmfile")
+  local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"
+  local deployer = launch.deployer or "Deployer"
+  local timer = launch.timer and name .. "_timer" or nil
+  launch.deployer, launch.is_component, launch.timer = nil, true, timer
+  local text = program(launch)
   if type(deployer) == "string" then
     deployer = package.loaded.rtt.getTC():getPeer(deployer)
   end
   call(deployer:getOperation("loadComponent"), name, kind)
-  local component = deployer:getPeer(name)
+  local target = deployer:getPeer(name)
   local ok, why = pcall(function()
-    component:addPeer(deployer)
-    call(component:getOperation("exec_str"), text)
+    target:addPeer(deployer)
+    if timer then target:addPeer(load_timer(deployer, timer)) end
+    call(target:getOperation("exec_str"), text)
   end)
-  if ok then return component end
-  pcall(deployer:getOperation("unloadComponent"), name)
+  if ok then return target end
+  unload(deployer, name)
+  if timer then unload(deployer, timer) end
   error(why, 0)
 end
 
@@ -286,6 +253,10 @@ end
 ---@field deployer? any the deployer, or the name of a peer ("Deployer")
 ---@field luatype? string type of the component ("OCL::LuaComponent")
 ---@field sync? boolean an update is one step; default: it runs the machine
+---@field steps? integer an update is as many at most; default of a run: 1000
+---@field enter? "start" enter the machine in startHook; default: in the first update
+---@field ports? "configure" make ports in configureHook; default: in the launch
+---@field timer? boolean wake an event-driven component for time events
 ---@field ev_inport? string|boolean port for events ("events_in"), false: none
 ---@field ev_outport? string|boolean port ("events_out") to which `emit_event` writes
 ---@field fqn_port? string port for the FQN of the active leaf ("fqn")

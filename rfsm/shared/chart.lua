@@ -1,12 +1,16 @@
 --- Chart files for the tools: loaded with a watch on globals, failures in one line.
 --
+-- Charts written for rFSM use the globals `rfsmpp`, `rfsm_ext` and `rfsm_timeevent`
+-- without requiring them, because its tools loaded them. Here they find them, too.
+--
 -- @module rfsm.shared.chart
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
 local getmetatable, io, ipairs, next = getmetatable, io, ipairs, next
-local pcall, rawget, setmetatable, type = pcall, rawget, setmetatable, type
+local pcall, rawget, require = pcall, rawget, require
+local setmetatable, type = setmetatable, type
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 local chart = {}
@@ -78,11 +82,23 @@ local function is_asked(file, line, name)
   return false
 end
 
+-- The modules of globals that a chart may expect.
+local GIVEN = {
+  rfsmpp = "rfsmpp", rfsm_ext = "rfsm.monitor", rfsm_timeevent = "rfsm_timeevent",
+}
+
+local function find_given(name)
+  local ok, module = pcall(require, GIVEN[name])
+  return ok and module or nil
+end
+
 -- Calls f(...), and calls note(name, line) for each global that `source` reads and that
 -- does not exist. Returns what pcall does.
 local function with_watch(source, note, f, ...)
   if not getinfo or getmetatable(_G) then return pcall(f, ...) end
   local function watch(_, name)
+    local module = GIVEN[name] and find_given(name)
+    if module then return module end
     local reader = getinfo(2, "Sl")
     if reader and reader.source == source then note(name, reader.currentline) end
   end
@@ -101,6 +117,9 @@ local function load_stdin()
 end
 
 --- Load the model in a file; `-` is stdin.
+--
+-- A chart that reads the global `rfsm_timeevent` switches time events on.
+--
 ---@param file string
 ---@return rfsm.State? model nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
@@ -108,6 +127,8 @@ function chart.load(file)
   local warnings, is_known = {}, {}
   local load, source = rfsm.load, "@" .. file
   if file == "-" then load, source = load_stdin, "=stdin" end
+  find_given("rfsmpp") -- for callbacks; these two change no machines
+  find_given("rfsm_ext")
   local ok, model = with_watch(source, function(name, line)
     if is_known[name] or type(name) ~= "string" then return end
     is_known[name] = true

@@ -62,7 +62,12 @@ group "Advance"
 
 add("step([n])", "advance by n transitions or doo cycles (1)", [[
 Enters the machine when it is called first. Example: step 3]],
-function(sim, n) advance(sim, rfsm.step, n or 1) end)
+function(sim, n)
+  if type(n) == "number" and (n < 1 or n % 1 ~= 0) then
+    error("step: whole number from 1 expected, got " .. text_of(n), 0)
+  end
+  advance(sim, rfsm.step, n or 1)
+end)
 
 add("run()", "advance until nothing is left to do", [[
 A doo that is never idle keeps it going: Control-C ends it, and so does a breakpoint.]],
@@ -166,6 +171,8 @@ function(sim, n) points.delete(sim, n) end)
 
 group "Time"
 
+local MAX_SECONDS = 1e9 -- an integer of any Lua holds the time then
+
 add("clock([s])", "let s simulated seconds pass", [[
 From then on time passes only by clock and next. At each timer on the way, and at the
 end, the machine runs, but not for more than 1000 steps. Without an argument: print the
@@ -173,8 +180,8 @@ time. clock(false): real time again. Example: clock 3.5]],
 function(sim, seconds)
   if seconds == nil then return time.show(sim) end
   if seconds == false then return time.use_real(sim) end
-  if check("clock", seconds, "number") < 0 or seconds - seconds ~= 0 then
-    error("clock: seconds, a number not below 0, expected, got " .. text_of(seconds), 0)
+  if not (check("clock", seconds, "number") >= 0 and seconds < MAX_SECONDS) then
+    error("clock: seconds from 0 to 1e9 expected, got " .. text_of(seconds), 0)
   end
   time.pass(sim, seconds)
 end)
@@ -196,15 +203,27 @@ function(sim, n)
   sim:show()
 end)
 
-add("goto(n)", "go back to where iteration n ended", [[
-history() has the numbers, 0 is the beginning. For the rest see back.]],
+add("forward([n])", "do the last n advances again that back has undone (1)", [[
+Until something else is done. No function of the chart is called.]],
 function(sim, n)
-  history.go_to(sim, n)
+  history.forward(sim, n or 1)
   sim:show()
 end)
 
+local function go_to(sim, n)
+  history.go_to(sim, n)
+  sim:show()
+end
+
+add("goto(n)", "go to where iteration n ended", [[
+history() has the numbers. For the rest see back. goto is a word of Lua since 5.2:
+where a line is more than this command, it is called go_to(n).]], go_to)
+
+add("go_to(n)", "the same in Lua", "", go_to)
+
 add("history([n])", "list the last n iterations (20)", [[
-The number, the events, and the active leaf at its end.]],
+The number, the events, also those of timers, and the active leaf at its end. The last
+40,000 iterations are kept.]],
 function(sim, n) history.show(sim, check("history", n or 20, "number")) end)
 
 add("record(file)", "write the history to a file, and all that follows", [[

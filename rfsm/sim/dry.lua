@@ -4,7 +4,6 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local names = require "rfsm.sim.names"
 
 local ipairs = ipairs
 
@@ -45,9 +44,7 @@ end
 ---@return table[] saved for `give_back`
 function dry.take(fsm)
   local saved = {}
-  for _, machine in ipairs(names.machines(fsm)) do
-    take_functions(saved, machine.fsm)
-  end
+  for _, place in ipairs(rfsm.machines(fsm)) do take_functions(saved, place.machine) end
   return saved
 end
 

@@ -1,69 +1,118 @@
---- The history of a session: each iteration is recorded, to go back to it.
+--- The history of a session: each iteration is recorded, to go back to it, and forward
+-- again.
 --
--- Going back calls no function of the chart: a machine is replayed without them, and
--- that of the session is put where it stands then.
+-- It consists of chunks, each a recording of its own: where the machine stood, and what
+-- came then. To go somewhere, one chunk is replayed without the functions of the chart,
+-- and the machine of the session is put where the replayed one stands. So the time does
+-- not depend on the length of the history, and the oldest chunk may be forgotten.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local opts = require "rfsm.shared.options"
 local record = require "rfsm.record"
+local record_lines = require "rfsm.record.lines"
 local snapshot = require "rfsm.snapshot"
+local terminal = require "rfsm.sim.terminal"
 local tracks = require "rfsm.record.track"
 
-local error, io, ipairs, max, pcall = error, io, ipairs, math.max, pcall
-local print, type = print, type
-local concat = table.concat
+local error, io, ipairs, min, pairs = error, io, ipairs, math.min, pairs
+local pcall, print, type = pcall, print, type
+local concat, remove = table.concat, table.remove
 local text_of = rfsm.text_of
 
-local history = {}
+local history = { CHUNK = 500, LIMIT = 40000 } -- iterations: of a chunk, that are kept
+
+--- A recording of some iterations.
+---@class rfsm.sim.Chunk
+---@field first integer the number of the iteration before it
+---@field count integer iterations in it
+---@field list table[] the records, as of `rfsm.record`
+
+--- Where an advance began.
+---@class rfsm.sim.Mark
+---@field count integer
+---@field sec? number simulated time
+---@field nsec? number
+---@field is_fresh boolean the machine was not entered
 
 --- What was recorded.
 ---@class rfsm.sim.History
----@field list table[] the records, as of `rfsm.record`
----@field count integer iterations
----@field marks table[] where each advance began: count, simulated time, is_fresh
+---@field chunks rfsm.sim.Chunk[] the oldest first, and those undone by `back`
+---@field fresh rfsm.sim.Chunk|false the next chunk, which has no iteration yet
+---@field count integer iterations up to now
+---@field last integer iterations, with those undone
+---@field marks rfsm.sim.Mark[] where each advance began
+---@field at integer how many of them are done
+---@field tip? rfsm.sim.Mark where the last advance ended, once `back` has left it
 ---@field recorder? rfsm.record.Recorder nil while nothing is recorded
 ---@field problem? string the reason then
----@field is_fresh? boolean the machine was reset before the next iteration
----@field file? file* gets each record, too
+---@field write? fun(rec: table) writes to a file, too
+---@field file? file*
+---@field name? string
 
-local LIMIT = 100000 -- iterations; then a history begins anew
-
-local function write(file, rec)
-  local dkjson = opts.need("record", "dkjson", "lua-dkjson")
-  file:write(dkjson.encode(rec), "\n")
-  file:flush()
-end
+-- Chunks --------------------------------------------------------------------------
 
 local function stop(own)
   if own.recorder then own.recorder:stop() end
   own.recorder = nil
 end
 
--- Takes a record. Only the first header counts: the recorder is made more than once.
-local function add(own, rec)
-  if rec.record and own.list[1] then return end
-  if own.is_fresh and not (rec.record or rec.m) then
-    rec.fresh, own.is_fresh = true, false
+-- The number of the last iteration that is forgotten.
+local function first_of(own) return own.chunks[1] and own.chunks[1].first or 0 end
+
+-- Drops the oldest chunks.
+local function forget(own)
+  while own.chunks[2] and own.last - first_of(own) > history.LIMIT do
+    remove(own.chunks, 1)
   end
-  own.list[#own.list + 1] = rec
-  if own.file then write(own.file, rec) end
-  if rec.record or rec.m then return end
-  own.count = own.count + 1
-  if own.count >= LIMIT then
-    own.problem = LIMIT .. " iterations were forgotten"
-    stop(own)
+  while own.marks[1] and own.marks[1].count < first_of(own) do
+    remove(own.marks, 1)
+    own.at = own.at - 1
   end
 end
 
--- Records from now on, behind what is there.
+-- Drops what was undone: from now on there is another future.
+local function drop_future(own)
+  for i = #own.marks, own.at + 1, -1 do own.marks[i] = nil end
+  own.tip = nil
+  if own.count == own.last then return end
+  for i = #own.chunks, 1, -1 do
+    local chunk = own.chunks[i]
+    if chunk.first >= own.count and i > 1 then
+      own.chunks[i] = nil
+    elseif chunk.first + chunk.count > own.count then
+      chunk.count = own.count - chunk.first
+      tracks.truncate(chunk.list, chunk.count)
+    end
+  end
+  own.last = own.count
+end
+
+-- Takes a record.
+local function add(own, rec)
+  if rec.record then
+    own.fresh = { first = own.count, count = 0, list = { rec } }
+    return
+  end
+  if own.fresh then
+    drop_future(own)
+    own.chunks[#own.chunks + 1], own.fresh = own.fresh, false
+    forget(own)
+  end
+  local chunk = own.chunks[#own.chunks]
+  chunk.list[#chunk.list + 1] = rec
+  if own.write then own.write(rec) end
+  if rec.m then return end
+  own.count, chunk.count = own.count + 1, chunk.count + 1
+  own.last = own.count
+end
+
+-- Records from now on, in a new chunk.
 local function continue(sim)
   local own = sim.history
   local ok, result = pcall(record.record, sim.fsm, function(rec) add(own, rec) end)
   own.recorder = ok and result or nil
-  own.is_fresh = own.count > 0 and not sim.fsm._act_leaf
   own.problem = not ok and text_of(result) or nil
 end
 
@@ -71,7 +120,7 @@ end
 ---@param sim rfsm.sim.Session
 function history.start(sim)
   if sim.history then stop(sim.history) end
-  sim.history = { list = {}, count = 0, marks = {} }
+  sim.history = { chunks = {}, fresh = false, count = 0, last = 0, marks = {}, at = 0 }
   continue(sim)
 end
 
@@ -81,8 +130,29 @@ end
 function history.pause(sim, f)
   stop(sim.history)
   local ok, failure = pcall(f)
-  if sim.history.count < LIMIT then continue(sim) end
+  continue(sim)
   if not ok then error(failure, 0) end
+end
+
+--- Begin a new chunk if the last one is long enough; between two steps.
+---@param sim rfsm.sim.Session
+function history.cut(sim)
+  local own = sim.history
+  local chunk = own.chunks[#own.chunks]
+  if own.recorder and not own.fresh and chunk and chunk.count >= history.CHUNK then
+    terminal.uninterrupted(function()
+      stop(own)
+      continue(sim)
+    end)
+  end
+end
+
+-- Marks: where advances begin -----------------------------------------------------
+
+local function new_mark(sim)
+  local now = sim.time or {}
+  return { count = sim.history.count, sec = now.sec, nsec = now.nsec,
+    is_fresh = not sim.fsm._act_leaf }
 end
 
 --- Note that an advance begins.
@@ -93,22 +163,18 @@ function history.mark(sim)
     history.start(sim)
     sim.history.problem = problem
   end
-  local own, now = sim.history, sim.time or {}
-  own.marks[#own.marks + 1] = { count = own.count, sec = now.sec, nsec = now.nsec,
-    is_fresh = not sim.fsm._act_leaf }
+  history.cut(sim)
+  local own = sim.history
+  drop_future(own)
+  own.at = own.at + 1
+  own.marks[own.at] = new_mark(sim)
 end
 
--- Drops the records after iteration n.
-local function truncate(own, n)
-  tracks.truncate(own.list, n)
-  own.count = n
-end
-
--- Returns the last mark that is not after iteration n, and its index.
-local function find_mark(marks, n)
-  local i = #marks
-  while i > 1 and marks[i].count > n do i = i - 1 end
-  return marks[i], i
+-- Returns how many marks are before iteration n.
+local function count_marks(own, n)
+  local i = #own.marks
+  while i > 0 and own.marks[i].count >= n do i = i - 1 end
+  return i
 end
 
 -- Sets the simulated time to that of a mark; returns the time before.
@@ -119,11 +185,13 @@ local function set_time(time, mark)
   return before
 end
 
+-- Go to ---------------------------------------------------------------------------
+
 -- Replays records with a model that says nothing of itself.
 local function replay(sim, list, options)
   local model = sim.model
   local info, warn = model.info, model.warn
-  model.info, model.warn = false, false
+  model.info, model.warn, options.migrate = false, false, true
   local ok, fsm, problem, step = pcall(record.replay, model, list, options)
   model.info, model.warn = info, warn
   if not ok then error(fsm, 0) end
@@ -140,47 +208,106 @@ local function put(sim, fsm)
   error("goto: " .. problem, 0)
 end
 
---- Have the machine stand where it stood after iteration n.
----@param sim rfsm.sim.Session
----@param n integer
-function history.go_to(sim, n)
-  local own = sim.history
-  if type(n) ~= "number" or n < 0 or n > own.count or n % 1 ~= 0 then
-    error(("goto: number of an iteration from 0 to %d expected, got %s"):format(
-      own.count, text_of(n)), 0)
-  elseif not own.list[1] then
-    error("goto: nothing was recorded: " .. text_of(own.problem), 0)
-  end
+-- Returns the last chunk that begins with or before iteration n.
+local function find_chunk(own, n)
+  local i = #own.chunks
+  while i > 1 and own.chunks[i].first > n do i = i - 1 end
+  return own.chunks[i]
+end
+
+-- Has the machine stand where it stood after iteration n, at the time of a mark.
+local function move(sim, n, mark)
+  local own, chunk = sim.history, find_chunk(sim.history, n)
+  if own.count == own.last then own.tip = own.tip or new_mark(sim) end
+  if not chunk then return end -- nothing has happened
   history.pause(sim, function()
-    local mark, i = find_mark(own.marks, n)
     local before = set_time(sim.time, mark)
-    local fsm, problem = replay(sim, own.list, { dry = true, to = n })
+    local fsm, problem = replay(sim, chunk.list, { dry = true, to = n - chunk.first })
     if not fsm then
       set_time(sim.time, before)
       error("goto: " .. text_of(problem), 0)
     end
     put(sim, fsm)
-    truncate(own, n)
-    for j = #own.marks, mark and mark.count == n and i or i + 1, -1 do
-      own.marks[j] = nil
-    end
+    own.count = n
   end)
   if own.file then history.save(sim, own.name) end
+end
+
+--- Have the machine stand where it stood after iteration n.
+---@param sim rfsm.sim.Session
+---@param n integer
+function history.go_to(sim, n)
+  local own = sim.history
+  local first = first_of(own)
+  if type(n) ~= "number" or n < first or n > own.last or n % 1 ~= 0 then
+    error(("goto: number of an iteration from %d to %d expected, got %s"):format(first,
+      own.last, text_of(n)), 0)
+  elseif not (own.recorder or own.chunks[1]) then
+    error("goto: nothing was recorded: " .. text_of(own.problem), 0)
+  end
+  local at = count_marks(own, n)
+  local following = own.marks[at + 1]
+  local mark = following and following.count == n and following or own.marks[at]
+  move(sim, n, n == own.last and own.tip or mark)
+  own.at = at
+end
+
+local function check_count(name, n)
+  if type(n) ~= "number" or n < 1 or n % 1 ~= 0 then
+    error(name .. ": number from 1 expected, got " .. text_of(n), 0)
+  end
 end
 
 --- Undo the last advances.
 ---@param sim rfsm.sim.Session
 ---@param n integer
 function history.back(sim, n)
-  local marks = sim.history.marks
-  if type(n) ~= "number" or n < 1 or n % 1 ~= 0 then
-    error("back: number from 1 expected, got " .. text_of(n), 0)
-  elseif not marks[1] then
-    error("back: nothing was done", 0)
-  end
-  local mark = marks[max(#marks - n + 1, 1)]
-  history.go_to(sim, mark.count)
+  local own = sim.history
+  check_count("back", n)
+  if own.at == 0 then error("back: nothing was done", 0) end
+  local at = own.at - min(n, own.at)
+  local mark = own.marks[at + 1]
+  move(sim, mark.count, mark)
+  own.at = at
   if mark.is_fresh then rfsm.reset(sim.fsm) end
+end
+
+--- Do again what `back` has undone.
+---@param sim rfsm.sim.Session
+---@param n integer
+function history.forward(sim, n)
+  local own = sim.history
+  check_count("forward", n)
+  if own.at == #own.marks then error("forward: nothing was undone", 0) end
+  local at = min(own.at + n, #own.marks)
+  local mark = own.marks[at + 1] or own.tip
+  move(sim, mark.count, mark)
+  own.at = at
+end
+
+-- Files ---------------------------------------------------------------------------
+
+-- Returns the first record of a chunk as one behind another chunk.
+local function continued(rec, header)
+  if header.snapshot.leaf or rec.m then return rec end
+  local copy = { fresh = true }
+  for key, value in pairs(rec) do copy[key] = value end -- any order: a copy
+  return copy
+end
+
+-- Calls f(record) for the records up to now, with one header.
+local function each_record(own, f)
+  if not own.chunks[1] and own.fresh then f(own.fresh.list[1]) end
+  for i, chunk in ipairs(own.chunks) do
+    local n, is_first = chunk.first, i > 1
+    if i == 1 then f(chunk.list[1]) end
+    for j = 2, #chunk.list do
+      local rec = chunk.list[j]
+      if n >= own.count then return end
+      f(is_first and continued(rec, chunk.list[1]) or rec)
+      if not rec.m then n, is_first = n + 1, false end
+    end
+  end
 end
 
 --- Write the history to a file, and all that follows; nil ends that.
@@ -189,20 +316,28 @@ end
 function history.save(sim, name)
   local own = sim.history
   if own.file then own.file:close() end
-  own.file, own.name = nil, name
+  own.file, own.write, own.name = nil, nil, name
   if not name then return end
   local file, problem = io.open(name, "w")
   if not file then error("record: " .. problem, 0) end
-  for _, rec in ipairs(own.list) do write(file, rec) end
-  own.file = file
+  own.file, own.write = file, record_lines.writer(file)
+  each_record(own, own.write)
+end
+
+local function count_iterations(list)
+  local count = 0
+  for i = 2, #list do
+    if not list[i].m then count = count + 1 end
+  end
+  return count
 end
 
 --- Run the chart through a recording. Where it departs, it stops, and that is raised.
 ---@param sim rfsm.sim.Session
 ---@param name string of the file
 function history.replay(sim, name)
-  local list, own = record.read(name), sim.history
-  local is_dry = sim.saved ~= nil
+  local list, about = record.read(name)
+  local own, is_dry = sim.history, sim.saved ~= nil
   stop(own)
   local fsm, problem, step = replay(sim, list, { dry = is_dry })
   if not fsm and step then
@@ -210,39 +345,38 @@ function history.replay(sim, name)
   end
   if not fsm then error(name .. ": " .. text_of(problem), 0) end
   put(sim, fsm)
-  own.list, own.count = list, 0
-  for i = 2, #list do
-    if not list[i].m then own.count = own.count + 1 end
-  end
-  if problem then truncate(own, step) end
+  if problem then tracks.truncate(list, step) end
+  own.count = count_iterations(list)
+  own.last, own.chunks = own.count, { { first = 0, count = own.count, list = list } }
   continue(sim)
   if problem then error(name .. ": " .. text_of(problem), 0) end
+  if about.is_cut then error(name .. ": the last line was cut off", 0) end
 end
 
-local function texts_of(events)
-  local texts = {}
-  for i = 1, events and #events or 0 do
-    local event = events[i]
-    texts[i] = text_of(type(event) == "table" and event[2] or event)
+-- Show ----------------------------------------------------------------------------
+
+local function add_texts(texts, events)
+  for _, event in ipairs(events or {}) do
+    texts[#texts + 1] = text_of(type(event) == "table" and event[2] or event)
   end
-  return concat(texts, ", ")
+  return texts
 end
 
 --- Print the last iterations.
 ---@param sim rfsm.sim.Session
 ---@param last integer how many
 function history.show(sim, last)
-  local own, n = sim.history, 0
-  for i = 2, #own.list do
-    local rec = own.list[i]
-    if not rec.m then
-      n = n + 1
-      if n > own.count - last then
-        print(("%4d  %-30s  %s"):format(n, texts_of(rec.events),
-          rec.leaf and tracks.place_text(rec.leaf, rec.done) or "<none>"))
-      end
+  local own = sim.history
+  local n = first_of(own)
+  each_record(own, function(rec)
+    if rec.record or rec.m then return end
+    n = n + 1
+    if n > own.count - last then
+      local events = add_texts(add_texts({}, rec.events), rec.added)
+      print(("%4d  %-30s  %s"):format(n, concat(events, ", "),
+        rec.leaf and tracks.place_text(rec.leaf, rec.done) or "<none>"))
     end
-  end
+  end)
   if own.problem then print(own.problem) end
 end
 

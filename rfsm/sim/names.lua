@@ -8,10 +8,9 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local place = require "rfsm.checks.place"
+local alphabet = require "rfsm.shared.alphabet"
 
 local ipairs, type = ipairs, type
-local regions_of = place.regions_of
 
 local names = {}
 
@@ -21,41 +20,12 @@ local names = {}
 ---@return string name
 function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 
-local function add_machines(list, fsm, prefix)
-  list[#list + 1] = { fsm = fsm, prefix = prefix }
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    for _, region in ipairs(regions_of(state)) do
-      add_machines(list, region.machine,
-        names.full(prefix, state._fqn) .. "." .. region.name)
-    end
-  end
-  return list
-end
-
---- List a machine and those inside its states.
----@param fsm rfsm.Machine
----@return { fsm: rfsm.Machine, prefix: string }[] machines
-function names.machines(fsm) return add_machines({}, fsm, "root") end
-
---- Return the events that transitions name, as a set.
----@param fsm rfsm.Machine
----@return table<any, boolean> set
-function names.event_set(fsm)
-  local set = {}
-  for _, machine in ipairs(names.machines(fsm)) do
-    for _, tr in ipairs(rfsm.elements(machine.fsm, rfsm.is_trans)) do
-      for _, event in ipairs(tr.events or {}) do set[event] = true end
-    end
-  end
-  return set
-end
-
 --- List the events that are texts and come from outside.
 ---@param fsm rfsm.Machine
 ---@return string[] events
 function names.events(fsm)
   local texts = {}
-  for _, event in ipairs(rfsm.sorted_keys(names.event_set(fsm))) do
+  for _, event in ipairs(rfsm.sorted_keys(alphabet.of_all(fsm).set)) do
     if type(event) == "string" and not event:find("@", 1, true) then
       texts[#texts + 1] = event
     end
@@ -68,10 +38,10 @@ end
 ---@param event any
 ---@return boolean
 function names.is_event(fsm, event)
-  local set = names.event_set(fsm)
-  if set[event] or event == "e_init_fsm" then return true end
+  local known = alphabet.of_all(fsm)
+  if known.set[event] or event == "e_init_fsm" then return true end
   if type(event) == "string" and event:find("^e_done") then return true end
-  return rfsm.sorted_keys(set, function(_, e) return rfsm.is_callable(e) end)[1] ~= nil
+  return known.predicates[1] ~= nil
 end
 
 --- List the states and connectors.
@@ -80,10 +50,10 @@ end
 ---@return table<string, { node: table, fsm: rfsm.Machine }> by_name
 function names.nodes(fsm)
   local list, by_name = {}, {}
-  for _, machine in ipairs(names.machines(fsm)) do
-    for _, node in ipairs(rfsm.elements(machine.fsm, rfsm.is_nr_node)) do
-      local name = names.full(machine.prefix, node._fqn)
-      list[#list + 1], by_name[name] = name, { node = node, fsm = machine.fsm }
+  for _, place in ipairs(rfsm.machines(fsm)) do
+    for _, node in ipairs(rfsm.elements(place.machine, rfsm.is_nr_node)) do
+      local name = names.full(place.prefix, node._fqn)
+      list[#list + 1], by_name[name] = name, { node = node, fsm = place.machine }
     end
   end
   return list, by_name

@@ -8,9 +8,9 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local names = require "rfsm.sim.names"
 local terminal = require "rfsm.sim.terminal"
-local view = require "rfsm.sim.view"
 
 local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetatable
 local type = type
@@ -136,7 +136,7 @@ function Probe:attach(machine)
   function machine.dbg(id, ...)
     self:note(machine, id, ...)
     if rfsm.is_callable(own) then return own(id, ...) end
-    if own then print(view.texts("\t", id, ...)) end
+    if own then print(calls.text("\t", id, ...)) end
   end
   function machine.hook(_, events) self:note_events(machine, events) end
   fsm.dbg = machine.dbg
@@ -172,8 +172,11 @@ local probe = {}
 ---@return table probe
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    is_seen = {}, seen = {}, is_used = {}, machines = names.machines(sim.fsm) }, Probe)
-  for _, machine in ipairs(self.machines) do self:attach(machine) end
+    is_seen = {}, seen = {}, is_used = {}, machines = {} }, Probe)
+  for i, place in ipairs(rfsm.machines(sim.fsm)) do
+    self.machines[i] = { fsm = place.machine, prefix = place.prefix }
+    self:attach(self.machines[i])
+  end
   return self
 end
 

@@ -6,6 +6,7 @@
 -- @module rfsm.sim.prompt
 -- @license BSD-3-Clause
 
+local alphabet = require "rfsm.shared.alphabet"
 local chart = require "rfsm.shared.chart"
 local commands = require "rfsm.sim.commands"
 local names = require "rfsm.sim.names"
@@ -89,7 +90,7 @@ end
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end
-  if names.event_set(sim.fsm)[name] then
+  if alphabet.of_all(sim.fsm).set[name] then
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
   local hint = names.hint(name, command_names(names.events(sim.fsm)))

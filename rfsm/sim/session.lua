@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local dry = require "rfsm.sim.dry"
 local history = require "rfsm.sim.history"
@@ -22,7 +23,7 @@ local view = require "rfsm.sim.view"
 local error, ipairs, pcall, print = error, ipairs, pcall, print
 local rawequal, rawget, select, setmetatable = rawequal, rawget, select, setmetatable
 local type = type
-local huge, concat = math.huge, table.concat
+local huge, min, concat = math.huge, math.min, table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local complain, text_of = view.complain, rfsm.text_of
 
@@ -49,7 +50,7 @@ Session.__index = Session
 -- Open a chart ----------------------------------------------------------------------
 
 -- The errors of the chart's own callbacks.
-local function print_err(...) complain(view.texts("\t", ...)) end
+local function print_err(...) complain(calls.text("\t", ...)) end
 
 -- Initialises `model`, silent about its problems: they are returned.
 local function init_quietly(model)
@@ -102,12 +103,34 @@ function Session:draw(file)
 end
 
 -- Advances step by step up to a breakpoint.
-local function advance_to_point(watcher, fsm, how, n)
-  local left = how == rfsm.run and huge or n
+local function advance_to_point(watcher, sim, n)
+  local fsm, left = sim.fsm, n
   repeat
     local idle = rfsm.step(fsm)
     left = left - 1
+    history.cut(sim)
   until idle or left < 1 or watcher.is_hit or not fsm._act_leaf
+end
+
+-- Advances in parts, so that a long run is more than one chunk of the history.
+local function advance_in_parts(sim, n)
+  local fsm, left = sim.fsm, n
+  repeat
+    local idle = rfsm.step(fsm, min(left, history.CHUNK))
+    left = left - history.CHUNK
+    history.cut(sim)
+    -- not entered: it was reset, or there is no way in, and that ends the rest at once
+    if not (idle or left < 1 or fsm._act_leaf) then return rfsm.step(fsm, left) end
+  until idle or left < 1
+end
+
+-- Advances by `how`. Whoever traces, or keeps the machine busy, sees one call.
+local function advance(sim, watcher, how, n)
+  local steps = how == rfsm.run and huge or n
+  if type(steps) ~= "number" then return how(sim.fsm, n) end
+  if sim.points[1] then return advance_to_point(watcher, sim, steps) end
+  if sim.level or sim.fsm.idle_hook then return how(sim.fsm, n) end
+  advance_in_parts(sim, steps)
 end
 
 --- Advance by rfsm.step or rfsm.run, and show where that led, also if it failed.
@@ -115,12 +138,7 @@ end
 ---@param n? number
 function Session:advance(how, n)
   local watcher = probe.attach(self, self.follows and not self.level)
-  local ok, failure
-  if self.points[1] and (n == nil or type(n) == "number") then
-    ok, failure = pcall(advance_to_point, watcher, self.fsm, how, n or 1)
-  else
-    ok, failure = pcall(how, self.fsm, n)
-  end
+  local ok, failure = pcall(advance, self, watcher, how, n)
   watcher:detach()
   self:print_discarded(watcher:discarded())
   self:show()
@@ -180,8 +198,8 @@ end
 ---@return fun() release
 function Session:guard_doos()
   local wrapped = {}
-  for _, machine in ipairs(terminal.is_caught() and names.machines(self.fsm) or {}) do
-    for _, state in ipairs(rfsm.elements(machine.fsm, rfsm.is_leaf)) do
+  for _, place in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
+    for _, state in ipairs(rfsm.elements(place.machine, rfsm.is_leaf)) do
       wrap(wrapped, state)
     end
   end

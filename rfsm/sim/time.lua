@@ -10,7 +10,8 @@ local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
 
-local error, ipairs, min, pcall = error, ipairs, math.min, pcall
+local error, ipairs, pcall = error, ipairs, pcall
+local floor, min = math.floor, math.min
 local print, rawget = print, rawget
 local text_of, loaded = rfsm.text_of, rawget(_G, "package").loaded
 
@@ -30,7 +31,7 @@ function time.install(sim)
   for _, is_monotonic in ipairs { true, false } do
     local start = now.starts[is_monotonic]
     clock.in_use[is_monotonic] = function()
-      return clock.normalise(start.sec + now.sec, start.nsec + now.nsec)
+      return start.sec + now.sec, start.nsec + now.nsec
     end
   end
 end
@@ -74,8 +75,9 @@ end
 
 -- Lets seconds pass in one leap.
 local function leap(now, seconds)
-  local sec, nsec = clock.from_number(seconds)
-  now.sec, now.nsec = clock.normalise(now.sec + sec, now.nsec + nsec)
+  local nsec = now.nsec + floor(seconds % 1 * 1e9 + 0.5)
+  now.sec = now.sec + floor(seconds) + floor(nsec / 1e9)
+  now.nsec = nsec % 1e9
 end
 
 --- Print the time.

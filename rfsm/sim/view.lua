@@ -22,16 +22,6 @@ function view.complain(text)
   io.stderr:write(text, "\n")
 end
 
---- Return values as one text.
----@param separator string
----@param ... any
----@return string text
-function view.texts(separator, ...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  return concat(texts, separator)
-end
-
 -- Values --------------------------------------------------------------------------
 
 local MAX_SHOWN, MAX_DEPTH = 20, 3 -- entries of a table, tables inside each other

@@ -13,7 +13,7 @@ local socket = require "socket"
 
 local assert, ipairs, pairs, setmetatable = assert, ipairs, pairs, setmetatable
 local tonumber, tostring = tonumber, tostring
-local huge = math.huge
+local huge, max = math.huge, math.max
 local concat, remove, sort = table.concat, table.remove, table.sort
 
 local http = {}
@@ -25,7 +25,8 @@ local MAX_DESCRIPTOR = 1023
 local MAX_ACCEPTED = 50 -- at a time; others are served in between
 local MAX_STREAMS = 32
 local MAX_HEAD, MAX_BODY = 8192, 16384
-local MAX_PENDING = 4194304 -- bytes that a stream may lag behind
+local STALL_TIME = 30 -- seconds that a stream may go without reading
+local BEAT_TIME = 15 -- seconds without a message until a heartbeat
 local REQUEST_TIME = 5 -- seconds until a request must be complete
 local REPLY_TIME = 30 -- seconds until a reply must be read
 local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
@@ -36,6 +37,7 @@ local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
 ---@class rfsm.web.Request
 ---@field method string "GET", "POST"
 ---@field path string as sent, up to a question mark
+---@field query string behind it, or ""
 ---@field headers table<string, string> by lower-case name
 ---@field body string
 
@@ -80,7 +82,7 @@ local function parse_request(text)
   if #body < length then return nil end
   return {
     method = method, path = target:match("^[^?]*"), headers = headers,
-    body = body:sub(1, length),
+    query = target:match("%?(.*)$") or "", body = body:sub(1, length),
   }
 end
 
@@ -92,7 +94,7 @@ end
 ---@field type? string default "text/plain"
 ---@field body? string of a stream: what it begins with
 ---@field headers? table<string, string>
----@field is_stream? boolean it goes on with what `send_all` sends
+---@field is_stream? boolean it goes on with the messages that `feed` asks for
 
 local REASONS = {
   [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
@@ -130,40 +132,68 @@ end
 ---@field socket table
 ---@field phase "reading"|"writing"|"closing"|"stream"
 ---@field received string
----@field pending string
+---@field pending string a reply or message that is being sent; "" if there is none
+---@field sent integer bytes of it that the client has taken
+---@field since number when a stream last took something, or began to be sent it
 ---@field deadline number it is dropped then, unless it is a stream
 
 local function new_connection(client, now)
   client:settimeout(0)
   client:setoption("tcp-nodelay", true)
   return {
-    socket = client, phase = "reading", received = "", pending = "",
-    deadline = now + REQUEST_TIME,
+    socket = client, phase = "reading", received = "", pending = "", sent = 0,
+    since = now, deadline = now + REQUEST_TIME,
   }
 end
 
-local function count_streams(server)
-  local count = 0
-  for _, connection in ipairs(server.connections) do
-    if connection.phase == "stream" then count = count + 1 end
+local function drop(server, connection)
+  connection.socket:close()
+  if connection.phase == "stream" then server.streams = server.streams - 1 end
+  for i, other in ipairs(server.connections) do
+    if other == connection then return remove(server.connections, i) end
   end
-  return count
+end
+
+-- Makes room for a stream: the one that has not read for the longest time goes, or else
+-- the oldest.
+local function drop_stream(server)
+  local silent
+  for _, connection in ipairs(server.connections) do
+    if connection.phase == "stream" then
+      local is_stuck = connection.pending ~= ""
+      local other_is_stuck = silent and silent.pending ~= ""
+      if not silent or is_stuck and not (other_is_stuck
+        and silent.since <= connection.since) then
+        silent = connection
+      end
+    end
+  end
+  drop(server, silent)
+end
+
+local function begin_message(connection, text, now)
+  connection.pending, connection.sent, connection.since = text, 0, now
 end
 
 local function begin_reply(server, connection, reply)
-  if reply.is_stream and count_streams(server) >= MAX_STREAMS then
-    reply = { status = 503 }
+  local now = server.clock()
+  if reply.is_stream then
+    if server.streams >= MAX_STREAMS then drop_stream(server) end
+    server.streams, connection.phase = server.streams + 1, "stream"
+  else
+    connection.phase, connection.deadline = "writing", now + REPLY_TIME
   end
-  connection.pending = reply_text(reply)
-  connection.phase = reply.is_stream and "stream" or "writing"
-  connection.deadline = server.clock() + REPLY_TIME
+  begin_message(connection, reply_text(reply), now)
 end
 
 -- Sends as much as the client takes. Returns false if it is gone.
 local function write(server, connection)
-  local sent, problem, partly = connection.socket:send(connection.pending)
-  connection.pending = connection.pending:sub((sent or partly) + 1)
-  if not sent and problem ~= "timeout" then return false end
+  local last, problem, partly = connection.socket:send(connection.pending,
+    connection.sent + 1)
+  if not last and problem ~= "timeout" then return false end
+  if (last or partly) > connection.sent then connection.since = server.clock() end
+  connection.sent = max(connection.sent, last or partly)
+  if connection.sent == #connection.pending then connection.pending = "" end
   if connection.phase == "writing" and connection.pending == "" then
     -- To close with something unread would take the reply back.
     connection.socket:shutdown("send")
@@ -193,15 +223,9 @@ end
 ---@field host string
 ---@field port integer
 ---@field connections rfsm.web.Connection[] the oldest first
+---@field streams integer how many of them are streams
 local Server = {}
 Server.__index = Server
-
-local function drop(server, connection)
-  connection.socket:close()
-  for i, other in ipairs(server.connections) do
-    if other == connection then return remove(server.connections, i) end
-  end
-end
 
 -- Makes room for one more: the oldest that is no stream has to go.
 local function drop_oldest(server)
@@ -228,9 +252,11 @@ local function drop_late(server)
   local now = server.clock()
   for i = #server.connections, 1, -1 do
     local connection = server.connections[i]
-    if connection.phase ~= "stream" and now > connection.deadline then
-      drop(server, connection)
+    local is_late = now > connection.deadline
+    if connection.phase == "stream" then
+      is_late = connection.pending ~= "" and now > connection.since + STALL_TIME
     end
+    if is_late then drop(server, connection) end
   end
 end
 
@@ -258,15 +284,20 @@ function Server:step(timeout)
   drop_late(self)
 end
 
---- Send a text to all streams; one that lags behind too far is dropped.
----@param text string
-function Server:send_all(text)
+--- Send a message to each stream that has taken the one before. A stream that lags
+-- behind is asked for later: what it missed is never kept for it.
+---@param next_message fun(connection: rfsm.web.Connection): string? nil: there is none
+function Server:feed(next_message)
+  if self.streams == 0 then return end
+  local now = self.clock()
   for i = #self.connections, 1, -1 do
     local connection = self.connections[i]
-    if connection.phase == "stream" then
-      connection.pending = connection.pending .. text
-      if not write(self, connection) or #connection.pending > MAX_PENDING then
-        drop(self, connection)
+    if connection.phase == "stream" and connection.pending == "" then
+      local is_quiet = now > connection.since + BEAT_TIME
+      local text = next_message(connection) or is_quiet and ": beat\n\n"
+      if text then
+        begin_message(connection, text, now)
+        if not write(self, connection) then drop(self, connection) end
       end
     end
   end
@@ -275,7 +306,7 @@ end
 --- Close the port and all connections; again does no harm.
 function Server:close()
   for _, connection in ipairs(self.connections) do connection.socket:close() end
-  self.connections = {}
+  self.connections, self.streams = {}, 0
   self.socket:close()
 end
 
@@ -296,7 +327,7 @@ function http.listen(host, port, handle, clock)
   local address, own_port = listening:getsockname()
   return setmetatable({
     socket = assert(listening), host = address, port = tonumber(own_port),
-    handle = handle, clock = clock or socket.gettime, connections = {},
+    handle = handle, clock = clock or socket.gettime, connections = {}, streams = 0,
   }, Server)
 end
 

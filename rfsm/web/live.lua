@@ -1,8 +1,11 @@
---- The view of a machine in this program, and of the machines inside its states.
+--- The view of a machine in this program, and of the regions in its states.
 --
--- It watches them through their hooks and printers, which go on as before.
+-- While it is watched, its hooks and printers note what happens, and go on as before.
+-- While it is not, only failures and warnings are noted: the machine runs as without a
+-- page. No guard is called, unless somebody asks why.
 --
--- The file reads in this order: the machines, their hooks, the state of now.
+-- The file reads in this order: the machines, failures, what a watched machine does,
+-- the state of now, questions.
 --
 -- @module rfsm.web.live
 -- @license BSD-3-Clause
@@ -12,23 +15,39 @@ local rfsm_checks = require "rfsm_checks"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 local place = require "rfsm.checks.place"
+local values = require "rfsm.sim.view"
 local View = require "rfsm.web.view"
 
-local ipairs, rawget, select = ipairs, rawget, select
-local setmetatable, tostring = setmetatable, tostring
+local ipairs, rawequal, rawget, select = ipairs, rawequal, rawget, select
+local setmetatable, tostring, type = setmetatable, tostring, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local text_of, utf8 = rfsm.text_of, marsh.utf8
+
+local MAX_LOST = 20 -- events without an effect that are named
 
 --- A machine that is watched.
 ---@class rfsm.web.Live : rfsm.web.View
 ---@field fsm rfsm.Machine
 ---@field machines rfsm.web.Watched[]
 ---@field lost any[] events that took no transition since the last one that did
+---@field last_lost any[] those of the last entry in the log
+---@field entered table<integer, integer> how often a state was entered while watched
+---@field is_watched boolean
 local Live = setmetatable({}, { __index = View })
 Live.__index = Live
 
 -- The machines: that of the view, and those inside its states -----------------------
+
+--- A machine of a view.
+---@class rfsm.web.Watched
+---@field fsm rfsm.Machine
+---@field prefix string the FQN of its root in the description
+---@field numbers table<rfsm.State, integer> of its nodes
+---@field by_fqn table<string, integer> of its nodes by their FQN in the machine
+---@field edges table<string, integer> numbers of its transitions by their texts
+---@field path string|false of the transition in the current iteration
+---@field printers table[] that were replaced
 
 -- Returns the numbers of a machine's transitions by their texts.
 local function edges_by_text(view, machine, prefix)
@@ -40,39 +59,70 @@ local function edges_by_text(view, machine, prefix)
   return by_text
 end
 
--- Notes the file and line of each node.
-local function add_places(view, machine, prefix)
-  for _, node in ipairs(rfsm.elements(machine, rfsm.is_node)) do
-    local number = view.outline.number_of[place.path(node, prefix)]
+local function add_machine(view, location)
+  local fsm, prefix = location.machine, location.prefix
+  local watched = { fsm = fsm, prefix = prefix, path = false, numbers = {}, by_fqn = {},
+    edges = edges_by_text(view, fsm, prefix), printers = {} }
+  for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
+    local number = view.outline.number_of[prefix .. node._fqn:sub(#"root" + 1)]
+    watched.numbers[node], watched.by_fqn[node._fqn] = number, number
     view.outline.nodes[number + 1].file = rfsm.location_of(node):match("^(.-:%d+): ")
+    view.node_of[number] = node
   end
-end
-
---- A machine of a view.
----@class rfsm.web.Watched
----@field fsm rfsm.Machine
----@field prefix string the FQN of its root in the description
----@field edges table<string, integer> numbers of its transitions by their texts
----@field path string|false of the transition in the current iteration
-
-local watch
-
-local function add_machine(view, machine, prefix)
-  local watched = {
-    fsm = machine, prefix = prefix, path = false,
-    edges = edges_by_text(view, machine, prefix),
-  }
   view.machines[#view.machines + 1] = watched
-  add_places(view, machine, prefix)
-  watch(view, watched)
-  for _, state in ipairs(rfsm.elements(machine, rfsm.is_leaf)) do
-    for _, region in ipairs(place.regions_of(state)) do
-      add_machine(view, region.machine, place.path(state, prefix) .. "." .. region.name)
-    end
-  end
+  return watched
 end
 
--- Their hooks -----------------------------------------------------------------------
+-- Failures: noted also while nobody watches ----------------------------------------
+
+-- Has a printer of a machine call `note`, too.
+local function listen(watched, name, note)
+  local fsm = watched.fsm
+  local raw, own = rawget(fsm, name), fsm[name]
+  local function new(...)
+    note(...)
+    if rfsm.is_callable(own) then return own(...) end
+  end
+  fsm[name] = new
+  watched.printers[name] = { raw = raw, new = new }
+end
+
+-- Gives a printer back, unless somebody has set another one meanwhile.
+local function listen_no_more(watched, name)
+  local printer, fsm = watched.printers[name], watched.fsm
+  watched.printers[name] = nil
+  if not (printer and rawequal(rawget(fsm, name), printer.new)) then return end
+  fsm[name] = printer.raw
+end
+
+-- Returns what a printer was called with, without the id of the record.
+local function line_of(...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
+  return (concat(texts, " "):gsub("^%u+:? ", ""):gsub(":  ", ": "))
+end
+
+-- Returns the number of the node in a report: "error executing entry of root.a: ". A
+-- failed guard or effect is one of the source.
+local function node_in(watched, line)
+  local fqn = line:match("src='(root[^']*)'") or line:match("'(root[^']*)' failed")
+    or line:match(" of (root.-): ")
+  return watched.by_fqn[fqn]
+end
+
+local function note_failure(view, watched, ...)
+  local line = line_of(...)
+  local number = node_in(watched, line)
+  if number then view:add_failure(number) end
+  view:note("error", line)
+end
+
+local function listen_to_failures(view, watched)
+  listen(watched, "err", function(...) note_failure(view, watched, ...) end)
+  listen(watched, "warn", function(...) view:note("warning", line_of(...)) end)
+end
+
+-- What a watched machine does -----------------------------------------------------
 
 -- The meaning of the records of a trace for the page.
 local RECORDS = {}
@@ -84,83 +134,93 @@ end
 
 function RECORDS.EFFECT(view, watched, text) view:see_edge(watched.edges[text]) end
 
--- Calls f(number) for each active state of a machine, from its root on.
-local function each_active(view, watched, f)
+function RECORDS.STATE_ENTER(view, watched, fqn)
+  local number = watched.by_fqn[fqn]
+  if number then view.entered[number] = (view.entered[number] or 0) + 1 end
+end
+
+-- Appends the numbers of the active states of a machine, from its root on.
+local function add_active(numbers, watched)
   local node = rfsm.get_sta_mode(watched.fsm) ~= "inactive" and watched.fsm
   while node do
-    local number = view.outline.number_of[place.path(node, watched.prefix)]
-    if number then f(number) end -- none, if it was merged in
+    numbers[#numbers + 1] = watched.numbers[node] -- nil, if it was merged in
     node = rfsm.actchild_get(node)
   end
+  return numbers
 end
 
--- Has a printer of a machine call `note`, too.
-local function listen(machine, name, note)
-  local own = machine[name]
-  machine[name] = function(...)
-    note(...)
-    if rfsm.is_callable(own) then return own(...) end
-  end
-end
-
--- Returns what a printer was called with, without the id of the record.
-local function line_of(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  return (concat(texts, " "):gsub("^%u+:? ", ""):gsub(":  ", ": "))
+-- Numbers of the active states, from the root down, those of regions behind.
+local function active_numbers(view)
+  local numbers = {}
+  for _, watched in ipairs(view.machines) do add_active(numbers, watched) end
+  return numbers
 end
 
 -- Nobody asks why an event that the machine sends itself did nothing.
 local function add_lost(view, events)
   for i = 1, #events do
-    if not outline.is_own(events[i]) then view.lost[#view.lost + 1] = events[i] end
+    if not outline.is_own(events[i]) and #view.lost < MAX_LOST then
+      view.lost[#view.lost + 1] = events[i]
+    end
   end
 end
 
 -- Notes an iteration; one without events that took no transition is none.
 local function note_step(view, watched, events)
-  each_active(view, watched, function(number) view:see_node(number) end)
   if watched.path then
-    view:note("step", watched.path, view:texts_of(events))
-    view.lost, view.why = {}, false
+    for _, number in ipairs(add_active({}, watched)) do view:see_node(number) end
+    view:note("step", watched.path, view:texts_of(events), active_numbers(view))
+    view.lost = {}
   elseif watched.fsm == view.fsm then
     add_lost(view, events)
   end
-  watched.path, view.is_dirty = false, true
+  watched.path = false
+  view:touch()
 end
 
--- Follows a machine through its hooks and printers.
-function watch(view, watched)
+local function attach(view, watched)
   local fsm = watched.fsm
-  listen(fsm, "dbg", function(id, text)
-    if RECORDS[id] then RECORDS[id](view, watched, text) end
+  listen(watched, "dbg", function(id, text)
+    local take = RECORDS[id]
+    if take then take(view, watched, text) end
   end)
-  listen(fsm, "err", function(...) view:note("error", line_of(...)) end)
-  listen(fsm, "warn", function(...) view:note("warning", line_of(...)) end)
-  rfsm.post_step_hook_add(fsm, function(_, events)
-    note_step(view, watched, events)
-  end, "before") -- one of the user's may fail
-  rfsm.reset_hook_add(fsm, function() view.is_dirty = true end)
+  function watched.after_step(_, events) note_step(view, watched, events) end
+  function watched.after_reset() view:touch() end
+  -- before those of the user, which may fail
+  rfsm.post_step_hook_add(fsm, watched.after_step, "before")
+  rfsm.reset_hook_add(fsm, watched.after_reset)
+end
+
+local function detach(_, watched)
+  local fsm = watched.fsm
+  listen_no_more(watched, "dbg")
+  rfsm.post_step_hook_rm(fsm, watched.after_step)
+  rfsm.reset_hook_rm(fsm, watched.after_reset)
+end
+
+--- Note from now on what the machine does, or note it no more.
+---@param is_wanted boolean
+function Live:watch(is_wanted)
+  if self.is_watched == is_wanted then return end
+  self.is_watched, self.lost = is_wanted, {}
+  for _, watched in ipairs(self.machines) do
+    (is_wanted and attach or detach)(self, watched)
+    watched.path = false
+    for _, number in ipairs(add_active({}, watched)) do self:see_node(number) end
+  end
+  self:touch()
+end
+
+--- Leave the machine as it was.
+function Live:close()
+  self:watch(false)
+  for _, watched in ipairs(self.machines) do
+    listen_no_more(watched, "err")
+    listen_no_more(watched, "warn")
+  end
 end
 
 -- The state of now -----------------------------------------------------------------
-
--- Numbers of the active states, from the root down, those of regions behind.
-local function active_numbers(view)
-  local numbers = {}
-  for _, watched in ipairs(view.machines) do
-    each_active(view, watched, function(number) numbers[#numbers + 1] = number end)
-  end
-  return numbers
-end
-
--- Numbers of the events that would have a transition taken.
-local function enabled_numbers(view)
-  local list = rfsm_checks.enabled(view.fsm)
-  local numbers = {}
-  for i, event in ipairs(list) do numbers[i] = view.outline.event_of[event] end
-  return numbers, list.any
-end
 
 local function queue_texts(view)
   local texts = {}
@@ -175,22 +235,17 @@ end
 ---@return rfsm.web.Now now
 function Live:now()
   local leaf = self.fsm._act_leaf
-  local enabled, any = enabled_numbers(self)
   return {
     active = active_numbers(self), leaf = leaf and utf8(leaf._fqn) or false,
     mode = leaf and leaf._mode or "inactive", queue = queue_texts(self),
-    enabled = enabled, any = any,
   }
 end
 
---- Say why events that took no transition did not, once the machine is idle.
+--- Note the events that took no transition, once the machine is idle.
 function Live:settle()
-  if not self.lost[1] then return end
-  local lost = self.lost
-  self.lost = {}
-  local _, text = rfsm_checks.why(self.fsm, unpack(lost))
-  self:note("lost", "no transition", self:texts_of(lost))
-  self.why = utf8(text)
+  if self.lost[1] == nil then return end
+  self.last_lost, self.lost = self.lost, {}
+  self:note("lost", "no transition", self:texts_of(self.last_lost))
 end
 
 function Live:go_back(turn)
@@ -198,14 +253,57 @@ function Live:go_back(turn)
   View.go_back(self, turn)
 end
 
---- Watch a machine.
+-- Questions -----------------------------------------------------------------------
+
+--- Say why events that took no transition did not. This calls guards.
+---@return string text
+function Live:why()
+  local _, text = rfsm_checks.why(self.fsm, unpack(self.last_lost))
+  return utf8(text)
+end
+
+local CALLBACKS = { "entry", "doo", "exit" }
+
+-- Returns the data of a state: its fields that belong to the user.
+local function data_of(state)
+  local texts = {}
+  for _, key in ipairs(rfsm.sorted_keys(state)) do
+    local value = rawget(state, key)
+    local is_data = type(key) == "string" and not rfsm.is_meta(key)
+      and type(value) ~= "function" and not rfsm.is_fsmobj(value)
+    if is_data then texts[#texts + 1] = key .. " = " .. values.value(value) end
+  end
+  return texts
+end
+
+--- Return what is known of a state.
+---@param number integer
+---@return table? about nil if there is none
+function Live:inspect(number)
+  local node = self.node_of[number]
+  if not node then return nil end
+  local about = { fqn = self.outline.nodes[number + 1].fqn, callbacks = {},
+    file = self.outline.nodes[number + 1].file, entered = self.entered[number] or 0,
+    failures = self.failures[number] or 0, data = {} }
+  if not rfsm.is_state(node) then return about end
+  for _, name in ipairs(CALLBACKS) do
+    if node[name] then about.callbacks[#about.callbacks + 1] = name end
+  end
+  for i, text in ipairs(data_of(node)) do about.data[i] = utf8(text) end
+  return about
+end
+
+--- View a machine; `watch` begins to follow it.
 ---@param fsm rfsm.Machine
 ---@param clock fun(): number seconds, for the log
 ---@return rfsm.web.Live view
 function Live.new(fsm, clock)
   local view = View.create(Live, marsh.model2tab(fsm, true), clock)
-  view.fsm, view.machines, view.lost = fsm, {}, {}
-  add_machine(view, fsm, "root")
+  view.fsm, view.machines, view.node_of = fsm, {}, {}
+  view.lost, view.last_lost, view.entered, view.is_watched = {}, {}, {}, false
+  for _, location in ipairs(rfsm.machines(fsm)) do
+    listen_to_failures(view, add_machine(view, location))
+  end
   return view
 end
 

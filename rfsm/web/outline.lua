@@ -23,6 +23,7 @@ local outline = {}
 ---@field edge_of table<string, integer> by key of a transition
 ---@field event_of table<any, integer> by event
 ---@field event_text fun(event: any): string
+---@field from table<integer, table[]> the edges from each node
 
 --- Does a machine send this event itself?
 ---@param event any
@@ -89,11 +90,14 @@ local function add_edges(list, tab, fqn)
   for i, tr in ipairs(tab.transitions or {}) do
     local key = tr.key or ("%s.trans[%d]"):format(fqn, i)
     list.edge_of[key] = #list.edges
-    list.edges[#list.edges + 1] = {
+    local edge = {
       key = utf8(key), src = list.number_of[tr.src], tgt = list.number_of[tr.tgt],
       label = label_of(tr, words_of(list, tr)), is_internal = tr.internal,
       events = event_numbers(list, tr),
     }
+    list.edges[#list.edges + 1] = edge
+    list.from[edge.src] = list.from[edge.src] or {}
+    table.insert(list.from[edge.src], edge)
   end
   for _, subtab in ipairs(tab.subnodes or {}) do
     add_edges(list, subtab, fqn .. "." .. subtab.id)
@@ -109,11 +113,42 @@ end
 function outline.read(description)
   local list = {
     nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
-    event_of = {}, event_text = marsh.gen_event_text(),
+    event_of = {}, from = {}, event_text = marsh.gen_event_text(),
   }
   add_node(list, description, "root")
   add_edges(list, description, "root")
   return list
+end
+
+-- Adds the events of the edges from a node, and of those behind connectors.
+local function add_possible(list, found, node, is_seen)
+  local own_kind = list.nodes[node + 1].kind
+  local is_state = own_kind == "leaf" or own_kind == "composite"
+  is_seen[node] = true
+  for _, edge in ipairs(list.from[node] or {}) do
+    local kind = list.nodes[(edge.tgt or node) + 1].kind
+    local is_through = kind == "connector" or kind == "initial"
+    for _, number in ipairs(edge.events) do found.set[number] = true end
+    if is_state and not edge.events[1] then found.any = true end
+    if is_through and not is_seen[edge.tgt] then
+      add_possible(list, found, edge.tgt, is_seen)
+    end
+  end
+end
+
+--- List the events that a transition from an active state names: those that could do
+-- something. Guards are not asked.
+---@param list rfsm.web.Outline
+---@param active integer[] numbers of nodes
+---@return integer[] numbers of events
+---@return boolean any would any other event be taken?
+function outline.possible(list, active)
+  local found, is_seen, numbers = { set = {}, any = false }, {}, {}
+  for _, node in ipairs(active) do add_possible(list, found, node, is_seen) end
+  for number = 0, #list.events - 1 do
+    if found.set[number] then numbers[#numbers + 1] = number end
+  end
+  return numbers, found.any
 end
 
 return outline

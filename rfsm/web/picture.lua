@@ -3,64 +3,103 @@
 -- @module rfsm.web.picture
 -- @license BSD-3-Clause
 
-local io, os, setmetatable = io, os, setmetatable
+local diagram = require "rfsm.pictures.diagram"
+local layout = require "rfsm.pictures.layout"
 
-local CPU_SECONDS = 60 -- then Graphviz is stopped
+local coroutine, io, os, setmetatable = coroutine, io, os, setmetatable
+
+local CPU_SECONDS = 60 -- then a run of Graphviz is stopped
 
 --- A picture in the making.
 ---@class rfsm.web.Picture
 ---@field is_pending boolean
+---@field work thread yields while Graphviz runs, and returns the picture
 ---@field pid string? of Graphviz
 ---@field input string name of a file, as is `output`
 local Picture = {}
 Picture.__index = Picture
 
 local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; "
-  .. "nice dot -Tsvg -o '%s' '%s' >/dev/null 2>&1 </dev/null & echo $!; }"
+  .. "nice dot -T%s '%s' >'%s' 2>/dev/null </dev/null & echo $!; }"
+
+-- Begins a run of Graphviz.
+local function begin(picture, graph, format)
+  local handle = io.open(picture.input, "wb")
+  if not handle then return end
+  handle:write(graph)
+  handle:close()
+  os.remove(picture.output)
+  local pipe = io.popen(COMMAND:format(CPU_SECONDS, format, picture.input,
+    picture.output))
+  picture.pid = pipe:read("*l")
+  pipe:close()
+end
+
+-- Returns what Graphviz has written; nil before its end.
+local function read_output(file, ending)
+  local handle = io.open(file, "rb")
+  local size = handle and handle:seek("end") or 0
+  local text = size > #ending and handle:seek("set", size - #ending)
+    and handle:read("*a") == ending and handle:seek("set") and handle:read("*a")
+  if handle then handle:close() end
+  return text or nil
+end
+
+-- Has Graphviz run, and yields until it is done. Returns nil without Graphviz.
+local function run(picture, graph, format, ending)
+  begin(picture, graph, format)
+  while picture.pid do
+    local text = read_output(picture.output, ending)
+    if text then return text end
+    coroutine.yield()
+  end
+end
+
+-- An empty graph behind all others: the answer is complete if it ends with this one.
+local LAST = "digraph last_of_all { }\n"
+local LAST_ANSWER = 'digraph last_of_all {\n\tgraph [bb="0,0,0,0"];\n'
+  .. '\tnode [label="\\N"];\n}\n'
+
+local function draw(picture, graph, description)
+  if description then
+    local chart = diagram.read(description, "rfsm.web.picture")
+    graph = layout.draw(chart, function(graphs)
+      return run(picture, graphs .. LAST, "dot", LAST_ANSWER), "no Graphviz"
+    end) or graph
+  end
+  return run(picture, graph, "svg", "</svg>\n")
+end
 
 --- Begin a picture of a graph; without Graphviz none will come.
 ---@param graph string in Graphviz's language
+---@param description? rfsm.marsh.Node laid out level by level, in place of the graph
 ---@return rfsm.web.Picture picture
-function Picture.start(graph)
-  local picture = setmetatable({ input = os.tmpname(), output = os.tmpname() }, Picture)
-  local handle = io.open(picture.input, "wb")
-  if handle then
-    handle:write(graph)
-    handle:close()
-    local pipe = io.popen(COMMAND:format(CPU_SECONDS, picture.output, picture.input))
-    picture.pid = pipe:read("*l")
-    pipe:close()
-  end
-  picture.is_pending = picture.pid ~= nil
-  if not picture.is_pending then picture:drop() end
+function Picture.start(graph, description)
+  local picture = setmetatable({ input = os.tmpname(), output = os.tmpname(),
+    work = coroutine.create(draw), is_pending = true }, Picture)
+  picture.svg = picture:advance(picture, graph, description)
   return picture
 end
 
--- Returns a complete picture in a file; nil while Graphviz writes it.
-local function read_picture(file)
-  local handle = io.open(file, "rb")
-  if not handle then return nil end
-  local is_complete = handle:seek("end", -8) and handle:read("*a"):find("</svg>")
-  local text = is_complete and handle:seek("set") and handle:read("*a")
-  handle:close()
-  return text or nil
+-- Goes on with the work. Returns the picture if it is complete.
+function Picture:advance(...)
+  local ok, svg = coroutine.resume(self.work, ...)
+  if ok and coroutine.status(self.work) == "suspended" then return nil end
+  self.pid = nil
+  self:drop()
+  return ok and svg or nil
 end
 
 --- Return the picture, once it is complete; nil before.
 ---@return string? svg
 function Picture:take()
-  local text = self.is_pending and read_picture(self.output)
-  if text then
-    self.is_pending = false
-    self:drop()
-  end
-  return text or nil
+  return self.is_pending and self:advance() or nil
 end
 
 --- Stop Graphviz, and remove the files.
 function Picture:drop()
-  if self.is_pending then os.execute("kill " .. self.pid .. " 2>/dev/null") end
-  self.is_pending = false
+  if self.pid then os.execute("kill " .. self.pid .. " 2>/dev/null") end
+  self.is_pending, self.pid = false, nil
   os.remove(self.input)
   os.remove(self.output)
 end

@@ -1,8 +1,5 @@
 --- The view of a machine that runs elsewhere, as `rfsm.proto` describes it.
 --
--- Its guards are not known here: an event counts as enabled if a transition from an
--- active state names it.
---
 -- @module rfsm.web.remote
 -- @license BSD-3-Clause
 
@@ -10,8 +7,9 @@ local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
 local subscriber = require "rfsm.proto.subscriber"
 
-local ipairs, setmetatable = ipairs, setmetatable
+local ipairs, setmetatable, type = ipairs, setmetatable, type
 
+local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
 local MAX_MESSAGES = 100 -- that are taken at a time
 local WAIT = 0.02 -- seconds until the socket is looked at again
 
@@ -33,26 +31,48 @@ local function active_numbers(view)
 end
 
 function RemoteView:now()
-  local active, is_active, enabled = active_numbers(self), {}, {}
-  for _, number in ipairs(active) do is_active[number] = true end
-  for _, edge in ipairs(self.outline.edges) do
-    for _, event in ipairs(is_active[edge.src] and edge.events or {}) do
-      enabled[#enabled + 1] = event
+  return { active = active_numbers(self), leaf = self.leaf, mode = self.mode,
+    queue = {} }
+end
+
+local function mark_of(node) return node.fqn .. (MARKS[node.kind] or "[c]") end
+
+-- Returns the numbers of the transitions by their ends in a path: "a[LS]->b[LS]".
+local function edges_by_ends(view)
+  local by_ends, nodes = {}, view.outline.nodes
+  for number, edge in ipairs(view.outline.edges) do
+    if edge.src and edge.tgt then
+      local ends = mark_of(nodes[edge.src + 1]) .. "->" .. mark_of(nodes[edge.tgt + 1])
+      by_ends[ends] = by_ends[ends] or number - 1
     end
   end
-  return {
-    active = active, leaf = self.leaf, mode = self.mode, queue = {},
-    enabled = enabled, any = false,
-  }
+  return by_ends
 end
+
+-- Notes the transitions on a path; returns it for a reader.
+local function take_path(view, path)
+  view.by_ends = view.by_ends or edges_by_ends(view)
+  local before
+  for node in (path .. "->"):gmatch("(.-%[%a+%])%->") do
+    if before then view:see_edge(view.by_ends[before .. "->" .. node]) end
+    before = node
+  end
+  return (path:gsub("%[%a+%]", ""):gsub("%->", " \226\134\146 "))
+end
+
+local function text_of_leaf(leaf) return leaf or "not active" end
 
 local function take_state(view, message)
   local leaf = message.act_leaf or false
-  if leaf == view.leaf and message.act_leaf_state == view.mode then return end
-  if leaf ~= view.leaf then view:note("step", leaf or "not active") end
+  local path = type(message.path) == "string" and message.path
+  local has_moved = leaf ~= view.leaf
+  if not (has_moved or path) and message.act_leaf_state == view.mode then return end
+  local text = path and take_path(view, path) or has_moved and text_of_leaf(leaf)
   view.leaf, view.mode = leaf, message.act_leaf_state or "inactive"
-  for _, number in ipairs(active_numbers(view)) do view:see_node(number) end
-  view.is_dirty = true
+  local active = active_numbers(view)
+  for _, number in ipairs(active) do view:see_node(number) end
+  if text then view:note("step", text, nil, active) end
+  view:touch()
 end
 
 --- A connection that a page watches.
@@ -113,14 +133,16 @@ function Remote:describe(message) message.clock = self.clock() end
 ---@param host string
 ---@param port integer
 ---@param clock fun(): number seconds, for the log
+---@param number? integer which machine of the host, default 1
 ---@return rfsm.web.Remote? remote
 ---@return string? problem in one line
-function Remote.open(host, port, clock)
-  local client, problem = subscriber.connect(host, port)
+function Remote.open(host, port, clock, number)
+  local client, problem = subscriber.connect(host, port, { path = true })
   if not client then return nil, problem end
   local title = ("%s:%d"):format(host, port)
+  if number then title = title .. ", machine " .. ("%d"):format(number) end
   return setmetatable({
-    client = client, title = title, number = 1, generation = 0, view = false,
+    client = client, title = title, number = number or 1, generation = 0, view = false,
     problems = { title .. ": no machine has answered yet" }, is_heard = false,
     clock = clock,
   }, Remote)

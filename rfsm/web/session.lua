@@ -11,20 +11,20 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 
-local io, ipairs, os, package, pcall = io, ipairs, os, package, pcall
-local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
+local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
+local pcall = pcall
+local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type = type
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
-local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
-local MAX_STEPS = 1000 -- of one run
 local MAX_RECORDED = 10000 -- iterations that can be undone
 local LOOK_TIME = 0.5 -- seconds between two looks at the file
 local TICK = 1e-6 -- seconds are rounded up to these
@@ -47,16 +47,10 @@ local TICK = 1e-6 -- seconds are rounded up to these
 ---@field snap table? of the machine before a chart with a mistake
 ---@field now number seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
-local Session = {}
+local Session = { MAX_STEPS = 1000 } -- of one run
 Session.__index = Session
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
-
-local function line_of(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
-  return concat(texts, "\t")
-end
 
 -- Adds an entry to the log, also before there is one.
 local function tell(session, kind, text)
@@ -67,7 +61,7 @@ end
 -- Calls f(session, ...) while `print` goes to the log; a failure goes there, too.
 local function guarded(session, f, ...)
   local real = rawget(_G, "print")
-  rawset(_G, "print", function(...) tell(session, "output", line_of(...)) end)
+  rawset(_G, "print", function(...) tell(session, "output", calls.text("\t", ...)) end)
   local ok, result = pcall(f, session, ...)
   rawset(_G, "print", real)
   if ok then return result end
@@ -81,7 +75,7 @@ local function init(session, model)
   if model.info == nil then model.info = false end
   if own_warn == nil then
     model.warn = function(...)
-      tell(session, "warning", (line_of(...):gsub("^WARNING: ", "")))
+      tell(session, "warning", (calls.text("\t", ...):gsub("^WARNING: ", "")))
     end
   end
   local fsm, text, problems = rfsm.init(model)
@@ -121,7 +115,7 @@ local function begin_turn(session)
     session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
   end
   clock.set_hook(session.gettime)
-  session.turn = session.turn + 1
+  session.turn, session.stopped = session.turn + 1, false
   session.turns[session.turn] = {
     now = session.now, count = session.recorder and session.recorder.count,
     queue = { unpack(session.view.fsm._intq) },
@@ -131,14 +125,39 @@ end
 
 local function step(session) return rfsm.step(session.view.fsm) end
 
--- Steps until the machine is idle, or too long.
+-- Returns the breakpoint that was entered since `entered` was copied; nil if none was.
+local function find_stop(session, entered)
+  for _, number in ipairs(session.points) do
+    local count = session.view.entered[number] or 0
+    if count > (entered[number] or 0) then return number end
+  end
+end
+
+-- Is a breakpoint entered in the step? A page is told.
+local function has_stopped(session, entered)
+  local number = find_stop(session, entered)
+  if number then
+    session.stopped = session.view.outline.nodes[number + 1].fqn
+    session.view:note("note", "stopped at " .. session.stopped)
+  end
+  return number ~= nil
+end
+
+local function copy(t)
+  local new = {}
+  for key, value in pairs(t) do new[key] = value end -- any order: a copy
+  return new
+end
+
+-- Steps until the machine is idle, has entered a breakpoint, or too long.
 local function run(session)
-  for _ = 1, MAX_STEPS do
+  for _ = 1, Session.MAX_STEPS do
+    local entered = session.points[1] and copy(session.view.entered)
     local is_idle = guarded(session, step)
-    if is_idle == nil then return end
+    if is_idle == nil or entered and has_stopped(session, entered) then return end
     if is_idle then return session.view:settle() end
   end
-  session.view:note("note", ("not idle after %d steps"):format(MAX_STEPS))
+  session.view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
 end
 
 local function itself(snap) return snap end
@@ -151,7 +170,9 @@ end
 
 -- Begins with a machine: where another one stood, if the chart still has that state.
 local function begin(session, fsm, snap)
+  if session.view then session.view:close() end
   session.view = Live.new(fsm, function() return session.now end)
+  session.view:watch(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
   if not (snap and snapshot.put(fsm, snap, { migrate = itself })) then
     session.now = 0
@@ -167,7 +188,7 @@ local function load(session, keeps_place)
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.turn = session.generation + 1, 0
-  session.recorder, session.turns = false, {}
+  session.recorder, session.turns, session.points = false, {}, {}
   clock.set_hook(session.gettime)
   local fsm, problems = load_machine(session)
   session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
@@ -187,7 +208,7 @@ function commands.send(session, message)
   if event == nil then return "event: text or number of an event expected" end
   begin_turn(session)
   rfsm.send_events(session.view.fsm, event)
-  session.view.is_dirty = true
+  session.view:touch()
   if message.run then run(session) end
 end
 
@@ -218,11 +239,23 @@ function commands.back(session, message)
   start_clock(session)
 end
 
-function commands.reset(session) guarded(session, load, false) end
+-- The log goes on, and `back` leads to before.
+function commands.reset(session)
+  begin_turn(session)
+  rfsm.reset(session.view.fsm)
+  session.view:note("note", "reset")
+  run(session)
+end
+
+function commands.why(session)
+  local text = guarded(session, function() return session.view:why() end)
+  return nil, text or "not known: an error in the log"
+end
 
 function commands.clock(session, message)
   if session.is_live then begin_turn(session) end
-  session.is_live, session.view.is_dirty = message.live == true, true
+  session.is_live = message.live == true
+  session.view:touch()
   start_clock(session)
 end
 
@@ -237,6 +270,26 @@ end
 function commands.wait(session, message)
   if not is_seconds(message.seconds) then return "seconds: number expected" end
   pass(session, message.seconds)
+end
+
+-- Sets or removes a breakpoint at a state.
+function commands.breakpoint(session, message)
+  if not session.view:inspect(message.node) then
+    return "node: number of a state expected"
+  end
+  local points = {}
+  for _, number in ipairs(session.points) do
+    if number ~= message.node then points[#points + 1] = number end
+  end
+  if message.on then points[#points + 1] = message.node end
+  session.points = points
+  session.view:touch()
+end
+
+function commands.inspect(session, message)
+  local about = session.view:inspect(message.node)
+  if not about then return "node: number of a state expected" end
+  return nil, about
 end
 
 -- Seconds to the next timer of the chart; nil if there is none.
@@ -285,6 +338,7 @@ end
 function Session:describe(message)
   message.clock, message.live = self.now, self.is_live
   message.timer = next_timer(self) or false
+  message.points, message.stopped = self.points, self.stopped
   message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
 end
 
@@ -296,7 +350,7 @@ function Session.open(file, real)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
     generation = 0, turn = 0, turns = {}, recorder = false, now = 0, since = 0,
-    is_live = true,
+    is_live = true, points = {}, stopped = false,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Session)
   local start = os.time() -- of the day, for e_at

@@ -1,8 +1,9 @@
 --- What a page shows of a machine: its chart once, then what has changed.
 --
 -- `rfsm.web.live` is the view of a machine in this program, `rfsm.web.remote` of one
--- elsewhere. Both say by `now` what is active, waits and is enabled; the log and the
--- coverage are kept here.
+-- elsewhere. Both say by `now` what is active and what waits; the log and the coverage
+-- are kept here. Nothing is built for a page before it asks: a page has a cursor, the
+-- place up to which it knows the machine, and gets what came since.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
@@ -10,11 +11,13 @@
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 
-local ipairs, rawget, setmetatable, type = ipairs, rawget, setmetatable, type
-local remove = table.remove
+local ipairs, next, rawget = ipairs, next, rawget
+local setmetatable, type = setmetatable, type
+local max = math.max
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_LOG = 500 -- entries that are kept
+local MAX_SENT = 60 -- of them in a message to a page that follows
 local MAX_TEXT = 2000 -- bytes of a text in the log
 
 --- The state of a machine as a page shows it.
@@ -23,8 +26,13 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 ---@field leaf string|false FQN of the active leaf
 ---@field mode string of the leaf
 ---@field queue string[]
----@field enabled integer[] numbers of events
----@field any boolean would any other event do something?
+
+--- The place up to which a page knows a view.
+---@class rfsm.web.Cursor
+---@field log integer number of the last entry
+---@field nodes integer how many of the nodes that were seen
+---@field edges integer
+---@field rewrites integer
 
 --- What a page is shown of a machine.
 ---@class rfsm.web.View
@@ -34,14 +42,14 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]
 ---@field turn integer the log's entries belong to it
----@field why string|false why the last events did nothing
 ---@field taken integer[] numbers of the transitions taken last
----@field is_dirty boolean something has changed since the last message
----@field is_rewritten boolean so has something older
+---@field revision integer counts the changes
+---@field rewrites integer counts those of something older than the last one
+---@field failures table<integer, integer> failed callbacks, by number of the node
 local View = {}
 View.__index = View
 
-local function new_marks() return { has = {}, count = 0, fresh = {} } end
+local function new_marks() return { has = {}, list = {} } end
 
 local function count_states(nodes)
   local count = 0
@@ -60,32 +68,42 @@ function View.create(class, description, clock)
   local lists = outline.read(description)
   return setmetatable({
     description = description, outline = lists, clock = clock, log = {}, count = 0,
-    sent = 0, turn = 0, why = false, taken = {}, is_taken_shown = true, is_dirty = true,
-    is_rewritten = false, state_count = count_states(lists.nodes),
+    turn = 0, taken = {}, is_taken_shown = true, revision = 1, rewrites = 0,
+    state_count = count_states(lists.nodes), failures = {},
     seen_nodes = new_marks(), seen_edges = new_marks(),
   }, class)
 end
 
 -- Notes -----------------------------------------------------------------------------
 
+--- Note that something has changed.
+function View:touch() self.revision = self.revision + 1 end
+
+-- Keeps the last entries; seldom, so that an entry costs no more in a long log.
+local function trim(view)
+  local log = view.log
+  if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
+end
+
 --- Add an entry to the log.
 ---@param kind string "step", "lost", "error", "warning", "output" or "note"
 ---@param text string
 ---@param events? string[] of a step
-function View:note(kind, text, events)
+---@param active? integer[] the active states behind a step
+function View:note(kind, text, events, active)
   self.count = self.count + 1
   self.log[#self.log + 1] = {
     number = self.count, at = self.clock(), kind = kind, events = events,
-    turn = self.turn, text = marsh.utf8(text:sub(1, MAX_TEXT)),
+    turn = self.turn, text = marsh.utf8(text:sub(1, MAX_TEXT)), active = active,
   }
-  if #self.log > MAX_LOG then remove(self.log, 1) end
-  self.is_dirty = true
+  trim(self)
+  self:touch()
 end
 
 local function mark(list, number)
   if number and not list.has[number] then
-    list.has[number], list.count = true, list.count + 1
-    list.fresh[#list.fresh + 1] = number
+    list.has[number] = true
+    list.list[#list.list + 1] = number
   end
 end
 
@@ -98,7 +116,14 @@ function View:see_node(number) mark(self.seen_nodes, number) end
 function View:see_edge(number)
   if self.is_taken_shown then self.taken, self.is_taken_shown = {}, false end
   mark(self.seen_edges, number)
-  self.taken[#self.taken + 1] = number
+  if #self.taken < MAX_SENT then self.taken[#self.taken + 1] = number end
+end
+
+--- Note that a callback of a node has failed.
+---@param number integer
+function View:add_failure(number)
+  self.failures[number] = (self.failures[number] or 0) + 1
+  self:touch()
 end
 
 --- Return the events as texts.
@@ -117,11 +142,13 @@ function View:begin_turn(turn) self.turn, self.is_taken_shown = turn, true end
 --- Take back what was noted after a turn; what was seen was seen.
 ---@param turn integer
 function View:go_back(turn)
-  for i = #self.log, 1, -1 do
-    if self.log[i].turn > turn then remove(self.log, i) end
+  local kept = {}
+  for _, entry in ipairs(self.log) do
+    if entry.turn <= turn then kept[#kept + 1] = entry end
   end
-  self.turn, self.why, self.taken = turn, false, {}
-  self.is_dirty, self.is_rewritten = true, true
+  self.log, self.turn, self.taken = kept, turn, {}
+  self.rewrites = self.rewrites + 1
+  self:touch()
 end
 
 -- Messages --------------------------------------------------------------------------
@@ -142,46 +169,46 @@ function View:chart()
   return { nodes = lists.nodes, edges = lists.edges, events = lists.events }
 end
 
-local function seen_numbers(list, count)
-  local numbers = {}
-  for number = 0, count - 1 do
-    if list.has[number] then numbers[#numbers + 1] = number end
+-- Returns the last entries behind number `last`, at most `most`.
+local function entries_after(view, last, most)
+  local log, first = view.log, #view.log + 1
+  local least = max(1, #log - most + 1)
+  while first > least and log[first - 1].number > last do first = first - 1 end
+  return { unpack(log, first) }
+end
+
+-- Returns failures as a list { node, count, node, count, ... }.
+local function failure_list(view)
+  local list = {}
+  for number = 0, #view.outline.nodes - 1 do
+    if view.failures[number] then
+      list[#list + 1], list[#list + 2] = number, view.failures[number]
+    end
   end
-  return numbers
+  return list
 end
 
--- The log entries that no message had.
-local function new_entries(view)
-  local first = #view.log + 1
-  while first > 1 and view.log[first - 1].number > view.sent do first = first - 1 end
-  return { unpack(view.log, first) }
-end
-
---- Return the state of now, and what has changed since the last message.
----@param is_full boolean for a page that knows nothing yet: all that was noted
+--- Return the state of now, and what has changed for a page.
+---@param cursor rfsm.web.Cursor? nil: the page knows nothing yet
 ---@return table message
-function View:state(is_full)
+---@return rfsm.web.Cursor cursor the page's, when it has the message
+function View:state(cursor)
   local message, lists = self:now(), self.outline
-  message.is_full, message.why, message.taken = is_full, self.why, self.taken
-  message.states = { self.seen_nodes.count, self.state_count }
-  message.transitions = { self.seen_edges.count, #lists.edges }
-  if is_full then
-    message.log = self.log
-    message.seen_nodes = seen_numbers(self.seen_nodes, #lists.nodes)
-    message.seen_edges = seen_numbers(self.seen_edges, #lists.edges)
-  else
-    message.log = new_entries(self)
-    message.seen_nodes = self.seen_nodes.fresh
-    message.seen_edges = self.seen_edges.fresh
-  end
-  return message
-end
-
---- All pages have the state of now.
-function View:set_sent()
-  self.sent, self.is_taken_shown = self.count, true
-  self.is_dirty, self.is_rewritten = false, false
-  self.seen_nodes.fresh, self.seen_edges.fresh = {}, {}
+  message.is_full = not cursor or cursor.rewrites ~= self.rewrites
+  if message.is_full then cursor = { log = 0, nodes = 0, edges = 0 } end
+  local nodes, edges = self.seen_nodes.list, self.seen_edges.list
+  message.taken, self.is_taken_shown = self.taken, true
+  message.states = { #nodes, self.state_count }
+  message.transitions = { #edges, #lists.edges }
+  message.enabled, message.any = outline.possible(lists, message.active)
+  message.log = entries_after(self, cursor.log, message.is_full and MAX_LOG or MAX_SENT)
+  local first = message.log[1]
+  message.skipped = not message.is_full and first and first.number - cursor.log - 1 or 0
+  message.seen_nodes = { unpack(nodes, cursor.nodes + 1) }
+  message.seen_edges = { unpack(edges, cursor.edges + 1) }
+  message.failures = next(self.failures) and failure_list(self) or {}
+  return message, { log = self.count, nodes = #nodes, edges = #edges,
+    rewrites = self.rewrites }
 end
 
 return View

@@ -124,6 +124,9 @@ describe("the page", function()
     assert.same({ "stopped" }, lit())
     window:type "5"
     window:wait "!document.querySelector('#why').hidden"
+    assert.same({}, texts "#why li")
+    window:type "w"
+    window:wait "document.querySelector('#why li')"
     keep_shot "why"
     assert.matches("waits for e_start", table.concat(texts "#why li"))
     window:type "b"
@@ -131,8 +134,11 @@ describe("the page", function()
     window:type "bb"
     window:wait "now.leaf == 'root.operational.tracking'"
     window:type "0"
-    window:wait "!now.can_back && now.leaf == 'root.operational.searching'"
-    window:wait "document.querySelector('[data-do=back]').disabled"
+    window:wait "document.querySelector('#sure').open"
+    window:type "\n"
+    window:wait "now.leaf == 'root.operational.searching'"
+    assert.is_true(window:run "return now.can_back")
+    assert.is_true(#texts "#log tr" > 6) -- the log goes on
     window:type "/lo"
     assert.same({ "e_lost" }, texts "#events button")
     window:type "\n/e_nothing\n"
@@ -349,6 +355,226 @@ local function measure()
   table.sort(times)
   return times
 end
+
+-- A machine of a program, whose page is open.
+local function visit_hosted(fsm, options)
+  options = options or {}
+  options.port = 0
+  local server = keep(web.serve(fsm, options))
+  window:open(server.url)
+  window:wait "now.active && marks.nodes.length && document.querySelector('.active')"
+  return server
+end
+
+local function ring(count)
+  local model = { info = false, warn = false,
+    rfsm.trans { src = "initial", tgt = "s1" } }
+  for i = 1, count do
+    model["s" .. i] = rfsm.state {}
+    model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. i % count + 1,
+      events = { "e_push" } }
+  end
+  local fsm = rfsm.init(rfsm.state(model))
+  rfsm.run(fsm)
+  return fsm
+end
+
+describe("the diagram", function()
+  local function width()
+    return window:run [[
+      return $("view").firstElementChild.getBoundingClientRect().width]]
+  end
+
+  it("fits, is zoomed by wheel, fingers and buttons, and dragged", function()
+    visit(helper.file_with(LARGE))
+    window:click "#as-boxes"
+    window:wait "document.querySelector('#boxes .active')"
+    local fits = window:run [[
+      const v = $("view"), r = v.firstElementChild.getBoundingClientRect();
+      return r.width <= v.clientWidth && r.height <= v.clientHeight]]
+    assert.is_true(fits)
+    keep_shot "large-fit"
+    local before = width()
+    window:run [[
+      const r = $("view").getBoundingClientRect();
+      $("view").dispatchEvent(new WheelEvent("wheel", { deltaY: -800,
+        clientX: r.x + 100, clientY: r.y + 100, cancelable: true }))]]
+    assert.is_true(width() > 2 * before)
+    window:run [[
+      const view = $("view"), finger = (x, identifier) => new Touch({ identifier,
+        target: view, clientX: x, clientY: 300 });
+      for (const x of [400, 500]) view.dispatchEvent(new TouchEvent("touchmove", {
+        touches: [finger(300, 1), finger(x, 2)], cancelable: true }));]]
+    assert.is_true(width() > 5 * before)
+    local x = window:run [[
+      const view = $("view"), send = (kind, x, target) => target.dispatchEvent(
+        new PointerEvent(kind, { clientX: x, clientY: 300, movementX: -50,
+          bubbles: true }));
+      view.scrollLeft = 200;
+      send("pointerdown", 400, view); send("pointermove", 350, window);
+      send("pointerup", 350, window);
+      return view.scrollLeft]]
+    assert.equal(250, x)
+    window:click "#fit"
+    assert.is_true(math.abs(width() - before) < 1)
+    keep_shot "large"
+  end)
+
+  it("hides the states of a composite, and shows one that is found", function()
+    visit(helper.file_with(LARGE))
+    window:click "#as-boxes"
+    window:wait "document.querySelector('#boxes .folded')"
+    local folded = window:run "return folded.size"
+    assert.equal(100, folded)
+    assert.same({}, window:run [[
+      return marks.nodes.filter(([e], i) => chart.nodes[i].fqn.split(".").length == 4
+        && e.offsetParent).map(([e]) => e.textContent)]])
+    window:type "fs5.s3.s7\n"
+    window:wait "!document.querySelector('#about').hidden"
+    assert.equal("root.s5.s3.s7", texts("#about dd")[1])
+    assert.equal(99, window:run "return folded.size")
+    assert.is_true(window:run [[
+      const a = document.querySelector("#boxes .chosen").getBoundingClientRect();
+      const v = $("view").getBoundingClientRect();
+      return a.left >= v.left && a.right <= v.right && a.top >= v.top
+        && a.bottom <= v.bottom]])
+    window:click "#boxes .composite.state .fold"
+    window:wait "folded.size == 100"
+  end)
+
+  it("describes a state: callbacks, line, data, how often it was entered", function()
+    local file = helper.file_with [[
+local rfsm = require "rfsm"
+return rfsm.state {
+  off = rfsm.state { n = 42, entry = function() error("no power", 0) end },
+  on = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_push" } },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_push" } },
+}
+]]
+    visit_picture(file)
+    window:type "11"
+    window:wait "document.querySelector('.failed')"
+    window:run [[ // a click in the picture
+      document.getElementById("root.off").querySelector("text")
+        .dispatchEvent(new MouseEvent("click", { bubbles: true }))]]
+    window:wait "!document.querySelector('#about').hidden"
+    assert.same({ "root.off", "entry", file .. ":3", "2 times", "2 times", "n = 42" },
+      texts "#about dd")
+    keep_shot "state"
+  end)
+
+  it("stops where the page wants it", function()
+    visit(CHART)
+    window:run "choose(chart.nodes.findIndex(n => n.fqn == 'root.stopped'))"
+    window:wait "!document.querySelector('#about').hidden"
+    window:click "#stop input"
+    window:wait "now.points.length == 1"
+    window:type "2"
+    window:wait "now.stopped == 'root.stopped'"
+    assert.same({ "stopped at root.stopped" }, texts "#refused")
+  end)
+end)
+
+describe("the history", function()
+  it("shows the states behind a step, and now again", function()
+    visit_picture(CHART)
+    window:type "452"
+    window:wait "now.leaf == 'root.stopped'"
+    assert.equal(4, window:run "return +$('scrub').max")
+    window:run "$('scrub').value = 2; $('scrub').oninput()"
+    assert.same({ "tracking" }, lit())
+    assert.is_false(window:run "return $('to-now').hidden")
+    keep_shot "history"
+    window:click "#to-now"
+    assert.same({ "stopped" }, lit())
+  end)
+end)
+
+describe("a keyboard", function()
+  it("reaches the events before the log, and the tree before the diagram", function()
+    visit(CHART)
+    local order = window:run [=[
+      const all = [...document.querySelectorAll("button, input, [tabindex]")]
+        .filter(e => e.offsetParent && e.tabIndex == 0);
+      const at = selector => all.findIndex(e => e.matches(selector));
+      return [at("#events button"), at("[role=treeitem]"), at("#view"), at("#log"),
+        all.filter(e => e.matches("#log button")).length]]=]
+    assert.is_true(order[1] < order[2] and order[2] < order[3] and order[3] < order[4])
+    assert.is_true(order[1] < 12)
+    assert.equal(1, order[5])
+  end)
+
+  it("walks the tree of states", function()
+    visit(CHART)
+    window:run "document.querySelector('[role=treeitem]').focus()"
+    window:run [[
+      for (const key of ["ArrowDown", "ArrowDown", "Enter"]) document.activeElement
+        .dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }))]]
+    window:wait "!document.querySelector('#about').hidden"
+    assert.matches("^root%.", texts("#about dd")[1])
+    assert.equal("true", window:run [[
+      return document.querySelector("#tree [aria-selected=true]").ariaSelected]])
+  end)
+
+  it("finds no fault by axe, if AXE names axe.min.js", function()
+    local axe = os.getenv "AXE"
+    if not axe then return pending("AXE=axe.min.js is not set") end
+    visit_picture(CHART)
+    window:type "452"
+    window:wait "now.leaf == 'root.stopped'"
+    window:run(helper.content(axe) .. "\nwindow.axe = axe;")
+    assert.same({}, window:run_async [[
+      const done = arguments[0];
+      axe.run().then(r => done(r.violations.map(v => v.id + ": "
+        + v.nodes.map(n => n.target.join(" ")).join(", "))))]])
+  end)
+
+  it("sends nothing when its keys are off", function()
+    visit(CHART)
+    window:type "?"
+    window:wait "document.querySelector('#keys').open"
+    window:click "#use-keys"
+    window:type "\n"
+    window:run "document.querySelector('#keys').close()"
+    window:type "4r0"
+    assert.equal("root.operational.searching", window:run "return now.leaf")
+    assert.is_false(window:run "return document.querySelector('#sure').open")
+    window:run "localStorage.clear()"
+  end)
+end)
+
+describe("a machine that is fast", function()
+  it("is followed at 10,000 events a second, a frozen page beside", function()
+    local fsm = ring(2)
+    local server = visit_hosted(fsm)
+    local frozen = assert(socket.connect("127.0.0.1", server.port))
+    frozen:send("GET /events?token=" .. server.token .. " HTTP/1.1\r\n"
+      .. "Host: localhost\r\n\r\n")
+    local sent, began, worst = 0, socket.gettime(), 0
+    while socket.gettime() < began + 3 do
+      local due = (socket.gettime() - began) * 10000
+      for _ = 1, math.min(due - sent, 100) do
+        rfsm.send_events(fsm, "e_push")
+        rfsm.run(fsm)
+        sent = sent + 1
+      end
+      local before = socket.gettime()
+      server:step(0)
+      worst = math.max(worst, socket.gettime() - before)
+    end
+    window:wait "now.clock > 3"
+    local count = window:run "return now.log.at(-1).number"
+    if os.getenv "TIMES" then
+      print(("%d events in 3 s, longest step of the server %.1f ms"):format(sent,
+        worst * 1e3))
+    end
+    assert.is_true(count >= sent)
+    assert.is_true(window:run "return $('log').querySelectorAll('tr').length <= 500")
+    frozen:close()
+  end)
+end)
 
 describe("a machine with 1,000 states", function()
   for _, view in ipairs { "boxes", "picture" } do

@@ -102,7 +102,8 @@ end
 function http.page(server)
   local page = setmetatable({ server = server, tcp = http.connect(server), text = "" },
     Page)
-  http.send(server, page.tcp, "GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+  http.send(server, page.tcp, "GET /events?token=" .. server.token
+    .. " HTTP/1.1\r\nHost: localhost\r\n\r\n")
   return page, page:next()
 end
 

@@ -31,9 +31,9 @@ local function note(...)
   trace[#trace + 1] = table.concat(texts, " ")
 end
 
-timeevent.set_gettime_hook(function()
-  return 1000 + floor(now / 4), now % 4 * 250000000
-end)
+local function gettime() return 1000 + floor(now / 4), now % 4 * 250000000 end
+
+timeevent.set_gettime_hook(gettime)
 
 -- Charts ------------------------------------------------------------------------
 
@@ -239,6 +239,7 @@ end
 -- Does operations number `first` to `last`; the clock shows what those before set.
 local function run(fsm, operations, first, last)
   now = 0
+  timeevent.set_gettime_hook(gettime)
   for i = 1, last do
     local op = operations[i]
     coming = i % 4 == 0 and { "e2", 7 } or {}
@@ -264,17 +265,25 @@ function kept.begin(seed, at)
   return snap, trace
 end
 
---- Restores a snapshot; returns the trace of the rest of the run.
-function kept.go_on(seed, at, snap)
+--- Restores a snapshot, or puts it into a machine; returns the trace of the rest of the
+-- run, and a snapshot that was taken before it.
+function kept.go_on(seed, at, snap, fsm)
   local operations = kept.operations(seed)
   trace = {}
   run(nil, operations, at + 1, at) -- sets the clock
-  local fsm, problem = snapshot.restore(kept.model(seed), snap)
-  if not fsm then return { problem } end
+  local ok, problem
+  if fsm then
+    ok, problem = snapshot.put(fsm, snap)
+  else
+    ok, problem = snapshot.restore(kept.model(seed), snap)
+    fsm = ok
+  end
+  if not ok then return { problem } end
+  local again = snapshot.take(fsm)
   if trace[1] then trace[1] = "restore ran: " .. trace[1] end
   dress(fsm)
   run(fsm, operations, at + 1, #operations)
-  return trace
+  return trace, again
 end
 
 --- Returns a list, and a function that has a machine note there which way it goes.

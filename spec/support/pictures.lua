@@ -96,8 +96,8 @@ end
 local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
   ["#39"] = "'" }
 
---- The elements of a picture by id, each with a box and, if it is an edge, its ends and
--- the tip of its arrowhead.
+--- The elements of a picture by id, each with a box; edges also with their ends, the
+-- tip of its arrowhead, and the position of its label.
 function pictures.shapes_of(svg)
   local shapes = {}
   for id, body in svg:gmatch('<g id="([^"]*)" class="%l+ [^"]*">(.-)</g>') do
@@ -107,10 +107,38 @@ function pictures.shapes_of(svg)
     for _, list in ipairs { path or {}, head or {} } do
       for _, point in ipairs(list) do all[#all + 1] = point end
     end
-    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all),
-      ends = path and { path[1], path[#path] }, tip = head and head[2] }
+    local cx, cy, rx = body:match('<ellipse [^>]*cx="(%S+)" cy="(%S+)" rx="(%S+)"')
+    if cx then all = { { cx - rx, cy - rx }, { cx + rx, cy + rx } } end
+    local x, y = body:match('<text [^>]*x="(%-?[%d.]+)" y="(%-?[%d.]+)"')
+    shapes[id:gsub("&(#?%w+);", ENTITIES)] = { box = box_of(all), path = path,
+      ends = path and { path[1], path[#path] }, tip = head and head[2],
+      label = x and { tonumber(x), tonumber(y) } }
   end
   return shapes
+end
+
+--- The direction, in degrees, in which a line leaves a point: to the next point, or to
+-- the one before it if `step` is -1, which is not at the same place.
+function pictures.direction_at(path, i, step)
+  local from, j = path[i], i + step
+  while path[j + step] and math.abs(path[j][1] - from[1])
+    + math.abs(path[j][2] - from[2]) < 0.1 do
+    j = j + step
+  end
+  local y, x = (path[j][2] - from[2]) * step, (path[j][1] - from[1]) * step
+  local angle = math.deg(math.acos(x / math.max(1e-9, math.sqrt(x * x + y * y))))
+  return y < 0 and -angle or angle
+end
+
+--- The largest angle, in degrees, between two curves of a line where they meet.
+function pictures.sharpest_bend(path)
+  local sharpest = 0
+  for i = 4, #path - 3, 3 do
+    local bend = math.abs(pictures.direction_at(path, i, -1)
+      - pictures.direction_at(path, i, 1))
+    sharpest = math.max(sharpest, math.min(bend, 360 - bend))
+  end
+  return sharpest
 end
 
 return pictures

@@ -1,6 +1,8 @@
 -- Real Redis servers for the specs, on loopback, and many clients at once.
 
-local socket = require "socket"
+local helper = require "spec.helper"
+
+local has_socket, socket = pcall(require, "socket")
 
 local servers = {}
 
@@ -13,8 +15,19 @@ local function output_of(command)
   return output
 end
 
---- Is there a server to be started?
-function servers.are_installed() return output_of("command -v redis-server") ~= "" end
+--- Returns what a spec needs and this machine or Lua lacks, as a reason; nil if it is
+-- all there.
+function servers.missing()
+  for _, name in ipairs { "socket", "redis", "dkjson" } do
+    if not helper.package(name) then
+      return ("the module %s is missing for %s"):format(name, _VERSION)
+    end
+  end
+  return output_of("command -v redis-server") == "" and "redis-server is missing" or nil
+end
+
+--- Is the module there that connections need?
+servers.has_socket = has_socket
 
 local function free_port()
   local listener = assert(socket.bind("127.0.0.1", 0))
@@ -61,6 +74,17 @@ function Server:url() return "redis://127.0.0.1:" .. self.port end
 --- Runs redis-cli; returns its output.
 function Server:cli(arguments)
   return output_of(("redis-cli -p %d %s"):format(self.port, arguments))
+end
+
+--- Runs a script of the shell at the same time; returns a function that waits for its
+-- end, and returns the output.
+function servers.beside(script)
+  local pipe = assert(io.popen(script .. " 2>&1"))
+  return function()
+    local output = pipe:read("*a")
+    pipe:close()
+    return output
+  end
 end
 
 --- Starts a server with these options of the command line.

@@ -3,8 +3,9 @@
 -- compares them with the real one.
 --
 -- There are no threads: nothing runs at a write or a trigger, but in `standin.spin`,
--- and components with a period as time passes. The field `standin`, which the real one
--- has not, is for the specs' helper.
+-- and components with a period as time passes. What another thread could meet is
+-- forbidden instead: a call in a Lua of a service, once its hook is enabled. The field
+-- `standin`, which the real one has not, is for the specs' helper.
 
 local lua_state = require "spec.support.lua_state"
 
@@ -56,6 +57,14 @@ function rtt.logl(level, ...)
   end
   log(level, "")
 end
+
+-- The death of the process: nobody can catch it, `standin.check` raises it again.
+local function die(how)
+  standin.death = "the process dies: " .. how
+  error(standin.death, 0)
+end
+
+function standin.check() if standin.death then error(standin.death, 0) end end
 
 -- Types and Variables ---------------------------------------------------------
 
@@ -231,10 +240,37 @@ local OutputPort = setmetatable({}, { __index = Port })
 
 InputPort.__index, OutputPort.__index = InputPort, OutputPort
 
--- What a port is from its deletion on.
+-- What a port is from its deletion on: for who deleted it, and for others who have it.
 local DEAD = { __index = function()
   error("attempt to index local 'port' (a userdata value)", 2)
 end }
+local FREED = { __index = function() die("a port was used that is deleted") end }
+
+-- What `getPort` returns: one more pointer to the port.
+local HANDLE = {}
+
+local function real_of(port)
+  return getmetatable(port) == HANDLE and rawget(port, 1) or port
+end
+
+local function delete(handle)
+  rawget(handle, 1):disconnect()
+  setmetatable(rawget(handle, 1), FREED)
+  setmetatable(handle, DEAD)
+end
+
+local forward = setmetatable({}, { __index = function(made, name)
+  made[name] = name == "delete" and delete or function(handle, other, ...)
+    local real = rawget(handle, 1)
+    return real[name](real, real_of(other), ...)
+  end
+  return made[name]
+end })
+
+function HANDLE.__index(handle, name)
+  local value = rawget(handle, 1)[name]
+  return type(value) == "function" and forward[name] or value
+end
 
 function Port.info(port)
   return {
@@ -317,7 +353,7 @@ local function connect_ports(port, other, policy)
 end
 
 -- A policy is ignored.
-function Port.connect(port, other) return connect_ports(port, other) end
+function Port.connect(port, other) return connect_ports(port, real_of(other)) end
 
 local function remove_from(list, value)
   for i = #list, 1, -1 do
@@ -349,7 +385,21 @@ function Port.delete(port)
   setmetatable(port, DEAD)
 end
 
--- Properties of type string ------------------------------------------------------
+-- Attributes; properties of type string ------------------------------------------
+
+-- Its value is in a Variable, which stays when the attribute is removed.
+local Attribute = {}
+Attribute.__index = Attribute
+
+function Attribute:get() return push(rawget(self.value, 1), rawget(self.value, 2)) end
+
+function Attribute:set(value) methods.assign(self.value, value) end
+
+function Attribute:getRaw() return self.value end
+
+rtt.Attribute = class("Attribute", function(kind, name)
+  return setmetatable({ name = name or "", value = rtt.Variable.new(kind) }, Attribute)
+end)
 
 local Property = {}
 Property.__index = Property
@@ -403,11 +453,14 @@ local function new_component(name)
   local component = setmetatable({
     name = name, state = "PreOperational", lua = false, is_triggered = false,
     period = 0, due = false, ports = {}, peers = {}, properties = {}, operations = {},
-    services = {}, hooks = {},
+    services = {}, hooks = {}, attributes = {},
   }, TASK_CONTEXT)
   component.operations.trigger = operation(0, function()
     component.is_triggered = component.period == 0
     return component.is_triggered
+  end)
+  component.operations.getPeriod = operation(0, function()
+    return component.period / BILLION
   end)
   components[#components + 1] = component
   return component
@@ -415,8 +468,9 @@ end
 
 function TaskContext.getPortNames(component)
   for _, name in ipairs(component.ports) do
-    if getmetatable(component.ports[name]) == DEAD then
-      error("the process dies: a port was deleted before it was removed", 0)
+    local metatable = getmetatable(component.ports[name])
+    if metatable == DEAD or metatable == FREED then
+      die("a port was deleted before it was removed")
     end
   end
   return { unpack(component.ports) }
@@ -431,6 +485,7 @@ function TaskContext.removePort(component, name)
 end
 
 function TaskContext.addPort(component, port, name, desc)
+  port = real_of(port)
   if not port.connections[1] then port.name = name or port.name end
   port.desc = desc or port.desc
   if component.ports[port.name] then
@@ -443,18 +498,37 @@ function TaskContext.addPort(component, port, name, desc)
 end
 
 function TaskContext.addEventPort(component, port, name, desc)
+  port = real_of(port)
   if getmetatable(port) ~= InputPort then error("addEventPort: no InputPort", 2) end
   TaskContext.addPort(component, port, name, desc)
   port.is_event = true
 end
 
 -- Getters of what a component has under names; they raise for others.
-for kind, field in pairs { Port = "ports", Property = "properties", Peer = "peers" } do
+for kind, field in pairs { Port = "ports", Property = "properties", Peer = "peers",
+  Attribute = "attributes" } do
   TaskContext["get" .. kind] = function(component, name) -- any order: each alone
     local found = component[field][name]
+    if found and kind == "Port" then return setmetatable({ found }, HANDLE) end
     if found then return found end
     error(("TaskContext.get%s: no %s %s"):format(kind, kind:lower(), tostring(name)), 2)
   end
+end
+
+function TaskContext.removeAttribute(component, name)
+  if not component.attributes[name] then error("No such attribute", 2) end
+  setmetatable(component.attributes[name], FREED)
+  remove_named(component.attributes, name)
+end
+
+-- The first one of a name is found.
+function TaskContext.addAttribute(component, attribute)
+  if component.attributes[attribute.name] then return end
+  add_named(component.attributes, attribute.name, attribute)
+end
+
+function TaskContext.getAttributeNames(component)
+  return { unpack(component.attributes) }
 end
 
 function TaskContext.addPeer(component, peer)
@@ -476,11 +550,13 @@ end
 
 -- TaskContext: life cycle and engine -------------------------------------------
 
--- Runs `f(...)` as the Lua `lua`; returns what pcall does.
+-- Runs `f(...)` as the Lua `lua`; returns what pcall does. A hook that it enables is
+-- called by another thread from then on.
 local function run_in(lua, f, ...)
-  local before = current
+  local before, sethook = current, debug.sethook
   current = lua
   local ok, result, why = pcall(f, ...)
+  sethook()
   current = before
   if not ok then return false, result end
   return result, why -- those of lua_state
@@ -549,7 +625,7 @@ local function execute(component)
   local i, hooks = 1, component.hooks
   while hooks[i] do
     local hook = hooks[i][1]
-    if not hook then error("the process dies: an enabled EEHook was collected", 0) end
+    if not hook then die("an enabled EEHook was collected") end
     if hook.run() then i = i + 1 else table.remove(hooks, i) end
   end
   if component.state == "Running" then call_hook(component, "updateHook", false) end
@@ -557,6 +633,7 @@ end
 
 -- Gives each thread that was triggered its turn, until none is.
 function standin.spin()
+  standin.check()
   local i, turns = 1, 0
   while components[i] do
     local component = components[i]
@@ -568,6 +645,7 @@ function standin.spin()
     end
     i = i + 1
   end
+  standin.check()
 end
 
 -- Returns the periodic component that is next, no later than `limit`.
@@ -587,7 +665,9 @@ function rtt.sleep(s, ns)
   local limit = now + floor(s) * BILLION + ns
   standin.spin()
   for component in next_due, limit do
-    now, component.due = component.due, component.due + component.period
+    now, component.due = component.due, component.period > 0
+      and component.due + component.period
+    if component.fire then component.fire() end
     execute(component)
     standin.spin()
   end
@@ -610,6 +690,12 @@ local function eehook_class(component, lua)
   EEHook.__index = EEHook
   function EEHook:enable() -- held by the chart, or by nobody
     table.insert(component.hooks, setmetatable({ self }, { __mode = "v" }))
+    local sethook = debug.sethook
+    sethook(function()
+      if debug.getinfo(2, "f").func == sethook then return end
+      sethook()
+      die("two threads are in one Lua")
+    end, "c")
     return true
   end
   function EEHook:disable()
@@ -622,8 +708,7 @@ local function eehook_class(component, lua)
     name = check_string(name, "EEHook")
     return setmetatable({ name = name, run = function()
       if lua.globals[name] == nil then
-        error("the process dies: " .. component.name .. ": no (required) Lua function "
-          .. name, 0)
+        die(component.name .. ": no (required) Lua function " .. name)
       end
       return call_function(component, lua, name, true)
     end }, EEHook)
@@ -649,6 +734,9 @@ local function new_rttlib(lua)
       local port = component:getPort(name)
       component:removePort(name)
       port:delete()
+    end
+    for _, name in ipairs(component:getAttributeNames()) do
+      component:removeAttribute(name)
     end
   end
 
@@ -702,10 +790,40 @@ FACTORIES["OCL::LuaComponent"] = function(name)
   return component
 end
 
--- Its pool is not: `tlsf` is all that is different.
+local POOL = 1048576 -- bytes
+
+-- Its pool is one in name only. `tlsf.fill`, which the real one has not, fills it with
+-- garbage: from then on what needs memory fails, until somebody collects.
 FACTORIES["OCL::LuaTLSFComponent"] = function(name)
   local component = FACTORIES["OCL::LuaComponent"](name)
-  component.lua.globals.tlsf = {}
+  local globals, used = component.lua.globals, POOL / 2
+  globals.tlsf = {
+    stats = function() return used, POOL, POOL end,
+    fill = function(part) used = POOL * part end,
+  }
+  function globals.collectgarbage(what, ...)
+    if what == nil or what == "collect" then used = POOL / 2 end
+    return collectgarbage(what, ...)
+  end
+  for _, f in ipairs { "concat", "insert" } do -- examples of what needs memory
+    globals.table[f] = function(...)
+      if used == POOL then error("not enough memory", 0) end
+      return table[f](...)
+    end
+  end
+  return component
+end
+
+FACTORIES["OCL::TimerComponent"] = function(name)
+  local component = new_component(name)
+  local port = rtt.OutputPort.new("int", "timer_0")
+  TaskContext.addPort(component, port)
+  component.operations.arm = operation(2, function(_, seconds)
+    if is_variable(seconds) then seconds = methods.tolua(seconds) end
+    component.due = now + floor(seconds * BILLION + 0.5)
+    return true
+  end)
+  component.fire = function() port:write(0) end
   return component
 end
 
@@ -781,7 +899,7 @@ function rtt.getTC() return main end
 --- Starts again: a process with a deployer and nothing else.
 function standin.reset()
   now, components = 0, {}
-  standin.log, log_is_dead, pending = {}, false, ""
+  standin.log, log_is_dead, pending, standin.death = {}, false, "", nil
   current = { has_rttlib = false, globals = { rtt = rtt, package = package } }
   default_policy = new_variable("ConnPolicy", default_of("ConnPolicy"))
   main = new_component("lua")

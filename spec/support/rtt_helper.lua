@@ -84,7 +84,9 @@ end
 -- Before and after each spec: as in a fresh process, and no file of the one before.
 function rtt_helper.reset()
   if standin then
+    local death = standin.death
     standin.reset()
+    assert(not death, death)
   else
     for _, name in ipairs(rtt_helper.loaded()) do
       rtt_helper.deployer():getPeer(name):stop()

@@ -1,0 +1,287 @@
+--- Columns: a level that is too tall or too wide, in parts that stand side by side.
+--
+-- A column has a part of the nodes, in the order of the walk from `initial`. It is a
+-- composite without a frame, which Graphviz lays out. An arrow from a column to a later
+-- one leaves it below, runs up in the channel before the other one, and enters that
+-- from above. One that leads back takes the same way in the other direction. If the
+-- direction is LR, the columns are rows.
+--
+-- Positions have two parts: `u` runs across, from column to column, and `v` along, from
+-- the upper end of the columns to the lower one.
+--
+-- @module rfsm.pictures.columns
+-- @license BSD-3-Clause
+
+local diagram = require "rfsm.pictures.diagram"
+local lines = require "rfsm.pictures.lines"
+local links = require "rfsm.pictures.links"
+
+local abs, floor, ipairs, log = math.abs, math.floor, ipairs, math.log
+local max, min, select, sort = math.max, math.min, select, table.sort
+
+local columns = {}
+
+local RATIO = 4 / 3 -- of width to height
+
+local function misfit_of(width, height) return abs(log(width / height / RATIO)) end
+
+--- Return how far a level is from the ratio that is aimed at; 0 if it has it.
+---@param level rfsm.pictures.Level
+---@return number misfit
+function columns.misfit(level) return misfit_of(level.width, level.height) end
+
+-- Columns: which nodes are in them --------------------------------------------
+
+-- Returns the size of a box: across and along.
+local function size_of(box, direction)
+  if direction == "TB" then return box.width, box.height end
+  return box.height, box.width
+end
+
+local GAP, CHANNEL, TRACKS, CHARACTER = 35, 28, 60, 5.5 -- points, about
+
+-- Returns the width of the widest label in a level, about.
+local function label_width(level)
+  local most = 0
+  for _, link in ipairs(level.links) do
+    for _, line in ipairs(diagram.label_lines(link.arrow)) do
+      most = max(most, #line)
+    end
+  end
+  return most * CHARACTER
+end
+
+-- Returns the space between nodes in a column, and that beside them: labels are beside
+-- the lines, which run through the middle of columns and between them.
+local function gaps_of(level, across)
+  local label = label_width(level)
+  if level.direction == "LR" then return GAP + label, CHANNEL end
+  return GAP, max(0, label - across / 2) + CHANNEL + label
+end
+
+-- Returns into how many columns a level goes best.
+local function count_for(level)
+  local across, along, direction = 0, 0, level.direction
+  for _, box in ipairs(level.boxes) do
+    local u, v = size_of(box, direction)
+    across, along = max(across, u), along + v
+  end
+  local gap, channel = gaps_of(level, across)
+  along = along + gap * #level.boxes
+  local best, least = 1, 1 / 0
+  for count = 1, #level.boxes do
+    local width, height = (across + channel) * count, along / count + TRACKS
+    if direction == "LR" then width, height = height, width end
+    local misfit = misfit_of(width, height)
+    if misfit < least then best, least = count, misfit end
+  end
+  return best
+end
+
+-- Returns the numbers of the columns that nodes go to, so that these are of about the
+-- same length.
+local function deal(level, count)
+  local total, sum, numbers, last = 0, 0, {}, 0
+  local gap = gaps_of(level, 0)
+  local function length_of(box)
+    return select(2, size_of(box, level.direction)) + gap
+  end
+  for _, box in ipairs(level.boxes) do total = total + length_of(box) end
+  for i, box in ipairs(level.boxes) do
+    local length = length_of(box)
+    local share = floor((sum + length / 2) / total * count) + 1
+    last, sum = min(share, last + 1), sum + length
+    numbers[i] = last
+  end
+  return numbers
+end
+
+local MOST = 6 -- arrows between columns, for each channel
+
+--- Return the number of the column for each node of a level, nil if columns do not fit:
+-- if too many arrows would lead from one to the other.
+---@param level rfsm.pictures.Level
+---@return integer[]? numbers
+function columns.plan(level)
+  local numbers, crossing = deal(level, count_for(level)), 0
+  for _, link in ipairs(level.links) do
+    local upper, lower = link.upper and link.upper.node, link.lower.node
+    if upper and lower and numbers[upper.index] ~= numbers[lower.index] then
+      crossing = crossing + 1
+    end
+  end
+  local count = numbers[#numbers]
+  return count > 1 and crossing <= MOST * (count - 1) and numbers or nil
+end
+
+--- Put the nodes of a level into columns.
+---@param chart rfsm.pictures.Chart
+---@param level rfsm.pictures.Level
+---@param numbers integer[] of the columns
+---@return rfsm.pictures.Level[] levels those of the columns
+function columns.split(chart, level, numbers)
+  local composite, nodes, levels = level.composite, {}, {}
+  for i, node in ipairs(composite.nodes) do
+    local number = numbers[i]
+    local column = nodes[number]
+    if not column then
+      column = { kind = "composite", is_column = true, parent = composite,
+        index = number, nodes = {} }
+      column.level = links.new_level(column, level.direction)
+      nodes[number], levels[number] = column, column.level
+    end
+    node.parent, node.index = column, #column.nodes + 1
+    column.nodes[node.index] = node
+  end
+  composite.nodes = nodes
+  links.renew(chart, level)
+  return levels
+end
+
+-- Tracks: where the arrows between columns run --------------------------------
+
+local PITCH = 8 -- points between tracks
+
+-- Gives each link a track from one column to another; links that do not meet may share
+-- one. Returns the size of the tracks.
+local function assign_tracks(crossing, first, last, field)
+  local ends, count = {}, 0
+  for _, link in ipairs(crossing) do
+    local track = 1
+    while ends[track] and ends[track] >= first(link) do track = track + 1 end
+    ends[track], link[field], count = last(link), track, max(count, track)
+  end
+  return count > 0 and (count + 1) * PITCH or 0
+end
+
+local function src_column(link) return link.upper.node.index end
+local function tgt_column(link) return link.lower.node.index end
+
+local function sort_by(list, key_of)
+  sort(list, function(a, b)
+    local x, y = key_of(a), key_of(b)
+    if x ~= y then return x < y end
+    return a.id < b.id
+  end)
+end
+
+-- The places of columns and tracks in a level.
+local function new_grid(level)
+  local grid = { level = level, direction = level.direction, crossing = {}, u = {} }
+  for _, link in ipairs(level.links) do
+    if link.upper.node and link.lower.node then
+      grid.crossing[#grid.crossing + 1] = link
+    end
+  end
+  sort_by(grid.crossing, src_column)
+  grid.below = assign_tracks(grid.crossing, src_column, function(link)
+    return tgt_column(link) - 0.5
+  end, "below")
+  sort_by(grid.crossing, tgt_column)
+  grid.above = assign_tracks(grid.crossing, tgt_column, tgt_column, "above")
+  return grid
+end
+
+-- Places the columns across, each behind the tracks in its channel.
+local function place_across(grid, from)
+  local u, length = from, 0
+  for i, column in ipairs(grid.level.composite.nodes) do
+    if i > 1 then u = u + 2 * PITCH end
+    for _, link in ipairs(grid.crossing) do
+      if link.lower.node == column then
+        local label = link.label_box
+        link.u = u
+        u = u + PITCH + (label and size_of(label, grid.direction) + 4 or 0)
+      end
+    end
+    local width, height = size_of(column.level, grid.direction)
+    grid.u[i] = u
+    u, length = u + width, max(length, height)
+  end
+  grid.across, grid.length = u, length
+end
+
+-- Makes room for name and rows: above the columns, or beside them if an arrow leads up
+-- from a column to the frame.
+local function place_header(grid, header)
+  local from = 0
+  grid.start = grid.above
+  if header and grid.direction == "TB" then
+    grid.start = grid.start + header.height + PITCH
+    for _, link in ipairs(grid.level.links) do
+      if not link.upper.node then from = header.width + PITCH end
+    end
+  end
+  place_across(grid, from)
+  if header and grid.direction == "TB" then
+    grid.across = max(grid.across, header.width)
+  end
+  grid.foot = grid.start + grid.length
+  grid.along = grid.foot + grid.below
+  return from > 0
+end
+
+-- Returns a point in the level.
+local function point_at(grid, u, v)
+  if grid.direction == "TB" then return { u, grid.along - v } end
+  return { v, grid.across - u }
+end
+
+-- Returns where a link meets a column: across, and along.
+local function foot_of(grid, finish, is_upper)
+  local column = finish.node
+  local _, length = size_of(column.level, grid.direction)
+  return grid.u[column.index] + finish.gate.offset,
+    grid.start + (is_upper and length or 0)
+end
+
+-- Returns the corners of a link between columns, or to a gate of the level.
+local function corners_of(grid, link)
+  local function at(u, v) return point_at(grid, u, v) end
+  if not link.upper.node then
+    local u, v = foot_of(grid, link.lower, false)
+    link.upper.gate.at = at(u, 0)
+    return { at(u, 0), at(u, v) }
+  end
+  local u, v = foot_of(grid, link.upper, true)
+  if not link.lower.node then
+    link.lower.gate.at = at(u, grid.along)
+    return { at(u, v), at(u, grid.along) }
+  end
+  local below, above = grid.foot + link.below * PITCH, grid.start - link.above * PITCH
+  local tgt, top = foot_of(grid, link.lower, false)
+  local label = link.label_box
+  if label then
+    link.label_at = at(link.u + 3 + size_of(label, grid.direction) / 2,
+      (below + above) / 2)
+  end
+  return { at(u, v), at(u, below), at(link.u, below), at(link.u, above), at(tgt, above),
+    at(tgt, top) }
+end
+
+--- Place the columns of a level, and the arrows between them.
+---@param level rfsm.pictures.Level
+---@param header? rfsm.pictures.Box size of name and rows
+function columns.arrange(level, header)
+  local grid = new_grid(level)
+  local is_beside = place_header(grid, header)
+  for i, column in ipairs(level.composite.nodes) do
+    local width, height = size_of(column.level, grid.direction)
+    local middle = point_at(grid, grid.u[i] + width / 2, grid.start + height / 2)
+    level.boxes[i] = { x = middle[1], y = middle[2] }
+  end
+  for _, link in ipairs(level.links) do
+    link.points = lines.rounded(corners_of(grid, link))
+  end
+  level.inner_width, level.inner_height = size_of({ width = grid.across,
+    height = grid.along }, grid.direction)
+  if not header then return end
+  if grid.direction == "LR" then
+    level.inner_height = level.inner_height + header.height + PITCH
+    level.inner_width = max(level.inner_width, header.width)
+  end
+  level.header = { x = is_beside and header.width / 2 or level.inner_width / 2,
+    y = level.inner_height - header.height / 2 }
+end
+
+return columns

@@ -1,0 +1,367 @@
+--- A level in the language of Graphviz, and what Graphviz answers.
+--
+-- Graphviz lays out many levels at a time, because its start takes longer than a level.
+--
+-- The file reads in this order: boxes with ports, graphs, answers, public functions.
+--
+-- @module rfsm.pictures.graphs
+-- @license BSD-3-Clause
+
+local diagram = require "rfsm.pictures.diagram"
+local looks = require "rfsm.pictures.looks"
+
+local ceil, floor, ipairs, max, tonumber = math.ceil, math.floor, ipairs, math.max,
+  tonumber
+local concat, sort = table.concat, table.sort
+local add = diagram.add
+
+local graphs = {}
+
+--- What has Graphviz lay out graphs. Returns them with positions, or nil and a problem.
+---@alias rfsm.pictures.Run fun(graphs: string): string?, string?
+
+-- Boxes: composites, with a port for each gate --------------------------------
+
+local TABLE = '<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0" CELLPADDING="0">'
+local CELL = '<TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"%s>%s</TD>'
+
+-- Returns cells in a row if the direction is TB, else in a column.
+local function table_of(direction, cells)
+  return TABLE .. "<TR>" .. concat(cells, direction == "LR" and "</TR><TR>" or "")
+    .. "</TR></TABLE>"
+end
+
+-- Returns a cell of a length across the direction, and a size along it.
+local function cell_of(direction, across, along, port, content)
+  if direction == "LR" then across, along = along, across end
+  return CELL:format(across, along, port and (' PORT="%s"'):format(port) or "",
+    content or "")
+end
+
+-- Returns a side of a box: cells, of which that of each gate is where the gate is.
+local function side_text(level, list, length)
+  local direction, cells, from = level.direction, {}, 0
+  local function add_cell(size, port)
+    if size > 0 then cells[#cells + 1] = cell_of(direction, size, 1, port) end
+  end
+  for _, gate in ipairs(list) do
+    local position = max(from, floor(gate.offset - 0.5))
+    add_cell(position - from)
+    add_cell(2, gate.id)
+    from = position + 2
+  end
+  add_cell(length - from)
+  return cell_of(direction, length, 1, nil, table_of(direction, cells))
+end
+
+-- The gates at a side, in the order of their positions.
+local function gates_at(level, is_upper)
+  local list = {}
+  for _, gate in ipairs(level.gates) do
+    if gate.is_upper == is_upper then list[#list + 1] = gate end
+  end
+  sort(list, function(a, b)
+    if a.offset ~= b.offset then return a.offset < b.offset end
+    return a.id < b.id
+  end)
+  return list
+end
+
+local function box_text(level)
+  local across, along = level.width, level.height
+  if level.direction == "LR" then across, along = along, across end
+  local rows = { side_text(level, gates_at(level, true), across),
+    cell_of(level.direction, across, along - 2),
+    side_text(level, gates_at(level, false), across) }
+  return 'shape=plain, style="", label=<'
+    .. table_of(level.direction == "LR" and "TB" or "LR", rows) .. ">"
+end
+
+-- Graphs ----------------------------------------------------------------------
+
+local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
+
+-- Adds name and rows of a composite, and its gates: the first and the last rank.
+local function add_border(lines, level)
+  local first, last, composite = {}, {}, level.composite
+  local header = composite.fqn and looks.state_label(composite)
+  if header and level.direction == "TB" then
+    add(lines, 1, 'h [shape=plain, style="", label=' .. header .. "]")
+    first[1] = "h"
+  elseif header then
+    add(lines, 1, "graph [labelloc=t, label=" .. header .. "]")
+  end
+  for _, gate in ipairs(level.gates) do
+    add(lines, 1, POINT:format(gate.id))
+    local list = gate.is_upper and first or last
+    list[#list + 1] = gate.id
+  end
+  local function add_rank(rank, ids)
+    if not ids[1] then return end
+    add(lines, 1, ("{ rank=%s; %s }"):format(rank, concat(ids, "; ")))
+  end
+  add_rank("source", first)
+  add_rank("sink", last)
+end
+
+local HIDDEN = '  n%d -> n%d [style=invis, label=<<TABLE BORDER="0" CELLPADDING="0">'
+  .. '<TR><TD FIXEDSIZE="TRUE" WIDTH="%d" HEIGHT="%d"></TD></TR></TABLE>>]'
+
+local function add_nodes(lines, level)
+  for i, node in ipairs(level.composite.nodes) do
+    local room = node.loops
+    add(lines, 1, ("n%d [%s%s]"):format(i, node.level and box_text(node.level)
+      or looks.leaf_text(node), room and not node.level and ", " .. room.text or ""))
+    if room then
+      lines[#lines + 1] = HIDDEN:format(i, i, ceil(room.width), ceil(room.height))
+    end
+  end
+end
+
+-- Adds the labels of arches; the left leg of each leads to the left gate.
+local function add_arches(lines, level)
+  for _, link in ipairs(level.links) do
+    local legs = link.arch and link.arch.legs
+    if legs and legs[1] == link then
+      local is_right = link.lower.gate.offset > legs[2].lower.gate.offset
+      link.foot, legs[2].foot = is_right and "r" or "l", is_right and "l" or "r"
+      add(lines, 1, ("a%d [%s]"):format(link.id,
+        looks.arch_text(link.arrow, level.direction)))
+    end
+  end
+end
+
+-- Keeps regions side by side, in the order in which they are stepped.
+local function add_regions(lines, composite)
+  local ids = {}
+  for i, node in ipairs(composite.nodes) do
+    ids[#ids + 1] = node.is_region and "n" .. i or nil
+  end
+  if not ids[2] then return end
+  add(lines, 1, ("{ rank=same; %s [style=invis] }"):format(concat(ids, " -> ")))
+end
+
+-- Puts a composite in a column, and what no arrow there leads to, below what is before.
+local function add_stack(lines, level)
+  local is_led_to = {}
+  for _, link in ipairs(level.links) do
+    local upper, lower = link.upper and link.upper.node, link.lower.node
+    if upper and lower and upper ~= lower then is_led_to[lower] = true end
+  end
+  for i, node in ipairs(level.composite.nodes) do
+    if i > 1 and (node.level or not is_led_to[node]) then
+      add(lines, 1, ("n%d -> n%d [style=invis, weight=0]"):format(i - 1, i))
+    end
+  end
+end
+
+local COMPASS = { TB = { "s", "n" }, LR = { "e", "w" } }
+
+-- Returns an end of an edge. A line meets a frame at a right angle.
+local function end_text(level, finish, is_tail)
+  local compass = COMPASS[level.direction][is_tail and 1 or 2]
+  if not finish.node then return finish.gate.id .. ":" .. compass end
+  local id = "n" .. finish.node.index
+  if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
+  return finish.node.kind == "connector" and id .. ":p" or id
+end
+
+local DIRS = { upper = "back", lower = "forward" }
+
+local function add_link(lines, level, link)
+  local arch = link.arch
+  local tail = arch and ("a%d:%s:%s"):format(arch.id, link.foot,
+    COMPASS[level.direction][1]) or end_text(level, link.upper, true)
+  local has_label = link.is_home and not arch and link.arrow.parts[1]
+  add(lines, 1, ("%s -> %s [id=%d, dir=%s%s%s]"):format(tail,
+    end_text(level, link.lower, false), link.id, DIRS[link.head] or "none",
+    arch and ", weight=8" or "",
+    has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
+end
+
+local LARGE = 100 -- links
+
+local function graph_of(level)
+  local composite = level.composite
+  local lines = { "digraph {", looks.head(level.direction) }
+  if #level.links > LARGE then
+    add(lines, 1, "graph [nslimit=2, nslimit1=2, mclimit=0.5]")
+  end
+  if level.is_spread then add(lines, 1, "graph [ranksep=1, nodesep=0.1]") end
+  add_border(lines, level)
+  add_nodes(lines, level)
+  add_arches(lines, level)
+  add_regions(lines, composite)
+  if composite.is_column then add_stack(lines, level) end
+  for _, link in ipairs(level.links) do
+    if not link.is_loop then add_link(lines, level, link) end
+    local twin = link.upper and link.upper.gate and link.upper.gate.twin
+    if twin and not link.upper.node then -- it stays beside the other gate
+      add(lines, 1, ("%s -> %s [style=invis]"):format(twin.id,
+        end_text(level, link.lower, false)))
+    end
+  end
+  lines[#lines + 1] = "}\n"
+  return concat(lines, "\n")
+end
+
+-- Answers ---------------------------------------------------------------------
+
+-- Returns where a value that begins at a position ends.
+local function value_end(text, from)
+  local first = text:sub(from, from)
+  if first == "<" then return select(2, text:find("%b<>", from)) end
+  if first ~= '"' then return select(2, text:find("^[^,%]%s]*", from)) end
+  local position = text:find('["\\]', from + 1)
+  while text:sub(position, position) == "\\" do
+    position = text:find('["\\]', position + 2)
+  end
+  return position
+end
+
+-- Reads attributes. Returns them, and where they end.
+local function read_attributes(text, position)
+  local attributes = {}
+  while true do
+    local _, stop, name = text:find("^[%s,]*([%w_]+)=", position)
+    if not name then return attributes, position end
+    local last = value_end(text, stop + 1)
+    attributes[name] = text:sub(stop + 1, last):gsub('^"(.*)"$', "%1")
+    position = last + 1
+  end
+end
+
+local function numbers_in(text)
+  local list = {}
+  for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = tonumber(number) end
+  return list
+end
+
+local function read_link(link, attributes)
+  local points = {}
+  local rest = attributes.pos:gsub("[es],([^ ]+) ?", function(point)
+    link.tip = numbers_in(point)
+    return ""
+  end)
+  for point in rest:gmatch("[^ ]+") do points[#points + 1] = numbers_in(point) end
+  link.points = points
+  link.label_at = attributes.lp and numbers_in(attributes.lp)
+end
+
+local function read_node(level, id, attributes)
+  local point, kind, number = numbers_in(attributes.pos), id:sub(1, 1), id:sub(2)
+  local box = { x = point[1], y = point[2], width = attributes.width * 72,
+    height = attributes.height * 72 }
+  number = tonumber(number)
+  if kind == "h" then
+    level.header = box
+  elseif kind == "n" then
+    level.boxes[number] = box
+  elseif kind == "a" then
+    level.arches[number] = box
+  elseif kind ~= "r" then
+    level.gates[number].at = point
+  end
+end
+
+local function read_size(level, attributes)
+  local corner, at = numbers_in(attributes.bb), attributes.lp
+  level.inner_width, level.inner_height = corner[3], corner[4]
+  if at then
+    at = numbers_in(at)
+    level.header = { x = at[1], y = at[2] }
+  end
+end
+
+local function read_element(level, id, attributes)
+  if id == "graph" then
+    if attributes.bb then read_size(level, attributes) end
+  elseif id:find("->", 1, true) then
+    local link = level.links[tonumber(attributes.id)]
+    if link then read_link(link, attributes) end
+  elseif attributes.pos then
+    read_node(level, id, attributes)
+  end
+end
+
+-- Reads a graph of an answer. Returns where it ends.
+local function read_level(level, text, position)
+  level.boxes, level.arches, level.header = {}, {}, nil
+  while true do
+    local _, stop, id, mark = text:find("\n%s*([^\n{}]-)%s*([%[{}])", position)
+    position = stop + 1
+    if mark == "[" then
+      local attributes
+      attributes, position = read_attributes(text, position)
+      read_element(level, id, attributes)
+    elseif mark == "}" and text:find("^\n}", stop - 1) then
+      return position
+    end
+  end
+end
+
+-- Public functions ------------------------------------------------------------
+
+local MARGIN = 10 -- points between a frame and what is in it
+
+-- Gives a gate its position at the frame.
+local function place_gate(level, gate)
+  local x, y = gate.at[1] + level.x, gate.at[2] + level.y
+  if level.direction == "TB" then
+    gate.x, gate.y, gate.offset = x, gate.is_upper and level.height or 0, x
+  else
+    gate.x, gate.y = gate.is_upper and 0 or level.width, y
+    gate.offset = level.height - y
+  end
+end
+
+--- Give a level its size, and its gates their positions.
+---@param level rfsm.pictures.Level
+function graphs.measure(level)
+  local composite = level.composite
+  local margin = composite.is_column and 0 or MARGIN
+  local least = composite.loops and composite.loops.length or 0
+  level.width, level.height = ceil(level.inner_width) + 2 * margin,
+    max(ceil(level.inner_height) + 2 * margin, ceil(least))
+  level.x, level.y = margin, level.height - ceil(level.inner_height) - margin
+  local is_centred = level.header ~= nil
+  for _, gate in ipairs(level.gates) do
+    is_centred = is_centred and not gate.is_upper
+    place_gate(level, gate)
+  end
+  if is_centred then level.header.x = level.inner_width / 2 end
+end
+
+--- Have Graphviz lay out levels.
+---@param list rfsm.pictures.Level[]
+---@param run rfsm.pictures.Run
+---@return string? problem
+function graphs.lay_out(list, run)
+  local texts = {}
+  for i, level in ipairs(list) do texts[i] = graph_of(level) end
+  local answer, problem = run(concat(texts))
+  if not answer then return problem end
+  answer = answer:gsub("\\\r?\n", "")
+  local position = 1
+  for _, level in ipairs(list) do
+    position = read_level(level, answer, position)
+    graphs.measure(level)
+  end
+end
+
+--- Have Graphviz measure texts.
+---@param labels string[] in its language
+---@param run rfsm.pictures.Run
+---@return rfsm.pictures.Box[]? boxes
+---@return string? problem
+function graphs.sizes_of(labels, run)
+  local lines = { "digraph {", looks.head("TB"), '  node [shape=plain, style=""]' }
+  for i, label in ipairs(labels) do add(lines, 1, ("n%d [%s]"):format(i, label)) end
+  local answer, problem = run(concat(lines, "\n") .. "\n}\n")
+  if not answer then return nil, problem end
+  local level = { gates = {}, links = {} }
+  read_level(level, answer:gsub("\\\r?\n", ""), 1)
+  return level.boxes
+end
+
+return graphs

@@ -1,0 +1,262 @@
+--- The layout of a chart: level by level, the innermost ones first.
+--
+-- Graphviz lays out each level. One that is too tall or too wide is put into columns,
+-- or turned to the other direction. Loops at states are drawn here.
+--
+-- @module rfsm.pictures.levels
+-- @license BSD-3-Clause
+
+local columns = require "rfsm.pictures.columns"
+local graphs = require "rfsm.pictures.graphs"
+local links = require "rfsm.pictures.links"
+local looks = require "rfsm.pictures.looks"
+
+local ipairs, log, max = ipairs, math.log, math.max
+
+local levels = {}
+
+-- Loops: arrows from a state to itself, beside it -----------------------------
+
+local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
+
+-- Adds a loop to the list of its node, and makes room for it.
+local function add_loop(link, box)
+  local node, is_down = link.upper.node, link.level.direction == "TB"
+  local room = node.loops or { length = 0, width = 2, height = 2 }
+  node.loops, room[#room + 1] = room, { link = link, box = box }
+  room.length = room.length + max(LEAST, is_down and box.height + 4 or box.width + 10)
+  local field = is_down and "width" or "height"
+  room[field] = max(room[field], box[field] + DEPTH - 8)
+  room.text = is_down and ("height=%.2f"):format(max(0.4, room.length / 72))
+    or ("width=%.2f"):format(max(0.75, room.length / 72))
+end
+
+-- Has Graphviz measure the labels of all loops.
+local function find_loops(chart, run)
+  local list, labels = {}, {}
+  for _, arrow in ipairs(chart.all) do
+    local link = arrow.links[1]
+    if link.is_loop then
+      list[#list + 1] = link
+      labels[#list] = "fontsize=10, label=" .. looks.arrow_label(arrow)
+    end
+  end
+  if not list[1] then return nil end
+  local boxes, problem = graphs.sizes_of(labels, run)
+  for i, box in ipairs(boxes or {}) do add_loop(list[i], box) end
+  return problem
+end
+
+-- A loop at the right side of a box, from its upper end to its lower one; the sides of
+-- a level that runs from left to right are the upper ones.
+local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 },
+  { 6.5, -6.5 } }
+local TIP = { 0, -4.5 }
+
+local function draw_loop(link, x, y, box)
+  local is_down = link.level.direction == "TB"
+  local function at(point)
+    if is_down then return { x + point[1], y + point[2] } end
+    return { x - point[2], y + point[1] }
+  end
+  link.points = {}
+  for i, point in ipairs(LOOP) do link.points[i] = at(point) end
+  link.tip = at(TIP)
+  link.label_at = at { DEPTH + (is_down and box.width or box.height) / 2 - 1, 0 }
+end
+
+local function draw_loops(level)
+  for i, node in ipairs(level.composite.nodes) do
+    local box, room = level.boxes[i], node.loops
+    local is_down, offset = level.direction == "TB", 0
+    for _, loop in ipairs(room or {}) do
+      local step = max(LEAST, is_down and loop.box.height + 4 or loop.box.width + 10)
+      local along = offset + step / 2 - room.length / 2
+      if is_down then
+        draw_loop(loop.link, box.x + box.width / 2, box.y - along, loop.box)
+      else
+        draw_loop(loop.link, box.x + along, box.y + box.height / 2, loop.box)
+      end
+      offset = offset + step
+    end
+  end
+end
+
+-- Has Graphviz lay out levels, and draws their loops.
+local function lay_out(list, run)
+  local problem = graphs.lay_out(list, run)
+  for _, level in ipairs(problem and {} or list) do draw_loops(level) end
+  return problem
+end
+
+-- Levels that do not fit ------------------------------------------------------
+
+local FEWEST = 6 -- nodes in what is changed
+local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never changed
+local MISFIT = log(1.7)
+
+local function has_regions(composite)
+  for _, node in ipairs(composite.nodes) do
+    if node.is_region then return true end
+  end
+  return false
+end
+
+local function is_misfit(chart, level)
+  local composite = level.composite
+  if #level.boxes < FEWEST or columns.misfit(level) < MISFIT then return false end
+  if has_regions(composite) then return false end
+  return composite == chart.root or level.height > TALLEST or level.width > WIDEST
+end
+
+-- Has Graphviz measure name and rows of levels, and the labels between their columns.
+local function measure_labels(list, run)
+  local owners, labels = {}, {}
+  local function add_label(owner, label)
+    owners[#owners + 1], labels[#labels + 1] = owner, label
+  end
+  for _, level in ipairs(list) do
+    add_label(level, "label=" .. looks.state_label(level.composite))
+    for _, link in ipairs(level.links) do
+      if link.is_home and link.arrow.parts[1] then
+        add_label(link, "fontsize=10, label=" .. looks.arrow_label(link.arrow))
+      end
+    end
+  end
+  local boxes, problem = graphs.sizes_of(labels, run)
+  for i, box in ipairs(boxes or {}) do owners[i].label_box = box end
+  return problem
+end
+
+-- Puts levels into columns.
+local function divide(chart, list, run)
+  if not list[1] then return nil end
+  local parts = {}
+  for _, level in ipairs(list) do
+    for _, part in ipairs(columns.split(chart, level, level.plan)) do
+      parts[#parts + 1] = part
+    end
+  end
+  local problem = lay_out(parts, run) or measure_labels(list, run)
+  if problem then return problem end
+  for _, level in ipairs(list) do
+    columns.arrange(level, level.label_box)
+    graphs.measure(level)
+  end
+end
+
+-- Has a level no gates, and none at its boxes?
+local function is_closed(level)
+  for _, node in ipairs(level.composite.nodes) do
+    if node.loops or node.level and node.level.gates[1] then return false end
+  end
+  return not level.gates[1]
+end
+
+-- Leads a link from its other end.
+local function swap(link)
+  link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
+  if link.head then link.head = link.head == "upper" and "lower" or "upper" end
+end
+
+-- Returns the links of each leaf of a level that is linked to one other node only, by
+-- that node.
+local function rays_of(level)
+  local hub_of, links_of, rays, hubs = {}, {}, {}, {}
+  for _, link in ipairs(level.links) do
+    for _, ends in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
+      local node, other = ends[1].node, ends[2].node
+      links_of[node] = links_of[node] or {}
+      links_of[node][#links_of[node] + 1] = link
+      hub_of[node] = (hub_of[node] == nil or hub_of[node] == other) and other
+    end
+  end
+  for _, node in ipairs(level.composite.nodes) do
+    local hub = node.kind == "leaf" and hub_of[node]
+    if hub then
+      if not rays[hub] then hubs[#hubs + 1], rays[hub] = hub, {} end
+      rays[hub][#rays[hub] + 1] = links_of[node]
+    end
+  end
+  return hubs, rays
+end
+
+local FEW = 6 -- leaves around a node that stay at one side of it
+
+-- Puts every second leaf around a node before it.
+local function spread(level)
+  local hubs, rays = rays_of(level)
+  for _, hub in ipairs(hubs) do
+    level.is_spread = level.is_spread or #rays[hub] > FEW
+    for i = 2, #rays[hub] > FEW and #rays[hub] or 0, 2 do
+      for _, link in ipairs(rays[hub][i]) do swap(link) end
+    end
+  end
+end
+
+local OTHER = { TB = "LR", LR = "TB" }
+
+-- Turns levels to the other direction, and those that get no better back.
+local function turn(list, run)
+  if not list[1] then return nil end
+  local before, worse = {}, {}
+  for i, level in ipairs(list) do
+    before[i], level.direction = columns.misfit(level), OTHER[level.direction]
+    spread(level)
+  end
+  local problem = lay_out(list, run)
+  if problem then return problem end
+  for i, level in ipairs(list) do
+    if columns.misfit(level) > before[i] then
+      level.direction, worse[#worse + 1] = OTHER[level.direction], level
+      spread(level)
+      level.is_spread = false
+    end
+  end
+  return worse[1] and lay_out(worse, run)
+end
+
+local function mend(chart, list, run)
+  local divided, turned = {}, {}
+  for _, level in ipairs(list) do
+    if is_misfit(chart, level) then
+      level.plan = columns.plan(level)
+      local group = level.plan and divided or is_closed(level) and turned or {}
+      group[#group + 1] = level
+    end
+  end
+  return turn(turned, run) or divide(chart, divided, run)
+end
+
+-- Layout ----------------------------------------------------------------------
+
+-- The levels by height: those in front have none of those behind in them.
+local function levels_by_height(chart)
+  local list = {}
+  local function visit(composite)
+    local height = 1
+    for _, node in ipairs(composite.nodes) do
+      if node.level then height = max(height, visit(node) + 1) end
+    end
+    list[height] = list[height] or {}
+    list[height][#list[height] + 1] = composite.level
+    return height
+  end
+  visit(chart.top)
+  return list
+end
+
+--- Lay out all levels of a chart.
+---@param chart rfsm.pictures.Chart
+---@param run rfsm.pictures.Run
+---@return string? problem
+function levels.lay_out(chart, run)
+  links.prepare(chart)
+  local problem = find_loops(chart, run)
+  for _, list in ipairs(levels_by_height(chart)) do
+    problem = problem or lay_out(list, run) or mend(chart, list, run)
+  end
+  return problem
+end
+
+return levels

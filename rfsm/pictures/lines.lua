@@ -1,0 +1,82 @@
+--- Lines as Graphviz has them: a point, then three for each curve.
+--
+-- @module rfsm.pictures.lines
+-- @license BSD-3-Clause
+
+local abs, ipairs, max, min = math.abs, ipairs, math.max, math.min
+
+local lines = {}
+
+local function distance(a, b) return max(abs(a[1] - b[1]), abs(a[2] - b[2])) end
+
+local function between(a, b, share)
+  return { a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share }
+end
+
+-- Adds a straight part up to a point.
+local function add_straight(line, point)
+  local last = line[#line]
+  if last and distance(last, point) < 0.01 then return end
+  if last then
+    line[#line + 1] = between(last, point, 1 / 3)
+    line[#line + 1] = between(last, point, 2 / 3)
+  end
+  line[#line + 1] = point
+end
+
+local NEAR = 3 -- points: gates of a box are where Graphviz has room for a port
+
+--- Add a line to the end of another one, which may have no points yet. It begins where
+-- that one ends if it is near, so that there is no bend at a gate.
+---@param line number[][]
+---@param more number[][]
+---@param axis 1|2 across the direction
+function lines.join(line, more, axis)
+  local last = line[#line]
+  local shift = last and last[axis] - more[1][axis] or 0
+  for i, point in ipairs(more) do
+    if i <= 2 and abs(shift) < NEAR then
+      point = { point[1], point[2] }
+      point[axis] = point[axis] + shift
+    end
+    if i == 1 then add_straight(line, point) else line[#line + 1] = point end
+  end
+end
+
+local ROUND = 6 -- points, the radius of corners
+
+--- Return a line of straight parts with round corners.
+---@param points number[][]
+---@return number[][] line
+function lines.rounded(points)
+  local line = { points[1] }
+  for i = 2, #points - 1 do
+    local before, corner, after = points[i - 1], points[i], points[i + 1]
+    local one, two = distance(before, corner), distance(corner, after)
+    local radius = min(ROUND, one / 2, two / 2)
+    if radius > 0.01 then
+      add_straight(line, between(corner, before, radius / one))
+      line[#line + 1] = between(corner, before, radius / one * 0.45)
+      line[#line + 1] = between(corner, after, radius / two * 0.45)
+      line[#line + 1] = between(corner, after, radius / two)
+    end
+  end
+  add_straight(line, points[#points])
+  return line
+end
+
+--- Return a line, moved, and in its other direction if it is turned.
+---@param line number[][]
+---@param x number
+---@param y number
+---@param is_turned boolean
+---@return number[][] moved
+function lines.moved(line, x, y, is_turned)
+  local moved = {}
+  for i, point in ipairs(line) do
+    moved[is_turned and #line + 1 - i or i] = { point[1] + x, point[2] + y }
+  end
+  return moved
+end
+
+return lines

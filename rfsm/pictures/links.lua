@@ -1,0 +1,208 @@
+--- Levels: the inside of each composite; links: what arrows are in them.
+--
+-- In the level of its parent a composite is a box. Where an arrow crosses the frame of
+-- a composite there is a gate at its upper or its lower side: a port of the box, and a
+-- point in the level of the composite. So an arrow is a chain of links, from its source
+-- out to its home and from there in to its target. Links lead downward in the order of
+-- the walk from `initial`. Those of an arrow that leads back are turned.
+--
+-- "Upper" and "lower" are left and right if the direction is LR.
+--
+-- @module rfsm.pictures.links
+-- @license BSD-3-Clause
+
+local diagram = require "rfsm.pictures.diagram"
+
+local ipairs = ipairs
+
+local links = {}
+
+--- The inside of a composite. Positions are points from the lower left corner.
+---@class rfsm.pictures.Level
+---@field composite rfsm.pictures.Node
+---@field direction "TB"|"LR"
+---@field gates rfsm.pictures.Gate[]
+---@field gate_of table<string, rfsm.pictures.Gate> by key of the arrow
+---@field links rfsm.pictures.Link[]
+---@field link_of table<string, rfsm.pictures.Link>
+---@field boxes rfsm.pictures.Box[] of the nodes
+---@field arches rfsm.pictures.Box[] of the labels above composites, by number of a link
+---@field width number
+---@field height number
+---@field header? rfsm.pictures.Box of name and rows
+
+--- A part of a level: its middle, and its size.
+---@class rfsm.pictures.Box
+---@field x number
+---@field y number
+---@field width number
+---@field height number
+
+--- Where an arrow crosses a frame.
+---@class rfsm.pictures.Gate
+---@field id string
+---@field is_upper boolean
+---@field twin? rfsm.pictures.Gate at which the arrow of this one meets the frame
+---@field x number
+---@field y number
+---@field offset number from the corner of the frame at which its side begins
+
+--- An end of a link: a node, a gate of a node's box, or a gate of the level.
+---@class rfsm.pictures.End
+---@field node? rfsm.pictures.Node
+---@field gate? rfsm.pictures.Gate
+
+--- A part of an arrow: between two ends in a level.
+---@class rfsm.pictures.Link
+---@field id integer
+---@field level rfsm.pictures.Level
+---@field arrow rfsm.pictures.Arrow
+---@field upper? rfsm.pictures.End absent in a leg of an arch
+---@field lower rfsm.pictures.End
+---@field is_turned boolean the arrow leads from the lower end to the upper one
+---@field is_home? boolean it has the label
+---@field is_loop? boolean
+---@field head? "upper"|"lower" the end with the arrowhead
+---@field arch? { id: integer, legs: rfsm.pictures.Link[] } a label above a composite,
+-- and two links to its frame
+---@field points? number[][] the line
+---@field tip? number[] of the arrowhead
+---@field label_at? number[]
+
+-- Gates and links -------------------------------------------------------------
+
+--- Return an empty level.
+---@param composite rfsm.pictures.Node
+---@param direction "TB"|"LR"
+---@return rfsm.pictures.Level level
+function links.new_level(composite, direction)
+  return { composite = composite, direction = direction, gates = {}, gate_of = {},
+    links = {}, link_of = {}, boxes = {}, arches = {}, width = 0, height = 0 }
+end
+
+-- Returns the gate of an arrow in a level; `mark` tells apart two of one arrow.
+local function gate_of(level, arrow, is_upper, mark)
+  local key = mark .. arrow.key
+  local gate = level.gate_of[key]
+  if gate then return gate end
+  gate = { id = (is_upper and "t" or "b") .. #level.gates + 1, is_upper = is_upper }
+  level.gates[#level.gates + 1], level.gate_of[key] = gate, gate
+  return gate
+end
+
+-- Returns the link of an arrow in a level: the one it has, or the one given.
+local function link_of(level, link, mark)
+  local key = mark .. link.arrow.key
+  if not level.link_of[key] then
+    link.id, link.level = #level.links + 1, level
+    level.links[link.id], level.link_of[key] = link, link
+  end
+  return level.link_of[key]
+end
+
+-- Returns the node in a composite that is a node or contains it.
+local function child_in(node, home)
+  while (node.parent or home) ~= home do node = node.parent end
+  return node
+end
+
+local function append(list, more)
+  for _, element in ipairs(more) do list[#list + 1] = element end
+  return list
+end
+
+local function reversed(list)
+  local result = {}
+  for i, element in ipairs(list) do result[#list + 1 - i] = element end
+  return result
+end
+
+-- Chains: from the source out to the home, and in to the target ---------------
+
+-- Returns the end in its home of an arrow that begins or ends at a node, and the links
+-- from there out to its home.
+local function climb(chart, arrow, node, is_upper, is_src)
+  local home, finish, list = arrow.home or chart.top, { node = node }, {}
+  local composite = node.parent or home
+  while composite ~= home do
+    local gate = gate_of(composite.level, arrow, is_upper, "")
+    local upper, lower, head = finish, { gate = gate }, "upper"
+    if is_upper then upper, lower, head = lower, finish, "lower" end
+    list[#list + 1] = link_of(composite.level, {
+      arrow = arrow, upper = upper, lower = lower, is_turned = is_upper == is_src,
+      head = not (is_src or finish.gate) and head or nil,
+    }, "")
+    finish = { node = composite, gate = gate }
+    composite = composite.parent or home
+  end
+  return finish, list
+end
+
+-- Returns the links of an arrow between a composite and a node in it.
+local function arch_links(chart, arrow, composite)
+  local level, is_out = (arrow.home or chart.top).level, arrow.src == composite
+  local frame = { node = composite, gate = gate_of(composite.level, arrow, true, "/") }
+  local inner, list = climb(chart, arrow, is_out and arrow.tgt or arrow.src, true,
+    not is_out)
+  local from, to = frame, inner
+  inner.gate.twin = frame.gate
+  if not is_out then from, to = inner, frame end
+  local legs = {
+    link_of(level, { arrow = arrow, lower = from, is_turned = true }, "/"),
+    link_of(level, { arrow = arrow, lower = to, is_turned = false, is_home = true,
+      head = not is_out and "lower" or nil }, ""),
+  }
+  local arch = { id = legs[1].id, legs = legs }
+  legs[1].arch, legs[2].arch = arch, arch
+  if is_out then return append({ legs[1], legs[2] }, reversed(list)) end
+  return append(list, legs)
+end
+
+local function is_onward(src, tgt) return src == tgt or src.index < tgt.index end
+
+-- Returns the links of an arrow, from its source to its target.
+local function links_of(chart, arrow)
+  local home = arrow.home or chart.top
+  local src, tgt = child_in(arrow.src, home), child_in(arrow.tgt, home)
+  if src == tgt and arrow.src ~= arrow.tgt then return arch_links(chart, arrow, src) end
+  local is_down = is_onward(src, tgt)
+  local out, list = climb(chart, arrow, arrow.src, not is_down, true)
+  local into, inner = climb(chart, arrow, arrow.tgt, is_down, false)
+  local upper, lower, head = out, into, "lower"
+  if not is_down then upper, lower, head = into, out, "upper" end
+  list[#list + 1] = link_of(home.level, {
+    arrow = arrow, upper = upper, lower = lower, is_turned = not is_down,
+    is_home = true, is_loop = src == tgt and src.kind ~= "connector",
+    head = not into.gate and head or nil,
+  }, "")
+  return append(list, reversed(inner))
+end
+
+--- Give each composite its level, and each arrow its links.
+---@param chart rfsm.pictures.Chart
+function links.prepare(chart)
+  chart.top = { nodes = { chart.root }, kind = "top" }
+  chart.top.level = links.new_level(chart.top, chart.direction)
+  chart.root.index = 1
+  for _, node in ipairs(chart.nodes) do
+    if node.kind == "composite" then
+      node.level = links.new_level(node, chart.direction)
+    end
+  end
+  for _, arrow in ipairs(chart.all) do arrow.links = links_of(chart, arrow) end
+end
+
+--- Link the arrows of a level anew after its nodes have got other parents.
+---@param chart rfsm.pictures.Chart
+---@param level rfsm.pictures.Level
+function links.renew(chart, level)
+  local old = level.links
+  level.links, level.link_of = {}, {}
+  for _, link in ipairs(old) do
+    local arrow = link.arrow
+    arrow.home = diagram.find_home(arrow.src, arrow.tgt)
+    arrow.links = links_of(chart, arrow)
+  end
+end
+
+return links

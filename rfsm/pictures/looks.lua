@@ -1,0 +1,186 @@
+--- How states, connectors and arrows look, in the language of Graphviz.
+--
+-- @module rfsm.pictures.looks
+-- @license BSD-3-Clause
+
+local diagram = require "rfsm.pictures.diagram"
+
+local ipairs = ipairs
+local concat = table.concat
+
+local looks = {}
+
+local FONT = '"Helvetica,Arial,sans-serif"'
+local HEAD = ([=[
+  graph [compound=true, fontname=FONT, fontsize=12, nodesep=0.3, ranksep=0.25]
+  graph [rankdir=DIRECTION, style=rounded, color="#555555"]
+  node [fontname=FONT, fontsize=12, color="#555555", fillcolor=white]
+  node [shape=box, style="rounded,filled", height=0.4, margin="0.15,0.07"]
+  edge [fontname=FONT, fontsize=10, color="#555555", arrowsize=0.7]]=])
+  :gsub("FONT", FONT)
+
+--- Return the looks that all elements of a chart have.
+---@param direction "TB"|"LR"
+---@return string text
+function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
+
+-- Text ------------------------------------------------------------------------
+
+local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
+
+--- Return a quoted string. Graphviz reads "&amp;" in it as HTML does.
+---@param text string
+---@return string
+function looks.quoted(text)
+  if not text:find('[&\\"\n]') then return '"' .. text .. '"' end
+  return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
+end
+
+local quoted = looks.quoted
+
+--- Return the id of an FQN or a key in the SVG: a line feed is "\n".
+---@param text string
+---@return string attribute
+function looks.id_of(text) return "id=" .. quoted(diagram.clean(text)) end
+
+local function lines_of(text, width)
+  return concat(diagram.wrap({ text }, width), "\n")
+end
+
+-- Lines of HTML, each at the left.
+local function html(text)
+  if not text:find('[&<>"\n]') then return text end
+  return (text:gsub('[&<>"]', CODES):gsub("\n", '<BR ALIGN="LEFT"/>'))
+end
+
+local function centred(text) return (html(text):gsub(' ALIGN="LEFT"', "")) end
+
+local function table_of(rows, attributes)
+  return ('<<TABLE BORDER="0" CELLBORDER="0" CELLSPACING="0"%s>%s</TABLE>>'):format(
+    attributes or "", rows)
+end
+
+--- Return the name of a state over the rows of what it does.
+---@param node rfsm.pictures.Node
+---@return string label
+function looks.state_label(node)
+  local name = lines_of(node.name .. (node.is_cut and " …" or ""), 28)
+  if not node.rows[1] then return quoted(name) end
+  local rows = {}
+  for i, row in ipairs(node.rows) do rows[i] = lines_of(row, 40) end
+  return table_of("<TR><TD>" .. centred(name)
+    .. '</TD></TR><HR/><TR><TD ALIGN="LEFT" BALIGN="LEFT"><FONT POINT-SIZE="10">'
+    .. html(concat(rows, "\n")) .. '<BR ALIGN="LEFT"/></FONT></TD></TR>')
+end
+
+--- Return the label of an arrow.
+---@param arrow rfsm.pictures.Arrow
+---@return string label
+function looks.arrow_label(arrow) return quoted(diagram.label_of(arrow)) end
+
+--- Return the label of an arrow, with room around it.
+---@param arrow rfsm.pictures.Arrow
+---@return string label
+function looks.roomy_label(arrow)
+  return table_of("<TR><TD>" .. centred(diagram.label_of(arrow)) .. "</TD></TR>",
+    ' CELLPADDING="3"')
+end
+
+-- Nodes -----------------------------------------------------------------------
+
+local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222", '
+  .. 'fillcolor="#222222"'
+local CONNECTOR = 'shape=plain, style="", label=<<TABLE BORDER="0" CELLBORDER="0" '
+  .. 'CELLSPACING="0" CELLPADDING="0"><TR><TD PORT="p" BORDER="1" STYLE="ROUNDED" '
+  .. 'FIXEDSIZE="TRUE" WIDTH="10" HEIGHT="10" BGCOLOR="%s"></TD><TD>'
+  .. '<FONT POINT-SIZE="9">&#160;%s</FONT></TD></TR></TABLE>>'
+-- What is active or marked; the colours are told apart without red and green.
+local LOOKS = {
+  plain = ', color="#555555", penwidth=1', active = ', color="#0072B2", penwidth=2',
+  missed = ', color="#D55E00", fontcolor="#D55E00"', covered = "",
+  traced = ', color="#D55E00", penwidth=2',
+}
+
+-- Returns class and look of a state or an arrow.
+local function look_of(element, kind)
+  return ('class="%s%s%s%s"%s%s'):format(kind, element.is_region and " region" or "",
+    element.mode and " " .. element.mode or "",
+    element.mark and " " .. element.mark or "",
+    element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "")
+end
+
+--- Return the attributes of a node that is no composite.
+---@param node rfsm.pictures.Node
+---@return string attributes
+function looks.leaf_text(node)
+  if node.kind == "initial" then return INITIAL .. ', class="initial"' end
+  if node.kind == "connector" then
+    return CONNECTOR:format(node.is_on_border and "white" or "#555555", html(node.name))
+      .. ', class="connector"'
+  end
+  return ("label=%s, %s%s%s%s"):format(looks.state_label(node), look_of(node, "state"),
+    node.is_final and ", peripheries=2" or "",
+    node.is_region and ', style="filled,dashed"' or "",
+    node.mode and ', fillcolor="#D6EAF8"' or "")
+end
+
+--- Return the attributes of the frame of a composite.
+---@param node rfsm.pictures.Node
+---@return string attributes
+function looks.frame_text(node)
+  return ('label=%s, margin=10, style="%s,filled", fillcolor="%s"%s, %s'):format(
+    looks.state_label(node), node.is_region and "dashed" or "rounded",
+    node.depth % 2 == 0 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"))
+end
+
+--- Return the attributes of the line of an arrow.
+---@param arrow rfsm.pictures.Arrow
+---@return string attributes
+function looks.arrow_text(arrow) return look_of(arrow, "transition") end
+
+local FOOT = '<TD PORT="%s" WIDTH="1" HEIGHT="1"></TD>'
+
+-- Returns the attributes of a label with a foot, or one at each end, to which lines are
+-- tied. Some sides of the label are lines, too.
+local function label_node(arrow, direction, feet, sides)
+  local cells = {}
+  local text = ('<TD CELLPADDING="4"%s>%s</TD>'):format(sides
+    and (' BORDER="1" SIDES="%s"'):format(sides) or "",
+    centred(arrow.parts[1] and diagram.label_of(arrow) or " "))
+  for i, foot in ipairs(feet) do
+    cells[i] = foot == "text" and text or FOOT:format(foot)
+  end
+  local row = concat(cells, direction == "TB" and "" or "</TR><TR>")
+  return ('shape=plain, style="", fontsize=10, label=%s, %s'):format(table_of(
+    "<TR>" .. row .. "</TR>", ' CELLPADDING="0"'), look_of(arrow, "transition"))
+end
+
+--- Return the attributes of a label that a line runs around, with a foot at each end.
+---@param arrow rfsm.pictures.Arrow
+---@param direction "TB"|"LR"
+---@return string attributes
+function looks.arch_text(arrow, direction)
+  return label_node(arrow, direction, { "l", "text", "r" })
+end
+
+--- Return the attributes of a label that is the far end of a loop.
+---@param arrow rfsm.pictures.Arrow
+---@param direction "TB"|"LR"
+---@return string attributes
+function looks.hung_label(arrow, direction)
+  return label_node(arrow, direction, { "l", "text", "r" },
+    direction == "TB" and "LBR" or "TRB")
+end
+
+--- Return the attributes of a label beside its line, a part of which is in the node.
+---@param arrow rfsm.pictures.Arrow
+---@param direction "TB"|"LR"
+---@return string attributes
+function looks.line_label(arrow, direction)
+  if direction == "TB" then
+    return label_node(arrow, direction, { "l", "text" }, "L")
+  end
+  return label_node(arrow, direction, { "text", "l" }, "B")
+end
+
+return looks

@@ -1,0 +1,336 @@
+--- Connections to Redis: a server, or the nodes of a cluster; they may be lost.
+--
+-- A call is made again when the connection is lost, a slot has moved, or another node
+-- has become the master. So a call that must not happen twice needs an id.
+--
+-- @module rfsm.redis.connection
+-- @license BSD-3-Clause
+
+local try = require("rfsm.shared.calls").try
+local opts = require "rfsm.shared.options"
+
+local error, ipairs, next, pairs = error, ipairs, next, pairs
+local pcall, rawget, setmetatable = try, rawget, setmetatable
+local tonumber, tostring, type = tonumber, tostring, type
+local min = math.min
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local connection = {}
+
+local function need(name) return opts.need("rfsm.fleet", name, "lua-" .. name) end
+
+-- Addresses -----------------------------------------------------------------------
+
+local function unescaped(text)
+  return text and (text:gsub("%%(%x%x)", function(hex)
+    return string.char(tonumber(hex, 16))
+  end))
+end
+
+--- Return what is in a URL such as rediss://user:password@host:6380/1.
+---@param url string
+---@return table? settings nil if it is none
+function connection.parse(url)
+  local scheme, rest = url:match("^(rediss?)://(.*)$")
+  local user, password, place = (rest or ""):match("^([^:@/]*):([^@/]*)@(.*)$")
+  local host, port, db = (place or rest or ""):match("^([^:/@]+):?(%d*)/?(%d*)$")
+  if not host then return nil end
+  return { is_tls = scheme == "rediss", user = user ~= "" and unescaped(user) or nil,
+    password = unescaped(password), host = host,
+    port = tonumber(port == "" and "6379" or port), db = tonumber(db) }
+end
+
+--- Connections to the nodes of a fleet.
+---@class rfsm.redis.Connection
+---@field settings table of the first URL: password, TLS, database
+---@field options table `timeout`, `patience` (seconds), `tls`
+---@field seeds string[] addresses, the ones given first
+---@field nodes table<string, table> connections by address
+---@field node_of table<string, string> address by hash tag
+local Connection = {}
+Connection.__index = Connection
+
+-- One node ------------------------------------------------------------------------
+
+local commands = {}
+
+-- Sends a command; raises the error of the server without a position.
+local function command(client, name, ...)
+  commands[name] = commands[name] or need("redis").command(name)
+  local ok, reply = pcall(commands[name], client, ...)
+  if ok then return reply end
+  reply = tostring(reply):gsub("^.-redis error: ", "")
+  error((reply:gsub("^%S+redis%.lua:%d+: ", "")), 0)
+end
+
+local function is_lost(text)
+  return text:find("^connection error") or text:find("closed$")
+    or text:find("^timeout") or text:find("cannot connect", 1, true)
+    or text:find("^LOADING")
+end
+
+local function secured(self, socket)
+  local found, ssl = pcall(require, "ssl")
+  if not found then error("the package lua-sec is missing", 0) end
+  local settings = { mode = "client", protocol = "any", verify = "peer",
+    capath = "/etc/ssl/certs", options = "all" }
+  for key, value in pairs(self.options.tls or {}) do settings[key] = value end -- a copy
+  local wrapped, problem = ssl.wrap(socket, settings)
+  if wrapped then
+    wrapped:settimeout(self.options.timeout)
+    local ok, why = wrapped:dohandshake()
+    if ok then return wrapped end
+    problem = why
+  end
+  error("TLS: " .. tostring(problem), 0)
+end
+
+-- Returns a connection that is authenticated and has its database.
+local function open(self, host, port)
+  local socket, settings = need("socket").tcp(), self.settings
+  socket:settimeout(self.options.timeout)
+  local ok, problem = socket:connect(host, port)
+  if not ok then error(problem, 0) end
+  socket:setoption("tcp-nodelay", true)
+  if settings.is_tls then socket = secured(self, socket) end
+  local client = need("redis").connect { socket = socket }
+  if settings.password then
+    if settings.user then
+      command(client, "AUTH", settings.user, settings.password)
+    else
+      command(client, "AUTH", settings.password)
+    end
+  end
+  if settings.db then command(client, "SELECT", settings.db) end
+  return client
+end
+
+-- Returns the connection to an address such as 127.0.0.1:6379.
+local function node(self, address)
+  if self.nodes[address] then return self.nodes[address] end
+  local host, port = address:match("^(.*):(%d+)$")
+  local ok, client = pcall(open, self, host, tonumber(port))
+  if not ok then
+    error(("rfsm.fleet: cannot connect to %s: %s"):format(address, client), 0)
+  end
+  self.nodes[address] = client
+  return client
+end
+
+-- Forgets a connection, and that hash tags are there.
+local function drop(self, address)
+  local client = self.nodes[address]
+  if client then pcall(client.network.socket.close, client.network.socket) end
+  self.nodes[address] = nil
+  for tag, place in pairs(self.node_of) do -- any order: each stands alone
+    if place == address then self.node_of[tag] = nil end
+  end
+end
+
+-- Learns the nodes of a cluster, if it is one.
+local function learn(self, client)
+  local ok, slots = pcall(command, client, "CLUSTER", "SLOTS")
+  local is_known = {}
+  for _, address in ipairs(self.seeds) do is_known[address] = true end
+  for _, range in ipairs(ok and slots or {}) do
+    for i = 3, #range do
+      local host = range[i][1]
+      local address = host and host ~= "" and host .. ":" .. ("%d"):format(range[i][2])
+      if address and not is_known[address] then
+        is_known[address] = true
+        self.seeds[#self.seeds + 1] = address
+      end
+    end
+  end
+end
+
+-- All nodes -----------------------------------------------------------------------
+
+--- Connect.
+-- @raise if there is no server, or a URL is wrong
+---@param urls string|string[] the others are tried if the first is lost
+---@param options table
+---@return rfsm.redis.Connection
+function connection.connect(urls, options)
+  local self = setmetatable({ settings = false, options = options, seeds = {},
+    nodes = {}, node_of = {} }, Connection)
+  for i, url in ipairs(type(urls) == "table" and urls or { urls }) do
+    local settings = connection.parse(url)
+    if not settings then
+      error("rfsm.fleet.connect: redis://[USER:PASSWORD@]HOST:PORT[/DB] expected, got '"
+        .. url .. "'", 0)
+    end
+    self.settings = self.settings or settings
+    self.seeds[i] = settings.host .. ":" .. settings.port
+  end
+  local problem
+  for _, address in ipairs(self.seeds) do
+    local ok, client = pcall(node, self, address)
+    if ok then
+      learn(self, client)
+      return self
+    end
+    problem = problem or client
+  end
+  error(problem, 0)
+end
+
+local function sleep(seconds) need("socket").sleep(seconds) end
+
+local function time() return need("socket").gettime() end
+
+-- Returns the address to ask after an error, and whether it is asked once only; nil if
+-- the error is for the caller.
+local function redirected(self, tag, address, text)
+  local kind, host, port = text:match("^(%u+) %d+ ([^ ]*):(%d+)$")
+  if kind == "MOVED" or kind == "ASK" then
+    if host == "" then host = address:match("^(.*):") end
+    if kind == "MOVED" then self.node_of[tag] = host .. ":" .. port end
+    return host .. ":" .. port, kind == "ASK"
+  elseif text:find("^TRYAGAIN") or text:find("^CLUSTERDOWN") then
+    return address, false
+  elseif is_lost(text) or text:find("^READONLY") or text:find("^MASTERDOWN") then
+    drop(self, address)
+    return false, false
+  end
+end
+
+-- Asks one node; returns what pcall does.
+local function ask(self, address, is_asked, name, ...)
+  local found, client = pcall(node, self, address)
+  if not found then return false, client end
+  if is_asked then
+    local ok, problem = pcall(command, client, "ASKING")
+    if not ok then return false, problem end
+  end
+  return pcall(command, client, name, ...)
+end
+
+--- Send a command to the node that has the keys of a hash tag. It is sent again, for
+-- `patience` seconds, while that is not to be reached.
+-- @raise the error of the server
+---@param tag string
+---@param name string
+---@param ... any
+---@return any reply
+function Connection:call(tag, name, ...)
+  local address, is_asked = self.node_of[tag] or self.seeds[1], false
+  local started, tries, seed = time(), 0, 1
+  repeat
+    local ok, reply = ask(self, address, is_asked, name, ...)
+    if ok then return reply end
+    local other
+    other, is_asked = redirected(self, tag, address, reply)
+    if other == nil then error(reply, 0) end
+    if other == false then -- the next one that is known
+      seed = seed % #self.seeds + 1
+      other = self.seeds[seed]
+    end
+    tries = tries + 1
+    if other == address or tries > 2 then sleep(min(0.01 * tries, 0.2)) end
+    address = other
+    if time() - started > self.options.patience then
+      error(("rfsm.fleet: no answer for {%s} in %g s: %s"):format(tag,
+        self.options.patience, reply), 0)
+    end
+  until false
+end
+
+-- Texts of a command, as the server reads them.
+local function request(...)
+  local list = { ... }
+  local parts = { "*" .. #list .. "\r\n" }
+  for i, value in ipairs(list) do
+    local text = tostring(value)
+    parts[i + 1] = "$" .. #text .. "\r\n" .. text .. "\r\n"
+  end
+  return concat(parts)
+end
+
+-- Reads one reply.
+local function read(client)
+  commands.READ = commands.READ or need("redis").command("READ",
+    { request = function() end })
+  return command(client, "READ")
+end
+
+-- Sends calls to one node at once; returns the replies that came, by number.
+local function ask_at_once(self, address, calls)
+  local found, client = pcall(node, self, address)
+  local texts, replies = {}, {}
+  if not found then return replies end
+  for i, call in ipairs(calls) do texts[i] = request(unpack(call)) end
+  if not pcall(client.network.write, client, concat(texts)) then
+    drop(self, address)
+    return replies
+  end
+  for i = 1, #calls do
+    local ok, reply = pcall(read, client)
+    if ok then
+      replies[i] = reply
+    elseif is_lost(reply) then
+      drop(self, address)
+      break
+    end
+  end
+  return replies
+end
+
+--- Send commands to the nodes of several hash tags, all at once. Each may come twice.
+-- @raise the error of the server
+---@param tags string[]
+---@param calls any[][] one for each tag: a command and its arguments
+---@return any[] replies
+function Connection:call_all(tags, calls)
+  local by_address, replies = {}, {}
+  for i, tag in ipairs(tags) do
+    local address = self.node_of[tag] or self.seeds[1]
+    local group = by_address[address] or { calls = {}, numbers = {} }
+    by_address[address] = group
+    group.calls[#group.calls + 1], group.numbers[#group.numbers + 1] = calls[i], i
+  end
+  for address, group in pairs(by_address) do -- any order: each stands alone
+    for i, reply in pairs(ask_at_once(self, address, group.calls)) do -- likewise
+      replies[group.numbers[i]] = reply
+    end
+  end
+  for i, tag in ipairs(tags) do
+    if replies[i] == nil then replies[i] = self:call(tag, unpack(calls[i])) end
+  end
+  return replies
+end
+
+--- Open a further connection to the node that has a hash tag.
+---@param tag string
+---@return table client
+---@return fun(name: string, ...): any command
+function Connection:open_for(tag)
+  local host, port = (self.node_of[tag] or self.seeds[1]):match("^(.*):(%d+)$")
+  local client = open(self, host, tonumber(port))
+  client.network.socket:settimeout(nil)
+  return client, function(name, ...) return command(client, name, ...) end
+end
+
+--- Call `f(call)` for the server, or each node of the cluster that takes writes.
+---@param f fun(call: fun(name: string, ...): any)
+function Connection:each_master(f)
+  local _, address = next(self.node_of)
+  local ok, text = ask(self, address or self.seeds[1], false, "CLUSTER", "NODES")
+  local masters = {}
+  for line in (ok and text or ""):gmatch("[^\n]+") do
+    local place = line:match("^%S+ ([^@]+)@%S* %S*master")
+    if place and not line:find("fail", 1, true) then masters[#masters + 1] = place end
+  end
+  if not ok then masters[1] = self.seeds[1] end
+  for _, place in ipairs(masters) do
+    f(function(name, ...)
+      local done, reply = ask(self, place, false, name, ...)
+      if done then return reply end
+      if is_lost(reply) then drop(self, place) end
+      error(reply, 0)
+    end)
+  end
+end
+
+return connection

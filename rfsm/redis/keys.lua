@@ -1,0 +1,79 @@
+--- The keys of machines in Redis, and of what belongs to them: all those of a hash tag
+-- are in one slot of a cluster.
+--
+-- @module rfsm.redis.keys
+-- @license BSD-3-Clause
+
+local plain = require "rfsm.snapshot.plain"
+
+local tostring = tostring
+local fail = plain.fail
+
+local keys = {}
+
+--- Return a name or a key for a message.
+---@param text any
+---@return string text
+function keys.shown(text) return (tostring(text):sub(1, 80)) end
+
+local shown = keys.shown
+
+local last_key, last_tag
+
+--- Return the hash tag of a key: what stands in braces, or the whole key.
+---@param key string?
+---@return string tag
+function keys.tag(key)
+  if key == last_key and key then return last_tag end
+  if not key then fail("a key expected, got none") end
+  local tag = key:match("{([^}]+)}") or not key:find("[{}]") and key
+  if not tag or key:match("{([^}]*)}") == "" then
+    fail("key '%s': a key without braces, or with a hash tag expected", shown(key))
+  end
+  last_key, last_tag = key, tag
+  return tag
+end
+
+--- Return the first key of a call, that of a machine. A cluster has to know the others
+-- that are written, too.
+---@param list string[]
+---@return string key
+function keys.machine(list)
+  local key = list[1] or fail("the key of a machine expected, got none")
+  if key:find("^rfsm:") or key:find(":log$") or key:find(":history$") then
+    fail("key '%s': rfsm:*, *:log and *:history are no keys of machines", shown(key))
+  end
+  keys.tag(key)
+  return key
+end
+
+local function of_tag(kind)
+  return function(key) return "rfsm:" .. kind .. ":{" .. keys.tag(key) .. "}" end
+end
+
+--- Sorted sets, streams and channels of a hash tag; each takes a key with that tag.
+keys.due, keys.out, keys.index = of_tag "due", of_tag "out", of_tag "in"
+keys.aside, keys.dead = of_tag "aside", of_tag "dead"
+
+local function of_machine(suffix)
+  return function(key)
+    return (key:find("{", 1, true) and key or "{" .. key .. "}") .. suffix
+  end
+end
+
+--- Streams of a machine.
+keys.log, keys.history = of_machine ":log", of_machine ":history"
+
+--- Return the channel on which the active leaf of a machine is published.
+---@param key string
+---@return string channel
+function keys.channel(key) return "rfsm:{" .. keys.tag(key) .. "}:" .. key end
+
+--- Return the member of the index for a machine in a leaf.
+---@param chart string
+---@param leaf string
+---@param key string
+---@return string member
+function keys.member(chart, leaf, key) return chart .. "\t" .. leaf .. "\t" .. key end
+
+return keys

@@ -1,0 +1,197 @@
+--- What of a chart cannot run in Redis, found while it is bundled: globals that the
+-- sandbox lacks, modules that are not plain Lua, loops without an end.
+--
+-- A chart is loaded with the globals of the sandbox. Its callbacks do not run, so their
+-- text is searched for the libraries that are missing.
+--
+-- @module rfsm.redis.sandbox
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local error, ipairs, load, pairs = error, ipairs, load, pairs
+local os, pcall, rawget, require = os, pcall, rawget, require
+local select, setmetatable, type = select, setmetatable, type
+local concat, sort = table.concat, table.sort
+local loadstring, setfenv = rawget(_G, "loadstring"), rawget(_G, "setfenv")
+
+local sandbox = {}
+
+-- Text: comments and strings are blanked, lines stay where they are ------------------
+
+local function blank(text) return (text:gsub("[^\n]", " ")) end
+
+-- Returns where a string or comment that begins at a position ends.
+local function end_of_token(text, at)
+  local level = text:match("^%-%-%[(=*)%[", at) or text:match("^%[(=*)%[", at)
+  if level then
+    return select(2, text:find("]" .. level .. "]", at, true)) or #text
+  elseif text:sub(at, at + 1) == "--" then
+    return (text:find("\n", at, true) or #text + 1) - 1
+  end
+  local quote = text:sub(at, at)
+  repeat
+    at = text:find("[\\" .. quote .. "\n]", at + 1) or #text
+    local is_escaped = text:sub(at, at) == "\\"
+    if is_escaped then at = at + 1 end
+  until at >= #text or text:find("^[" .. quote .. "\n]", at) and not is_escaped
+  return at
+end
+
+--- Return the code of a text: blanks in place of comments and strings.
+---@param text string
+---@return string code
+function sandbox.code_of(text)
+  local parts, at = {}, 1
+  while true do
+    local from = text:find("[\"']", at)
+    local comment, long = text:find("--", at, true), text:find("%[=*%[", at)
+    for _, other in ipairs { comment or false, long or false } do
+      if other and (not from or other < from) then from = other end
+    end
+    if not from then break end
+    local last = end_of_token(text, from)
+    parts[#parts + 1] = text:sub(at, from - 1) .. blank(text:sub(from, last))
+    at = last + 1
+  end
+  parts[#parts + 1] = text:sub(at)
+  return concat(parts)
+end
+
+local function line_at(text, at)
+  local _, count = text:sub(1, at):gsub("\n", "")
+  return count + 1
+end
+
+-- Globals ---------------------------------------------------------------------------
+
+local HERE = {}
+for name in ([[assert collectgarbage error getfenv getmetatable ipairs load loadstring
+  next pairs pcall rawequal rawget rawset select setfenv setmetatable tonumber tostring
+  type unpack xpcall coroutine string table math bit cjson cmsgpack struct redis print
+  require rfsm rfsm_timeevent _VERSION]]):gmatch("%S+") do
+  HERE[name] = true
+end
+
+local MISSING = { "os", "io", "debug", "package", "dofile", "loadfile" }
+
+-- Is a name a field, or the key in a table, and no global?
+local function is_key(code, from, behind)
+  local before = code:sub(1, from - 1):match("(%S)%s*$")
+  return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
+end
+
+-- Returns the first use of something that is missing, and its name.
+local function find_missing(code)
+  local first, found = nil, nil
+  for _, name in ipairs(MISSING) do
+    local is_own = code:find("local[%w_, ]-%f[%w_]" .. name .. "%f[^%w_]")
+    for from, field, behind in code:gmatch("%f[%w_]()" .. name
+      .. "%f[^%w_]%s*%.?%s*([%w_]*)()") do
+      local is_there = is_own or name == "os" and field == "clock"
+      if not is_there and not is_key(code, from, behind)
+        and (not first or from < first) then
+        first, found = from, name .. (field ~= "" and "." .. field or "")
+      end
+    end
+  end
+  return first, found
+end
+
+local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
+local LEAVES = { ["break"] = true, ["return"] = true, ["error"] = true, yield = true,
+  ["goto"] = true }
+
+-- Does the block whose first word begins at a position never leave its loop?
+local function is_endless(code, at)
+  local depth = 0
+  for word, behind in code:sub(at):gmatch("([%a_][%w_]*)()") do
+    if LEAVES[word] then return false end
+    if OPENS[word] then depth = depth + 1 end
+    if word == "end" or word == "until" then depth = depth - 1 end
+    if depth == 0 then
+      return word == "end" or code:find("^%s*false", at + behind - 1) ~= nil
+    end
+  end
+  return false
+end
+
+--- List the lines of a code in which a loop has no end.
+---@param code string see `code_of`
+---@return integer[] lines
+function sandbox.endless(code)
+  local lines = {}
+  for _, pattern in ipairs { "%f[%w_]while%s+true%s+()do%f[^%w_]",
+    "%f[%w_]while%s+1%s+()do%f[^%w_]", "%f[%w_]()repeat%f[^%w_]" } do
+    for at in code:gmatch(pattern) do
+      if is_endless(code, at) then lines[#lines + 1] = line_at(code, at) end
+    end
+  end
+  sort(lines)
+  return lines
+end
+
+-- Loading -----------------------------------------------------------------------------
+
+-- Returns the globals of the sandbox, as far as this Lua has them.
+local function new_globals()
+  local globals = {}
+  for name in pairs(HERE) do globals[name] = rawget(_G, name) end -- any order: a set
+  globals.rfsm, globals._G, globals.os = rfsm, globals, { clock = os.clock }
+  globals.rfsm_timeevent = require "rfsm_timeevent"
+  for _, name in ipairs { "bit", "cjson", "cmsgpack", "struct", "redis" } do
+    globals[name] = globals[name] or setmetatable({}, { __index = function()
+      return function() end
+    end })
+  end
+  return setmetatable(globals, {
+    __index = function(_, name)
+      error("global '" .. rfsm.text_of(name) .. "' does not exist in Redis", 2)
+    end,
+    __newindex = function(_, name)
+      error("global '" .. rfsm.text_of(name) .. "' cannot be set in Redis", 2)
+    end,
+  })
+end
+
+local function load_with(text, name, globals)
+  if setfenv then
+    local f, problem = loadstring(text, name)
+    return f and setfenv(f, globals), problem
+  end
+  return load(text, name, "t", globals)
+end
+
+--- Load the chart in a text as Redis will.
+---@param text string
+---@param file string
+---@return rfsm.State? model nil if it cannot run there
+---@return string? problem with file and line
+function sandbox.load(text, file)
+  local from, name = find_missing(sandbox.code_of(text))
+  if from then
+    return nil, ("%s:%d: '%s' does not exist in Redis"):format(file,
+      line_at(text, from), name)
+  end
+  local f, problem = load_with(text, "@" .. file, new_globals())
+  if not f then return nil, problem end
+  local ok, model = pcall(f, file)
+  if not ok then return nil, rfsm.text_of(model) end
+  if rfsm.is_state(model) then return model end
+  return nil, ("%s: a state expected, got %s"):format(file, type(model))
+end
+
+--- List the modules that a text requires by name, and the line of each.
+---@param text string
+---@return { name: string, line: integer }[] modules
+function sandbox.required(text)
+  local modules, code = {}, sandbox.code_of(text)
+  for at, name in text:gmatch("%f[%w_]()require%s*%(?%s*[\"']([%w_.%-]+)[\"']") do
+    if code:sub(at, at + 6) == "require" then
+      modules[#modules + 1] = { name = name, line = line_at(text, at) }
+    end
+  end
+  return modules
+end
+
+return sandbox

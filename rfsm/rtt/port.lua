@@ -1,0 +1,87 @@
+--- A port of RTT that is found again by its name.
+--
+-- `rttlib.tc_cleanup` deletes the ports of a component. A Lua that uses a deleted port
+-- ends the process. So what outlives a clean-up holds its port by name: the hook that
+-- writes the FQN, and the ports of a launch.
+--
+-- @module rfsm.rtt.port
+-- @license BSD-3-Clause
+
+local getmetatable, package, pcall = getmetatable, package, pcall
+local setmetatable = setmetatable
+
+local port = {}
+
+--- Holds a port. It is read and written like one.
+---@class rfsm.rtt.Port
+---@field name string
+---@field component any|false the component in which it is looked up, false: never
+---@field facts table<string, any> what `info` returned first
+---@field real any|false the port, false as long as there is none
+---@field was_found boolean did the component have it?
+---@field last any the last value written
+---@field samples table<string, any> Variables by text, for texts that are known before
+local Port = {}
+Port.__index = Port
+
+--- Read a sample, "NoData" if there is no port.
+function Port:read(var)
+  local real = self.real
+  if not real then return "NoData" end
+  return real:read(var)
+end
+
+--- Write a value; if there is no port, it is kept for the next one.
+function Port:write(value)
+  self.last = value
+  if not self.real then self:find() end
+  if self.real then self.real:write(value) end
+end
+
+--- Return the information of the port that was held first.
+function Port:info() return self.facts end
+
+--- Look the port up in its component.
+---@return boolean is_there
+function Port:find()
+  if not self.component then return self.real and true end
+  local found = port.of(self.component, self.name)
+  if found or self.was_found then self.real = found or false end
+  self.was_found = self.was_found or found and true or false
+  return found and true or false
+end
+
+--- Return the port of a component, nil if it has none of that name.
+---@param component any
+---@param name string
+---@return any? port
+function port.of(component, name)
+  local ok, found = pcall(function() return component:getPort(name) end)
+  return ok and found or nil
+end
+
+--- Hold a port of this Lua's component. One that is held stays as it is.
+---@param real any a port, or what is read and written like one
+---@param facts table<string, any> its information
+---@return rfsm.rtt.Port
+function port.hold(real, facts)
+  if getmetatable(real) == Port then return real end
+  local rtt = package.loaded.rtt
+  local component = rtt and facts.name and rtt.getTC() or false
+  return setmetatable({
+    name = facts.name, component = component, facts = facts, real = real,
+    was_found = component and port.of(component, facts.name) ~= nil, last = nil,
+    samples = {},
+  }, Port)
+end
+
+--- Hold a port that is made later.
+---@param component any
+---@param facts table<string, any> name, type, porttype, desc
+---@return rfsm.rtt.Port
+function port.reserve(component, facts)
+  return setmetatable({ name = facts.name, component = component, facts = facts,
+    real = false, was_found = true, last = nil, samples = {} }, Port)
+end
+
+return port

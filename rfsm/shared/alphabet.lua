@@ -1,0 +1,64 @@
+--- The alphabet of machines: the events that their transitions name.
+--
+-- @module rfsm.shared.alphabet
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local ipairs, type = ipairs, type
+
+local alphabet = {}
+
+--- The events that a machine knows.
+---@class rfsm.Alphabet
+---@field list any[] those that transitions name, in the order of the tree
+---@field awaited string[] those that an await waits for
+---@field predicates function[]
+---@field set table<any, boolean> all of these
+---@field takes_any boolean a transition from a state has no events: any event will do
+
+local function add(known, list, event)
+  if known.set[event] or event ~= event then return end -- NaN is no event
+  list[#list + 1], known.set[event] = event, true
+end
+
+local function add_transition(known, tr)
+  local own = tr.events or {}
+  if own[1] == nil and rfsm.is_state(tr.src) then known.takes_any = true end
+  for _, event in ipairs(own) do
+    add(known, type(event) == "function" and known.predicates or known.list, event)
+  end
+end
+
+local function add_machine(known, fsm)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    add_transition(known, tr)
+  end
+  for _, await in ipairs(fsm._awaits or {}) do -- see rfsm/await.lua
+    for _, event in ipairs(await.wanted) do add(known, known.awaited, event) end
+  end
+end
+
+local function new_alphabet()
+  return { list = {}, awaited = {}, predicates = {}, set = {}, takes_any = false }
+end
+
+--- Collect the events that the transitions of a machine name.
+---@param fsm rfsm.Machine
+---@return rfsm.Alphabet
+function alphabet.of(fsm)
+  local known = new_alphabet()
+  add_machine(known, fsm)
+  return known
+end
+
+--- Collect the events that the transitions of a machine and its regions name.
+---@param fsm rfsm.Machine
+---@return rfsm.Alphabet
+function alphabet.of_all(fsm)
+  local known = new_alphabet()
+  for _, place in ipairs(rfsm.machines(fsm)) do add_machine(known, place.machine) end
+  return known
+end
+
+return alphabet

@@ -1,0 +1,35 @@
+--- Calls: of functions that may fail, and the texts of arguments.
+--
+-- @module rfsm.shared.calls
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local error, pcall, select = error, pcall, select
+local concat = table.concat
+
+local calls = {}
+
+local function pass(ok, ...)
+  if not ok and rfsm.is_interrupt((...)) then error((...), 0) end
+  return ok, ...
+end
+
+--- Call a function as `pcall` does; an interrupt such as Control-C reaches the caller.
+---@param f function
+---@param ... any
+---@return boolean ok
+---@return any ... results, or the failure
+function calls.try(f, ...) return pass(pcall(f, ...)) end
+
+--- Return the texts of any values in one, as a printer shows them.
+---@param separator string
+---@param ... any
+---@return string text
+function calls.text(separator, ...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
+  return concat(texts, separator)
+end
+
+return calls

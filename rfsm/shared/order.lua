@@ -1,0 +1,27 @@
+--- Order: traversals of a table that are complete on every Lua.
+--
+-- `rfsm.sorted_keys` returns the keys of a table in order. `order.each` is for loops in
+-- which the order does not matter.
+--
+-- LuaJIT 2.1.0-beta3 compiles a traversal inside of another wrongly: it skips keys, or
+-- crashes. A loop over `order.each` is not compiled, nor is a loop around it.
+--
+-- @module rfsm.shared.order
+-- @license BSD-3-Clause
+
+local next, rawget = next, rawget
+local jit = rawget(_G, "jit")
+
+local order = {}
+
+local function step(t, key) return next(t, key) end
+
+if jit then jit.off(step) end
+
+--- Traverse a table as `pairs` does; no metatable is asked.
+---@param t table
+---@return fun(t: table, key: any): any, any
+---@return table t
+function order.each(t) return step, t end
+
+return order

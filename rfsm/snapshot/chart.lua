@@ -1,0 +1,281 @@
+--- What snapshots know of a chart: its structure as lines, the states that keep
+-- something, and the first values of the fields that they keep.
+--
+-- @module rfsm.snapshot.chart
+-- @license BSD-3-Clause
+
+local plain = require "rfsm.snapshot.plain"
+local rfsm = require "rfsm"
+
+local ipairs, setmetatable = ipairs, setmetatable
+local type = type
+local floor = math.floor
+local concat, sort = table.concat, table.sort
+local fail, is_scalar, text_of = plain.fail, plain.is_scalar, rfsm.text_of
+
+local chart = {}
+
+-- Seam: what the core does not offer by a public name yet --------------------------
+
+-- Stands for the structure, the same table for all machines of one model.
+local function structure_of(fsm) return fsm._plan end
+
+--- Return the nodes of a machine, at the same positions in all machines of a structure.
+---@param fsm rfsm.Machine
+---@return table[] nodes
+function chart.nodes(fsm) return fsm._nodes end
+
+--- Return the transitions of a machine, likewise.
+---@param fsm rfsm.Machine
+---@return rfsm.Transition[] transitions
+function chart.transitions(fsm) return fsm._transitions end
+
+--- Return the hooks of extensions that keep something of a machine.
+---@param fsm rfsm.Machine
+---@return { name: string, save: function, load: function }[] hooks
+function chart.hooks(fsm) return fsm._snapshot_hooks or {} end
+
+-- Returns the FQN of the target that the model names.
+local function target_of(tr) return tr["_%def"].tgt.fqn end
+
+local function is_internal(tr) return tr._is_internal end
+
+local function model_of(obj) return obj["_%def"].model end
+
+-- Lines: one for each element -------------------------------------------------------
+
+local function event_text(event)
+  return is_scalar(event) and text_of(event) or "a " .. type(event)
+end
+
+local function line_of(obj)
+  if rfsm.is_conn(obj) then return "connector " .. obj._fqn end
+  if rfsm.is_state(obj) then return "state " .. obj._fqn end
+  local texts = {}
+  for i, event in ipairs(obj.events) do texts[i] = event_text(event) end
+  return ("%s -> %s%s%s"):format(obj.src._fqn,
+    is_internal(obj) and "internal" or target_of(obj),
+    texts[1] and " on " .. concat(texts, ", ") or "",
+    obj.pn and " pn " .. text_of(obj.pn) or "")
+end
+
+--- Does a line of a transition name an event?
+---@param line string
+---@param event string
+---@return boolean
+function chart.has_event(line, event)
+  local events = line:match(" on (.*)$")
+  if not events then return false end
+  local function has(text) return (", " .. text .. ","):find(", " .. event .. ",", 1,
+    true) ~= nil end
+  return has(events) or has((events:gsub(" pn %S+$", "")))
+end
+
+-- Digests lines in numbers below 2^44, which doubles can multiply.
+local function fingerprint_of(lines)
+  local hash = 7
+  for _, line in ipairs(lines) do
+    for i = 1, #line do hash = (hash * 257 + line:byte(i)) % 17592186044399 end
+    hash = (hash * 257 + 10) % 17592186044399
+  end
+  return ("%05x%06x"):format(floor(hash / 16777216), hash % 16777216)
+end
+
+-- Keepers: the states that keep something -------------------------------------------
+
+local RESERVED = {
+  entry = true, exit = true, doo = true, keep = true, save = true, load = true,
+  getevents = true, dbg = true, info = true, warn = true, err = true, idle_hook = true,
+  pre_step_hook = true, post_step_hook = true,
+}
+
+-- Returns the names in the `keep` of a state; it may be a substate of that name.
+local function kept_names(state)
+  local names = state.keep
+  if names == nil or rfsm.is_node(names) then return {} end
+  if type(names) ~= "table" then
+    fail("%s: list of names expected, got %s", rfsm.location_of(state, "keep"),
+      type(names))
+  end
+  local list = {}
+  for i, name in ipairs(names) do
+    if type(name) ~= "string" or rfsm.is_meta(name) or RESERVED[name]
+      or rfsm.is_fsmobj(state[name]) then
+      fail("%s: name of a field with data expected, got %s",
+        rfsm.location_of(state, "keep[" .. i .. "]"),
+        type(name) == "string" and "'" .. name .. "'" or type(name))
+    end
+    list[i] = name
+  end
+  return list
+end
+
+--- A state that keeps something.
+---@class rfsm.snapshot.Keeper
+---@field fqn string
+---@field index integer number of the node
+---@field names string[] of the fields
+---@field kept table<string, true> the same as a set
+---@field first table<string, any> their first values
+---@field has_load boolean it has functions `save` and `load`
+
+-- Returns the keeper of a state; nil if the state keeps nothing.
+local function keeper_of(state, index)
+  local saves, loads = type(state.save) == "function", type(state.load) == "function"
+  if saves ~= loads then
+    fail("%s: 'save' and 'load' expected, got only one of them",
+      rfsm.location_of(state))
+  end
+  local names, model = kept_names(state), model_of(state)
+  if not (saves or names[1]) then return nil end
+  local kept, first = {}, {}
+  for _, name in ipairs(names) do
+    kept[name], first[name] = true, plain.copy_of(model[name])
+  end
+  return { fqn = state._fqn, index = index, names = names, kept = kept, first = first,
+    has_load = saves }
+end
+
+-- Charts: what is known of a structure ----------------------------------------------
+
+--- What is known of the structure that machines share.
+---@class rfsm.snapshot.Chart
+---@field lines string[] of states, connectors and transitions, as in format 1
+---@field fields string[] of what is kept, and of regions
+---@field all string[] both, and those of the regions
+---@field structure string fingerprint of `lines`
+---@field name string that, and the fingerprint of `fields` if there are some
+---@field keepers rfsm.snapshot.Keeper[]
+---@field keeper table<string, rfsm.snapshot.Keeper> by FQN
+---@field has_load boolean a keeper has functions, which may fail
+---@field owners integer[] the states that have regions
+---@field index table<string, integer> numbers of the nodes, by FQN
+---@field targets integer[] number of the target of each transition
+
+-- What is known of structures that are in use, and by name.
+local charts = setmetatable({}, { __mode = "k" })
+local by_name = setmetatable({}, { __mode = "v" })
+
+local function add_lines(self, fsm)
+  for i, node in ipairs(chart.nodes(fsm)) do self.index[node._fqn] = i end
+  for i, tr in ipairs(chart.transitions(fsm)) do
+    self.targets[i] = self.index[target_of(tr)]
+  end
+  for i, obj in ipairs(rfsm.elements(fsm)) do self.lines[i] = line_of(obj) end
+end
+
+local function add_keeper(self, state, index)
+  local keeper = keeper_of(state, index)
+  if not keeper then return end
+  self.keepers[#self.keepers + 1], self.keeper[keeper.fqn] = keeper, keeper
+  self.has_load = self.has_load or keeper.has_load
+  for _, name in ipairs(keeper.names) do
+    self.fields[#self.fields + 1] = "field " .. name .. " of " .. keeper.fqn
+  end
+  if keeper.has_load then
+    self.fields[#self.fields + 1] = "save and load of " .. keeper.fqn
+  end
+end
+
+-- Notes that a state runs machines, and their names.
+local function add_regions(self, state, index)
+  local regions = rfsm.regions(state)
+  if not regions[1] then return end
+  self.owners[#self.owners + 1] = index
+  for _, name in ipairs(state._regions.names) do
+    self.fields[#self.fields + 1] = "region " .. state._fqn .. "." .. text_of(name)
+  end
+end
+
+local function append(list, prefix, more)
+  for _, line in ipairs(more) do list[#list + 1] = prefix .. line end
+end
+
+-- Lists the lines of a machine and of its regions.
+local function all_lines(self, fsm)
+  local all = {}
+  append(all, "", self.lines)
+  append(all, "", self.fields)
+  for _, at in ipairs(chart.regions(fsm) or {}) do
+    local inner = chart.of(at.machine)
+    append(all, at.prefix .. ": ", inner.lines)
+    append(all, at.prefix .. ": ", inner.fields)
+  end
+  return all
+end
+
+--- Return what is known of the structure of a machine.
+---@param fsm rfsm.Machine
+---@return rfsm.snapshot.Chart
+function chart.of(fsm)
+  local key = structure_of(fsm)
+  local self = charts[key]
+  if self then return self end
+  self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
+    keepers = {}, keeper = {}, has_load = false, owners = {}, index = {}, targets = {} }
+  add_lines(self, fsm)
+  for _, obj in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    add_keeper(self, obj, self.index[obj._fqn])
+    add_regions(self, obj, self.index[obj._fqn])
+  end
+  sort(self.fields)
+  self.structure = fingerprint_of(self.lines)
+  self.name = self.structure
+  if self.fields[1] then
+    self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
+  end
+  charts[key], by_name[self.structure], by_name[self.name] = self, self, self
+  self.all = all_lines(self, fsm)
+  return self
+end
+
+--- Return a chart that is known by the name in a snapshot; nil if it is not.
+---@param name string
+---@return rfsm.snapshot.Chart?
+function chart.named(name) return by_name[name] end
+
+--- Return the node that an FQN names; nil if there is none.
+---@param fsm rfsm.Machine
+---@param fqn any
+---@return table? node
+function chart.find_node(fsm, fqn)
+  local index = chart.of(fsm).index[fqn]
+  return index and chart.nodes(fsm)[index]
+end
+
+--- Return the state that an FQN names; nil if there is none.
+---@param fsm rfsm.Machine
+---@param fqn any
+---@return rfsm.State? state
+function chart.find_state(fsm, fqn)
+  local node = chart.find_node(fsm, fqn)
+  return node and rfsm.is_state(node) and node or nil
+end
+
+-- Regions --------------------------------------------------------------------------
+
+--- Return the regions in the states of a machine, at any depth; nil if it has none.
+---@param fsm rfsm.Machine
+---@return rfsm.Place[]? places those of `rfsm.machines`, without the machine itself
+function chart.regions(fsm)
+  local self = chart.of(fsm)
+  if not self.owners[1] then return nil end
+  local known = fsm._kept_regions
+  if known and known.chart == self then return known end
+  known = rfsm.machines(fsm)
+  table.remove(known, 1)
+  known.chart, fsm._kept_regions = self, known
+  return known
+end
+
+--- Return the structure of a chart as lines.
+---@param model rfsm.State|string[] a model, a machine, or such lines
+---@return string[] lines none if the model is wrong
+function chart.structure(model)
+  if not rfsm.is_state(model) then return model end
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local fsm = rfsm.is_initialized_root(model) and model or init(model)
+  return fsm and chart.of(fsm).all or {}
+end
+
+return chart

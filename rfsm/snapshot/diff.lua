@@ -1,0 +1,158 @@
+--- What a new version of a chart means for machines of the old one, state by state.
+--
+-- For each leaf of the old chart a snapshot is made there. All fields that are kept
+-- have a value, the first one or `true`. Regions are in their first leaf. The root of
+-- the new chart may have `rename` and `migrate`, as in Redis.
+--
+-- @module rfsm.snapshot.diff
+-- @license BSD-3-Clause
+
+local charts = require "rfsm.snapshot.chart"
+local move = require "rfsm.snapshot.move"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+
+local error, ipairs = error, ipairs
+local concat = table.concat
+
+local diff = {}
+
+--- What is not looked at; the report ends with it.
+diff.PREMISES = "not looked at: values of fields (migrate had the first ones), what "
+  .. "save returns,\n  targets that programs set, events in queues"
+
+local PRINTERS = { "info", "warn", "err" }
+
+-- Calls f(model, ...) while the model prints nothing; returns three results.
+local function quietly(model, f, ...)
+  local printers = {}
+  for _, name in ipairs(PRINTERS) do
+    printers[name], model[name] = model[name], false
+  end
+  local first, second, third = f(model, ...)
+  for _, name in ipairs(PRINTERS) do model[name] = printers[name] end
+  return first, second, third
+end
+
+local function new_machine(model)
+  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
+  local fsm, text = quietly(model, init)
+  return fsm or error(text, 0)
+end
+
+-- Gives a value to all that a machine keeps.
+local function fill(fsm)
+  for _, keeper in ipairs(charts.of(fsm).keepers) do
+    local state = charts.find_state(fsm, keeper.fqn)
+    for _, name in ipairs(keeper.names) do
+      if state[name] == nil then state[name] = true end
+    end
+  end
+end
+
+-- Returns the snapshot of a machine in a leaf.
+local function snapshot_in(fsm, leaf)
+  rfsm.place(fsm, leaf, "done", {})
+  for _, region in ipairs(rfsm.regions(leaf)) do
+    rfsm.place(region, rfsm.elements(region, rfsm.is_leaf)[1] or false, "done", {})
+  end
+  return snapshot.take(fsm)
+end
+
+-- Returns the timers of a leaf and the states around it, as a list and a set.
+local function timers_of(fsm, leaf)
+  local list, is_there, is_around, state = {}, {}, {}, leaf
+  while not is_around[state] do
+    is_around[state], state = true, state._parent
+  end
+  for _, tr in ipairs(charts.transitions(fsm)) do
+    for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
+      local name = rfsm.text_of(event)
+      if name:find("^e_after%(.*@root") or name:find("^e_at%(.*@root") then
+        list[#list + 1], is_there[name] = name, true
+      end
+    end
+  end
+  return list, is_there
+end
+
+local function note_timers(notes, fsm, leaf, other, text)
+  local list = timers_of(fsm, leaf)
+  local _, is_there = timers_of(other.fsm, other.leaf)
+  for _, name in ipairs(list) do
+    if not is_there[name] then notes[#notes + 1] = "timer " .. name .. text end
+  end
+end
+
+--- What happens to the machines in a leaf.
+---@class rfsm.snapshot.Fate
+---@field leaf string FQN in the old chart
+---@field to string|false FQN in the new chart; false: it is not moved
+---@field notes string[] timers that change; or why it is not moved
+
+---@return rfsm.snapshot.Fate fate
+local function fate_of(old, model, leaf, options)
+  local snap, notes = snapshot_in(old, leaf), {}
+  local fsm, problem, list = quietly(model, snapshot.restore, snap, options)
+  if not fsm then
+    notes[1] = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
+    if not (options.rename or options.migrate) and notes[1]:find("another chart") then
+      notes[1], list = "the root of the new chart has neither 'rename' nor 'migrate'",
+        nil
+    end
+    for i, text in ipairs(list or {}) do notes[i + 1] = text end
+    return { leaf = leaf._fqn, to = false, notes = notes }
+  end
+  local to = fsm._act_leaf
+  if to then
+    note_timers(notes, old, leaf, { fsm = fsm, leaf = to }, " is dropped")
+    note_timers(notes, fsm, to, { fsm = old, leaf = leaf },
+      " begins, with its whole time")
+  end
+  return { leaf = leaf._fqn, to = to and to._fqn or "no state", notes = notes }
+end
+
+--- Compare two versions of a chart.
+-- @raise if one of them is no valid chart
+---@param old rfsm.State model
+---@param new rfsm.State model; its root may have `rename` and `migrate`
+---@return string[] difference empty if the structure and what is kept are the same
+---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart
+function diff.compare(old, new)
+  local before, after = new_machine(old), new_machine(new)
+  local options = { rename = after.rename, migrate = after.migrate }
+  local difference = move.difference(charts.of(before).all, charts.of(after).all)
+  if concat(charts.of(before).all, "\n") == concat(charts.of(after).all, "\n") then
+    return {}, {}
+  end
+  fill(before)
+  for _, at in ipairs(charts.regions(before) or {}) do fill(at.machine) end
+  local fates = {}
+  for i, leaf in ipairs(rfsm.elements(before, rfsm.is_leaf)) do
+    fates[i] = fate_of(before, new, leaf, options)
+  end
+  return difference, fates
+end
+
+--- Return a report as text.
+---@param difference string[]
+---@param fates rfsm.snapshot.Fate[]
+---@return string text
+---@return boolean is_safe each machine moves
+function diff.report(difference, fates)
+  if not difference[1] then
+    return "the charts have the same structure and keep the same: nothing moves\n", true
+  end
+  local lines, is_safe = {}, true
+  for _, line in ipairs(difference) do lines[#lines + 1] = line end
+  for _, fate in ipairs(fates) do
+    is_safe = is_safe and fate.to ~= false
+    lines[#lines + 1] = ("in %s: %s"):format(fate.leaf,
+      fate.to and "moves to " .. fate.to or "stays a machine of the old version")
+    for _, note in ipairs(fate.notes) do lines[#lines + 1] = "  " .. note end
+  end
+  lines[#lines + 1] = diff.PREMISES
+  return concat(lines, "\n") .. "\n", is_safe
+end
+
+return diff

@@ -1,0 +1,401 @@
+--- How a snapshot comes to a chart: its format and shape, and the way from another
+-- chart. Nothing that it holds is lost unless `migrate` takes it out.
+--
+-- @module rfsm.snapshot.move
+-- @license BSD-3-Clause
+
+local charts = require "rfsm.snapshot.chart"
+local plain = require "rfsm.snapshot.plain"
+local rfsm = require "rfsm"
+
+local error, ipairs, next, pairs = error, ipairs, next, pairs
+local select, type = select, type
+local concat = table.concat
+local fail, text_of = plain.fail, rfsm.text_of
+
+local move = { VERSION = 2 }
+
+-- Shape -----------------------------------------------------------------------------
+
+-- The fields of a snapshot, and of that of a region in it.
+local PART = {
+  chart = "string", leaf = "string", done = "boolean", queue = "table", data = "table",
+  saved = "table", targets = "table", ext = "table",
+}
+
+local WHOLE = { version = "number", regions = "table", structure = "table" }
+for field, kind in pairs(PART) do WHOLE[field] = kind end -- any order: a copy
+
+local function check_fields(snap, fields, where)
+  local wrong = {}
+  for field, value in pairs(snap) do -- any order: the least one is named
+    if type(value) ~= fields[field] and not plain.is_null(value) then
+      wrong[field] = true
+    end
+  end
+  local field = next(wrong) ~= nil and rfsm.sorted_keys(wrong)[1]
+  if field and not fields[field] then
+    fail("%sno snapshot has a field '%s'", where, text_of(field))
+  elseif field then
+    fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
+  end
+end
+
+-- Returns what an extension kept under a name, and takes it away.
+local function take_extension(snap, name)
+  local ext = type(snap.ext) == "table" and plain.copy_of(snap.ext) or {}
+  local kept = plain.unpack(ext[name], 2)
+  ext[name] = nil
+  snap.ext = (next(ext) ~= nil or type(snap.ext) ~= "table") and ext or nil
+  return type(kept) == "table" and kept or {}
+end
+
+-- Adds the regions in a snapshot of format 1, which were kept by an extension.
+local function add_regions(regions, snap, prefix, depth)
+  if not snap.ext then return end
+  if depth > 40 then fail("regions: at most 40 inside each other expected") end
+  for fqn, list in pairs(take_extension(snap, "seqand")) do -- any order: a set
+    if type(list) ~= "table" then fail("ext: table of snapshots expected") end
+    for name, inner in pairs(list) do -- any order: likewise
+      if type(inner) ~= "table" then fail("ext: table of snapshots expected") end
+      local part = {}
+      for field, value in pairs(inner) do part[field] = value end -- any order: a copy
+      local place = prefix .. text_of(fqn):sub(5) .. "." .. text_of(name)
+      add_regions(regions, part, place, depth + 1)
+      part.version, regions[place] = nil, part
+    end
+  end
+end
+
+-- Returns a snapshot of format 1 as one of today's.
+local function from_format_1(snap)
+  local copy, regions = {}, {}
+  for field, value in pairs(snap) do copy[field] = value end -- any order: a copy
+  copy.version = move.VERSION
+  add_regions(regions, copy, "root", 0)
+  copy.regions = next(regions) ~= nil and regions or nil
+  return copy
+end
+
+--- Return a snapshot in today's format.
+-- @raise what is wrong with its fields
+---@param snap any
+---@return rfsm.snapshot.Snapshot snap
+function move.check_shape(snap)
+  if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
+  local version = snap.version
+  if version == 1 then
+    snap = from_format_1(snap)
+  elseif version ~= move.VERSION then
+    fail("snapshot of format 1 or %d expected, got %s", move.VERSION,
+      version == nil and "none" or "format " .. text_of(version))
+  end
+  if not snap.chart then fail("chart: string expected, got nil") end
+  check_fields(snap, WHOLE, "")
+  for prefix, part in pairs(snap.regions or {}) do -- any order: each stands alone
+    if type(part) ~= "table" then
+      fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
+    end
+    check_fields(part, PART, text_of(prefix) .. ": ")
+  end
+  return snap
+end
+
+-- Parts: a machine and its regions --------------------------------------------------
+
+local NONE = {}
+
+--- Call `f(machine, part, prefix, index)` for a machine and each of its regions.
+---@param fsm rfsm.Machine
+---@param snap rfsm.snapshot.Snapshot
+---@param f function `part` is what the snapshot holds of the machine
+function move.each_part(fsm, snap, f)
+  f(fsm, snap, "root", 1)
+  local regions = snap.regions or NONE
+  for i, at in ipairs(charts.regions(fsm) or NONE) do
+    f(at.machine, regions[at.prefix] or NONE, at.prefix, i + 1)
+  end
+end
+
+-- Returns what differs between a machine and the part of a snapshot: nil, "kept" or
+-- "structure".
+local function change_of(machine, part)
+  local chart = charts.of(machine)
+  if part.chart == nil or part.chart == chart.name then return nil end
+  return part.chart:match("^[^-]*") == chart.structure and "kept" or "structure"
+end
+
+-- What would be lost ----------------------------------------------------------------
+
+-- Notes the fields of a part that no state keeps.
+local function note_data(list, chart, part, prefix)
+  for _, fqn in ipairs(rfsm.sorted_keys(part.data or NONE)) do
+    local keeper = chart.keeper[fqn]
+    local fields = plain.unpack(part.data[fqn], 2)
+    for _, name in ipairs(type(fields) == "table" and rfsm.sorted_keys(fields) or {}) do
+      if not (keeper and keeper.kept[name]) then
+        list[#list + 1] = "field " .. text_of(name) .. " of " .. prefix
+          .. text_of(fqn):sub(5)
+      end
+    end
+  end
+  for _, fqn in ipairs(rfsm.sorted_keys(part.saved or NONE)) do
+    if not (chart.keeper[fqn] and chart.keeper[fqn].has_load) then
+      list[#list + 1] = "what save of " .. prefix .. text_of(fqn):sub(5) .. " returned"
+    end
+  end
+end
+
+-- Notes where a machine was, and targets that were set, that are gone.
+local function note_places(list, machine, part, prefix)
+  local chart, targets = charts.of(machine), part.targets or NONE
+  if part.leaf and not charts.find_state(machine, part.leaf) then
+    list[#list + 1] = "state " .. prefix .. part.leaf:sub(5)
+  end
+  for i = 1, #targets, 3 do
+    local state = chart.index[targets[i]] and charts.find_state(machine, targets[i])
+    local id = plain.unpack(targets[i + 1], 2)
+    if not (state and plain.is_scalar(id) and rfsm.is_trans(state[id])
+      and chart.index[targets[i + 2]]) then
+      list[#list + 1] = ("target %s of transition %s in %s"):format(
+        text_of(targets[i + 2]), text_of(id), text_of(targets[i]))
+    end
+  end
+end
+
+-- These follow the states of the chart: timers, counts and events that were received.
+local FOLLOWERS = { timers = true, emem = true, await = true }
+
+local function note_extensions(list, machine, part, prefix)
+  local is_known = {}
+  for _, hook in ipairs(charts.hooks(machine)) do is_known[hook.name] = true end
+  for _, name in ipairs(rfsm.sorted_keys(part.ext or NONE)) do
+    if not (is_known[name] or FOLLOWERS[name]) then
+      list[#list + 1] = ("what extension %s kept of %s"):format(text_of(name), prefix)
+    end
+  end
+end
+
+--- List what a snapshot holds, and a machine has no place for.
+---@param fsm rfsm.Machine
+---@param snap rfsm.snapshot.Snapshot
+---@return string[] list
+function move.lost(fsm, snap)
+  local list, is_known = {}, {}
+  move.each_part(fsm, snap, function(machine, part, prefix)
+    is_known[prefix] = true
+    note_places(list, machine, part, prefix)
+    note_data(list, charts.of(machine), part, prefix)
+    note_extensions(list, machine, part, prefix)
+  end)
+  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
+    if not is_known[prefix] then list[#list + 1] = "region " .. text_of(prefix) end
+  end
+  return list
+end
+
+-- New names -------------------------------------------------------------------------
+
+-- Returns the new name for the FQN of a state that has moved, or of one in it; also in
+-- an event such as e_done@root.a.
+local function renamed_text(text, rename)
+  local event, fqn = text:match("^(.*@)(root.*)$")
+  local head, tail = fqn or text, ""
+  while head do
+    if rename[head] then return (event or "") .. rename[head] .. tail end
+    local above, name = head:match("^(.*)(%.[^.]*)$")
+    head, tail = above, (name or "") .. tail
+  end
+  return text
+end
+
+-- Returns a copy in which texts are changed, so many tables deep: keys and values.
+local function renamed(value, rename, depth)
+  if depth == 0 then return value end
+  if type(value) == "string" then return renamed_text(value, rename) end
+  if type(value) ~= "table" then return value end
+  local copy = {}
+  for key, inner in pairs(value) do -- any order: each stands alone
+    copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
+  end
+  return copy
+end
+
+-- How deep names of states stand in the fields of a snapshot.
+local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
+
+local function rename_part(part, rename)
+  local copy = {}
+  for field, value in pairs(part) do -- any order: each stands alone
+    copy[field] = renamed(value, rename, NAMED[field] or 0)
+  end
+  return copy
+end
+
+-- Returns the new names inside of a region, where its own FQN begin with root.
+local function inside(rename, prefix)
+  local inner, new_prefix = {}, renamed_text(prefix, rename)
+  for old, new in pairs(rename) do -- any order: each stands alone
+    if old:sub(1, #prefix + 1) == prefix .. "."
+      and new:sub(1, #new_prefix + 1) == new_prefix .. "." then
+      inner["root" .. old:sub(#prefix + 1)] = "root" .. new:sub(#new_prefix + 1)
+    end
+  end
+  return inner, new_prefix
+end
+
+local function rename_states(snap, rename)
+  local copy = rename_part(snap, rename)
+  copy.regions = snap.regions and {}
+  for prefix, part in pairs(snap.regions or NONE) do -- any order: each stands alone
+    local inner, new_prefix = inside(rename, prefix)
+    copy.regions[new_prefix] = rename_part(part, inner)
+  end
+  return copy
+end
+
+-- The way from another chart --------------------------------------------------------
+
+--- List what differs between two structures.
+---@param old string[]
+---@param new string[]
+---@return string[] list
+function move.difference(old, new)
+  local counts, list = {}, {}
+  for _, line in ipairs(old) do counts[line] = (counts[line] or 0) + 1 end
+  for _, line in ipairs(new) do
+    counts[line] = (counts[line] or 0) - 1
+    if counts[line] < 0 then list[#list + 1] = "new: " .. line end
+  end
+  for _, line in ipairs(old) do
+    if counts[line] > 0 then
+      list[#list + 1] = "gone: " .. line
+      counts[line] = counts[line] - 1
+    end
+  end
+  if not list[1] then list[1] = "the order of the transitions" end
+  return list
+end
+
+local function append(list, prefix, more)
+  for _, line in ipairs(more) do list[#list + 1] = prefix .. line end
+end
+
+-- Returns the lines of the charts that the parts of a snapshot name, if all are known,
+-- and those of the machine and its regions. Without a name there is nothing to compare.
+local function known_lines(fsm, snap)
+  local old, new, is_known = {}, {}, true
+  move.each_part(fsm, snap, function(machine, part, prefix)
+    local chart = charts.of(machine)
+    local was = part.chart and charts.named(part.chart) or not part.chart and chart
+    if not was then
+      is_known = false
+      return
+    end
+    local head = prefix == "root" and "" or prefix .. ": "
+    append(old, head, was.lines)
+    append(new, head, chart.lines)
+    if part.chart and part.chart:find("-", 1, true) then
+      append(old, head, was.fields)
+      append(new, head, chart.fields)
+    end
+  end)
+  return is_known and old or nil, new
+end
+
+-- Returns the lines of the chart of a snapshot, and those of the machine to compare.
+local function lines_of(fsm, snap, given)
+  local chart, has_fields = charts.of(fsm), false
+  if given then return charts.structure(given), chart.all end
+  if not snap.structure then return known_lines(fsm, snap) end
+  for _, line in ipairs(snap.structure) do
+    has_fields = has_fields or type(line) == "string" and line:find("^field ") ~= nil
+  end
+  return snap.structure, has_fields and chart.all or chart.lines
+end
+
+-- Lists what a snapshot names and the chart lacks.
+local function missing(lost)
+  local list = {}
+  for i, text in ipairs(lost) do list[i] = "gone: " .. text end
+  list[#list + 1] = "the snapshot holds no structure: that is all that is known"
+  return list
+end
+
+-- Returns a function: is an event of the machine at `prefix` one that the old chart did
+-- not have? Where that is not known it is.
+local function new_events(old, rename)
+  return function(prefix, event)
+    local head = prefix == "root" and "" or prefix .. ": "
+    for _, line in ipairs(old or NONE) do
+      if line:sub(1, #head) == head then
+        line = line:gsub("@(root[^,%s]*)", function(fqn)
+          return "@" .. renamed_text(fqn, rename or NONE)
+        end)
+        if charts.has_event(line, event) then return false end
+      end
+    end
+    return true
+  end
+end
+
+local function refuse(text, list)
+  error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
+end
+
+local function migrate(snap, list, options)
+  local moved = options.migrate(snap, list)
+  if moved == false then
+    refuse("migrate refused the snapshot of another chart", list)
+  end
+  return move.check_shape(moved or snap)
+end
+
+-- Returns what differs for a machine and its regions: nil, "kept" or "structure"; and
+-- by prefix.
+local function changes(fsm, snap)
+  local most, by_prefix, count, known = nil, {}, 0, 0
+  move.each_part(fsm, snap, function(machine, part, prefix)
+    local change = change_of(machine, part)
+    by_prefix[prefix] = change
+    if change == "structure" or not most then most = change end
+    if part ~= NONE and prefix ~= "root" then known = known + 1 end
+  end)
+  for _ in pairs(snap.regions or NONE) do count = count + 1 end -- any order: a number
+  return most or count > known and "kept" or nil, by_prefix
+end
+
+-- Returns the snapshot with new names, and as `migrate` returns it, in a copy.
+local function change(snap, list, options)
+  if not (options.rename or options.migrate) then return snap end
+  snap = plain.copy_of(snap)
+  if options.rename then snap = rename_states(snap, options.rename) end
+  return options.migrate and migrate(snap, list, options) or snap
+end
+
+--- Return a snapshot as one for the chart of a machine, a copy if it is of another one.
+-- @raise the list of what differs, or would be lost
+---@param fsm rfsm.Machine
+---@param snap rfsm.snapshot.Snapshot
+---@param options rfsm.snapshot.Options
+---@return rfsm.snapshot.Snapshot snap
+---@return table<string, string>? changes by prefix; nil if it is of the same chart
+---@return fun(prefix: string, event: string)? is_new
+function move.to(fsm, snap, options)
+  local most, by_prefix = changes(fsm, snap)
+  if not most then return snap end
+  local lost = move.lost(fsm, snap)
+  local is_format_1 = not snap.chart:find("-", 1, true)
+  if most == "kept" and is_format_1 and not lost[1] then return snap, by_prefix end
+  local old, new = lines_of(fsm, snap, options.old)
+  local list = old and move.difference(old, new) or missing(lost)
+  if most == "structure" and not (options.rename or options.migrate) then
+    refuse("the snapshot is of another chart", list)
+  end
+  snap = change(snap, list, options)
+  lost = move.lost(fsm, snap)
+  if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
+  return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
+end
+
+return move

@@ -1,0 +1,566 @@
+-- A fleet in Redis: each event once, errors that change nothing, workers that fail, a
+-- client that must reconnect, and what an operator asks.
+
+local servers = require "spec.support.redis"
+
+if servers.missing() then
+  describe("a fleet", function()
+    it("applies each event once", function() pending(servers.missing()) end)
+  end)
+  return
+end
+
+local fleet = require "rfsm.fleet"
+local helper = require "spec.helper"
+local redis = require "rfsm.redis"
+
+teardown(servers.stop_all)
+after_each(helper.remove_files)
+
+-- even --e_tick--> odd --e_tick--> even, counted
+local COUNTER = [[
+return rfsm.state {
+  keep = { "n", "list" }, n = 0, even = rfsm.state {}, odd = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "even" },
+  rfsm.trans { src = "even", tgt = "odd", events = { "e_tick" },
+    effect = function(fsm) fsm.n = fsm.n + 1 end },
+  rfsm.trans { src = "odd", tgt = "even", events = { "e_tick" },
+    effect = function(fsm) fsm.n = fsm.n + 1 end },
+}]]
+
+-- a --1 hour--> b, and a --e_emit--> a, which emits; --e_long--> c { d }
+local TIMED = [[
+return rfsm.state {
+  keep = { "n" }, n = 0,
+  a = rfsm.state {}, b = rfsm.state {},
+  c = rfsm.state { d = rfsm.state {}, rfsm.trans { src = "initial", tgt = "d" } },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_after(3600)", "e_b" } },
+  rfsm.trans { src = "b", tgt = "a", events = { "e_back" } },
+  rfsm.trans { src = "a", tgt = "c", events = { "e_long" } },
+  rfsm.trans { src = "a", tgt = "internal", events = { "e_emit" },
+    effect = function(fsm)
+      fsm.n = fsm.n + 1
+      fsm.emit("done", { n = fsm.n })
+    end },
+}]]
+
+-- due at once, and again and again
+local RESTLESS = [[
+return rfsm.state {
+  keep = { "n" }, n = 0,
+  a = rfsm.state { entry = function(fsm) fsm.n = fsm.n + 1 end },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "a", events = { "e_after(0)" } },
+}]]
+
+local server
+
+local function library(options, charts)
+  local arguments = {}
+  for name, text in pairs(charts or { counter = COUNTER, timed = TIMED,
+    restless = RESTLESS }) do
+    arguments[#arguments + 1] = name .. "=" .. helper.file_with(text)
+  end
+  return (redis.bundle(arguments, options))
+end
+
+local function connect(options)
+  options = options or {}
+  options.name, options.tags = "m", 1
+  return fleet.connect(server:url(), options)
+end
+
+local machines
+
+local usual
+
+setup(function()
+  server = servers.start()
+  usual = library { index = true, history = 3 }
+end)
+
+before_each(function()
+  server:cli("FLUSHALL")
+  machines = connect()
+  assert(machines:load(usual))
+end)
+
+-- The key of a machine, as the shell takes it.
+local function key_of(id) return "'" .. machines:key_of(id) .. "'" end
+
+local function count_of(id) return machines:get(id).data.root.n end
+
+-- Returns the output of a call in one line.
+local function call(...)
+  return (server:cli("FCALL " .. table.concat({ ... }, " ")):gsub("\n$", "")
+    :gsub("\n", " "))
+end
+
+describe("an event with an id", function()
+  it("is applied once", function()
+    assert(machines:create(1, "counter"))
+    for _ = 1, 3 do
+      assert.equal("root.odd done", call("rfsm_send 1", key_of(1), "e_tick ID a"))
+    end
+    assert.equal("root.even done", call("rfsm_send 1", key_of(1), "e_tick ID b"))
+    assert.equal("root.even done", call("rfsm_send 1", key_of(1), "e_tick ID a"))
+    assert.equal(2, count_of(1))
+  end)
+
+  it("is known until 16 others have come, or as many as the library says", function()
+    assert(machines:load(library { ids = 2 }))
+    assert.equal("root.even done", call("rfsm_create 1 {0} counter '{}' ID a"))
+    assert.equal("root.even done", call("rfsm_create 1 {0} counter '{}' ID a"))
+    for _, id in ipairs { "b", "c", "a", "c", "a" } do
+      call("rfsm_send 1 {0} e_tick ID " .. id)
+    end
+    assert.equal(3, count_of("{0}"))
+  end)
+
+  it("has an id of 1 to 64 bytes", function()
+    machines:create(1, "counter")
+    assert.equal("ERR rfsm_send: ID: 1 to 64 bytes expected, got 65 ",
+      call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(65)))
+    assert.equal(0, count_of(1))
+  end)
+
+  it("that the client sends again is applied once", function()
+    local other = servers.start("--appendonly yes --appendfsync always")
+    local twice = fleet.connect(other:url(), { name = "m", tags = 1 })
+    assert(twice:load(library()))
+    assert(twice:create(1, "counter"))
+    for _ = 1, 3 do
+      assert(twice:send(1, "e_tick"))
+      other:kill()
+      other:launch()
+    end
+    assert(twice:send(1, "e_tick"))
+    assert.equal(0, (twice:wake()))
+    assert.equal(4, twice:get(1).data.root.n)
+  end)
+end)
+
+describe("an error changes nothing:", function()
+  -- Spoils something, sends an event, and returns the error; the machine has not moved.
+  local function refusal(spoil, event)
+    assert(machines:create(1, "timed"))
+    local before = server:cli("DUMP " .. key_of(1))
+    spoil((machines:key_of(1)))
+    local reply, problem = machines:send(1, event)
+    assert.is_nil(reply)
+    assert.equal(before, server:cli("DUMP " .. key_of(1)))
+    return problem
+  end
+
+  for _, case in ipairs {
+    { what = "a stream of another type", key = "rfsm:out:{0}", event = "e_emit",
+      kind = "stream" },
+    { what = "a due set of another type", key = "rfsm:due:{0}", event = "e_b",
+      kind = "zset" },
+    { what = "an index of another type", key = "rfsm:in:{0}", event = "e_b",
+      kind = "zset" },
+    { what = "a history of another type", key = "m:{0}:1:history", event = "e_b",
+      kind = "stream" },
+  } do
+    it(case.what, function()
+      assert.equal(("ERR rfsm_send: %s expected at '%s', got string"):format(case.kind,
+        case.key), refusal(function()
+          server:cli("DEL '" .. case.key .. "'")
+          server:cli("SET '" .. case.key .. "' x")
+        end, case.event))
+    end)
+  end
+
+  for _, case in ipairs {
+    { what = "no right to add to the stream", rule = "-xadd", event = "e_emit",
+      text = "XADD rfsm:out:{0}" },
+    { what = "no right to publish", rule = "-spublish", event = "e_long",
+      text = "ZREM rfsm:due:{0}" , rule2 = "-zrem" },
+    { what = "no right to publish at all", rule = "-spublish", event = "e_long",
+      text = "SPUBLISH rfsm:{0}:m:{0}:1" },
+  } do
+    it(case.what, function()
+      assert(machines:create(1, "timed"))
+      local before = server:cli("DUMP " .. key_of(1))
+      server:cli("ACL SETUSER worker reset on '>pass%word' +@all '~*' '&*' "
+        .. (case.rule2 or case.rule))
+      local url = server:url():gsub("//", "//worker:pass%%25word@") .. "/0"
+      local worker = fleet.connect(url, { name = "m", tags = 1 })
+      assert.same({ nil, "ERR rfsm_send: no right to do " .. case.text },
+        { worker:send(1, case.event) })
+      assert.equal(before, server:cli("DUMP " .. key_of(1)))
+      server:cli("ACL DELUSER worker")
+    end)
+  end
+
+  for _, key in ipairs { "rfsm:due:{0}", "m:{0}:1:log", "m:{0}:1:history" } do
+    it("no machine is made at " .. key, function()
+      assert.same({ nil, "ERR rfsm_create: key '" .. key .. "': rfsm:*, *:log and "
+        .. "*:history are no keys of machines" }, { machines:create(key, "timed") })
+    end)
+  end
+end)
+
+describe("consumer groups", function()
+  -- Makes machines that have emitted once.
+  local function emit(count)
+    for i = 1, count do
+      assert(machines:create(i, "timed"))
+      assert(machines:send(i, "e_emit"))
+    end
+  end
+
+  it("get each entry, whatever the others have done", function()
+    machines:work("a", "w", function() end)
+    machines:work("b", "w", function() end)
+    emit(5)
+    for _, group in ipairs { "a", "b" } do
+      assert.equal(5, (machines:work(group, "w", function() end)))
+    end
+    assert.equal("0\n", server:cli("XLEN rfsm:out:{0}")) -- both have done all
+  end)
+
+  it("keep what one of them has not done", function()
+    machines:work("a", "w", function() end)
+    machines:work("b", "w", function() end)
+    emit(3)
+    local seen = 0
+    machines:work("a", "w", function() end)
+    machines:work("b", "w", function()
+      seen = seen + 1
+      if seen == 2 then error("no", 0) end
+    end)
+    assert.equal("2\n", server:cli("XLEN rfsm:out:{0}")) -- from the one that failed on
+  end)
+
+  it("are not held up by an entry that fails, which ends in a stream", function()
+    emit(4)
+    local function work(entry)
+      if entry.machine:find(":2$") then error("poison", 0) end
+    end
+    assert.same({ 3, { "poison" } }, { machines:work("g", "w", work, { idle = 0,
+      tries = 3 }) })
+    for _ = 1, 4 do machines:work("g", "w", work, { idle = 0, tries = 3 }) end
+    local dead = server:cli("XRANGE rfsm:dead:{0} - +")
+    assert.matches("machine\nm:{0}:2\nwhat\ndone\n.*group\ng\n.*deliveries\n3\nerror\n"
+      .. "poison", dead)
+    assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
+    assert.equal(0, tonumber(server:cli("XPENDING rfsm:out:{0} g"):match("%d+")))
+  end)
+
+  it("try an entry again after twice the time", function()
+    emit(1)
+    local tries = 0
+    local function work()
+      tries = tries + 1
+      error("no", 0)
+    end
+    machines:work("g", "w", work, { idle = 100000 })
+    machines:work("g", "v", work, { idle = 100000 })
+    assert.equal(1, tries)
+    server:cli("XCLAIM rfsm:out:{0} g w 0 " .. server:cli("XRANGE rfsm:out:{0} - +")
+      :match("%d+%-%d+") .. " IDLE 150000 RETRYCOUNT 2 JUSTID")
+    machines:work("g", "v", work, { idle = 100000 })
+    assert.equal(1, tries, "the second time is due after 200 s")
+    server:cli("XCLAIM rfsm:out:{0} g w 0 " .. server:cli("XRANGE rfsm:out:{0} - +")
+      :match("%d+%-%d+") .. " IDLE 250000 RETRYCOUNT 2 JUSTID")
+    machines:work("g", "v", work, { idle = 100000 })
+    assert.equal(2, tries)
+  end)
+
+  it("refuse an option that is not known", function()
+    assert.matches("rfsm.fleet.work: unknown option 'retries', expected: count, idle, "
+      .. "tries", (select(2, pcall(machines.work, machines, "g", "w", print,
+        { retries = 1 }))))
+  end)
+end)
+
+describe("machines that are due", function()
+  it("are run in one call, each once", function()
+    for i = 1, 30 do assert(machines:create(i, "restless")) end
+    local other = connect()
+    assert.equal(30, machines:wake(50) + other:wake(0 + 1) * 0)
+    local before = 0
+    for i = 1, 30 do before = before + count_of(i) end
+    assert.equal(7, (machines:wake(7)))
+    local after = 0
+    for i = 1, 30 do after = after + count_of(i) end
+    assert.is_true(after > before)
+  end)
+
+  it("that cannot be run are put aside, and do not hold up others", function()
+    assert(machines:load(library(nil, { restless = RESTLESS, old = RESTLESS })))
+    for i = 1, 20 do assert(machines:create("old" .. i, "old")) end
+    for i = 1, 3 do assert(machines:create(i, "restless")) end
+    assert(machines:load(library(nil, { restless = RESTLESS })))
+    local count, failed = machines:wake(20)
+    for _ = 1, 3 do
+      local more, others = machines:wake(20)
+      count, failed = count + more, failed + others
+    end
+    assert.is_true(count >= 3)
+    assert.equal(20, failed)
+    assert.equal("20\n", server:cli("ZCARD rfsm:aside:{0}"))
+    assert.matches("no chart is named 'old'", server:cli("XRANGE m:{0}:old7:log - +"))
+    -- when the chart is back they run again
+    assert(machines:load(library(nil, { restless = RESTLESS, old = RESTLESS })))
+    assert(machines:tick("old7"))
+    assert.equal("19\n", server:cli("ZCARD rfsm:aside:{0}"))
+  end)
+
+  it("and are gone are due no more", function()
+    assert(machines:create(1, "restless"))
+    server:cli("DEL " .. key_of(1))
+    machines:wake()
+    assert.equal("0\n", server:cli("ZCARD rfsm:due:{0}"))
+  end)
+end)
+
+describe("an event of a time", function()
+  it("comes when that is there", function()
+    assert(machines:create(1, "timed"))
+    assert(machines:send_after(1, 0, "e_b"))
+    assert.equal("root.b", machines:get(1).leaf)
+    assert(machines:send_after(1, 1000, "e_back"))
+    local due = machines:get(1).due
+    assert.equal("root.b", machines:get(1).leaf)
+    call("rfsm_send_at 1", key_of(1), ("%.6f"):format(due - 500), "e_back ID early")
+    assert.is_true(math.abs(machines:get(1).due - due + 500) < 0.001)
+    machines:tick(1)
+    assert.equal("root.b", machines:get(1).leaf)
+  end)
+
+  it("is taken back", function()
+    assert(machines:create(1, "counter"))
+    local ticket = assert(machines:send_after(1, 1000, "e_tick"))
+    assert.is_number(machines:get(1).due)
+    assert.is_true(machines:cancel(1, ticket))
+    assert.is_false(machines:cancel(1, ticket))
+    assert.is_nil(machines:get(1).due)
+  end)
+
+  it("is applied once", function()
+    assert(machines:create(1, "counter"))
+    for _ = 1, 3 do call("rfsm_send_at 1", key_of(1), "+0 e_tick ID x") end
+    assert.equal(1, count_of(1))
+  end)
+
+  it("is refused if it is none", function()
+    assert(machines:create(1, "counter"))
+    assert.same({ "ERR rfsm_send_at: a time, events and ID id expected ",
+      "ERR rfsm_send_at: seconds, or +seconds expected, got 'soon' ",
+      "ERR rfsm_send_at: no transition of chart 'counter' has the event 'e_tock' "
+        .. "(did you mean 'e_tick'?) " },
+      { call("rfsm_send_at 1", key_of(1), "+1 e_tick"),
+        call("rfsm_send_at 1", key_of(1), "soon e_tick ID 1"),
+        call("rfsm_send_at 1", key_of(1), "+1 e_tock ID 1") })
+  end)
+end)
+
+describe("an operator", function()
+  it("gets data as plain JSON, and null is nil", function()
+    call("rfsm_create 1 {0}:x counter", [['{"n":5,"list":{"n":1.5,"a":[1,null]}}']])
+    local data = machines:get("{0}:x").data
+    assert.same({ n = 5, list = { n = 1.5, a = { 1 } } }, data.root)
+    assert.equal("root.odd", machines:send("{0}:x", "e_tick").leaf)
+    assert.same({ n = 6, list = { n = 1.5, a = { 1 } } }, machines:get("{0}:x").data
+      .root)
+  end)
+
+  it("finds machines by their state, also by one around it", function()
+    for i = 1, 5 do assert(machines:create(i, "timed")) end
+    machines:send(2, "e_b")
+    machines:send(4, "e_long")
+    local function ids(...)
+      local list = assert(machines:find(...))
+      for i, key in ipairs(list) do list[i] = key:match("%d+$") end
+      table.sort(list)
+      return table.concat(list, " ")
+    end
+    assert.same({ "1 3 5", "2", "4", "4", "1 2 3 4 5", "" }, { ids("timed", "root.a"),
+      ids("timed", "root.b"), ids("timed", "root.c"), ids("timed", "root.c.d"),
+      ids("timed", "root"), ids("counter", "root") })
+    assert.equal(2, #machines:find("timed", "root", 2))
+  end)
+
+  it("sees the latest moves of a machine", function()
+    assert(machines:create(1, "counter"))
+    for _ = 1, 4 do machines:send(1, "e_tick") end
+    local moves = assert(machines:history(1))
+    assert.equal(3, #moves)
+    assert.is_number(moves[1].time)
+    moves[1].time = nil
+    assert.same({ event = "e_tick", from = "root.odd", to = "root.even" }, moves[1])
+    assert.equal(1, #machines:history(1, 1))
+  end)
+
+  it("is told what the library was made without", function()
+    assert(machines:load(library()))
+    assert(machines:create(1, "counter"))
+    assert.same({ "ERR rfsm_find: the library was made without --index",
+      "ERR rfsm_history: the library was made without --history" },
+      { select(2, machines:find("counter", "root")), select(2, machines:history(1)) })
+  end)
+
+  it("counts machines by state", function()
+    for i = 1, 4 do assert(machines:create(i, "timed")) end
+    machines:send(1, "e_b")
+    machines:send(2, "e_emit")
+    assert.equal([[
+# TYPE rfsm_machines gauge
+rfsm_machines{chart="timed",state="root.a"} 3
+rfsm_machines{chart="timed",state="root.b"} 1
+# TYPE rfsm_timers gauge
+rfsm_timers 3
+# TYPE rfsm_aside gauge
+rfsm_aside 0
+# TYPE rfsm_entries gauge
+rfsm_entries 1
+]], (table.concat(helper.lines_of("tools/rfsm redis --stats " .. server:url()), "\n")
+      .. "\n"))
+  end)
+end)
+
+describe("the client", function()
+  it("connects again, with password and database", function()
+    local other = servers.start()
+    other:cli("CONFIG SET requirepass secret")
+    local url = other:url():gsub("//", "//:secret@") .. "/3"
+    local again = fleet.connect(url, { tags = 1 })
+    again:call("0", "FUNCTION", "LOAD", "REPLACE", library())
+    assert(again:create(1, "counter"))
+    other:cli("-a secret CLIENT KILL TYPE normal")
+    assert.equal("root.odd", again:send(1, "e_tick").leaf)
+    assert.matches("db3", other:cli("-a secret INFO keyspace"))
+    assert.is_false((pcall(fleet.connect, (url:gsub("secret", "wrong")))))
+  end)
+
+  it("uses another server if the first is gone", function()
+    local first = servers.start("--repl-diskless-sync-delay 0")
+    local second = servers.start()
+    local either = fleet.connect({ first:url(), second:url() }, { tags = 1 })
+    second:cli("REPLICAOF 127.0.0.1 " .. first.port)
+    either:call("0", "FUNCTION", "LOAD", "REPLACE", library())
+    assert(either:create(1, "counter"))
+    first:cli("WAIT 1 5000")
+    assert.equal("1\n", first:cli("WAIT 1 5000"))
+    first:kill()
+    second:cli("REPLICAOF NO ONE")
+    assert.equal("root.odd", either:send(1, "e_tick").leaf)
+  end)
+
+  it("gives up after its patience", function()
+    local other = servers.start()
+    local brief = fleet.connect(other:url(), { tags = 1, patience = 0 })
+    other:kill()
+    assert.matches("^rfsm.fleet: no answer for {0} in 0 s: ",
+      (select(2, brief:send(1, "e_tick"))))
+  end)
+
+  for url, text in pairs {
+    ["http://here"] = "redis://[USER:PASSWORD@]HOST:PORT[/DB] expected, got "
+      .. "'http://here'",
+    ["redis://a/b"] = "redis://[USER:PASSWORD@]HOST:PORT[/DB] expected, got "
+      .. "'redis://a/b'",
+  } do
+    it("refuses " .. url, function()
+      local ok, problem = pcall(fleet.connect, url)
+      assert.is_false(ok)
+      assert.is_truthy(problem:find("rfsm.fleet.connect: " .. text, 1, true))
+    end)
+  end
+
+  it("refuses an option that is not known", function()
+    local _, problem = pcall(fleet.connect, nil, { tag = 1 })
+    assert.matches("rfsm.fleet.connect: unknown option 'tag', expected: name, "
+      .. "patience, tags, timeout, tls", problem)
+  end)
+end)
+
+describe("a chart that cannot run in Redis", function()
+  local function refusal(text)
+    local file = helper.file_with(text)
+    local ok, problem = pcall(redis.bundle, { "c=" .. file })
+    assert.is_false(ok)
+    return (problem:gsub(file:gsub("%p", "%%%0"), "FILE"))
+  end
+
+  local function chart(lines, more)
+    return lines .. "\nreturn rfsm.state { a = rfsm.state {" .. (more or "")
+      .. "}, rfsm.trans { src = 'initial', tgt = 'a' } }"
+  end
+
+  for expected, text in pairs {
+    ["FILE:2: 'os.time' does not exist in Redis"] =
+      chart("-- os.time is not used\nlocal t = os.time()"),
+    ["FILE:2: 'io.open' does not exist in Redis"] =
+      chart("", "entry = function() io.open('x') end"),
+    ["FILE:1: global 'posix' does not exist in Redis"] = chart("local t = posix"),
+    ["FILE:1: global 'x' cannot be set in Redis"] = chart("x = 1"),
+    ["FILE:2: module 'socket.core' is not there as plain Lua, so it cannot run in "
+      .. "Redis"] = chart("\nlocal s = require 'socket.core'"),
+  } do
+    it("is refused: " .. expected, function()
+      assert.equal(expected, refusal(text))
+    end)
+  end
+
+  it("is not one that only says so, or has fields of that name", function()
+    assert(redis.bundle { "c=" .. helper.file_with(chart("local io = {}\n"
+      .. [[local text, t = "os.time()", { debug = 1, [ [=[io]=] ] = 1 } -- io.x]]
+      .. "\n" .. "local _ = { text, t, io, os.clock() }")) })
+  end)
+
+  it("brings its own modules along if they are plain Lua", function()
+    local folder = helper.lines_of("mktemp -d")[1]
+    for name, text in pairs {
+      mine = "return { yours = require 'yours' }",
+      yours = "return { name = 'a name' }",
+    } do
+      local file = io.open(folder .. "/" .. name .. ".lua", "w")
+      file:write(text)
+      file:close()
+    end
+    helper.with(package, { path = folder .. "/?.lua;" .. package.path }, function()
+      assert(machines:load((redis.bundle { "c=" .. helper.file_with(chart(
+        "local mine = require('mine')",
+        "entry = function(fsm) fsm.emit(mine.yours.name) end")) })))
+    end)
+    os.execute("rm -r " .. folder)
+    package.loaded.mine, package.loaded.yours = nil, nil
+    assert(machines:create(1, "c"))
+    assert.matches("a name", server:cli("XRANGE rfsm:out:{0} - +"))
+  end)
+
+  it("is reported if a loop in it has no end", function()
+    local file = helper.file_with(chart("", [[
+      entry = function()
+        while true do
+          local x = function() end
+        end
+      end,
+      exit = function() repeat until false end,
+      doo = function() while true do rfsm.yield() end end,
+      other = function()
+        while true do if a then break end end
+        repeat until a
+      end]]))
+    local lines = { select(2, redis.bundle { "c=" .. file }) }
+    local text = ": warning: this loop has no end: in Redis it would hold up all others"
+    assert.same({ file .. ":3" .. text, file .. ":7" .. text }, lines[1])
+  end)
+end)
+
+describe("rfsm redis --diff", function()
+  it("compares the last two versions of a name", function()
+    local old = helper.file_with(COUNTER)
+    local new = helper.file_with((COUNTER:gsub('"n", "list"', '"n"')))
+    local lines = helper.lines_of(("tools/rfsm redis c=%s c=%s --diff; echo $?"):format(
+      old, new))
+    assert.same({ "c: " .. old .. " -> " .. new, "gone: field list of root", "1" },
+      { lines[1], lines[2], lines[#lines] })
+    assert.same({ "rfsm redis: --diff: two versions of a chart expected" },
+      helper.lines_of("tools/rfsm redis c=" .. old .. " --diff 2>&1"))
+  end)
+end)

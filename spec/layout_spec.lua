@@ -1,0 +1,391 @@
+-- Where the layout puts states, arrows and labels: small charts, laid out by Graphviz.
+
+local claim = require "spec.support.claims.pictures"
+local columns = require "rfsm.pictures.columns"
+local diagram = require "rfsm.pictures.diagram"
+local dot = require "rfsm.dot"
+local helper = require "spec.helper"
+local lines = require "rfsm.pictures.lines"
+local marsh = require "rfsm.marsh"
+local Picture = require "rfsm.web.picture"
+local pictures = require "spec.support.pictures"
+local rfsm = require "rfsm"
+
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+
+-- The elements of the picture of a model by id, y downward, and its size.
+local function draw(model, options)
+  local svg = assert(dot.render(assert(dot.layout(helper.init(model), options)), "svg"))
+  local width, height = svg:match('<svg width="(%d+)pt" height="(%d+)pt"')
+  return pictures.shapes_of(svg), tonumber(width), tonumber(height)
+end
+
+local function middle(box) return (box.left + box.right) / 2 end
+
+-- s1 -e2-> s2 -e3-> ... s<count>
+local function chain(count)
+  local model = state { trans { src = "initial", tgt = "s1" } }
+  for i = 1, count do model["s" .. i] = state {} end
+  for i = 2, count do
+    model[#model + 1] = trans { src = "s" .. i - 1, tgt = "s" .. i, events = "e" .. i }
+  end
+  return model
+end
+
+-- hub <-> leaf 1 ... leaf <count>
+local function star(count)
+  local model = state { hub = state {}, trans { src = "initial", tgt = "hub" } }
+  for i = 1, count do
+    model["leaf" .. i] = state {}
+    model[#model + 1] = trans { src = "hub", tgt = "leaf" .. i, events = "e_" .. i }
+    model[#model + 1] = trans { src = "leaf" .. i, tgt = "hub", events = "e_done" }
+  end
+  return model
+end
+
+describe("a line", function()
+  local square = { { 0, 0 }, { 30, 0 }, { 30, 30 } }
+
+  it("has round corners, and is straight between them", function()
+    local line = lines.rounded(square)
+    assert.same({ 0, 0 }, line[1])
+    assert.same({ 24, 0 }, line[4])
+    assert.same({ 30, 6 }, line[7])
+    assert.same({ 30, 30 }, line[10])
+    assert.equal(10, #line)
+    for i, x in ipairs { 0, 8, 16, 24, 27.3, 30 } do
+      assert.is_true(math.abs(line[i][1] - x) < 1e-9, i)
+    end
+    assert.is_true(pictures.sharpest_bend(line) < 1)
+  end)
+
+  it("has smaller corners where its parts are short", function()
+    assert.same({ { 0, 0 }, { 2, 0 } }, {
+      lines.rounded { { 0, 0 }, { 4, 0 }, { 4, 9 } }[1],
+      lines.rounded { { 0, 0 }, { 4, 0 }, { 4, 9 } }[4] })
+    assert.equal(4, #lines.rounded { { 0, 0 }, { 0, 0 }, { 4, 0 } })
+  end)
+
+  it("is joined to another by a straight part, or moved to it if it is near", function()
+    local line = { { 0, 0 }, { 0, 1 }, { 0, 2 }, { 0, 3 } }
+    lines.join(line, { { 2.9, 9 }, { 2.9, 10 }, { 5, 11 }, { 6, 12 } }, 1)
+    assert.same({ { 0, 9 }, { 0, 10 }, { 5, 11 }, { 6, 12 } },
+      { line[7], line[8], line[9], line[10] })
+    lines.join(line, { { 6, 15 }, { 7, 15 } }, 2)
+    assert.same({ { 6, 13 }, { 6, 14 }, { 6, 15 }, { 7, 15 } },
+      { line[11], line[12], line[13], line[14] })
+    local far = {}
+    lines.join(far, { { 1, 1 } }, 1)
+    lines.join(far, { { 1, 1 }, { 2, 2 } }, 1)
+    assert.same({ { 1, 1 }, { 2, 2 } }, far)
+  end)
+
+  it("is moved, and turned", function()
+    assert.same({ { 12, 23 }, { 11, 22 } },
+      lines.moved({ { 1, 2 }, { 2, 3 } }, 10, 20, true))
+    assert.same({ { 11, 22 }, { 12, 23 } },
+      lines.moved({ { 1, 2 }, { 2, 3 } }, 10, 20, false))
+  end)
+end)
+
+describe("the shape of a picture", function()
+  for _, case in ipairs {
+    { name = "a chain of 5", model = chain(5) },
+    { name = "a chain of 30", model = chain(30) },
+    { name = "a chain of 100", model = chain(100) },
+    { name = "a chain of 300", model = chain(300) },
+    { name = "a chain of 30, to the right", model = chain(30), direction = "LR" },
+    { name = "a factory of 300", model = rfsm.load("doc/gallery/factory.lua") },
+  } do
+    it("is near 4:3 for " .. case.name, function()
+      local _, width, height = draw(case.model, { direction = case.direction })
+      assert.is_true(width / height > 0.8 and width / height < 2.1,
+        width .. " x " .. height)
+    end)
+  end
+
+  it("is not wide for a star: half of the leaves are before the hub", function()
+    local shapes, width, height = draw(star(14))
+    assert.is_true(width < 700 and height < 900, width .. " x " .. height)
+    local hub, before = middle(shapes["root.hub"].box), 0
+    for i = 1, 14 do
+      before = before + (middle(shapes["root.leaf" .. i].box) < hub and 1 or 0)
+    end
+    assert.equal(7, before)
+  end)
+
+  it("stays as it is if too many arrows would lead from column to column", function()
+    local model = chain(9)
+    for i = 1, 9 do
+      for j = 1, 9, 3 do
+        model[#model + 1] = trans { src = "s" .. i, tgt = "s" .. j, events = "e" }
+      end
+    end
+    local shapes = draw(model)
+    assert.is_true(shapes["root.s9"].box.top > shapes["root.s1"].box.bottom)
+  end)
+end)
+
+describe("columns", function()
+  local shapes = draw(chain(12))
+  local xs, channel = {}, nil
+  for i = 1, 12 do xs[i] = middle(shapes["root.s" .. i].box) end
+
+  it("are read from top to bottom, then from left to right", function()
+    local count = 1
+    for i = 2, 12 do
+      local here, before = shapes["root.s" .. i].box, shapes["root.s" .. i - 1].box
+      if math.abs(xs[i] - xs[i - 1]) > 30 then
+        count, channel = count + 1, channel or i
+        assert.is_true(here.left > before.right)
+        assert.is_true(here.top < before.top)
+      else
+        assert.is_true(here.top > before.bottom)
+      end
+    end
+    assert.is_true(count >= 3 and count <= 4, count)
+  end)
+
+  it("have arrows between them with straight parts, and labels beside these", function()
+    local arrow = shapes["root.trans[" .. channel .. "]"]
+    local left, right = shapes["root.s" .. channel - 1].box,
+      shapes["root.s" .. channel].box
+    assert.is_true(arrow.ends[1][2] >= left.bottom - 1)
+    assert.is_true(arrow.tip[2] <= right.top + 1)
+    assert.is_true(arrow.label[1] > left.right and arrow.label[1] < right.left)
+    assert.is_true(pictures.sharpest_bend(arrow.path) < 2)
+    local bottom, top = -1e9, 1e9
+    for _, point in ipairs(arrow.path) do
+      bottom, top = math.max(bottom, point[2]), math.min(top, point[2])
+    end
+    for i = 1, 12 do
+      assert.is_true(shapes["root.s" .. i].box.bottom < bottom)
+      assert.is_true(shapes["root.s" .. i].box.top > top)
+    end
+  end)
+
+  it("have tracks of their own for arrows that meet", function()
+    local model = chain(12)
+    for i = 7, 12 do
+      model[#model + 1] = trans { src = "s" .. i, tgt = "s1", events = "e_back" .. i }
+    end
+    local found = draw(model)
+    local seen = {}
+    for i = 13, 18 do
+      local lowest = -1e9
+      for _, point in ipairs(found["root.trans[" .. i .. "]"].path) do
+        lowest = math.max(lowest, math.floor(point[2] * 10 + 0.5))
+      end
+      assert.is_nil(seen[lowest], "two arrows run at " .. lowest)
+      seen[lowest] = true
+    end
+  end)
+
+  it("are dealt by length, and not at all if too many arrows would cross", function()
+    local function level(count, links)
+      local boxes = {}
+      for i = 1, count do boxes[i] = { width = 50, height = 30 } end
+      for _, link in ipairs(links) do link.arrow = { parts = {} } end
+      return { direction = "TB", boxes = boxes, links = links }
+    end
+    local function link(i, j)
+      return { upper = { node = { index = i } }, lower = { node = { index = j } } }
+    end
+    assert.same({ 1, 1, 2, 2, 3, 3, 4, 4 }, columns.plan(level(8, {})))
+    local crossing = {}
+    for i = 1, 18 do crossing[i] = link(1, 8) end
+    assert.is_table(columns.plan(level(8, crossing)))
+    crossing[19] = link(3, 4)
+    assert.is_table(columns.plan(level(8, crossing)))
+    crossing[20] = link(4, 5)
+    assert.is_nil(columns.plan(level(8, crossing)))
+    assert.is_nil(columns.plan(level(1, {})))
+  end)
+end)
+
+describe("a transition from a state to itself", function()
+  -- a with three loops, b{ x } with one
+  local function model()
+    return state {
+      a = state {}, b = state { x = state {}, trans { src = "initial", tgt = "x" } },
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "b" },
+      trans { src = "a", tgt = "a", events = "e_one" },
+      trans { src = "a", tgt = "a", events = "e_two" }, trans { src = "a", tgt = "a" },
+      trans { src = "b", tgt = "b", events = "e_outer" },
+    }
+  end
+
+  for _, case in ipairs {
+    { direction = "TB", side = "right", out = 1, axis = 2 },
+    { direction = "LR", side = "top", out = -1, axis = 1 },
+  } do
+    it("is a loop at the " .. case.side .. ", below its label", function()
+      local shapes = draw(model(), { direction = case.direction })
+      local across, last = 3 - case.axis, nil
+      for i, name in ipairs { "a", "a", "a", "b" } do
+        local arrow, side = shapes["root.trans[" .. i + 2 .. "]"],
+          shapes["root." .. name].box[case.side]
+        assert.is_true(math.abs(arrow.ends[1][across] - side) < 1)
+        assert.is_true(math.abs(arrow.tip[across] - side) < 1)
+        local reach = 0
+        for _, point in ipairs(arrow.path) do
+          reach = math.max(reach, (point[across] - side) * case.out)
+        end
+        assert.is_true(reach > 10 and reach < 20, reach)
+        if arrow.label then
+          assert.is_true((arrow.label[across] - side) * case.out > 18)
+        end
+        local at = (arrow.ends[1][case.axis] + arrow.tip[case.axis]) / 2
+        if i == 2 or i == 3 then assert.is_true(at - last >= 17, "they are apart") end
+        last = at
+      end
+      local box = shapes["root.a"].box
+      assert.is_true(last ~= nil and (case.axis == 2 and box.bottom - box.top
+        or box.right - box.left) >= 54)
+    end)
+  end
+end)
+
+describe("an arrow across frames", function()
+  -- a, m{ x, y } ; a -> m.y, m.y -> a, m -> m.y
+  local function model()
+    return state {
+      a = state {}, m = state { entry = print, x = state {}, y = state {},
+        trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "y" } },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = ".m.y", events = "e_in" },
+      trans { src = ".m.y", tgt = "a", events = "e_out" },
+      trans { src = "m", tgt = ".m.y", events = "e_again" },
+    }
+  end
+
+  it("crosses them at a right angle, and not the name", function()
+    local shapes = draw(model())
+    local frame = shapes["root.m"].box
+    for i = 2, 3 do
+      local path, count = shapes["root.trans[" .. i .. "]"].path, 0
+      for j = 4, #path - 3, 3 do
+        if math.abs(path[j][2] - frame.top) < 1 then
+          local angle = math.abs(pictures.direction_at(path, j, 1))
+          assert.is_true(angle > 80 and angle < 100, angle)
+          count = count + 1
+        end
+      end
+      assert.is_true(count > 0)
+    end
+  end)
+
+  it("leaves the name in the middle of a frame that it does not cross", function()
+    local text = assert(dot.layout(helper.init(state {
+      a = state {}, b = state { x = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "x", events = "e_long_enough" } },
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "b" },
+    })))
+    local count = 0
+    local BOX = 'bb="([%d.]+),[%d.]+,([%d.]+),[%d.]+", lp="([%d.]+)'
+    for left, right, x in text:gmatch(BOX) do
+      assert.is_true(math.abs((left + right) / 2 - x) < 1)
+      count = count + 1
+    end
+    assert.equal(2, count)
+  end)
+
+  for _, direction in ipairs { "TB", "LR" } do
+    it("goes around its label outside, if it leads into its source, " .. direction,
+      function()
+        local shapes = draw(model(), { direction = direction })
+        local arrow, frame = shapes["root.trans[4]"], shapes["root.m"].box
+        local first, axis = "top", 2
+        if direction == "LR" then first, axis = "left", 1 end
+        assert.is_true(math.abs(arrow.ends[1][axis] - frame[first]) < 1)
+        assert.is_true(arrow.label[axis] < frame[first])
+        local least = 1e9
+        for _, point in ipairs(arrow.path) do least = math.min(least, point[axis]) end
+        assert.is_true(least < arrow.label[axis])
+      end)
+  end
+end)
+
+describe("dot.layout", function()
+  it("is the same text each time", function()
+    local function text() return assert(dot.layout(helper.init(star(9)), "T")) end
+    assert.equal(text(), text())
+  end)
+
+  it("blames its caller, and hands on a problem of Graphviz", function()
+    local ok, problem = pcall(function() return (dot.layout(state {})) end)
+    assert.is_false(ok)
+    assert.matches("layout_spec.lua:%d+: rfsm.dot.layout: initialised fsm expected",
+      problem)
+    local render = dot.render
+    for count = 0, 3 do -- the first runs succeed
+      local runs = 0
+      dot.render = function(text, format)
+        runs = runs + 1
+        if runs > count then return nil, "dot: no memory" end
+        return render(text, format)
+      end
+      local model = chain(12)
+      model[#model + 1] = trans { src = "s1", tgt = "s1", events = "e" }
+      local graph, why = dot.layout(helper.init(model))
+      dot.render = render
+      assert.same({ nil, "dot: no memory" }, { graph, why })
+    end
+  end)
+
+  it("is what a server draws while it goes on", function()
+    local tab = marsh.model2tab(helper.init(chain(12)), true)
+    local picture = Picture.start(dot.encode(tab), tab)
+    local svg, last = nil, os.time() + 60
+    while picture.is_pending and os.time() < last do svg = picture:take() end
+    assert.equal(dot.render(assert(dot.layout(tab)), "svg"), svg)
+    assert.is_nil(io.open(picture.input))
+    assert.is_nil(io.open(picture.output))
+    assert.is_nil(picture:take())
+  end)
+
+  it("is stopped with its files", function()
+    local picture = Picture.start(dot.encode(helper.init(chain(12))))
+    assert.is_true(picture.is_pending)
+    picture:drop()
+    assert.is_false(picture.is_pending)
+    assert.is_nil(picture:take())
+    assert.is_nil(io.open(picture.input))
+  end)
+
+  it("draws connectors with a ring where arrows cross their frame", function()
+    local text = assert(dot.layout(helper.init(state {
+      m = state { x = state {}, out = conn {}, inner = conn {},
+        trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "inner" },
+        trans { src = "inner", tgt = "out" } },
+      trans { src = "initial", tgt = "m" }, trans { src = ".m.out", tgt = "y" },
+      y = state {},
+    })))
+    assert.matches('root_m_out [^\n]*BGCOLOR="white"', text)
+    assert.matches('root_m_inner [^\n]*BGCOLOR="#555555"', text)
+  end)
+end)
+
+describe("a text in lines", function()
+  local function wrap(text, width) return diagram.wrap({ text }, width) end
+
+  it("is not broken inside of a call if there is room elsewhere", function()
+    assert.same({ "go()", "move(arm, 1)" }, wrap("go() move(arm, 1)", 13))
+    assert.same({ "f(a, (b), c)", "g" }, wrap("f(a, (b), c) g", 12))
+    assert.same({ "a) b", "c" }, wrap("a) b c", 4))
+  end)
+
+  it("is broken inside of a call that is too long, at a space", function()
+    assert.same({ "move(arm,", "leg)" }, wrap("move(arm, leg)", 10))
+    assert.same({ "get_", "name" }, wrap("get_name", 6))
+    assert.same({ "abcdef", "gh" }, wrap("abcdefgh", 6))
+  end)
+end)
+
+describe("the drawn graph", function()
+  it("has the nodes, arrows and nesting of random charts", function()
+    local count, problem = claim.run(6, tonumber(os.getenv("SEED")) or 1)
+    assert.equal(6, count, problem)
+    assert.is_nil(problem)
+  end)
+end)

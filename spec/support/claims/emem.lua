@@ -1,0 +1,52 @@
+-- The counts of rfsm.emem are those of the events that a hook saw.
+
+local driven = require "spec.support.driven"
+local rfsm = require "rfsm"
+require "rfsm.emem"
+
+local fail = driven.fail
+
+-- Notes what the memories of a run should hold: FQN -> event -> count.
+local function watch(run)
+  local counts = {}
+  local function clear(fqn)
+    for event in pairs(counts[fqn] or {}) do counts[fqn][event] = 0 end -- any order
+  end
+  run.leave = clear
+  function run.reset()
+    for fqn in pairs(counts) do clear(fqn) end -- any order: all of them
+  end
+  function run.iterate(events)
+    for fqn in pairs(run.active) do -- any order: each stands alone
+      counts[fqn] = counts[fqn] or {}
+      for _, event in ipairs(events) do
+        counts[fqn][event] = (counts[fqn][event] or 0) + 1
+      end
+    end
+  end
+  return counts
+end
+
+local function compare(run, counts)
+  for _, state in ipairs(rfsm.elements(run.fsm, rfsm.is_state)) do
+    local wanted = counts[state._fqn] or {}
+    for _, t in ipairs { wanted, state.emem } do
+      for event in pairs(t) do -- any order: one is enough
+        if wanted[event] ~= state.emem[event] then
+          fail(run, "%s.emem[%s] is %s, not %s", state._fqn, tostring(event),
+            tostring(state.emem[event]), tostring(wanted[event]))
+        end
+      end
+    end
+  end
+end
+
+return { name = "emem and counting", run = driven.claim(function(seed)
+  local run = driven.new(seed)
+  local counts = watch(run)
+  for _ = 1, 12 do
+    driven.step(run)
+    compare(run, counts)
+    if run.problem then return run.problem end
+  end
+end) }

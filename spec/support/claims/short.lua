@@ -1,0 +1,132 @@
+-- The short way in and out of machines in Redis writes what the long way writes, in the
+-- same order, for random charts and calls. Redis is a table here.
+
+local new_random = require "spec.support.random"
+local plain = require "rfsm.snapshot.plain"
+local rfsm = require "rfsm"
+
+local EVENTS = { "e_next", "e_next", "e_same", "e_none" }
+
+local VALUES = { 1, 0, -3, 1e15, 0.1 + 0.2, "text", true, false, { 1, { x = 2 } }, {} }
+
+-- What an effect does, by chance: it sets a field, or another target.
+local function new_effect(random, name)
+  local value = VALUES[random:below(14)] -- nil, too
+  local is_target = random:chance(10)
+  return function(fsm, tr)
+    if is_target then tr.tgt = fsm.s1 end
+    fsm.x, fsm[name].n, fsm.other = value, (fsm[name].n or 0) + 1, value
+  end
+end
+
+-- States that follow each other, with timers and fields that are kept.
+local function new_model(seed)
+  local random = new_random(seed)
+  local count = 2 + random:below(3)
+  local model = { emem = false, keep = { "x" }, x = random:chance(50) and 5 or nil,
+    rfsm.trans { src = "initial", tgt = "s1" } }
+  for i = 1, count do
+    local name, to = "s" .. i, "s" .. i % count + 1
+    model[name] = rfsm.state { keep = random:chance(70) and { "n" } or nil, n = i }
+    model[#model + 1] = rfsm.trans { src = name, tgt = to, effect = new_effect(random,
+      name), events = { "e_next", random:chance(40) and "e_after(2)" or nil } }
+    model[#model + 1] = rfsm.trans { src = name, tgt = name, events = { "e_same",
+      random:chance(30) and "e_at(1005)" or nil } }
+  end
+  return rfsm.state(model)
+end
+
+-- Returns data as a text in which the order of keys is always the same.
+local function sorted(value)
+  if type(value) ~= "table" then
+    return type(value) == "number" and ("%.9g"):format(value) or tostring(value)
+  end
+  local parts = {}
+  for i, key in ipairs(rfsm.sorted_keys(value)) do
+    parts[i] = tostring(key) .. "=" .. sorted(value[key])
+  end
+  return "{" .. table.concat(parts, ",") .. "}"
+end
+
+-- Returns a host that notes what is written in `trace`; `clock.now` is its time.
+local function new_host(trace, clock)
+  local values, packed = {}, nil
+  local commands = {
+    GET = function(key) return values[key] and key or false end,
+    EXISTS = function(key) return values[key] and 1 or 0 end,
+    TIME = function()
+      local seconds = math.floor(clock.now)
+      return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
+    end,
+    TYPE = function() return { ok = "none" } end,
+    SET = function(key)
+      values[key] = packed
+      trace[#trace + 1] = "SET " .. sorted(packed)
+    end,
+  }
+  return {
+    call = function(name, ...)
+      if commands[name] then return commands[name](...) end
+      trace[#trace + 1] = name .. " " .. sorted { ... }
+    end,
+    may = function() return true end,
+    error_reply = function(text) return { err = text } end,
+    json = { encode = function() return "json" end, decode = function() return {} end },
+    pack = {
+      pack = function(list)
+        packed = plain.copy_of(list)
+        return "packed"
+      end,
+      unpack = function(key) return plain.copy_of(values[key]) end,
+    },
+  }
+end
+
+-- Makes the library anew, with the short way or without, and makes random calls.
+local function run_library(seed, is_short)
+  local real = package.loaded["rfsm.redis.short"]
+  package.loaded["rfsm.redis.functions"] = nil
+  if not is_short then
+    package.loaded["rfsm.redis.short"] = { put = function() return false end,
+      take = function() return nil end }
+  end
+  local random, trace, clock = new_random(seed * 31), {}, { now = 1000 }
+  local functions = require "rfsm.redis.functions" (new_host(trace, clock),
+    { { name = "c", make = function() return new_model(seed) end } })
+  package.loaded["rfsm.redis.short"] = real
+  for i = 1, 30 do
+    local key = "m" .. random:below(2)
+    clock.now = clock.now + random:below(8) / 4
+    local what = random:below(6)
+    local reply
+    if i <= 2 or what == 1 then
+      reply = functions.rfsm_create({ i <= 2 and "m" .. i or key }, { "c" })
+    elseif what == 2 then
+      reply = functions.rfsm_tick({ key }, {})
+    else
+      reply = functions.rfsm_send({ key }, { random:pick(EVENTS), random:pick(EVENTS) })
+    end
+    trace[#trace + 1] = sorted(reply)
+  end
+  return trace
+end
+
+return { name = "the short way in Redis", run = function(n, seed)
+  local loaded = package.loaded["rfsm.redis.functions"]
+  local problem = nil
+  require "rfsm.redis.short"
+  for i = 1, n do
+    local with, without = run_library(seed * 1009 + i, true),
+      run_library(seed * 1009 + i, false)
+    for j = 1, math.max(#with, #without) do
+      if with[j] ~= without[j] and not problem then
+        problem = ("seed %d, case %d, line %d:\n  %s\n  %s"):format(seed, i, j,
+          tostring(with[j]), tostring(without[j]))
+      end
+    end
+    if problem then break end
+  end
+  package.loaded["rfsm.redis.functions"] = loaded
+  require("rfsm_timeevent").set_gettime_hook(nil)
+  return n, problem
+end }

@@ -1,0 +1,98 @@
+-- The simulator: commands leave the machine where the same calls in Lua leave it; back,
+-- goto and forward land where the machine stood then.
+
+local drive = require "spec.support.drive"
+local kept = require "spec.support.kept"
+local new_random = require "spec.support.random"
+local rfsm = require "rfsm"
+
+local session = drive.require "rfsm.sim.session"
+local history = drive.require "rfsm.sim.history"
+local prompt = drive.require "rfsm.sim.prompt"
+
+local COMMANDS = {
+  function(sim, fsm, random)
+    local event = random:pick(drive.EVENTS)
+    sim.env.se(event)
+    rfsm.send_events(fsm, event)
+  end,
+  function(sim, fsm, random)
+    local n = random(4)
+    sim.env.step(n)
+    rfsm.step(fsm, n)
+  end,
+  function(sim, fsm, random)
+    local event = random:pick(drive.EVENTS)
+    sim.env.ses(event)
+    rfsm.send_events(fsm, event)
+    rfsm.step(fsm)
+  end,
+  function(sim, fsm)
+    sim.env.reset()
+    rfsm.reset(fsm)
+  end,
+}
+
+-- Events of one advance are known only when it is over: places by iteration.
+local function wander(sim, fsm, random, places)
+  for _ = 1, 25 do
+    local kind = random(9)
+    COMMANDS[kind == 9 and 4 or kind % 3 + 1](sim, fsm, random)
+    local place, expected = drive.place(sim.fsm), drive.place(fsm)
+    if place ~= expected then
+      return "commands: " .. place .. "\ncalls: " .. expected
+    end
+    if kind ~= 9 and kind % 3 + 1 ~= 1 then
+      places[#places + 1] = { place = place, at = sim.history.at,
+        count = sim.history.count }
+    end
+  end
+end
+
+-- Back by each mark, then forward again: the same places.
+local function check_way_back(sim, places)
+  local count = #places
+  for i = count - 1, 1, -1 do
+    while sim.history.at > places[i].at do sim.env.back() end
+    local leaf = drive.place(sim.fsm)
+    if leaf ~= places[i].place then
+      return "back to " .. i .. ": " .. leaf .. "\nwas: " .. places[i].place
+    end
+  end
+  while sim.history.at < #sim.history.marks do sim.env.forward() end
+  local place = drive.place(sim.fsm)
+  if count > 0 and sim.history.count == places[count].count
+    and place ~= places[count].place then
+    return "forward: " .. place .. "\nwas: " .. places[count].place
+  end
+end
+
+-- Goes to iterations in any order.
+local function check_jumps(sim, random, places)
+  for _ = 1, 6 do
+    local stop = places[1] and random:pick(places)
+    if not stop then return end
+    sim.env.go_to(stop.count)
+    local leaf = sim.fsm._act_leaf and sim.fsm._act_leaf._fqn or ""
+    if not stop.place:find(leaf, 1, true) then
+      return ("goto %d: %s\nwas: %s"):format(stop.count, leaf, stop.place)
+    end
+  end
+end
+
+local function check(seed)
+  local random, name, places = new_random(seed), drive.file(seed), {}
+  local chunk = history.CHUNK
+  history.CHUNK = random(12)
+  local sim = assert(session.open(name, false))
+  prompt.install(sim)
+  local fsm = assert(rfsm.init(kept.model(seed)))
+  local problem = wander(sim, fsm, random, places) or check_way_back(sim, places)
+    or check_jumps(sim, random, places)
+  history.CHUNK = chunk
+  sim.history.recorder:stop()
+  os.remove(name)
+  return problem
+end
+
+return { name = "sim", run = drive.each(check) }

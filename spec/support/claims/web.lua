@@ -1,0 +1,80 @@
+-- The page: its commands leave the machine where the same calls in Lua leave it; back
+-- lands where the machine stood after that turn.
+
+local drive = require "spec.support.drive"
+local kept = require "spec.support.kept"
+local new_random = require "spec.support.random"
+local rfsm = require "rfsm"
+
+local Session = drive.require "rfsm.web.session"
+
+local function run(fsm)
+  for _ = 1, Session.MAX_STEPS do
+    if rfsm.step(fsm) then return end
+  end
+end
+
+local COMMANDS = {
+  function(session, fsm, random)
+    local event = random:pick(drive.EVENTS)
+    session.commands.send(session, { event = event })
+    rfsm.send_events(fsm, event)
+  end,
+  function(session, fsm, random)
+    local event = random:pick(drive.EVENTS)
+    session.commands.send(session, { event = event, run = true })
+    rfsm.send_events(fsm, event)
+    run(fsm)
+  end,
+  function(session, fsm)
+    session.commands.step(session, {})
+    rfsm.step(fsm)
+  end,
+  function(session, fsm)
+    session.commands.reset(session, {})
+    rfsm.reset(fsm)
+    run(fsm)
+  end,
+}
+
+local function wander(session, fsm, random, places)
+  for _ = 1, 15 do
+    COMMANDS[random(4)](session, fsm, random)
+    local place, expected = drive.place(session.view.fsm), drive.place(fsm)
+    if place ~= expected then
+      return "commands: " .. place .. "\ncalls: " .. expected
+    end
+    places[session.turn] = place
+  end
+end
+
+local function check_back(session, random, places)
+  while session.turn > 0 and session.turns[session.turn] do
+    local to = session.turn - random(math.min(session.turn, 3))
+    local problem = session.commands.back(session, { to = to })
+    if problem then return nil end -- its turns are forgotten
+    local place = drive.place(session.view.fsm)
+    if places[to] and place ~= places[to] then
+      return ("back to %d: %s\nwas: %s"):format(to, place, places[to])
+    end
+  end
+end
+
+local function check(seed)
+  local random, name, places = new_random(seed), drive.file(seed), {}
+  local steps = Session.MAX_STEPS
+  Session.MAX_STEPS = 30
+  local session = Session.open(name, function() return 0 end)
+  local model = kept.model(seed)
+  model.err = false
+  local fsm = assert(rfsm.init(model))
+  run(fsm)
+  local problem = wander(session, fsm, random, places)
+    or check_back(session, random, places)
+  Session.MAX_STEPS = steps
+  if session.recorder then session.recorder:stop() end
+  os.remove(name)
+  return problem
+end
+
+return { name = "web", run = drive.each(check) }

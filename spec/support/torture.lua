@@ -1,0 +1,63 @@
+-- Runs the claims about random charts:  LUA spec/support/torture.lua N SEED [CLAIM...]
+--
+-- A file of spec/support/claims/ returns `name` and `run(n, seed)`, which returns the
+-- number of cases and, if the claim does not hold, a text that says what is wrong. A
+-- line is printed for each claim: its name, cases, seconds, and "ok" or that text. Each
+-- runs in a process of its own, so that no claim sees what another has loaded.
+
+package.path = "./?.lua;" .. package.path
+
+local FOLDER = "spec/support/claims/"
+
+local function fail(message)
+  io.stderr:write("torture: ", message, "\n")
+  os.exit(2)
+end
+
+local function lines_of(command)
+  local pipe, lines = assert(io.popen(command)), {}
+  for line in pipe:lines() do lines[#lines + 1] = line end
+  pipe:close()
+  return lines
+end
+
+-- Runs a claim and prints its line; has it held?
+local function hold(file, n, seed)
+  local began, name = os.time(), file
+  local has_ended, cases, problem = pcall(function()
+    local claim = dofile(file)
+    if not claim.run then error("'run' expected in what the file returns", 0) end
+    name = claim.name
+    return claim.run(n, seed)
+  end)
+  if not has_ended then cases, problem = 0, cases end
+  print(("%-24s %9d cases %6d s  %s"):format(name, cases, os.time() - began,
+    problem and tostring(problem) or "ok"))
+  return not problem
+end
+
+-- The files of the claims that are named from argument `first` on; all if none is.
+local function files_of(first)
+  local files = {}
+  for i = first, #arg do
+    local file = FOLDER .. arg[i] .. ".lua"
+    if not io.open(file) then fail(("there is no claim '%s'"):format(arg[i])) end
+    files[#files + 1] = file
+  end
+  return files[1] and files or lines_of("ls " .. FOLDER .. "*.lua")
+end
+
+local n, seed = tonumber(arg[1]), tonumber(arg[2])
+if not (n and seed) then fail("N, SEED: numbers expected") end
+if arg[3] == "--file" then os.exit(hold(arg[4], n, seed) and 0 or 1) end
+
+local files, failed = files_of(3), 0
+for _, file in ipairs(files) do
+  local lines = lines_of(("'%s' '%s' %d %d --file '%s' 2>&1; echo $?"):format(arg[-1],
+    arg[0], n, seed, file))
+  if table.remove(lines) ~= "0" then failed = failed + 1 end
+  print(table.concat(lines, "\n"))
+  io.stdout:flush()
+end
+print(("%d claims hold, %d do not"):format(#files - failed, failed))
+os.exit(failed == 0 and 0 or 1)

@@ -1,0 +1,630 @@
+-- Upgrades: a snapshot of one version of a chart becomes a machine of the next one, and
+-- nothing is lost in silence.
+
+local helper = require "spec.helper"
+local json = require "dkjson"
+local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+local timeevent = require "rfsm_timeevent"
+require "rfsm.seqand"
+
+local state, trans = rfsm.state, rfsm.trans
+local now = 0
+
+setup(function() timeevent.set_gettime_hook(function() return now, 0 end) end)
+teardown(function() timeevent.set_gettime_hook(nil) end)
+before_each(function() now = 0 end)
+
+local function itself(snap) return snap end
+
+-- (initial) -> a --events--> b --e_back--> a
+local function chart(events, fields)
+  local model = helper.chart(events, { emem = false })
+  for key, value in pairs(fields or {}) do model[key] = value end
+  return model
+end
+
+local function region(value, fields)
+  local model = { info = false, warn = false, emem = false, keep = { "m" }, m = value,
+    x = state {}, trans { src = "initial", tgt = "x" } }
+  for key, value_of_field in pairs(fields or {}) do model[key] = value_of_field end
+  return state(model)
+end
+
+-- A machine in whose only state the regions run.
+local function regions(members)
+  return state { info = false, warn = false, emem = false, w = rfsm.seqand(members),
+    trans { src = "initial", tgt = "w" } }
+end
+
+local function restored(model, snap, options)
+  return assert(snapshot.restore(model, snap, options))
+end
+
+describe("timers of a machine that migrates", function()
+  local function moved(old, new)
+    local fsm = helper.started(chart(old))
+    now = 2
+    return restored(chart(new), snapshot.take(fsm), { migrate = itself })
+  end
+
+  for _, case in ipairs {
+    { what = "are armed from now on if they are new", old = { "e_x" },
+      new = { "e_x", "e_after(5)" }, left = 5 },
+    { what = "are dropped if they are gone", old = { "e_x", "e_after(5)" },
+      new = { "e_x" }, left = nil },
+    { what = "begin anew if they have changed", old = { "e_after(5)" },
+      new = { "e_after(9)" }, left = 9 },
+    { what = "go on if both charts have them", old = { "e_after(5)" },
+      new = { "e_after(5)", "e_x" }, left = 3 },
+  } do
+    it(case.what, function()
+      local left = timeevent.next_deadline(moved(case.old, case.new))
+      assert.equal(case.left, left and math.floor(left + 0.5))
+    end)
+  end
+
+  it("do not expire again if both charts have them", function()
+    local function forever(events)
+      return chart(events, { [2] = trans { src = "a", tgt = "b", events = events,
+        guard = function() return false end } })
+    end
+    local fsm = helper.started(forever { "e_after(5)" })
+    now = 7
+    rfsm.run(fsm)
+    assert.is_nil(timeevent.next_deadline(fsm))
+    local again = restored(forever { "e_after(5)", "e_x" }, snapshot.take(fsm),
+      { migrate = itself })
+    assert.is_nil(timeevent.next_deadline(again))
+  end)
+
+  it("go on under the new name of their state", function()
+    local fsm = helper.started(chart { "e_after(5)" })
+    now = 2
+    local model = chart { "e_after(5)" }
+    model.a, model.c = nil, state {}
+    model[1].tgt, model[2].src, model[3].tgt = "c", "c", "c"
+    local again = restored(model, snapshot.take(fsm), { rename = { ["root.a"] =
+      "root.c" } })
+    assert.equal(3, math.floor(timeevent.next_deadline(again) + 0.5))
+  end)
+end)
+
+describe("a field", function()
+  local function counter(keep, fields)
+    fields = fields or { n = 1, old = 2 }
+    fields.keep = keep
+    return chart({ "e_x" }, fields)
+  end
+
+  it("that is new has its first value, also in a machine that is there", function()
+    local snap = snapshot.take(helper.started(counter { "n" }))
+    local model = counter({ "n", "more" }, { n = 5, more = { 1, { 2 } } })
+    local fsm = restored(model, snap)
+    assert.same({ 1, { 1, { 2 } } }, { fsm.n, fsm.more })
+    fsm.more[2][1] = 3
+    assert.is_true(snapshot.put(fsm, snap))
+    assert.same({ 1, { 2 } }, fsm.more)
+  end)
+
+  it("that a callback has set to nil stays nil", function()
+    local fsm = helper.started(counter { "n", "old" })
+    fsm.n = nil
+    local again = restored(counter { "n", "old" },
+      (json.decode((json.encode(snapshot.take(fsm))))))
+    assert.same({ nil, 2 }, { again.n, again.old })
+    assert.is_nil(again.n)
+  end)
+
+  it("that is gone is named, unless migrate takes it out", function()
+    local snap = snapshot.take(helper.started(counter { "n", "old" }))
+    local ok, text, list = snapshot.restore(counter { "n" }, snap)
+    assert.same({ false, "rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  field old of root", { "field old of root" } }, { ok, text, list })
+    local seen
+    local fsm = restored(counter { "n" }, snap, { migrate = function(old, difference)
+      old.data.root, seen = { n = 7 }, difference
+    end })
+    assert.same({ 7, { "gone: field old of root" } }, { fsm.n, seen })
+    assert.equal(2, snap.data.root[4 + 1] or snap.data.root.old)
+  end)
+
+  it("that save returned needs a load", function()
+    local model = chart({ "e_x" }, { save = function() return 1 end,
+      load = function() end })
+    assert.equal("rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  what save of root returned", select(2, snapshot.restore(chart { "e_x" },
+        snapshot.take(helper.started(model)))))
+  end)
+end)
+
+describe("a region", function()
+  it("that is new has its first values, and is entered when it is stepped", function()
+    local snap = snapshot.take(helper.started(regions { b = region(2) }))
+    local fsm = restored(regions { b = region(0), c = region(3) }, snap)
+    local substates = fsm.w.substates
+    assert.same({ 2, 3, "root.x", false }, { substates.b.m, substates.c.m,
+      rfsm.get_actleaf_fqn(substates.b), rfsm.get_actleaf_fqn(substates.c) })
+    rfsm.run(fsm)
+    assert.equal("root.x", rfsm.get_actleaf_fqn(substates.c))
+  end)
+
+  it("that is gone is named", function()
+    local snap = snapshot.take(helper.started(regions { a = region(1), b = region(2) }))
+    assert.same({ false, "rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  region root.w.b", { "region root.w.b" } },
+      { snapshot.restore(regions { a = region(1) }, snap) })
+    assert.equal(1, restored(regions { a = region(5) }, snap, { migrate = function(old)
+      old.regions["root.w.b"] = nil
+    end }).w.substates.a.m)
+  end)
+
+  it("with another structure is of another chart", function()
+    local snap = snapshot.take(helper.started(regions { a = region(1) }))
+    local model = regions { a = region(1, { y = state {} }) }
+    assert.equal("rfsm.snapshot: the snapshot is of another chart:\n"
+      .. "  new: root.w.a: state root.y", (select(2, snapshot.restore(model, snap))))
+    local fsm = restored(regions { a = region(1, { x = false, y = state {},
+      trans { src = "initial", tgt = "y" } }) }, snap,
+      { rename = { ["root.w.a.x"] = "root.w.a.y" } })
+    assert.equal("root.y", rfsm.get_actleaf_fqn(fsm.w.substates.a))
+  end)
+
+  it("that the snapshot names and nobody has is refused", function()
+    local fsm = helper.started(regions { a = region(1) })
+    local snap = snapshot.take(fsm)
+    snap.regions["root.w.b"] = { leaf = 7 }
+    assert.equal("rfsm.snapshot: root.w.b: leaf: string expected, got number",
+      (select(2, snapshot.put(fsm, snap))))
+    snap.regions["root.w.b"] = 5
+    assert.equal("rfsm.snapshot: regions: table expected for 'root.w.b', got number",
+      (select(2, snapshot.put(fsm, snap))))
+  end)
+end)
+
+describe("a region that was not entered", function()
+  it("is kept for its events alone, for its target alone, and not if it is blank",
+    function()
+      local function model()
+        return state { info = false, warn = false, emem = false, a = state {},
+          w = rfsm.seqand { x = region(nil), y = region(nil), z = region(nil) },
+          trans { src = "initial", tgt = "a" } }
+      end
+      local fsm = helper.started(model())
+      local substates = fsm.w.substates
+      rfsm.send_events(substates.x, "e_x")
+      substates.y[1].tgt = substates.y.initial
+      local snap = snapshot.take(fsm)
+      assert.same({ ["root.w.x"] = { "e_init_fsm", "e_x" } }, { ["root.w.x"] =
+        snap.regions["root.w.x"].queue })
+      assert.same({ "root", 1, "root.initial" }, snap.regions["root.w.y"].targets)
+      assert.is_nil(snap.regions["root.w.z"])
+      local again = restored(model(), snap)
+      assert.same(snap, snapshot.take(again))
+    end)
+end)
+
+describe("the list of what differs", function()
+  it("shows internal transitions, priorities and connectors", function()
+    local function model(more)
+      local root = chart { "e_x" }
+      for key, value in pairs(more or {}) do root[key] = value end
+      return root
+    end
+    local _, _, list = snapshot.restore(model { k = rfsm.conn {},
+      [4] = trans { src = "a", tgt = "internal", events = { "e_i", 7 }, pn = 2 } },
+      snapshot.take(helper.started(model())))
+    assert.same({ "new: root.a -> internal on e_i, 7 pn 2", "new: connector root.k" },
+      list)
+  end)
+
+  it("is the order if nothing else differs", function()
+    local root = chart { "e_x" }
+    root[2], root[3] = root[3], root[2]
+    assert.same({ "the order of the transitions" }, select(3, snapshot.restore(root,
+      snapshot.take(helper.started(chart { "e_x" })))))
+  end)
+end)
+
+describe("a table as text", function()
+  local function problem_of(text)
+    local fsm = helper.started(chart({ "e_x" }, { keep = { "x" } }))
+    local snap = snapshot.take(fsm)
+    snap.data = { root = { x = { "%s", text } } }
+    local ok, problem = snapshot.put(fsm, snap)
+    return ok and fsm.x or problem
+  end
+
+  for text, expected in pairs {
+    ["{1:a#1.5;1:b{}}"] = { a = 1.5, b = {} }, ["{#1;+#2;-}"] = { true, false },
+    ["3:a:b"] = "a:b", ["#nan;"] = nil,
+    ["3:ab"] = "rfsm.snapshot: the text of a table expected",
+    ["x"] = "rfsm.snapshot: the text of a table expected",
+    ["{1:a"] = "rfsm.snapshot: the text of a table expected",
+    ["{{}+}"] = "rfsm.snapshot: a key expected",
+    ["#x;"] = "rfsm.snapshot: a number as text expected, got string",
+    [("{1:a"):rep(60) .. "+" .. ("}"):rep(60)] =
+      "rfsm.snapshot: at most 40 tables inside each other expected",
+  } do
+    it("is read, or refused: " .. text:sub(1, 20), function()
+      assert.same(expected, problem_of(text))
+    end)
+  end
+end)
+
+describe("a list that only looks like packed data", function()
+  it("is a list", function()
+    local fsm = helper.started(chart({ "e_x" }, { keep = { "x" } }))
+    local snap = snapshot.take(fsm)
+    snap.data = { root = { x = { "%s", 5 } } }
+    assert(snapshot.put(fsm, snap))
+    assert.same({ "%s", 5 }, fsm.x)
+  end)
+end)
+
+describe("migrate", function()
+  it("gets a copy, so that one that refuses has changed nothing", function()
+    local snap = snapshot.take(helper.started(chart { "e_x" }))
+    assert.is_false((snapshot.restore(chart { "e_y" }, snap, { migrate = function(old)
+      old.leaf, old.regions = "root.b", {}
+      return false
+    end })))
+    assert.same({ "root.a" }, { snap.leaf, snap.regions })
+  end)
+end)
+
+describe("a snapshot", function()
+  it("has no more than is there", function()
+    local fsm = helper.started(chart { "e_x" })
+    local name = snapshot.take(fsm).chart
+    assert.same({ version = 2, chart = name, leaf = "root.a", done = true },
+      snapshot.take(fsm))
+    assert.matches("^%x%x%x%x%x%x%x%x%x%x%x$", name)
+    rfsm.reset(fsm)
+    assert.same({ version = 2, chart = name }, snapshot.take(fsm))
+    rfsm.send_events(fsm, "e_x")
+    assert.same({ "e_init_fsm", "e_x" }, snapshot.take(fsm).queue)
+  end)
+
+  it("names the place of an event that cannot be saved, also in a region", function()
+    local fsm = helper.started(regions { a = region(1) })
+    rfsm.send_events(fsm.w.substates.a, "e_x", print)
+    local _, problem = pcall(snapshot.take, fsm)
+    assert.matches("rfsm.snapshot.take: root.w.a queue%[2%]: an event that is a "
+      .. "function", problem)
+  end)
+end)
+
+describe("a machine into which a snapshot cannot be put", function()
+  -- A region in it has a `load` that fails if it gets "bad".
+  local function model()
+    local inner = region(1, { save = function(fsm) return fsm.secret end,
+      load = function(fsm, _, value)
+        if value == "bad" then error("no good", 0) end
+        fsm.secret = value
+      end })
+    local root = regions { a = inner }
+    root.keep, root.n, root.b = { "n" }, 1, state {}
+    root[2] = trans { src = "w", tgt = "b", events = { "e_b", "e_after(9)" } }
+    return root
+  end
+
+  it("is where it was, with what it had", function()
+    local bad = helper.started(model())
+    bad.n, bad.w.substates.a.secret = 7, "bad"
+    local snap = snapshot.take(bad)
+    local fsm = helper.started(model())
+    fsm.w.substates.a.secret = "good"
+    rfsm.send_events(fsm, "e_b")
+    rfsm.run(fsm)
+    fsm.n = 3
+    local before = snapshot.take(fsm)
+    assert.same({ false, "rfsm.snapshot: load of root: no good" },
+      { snapshot.put(fsm, snap) })
+    assert.same(before, snapshot.take(fsm))
+    assert.same({ "root.b", 3 }, { rfsm.get_actleaf_fqn(fsm), fsm.n })
+    assert.same({ false, "rfsm.snapshot: load of root: no good" },
+      { snapshot.restore(model(), snap) })
+  end)
+end)
+
+describe("a target that a program has set", function()
+  it("is named if it is gone", function()
+    local fsm = helper.started(chart { "e_x" })
+    fsm[2].tgt = fsm.a
+    local snap = snapshot.take(fsm)
+    assert.equal("a", restored(chart { "e_x" }, snap)[2].tgt._id)
+    snap.targets[3], snap.chart = "root.c", "00000000000"
+    assert.same({ "target root.c of transition 2 in root" }, select(3,
+      snapshot.restore(chart { "e_y" }, snap, { migrate = itself })))
+  end)
+end)
+
+describe("timers of regions", function()
+  local function arm(events)
+    return region(1, { y = state {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "y", events = events } })
+  end
+
+  it("follow the chart of the region", function()
+    local function moved(old, new)
+      now = 0
+      local fsm = helper.started(regions { a = arm(old), b = arm { "e_after(50)" } })
+      now = 2
+      local again = restored(regions { a = arm(new), b = arm { "e_after(50)" } },
+        snapshot.take(fsm), { migrate = itself })
+      local left = {}
+      for _, name in ipairs { "a", "b" } do
+        local deadline = timeevent.next_deadline(again.w.substates[name])
+        left[name] = deadline and math.floor(deadline + 0.5)
+      end
+      return left
+    end
+    assert.same({ a = 7, b = 48 }, moved({ "e_x" }, { "e_after(7)" }))
+    assert.same({ b = 48 }, moved({ "e_after(7)" }, { "e_x" }))
+    assert.same({ a = 5, b = 48 }, moved({ "e_after(7)" }, { "e_after(7)", "e_x" }))
+  end)
+
+  it("that have expired do not expire again", function()
+    local function waiting(events)
+      local model = arm(events)
+      model[2].guard = function() return false end
+      return regions { a = model }
+    end
+    local fsm = helper.started(waiting { "e_after(1)" })
+    now = 5
+    rfsm.run(fsm)
+    local again = restored(waiting { "e_after(1)", "e_x" }, snapshot.take(fsm),
+      { migrate = itself })
+    assert.is_nil(timeevent.next_deadline(again.w.substates.a))
+  end)
+end)
+
+describe("what a state keeps", function()
+  for _, name in ipairs { "entry", "exit", "doo", "keep", "save", "load", "getevents",
+    "dbg", "info", "warn", "err", "idle_hook", "pre_step_hook", "post_step_hook",
+    "_mode", "a" } do
+    it("is no field of the engine: " .. name, function()
+      local fsm = helper.init(chart({ "e_x" }, { keep = { name } }))
+      assert.matches("root.keep%[1%]: name of a field with data expected, got '" .. name
+        .. "'", (select(2, pcall(snapshot.take, fsm))))
+    end)
+  end
+
+  it("is given to load, also nil, but not if the chart is another one", function()
+    local seen = {}
+    local function model(events)
+      return chart(events, { save = function() return nil end,
+        load = function(_, _, value) seen[#seen + 1] = tostring(value) end })
+    end
+    local snap = snapshot.take(helper.started(model { "e_x" }))
+    restored(model { "e_x" }, snap)
+    assert.same({ "nil" }, seen)
+    restored(model { "e_y" }, snap, { migrate = itself })
+    assert.same({ "nil" }, seen)
+  end)
+
+  it("is not renamed, but the names of states are", function()
+    local function model(name)
+      return state { info = false, warn = false, emem = false, keep = { "x", "y" },
+        x = "root.a", y = { ["root.a"] = "e_done@root.a" },
+        [name] = state { keep = { "z" }, z = 1 },
+        trans { src = "initial", tgt = name },
+        trans { src = name, tgt = name, events = { "e_x" } } }
+    end
+    local fsm = helper.started(model "a")
+    fsm.a.z, fsm[2].tgt = 7, fsm.initial
+    rfsm.send_events(fsm, "e_done@root.a", "root.a", "root.ab")
+    local again = restored(model "b", snapshot.take(fsm), { rename = { ["root.a"] =
+      "root.b" } })
+    assert.same({ "root.a", { ["root.a"] = "e_done@root.a" }, 7, "root.initial",
+      { "e_done@root.b", "root.b", "root.ab" } },
+      { again.x, again.y, again.b.z, again[2].tgt._fqn, again._intq })
+  end)
+
+  it("is plain in a snapshot, if JSON has it", function()
+    local numbers = { 0, -1, 1.5, 99999999999999, -99999999999999 }
+    local none = helper.init(chart({ "e_x" }, { keep = { "list" }, list = numbers }))
+    assert.same({ root = { list = numbers } }, snapshot.take(none).data)
+    none.list = { 1e14, -1e14, math.huge, -math.huge, 0.1 + 0.2, -1 / math.huge }
+    for _, number in ipairs(snapshot.take(none).data.root.list) do
+      assert.equal("%n", number[1])
+    end
+    local data = { list = { 1, "b", true, { 2 } }, map = { x = { y = 1.5 } }, n = 3 }
+    local fsm = helper.init(chart({ "e_x" }, { keep = { "list", "map", "text" },
+      text = "t", list = data.list, map = data.map }))
+    local first = { list = data.list, map = data.map, text = "t" }
+    assert.same({ root = first }, snapshot.take(fsm).data)
+    fsm.map = data
+    assert.same({ "%t", "list", data.list, "map", data.map, "n", 3 },
+      snapshot.take(fsm).data.root.map)
+  end)
+end)
+
+describe("null of JSON", function()
+  for name, null in pairs {
+    ["that of dkjson"] = json.null,
+    ["that of a decoder in C"] = rawget(_G, "ngx") and rawget(_G, "ngx").null
+      or setmetatable({}, { __tojson = function() return "null" end }),
+  } do
+    it("in data is nil: " .. name, function()
+      local fsm = helper.started(chart({ "e_x" }, { keep = { "list", "x" } }))
+      fsm.list, fsm.x = { 1, null, { null }, a = null }, null
+      local again = restored(chart({ "e_x" }, { keep = { "list", "x" } }),
+        snapshot.take(fsm))
+      assert.same({ { [1] = 1, [3] = {} }, nil }, { again.list, again.x })
+    end)
+
+    it("in a snapshot is what is absent: " .. name, function()
+      local snap = snapshot.take(helper.started(chart({ "e_x" }, { keep = { "x" } })))
+      snap.queue, snap.data = null, { root = { x = null } }
+      local fsm = restored(chart({ "e_x" }, { keep = { "x" } }), snap)
+      assert.same({ "root.a", nil }, { rfsm.get_actleaf_fqn(fsm), fsm.x })
+    end)
+  end
+end)
+
+describe("13 tables inside each other", function()
+  local function nested(depth)
+    local value = 0.1 + 0.2
+    for _ = 1, depth do value = { v = value, [true] = "t" } end
+    return value
+  end
+
+  local function depth_of(value)
+    local most = 0
+    if type(value) ~= "table" then return most end
+    for _, inner in pairs(value) do most = math.max(most, depth_of(inner)) end
+    return most + 1
+  end
+
+  -- A machine whose data is in so many regions.
+  local function wrapped(level, value)
+    local model = region(value)
+    for _ = 1, level do model = regions { r = model } end
+    return model
+  end
+
+  for level = 0, 3 do
+    it("are kept with " .. level .. " regions around them", function()
+      local snap = snapshot.take(helper.started(wrapped(level, nested(13))))
+      assert.is_true(depth_of(snap) < 16, "cmsgpack takes 16, one is the value's")
+      local fsm = restored(wrapped(level, 0), (json.decode((json.encode(snap)))))
+      for _ = 1, level do fsm = fsm.w.substates.r end
+      assert.same(nested(13), fsm.m)
+    end)
+
+    it("are the most, and the field is named, with " .. level .. " regions", function()
+      assert.equal("rfsm.snapshot.take: root" .. (".w.r"):rep(level)
+        .. ".m: at most 13 tables inside each other expected",
+        (select(2, pcall(snapshot.take, helper.started(wrapped(level, nested(14)))))
+          :gsub("^%S+:%d+: ", "")))
+    end)
+  end
+end)
+
+describe("a snapshot of format 1", function()
+  local OLD = [[{"version":1,"chart":"844974cfc38","leaf":"root.w",
+    "data":{"root":["%t","n",7]},"ext":{"timers":{"e_after(9)@root.w":[9,0]},
+    "seqand":{"root.w":{
+      "left":["%p",{"version":1,"chart":"9d516a469fe","leaf":"root.x","done":true,
+        "data":{"root":{"m":99}},"ext":{"timers":{"e_after(5)@root.x":[5,0]}}}],
+      "right":["%p",{"version":1,"chart":"9d516a469fe","leaf":"root.x","done":true,
+        "data":{"root":{"m":1}},"ext":{"timers":{"e_after(5)@root.x":[5,0]}}}]}}}}]]
+
+  local function arm(keep)
+    return state { emem = false, keep = keep, m = 1, extra = 4, x = state {},
+      y = state {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "y", events = { "e_after(5)" } } }
+  end
+
+  local function robot(keep)
+    return state { info = false, warn = false, emem = false, keep = { "n" }, n = 1,
+      a = state {}, w = rfsm.seqand { left = arm(keep), right = arm(keep) },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "w", events = { "e_go" } },
+      trans { src = "w", tgt = "a", events = { "e_after(9)" } } }
+  end
+
+  it("is read, and no migration is asked for", function()
+    local fsm = restored(robot { "m" }, (json.decode(OLD)), { migrate = function()
+      error("asked")
+    end })
+    local left = fsm.w.substates.left
+    assert.same({ 7, "root.w", 99, "root.x" }, { fsm.n, rfsm.get_actleaf_fqn(fsm),
+      left.m, rfsm.get_actleaf_fqn(left) })
+    assert.equal(5, math.floor(timeevent.next_deadline(fsm) + 0.5))
+    assert.equal(2, snapshot.take(fsm).version)
+  end)
+
+  it("is compared by what it can say: states and transitions", function()
+    local model = robot { "m" }
+    model.c = state {}
+    local list, snap = {}, json.decode(OLD)
+    local function note(_, difference) list[#list + 1] = difference end
+    snapshot.structure(robot { "m" })
+    assert(snapshot.restore(model, snap, { migrate = note }))
+    snap.structure = { "state root", "state root.a", "state root.w",
+      "root.initial -> root.a", "root.a -> root.w on e_go",
+      "root.w -> root.a on e_after(9)@root.w", "connector root.initial" }
+    assert(snapshot.restore(model, snap, { migrate = note }))
+    assert.same({ { "new: state root.c" }, { "new: state root.c" } }, list)
+  end)
+
+  it("of a region that is gone is refused", function()
+    local model = robot { "m" }
+    model.w = rfsm.seqand { left = arm { "m" } }
+    assert.same({ "region root.w.right" }, select(3, snapshot.restore(model,
+      (json.decode(OLD)))))
+  end)
+
+  it("gets first values for what it lacks, and loses nothing", function()
+    local fsm = restored(robot { "m", "extra" }, (json.decode(OLD)))
+    assert.same({ 99, 4 }, { fsm.w.substates.left.m, fsm.w.substates.left.extra })
+    assert.same({ "field m of root.w.left", "field m of root.w.right" },
+      select(3, snapshot.restore(robot {}, (json.decode(OLD)))))
+  end)
+end)
+
+describe("random charts", function()
+  for _, name in ipairs { "migration", "short", "snapshot" } do
+    local claim = require("spec.support.claims." .. name)
+    it("agree with the claim: " .. claim.name, function()
+      local _, problem = claim.run(name == "short" and 12 or 40, 1)
+      assert.is_nil(problem)
+    end)
+  end
+end)
+
+describe("rfsm snapshot diff", function()
+  after_each(helper.remove_files)
+
+  local OLD = [[return rfsm.state { keep = { "n", "old" }, n = 1,
+    a = rfsm.state {}, b = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+    rfsm.trans { src = "a", tgt = "b", events = { "e_after(3)" } } }]]
+
+  -- Returns what the command prints on two charts, and the status.
+  local function compare(new)
+    local lines = helper.lines_of(("tools/rfsm snapshot diff %s %s 2>&1; echo $?")
+      :format(helper.file_with(OLD), helper.file_with(new)))
+    local status = tonumber(table.remove(lines))
+    if lines[#lines]:find("^  targets") then -- the premises
+      lines[#lines], lines[#lines - 1] = nil, nil
+    end
+    return lines, status
+  end
+
+  it("says of each state what will happen", function()
+    local new = OLD:gsub("3", "9"):gsub('b = ', 'c = ')
+      :gsub('tgt = "b"', 'tgt = "c"'):gsub("keep", "more = 1, keep")
+    assert.same({ "new: root.a -> root.c on e_after(9)@root.a", "new: state root.c",
+      "gone: root.a -> root.b on e_after(3)@root.a", "gone: state root.b",
+      "in root.a: stays a machine of the old version",
+      "  the root of the new chart has neither 'rename' nor 'migrate'",
+      "in root.b: stays a machine of the old version",
+      "  the root of the new chart has neither 'rename' nor 'migrate'" },
+      (compare(new)))
+    local lines, status = compare((new:gsub("more = 1",
+      "rename = { ['root.b'] = 'root.c' }")))
+    assert.same({ { "in root.a: moves to root.a",
+      "  timer e_after(3)@root.a is dropped",
+      "  timer e_after(9)@root.a begins, with its whole time",
+      "in root.b: moves to root.c" }, 0 },
+      { { lines[5], lines[6], lines[7], lines[8], lines[9] }, status })
+  end)
+
+  it("names what would be lost", function()
+    local lines, status = compare((OLD:gsub('"n", "old"', '"n"')))
+    assert.same({ "gone: field old of root", "in root.a: stays a machine of the old "
+      .. "version", "  the snapshot holds what the chart lacks",
+      "  field old of root", "in root.b: stays a machine of the old version",
+      "  the snapshot holds what the chart lacks", "  field old of root" }, lines)
+    assert.equal(1, status)
+  end)
+
+  it("says that there is no difference", function()
+    local lines, status = compare(OLD)
+    assert.same({ { "the charts have the same structure and keep the same: nothing "
+      .. "moves" }, 0 }, { lines, status })
+  end)
+end)

@@ -1,0 +1,349 @@
+-- Verdicts: nothing is said to hold that does not, and each names its premises.
+
+local ab = require "spec.support.ab"
+local claim = require "spec.support.claims.after"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+require "rfsm_timeevent"
+require "rfsm.await"
+
+local state, conn = rfsm.state, rfsm.conn
+local never, always = rfsm_checks.never, rfsm_checks.always
+local after, from = rfsm_checks.after, rfsm_checks.from
+local chart, go = ab.chart, ab.go
+
+-- The lines about a property, without files.
+local function verdict(model, property, options)
+  options = options or {}
+  options.properties = { p = property }
+  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
+  local lines = {}
+  for line in text:gmatch("[^\n]+") do
+    if line:find("^p: ") or lines[1] and line:find("^  %d") then
+      lines[#lines + 1] = line
+    elseif lines[1] then
+      break
+    end
+  end
+  return table.concat(lines, "\n")
+end
+
+local VIOLATED = "p: does not hold [violated]\n"
+
+local function silent(members)
+  members.info, members.warn, members.err = false, false, false
+  return state(members)
+end
+
+local function yes() return true end
+
+describe("a verdict", function()
+  local function light()
+    return silent { red = state {}, green = state {}, go("initial", "red"),
+      go("red", "green", "e_after(20)"), go("green", "red", { "e_button", "e_at(9)" }) }
+  end
+
+  it("has time events, whatever the alphabet is", function()
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.red\n"
+      .. "  2. e_after(20)@root.red: root.trans[2] -> root.green",
+      verdict(light(), never "root.green", { alphabet = { "e_button" } }))
+  end)
+
+  it("has awaits that are complete, and only those", function()
+    local function waiting()
+      return chart { [2] = go("a", "b", "await(e_p, e_q)") }
+    end
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_p: no transition -> root.a\n  3. e_q: root.trans[2] -> root.b",
+      verdict(waiting(), never "root.b", { alphabet = { "e_p", "e_q" } }))
+    assert.equal("p: holds (one event a step; no event outside of the alphabet)",
+      verdict(waiting(), never "root.b", { alphabet = { "e_p" } }))
+  end)
+
+  it("forgets what an await has received when its state is left", function()
+    local model = silent { a = state {}, b = state {}, c = state {}, go("initial", "a"),
+      go("a", "b", "await(e_p, e_q)"), go("a", "c", "e_p", { pn = 1 }),
+      go("c", "a", "e_x"), go("b", "a", "e_x") }
+    assert.equal("p: holds (one event a step)", verdict(model, never "root.b"))
+  end)
+
+  it("has predicates that may accept any event, also one that nothing names", function()
+    local function joystick(event) return event:match("^e_joy_") ~= nil end
+    local model = silent { parked = state {}, moving = state {},
+      go("initial", "parked"), go("parked", "moving", { joystick }),
+      go("moving", "parked", "e_stop") }
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.parked\n"
+      .. "  2. no event (root.trans[2] predicate true): root.trans[2] -> root.moving",
+      verdict(model, never "root.moving"))
+    assert.equal("p: holds (one event a step; predicates free)",
+      verdict(model, never { "root.moving", "root.parked" }))
+    local fsm = helper.started(model)
+    assert.equal("root.moving", helper.leaf_after(fsm, "e_joy_left"))
+  end)
+
+  it("has the predicates of regions, too", function()
+    local region = state { warn = false, info = false, x = state {}, y = state {},
+      go("initial", "x"), go("x", "y", { yes }), go("y", "x", "e_y") }
+    local model = chart { b = rfsm.seqand { left = region } }
+    assert.equal(VIOLATED, verdict(model, never "root.b.left.y"):sub(1, #VIOLATED))
+    assert.equal(yes, region[2].events[1])
+  end)
+
+  it("names the number of events, and what is free", function()
+    local model = chart { [4] = go("a", "b", { "e_x", "e_after(1)" }, { guard = yes }),
+      [5] = go("b", "c", "e_c"), c = state { doo = yes }, [6] = go("c", "a", "e_x") }
+    local premises = "; doos, guards and timers free)"
+    local holds = always "root"
+    assert.equal("p: holds (one event a step" .. premises, verdict(model, holds))
+    assert.equal("p: holds (two events a step" .. premises,
+      verdict(model, holds, { together = 2 }))
+    assert.equal("p: holds (4 events a step" .. premises,
+      verdict(model, holds, { together = 4 }))
+    assert.equal("p: holds (two events a step" .. premises,
+      verdict(model, after "e_x".reach "root"))
+  end)
+
+  it("of after tries two events, unless the options say otherwise", function()
+    local model = silent { idle = state {}, moving = state {}, stopped = state {},
+      go("initial", "idle"), go("idle", "moving", "e_go"),
+      go("idle", "stopped", "e_stop"), go("moving", "stopped", "e_stop", { pn = 1 }),
+      go("stopped", "idle", "e_reset") }
+    local stops = after "e_stop".reach "root.stopped"
+    assert.equal("p: holds (one event a step)", verdict(model, stops, { together = 1 }))
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.idle\n"
+      .. "  2. e_go, e_stop: root.trans[2] -> root.moving", verdict(model, stops))
+  end)
+
+  -- A chart with a path that needs one of `count` events and one of as many others, and
+  -- another path behind it.
+  local function many_sets(count)
+    local first, second = {}, {}
+    for i = 1, count do first[i], second[i] = "e_f" .. i, "e_s" .. i end
+    return chart { k = conn {}, j = conn {}, c = state {},
+      [4] = go("a", "k", first), [5] = go("k", "b", second),
+      [6] = go("a", "j", "e_j"), [7] = go("j", "c", "e_c"), [8] = go("c", "a", "e_x") }
+  end
+
+  it("is not known if some sets of events were not tried", function()
+    assert.equal("p: not known", verdict(many_sets(40), never "root.c"))
+    local result = rfsm_checks.explore(many_sets(40))
+    assert.equal("sets", result.bound)
+    assert.same({ "some sets of events that paths from root.a need" }, result.untried)
+    assert.matches("\nnot tried: some sets of events that paths from root.a need; "
+      .. "unreached states, ", tostring(result))
+  end)
+
+  it("tries more than a hundred sets", function()
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_j, e_c: root.trans[6], root.trans[7] -> root.c",
+      verdict(many_sets(11), never "root.c"))
+  end)
+
+  it("is not known if a step has too many choices", function()
+    local members = { k = conn {}, [4] = go("a", "k", "e_y") }
+    for i = 5, 18 do members[i] = go("k", "b", nil, { guard = yes }) end
+    local result = rfsm_checks.explore(chart(members))
+    assert.equal("choices", result.bound)
+    assert.same({ "more than 4096 choices of one step" }, result.untried)
+  end)
+
+  it("has the events that enter a sequential AND state come to its regions", function()
+    local arm = state { warn = false, info = false, left = state {},
+      go("initial", "left", "e_left") }
+    local model = chart { a = state { doo = yes }, [2] = go("a", "b"),
+      b = rfsm.seqand { arm = arm } }
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_left: root.trans[2] -> root.b\n"
+      .. "  3. no event: root.b.arm.trans[1] -> root.b",
+      verdict(model, never "root.b.arm.left"))
+  end)
+
+  it("has what callbacks send around a sequential AND state come to its regions",
+    function()
+    local function arm()
+      return chart { b = rfsm.seqand { arm = state { warn = false, info = false,
+        left = state {}, right = state {}, go("initial", "left"),
+        go("left", "right", "e_right") } } }
+    end
+    for _, name in ipairs { "entry root.b", "exit root.a", "effect root.trans[2]" } do
+      assert.equal(VIOLATED, verdict(arm(), never "root.b.arm.right",
+        { alphabet = { "e_x" }, sends = { [name] = { "e_right" } } }):sub(1, #VIOLATED))
+    end
+  end)
+
+  it("has the time events of regions come to them alone", function()
+    local model = chart { b = rfsm.seqand { arm = state { warn = false, info = false,
+      left = state {}, right = state {}, go("initial", "left"),
+      go("left", "right", "e_after(1)") } }, c = state {}, [4] = go("b", "c"),
+      [5] = go("c", "b", "e_x") }
+    local text = verdict(model, never "root.b.arm.right", { alphabet = {} })
+    assert.equal("p: holds (one event a step; no event outside of the alphabet; "
+      .. "timers free)", text)
+    text = verdict(model, never "root.b.arm.right")
+    assert.matches("3. e_after%(1%)@root.left in root.b.arm: "
+      .. "root.b.arm.trans%[2%] %-> root.b", text)
+  end)
+
+  it("is vacuous if nothing is there to be judged, and has the reason", function()
+    local members = { dead = state {}, [4] = go("dead", "a", "e_q") }
+    assert.equal("p: holds vacuously, no configuration has root.dead (one event a "
+      .. "step)", verdict(chart(members), from "root.dead".can_reach "root.b"))
+    assert.equal("p: holds vacuously, no transition takes e_nobody (two events a "
+      .. "step)", verdict(chart(members), after "e_nobody".reach "root"))
+    assert.equal("p: holds vacuously, e_done@root.dead never comes (two events a "
+      .. "step)", verdict(chart(members), after "e_done@root.dead".reach "root.b"))
+    assert.equal("p: holds (two events a step)",
+      verdict(chart(members), after "e_x".reach "root"))
+  end)
+
+  it("is vacuous for a machine that is never entered", function()
+    local model = chart { [1] = go("initial", "a", "e_no") }
+    assert.equal("p: holds vacuously, the machine is never entered (one event a step; "
+      .. "no event outside of the alphabet)", verdict(model, never "root.a",
+      { alphabet = {} }))
+  end)
+
+  it("of after has time events and e_done where they come", function()
+    local members = { c = state { doo = yes }, [4] = go("b", "c", "e_after(2)"),
+      [5] = go("c", "a", "e_done"), [6] = go("root", "a", "e_z") }
+    local free = " (two events a step; doos and timers free)"
+    local function not_in(name)
+      return function(active) return not active(name) end
+    end
+    assert.equal("p: holds" .. free,
+      verdict(chart(members), after "e_done@root.c".reach(not_in "root.c")))
+    assert.equal(VIOLATED, verdict(chart(members),
+      after "e_after(2)@root.b".reach "root.c"):sub(1, #VIOLATED))
+    members[6] = nil
+    members[3] = go("b", "b", "e_x", { pn = -1 })
+    assert.equal("p: holds" .. free,
+      verdict(chart(members), after "e_after(2)@root.b".reach(not_in "root.b")))
+  end)
+
+  it("sees the states that a step passes through", function()
+    local function passing()
+      return chart { c = state { x = state {}, go("initial", "root.b") },
+        [2] = go("a", "c", "e_x") }
+    end
+    local shown = VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_x: root.trans[2], root.c.trans[1] -> root.b"
+    assert.equal(shown, verdict(passing(), never "root.c"))
+    assert.equal(shown, verdict(passing(), never { "root.c", "on" },
+      { flags = { on = { on = { "effect root.trans[2]" } } } }))
+    assert.equal("p: holds (one event a step)",
+      verdict(passing(), never { "root.c", "root.b" }))
+    assert.equal("p: holds (one event a step)",
+      verdict(passing(), from "root.a".can_reach "root.c"))
+    assert.equal("p: holds (one event a step)",
+      verdict(passing(), from "root.c".can_reach "root.a"))
+    assert.is_nil(tostring(rfsm_checks.explore(passing())):find("root.c: active in no",
+      1, true))
+  end)
+
+  it("sees the states that a region passes through", function()
+    local model = chart { b = rfsm.seqand { run = true, arm = state { warn = false,
+      info = false, x = state {}, y = state {}, go("initial", "x"),
+      go("x", "y", "e_done") } } }
+    assert.equal(VIOLATED, verdict(model, never "root.b.arm.x"):sub(1, #VIOLATED))
+  end)
+
+  it("is not known if a callback may write the target of a transition", function()
+    local model = chart { [4] = go("b", "c", "e_c", { effect = function(fsm)
+      fsm[2].tgt = fsm.c
+    end }), c = state {}, [5] = go("c", "a", "e_x") }
+    local result = rfsm_checks.explore(model, { properties = { never "root.spare" },
+      flags = { ["root.spare"] = {} } })
+    assert.equal("targets", result.bound)
+    assert.same({ "targets that the effect root.trans[4] may write" }, result.untried)
+    assert.is_nil(result.properties[1].holds)
+  end)
+end)
+
+describe("options of an exploration", function()
+  -- Options, the message.
+  local REFUSED = {
+    { options = { together = 0 }, text = "together: whole number above 0 expected, got "
+      .. "0" },
+    { options = { together = 1.5 }, text = "together: whole number above 0 expected, "
+      .. "got 1.5" },
+    { options = { configurations = 0 }, text = "configurations: whole number above 0 "
+      .. "expected, got 0" },
+    { options = { flags = { lit = { On = { "entry root.b" } } } },
+      text = "flags: lit: no field 'On' (did you mean 'on'?)" },
+    { options = { flags = { lit = { on = "entry root.b" } } },
+      text = "flags: lit.on: list of callbacks expected, got string 'entry root.b'" },
+    { options = { flags = { lit = "on" } },
+      text = "flags: lit: table with the lists 'on' and 'off' expected, got string "
+        .. "'on'" },
+    { options = { sends = { ["entry root.b"] = "e_x" } },
+      text = "sends: ['entry root.b']: list of events expected, got string 'e_x'" },
+    { options = { alphabet = { e_x = true } }, text = "alphabet: list expected, got "
+      .. "table" },
+  }
+  for _, case in ipairs(REFUSED) do
+    it("are refused: " .. case.text, function()
+      local ok, text = pcall(rfsm_checks.explore, chart(), case.options)
+      assert.is_false(ok)
+      assert.equal("rfsm_checks.explore: " .. case.text, (text:gsub("^%S+:%d+: ", "")))
+    end)
+  end
+
+  it("have no event in the alphabet that no transition names", function()
+    local function explore(members, alphabet)
+      return select(2, pcall(rfsm_checks.explore, chart(members),
+        { alphabet = alphabet }))
+    end
+    assert.equal("alphabet: no transition names the event 'e_y' (did you mean 'e_x'?)",
+      explore({}, { "e_x", "e_y" }))
+    assert.equal("table", type(explore({ [4] = go("a", "b", "await(e_y)") },
+      { "e_y" })))
+    assert.equal("table", type(explore({ [4] = go("a", "b", { yes }) }, { "e_y" })))
+  end)
+
+  it("have no event of after that a machine would make itself, and does not", function()
+    local ok, text = pcall(rfsm_checks.explore, chart { [4] = go("a", "b", "e_after(2)")
+    }, { properties = { p = after "e_after(3)@root.a".reach "root.b" } })
+    assert.is_false(ok)
+    assert.equal("rfsm_checks.explore: property 'p': no transition names the event "
+      .. "'e_after(3)@root.a' (did you mean 'e_after(2)@root.a'?)", text)
+  end)
+end)
+
+describe(claim.name, function()
+  it("agree on random charts", function()
+    assert.is_nil((select(2, claim.run(15, 1))))
+  end)
+end)
+
+describe("a witness of any finding", function()
+  -- Models whose findings have witnesses.
+  local CASES = {
+    { name = "an event that nothing names", model = chart { [2] = go("a", "b") } },
+    { name = "a predicate", model = chart { [2] = go("a", "b", { yes }) } },
+    { name = "a time event", model = chart { [2] = go("a", "b", "e_after(3)") } },
+    { name = "an await", model = chart { [2] = go("a", "b", "await(e_p, e_q)") } },
+  }
+  for _, case in ipairs(CASES) do
+    it("replays " .. case.name, function()
+      local options = { properties = { never "root.b" } }
+      local result = rfsm_checks.explore(case.model, options)
+      local witness, records = result.properties[1].witness, {}
+      rfsm_checks.record_witness(case.model, witness, records)
+      local fsm = assert(require("rfsm.record").replay(case.model, records,
+        { dry = true }))
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    end)
+  end
+
+  it("leaves the clock of the process as it is", function()
+    local rfsm_timeevent = require "rfsm_timeevent"
+    local model = chart { [2] = go("a", "b", "e_after(3)") }
+    local result = rfsm_checks.explore(model, { properties = { never "root.b" } })
+    rfsm_timeevent.set_gettime_hook(function() return 77, 0 end)
+    rfsm_checks.record_witness(model, result.properties[1].witness, {})
+    local fsm = helper.started(chart { [2] = go("a", "b", "e_at(70)") })
+    rfsm_timeevent.set_gettime_hook(nil)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
