@@ -2159,34 +2159,6 @@ do
     end
   end
 
-  local function check_root(build, root)
-    local model = root.model
-    for i = 1, #HOOKS do check_callable(build, root, HOOKS[i], model[HOOKS[i]]) end
-    for i = 1, 4 do
-      local printer = model[PRINTERS[i]]
-      if printer and printer ~= true and not is_callable(printer) then
-        add(build.problems, root, PRINTERS[i], "function, true or false expected, "
-          .. got(printer))
-      end
-    end
-    if not root.is_leaf and not root.members.initial then
-      add(build.problems, root, nil, "the root needs an initial transition "
-        .. "(rfsm.trans{ src='initial', tgt=... })")
-    end
-  end
-
-  -- A path into a composite ends at an `initial` that nothing leaves.
-  function check_ways_in(build, first)
-    local nodes = build.plan.nodes
-    for i = first, #nodes do
-      local def = nodes[i]
-      if def.id == "initial" and def.kind == "connector" and not def.is_left then
-        add(build.problems, def, nil,
-          "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
-      end
-    end
-  end
-
   -- Check, clone, resolve: all that can be said of a model without running anything.
   function build_plan(model)
     local build = new_build(new_plan(model))
