@@ -1610,10 +1610,10 @@ local function retarget(fsm, def, tgt)
   if node.kind == "state" and not node.is_leaf then node = node.members.initial end
   if not node then return nil end
   def = fsm._plan.transitions[def.index] -- a guard may have merged something
-  local variant = {}
-  for key, value in pairs(def) do variant[key] = value end -- any order: a copy
-  variant.tgt, variant.is_internal = node, false
-  return compile_transition(variant)
+  return compile_transition {
+    kind = "transition", index = def.index, id = def.id, parent = def.parent,
+    model = def.model, src = def.src, tgt = node, events = def.events, pn = def.pn,
+  }
 end
 
 -- Is the path through `def` to `tgt` enabled? Returns the definition of its first
@@ -2156,6 +2156,22 @@ do
         add(build.problems, def, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
       end
+    end
+  end
+
+  local function check_root(build, root)
+    local model = root.model
+    for i = 1, #HOOKS do check_callable(build, root, HOOKS[i], model[HOOKS[i]]) end
+    for i = 1, 4 do
+      local printer = model[PRINTERS[i]]
+      if printer and printer ~= true and not is_callable(printer) then
+        add(build.problems, root, PRINTERS[i], "function, true or false expected, "
+          .. got(printer))
+      end
+    end
+    if not root.is_leaf and not root.members.initial then
+      add(build.problems, root, nil, "the root needs an initial transition "
+        .. "(rfsm.trans{ src='initial', tgt=... })")
     end
   end
 

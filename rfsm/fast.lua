@@ -451,18 +451,17 @@ return function(engine, core)
     return run
   end
 
-  local runs_of = setmetatable({}, { __mode = "k" })
-
   -- Returns the function for a segment of a path, false if there is none. They are kept
   -- by what differs: levels, place in the path, hooks.
   local function run_of(def, exits, is_hooked)
-    local runs = runs_of[def] or {}
-    local key = exits * 2 + (is_hooked and 1 or 0)
-    runs_of[def] = runs
-    if runs[key] == nil then
-      runs[key] = make_run({ def }, exits, false, is_hooked) or false
+    local runs = is_hooked and "hooked_runs" or "runs"
+    if not def[runs] then def[runs] = {} end
+    local run = def[runs][exits]
+    if run == nil then
+      run = make_run({ def }, exits, false, is_hooked) or false
+      def[runs][exits] = run
     end
-    return runs[key]
+    return run
   end
 
   -- Takes the segments from `def` on. It calls itself where a loop would keep LuaJIT
