@@ -1696,28 +1696,33 @@ local function innermost(fsm)
   return state
 end
 
--- The phase "search". A guard may move the machine.
-local function search(fsm)
-  local leaf, events, def = fsm._act_leaf, fsm._curq, nil
-  if leaf then
-    def = engine.choose(fsm, events)
-    if def and not rawequal(fsm._act_leaf, leaf) then
-      leaf = innermost(fsm)
-      if fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
-    end
-  else
-    def = find_entry(fsm, events)
-    if not def then return refuse_entry(fsm, events) end
+-- Ends the phase "search", in which `def` was found or nothing. A guard may have moved
+-- the machine.
+local function decide(fsm, leaf, def)
+  if def and leaf and not rawequal(fsm._act_leaf, leaf) then
+    leaf = innermost(fsm)
+    if fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
   end
+  fsm._from = leaf or fsm
   if def then
-    fsm._path, fsm._from = def, leaf or fsm
+    fsm._path = def
     fsm._phase = "take"
-  elseif events[1] == nil or fsm._after_free then
-    fsm._from = leaf
+  elseif fsm._curq[1] == nil or fsm._after_free then
     fsm._phase = "doo"
   else
     fsm._outcome, fsm._phase = "free", "after"
   end
+end
+
+local function search(fsm)
+  local leaf, events, def = fsm._act_leaf, fsm._curq, nil
+  if leaf then
+    def = engine.choose(fsm, events)
+  else
+    def = find_entry(fsm, events)
+    if not def then return refuse_entry(fsm, events) end
+  end
+  return decide(fsm, leaf, def)
 end
 
 -- Take: leave, effect, enter ......................................................
@@ -2026,7 +2031,7 @@ local PARTS = {
   ACTION = ACTION, FIRST = FIRST, OWN_ONLY = OWN_ONLY, SEGMENT = SEGMENT,
   call = call, call_aside = call_aside, choose = choose, complete = complete,
   after = after, before = before, collect = collect, go_on = go_on,
-  compile_transition = compile_transition, enabled_with = enabled_with,
+  compile_transition = compile_transition, decide = decide, enabled_with = enabled_with,
   enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
   matches = matches, no_events = no_events, raise_failure = raise_failure,

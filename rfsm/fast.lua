@@ -103,29 +103,26 @@ end
 local LENT, RESUMED = 1, 2
 
 -- The numbers of locals in these functions; NEXT is where a called function is.
-local FSM, CALLBACK, NEXT = 1, 9, 10
+local FSM, CALLBACK, NEXT = 1, 8, 9
 
 local BEGIN = [[
-  return function(fsm, base, s0, tr)
-  local nodes, calls, s1, lent, callback = fsm._nodes, fsm._calls, nil, true]]
+  return function(fsm)
+  local nodes, calls, tr, s0, s1, lent, callback =
+  fsm._nodes, fsm._calls, nil, fsm._from, nil, true]]
 
-local STRAIGHT = [[
+-- A guard, or another target, wants a search.
+local CHECK = [[
   tr = fsm._transitions[i$k]
   if tr.guard or nodes[t$k] ~= tr.tgt then return nil end]]
 
-local STRAIGHT_BEHIND = [[
-  base = fsm._transitions[i$k]
-  if base.guard or nodes[t$k] ~= base.tgt then return nil end]]
+local NOTE_WAY = [[
+  fsm._ways[c$k] = d$k]]
 
-local FIRST_SEGMENT = [[
-  s0 = fsm._from
+local TAKE = [[
   calls.begun = 0
   fsm._phase = "take"]]
 
-local NOTE_SEGMENT = [[
-  fsm._ways[c$k] = d$k]]
-
-local NEXT_SEGMENT = [[
+local SEGMENT_BEGIN = [[
   tr = fsm._transitions[i$k] ]]
 
 local LEAVE_HOOKED = [[
@@ -192,7 +189,7 @@ local COMPLETE = [[
 --- What the writer of a segment knows.
 ---@class rfsm.fast.Path
 ---@field text rfsm.fast.Text
----@field base integer|false number of the segment's first call; false: the parameter
+---@field base integer number of the segment
 ---@field at integer how many states have been left or entered: s0 and s1 in turn
 ---@field count integer how many values with a number have been bound
 ---@field is_hooked boolean states may have hooks
@@ -202,13 +199,10 @@ Path.__index = Path
 
 -- Writes a block for the action with that number in the segment.
 function Path:write(block, action, k)
-  local number = ("%d"):format((self.base or 0) + action)
-  if not self.base then number = "base + " .. number end
-  local first = ("%d"):format((self.base or 0) + action + 1)
-  if not self.base then first = "base + " .. first end
-  local at = self.at % 2
+  local number, at = self.base + (action or 0), self.at % 2
   self.text:write(block, {
-    a = "s" .. at, b = "s" .. (1 - at), action = number, number = first, k = k,
+    a = "s" .. at, b = "s" .. (1 - at), k = k, action = ("%d"):format(number),
+    number = ("%d"):format(number + 1),
   })
 end
 
@@ -224,9 +218,9 @@ function Path:segment(def, exits, ACTION)
     actions = actions + 1
     if self.is_hooked then self:write(LEAVE_HOOKED, actions * ACTION) end
     self:write(LEAVE, actions * ACTION)
-    if self.is_hooked then self:write("end", 0) end
-    if is_leaf then self:write(FORGET_LEAF, 0) end
-    if is_leaf and (src.doo or not src.is_leaf) then self:write(FORGET_DOO, 0) end
+    if self.is_hooked then self:write("end") end
+    if is_leaf then self:write(FORGET_LEAF) end
+    if is_leaf and (src.doo or not src.is_leaf) then self:write(FORGET_DOO) end
     self.at = self.at + 1
   end
   self:write(EFFECT, (actions + 2) * ACTION)
@@ -241,8 +235,8 @@ function Path:segment(def, exits, ACTION)
     end
     local is_last = i == #entries and not def.connector
     self:write(ENTER, actions * ACTION, self.count)
-    if is_last then self:write(COMPLETE, 0) end
-    if self.is_hooked then self:write("end", 0) end
+    if is_last then self:write(COMPLETE) end
+    if self.is_hooked then self:write("end") end
     self.at = self.at + 1
   end
 end
@@ -263,7 +257,7 @@ local ASK = [[
   def = enabled_with(fsm, def, tgt, events, $level)
   else]]
 
-local NOTE_WAY = [[
+local NOTE_FOUND = [[
   if w$level then
   x$level = x$level or { w$level }
   x$level[#x$level + 1] = def
@@ -308,7 +302,7 @@ function Search:transition(def, level)
   text:write(ASK, places)
   if def.connector then self:connector(def.connector, level + 1, n) end
   text:write("end\nif def then")
-  text:write(level == 0 and "do return def end" or NOTE_WAY, places)
+  text:write(level == 0 and "do return def end" or NOTE_FOUND, places)
   text:write("end\nend\nend")
 end
 
@@ -372,7 +366,7 @@ return function(engine, core)
   end
 
   -- In place of a function that is too large.
-  local function resume_hooked(fsm)
+  local function take_plainly(fsm)
     fsm._calls.begun = 0
     fsm._phase = "take"
     core.take(fsm)
@@ -413,68 +407,71 @@ return function(engine, core)
   }
 
   -- Returns the function that takes the segments of `path` from a state `exits` levels
-  -- below what stays active. `base` is false if the number of its first call is a
-  -- parameter. Nil if that is too much for one function.
-  local function make_run(path, exits, base, is_hooked)
+  -- below what stays active; with a check if the path has not been searched. Nil if that
+  -- is too much for one function.
+  local function make_run(path, exits, is_hooked, is_checked)
     local text = new_text(VALUES)
     local own = setmetatable({
-      text = text, base = base, at = 0, count = 0, is_hooked = is_hooked,
+      text = text, base = SEGMENT, at = 0, count = 0, is_hooked = is_hooked,
     }, Path)
     text:bind("done_event", path[#path].tgt.done_event)
     text:write(BEGIN)
-    if base then
-      for k = 1, #path do
-        own:bind("t", "x" .. k, path[k].tgt.index)
-        own:bind("i", "x" .. k, path[k].index)
-        own:write(k == 1 and STRAIGHT or STRAIGHT_BEHIND, 0, "x" .. k)
-      end
-      for k = 2, #path do
+    for k, def in ipairs(path) do own:bind("i", "x" .. k, def.index) end
+    for k = 1, is_checked and #path or 0 do
+      own:bind("t", "x" .. k, path[k].tgt.index)
+      own:write(CHECK, 0, "x" .. k)
+      if k > 1 then
         own:bind("c", "x" .. k, path[k - 1].connector)
         own:bind("d", "x" .. k, path[k])
-        own:write(NOTE_SEGMENT, 0, "x" .. k)
       end
-      own:write(FIRST_SEGMENT, 0)
     end
+    for k = 2, is_checked and #path or 0 do own:write(NOTE_WAY, 0, "x" .. k) end
+    own:write(TAKE)
     for k, def in ipairs(path) do
-      if k > 1 then
-        local connector = path[k - 1].connector
-        own.base = own.base + SEGMENT
-        exits = connector.parent.depth - def.lca.depth
-        own:write(NEXT_SEGMENT, 0, "x" .. k)
-      end
+      if k > 1 then exits = path[k - 1].connector.parent.depth - def.lca.depth end
+      own.base = own.base + SEGMENT
+      own:write(SEGMENT_BEGIN, 0, "x" .. k)
       own:segment(def, exits, ACTION)
       if #text.values > MAX_VALUES then return nil end
     end
     text:write("return lent\nend")
-    local run = text:compile(loadstring, "segment")
+    local run = text:compile(loadstring, "path")
     call_lines_of[run] = text.call_lines
     return run
   end
 
-  -- Returns the function for a segment of a path, false if there is none. They are kept
-  -- by what differs: levels, place in the path, hooks.
-  local function run_of(def, exits, is_hooked)
-    local runs = is_hooked and "hooked_runs" or "runs"
-    if not def[runs] then def[runs] = {} end
-    local run = def[runs][exits]
-    if run == nil then
-      run = make_run({ def }, exits, false, is_hooked) or false
-      def[runs][exits] = run
-    end
-    return run
+  local function exits_of(def, state)
+    return def.is_internal and 0 or state["_%def"].depth - def.lca.depth
   end
 
-  -- Takes the segments from `def` on. It calls itself where a loop would keep LuaJIT
-  -- from making one trace of it.
-  local function take_segments(fsm, def, state, base)
-    local exits = def.is_internal and 0 or state["_%def"].depth - def.lca.depth
-    local run = run_of(def, exits, fsm._is_hooked)
-    if not run then return core.take(fsm) end
-    local result = run(fsm, base, state, fsm._transitions[def.index])
-    local connector = def.connector
-    if result == RESUMED or not connector then return end
-    return take_segments(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
-      base + SEGMENT)
+  -- Makes the function for the path that a search has found.
+  local function note_run(fsm, at, def, exits)
+    local path = { def }
+    while def.connector do
+      def = fsm._ways[def.connector]
+      path[#path + 1] = def
+    end
+    at.run = make_run(path, exits, fsm._is_hooked, false) or take_plainly
+    return at.run
+  end
+
+  -- Returns the function for the path that a search has found. They are kept in a tree:
+  -- by the levels that are left, then by the transitions behind the first one.
+  local function run_of(fsm, def, state)
+    local first, ways, exits = def, fsm._ways, exits_of(def, state)
+    local name = fsm._is_hooked and "hooked_runs" or "runs"
+    if not def[name] then def[name] = {} end
+    local at = def[name][exits]
+    if not at then
+      at = { run = false }
+      first[name][exits] = at
+    end
+    while def.connector do
+      def = ways[def.connector]
+      if not at[def] then at[def] = { run = false } end
+      at = at[def]
+    end
+    return at.run or note_run(fsm, at, first, exits)
   end
 
   -- Takes the path that the machine has noted.
@@ -484,7 +481,7 @@ return function(engine, core)
       or state._actchild or state._mode == "inactive" then
       return core.take(fsm)
     end
-    return take_segments(fsm, def, state, 2 * SEGMENT)
+    run_of(fsm, def, state)(fsm)
   end
 
   -- Choose: candidates per leaf and event ..........................................
@@ -554,7 +551,7 @@ return function(engine, core)
       leaf.quick[event] = false
     elseif not (candidates[2] or has_predicate(def) or def.is_internal) then
       local path = straight_path(def)
-      local run = path and make_run(path, leaf.depth - def.lca.depth, 2 * SEGMENT, false)
+      local run = path and make_run(path, leaf.depth - def.lca.depth, false, true)
       if run then
         leaf.quick[event] = {
           run = run, def = def, index = def.index, hooked = nil, path = path,
@@ -566,10 +563,10 @@ return function(engine, core)
   -- Returns the function that takes a path in a machine with hooks of states.
   local function hooked_run(quick, leaf)
     if quick.hooked == nil then
-      quick.hooked = make_run(quick.path, leaf.depth - quick.def.lca.depth, 2 * SEGMENT,
-        true) or false
+      quick.hooked = make_run(quick.path, leaf.depth - quick.def.lca.depth, true, true)
+        or take_plainly
     end
-    return quick.hooked or resume_hooked
+    return quick.hooked
   end
 
   local function note_choice(leaf, event)
@@ -677,44 +674,28 @@ return function(engine, core)
     return plain(fsm, false)
   end
 
-  -- The phases "search" and "take". The candidates are noted as the path.
-  local function search_and_take(fsm)
-    local leaf, events, candidates, plan = fsm._act_leaf, fsm._curq, fsm._path, fsm._plan
-    fsm._phase = "search"
-    local def = candidates.search(fsm, events, candidates)
-    if not rawequal(fsm._act_leaf, leaf) or fsm._plan ~= plan then return nil end
-    if not def then return "free" end
-    fsm._path = def
-    fsm._phase = "take"
-    take(fsm)
-    return "counted"
-  end
-
-  -- The events are the current ones. Where it is not that simple the core searches.
+  -- The events are the current ones. Where it is not that simple the core goes on.
   local function iterate_choosing(fsm, after_free, leaf, candidates)
-    local ok, outcome
+    local plan, search = fsm._plan, candidates and candidates.search
     fsm._calls.begun, fsm._after_free = 0, after_free
-    if candidates and candidates.search then
-      fsm._path = candidates
-      fsm._from = leaf
-      ok, outcome = protect(search_and_take, fsm)
-      if not ok and outcome ~= GO_ON then error(outcome, 0) end
+    fsm._phase = "search"
+    if not search then return plain(fsm, after_free) end
+    local def = search(fsm, fsm._curq, candidates)
+    if fsm._plan ~= plan then return plain(fsm, after_free) end
+    core.decide(fsm, leaf, def)
+    if fsm._phase == "take" and fsm.dbg == silent and rawequal(fsm._from, leaf) then
+      local ok, result = protect(run_of(fsm, def, leaf), fsm)
+      if not ok and result ~= GO_ON then error(result, 0) end
+      if not ok then return plain(fsm, after_free) end
+      fsm._outcome = "counted"
+      fsm._phase = "after"
     end
-    if not outcome then
-      fsm._phase = "search"
-    elseif ok and not (fsm._reset_wanted or fsm._failure) then
-      if outcome == "free" and after_free then
-        fsm._phase = "doo"
-        return plain(fsm, after_free)
-      end
-      fsm._curq = {}
-      fsm._phase = "idle"
-      return outcome == "counted", false
-    elseif ok then
-      fsm._outcome = outcome
-      fsm._phase = outcome == "free" and after_free and "doo" or "after"
+    if fsm._phase ~= "after" or fsm._reset_wanted or fsm._failure then
+      return plain(fsm, after_free)
     end
-    return plain(fsm, after_free)
+    fsm._curq = {}
+    fsm._phase = "idle"
+    return fsm._outcome == "counted", false
   end
 
   -- Goes on where a path was not just taken: a search is needed, a callback or the
@@ -863,7 +844,9 @@ return function(engine, core)
   end
 
   local function is_taking(f, level, fsm)
-    if not (call_lines_of[f] or f == cycle or f == search_and_take) then return false end
+    if not (call_lines_of[f] or f == cycle or f == iterate_choosing) then
+      return false
+    end
     local _, value = getlocal(level, FSM)
     return rawequal(value, fsm)
   end
