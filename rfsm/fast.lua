@@ -95,25 +95,23 @@ end
 -- Take: a segment, and the unconditional ones behind it ------------------------------
 --
 -- The calls are numbered as in the core. The number is noted before each call, so that
--- the core can go on behind it, whatever happens. A function that takes a segment
--- returns true; LENT if a callback got the list of events, which it may keep; RESUMED if
--- the core has taken the rest of the path; nil if nothing has been done, since a search
--- is needed.
+-- the core can go on behind it, whatever happens. A function that takes a path returns
+-- nil; LENT if a callback got the list of events, which it may keep; SEARCH if nothing
+-- has been done, since a search is needed.
 
-local LENT, RESUMED = 1, 2
+local LENT, SEARCH = 1, 2
 
 -- The numbers of locals in these functions; NEXT is where a called function is.
 local FSM, CALLBACK, NEXT = 1, 8, 9
 
 local BEGIN = [[
   return function(fsm)
-  local nodes, calls, tr, s0, s1, lent, callback =
-  fsm._nodes, fsm._calls, nil, fsm._from, nil, true]]
+  local nodes, calls, s0, tr, s1, lent, callback = fsm._nodes, fsm._calls, fsm._from]]
 
 -- A guard, or another target, wants a search.
 local CHECK = [[
   tr = fsm._transitions[i$k]
-  if tr.guard or nodes[t$k] ~= tr.tgt then return nil end]]
+  if tr.guard or nodes[t$k] ~= tr.tgt then return SEARCH end]]
 
 local NOTE_WAY = [[
   fsm._ways[c$k] = d$k]]
@@ -375,7 +373,7 @@ return function(engine, core)
 
   local function resume(fsm)
     core.take(fsm)
-    return RESUMED
+    return LENT
   end
 
   -- Returns the transition that a path through `def` always takes next: the only one
@@ -403,7 +401,7 @@ return function(engine, core)
 
   local VALUES = {
     "silent", silent, "resume", resume, "leave", core.leave, "enter", core.enter,
-    "call", core.call, "LENT", LENT, "rawget", rawget, "rawset", rawset,
+    "call", core.call, "LENT", LENT, "SEARCH", SEARCH, "rawget", rawget, "rawset", rawset,
   }
 
   -- Returns the function that takes the segments of `path` from a state `exits` levels
@@ -430,7 +428,7 @@ return function(engine, core)
     for k, def in ipairs(path) do
       if k > 1 then exits = path[k - 1].connector.parent.depth - def.lca.depth end
       own.base = own.base + SEGMENT
-      own:write(SEGMENT_BEGIN, 0, "x" .. k)
+      if k > 1 or #path > 1 or not is_checked then own:write(SEGMENT_BEGIN, 0, "x" .. k) end
       own:segment(def, exits, ACTION)
       if #text.values > MAX_VALUES then return nil end
     end
@@ -702,7 +700,7 @@ return function(engine, core)
   -- engine failed, or there is more to do at the end.
   local function iterate_rest(fsm, after_free, ok, result)
     if not ok and result ~= GO_ON then error(result, 0) end
-    if ok and result == nil then
+    if ok and result == SEARCH then
       local leaf, event = fsm._from, fsm._curq[1]
       local leaf_def = leaf["_%def"]
       if event == leaf_def.ignored then event = fsm._curq[2] end
@@ -737,7 +735,7 @@ return function(engine, core)
     fsm._path = path.def
     fsm._from = leaf
     local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
-    if run(fsm) == nil then return core.go_on(fsm) end
+    if run(fsm) == SEARCH then return core.go_on(fsm) end
     fsm._outcome = "counted"
     fsm._phase = "after"
     calls.count = FIRST.after
@@ -791,14 +789,21 @@ return function(engine, core)
     fsm._path = path.def
     fsm._from = leaf
     local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
-    local ok, result = protect(run, fsm)
-    if not ok or result == nil or fsm._reset_wanted or fsm._failure then
-      return iterate_rest(fsm, after_free, ok, result)
-    elseif result == true then
+    local ok, result
+    if has_arguments then
+      ok, result = xpcall(run, handler, fsm)
+    else
+      fsm._run = run
+      ok, result = xpcall(fsm._act, handler)
+    end
+    if result ~= nil or not ok or fsm._reset_wanted or fsm._failure then
+      if result ~= LENT or not ok or fsm._reset_wanted or fsm._failure then
+        return iterate_rest(fsm, after_free, ok, result)
+      end
+      fsm._curq = {}
+    else
       events[2] = nil
       events[1] = nil
-    else
-      fsm._curq = {}
     end
     fsm._phase = "idle"
     return true, false
