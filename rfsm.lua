@@ -2840,10 +2840,25 @@ function rfsm.machines(fsm)
   return places
 end
 
---- Load and compile now what would be loaded and compiled while a machine runs.
+--- Load the modules now that would be loaded while a machine runs, and compile its
+-- transitions.
+--
+-- The search for an event is still compiled when the event first comes in a leaf, and a
+-- transition that leaves a composite when it is first taken from a depth.
+--
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
+  while quick == nil do ask_quick() end
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, def in ipairs(at.machine._plan.transitions) do
+      if def.connector == nil then compile_transition(def) end
+      if quick and def.run == run_warily then def.run = quick.segment(def, false) end
+      if quick and def.run_hooked == run_warily then
+        def.run_hooked = quick.segment(def, true)
+      end
+    end
+  end
 end
 
 -- Tools: they look at a machine or move it; no part of a run ......................
