@@ -452,16 +452,6 @@ function snapshot.restore(model, snap, options)
   return false, problem, list
 end
 
---- List a machine and those in its states: those that its snapshot holds.
----@param fsm rfsm.Machine
----@return rfsm.Machine[] machines
----@nodiscard
-function snapshot.machines(fsm)
-  local list = {}
-  for i, at in ipairs(rfsm.machines(fsm)) do list[i] = at.machine end
-  return list
-end
-
 --- Return what callbacks may have changed, as a snapshot holds it; also within a step.
 -- @raise if something cannot be saved
 ---@param fsm rfsm.Machine

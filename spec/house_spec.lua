@@ -222,6 +222,30 @@ describe("the core", function()
     ]]))
   end)
 
+  it("loads nothing and compiles no transition in a run, if it was prepared", function()
+    assert.equal("true true 0 root.b", output_of([[
+      local compile, count = loadstring or load, 0
+      local name = loadstring and "loadstring" or "load"
+      _G[name] = function(text, chunkname)
+        if chunkname == "=rfsm segment" then count = count + 1 end
+        return compile(text, chunkname)
+      end
+      local rfsm = require "rfsm"
+      local fsm = rfsm.init(rfsm.state { info = false, warn = false,
+        a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = "e" },
+        rfsm.trans { src = "b", tgt = "a", events = "e" } })
+      rfsm.prepare(fsm)
+      local is_loaded, is_compiled = package.loaded["rfsm.straight"] ~= nil, count > 0
+      local before = count
+      rfsm.run(fsm)
+      for _ = 1, 21 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
+      print(("%s %s %d %s"):format(tostring(is_loaded), tostring(is_compiled),
+        count - before, rfsm.get_actleaf_fqn(fsm)))
+    ]]))
+  end)
+
   it("is package.loaded.rfsm, however its file was run", function()
     assert.equal("true true", output_of([[
       local rfsm = dofile "rfsm.lua"

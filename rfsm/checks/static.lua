@@ -7,6 +7,7 @@
 -- @module rfsm.checks.static
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local place = require "rfsm.checks.place"
@@ -156,8 +157,7 @@ function static.init(model, warn)
     own[name] = model[name]
     if not rfsm.is_fsmobj(own[name]) then model[name] = name == "warn" and warn end
   end
-  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
-  local ok, fsm, text, problems = pcall(init, model)
+  local ok, fsm, text, problems = pcall(calls.init_apart, model)
   for _, name in ipairs(PRINTERS) do model[name] = own[name] end
   if not ok then error(fsm, 0) end
   return fsm, text, problems

@@ -11,7 +11,6 @@ local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
-local snapshot = require "rfsm.snapshot"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
@@ -218,9 +217,9 @@ end
 ---@return any[]? texts a list for each machine: number, text, number, text ...
 function track.guard_texts(fsm)
   local lists, has_some = {}, false
-  for i, machine in ipairs(snapshot.machines(fsm)) do
+  for i, at in ipairs(rfsm.machines(fsm)) do
     lists[i] = {}
-    for number, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+    for number, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
       if tr.guard then
         has_some = true
         track.note(lists, i, number, tostring(tr))
@@ -233,7 +232,8 @@ end
 --- Make the tracks of a machine and of those in its states, by add(track, ...).
 function track.attach(fsm, add, ...)
   local tracks = {}
-  for i, machine in ipairs(snapshot.machines(fsm)) do
+  for i, at in ipairs(rfsm.machines(fsm)) do
+    local machine = at.machine
     local own = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false, guards = {} }
     add(own, ...)
     replace_guards(own)

@@ -22,6 +22,15 @@ end
 ---@return any ... results, or the failure
 function calls.try(f, ...) return pass(pcall(f, ...)) end
 
+--- Make a machine of a model for a tool; machines given as regions stay as they are.
+---@param model rfsm.State
+---@return rfsm.Machine? fsm as `rfsm.init`
+---@return string? text
+---@return string[]? problems
+function calls.init_apart(model)
+  return (rfsm.seqand and rfsm.seqand.init_apart or rfsm.init)(model)
+end
+
 --- Return the texts of any values in one, as a printer shows them.
 ---@param separator string
 ---@param ... any

@@ -4,6 +4,7 @@
 -- @module rfsm.snapshot.chart
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
@@ -273,8 +274,7 @@ end
 ---@return string[] lines none if the model is wrong
 function chart.structure(model)
   if not rfsm.is_state(model) then return model end
-  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
-  local fsm = rfsm.is_initialized_root(model) and model or init(model)
+  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
   return fsm and chart.of(fsm).all or {}
 end
 

@@ -7,6 +7,7 @@
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local charts = require "rfsm.snapshot.chart"
 local move = require "rfsm.snapshot.move"
 local rfsm = require "rfsm"
@@ -35,8 +36,7 @@ local function quietly(model, f, ...)
 end
 
 local function new_machine(model)
-  local init = rfsm.seqand and rfsm.seqand.init_apart or rfsm.init
-  local fsm, text = quietly(model, init)
+  local fsm, text = quietly(model, calls.init_apart)
   return fsm or error(text, 0)
 end
 
