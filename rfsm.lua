@@ -21,7 +21,7 @@ local huge = 1 / 0
 
 -- What a sandbox may lack.
 local coroutine, loadfile = rawget(_G, "coroutine"), rawget(_G, "loadfile")
-local require = rawget(_G, "require")
+local _, require = pcall(function() return require end) -- also one of a bundle
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
@@ -427,7 +427,7 @@ end
 
 -- Returns a module that may be missing, nil then.
 local function find_module(name)
-  if not require then return nil end
+  if type(require) ~= "function" then return nil end
   local ok, module = pcall(require, name)
   if ok then return module end
   if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
@@ -1142,7 +1142,7 @@ local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
   _reset_hooks = NONE, _failure = false, _joined = false, _reset_wanted = false,
-  _preparing = false,
+  _preparing = false, _lends_events = false, _is_prepared = false, _spare = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1153,17 +1153,36 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run"
-    _act = false, _run = false, _phase = "idle", _path = false, _from = false, _ways = {}, _is_hooked = false,
-    _outcome = "free", _after_free = false,
+    _act = false, _run = false, _phase = "idle", _path = false, _from = false,
+    _ways = {}, _outcome = "free", _after_free = false,
     _calls = { count = 0, begun = 0, noted = 0, ok = true, result = nil, more = nil },
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _has_step_hooks = false,
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
+    -- for rfsm/fast.lua: are there hooks or a getevents? Is there nothing to do but to
+    -- take a path, now and at the end of the iteration?
+    _is_hooked = false, _is_usual = false,
   }
 end
+
+-- Functions that do not keep the list of events that they get.
+local borrowers = setmetatable({}, { __mode = "k" })
 
 -- All machines, so that one access decides if a value is one.
 local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index, Machine.__eq = DEFAULTS, rawequal
+
+-- The fields of hooks are absent until one is set.
+local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
+
+function Machine.__newindex(fsm, key, value)
+  if STEP_HOOKS[key] and value then
+    if not rfsm.is_callable(value) then
+      error(key .. ": function expected, " .. got(value), 2)
+    end
+    fsm._is_hooked, fsm._is_usual = true, false
+  end
+  rawset(fsm, key, value)
+end
 
 local clone_data
 
@@ -1248,6 +1267,7 @@ end
 -- iteration goes through phases; `_phase` names the one that is under way:
 --
 --   idle     none: the machine waits for its caller
+--   begin    an iteration is about to begin
 --   collect  the pending events, then those of getevents, become the current ones
 --   before   the pre step hooks are called
 --   search   a path is chosen that the events enable
@@ -1300,6 +1320,7 @@ end
 ---@param failure any
 function rfsm.keep_failure(fsm, failure)
   fsm._failure = fsm._failure or { failure }
+  fsm._is_usual = false
 end
 
 local keep_failure = rfsm.keep_failure
@@ -1316,7 +1337,7 @@ end
 --   choose(fsm, events)         the transition with which an enabled path begins, or nil
 --   take(fsm)                   takes the path that begins with `_path`
 --   iterate(fsm, after_free)    one iteration
---   prepare(plan)               compiles what would be compiled in a run
+--   prepare(fsm)                compiles what would be compiled in a run
 --   note_failure(f, level)      an error was raised while the function `f` ran
 --   is_taking(f, level, fsm)    is `f` a function that takes a path of this machine?
 local engine = { prepare = false, note_failure = false, is_taking = false }
@@ -1337,7 +1358,7 @@ local go_on
 
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
-  collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15, after = 2e15,
+  begin = 0, collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15, after = 2e15,
 }
 
 -- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
@@ -1486,7 +1507,7 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
--- Returns the events of getevents.
+-- Returns the events of getevents, a list with nils perhaps; nil and the failure.
 local function ask_getevents(fsm, protect)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then return NONE end
@@ -1498,9 +1519,7 @@ local function ask_getevents(fsm, protect)
   elseif events ~= nil and type(events) ~= "table" then
     return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
   end
-  local list = {}
-  for i = 1, events and #events or 0 do list[#list + 1] = events[i] end -- without nils
-  return list
+  return events or NONE
 end
 
 -- Calls step hooks; returns false and the failure of one.
@@ -1746,7 +1765,7 @@ end
 
 local function leave(protect, fsm, state)
   state._mode = "inactive"
-  rawset(state._parent, "_actchild", nil)
+  state._parent._actchild = false
   run_callback(protect, fsm, state, "exit")
   run_state_hooks(protect, fsm, state, fsm._exit_hooks)
   if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
@@ -1916,7 +1935,7 @@ local function set_inactive(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
       node._mode, node._doo_co = "inactive", nil
-      rawset(node, "_actchild", nil)
+      if node._actchild then node._actchild = false end
     end
   end
   fsm._act_leaf = false
@@ -1941,13 +1960,14 @@ local function collect(fsm)
   if rawequal(fsm._curq, fsm._intq) then fsm._intq = {} end
   local events, failure = ask_getevents(fsm, call)
   if not events then give_up(fsm, failure) end
-  if events[1] ~= nil then fsm._joined = append(append({}, fsm._curq), events) end
+  if #events > 0 then fsm._joined = append(append({}, fsm._curq), events) end
   fsm._phase = "before"
 end
 
 local function before(fsm)
   local joined = fsm._joined
-  if joined then fsm._curq, fsm._joined = joined, false end
+  if joined then fsm._curq = joined end
+  fsm._joined = false
   run_hooks(fsm, fsm._pre_hooks, "pre_step_hook")
   fsm._phase = "search"
 end
@@ -1957,7 +1977,7 @@ local function doo(fsm)
   if idle and fsm._curq[1] == nil then
     local events, failure = ask_getevents(fsm, call)
     if not events then give_up(fsm, failure) end
-    append(fsm._intq, events)
+    if #events > 0 then fsm._joined = append(append({}, fsm._intq), events) end
   end
   fsm._outcome, fsm._phase = idle and "idle" or "counted", "after"
 end
@@ -1967,25 +1987,38 @@ local function take_path(fsm)
   fsm._outcome, fsm._phase = "counted", "after"
 end
 
-local function after(fsm)
+local function call_post_hooks(fsm)
+  if fsm._joined then fsm._intq = fsm._joined end -- those of getevents
+  fsm._joined = false
   if fsm._reset_wanted then reset_now(fsm) end
   run_hooks(fsm, fsm._post_hooks, "post_step_hook")
+end
+
+local function after(fsm)
+  call_post_hooks(fsm)
   fsm._curq = {}
   fsm._phase = "idle"
 end
 
+local function begin(fsm)
+  local calls = fsm._calls
+  calls.begun, calls.noted = 0, 0
+  fsm._phase = "collect"
+end
+
 local PHASES = {
-  collect = collect, before = before, search = search, take = take_path, doo = doo,
+  begin = begin, collect = collect, before = before, search = search, take = take_path, doo = doo,
   after = after,
 }
 
--- Goes through the phases of an iteration, from the one that is under way on.
-function go_on(fsm)
+-- Goes through the phases of an iteration, from the one that is under way on, up to
+-- `last`, if it is given.
+function go_on(fsm, last)
   repeat
     local phase = fsm._phase
     fsm._calls.count = FIRST[phase]
     PHASES[phase](fsm)
-  until fsm._phase == "idle"
+  until fsm._phase == "idle" or fsm._phase == last
 end
 
 local iterate
@@ -2000,9 +2033,8 @@ local function same(failure) return failure end
 -- `after_free`: the last iteration did not count.
 function iterate(fsm, after_free, phases)
   if fsm._phase == "idle" then
-    local calls = fsm._calls
-    calls.begun, calls.noted, fsm._after_free = 0, 0, after_free
-    fsm._phase = "collect"
+    fsm._after_free = after_free
+    fsm._phase = "begin"
   end
   fsm._run = phases or go_on
   if running then fsm._thread = running() or true end
@@ -2029,8 +2061,10 @@ local patience = 8
 
 local PARTS = {
   ACTION = ACTION, FIRST = FIRST, OWN_ONLY = OWN_ONLY, SEGMENT = SEGMENT,
+  append = append, ask_getevents = ask_getevents, borrowers = borrowers,
+  call_post_hooks = call_post_hooks, give_up = give_up,
   call = call, call_aside = call_aside, choose = choose, complete = complete,
-  after = after, before = before, collect = collect, go_on = go_on,
+  before = before, go_on = go_on,
   compile_transition = compile_transition, decide = decide, enabled_with = enabled_with,
   enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
@@ -2220,7 +2254,10 @@ local function finish_machine(fsm)
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
-  fsm.getevents = fsm.getevents or no_events
+  for name in pairs(STEP_HOOKS) do -- any order: each stands alone
+    fsm._is_hooked = fsm._is_hooked or fsm[name] and true or false
+    fsm[name] = fsm[name] or nil
+  end
   fsm._act = function() return (fsm._run(fsm)) end -- no tail call: see `is_stepping`
   return setmetatable(fsm, Machine)
 end
@@ -2551,9 +2588,10 @@ local function is_stepping(fsm)
   return info ~= nil and info ~= false
 end
 
-local function check_no_step(fsm, where)
+local function check_no_step(fsm, where, level)
+  fsm._is_usual = false
   if not is_stepping(fsm) then return end
-  error(where .. ": the machine is in the middle of a step", 4)
+  error(where .. ": the machine is in the middle of a step", level)
 end
 
 --- Raise an error that blames the caller's caller while a step is under way, for
@@ -2562,7 +2600,7 @@ end
 ---@param where string the public function
 function rfsm.check_between_steps(fsm, where)
   check_machine(fsm, where, 4)
-  check_no_step(fsm, where)
+  check_no_step(fsm, where, 4)
   if fsm._phase ~= "idle" then iterate(fsm, false) end
 end
 
@@ -2605,7 +2643,7 @@ end
 ---@return boolean idle true if there is nothing left to do
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
-  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step") end
+  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
   if n == nil then
     local counted, idle = engine.iterate(fsm, false)
     if counted then return idle end -- without a loop: LuaJIT makes one trace of it
@@ -2621,7 +2659,7 @@ end
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
-  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run") end
+  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
   local counted, idle = engine.iterate(fsm, false) -- the usual two without a loop
   if counted and not idle then counted, idle = engine.iterate(fsm, false) end
   if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
@@ -2636,7 +2674,7 @@ end
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
   check_machine(fsm, "rfsm.reset")
-  fsm._reset_wanted = true
+  fsm._reset_wanted, fsm._is_usual = true, false
   if is_stepping(fsm) then return end
   fsm._phase, fsm._curq, fsm._joined = "idle", {}, false
   reset_now(fsm)
@@ -2791,7 +2829,7 @@ function rfsm.prepare(fsm)
     local plan = at.machine._plan
     for _, def in ipairs(plan.nodes) do if def.is_leaf then line_to(def) end end
     for _, def in ipairs(plan.transitions) do compile_transition(def) end
-    if engine.prepare then engine.prepare(plan) end
+    if engine.prepare then engine.prepare(at.machine) end
   end
 end
 
@@ -2880,7 +2918,7 @@ local function move_to(state, mode)
   if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
     local parent = state._parent
-    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
+    if state._mode ~= "inactive" then parent._actchild = state end
     parent._mode, state = "active", parent
   end
 end
@@ -2909,6 +2947,23 @@ function rfsm.set_sta_mode(state, mode)
   return mode
 end
 
+--- Promise that a hook, effect or guard does not keep the list of events that it gets.
+--
+-- Otherwise the machine needs a new list for the next iteration. An event that calls only
+-- such functions costs no garbage.
+--
+-- @usage
+--    fsm.post_step_hook = rfsm.borrows(function(fsm, events) count(#events) end)
+--
+---@generic F : function
+---@param f F
+---@return F f
+function rfsm.borrows(f)
+  check_function(f, "rfsm.borrows")
+  borrowers[f] = true
+  return f
+end
+
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 -- Makes the function that adds a hook to the list `field` of a machine.
@@ -2922,7 +2977,9 @@ local function hook_adder(where, field)
     local hooks = append({}, fsm[field])
     insert(hooks, place == "before" and 1 or #hooks + 1, hook)
     fsm[field] = hooks
-    if field ~= "_reset_hooks" then fsm._has_step_hooks = true end
+    if field == "_reset_hooks" then return end
+    fsm._is_hooked, fsm._is_usual = true, false
+    if not borrowers[hook] then fsm._lends_events = true end
   end
 end
 
@@ -2954,7 +3011,7 @@ local function state_hook_adder(where, field)
     end
     fsm[field] = fsm[field] or {}
     fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-    fsm._is_hooked = true
+    fsm._is_hooked, fsm._is_usual = true, false
   end
 end
 
@@ -3049,7 +3106,7 @@ do
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
-    elseif type(fsm._segment) == "table" or fsm._segment and not fsm._act_leaf then
+    elseif fsm._phase == "take" or fsm._phase == "search" and not fsm._act_leaf then
       return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
     end
   end

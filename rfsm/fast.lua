@@ -31,6 +31,9 @@ local NONE = {}
 -- So many values are bound to one function: Lua 5.1 allows 60.
 local MAX_VALUES = 50
 
+-- So many paths through connectors are prepared for one transition.
+local MAX_PATHS = 100
+
 -- Text ---------------------------------------------------------------------------
 
 -- LuaJIT looks for a metamethod at each access that may find none. There, `rawget` and
@@ -96,8 +99,8 @@ end
 --
 -- The calls are numbered as in the core. The number is noted before each call, so that
 -- the core can go on behind it, whatever happens. A function that takes a path returns
--- nil; LENT if a callback got the list of events, which it may keep; SEARCH if nothing
--- has been done, since a search is needed.
+-- nil; LENT if a callback got the list of events and may keep it; SEARCH if nothing has
+-- been done, since a search is needed.
 
 local LENT, SEARCH = 1, 2
 
@@ -134,7 +137,7 @@ local LEAVE_HOOKED = [[
 local LEAVE = [[
   $b = $a._parent
   $a._mode = "inactive"
-  $b._actchild = nil
+  $b._actchild = false
   callback = $a.exit
   if callback then
   calls.begun = $number
@@ -154,7 +157,7 @@ local EFFECT = [[
   calls.begun = $number
   callback(fsm, tr, "effect", fsm._curq)
   if fsm.dbg ~= silent then return resume(fsm) end
-  lent = LENT
+  if not borrowers[callback] then lent = LENT end
   end]]
 
 local ENTER_HOOKED = [[
@@ -245,13 +248,14 @@ local ASK = [[
   local tr = transitions[i$n]
   local guard, ok, answer = tr.guard, true, nil
   if guard then
+  if not borrowers[guard] then lent = LENT end
   ok, answer = pcall(guard, tr, events)
   if not ok then refuse(fsm, tr, guard, answer) end
   end
   if ok and answer ~= false then
   local def, tgt = d$n, tr.tgt
   if nodes[t$n] ~= tgt then
-  ways = renew(fsm, connectors)
+  ways, lent = renew(fsm, connectors), LENT
   def = enabled_with(fsm, def, tgt, events, $level)
   else]]
 
@@ -300,7 +304,7 @@ function Search:transition(def, level)
   text:write(ASK, places)
   if def.connector then self:connector(def.connector, level + 1, n) end
   text:write("end\nif def then")
-  text:write(level == 0 and "do return def end" or NOTE_FOUND, places)
+  text:write(level == 0 and "do return def, lent end" or NOTE_FOUND, places)
   text:write("end\nend\nend")
 end
 
@@ -353,10 +357,11 @@ end
 ---@param engine table the functions that are replaced
 ---@param core table the functions of the core
 return function(engine, core)
+  if not core.loadstring then return end -- no text can be compiled
   local ACTION, SEGMENT, silent = core.ACTION, core.SEGMENT, core.silent
   local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
   local no_events, FIRST, OWN_ONLY = core.no_events, core.FIRST, core.OWN_ONLY
-  local loadstring = core.loadstring
+  local append, borrowers, loadstring = core.append, core.borrowers, core.loadstring
 
   local function prepare_transition(def)
     if def.connector == nil then core.compile_transition(def) end
@@ -401,7 +406,8 @@ return function(engine, core)
 
   local VALUES = {
     "silent", silent, "resume", resume, "leave", core.leave, "enter", core.enter,
-    "call", core.call, "LENT", LENT, "SEARCH", SEARCH, "rawget", rawget, "rawset", rawset,
+    "call", core.call, "LENT", LENT, "SEARCH", SEARCH, "rawget", rawget,
+    "rawset", rawset, "borrowers", core.borrowers,
   }
 
   -- Returns the function that takes the segments of `path` from a state `exits` levels
@@ -442,44 +448,40 @@ return function(engine, core)
     return def.is_internal and 0 or state["_%def"].depth - def.lca.depth
   end
 
-  -- Makes the function for the path that a search has found.
-  local function note_run(fsm, at, def, exits)
-    local path = { def }
+  -- Returns the function for the path that a search has found: `ways` are those out of
+  -- its connectors. They are kept in a tree: by the levels that are left, then by the
+  -- transitions behind the first one. A machine that was prepared compiles no more.
+  local function run_of(first, ways, exits, is_hooked, is_prepared)
+    local def, name = first, is_hooked and "hooked_runs" or "runs"
+    first[name] = first[name] or {}
+    first[name][exits] = first[name][exits] or { run = false }
+    local at, path = first[name][exits], nil
     while def.connector do
-      def = fsm._ways[def.connector]
+      def = ways[def.connector]
+      at[def] = at[def] or { run = false }
+      at = at[def]
+    end
+    if at.run or is_prepared then return at.run or take_plainly end
+    path, def = { first }, first
+    while def.connector do
+      def = ways[def.connector]
       path[#path + 1] = def
     end
-    at.run = make_run(path, exits, fsm._is_hooked, false) or take_plainly
+    at.run = make_run(path, exits, is_hooked, false) or take_plainly
     return at.run
   end
 
-  -- Returns the function for the path that a search has found. They are kept in a tree:
-  -- by the levels that are left, then by the transitions behind the first one.
-  local function run_of(fsm, def, state)
-    local first, ways, exits = def, fsm._ways, exits_of(def, state)
-    local name = fsm._is_hooked and "hooked_runs" or "runs"
-    if not def[name] then def[name] = {} end
-    local at = def[name][exits]
-    if not at then
-      at = { run = false }
-      first[name][exits] = at
-    end
-    while def.connector do
-      def = ways[def.connector]
-      if not at[def] then at[def] = { run = false } end
-      at = at[def]
-    end
-    return at.run or note_run(fsm, at, first, exits)
-  end
-
-  -- Takes the path that the machine has noted.
+  -- Takes the path that the machine has noted; returns what its function returns.
   local function take(fsm)
     local def, state = fsm._path, fsm._from
     if def.kind == "state" or fsm.dbg ~= silent or fsm._calls.begun > SEGMENT
       or state._actchild or state._mode == "inactive" then
-      return core.take(fsm)
+      core.take(fsm)
+      return LENT
     end
-    run_of(fsm, def, state)(fsm)
+    local run = run_of(def, fsm._ways, exits_of(def, state), fsm._is_hooked,
+      fsm._is_prepared)
+    return run(fsm)
   end
 
   -- Choose: candidates per leaf and event ..........................................
@@ -497,13 +499,15 @@ return function(engine, core)
       text = new_text {
         "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches, "renew",
         renew, "warn_of_conflict", core.warn_of_conflict, "enabled_with",
-        core.enabled_with, "rawget", rawget, "rawset", rawset,
+        core.enabled_with, "rawget", rawget, "rawset", rawset, "borrowers",
+        core.borrowers, "LENT", LENT,
       },
     }, Search)
     local text = self.text
     text:bind("connectors", self.connectors)
     text:write("return function(fsm, events)\n"
-      .. "local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways")
+      .. "local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways\n"
+      .. "local lent")
     local head = #text.lines
     for i = 1, #candidates do
       self.is_predicate[candidates[i]] = has_predicate(candidates[i])
@@ -515,7 +519,7 @@ return function(engine, core)
       head = head + 1
       insert(text.lines, head, ("ways[C%d] = nil"):format(i))
     end
-    text:write("end")
+    text:write("return nil, lent\nend")
     return text:compile(loadstring, "search")
   end
 
@@ -526,12 +530,13 @@ return function(engine, core)
       local def = candidates[i]
       local found = (not has_predicate(def) or core.matches(def, events))
         and core.enabled(fsm, def, events, 0)
-      if found then return found end
+      if found then return found, LENT end
     end
+    return nil, LENT
   end
 
   local function list_candidates(leaf, event)
-    local candidates, line = { search = false }, core.line_to(leaf)
+    local candidates, line = { search = false }, leaf.line
     for i = 1, #line do
       for _, def in ipairs(line[i].otrs) do
         if is_candidate(def, event) then
@@ -542,50 +547,48 @@ return function(engine, core)
     return candidates
   end
 
-  -- Notes the straight path of the only candidate.
-  local function note_quick(leaf, event, candidates)
+  -- Returns the straight path of the only candidate; false if there is no candidate.
+  local function quick_path(leaf, candidates)
     local def = candidates[1]
-    if not def then
-      leaf.quick[event] = false
-    elseif not (candidates[2] or has_predicate(def) or def.is_internal) then
-      local path = straight_path(def)
-      local run = path and make_run(path, leaf.depth - def.lca.depth, false, true)
-      if run then
-        leaf.quick[event] = {
-          run = run, def = def, index = def.index, hooked = nil, path = path,
-        }
-      end
-    end
+    if not def then return false end
+    if candidates[2] or has_predicate(def) or def.is_internal then return nil end
+    local path = straight_path(def)
+    local run = path and make_run(path, leaf.depth - def.lca.depth, false, true)
+    return run and { run = run, def = def, hooked = nil, path = path }
   end
 
   -- Returns the function that takes a path in a machine with hooks of states.
-  local function hooked_run(quick, leaf)
+  local function hooked_run(quick, leaf, is_prepared)
     if quick.hooked == nil then
+      if is_prepared then return take_plainly end
       quick.hooked = make_run(quick.path, leaf.depth - quick.def.lca.depth, true, true)
         or take_plainly
     end
     return quick.hooked
   end
 
+  -- Notes what an event may trigger. It may be interrupted anywhere.
   local function note_choice(leaf, event)
     local candidates = list_candidates(leaf, event)
-    leaf.choices[event] = candidates
     if candidates[1] then candidates.search = make_search(candidates) end
-    note_quick(leaf, event, candidates)
+    leaf.quick[event] = quick_path(leaf, candidates)
+    leaf.choices[event] = candidates
     return candidates
   end
 
   -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
   -- mostly does; NaN is no event.
   local function prepare_leaf(leaf)
-    leaf.choices, leaf.quick = {}, {}
-    local leads_somewhere = note_choice(leaf, leaf.done_event)[1] ~= nil
+    local new = { choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf) }
+    local leads_somewhere = note_choice(new, leaf.done_event)[1] ~= nil
+    note_choice(new, OTHER)
     leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
-    note_choice(leaf, OTHER)
+    leaf.choices = new.choices
+    leaf.quick = new.quick -- last: it is looked at first
   end
 
   local function choice_of(fsm, leaf, event)
-    if not leaf.choices then prepare_leaf(leaf) end
+    if not leaf.quick then prepare_leaf(leaf) end
     local choice = leaf.choices[event]
     if choice then return choice end
     if not fsm._plan.events[event] then return leaf.choices[OTHER] end
@@ -605,16 +608,17 @@ return function(engine, core)
     return common
   end
 
+  -- Returns LENT, too, if a guard got the list of events and may keep it.
   local function choose(fsm, events)
     if events[1] == nil then return nil end
-    if fsm.dbg ~= silent then return core.choose(fsm, events) end
+    if fsm.dbg ~= silent then return core.choose(fsm, events), LENT end
     local plan = fsm._plan
     local candidates = common_choice(fsm, fsm._act_leaf["_%def"], events)
-    if not candidates then return core.choose(fsm, events) end
+    if not candidates then return core.choose(fsm, events), LENT end
     if not candidates[1] then return nil end
-    local def = (candidates.search or find_listed)(fsm, events, candidates)
+    local def, lent = (candidates.search or find_listed)(fsm, events, candidates)
     if fsm._plan ~= plan then return choose(fsm, events) end
-    return def
+    return def, lent
   end
 
   -- Iterate ........................................................................
@@ -662,7 +666,7 @@ return function(engine, core)
     end
     local ok, outcome = protect(cycle, fsm)
     if not ok then error(outcome, 0) end
-    if outcome and not (fsm._reset_wanted or fsm._failure) then
+    if outcome and fsm._is_usual then
       fsm._phase = "idle"
       return true, outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
     elseif outcome then
@@ -672,28 +676,47 @@ return function(engine, core)
     return plain(fsm, false)
   end
 
-  -- The events are the current ones. Where it is not that simple the core goes on.
-  local function iterate_choosing(fsm, after_free, leaf, candidates)
-    local plan, search = fsm._plan, candidates and candidates.search
-    fsm._calls.begun, fsm._after_free = 0, after_free
+  -- The events of the last iteration are used again for the next one, unless a callback
+  -- may have kept them.
+  local function end_iteration(fsm, is_lent)
+    local events = fsm._curq
+    if is_lent then
+      fsm._curq = {}
+    else
+      for i = #events, 1, -1 do events[i] = nil end
+    end
+    fsm._phase = "idle"
+  end
+
+  -- Searches for the current events, and takes the path that is found, or the doo a
+  -- cycle. Returns LENT if a callback may keep the events.
+  local function choose_and_take(fsm)
     fsm._phase = "search"
-    if not search then return plain(fsm, after_free) end
-    local def = search(fsm, fsm._curq, candidates)
-    if fsm._plan ~= plan then return plain(fsm, after_free) end
-    core.decide(fsm, leaf, def)
-    if fsm._phase == "take" and fsm.dbg == silent and rawequal(fsm._from, leaf) then
-      local ok, result = protect(run_of(fsm, def, leaf), fsm)
-      if not ok and result ~= GO_ON then error(result, 0) end
-      if not ok then return plain(fsm, after_free) end
+    fsm._calls.count = FIRST.search
+    local def, lent = choose(fsm, fsm._curq)
+    core.decide(fsm, fsm._act_leaf, def)
+    if fsm._phase == "take" then
+      fsm._calls.count = FIRST.take
+      lent = take(fsm) or lent
       fsm._outcome = "counted"
       fsm._phase = "after"
     end
-    if fsm._phase ~= "after" or fsm._reset_wanted or fsm._failure then
-      return plain(fsm, after_free)
-    end
-    fsm._curq = {}
-    fsm._phase = "idle"
-    return fsm._outcome == "counted", false
+    if fsm._phase ~= "after" then core.go_on(fsm, "after") end
+    return lent
+  end
+
+  -- The phases of an iteration whose events are the current ones already.
+  local function search_and_end(fsm)
+    fsm._calls.begun = 0
+    fsm._calls.noted = 0
+    local lent = choose_and_take(fsm)
+    if not fsm._is_usual then return core.go_on(fsm) end
+    end_iteration(fsm, lent)
+  end
+
+  local function iterate_choosing(fsm, after_free)
+    fsm._after_free = after_free
+    return plain(fsm, after_free, search_and_end)
   end
 
   -- Goes on where a path was not just taken: a search is needed, a callback or the
@@ -701,67 +724,98 @@ return function(engine, core)
   local function iterate_rest(fsm, after_free, ok, result)
     if not ok and result ~= GO_ON then error(result, 0) end
     if ok and result == SEARCH then
-      local leaf, event = fsm._from, fsm._curq[1]
-      local leaf_def = leaf["_%def"]
-      if event == leaf_def.ignored then event = fsm._curq[2] end
-      return iterate_choosing(fsm, after_free, leaf, leaf_def.choices[event])
-    end
-    if ok then
+      return iterate_choosing(fsm, after_free)
+    elseif ok then
       fsm._outcome = "counted"
       fsm._phase = "after"
     end
     return plain(fsm, after_free)
   end
 
-  -- The phases of an iteration in a machine with getevents or step hooks.
-  local function go_through(fsm)
-    local calls = fsm._calls
-    if fsm._phase ~= "collect" then return core.go_on(fsm) end -- it was cut short
-    calls.count = 0
-    core.collect(fsm)
-    if fsm._joined or fsm.pre_step_hook or fsm._pre_hooks ~= OWN_ONLY then
-      calls.count = FIRST.before
-      core.before(fsm)
-    else
-      fsm._phase = "search"
-    end
-    local leaf, events = fsm._act_leaf, fsm._curq
-    local leaf_def, event, next_event = leaf and leaf["_%def"], events[1], events[2]
-    local quick = leaf and leaf_def.quick
-    if not quick then return core.go_on(fsm) end
-    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    local path = next_event == nil and quick[event]
-    if not path or fsm.dbg ~= silent then return core.go_on(fsm) end
-    fsm._path = path.def
-    fsm._from = leaf
-    local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
-    if run(fsm) == SEARCH then return core.go_on(fsm) end
-    fsm._outcome = "counted"
-    fsm._phase = "after"
-    calls.count = FIRST.after
-    core.after(fsm)
+  -- The phase "collect" into lists that are used again. `_spare` is a third one: no
+  -- callback ever gets it.
+  local function collect(fsm)
+    local spare, events = fsm._curq, fsm._intq
+    fsm._phase = "collect"
+    fsm._curq = events
+    fsm._intq = spare
+    if fsm.getevents == no_events then return end
+    local more, failure = core.ask_getevents(fsm, core.call)
+    if not more then core.give_up(fsm, failure) end
+    if #more == 0 then return end
+    local list = fsm._spare
+    if not list or list == events or list == spare then list = {} end
+    for i = #list, 1, -1 do list[i] = nil end
+    fsm._joined = append(append(list, events), more)
+    fsm._spare = events
   end
 
-  local function iterate_hooked(fsm, after_free)
-    local calls = fsm._calls
-    calls.begun, calls.noted, fsm._after_free = 0, 0, after_free
-    fsm._phase = "collect"
+  -- Takes the path that one event leads straight to, if there is such; returns what the
+  -- function of the path returns, SEARCH if there is none.
+  local function take_quick(fsm)
+    local leaf, events = fsm._act_leaf, fsm._curq
+    local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
+    local quick = leaf_def.quick
+    if not quick or fsm.dbg ~= silent then return SEARCH end
+    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
+    local path = next_event == nil and event ~= nil and quick[event]
+    if not path then return SEARCH end
+    fsm._path = path.def
+    fsm._from = leaf
+    return hooked_run(path, leaf_def, fsm._is_prepared)(fsm)
+  end
+
+  -- Does a callback or hook of this iteration get the list of events, and may keep it?
+  local function lends(fsm, pre, post)
+    return fsm._lends_events or pre and not borrowers[pre] or post and not borrowers[post]
+  end
+
+  -- The phases of an iteration in a machine with getevents or hooks.
+  local function go_through(fsm)
+    local calls, pre = fsm._calls, fsm.pre_step_hook
+    if fsm._phase ~= "begin" or fsm._curq[1] ~= nil then return core.go_on(fsm) end
+    calls.begun = 0
+    calls.noted = 0
+    calls.count = 0
+    collect(fsm)
+    calls.count = FIRST.before
+    if pre or fsm._joined or fsm._pre_hooks ~= OWN_ONLY then core.before(fsm) end
+    fsm._phase = "search"
+    if not fsm._act_leaf then return core.go_on(fsm) end
+    local result = take_quick(fsm)
+    if result == SEARCH then
+      result = choose_and_take(fsm)
+    else
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+    end
+    calls.count = FIRST.after
+    local post = fsm.post_step_hook
+    if post or fsm._post_hooks ~= OWN_ONLY or fsm._joined or fsm._reset_wanted then
+      core.call_post_hooks(fsm)
+    end
+    end_iteration(fsm, result == LENT or lends(fsm, pre, post))
+  end
+
+  -- An iteration of a machine that has hooks or a getevents, is being traced, entered or
+  -- reset, or whose iteration was cut short.
+  local function iterate_unusual(fsm, after_free)
+    fsm._is_usual = not fsm._is_hooked
+    if not fsm._is_hooked or fsm._phase ~= "idle" or fsm._reset_wanted then
+      return plain(fsm, after_free)
+    end
     return plain(fsm, after_free, go_through)
   end
 
   -- One iteration. What is written out is one event, apart from an e_done that nothing
   -- waits for, and nobody who traces or has hung in hooks.
-  local function iterate(fsm, after_free) -- luacheck: ignore 561 (as it is, for speed)
-    local leaf, spare = fsm._act_leaf, fsm._curq
-    if fsm.getevents ~= no_events or fsm.pre_step_hook or fsm.post_step_hook
-      or fsm._has_step_hooks then
-      return iterate_hooked(fsm, after_free)
-    elseif not leaf or fsm.dbg ~= silent or fsm._reset_wanted or spare[1] ~= nil then
-      return plain(fsm, after_free)
+  local function iterate(fsm, after_free)
+    local leaf = fsm._act_leaf
+    if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
+      return iterate_unusual(fsm, after_free)
     end
     local events, leaf_def = fsm._intq, leaf["_%def"]
-    local event, next_event = events[1], events[2]
-    local quick = leaf_def.quick
+    local event, next_event, quick = events[1], events[2], leaf_def.quick
     if not quick then
       prepare_leaf(leaf_def)
       quick = leaf_def.quick
@@ -772,34 +826,31 @@ return function(engine, core)
     elseif event == nil then
       return iterate_quietly(fsm, leaf, events)
     end
-    local path = quick[event]
-    if not path then
-      if path == nil and not fsm._plan.events[event] then path = quick[OTHER] end
-      if path == false and not after_free then -- nothing waits for it
-        events[2] = nil
-        events[1] = nil
-        return false, false
-      end
-      fsm._curq = events
-      fsm._intq = spare
-      return iterate_choosing(fsm, after_free, leaf, leaf_def.choices[event])
+    local path, spare = quick[event], fsm._curq
+    if path == nil and not fsm._plan.events[event] then
+      path = quick[OTHER]
     end
+    if path == false and not after_free then -- nothing waits for it
+      events[2] = nil
+      events[1] = nil
+      return false, false
+    end
+    fsm._phase = "begin"
     fsm._curq = events
     fsm._intq = spare
+    if not path then return iterate_choosing(fsm, after_free) end
+    local run, ok, result = path.run, nil, nil
     fsm._path = path.def
     fsm._from = leaf
-    local run = fsm._is_hooked and hooked_run(path, leaf_def) or path.run
-    local ok, result
     if has_arguments then
       ok, result = xpcall(run, handler, fsm)
     else
       fsm._run = run
       ok, result = xpcall(fsm._act, handler)
     end
-    if result ~= nil or not ok or fsm._reset_wanted or fsm._failure then
-      if result ~= LENT or not ok or fsm._reset_wanted or fsm._failure then
-        return iterate_rest(fsm, after_free, ok, result)
-      end
+    if not (ok and fsm._is_usual) or result == SEARCH then
+      return iterate_rest(fsm, after_free, ok, result)
+    elseif result == LENT then
       fsm._curq = {}
     else
       events[2] = nil
@@ -821,8 +872,8 @@ return function(engine, core)
       values[i] = value
     end
     local fsm, ok = values[1], values[4]
+    if type(ok) ~= "boolean" then return false end
     local calls = fsm._calls
-    if fsm._phase ~= "doo" or type(ok) ~= "boolean" then return false end
     calls.ok, calls.result, calls.more, calls.noted = true, ok, values[5], FIRST.doo + 1
     calls.begun = FIRST.doo + 1
     return false
@@ -849,30 +900,51 @@ return function(engine, core)
   end
 
   local function is_taking(f, level, fsm)
-    if not (call_lines_of[f] or f == cycle or f == iterate_choosing) then
+    if not (call_lines_of[f] or f == cycle) then
       return false
     end
     local _, value = getlocal(level, FSM)
     return rawequal(value, fsm)
   end
 
-  -- Compiles what would be compiled while machines of a plan run.
-  local function prepare(plan)
+  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the ways
+  -- out of its connectors then. Returns how many are left.
+  local function each_path(def, ways, f, left)
+    local connector = prepare_transition(def).connector
+    if not connector or left < 1 then
+      if left > 0 then f() end
+      return left - 1
+    end
+    for _, out in ipairs(ways[connector] == nil and connector.otrs or NONE) do
+      ways[connector] = out
+      left = each_path(out, ways, f, left)
+      ways[connector] = nil
+    end
+    return left
+  end
+
+  -- Compiles what would be compiled while the machine runs. A path that has not been
+  -- foreseen is taken by the core then.
+  local function prepare(fsm)
+    local plan, is_hooked, ways = fsm._plan, fsm._is_hooked, {}
     for _, leaf in ipairs(plan.nodes) do
       if leaf.is_leaf then
-        if not leaf.choices then prepare_leaf(leaf) end
+        if not leaf.quick then prepare_leaf(leaf) end
         for event in pairs(plan.events) do -- any order: each stands alone
           if not leaf.choices[event] then note_choice(leaf, event) end
+          if is_hooked and leaf.quick[event] then hooked_run(leaf.quick[event], leaf) end
+        end
+        for _, node in ipairs(core.line_to(leaf)) do
+          for _, def in ipairs(node.otrs) do
+            each_path(def, ways, function()
+              run_of(def, ways, def.is_internal and 0 or leaf.depth - def.lca.depth,
+                is_hooked)
+            end, MAX_PATHS)
+          end
         end
       end
     end
-    for _, def in ipairs(plan.transitions) do
-      if def.src.kind == "connector" then
-        for _, is_hooked in ipairs { false, true } do
-          run_of(def, def.src.parent.depth - def.lca.depth, is_hooked)
-        end
-      end
-    end
+    fsm._is_prepared = true
   end
 
   engine.choose, engine.iterate, engine.take = choose, iterate, take
