@@ -1765,7 +1765,7 @@ end
 
 local function leave(protect, fsm, state)
   state._mode = "inactive"
-  state._parent._actchild = false
+  state._parent._actchild = nil
   run_callback(protect, fsm, state, "exit")
   run_state_hooks(protect, fsm, state, fsm._exit_hooks)
   if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
@@ -1935,7 +1935,7 @@ local function set_inactive(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
       node._mode, node._doo_co = "inactive", nil
-      if node._actchild then node._actchild = false end
+      rawset(node, "_actchild", nil)
     end
   end
   fsm._act_leaf = false

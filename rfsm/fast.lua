@@ -83,7 +83,7 @@ end
 -- What texts were compiled to, while anything that was made with it is in use.
 local makers = setmetatable({}, { __mode = "v" })
 
--- The lines with calls in the functions that take a segment.
+-- The lines with calls in the functions that were compiled.
 local call_lines_of = setmetatable({}, { __mode = "k" })
 
 -- Compiles a text to a function that gets the values by name.
@@ -92,7 +92,9 @@ function Text:compile(loadstring, chunkname)
     concat(self.lines, "\n"))
   local maker = makers[source] or loadstring(source, "=rfsm " .. chunkname)
   makers[source] = maker
-  return maker(unpack(self.values, 1, #self.names))
+  local f = maker(unpack(self.values, 1, #self.names))
+  call_lines_of[f] = self.call_lines
+  return f
 end
 
 -- Take: a segment, and the unconditional ones behind it ------------------------------
@@ -100,9 +102,10 @@ end
 -- The calls are numbered as in the core. The number is noted before each call, so that
 -- the core can go on behind it, whatever happens. A function that takes a path returns
 -- nil; LENT if a callback got the list of events and may keep it; SEARCH if nothing has
--- been done, since a search is needed.
+-- been done, since it has to be searched anew; REST if no path was taken, and the core is
+-- to go on with the phase.
 
-local LENT, SEARCH = 1, 2
+local LENT, SEARCH, REST = 1, 2, 3
 
 -- The numbers of locals in these functions; NEXT is where a called function is.
 local FSM, CALLBACK, NEXT = 1, 8, 9
@@ -134,10 +137,11 @@ local LEAVE_HOOKED = [[
   if fsm.dbg ~= silent then return resume(fsm) end
   else]]
 
+-- The active child of the root stays a raw field, or its metatable were asked.
 local LEAVE = [[
   $b = $a._parent
   $a._mode = "inactive"
-  $b._actchild = false
+  $b._actchild = $none
   callback = $a.exit
   if callback then
   calls.begun = $number
@@ -199,11 +203,11 @@ local Path = {}
 Path.__index = Path
 
 -- Writes a block for the action with that number in the segment.
-function Path:write(block, action, k)
+function Path:write(block, action, k, none)
   local number, at = self.base + (action or 0), self.at % 2
   self.text:write(block, {
     a = "s" .. at, b = "s" .. (1 - at), k = k, action = ("%d"):format(number),
-    number = ("%d"):format(number + 1),
+    number = ("%d"):format(number + 1), none = none,
   })
 end
 
@@ -218,7 +222,7 @@ function Path:segment(def, exits, ACTION)
     local is_leaf = i == 1 and src.kind == "state"
     actions = actions + 1
     if self.is_hooked then self:write(LEAVE_HOOKED, actions * ACTION) end
-    self:write(LEAVE, actions * ACTION)
+    self:write(LEAVE, actions * ACTION, nil, def.lca.depth + exits == i and "false" or "nil")
     if self.is_hooked then self:write("end") end
     if is_leaf then self:write(FORGET_LEAF) end
     if is_leaf and (src.doo or not src.is_leaf) then self:write(FORGET_DOO) end
@@ -258,6 +262,19 @@ local ASK = [[
   ways, lent = renew(fsm, connectors), LENT
   def = enabled_with(fsm, def, tgt, events, $level)
   else]]
+
+-- A guard may have merged something, moved the machine or switched dbg on.
+local TAKE_FOUND = [[
+  if fsm._plan ~= plan then return SEARCH end
+  if fsm._act_leaf ~= s0 or fsm.dbg ~= silent or def ~= d$n then
+  return take_found(fsm, s0, def, lent)
+  end
+  fsm._path = def
+  return r$n(fsm) or lent]]
+
+local TAKE_WAY = [[
+  if fsm._plan ~= plan then return SEARCH end
+  return take_found(fsm, s0, def, lent)]]
 
 local NOTE_FOUND = [[
   if w$level then
@@ -304,7 +321,9 @@ function Search:transition(def, level)
   text:write(ASK, places)
   if def.connector then self:connector(def.connector, level + 1, n) end
   text:write("end\nif def then")
-  text:write(level == 0 and "do return def, lent end" or NOTE_FOUND, places)
+  if level == 0 and not def.connector then self:bind_run("r" .. n, def) end
+  local found = def.connector and TAKE_WAY or TAKE_FOUND
+  text:write(level == 0 and "do\n" .. found .. "\nend" or NOTE_FOUND, places)
   text:write("end\nend\nend")
 end
 
@@ -381,6 +400,9 @@ return function(engine, core)
     return LENT
   end
 
+  -- In place of a function that is too large and searches.
+  local function give_up_quick() return SEARCH end
+
   -- Returns the transition that a path through `def` always takes next: the only one
   -- of its connector, without events. Its guard is looked at in the run.
   local function behind(def)
@@ -439,14 +461,11 @@ return function(engine, core)
       if #text.values > MAX_VALUES then return nil end
     end
     text:write("return lent\nend")
-    local run = text:compile(loadstring, "path")
-    call_lines_of[run] = text.call_lines
-    return run
+    return text:compile(loadstring, "path")
   end
 
-  local function exits_of(def, state)
-    return def.is_internal and 0 or state["_%def"].depth - def.lca.depth
-  end
+  -- How many states a transition leaves, from a state of that depth.
+  local function exits_of(def, depth) return def.is_internal and 0 or depth - def.lca.depth end
 
   -- Returns the function for the path that a search has found: `ways` are those out of
   -- its connectors. They are kept in a tree: by the levels that are left, then by the
@@ -479,20 +498,28 @@ return function(engine, core)
       core.take(fsm)
       return LENT
     end
-    local run = run_of(def, fsm._ways, exits_of(def, state), fsm._is_hooked,
-      fsm._is_prepared)
+    local run = run_of(def, fsm._ways, exits_of(def, state["_%def"].depth),
+      fsm._is_hooked, fsm._is_prepared)
     return run(fsm)
   end
 
   -- Choose: candidates per leaf and event ..........................................
   --
   -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
-  -- order. leaf.quick[event] is false if that is nothing, and { run, def, index } if it
-  -- is one straight path.
+  -- order. leaf.quick[event] is false if that is nothing. Otherwise `run` searches and
+  -- takes the path, `hooked` does so in a machine with hooks.
 
-  -- Returns a function that returns the first of the candidates that is enabled; false
-  -- if that is too much for one function.
-  local function make_search(candidates)
+  -- Takes what a search has found in the leaf, which may be nothing.
+  local function take_found(fsm, leaf, def, lent)
+    core.decide(fsm, leaf, def)
+    if fsm._phase ~= "take" then return REST end
+    fsm._calls.count = FIRST.take
+    return take(fsm) or lent
+  end
+
+  -- Returns a function that takes the path of the first of the candidates that is
+  -- enabled; nil if that is too much for one function.
+  local function make_search(plan, depth, candidates, is_hooked)
     local self = setmetatable({
       count = 0, seen = {}, connectors = {}, is_predicate = {},
       prepare = prepare_transition,
@@ -500,43 +527,40 @@ return function(engine, core)
         "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches, "renew",
         renew, "warn_of_conflict", core.warn_of_conflict, "enabled_with",
         core.enabled_with, "rawget", rawget, "rawset", rawset, "borrowers",
-        core.borrowers, "LENT", LENT,
+        core.borrowers, "LENT", LENT, "SEARCH", SEARCH, "take_found", take_found,
+        "silent", silent, "plan", plan,
       },
     }, Search)
     local text = self.text
+    function self:bind_run(name, def)
+      local exits = exits_of(def, depth)
+      text:bind(name, make_run({ def }, exits, is_hooked, false) or take_plainly)
+    end
     text:bind("connectors", self.connectors)
-    text:write("return function(fsm, events)\n"
-      .. "local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways\n"
-      .. "local lent")
+    text:write [[
+      return function(fsm)
+      fsm._phase = "search"
+      fsm._calls.begun = 0
+      local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
+      local events, s0, lent = fsm._curq, fsm._from, nil]]
     local head = #text.lines
     for i = 1, #candidates do
       self.is_predicate[candidates[i]] = has_predicate(candidates[i])
       self:transition(candidates[i], 0)
-      if self.is_too_much or #text.values > MAX_VALUES then return false end
+      if self.is_too_much or #text.values > MAX_VALUES then return nil end
     end
     for i = 1, #self.connectors do
       text:bind("C" .. i, self.connectors[i])
       head = head + 1
       insert(text.lines, head, ("ways[C%d] = nil"):format(i))
     end
-    text:write("return nil, lent\nend")
+    text:write "if fsm._plan ~= plan then return SEARCH end"
+    text:write "return take_found(fsm, s0, nil, lent)\nend"
     return text:compile(loadstring, "search")
   end
 
-  -- Returns the first candidate that is enabled.
-  local function find_listed(fsm, events, candidates)
-    fsm._ways = {}
-    for i = 1, #candidates do
-      local def = candidates[i]
-      local found = (not has_predicate(def) or core.matches(def, events))
-        and core.enabled(fsm, def, events, 0)
-      if found then return found, LENT end
-    end
-    return nil, LENT
-  end
-
   local function list_candidates(leaf, event)
-    local candidates, line = { search = false }, leaf.line
+    local candidates, line = {}, leaf.line
     for i = 1, #line do
       for _, def in ipairs(line[i].otrs) do
         if is_candidate(def, event) then
@@ -547,78 +571,80 @@ return function(engine, core)
     return candidates
   end
 
-  -- Returns the straight path of the only candidate; false if there is no candidate.
-  local function quick_path(leaf, candidates)
+  -- Makes the function of a path; nil if that is too much for one function.
+  local function make_quick(quick, is_hooked)
+    local candidates = quick.candidates
     local def = candidates[1]
-    if not def then return false end
-    if candidates[2] or has_predicate(def) or def.is_internal then return nil end
-    local path = straight_path(def)
-    local run = path and make_run(path, leaf.depth - def.lca.depth, false, true)
-    return run and { run = run, def = def, hooked = nil, path = path }
+    local is_alone = not (candidates[2] or def.guard or has_predicate(def))
+    local path = is_alone and straight_path(def)
+    return path and make_run(path, exits_of(def, quick.depth), is_hooked, true)
+      or make_search(quick.plan, quick.depth, candidates, is_hooked)
   end
 
-  -- Returns the function that takes a path in a machine with hooks of states.
-  local function hooked_run(quick, leaf, is_prepared)
+  -- Returns the function of a path in a machine with hooks.
+  local function hooked_run(quick, is_prepared)
     if quick.hooked == nil then
-      if is_prepared then return take_plainly end
-      quick.hooked = make_run(quick.path, leaf.depth - quick.def.lca.depth, true, true)
-        or take_plainly
+      if is_prepared then return give_up_quick end
+      quick.hooked = make_quick(quick, true) or give_up_quick
     end
     return quick.hooked
   end
 
   -- Notes what an event may trigger. It may be interrupted anywhere.
-  local function note_choice(leaf, event)
-    local candidates = list_candidates(leaf, event)
-    if candidates[1] then candidates.search = make_search(candidates) end
-    leaf.quick[event] = quick_path(leaf, candidates)
+  local function note_choice(plan, leaf, event)
+    local candidates, quick = list_candidates(leaf, event), false
+    if candidates[1] then
+      quick = {
+        run = false, def = candidates[1], hooked = nil, plan = plan, depth = leaf.depth,
+        candidates = candidates,
+      }
+      quick.run = make_quick(quick, false) or give_up_quick
+    end
+    leaf.quick[event] = quick
     leaf.choices[event] = candidates
     return candidates
   end
 
   -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
   -- mostly does; NaN is no event.
-  local function prepare_leaf(leaf)
+  local function prepare_leaf(plan, leaf)
     local new = { choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf) }
-    local leads_somewhere = note_choice(new, leaf.done_event)[1] ~= nil
-    note_choice(new, OTHER)
+    local leads_somewhere = note_choice(plan, new, leaf.done_event)[1] ~= nil
+    note_choice(plan, new, OTHER)
     leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
     leaf.choices = new.choices
     leaf.quick = new.quick -- last: it is looked at first
   end
 
-  local function choice_of(fsm, leaf, event)
-    if not leaf.quick then prepare_leaf(leaf) end
+  -- Returns the candidates of an event.
+  local function choice_of(plan, leaf, event)
+    if not leaf.quick then prepare_leaf(plan, leaf) end
     local choice = leaf.choices[event]
     if choice then return choice end
-    if not fsm._plan.events[event] then return leaf.choices[OTHER] end
-    return note_choice(leaf, event)
+    if not plan.events[event] then return leaf.choices[OTHER] end
+    return note_choice(plan, leaf, event)
   end
 
-  -- Returns the candidates of all events, nil if there are several lists of them.
-  local function common_choice(fsm, leaf, events)
-    local common = NONE
+  -- Returns the first candidate of the events that is enabled.
+  local function choose(fsm, events)
+    if events[1] == nil then return nil end
+    local plan, leaf, common = fsm._plan, fsm._act_leaf["_%def"], NONE
     for i = 1, #events do
-      local candidates = choice_of(fsm, leaf, events[i])
-      if candidates[1] and candidates ~= common then
-        if common ~= NONE then return nil end
+      local candidates = choice_of(plan, leaf, events[i])
+      if candidates[1] then
+        if common ~= NONE and common ~= candidates then return core.choose(fsm, events) end
         common = candidates
       end
     end
-    return common
-  end
-
-  -- Returns LENT, too, if a guard got the list of events and may keep it.
-  local function choose(fsm, events)
-    if events[1] == nil then return nil end
-    if fsm.dbg ~= silent then return core.choose(fsm, events), LENT end
-    local plan = fsm._plan
-    local candidates = common_choice(fsm, fsm._act_leaf["_%def"], events)
-    if not candidates then return core.choose(fsm, events), LENT end
-    if not candidates[1] then return nil end
-    local def, lent = (candidates.search or find_listed)(fsm, events, candidates)
-    if fsm._plan ~= plan then return choose(fsm, events) end
-    return def, lent
+    if fsm.dbg ~= silent then return core.choose(fsm, events) end
+    fsm._ways = {}
+    for i = 1, #common do
+      local def = common[i]
+      local found = (not has_predicate(def) or core.matches(def, events))
+        and core.enabled(fsm, def, events, 0)
+      if fsm._plan ~= plan then return choose(fsm, events) end
+      if found then return found end
+    end
   end
 
   -- Iterate ........................................................................
@@ -688,48 +714,21 @@ return function(engine, core)
     fsm._phase = "idle"
   end
 
-  -- Searches for the current events, and takes the path that is found, or the doo a
-  -- cycle. Returns LENT if a callback may keep the events.
-  local function choose_and_take(fsm)
-    fsm._phase = "search"
-    fsm._calls.count = FIRST.search
-    local def, lent = choose(fsm, fsm._curq)
-    core.decide(fsm, fsm._act_leaf, def)
-    if fsm._phase == "take" then
-      fsm._calls.count = FIRST.take
-      lent = take(fsm) or lent
-      fsm._outcome = "counted"
-      fsm._phase = "after"
-    end
-    if fsm._phase ~= "after" then core.go_on(fsm, "after") end
-    return lent
-  end
-
-  -- The phases of an iteration whose events are the current ones already.
-  local function search_and_end(fsm)
-    fsm._calls.begun = 0
-    fsm._calls.noted = 0
-    local lent = choose_and_take(fsm)
-    if not fsm._is_usual then return core.go_on(fsm) end
-    end_iteration(fsm, lent)
-  end
-
-  local function iterate_choosing(fsm, after_free)
-    fsm._after_free = after_free
-    return plain(fsm, after_free, search_and_end)
-  end
-
   -- Goes on where a path was not just taken: a search is needed, a callback or the
   -- engine failed, or there is more to do at the end.
-  local function iterate_rest(fsm, after_free, ok, result)
+  local function iterate_rest(fsm, ok, result)
     if not ok and result ~= GO_ON then error(result, 0) end
-    if ok and result == SEARCH then
-      return iterate_choosing(fsm, after_free)
-    elseif ok then
+    if not ok then return plain(fsm, false) end
+    if result == SEARCH then
+      fsm._phase = "begin"
+      return plain(fsm, false)
+    elseif result ~= REST then
       fsm._outcome = "counted"
       fsm._phase = "after"
     end
-    return plain(fsm, after_free)
+    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm, false) end
+    end_iteration(fsm, true)
+    return fsm._outcome == "counted", false
   end
 
   -- The phase "collect" into lists that are used again. `_spare` is a third one: no
@@ -754,15 +753,15 @@ return function(engine, core)
   -- function of the path returns, SEARCH if there is none.
   local function take_quick(fsm)
     local leaf, events = fsm._act_leaf, fsm._curq
-    local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
-    local quick = leaf_def.quick
+    local leaf_def, event, next_event = leaf and leaf["_%def"], events[1], events[2]
+    local quick = leaf and leaf_def.quick
     if not quick or fsm.dbg ~= silent then return SEARCH end
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
     local path = next_event == nil and event ~= nil and quick[event]
     if not path then return SEARCH end
     fsm._path = path.def
     fsm._from = leaf
-    return hooked_run(path, leaf_def, fsm._is_prepared)(fsm)
+    return hooked_run(path, fsm._is_prepared)(fsm)
   end
 
   -- Does a callback or hook of this iteration get the list of events, and may keep it?
@@ -781,10 +780,12 @@ return function(engine, core)
     calls.count = FIRST.before
     if pre or fsm._joined or fsm._pre_hooks ~= OWN_ONLY then core.before(fsm) end
     fsm._phase = "search"
-    if not fsm._act_leaf then return core.go_on(fsm) end
     local result = take_quick(fsm)
-    if result == SEARCH then
-      result = choose_and_take(fsm)
+    if result == SEARCH then fsm._phase = "search" end
+    if result == SEARCH or result == REST then
+      result = fsm._curq[1] ~= nil and LENT
+      core.go_on(fsm, "after")
+      if fsm._phase == "idle" then return end
     else
       fsm._outcome = "counted"
       fsm._phase = "after"
@@ -817,28 +818,30 @@ return function(engine, core)
     local events, leaf_def = fsm._intq, leaf["_%def"]
     local event, next_event, quick = events[1], events[2], leaf_def.quick
     if not quick then
-      prepare_leaf(leaf_def)
+      prepare_leaf(fsm._plan, leaf_def)
       quick = leaf_def.quick
     end
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if next_event ~= nil then
-      return plain(fsm, after_free)
-    elseif event == nil then
+    if event == nil then
       return iterate_quietly(fsm, leaf, events)
+    elseif next_event ~= nil or after_free then
+      return plain(fsm, after_free)
     end
     local path, spare = quick[event], fsm._curq
-    if path == nil and not fsm._plan.events[event] then
-      path = quick[OTHER]
+    if path == nil then
+      choice_of(fsm._plan, leaf_def, event)
+      path = quick[event]
+      if path == nil then path = quick[OTHER] end
     end
-    if path == false and not after_free then -- nothing waits for it
+    if not path then -- nothing waits for it
       events[2] = nil
       events[1] = nil
       return false, false
     end
+    fsm._after_free = false
     fsm._phase = "begin"
     fsm._curq = events
     fsm._intq = spare
-    if not path then return iterate_choosing(fsm, after_free) end
     local run, ok, result = path.run, nil, nil
     fsm._path = path.def
     fsm._from = leaf
@@ -848,13 +851,15 @@ return function(engine, core)
       fsm._run = run
       ok, result = xpcall(fsm._act, handler)
     end
-    if not (ok and fsm._is_usual) or result == SEARCH then
-      return iterate_rest(fsm, after_free, ok, result)
+    if not (ok and fsm._is_usual) then
+      return iterate_rest(fsm, ok, result)
+    elseif result == nil then
+      events[2] = nil
+      events[1] = nil
     elseif result == LENT then
       fsm._curq = {}
     else
-      events[2] = nil
-      events[1] = nil
+      return iterate_rest(fsm, ok, result)
     end
     fsm._phase = "idle"
     return true, false
@@ -929,16 +934,16 @@ return function(engine, core)
     local plan, is_hooked, ways = fsm._plan, fsm._is_hooked, {}
     for _, leaf in ipairs(plan.nodes) do
       if leaf.is_leaf then
-        if not leaf.quick then prepare_leaf(leaf) end
         for event in pairs(plan.events) do -- any order: each stands alone
-          if not leaf.choices[event] then note_choice(leaf, event) end
-          if is_hooked and leaf.quick[event] then hooked_run(leaf.quick[event], leaf) end
+          choice_of(plan, leaf, event)
+        end
+        for _, quick in pairs(is_hooked and leaf.quick or NONE) do -- any order: as above
+          if quick then hooked_run(quick) end
         end
         for _, node in ipairs(core.line_to(leaf)) do
           for _, def in ipairs(node.otrs) do
             each_path(def, ways, function()
-              run_of(def, ways, def.is_internal and 0 or leaf.depth - def.lca.depth,
-                is_hooked)
+              run_of(def, ways, exits_of(def, leaf.depth), is_hooked)
             end, MAX_PATHS)
           end
         end
