@@ -103,9 +103,9 @@ end
 -- the core can go on behind it, whatever happens. A function that takes a path returns
 -- nil; LENT if a callback got the list of events and may keep it; SEARCH if nothing has
 -- been done, since it has to be searched anew; REST if no path was taken, and the core is
--- to go on with the phase.
+-- to go on with the phase; QUIET if there is no event that anything waits for.
 
-local LENT, SEARCH, REST = 1, 2, 3
+local LENT, SEARCH, REST, QUIET = 1, 2, 3, 4
 
 -- The numbers of locals in these functions; NEXT is where a called function is.
 local FSM, CALLBACK, NEXT = 1, 8, 9
@@ -637,6 +637,7 @@ return function(engine, core)
       end
     end
     if fsm.dbg ~= silent then return core.choose(fsm, events) end
+    if common == NONE then return nil end
     fsm._ways = {}
     for i = 1, #common do
       local def = common[i]
@@ -757,7 +758,8 @@ return function(engine, core)
     local quick = leaf and leaf_def.quick
     if not quick or fsm.dbg ~= silent then return SEARCH end
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    local path = next_event == nil and event ~= nil and quick[event]
+    if event == nil then return QUIET end
+    local path = next_event == nil and quick[event]
     if not path then return SEARCH end
     fsm._path = path.def
     fsm._from = leaf
@@ -781,9 +783,9 @@ return function(engine, core)
     if pre or fsm._joined or fsm._pre_hooks ~= OWN_ONLY then core.before(fsm) end
     fsm._phase = "search"
     local result = take_quick(fsm)
-    if result == SEARCH then fsm._phase = "search" end
-    if result == SEARCH or result == REST then
-      result = fsm._curq[1] ~= nil and LENT
+    if result == SEARCH or result == QUIET then fsm._phase = "search" end
+    if result ~= nil and result ~= LENT then
+      result = result ~= QUIET and LENT
       core.go_on(fsm, "after")
       if fsm._phase == "idle" then return end
     else

@@ -455,7 +455,7 @@ describe("the parts of a machine", function()
   it("refuse a printer that cannot be called when something is printed", function()
     local machine = helper.started(helper.chart({ "e" }, { err = false }))
     machine.dbg = "full"
-    assert.has_error(function() rfsm.step(machine) end,
+    assert.has_error(function() rfsm.send_events(machine, "e") rfsm.step(machine) end,
       "rfsm: dbg: function, true or false expected, got string 'full'")
   end)
 end)
