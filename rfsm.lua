@@ -13,23 +13,31 @@
 -- @module rfsm
 -- @license BSD-3-Clause
 
-local error, getmetatable, ipairs, next, pairs = error, getmetatable, ipairs, next, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local next, pairs = next, pairs
 local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset, select
 local setmetatable, tostring, type, xpcall = setmetatable, tostring, type, xpcall
-local concat, insert, remove, sort = table.concat, table.insert, table.remove, table.sort
+local concat, insert = table.concat, table.insert
+local remove, sort = table.remove, table.sort
 local huge = 1 / 0
 
--- What a sandbox may lack.
-local coroutine, loadfile = rawget(_G, "coroutine"), rawget(_G, "loadfile")
+-- Returns a global, or a field of one; nil where a sandbox lacks it.
+local function find_global(name, field)
+  local value = rawget(_G, name)
+  if not field then return value end
+  return type(value) == "table" and rawget(value, field) or nil
+end
+
+local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
+local loadstring = find_global "loadstring" or find_global "load"
+local unpack = find_global("table", "unpack") or find_global "unpack"
+local getinfo = find_global("debug", "getinfo")
+local getlocal = find_global("debug", "getlocal")
 local _, require = pcall(function() return require end) -- also one of a bundle
-local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 
 -- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
 -- functions are interpreted.
-local jit = rawget(_G, "jit")
-local interpret = type(jit) == "table" and jit.off or function() end
+local interpret = find_global("jit", "off") or function() end
 
 ---@class rfsm
 ---@field seqand fun(t: table): rfsm.State
@@ -191,7 +199,7 @@ rfsm.connector = rfsm.conn
 
 --- Suspend a doo until the next doo cycle; a true value means idle.
 ---@type fun(idle?: boolean): rfsm.Machine, rfsm.State, "doo"
-rfsm.yield = coroutine and coroutine.yield
+rfsm.yield = find_global("coroutine", "yield")
 
 --- Is `key` one of the engine's own (a leading underscore)?
 ---@param key any
@@ -1278,7 +1286,8 @@ end
 -- An interrupt is an error that a debug hook raises: Control-C, a host's limit of time.
 -- It may come at any instruction, and reaches the caller of `step`. The next step goes
 -- on with the phase that was cut short, from its start. That is safe because only the
--- calls of the user's functions cannot be repeated, and `call` makes none of them twice.
+-- calls of the user's functions cannot be repeated, and `call` makes none of them
+-- twice.
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1334,7 +1343,7 @@ end
 
 -- What rfsm/fast.lua may replace. The functions below are the specification.
 --
---   choose(fsm, events)         the transition with which an enabled path begins, or nil
+--   choose(fsm, events)         the transition with which an enabled path begins
 --   take(fsm)                   takes the path that begins with `_path`
 --   iterate(fsm, after_free)    one iteration
 --   prepare(fsm)                compiles what would be compiled in a run
@@ -1348,17 +1357,21 @@ local function GO_ON() end
 
 local go_on
 
+-- The functions of the phases.
+local PHASES = {}
+
 -- Calls of the user's functions .....................................................
 --
 -- The calls of an iteration are numbered in the order in which they are made.
--- `_calls.count` is the number of the last one that was reached, `begun` of the last one
--- that was made, `noted` of the last one whose results are known. Each phase, segment
--- and action has numbers of its own, so that a hook that is added to one of them does
--- not change those of the next.
+-- `_calls.count` is the number of the last one that was reached, `begun` of the last
+-- one that was made, `noted` of the last one whose results are known. Each phase,
+-- segment and action has numbers of its own, so that a hook that is added to one of
+-- them does not change those of the next.
 
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
-  begin = 0, collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15, after = 2e15,
+  begin = 0, collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15,
+  after = 2e15,
 }
 
 -- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
@@ -1384,8 +1397,6 @@ end
 -- The same for a call that belongs to no phase.
 local function call_aside(_, f, ...) return pcall(f, ...) end
 
-local getlocal = getinfo and rawget(_G, "debug").getlocal
-
 -- How many locals come before `calls`: Lua 5.1 has a hidden one for the rest of the
 -- arguments.
 local FIRST_LOCAL = getinfo and (function(...) -- luacheck: ignore 212 (it has to be)
@@ -1394,8 +1405,9 @@ local FIRST_LOCAL = getinfo and (function(...) -- luacheck: ignore 212 (it has t
   return value == mark and 2 or 3
 end)()
 
--- `call` was cut short: was that before the user's function or after it? The call counts
--- as not begun, or its results are noted. `count`, `begun` and the rest are its locals.
+-- `call` was cut short: was that before the user's function or after it? The call
+-- counts as not begun, or its results are noted. `count`, `begun` and the rest are its
+-- locals.
 local function note_call(calls, count, begun, ok, result, more)
   if type(count) ~= "number" or calls.begun ~= count + 1 or calls.noted == count + 1
     or type(begun) ~= "number" or begun > count then
@@ -1456,8 +1468,8 @@ local function is_traced(fsm)
   return dbg and dbg ~= silent
 end
 
---- Did an interrupt such as Control-C raise the error, rather than a callback? It is for
--- the caller of `step` then. For extensions.
+--- Did an interrupt such as Control-C raise the error, rather than a callback? It is
+-- for the caller of `step` then. For extensions.
 --
 -- The text is that of the interpreters, alone or behind a position.
 --
@@ -1698,14 +1710,12 @@ end
 
 -- First entry: the path from `initial`. It begins with the definition of the root.
 local function find_entry(fsm, events)
-  local root, def = fsm._plan.nodes[1], nil
+  local root = fsm._plan.nodes[1]
   fsm._ways = {}
-  if not root.is_leaf then
-    def = find_transition(fsm, root.members.initial, events)
-    if not def then return nil end
-  end
+  if root.is_leaf then return root end
+  local def = find_transition(fsm, root.members.initial, events)
   fsm._ways[root] = def
-  return root
+  return def and root
 end
 
 -- Returns the innermost active state.
@@ -1733,14 +1743,11 @@ local function decide(fsm, leaf, def)
   end
 end
 
-local function search(fsm)
-  local leaf, events, def = fsm._act_leaf, fsm._curq, nil
-  if leaf then
-    def = engine.choose(fsm, events)
-  else
-    def = find_entry(fsm, events)
-    if not def then return refuse_entry(fsm, events) end
-  end
+function PHASES.search(fsm)
+  local leaf, events = fsm._act_leaf, fsm._curq
+  if leaf then return decide(fsm, leaf, engine.choose(fsm, events)) end
+  local def = find_entry(fsm, events)
+  if not def then return refuse_entry(fsm, events) end
   return decide(fsm, leaf, def)
 end
 
@@ -1840,8 +1847,8 @@ local function begin_segment(calls)
   calls.count = calls.count - calls.count % SEGMENT + SEGMENT
 end
 
--- Takes the segment `def` from the active state `state`: (a) leaves the states up to the
--- lca, (b) runs the effect, (c) enters the states down to the target.
+-- Takes the segment `def` from the active state `state`: (a) leaves the states up to
+-- the lca, (b) runs the effect, (c) enters the states down to the target.
 local function take_segment(fsm, def, state)
   local nodes, entries = fsm._nodes, def.entries
   begin_segment(fsm._calls)
@@ -1951,7 +1958,7 @@ end
 
 -- The phase "collect". If one before was cut short, or a hook failed in it, its events
 -- come first.
-local function collect(fsm)
+function PHASES.collect(fsm)
   if fsm._reset_wanted then
     fsm._curq = {}
     reset_now(fsm)
@@ -1964,7 +1971,7 @@ local function collect(fsm)
   fsm._phase = "before"
 end
 
-local function before(fsm)
+function PHASES.before(fsm)
   local joined = fsm._joined
   if joined then fsm._curq = joined end
   fsm._joined = false
@@ -1972,7 +1979,7 @@ local function before(fsm)
   fsm._phase = "search"
 end
 
-local function doo(fsm)
+function PHASES.doo(fsm)
   local idle = run_doo(fsm, fsm._from)
   if idle and fsm._curq[1] == nil then
     local events, failure = ask_getevents(fsm, call)
@@ -1982,7 +1989,7 @@ local function doo(fsm)
   fsm._outcome, fsm._phase = idle and "idle" or "counted", "after"
 end
 
-local function take_path(fsm)
+function PHASES.take(fsm)
   engine.take(fsm)
   fsm._outcome, fsm._phase = "counted", "after"
 end
@@ -1994,22 +2001,17 @@ local function call_post_hooks(fsm)
   run_hooks(fsm, fsm._post_hooks, "post_step_hook")
 end
 
-local function after(fsm)
+function PHASES.after(fsm)
   call_post_hooks(fsm)
   fsm._curq = {}
   fsm._phase = "idle"
 end
 
-local function begin(fsm)
+function PHASES.begin(fsm)
   local calls = fsm._calls
   calls.begun, calls.noted = 0, 0
   fsm._phase = "collect"
 end
-
-local PHASES = {
-  begin = begin, collect = collect, before = before, search = search, take = take_path, doo = doo,
-  after = after,
-}
 
 -- Goes through the phases of an iteration, from the one that is under way on, up to
 -- `last`, if it is given.
@@ -2024,12 +2026,20 @@ end
 local iterate
 
 -- Without `debug` the thread that runs a step is noted: see `is_stepping`.
-local running = not getinfo and coroutine and coroutine.running
+local running = not getinfo and find_global("coroutine", "running")
 
 local function same(failure) return failure end
 
--- One iteration, or the rest of one that was cut short. Returns nil if the machine cannot
--- be entered, else whether it counts as a step and whether the machine is idle.
+local function results_of(fsm, outcome)
+  if fsm._reset_wanted and outcome == "refused" then reset_now(fsm) end
+  raise_failure(fsm)
+  if outcome == "refused" then return nil end
+  return outcome ~= "free",
+    outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
+end
+
+-- One iteration, or the rest of one that was cut short. Returns nil if the machine
+-- cannot be entered, else whether it counts as a step and whether the machine is idle.
 -- `after_free`: the last iteration did not count.
 function iterate(fsm, after_free, phases)
   if fsm._phase == "idle" then
@@ -2045,12 +2055,7 @@ function iterate(fsm, after_free, phases)
     error(failure, 0)
   end
   fsm._calls.noted = 0
-  if fsm._reset_wanted and fsm._outcome == "refused" then reset_now(fsm) end
-  raise_failure(fsm)
-  local outcome = fsm._outcome
-  if outcome == "refused" then return nil end
-  return outcome ~= "free",
-    outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
+  return results_of(fsm, fsm._outcome)
 end
 
 engine.choose, engine.take, engine.iterate = choose, take, iterate
@@ -2060,11 +2065,11 @@ engine.choose, engine.take, engine.iterate = choose, take, iterate
 local patience = 8
 
 local PARTS = {
-  ACTION = ACTION, FIRST = FIRST, OWN_ONLY = OWN_ONLY, SEGMENT = SEGMENT,
+  FIRST = FIRST, OWN_ONLY = OWN_ONLY,
   append = append, ask_getevents = ask_getevents, borrowers = borrowers,
   call_post_hooks = call_post_hooks, give_up = give_up,
   call = call, call_aside = call_aside, choose = choose, complete = complete,
-  before = before, go_on = go_on,
+  before = PHASES.before, go_on = go_on,
   compile_transition = compile_transition, decide = decide, enabled_with = enabled_with,
   enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
@@ -2408,7 +2413,9 @@ do
     local parts = {}
     for _, result in ipairs(results) do
       append(parts, { result.src, result.tgt, id_of(plan, result.pn) })
-      for _, event in ipairs(result.events) do parts[#parts + 1] = id_of(plan, event) end
+      for _, event in ipairs(result.events) do
+        parts[#parts + 1] = id_of(plan, event)
+      end
       parts[#parts + 1] = 0
     end
     for i = 1, #parts do parts[i] = ("%d"):format(parts[i]) end
@@ -2451,8 +2458,8 @@ do
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
     if problems[1] then return end
-    local key, same = key_of(plan, results), key_of(plan, unchanged(plan))
-    plan.variants[same] = plan
+    local key = key_of(plan, results)
+    plan.variants[key_of(plan, unchanged(plan))] = plan
     local variant = plan.variants[key] or new_variant(plan, results)
     plan.variants[key] = variant
     for i, tr in ipairs(fsm._transitions) do tr.tgt = fsm._nodes[results[i].tgt] end
@@ -2572,20 +2579,25 @@ function rfsm.send_events(fsm, event, ...)
   if select("#", ...) > 0 then return queue_more(queue, ...) end
 end
 
--- Is a step of this machine under way, rather than cut short? Then `_act` is on the stack,
--- or a doo is running. Without `debug` the thread of the step has been noted.
+local function is_on_stack(fsm)
+  local level, info, is_taking = 3, getinfo(3, "f"), engine.is_taking
+  while info do
+    local f = info.func
+    if f == fsm._act or is_taking and is_taking(f, level + 1, fsm) then return true end
+    level = level + 1
+    info = getinfo(level, "f")
+  end
+  return false
+end
+
+-- Is a step of this machine under way, rather than cut short? Then `_act` is on the
+-- stack, or a doo is running. Without `debug` the thread of the step has been noted.
 local function is_stepping(fsm)
   if fsm._phase == "idle" then return false end
   local co = fsm._act_leaf and fsm._act_leaf._doo_co or fsm._thread
   local status = co and (co == true and "running" or coroutine.status(co))
   if status == "running" or status == "normal" then return true end
-  local level, info = 2, getinfo and getinfo(2, "f")
-  while info and info.func ~= fsm._act
-    and not (engine.is_taking and engine.is_taking(info.func, level + 1, fsm)) do
-    level = level + 1
-    info = getinfo(level, "f")
-  end
-  return info ~= nil and info ~= false
+  return getinfo ~= nil and is_on_stack(fsm)
 end
 
 local function check_no_step(fsm, where, level)
@@ -2815,8 +2827,8 @@ end
 
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
--- Without it a machine is compiled bit by bit, as its transitions are taken for the first
--- time, and rfsm/fast.lua is loaded in one of the first iterations.
+-- Without it a machine is compiled bit by bit, as its transitions are taken for the
+-- first time, and rfsm/fast.lua is loaded in one of the first iterations.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
@@ -2949,8 +2961,8 @@ end
 
 --- Promise that a hook, effect or guard does not keep the list of events that it gets.
 --
--- Otherwise the machine needs a new list for the next iteration. An event that calls only
--- such functions costs no garbage.
+-- Otherwise the machine needs a new list for the next iteration. An event that calls
+-- only such functions costs no garbage.
 --
 -- @usage
 --    fsm.post_step_hook = rfsm.borrows(function(fsm, events) count(#events) end)

@@ -11,9 +11,9 @@
 --            and no event at all
 --
 -- Text is generated for a shape: how many states are left and entered. It is compiled
--- once and bound to numbers of the plan; no name of a model is in it. Callbacks are read
--- where they are called. After each of them the text looks whether dbg has been switched
--- on: then the core goes on.
+-- once and bound to numbers of the plan; no name of a model is in it. Callbacks are
+-- read where they are called. After each of them the text looks whether dbg has been
+-- switched on: then the core goes on.
 --
 -- @module rfsm.fast
 -- @license BSD-3-Clause
@@ -51,7 +51,7 @@ end
 ---@field names string[] of the values that are bound to it
 ---@field values any[]
 ---@field lines string[]
----@field call_lines table<integer, true> numbers of the lines in which a callback is called
+---@field call_lines table<integer, true> the lines in which a callback is called
 
 local Text = {}
 Text.__index = Text
@@ -102,8 +102,11 @@ end
 -- The calls are numbered as in the core. The number is noted before each call, so that
 -- the core can go on behind it, whatever happens. A function that takes a path returns
 -- nil; LENT if a callback got the list of events and may keep it; SEARCH if nothing has
--- been done, since it has to be searched anew; REST if no path was taken, and the core is
--- to go on with the phase; QUIET if there is no event that anything waits for.
+-- been done, since it has to be searched anew; REST if no path was taken, and the core
+-- is to go on with the phase; QUIET if there is no event that anything waits for.
+
+-- As in the core.
+local ACTION, SEGMENT = 1e3, 1e9
 
 local LENT, SEARCH, REST, QUIET = 1, 2, 3, 4
 
@@ -194,7 +197,7 @@ local COMPLETE = [[
 --- What the writer of a segment knows.
 ---@class rfsm.fast.Path
 ---@field text rfsm.fast.Text
----@field base integer number of the segment
+---@field number integer of the action
 ---@field at integer how many states have been left or entered: s0 and s1 in turn
 ---@field count integer how many values with a number have been bound
 ---@field is_hooked boolean states may have hooks
@@ -202,51 +205,92 @@ local COMPLETE = [[
 local Path = {}
 Path.__index = Path
 
--- Writes a block for the action with that number in the segment.
-function Path:write(block, action, k, none)
-  local number, at = self.base + (action or 0), self.at % 2
+-- The next action begins.
+function Path:act() self.number = self.number + ACTION end
+
+-- Writes a block for the action: $a is the state at which the path is, $b the next one.
+function Path:write(block, k, none)
+  local at = self.at % 2
   self.text:write(block, {
-    a = "s" .. at, b = "s" .. (1 - at), k = k, action = ("%d"):format(number),
-    number = ("%d"):format(number + 1), none = none,
+    a = "s" .. at, b = "s" .. (1 - at), k = k, none = none,
+    action = ("%d"):format(self.number), number = ("%d"):format(self.number + 1),
   })
 end
 
 -- Binds a value under a name with the number `k`.
 function Path:bind(name, k, value) self.text:bind(name .. k, value) end
 
--- Writes the segment `def` from a state `exits` levels below what stays active.
-function Path:segment(def, exits, ACTION)
-  local src, entries = def.src, def.entries
-  local actions = def.is_internal and 0 or 1
+-- Writes how the states are left, from one `exits` levels below what stays active.
+function Path:leave(def, exits)
+  local src, top = def.src, def.lca.depth
   for i = 1, exits do
     local is_leaf = i == 1 and src.kind == "state"
-    actions = actions + 1
-    if self.is_hooked then self:write(LEAVE_HOOKED, actions * ACTION) end
-    self:write(LEAVE, actions * ACTION, nil, def.lca.depth + exits == i and "false" or "nil")
+    self:act()
+    if self.is_hooked then self:write(LEAVE_HOOKED) end
+    self:write(LEAVE, nil, top + exits == i and "false" or "nil")
     if self.is_hooked then self:write("end") end
     if is_leaf then self:write(FORGET_LEAF) end
     if is_leaf and (src.doo or not src.is_leaf) then self:write(FORGET_DOO) end
     self.at = self.at + 1
   end
-  self:write(EFFECT, (actions + 2) * ACTION)
-  actions = actions + 3
+end
+
+-- Writes how the states are entered, the outermost first.
+function Path:enter(def)
+  local entries = def.entries
   for i = 1, #entries do
     self.count = self.count + 1
-    actions = actions + 1
+    self:act()
     self:bind("i", self.count, entries[i].index)
     if self.is_hooked then
       self:bind("d", self.count, entries[i])
-      self:write(ENTER_HOOKED, actions * ACTION, self.count)
+      self:write(ENTER_HOOKED, self.count)
     end
-    local is_last = i == #entries and not def.connector
-    self:write(ENTER, actions * ACTION, self.count)
-    if is_last then self:write(COMPLETE) end
+    self:write(ENTER, self.count)
+    if i == #entries and not def.connector then self:write(COMPLETE) end
     if self.is_hooked then self:write("end") end
     self.at = self.at + 1
   end
 end
 
+-- Writes a segment. The actions are those of `take_segment` in the core.
+function Path:segment(def, exits)
+  self.number = self.number - self.number % SEGMENT + SEGMENT
+  if not def.is_internal then self:act() end -- a record
+  self:leave(def, exits)
+  self:act() -- a record
+  self:act()
+  self:write(EFFECT)
+  if not def.is_internal then self:act() end -- a record
+  self:enter(def)
+end
+
+-- Writes whether each segment is still the one that was compiled, and has no guard.
+function Path:check(path)
+  for k, def in ipairs(path) do
+    self:bind("tx", k, def.tgt.index)
+    self:write(CHECK, "x" .. k)
+    if k > 1 then
+      self:bind("cx", k, path[k - 1].connector)
+      self:bind("dx", k, def)
+    end
+  end
+  for k = 2, #path do self:write(NOTE_WAY, "x" .. k) end
+end
+
 -- Search: one guard after the other ------------------------------------------------
+
+local SEARCH_BEGIN = [[
+  return function(fsm)
+  fsm._phase = "search"
+  fsm._calls.begun = 0
+  local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
+  local events, s0, lent = fsm._curq, fsm._from, nil]]
+
+local SEARCH_END = [[
+  if fsm._plan ~= plan then return SEARCH end
+  return take_found(fsm, s0, nil, lent)
+  end]]
 
 local ASK = [[
   local tr = transitions[i$n]
@@ -321,7 +365,7 @@ function Search:transition(def, level)
   text:write(ASK, places)
   if def.connector then self:connector(def.connector, level + 1, n) end
   text:write("end\nif def then")
-  if level == 0 and not def.connector then self:bind_run("r" .. n, def) end
+  if level == 0 and not def.connector then text:bind("r" .. n, self.run_of(def)) end
   local found = def.connector and TAKE_WAY or TAKE_FOUND
   text:write(level == 0 and "do\n" .. found .. "\nend" or NOTE_FOUND, places)
   text:write("end\nend\nend")
@@ -377,7 +421,7 @@ end
 ---@param core table the functions of the core
 return function(engine, core)
   if not core.loadstring then return end -- no text can be compiled
-  local ACTION, SEGMENT, silent = core.ACTION, core.SEGMENT, core.silent
+  local silent = core.silent
   local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
   local no_events, FIRST, OWN_ONLY = core.no_events, core.FIRST, core.OWN_ONLY
   local append, borrowers, loadstring = core.append, core.borrowers, core.loadstring
@@ -433,31 +477,22 @@ return function(engine, core)
   }
 
   -- Returns the function that takes the segments of `path` from a state `exits` levels
-  -- below what stays active; with a check if the path has not been searched. Nil if that
-  -- is too much for one function.
+  -- below what stays active; with a check if the path has not been searched. Nil if
+  -- that is too much for one function.
   local function make_run(path, exits, is_hooked, is_checked)
     local text = new_text(VALUES)
     local own = setmetatable({
-      text = text, base = SEGMENT, at = 0, count = 0, is_hooked = is_hooked,
+      text = text, number = SEGMENT, at = 0, count = 0, is_hooked = is_hooked,
     }, Path)
     text:bind("done_event", path[#path].tgt.done_event)
     text:write(BEGIN)
-    for k, def in ipairs(path) do own:bind("i", "x" .. k, def.index) end
-    for k = 1, is_checked and #path or 0 do
-      own:bind("t", "x" .. k, path[k].tgt.index)
-      own:write(CHECK, 0, "x" .. k)
-      if k > 1 then
-        own:bind("c", "x" .. k, path[k - 1].connector)
-        own:bind("d", "x" .. k, path[k])
-      end
-    end
-    for k = 2, is_checked and #path or 0 do own:write(NOTE_WAY, 0, "x" .. k) end
+    for k, def in ipairs(path) do own:bind("ix", k, def.index) end
+    if is_checked then own:check(path) end
     own:write(TAKE)
     for k, def in ipairs(path) do
       if k > 1 then exits = path[k - 1].connector.parent.depth - def.lca.depth end
-      own.base = own.base + SEGMENT
-      if k > 1 or #path > 1 or not is_checked then own:write(SEGMENT_BEGIN, 0, "x" .. k) end
-      own:segment(def, exits, ACTION)
+      if path[2] or not is_checked then own:write(SEGMENT_BEGIN, "x" .. k) end
+      own:segment(def, exits)
       if #text.values > MAX_VALUES then return nil end
     end
     text:write("return lent\nend")
@@ -465,28 +500,36 @@ return function(engine, core)
   end
 
   -- How many states a transition leaves, from a state of that depth.
-  local function exits_of(def, depth) return def.is_internal and 0 or depth - def.lca.depth end
+  local function exits_of(def, depth)
+    return def.is_internal and 0 or depth - def.lca.depth
+  end
 
-  -- Returns the function for the path that a search has found: `ways` are those out of
-  -- its connectors. They are kept in a tree: by the levels that are left, then by the
-  -- transitions behind the first one. A machine that was prepared compiles no more.
+  -- Lists the segments of the path that a search has found: `ways` are those out of its
+  -- connectors.
+  local function path_of(def, ways)
+    local path = { def }
+    while def.connector do
+      def = ways[def.connector]
+      path[#path + 1] = def
+    end
+    return path
+  end
+
+  -- Returns the function for that path. They are kept in a tree: by the levels that are
+  -- left, then by the transitions behind the first one. A machine that was prepared
+  -- compiles no more.
   local function run_of(first, ways, exits, is_hooked, is_prepared)
     local def, name = first, is_hooked and "hooked_runs" or "runs"
     first[name] = first[name] or {}
     first[name][exits] = first[name][exits] or { run = false }
-    local at, path = first[name][exits], nil
+    local at = first[name][exits]
     while def.connector do
       def = ways[def.connector]
       at[def] = at[def] or { run = false }
       at = at[def]
     end
     if at.run or is_prepared then return at.run or take_plainly end
-    path, def = { first }, first
-    while def.connector do
-      def = ways[def.connector]
-      path[#path + 1] = def
-    end
-    at.run = make_run(path, exits, is_hooked, false) or take_plainly
+    at.run = make_run(path_of(first, ways), exits, is_hooked, false) or take_plainly
     return at.run
   end
 
@@ -517,45 +560,39 @@ return function(engine, core)
     return take(fsm) or lent
   end
 
+  local SEARCH_VALUES = {
+    "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches,
+    "renew", renew,
+    "warn_of_conflict", core.warn_of_conflict, "enabled_with", core.enabled_with,
+    "rawget", rawget, "rawset", rawset, "borrowers", borrowers, "LENT", LENT,
+    "SEARCH", SEARCH, "take_found", take_found, "silent", silent,
+  }
+
   -- Returns a function that takes the path of the first of the candidates that is
   -- enabled; nil if that is too much for one function.
   local function make_search(plan, depth, candidates, is_hooked)
-    local self = setmetatable({
-      count = 0, seen = {}, connectors = {}, is_predicate = {},
+    local text = new_text(SEARCH_VALUES)
+    local own = setmetatable({
+      text = text, count = 0, seen = {}, connectors = {}, is_predicate = {},
       prepare = prepare_transition,
-      text = new_text {
-        "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches, "renew",
-        renew, "warn_of_conflict", core.warn_of_conflict, "enabled_with",
-        core.enabled_with, "rawget", rawget, "rawset", rawset, "borrowers",
-        core.borrowers, "LENT", LENT, "SEARCH", SEARCH, "take_found", take_found,
-        "silent", silent, "plan", plan,
-      },
+      run_of = function(def)
+        return make_run({ def }, exits_of(def, depth), is_hooked, false) or take_plainly
+      end,
     }, Search)
-    local text = self.text
-    function self:bind_run(name, def)
-      local exits = exits_of(def, depth)
-      text:bind(name, make_run({ def }, exits, is_hooked, false) or take_plainly)
-    end
-    text:bind("connectors", self.connectors)
-    text:write [[
-      return function(fsm)
-      fsm._phase = "search"
-      fsm._calls.begun = 0
-      local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
-      local events, s0, lent = fsm._curq, fsm._from, nil]]
+    text:bind("plan", plan)
+    text:bind("connectors", own.connectors)
+    text:write(SEARCH_BEGIN)
     local head = #text.lines
-    for i = 1, #candidates do
-      self.is_predicate[candidates[i]] = has_predicate(candidates[i])
-      self:transition(candidates[i], 0)
-      if self.is_too_much or #text.values > MAX_VALUES then return nil end
+    for _, def in ipairs(candidates) do
+      own.is_predicate[def] = has_predicate(def)
+      own:transition(def, 0)
+      if own.is_too_much or #text.values > MAX_VALUES then return nil end
     end
-    for i = 1, #self.connectors do
-      text:bind("C" .. i, self.connectors[i])
-      head = head + 1
-      insert(text.lines, head, ("ways[C%d] = nil"):format(i))
+    for i, connector in ipairs(own.connectors) do
+      text:bind("C" .. i, connector)
+      insert(text.lines, head + i, ("ways[C%d] = nil"):format(i))
     end
-    text:write "if fsm._plan ~= plan then return SEARCH end"
-    text:write "return take_found(fsm, s0, nil, lent)\nend"
+    text:write(SEARCH_END)
     return text:compile(loadstring, "search")
   end
 
@@ -608,7 +645,9 @@ return function(engine, core)
   -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
   -- mostly does; NaN is no event.
   local function prepare_leaf(plan, leaf)
-    local new = { choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf) }
+    local new = {
+      choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf),
+    }
     local leads_somewhere = note_choice(plan, new, leaf.done_event)[1] ~= nil
     note_choice(plan, new, OTHER)
     leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
@@ -625,18 +664,24 @@ return function(engine, core)
     return note_choice(plan, leaf, event)
   end
 
-  -- Returns the first candidate of the events that is enabled.
-  local function choose(fsm, events)
-    if events[1] == nil then return nil end
-    local plan, leaf, common = fsm._plan, fsm._act_leaf["_%def"], NONE
+  -- Returns the candidates of all events, nil if there are several lists of them.
+  local function common_choice(plan, leaf, events)
+    local common = NONE
     for i = 1, #events do
       local candidates = choice_of(plan, leaf, events[i])
-      if candidates[1] then
-        if common ~= NONE and common ~= candidates then return core.choose(fsm, events) end
+      if candidates[1] and candidates ~= common then
+        if common ~= NONE then return nil end
         common = candidates
       end
     end
-    if fsm.dbg ~= silent then return core.choose(fsm, events) end
+    return common
+  end
+
+  -- Returns the first candidate of the events that is enabled.
+  local function choose(fsm, events)
+    local plan = fsm._plan
+    local common = common_choice(plan, fsm._act_leaf["_%def"], events)
+    if not common or fsm.dbg ~= silent then return core.choose(fsm, events) end
     if common == NONE then return nil end
     fsm._ways = {}
     for i = 1, #common do
@@ -766,9 +811,25 @@ return function(engine, core)
     return hooked_run(path, fsm._is_prepared)(fsm)
   end
 
-  -- Does a callback or hook of this iteration get the list of events, and may keep it?
-  local function lends(fsm, pre, post)
-    return fsm._lends_events or pre and not borrowers[pre] or post and not borrowers[post]
+  -- Does a hook of this iteration get the list of events, and may keep it?
+  local function lends(fsm, pre)
+    local post = fsm.post_step_hook
+    return fsm._lends_events or pre and not borrowers[pre]
+      or post and not borrowers[post]
+  end
+
+  -- Searches and takes the path, or the doo a cycle, up to the phase "after". Returns
+  -- whether a callback may keep the events.
+  local function search_and_take(fsm)
+    local result = take_quick(fsm)
+    if result == nil or result == LENT then
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+      return result
+    end
+    if result ~= REST then fsm._phase = "search" end
+    core.go_on(fsm, "after")
+    return result ~= QUIET and LENT
   end
 
   -- The phases of an iteration in a machine with getevents or hooks.
@@ -781,27 +842,15 @@ return function(engine, core)
     collect(fsm)
     calls.count = FIRST.before
     if pre or fsm._joined or fsm._pre_hooks ~= OWN_ONLY then core.before(fsm) end
-    fsm._phase = "search"
-    local result = take_quick(fsm)
-    if result == SEARCH or result == QUIET then fsm._phase = "search" end
-    if result ~= nil and result ~= LENT then
-      result = result ~= QUIET and LENT
-      core.go_on(fsm, "after")
-      if fsm._phase == "idle" then return end
-    else
-      fsm._outcome = "counted"
-      fsm._phase = "after"
-    end
+    local lent = search_and_take(fsm)
+    if fsm._phase == "idle" then return end -- it could not be entered
     calls.count = FIRST.after
-    local post = fsm.post_step_hook
-    if post or fsm._post_hooks ~= OWN_ONLY or fsm._joined or fsm._reset_wanted then
-      core.call_post_hooks(fsm)
-    end
-    end_iteration(fsm, result == LENT or lends(fsm, pre, post))
+    core.call_post_hooks(fsm)
+    end_iteration(fsm, lent or lends(fsm, pre))
   end
 
-  -- An iteration of a machine that has hooks or a getevents, is being traced, entered or
-  -- reset, or whose iteration was cut short.
+  -- An iteration of a machine that has hooks or a getevents, is being traced, entered
+  -- or reset, or whose iteration was cut short.
   local function iterate_unusual(fsm, after_free)
     fsm._is_usual = not fsm._is_hooked
     if not fsm._is_hooked or fsm._phase ~= "idle" or fsm._reset_wanted then
@@ -812,7 +861,7 @@ return function(engine, core)
 
   -- One iteration. What is written out is one event, apart from an e_done that nothing
   -- waits for, and nobody who traces or has hung in hooks.
-  local function iterate(fsm, after_free)
+  local function iterate(fsm, after_free) -- luacheck: ignore 561 (so long for speed)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
       return iterate_unusual(fsm, after_free)
@@ -844,7 +893,7 @@ return function(engine, core)
     fsm._phase = "begin"
     fsm._curq = events
     fsm._intq = spare
-    local run, ok, result = path.run, nil, nil
+    local run, ok, result = path.run
     fsm._path = path.def
     fsm._from = leaf
     if has_arguments then
@@ -914,8 +963,8 @@ return function(engine, core)
     return rawequal(value, fsm)
   end
 
-  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the ways
-  -- out of its connectors then. Returns how many are left.
+  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the
+  -- ways out of its connectors then. Returns how many are left.
   local function each_path(def, ways, f, left)
     local connector = prepare_transition(def).connector
     if not connector or left < 1 then
@@ -939,7 +988,7 @@ return function(engine, core)
         for event in pairs(plan.events) do -- any order: each stands alone
           choice_of(plan, leaf, event)
         end
-        for _, quick in pairs(is_hooked and leaf.quick or NONE) do -- any order: as above
+        for _, quick in pairs(is_hooked and leaf.quick or NONE) do -- any order too
           if quick then hooked_run(quick) end
         end
         for _, node in ipairs(core.line_to(leaf)) do

@@ -142,7 +142,8 @@ local function check_everywhere(case, programs)
     failure = interrupt(at, advance, fsm) or nil
     local where = ("at instruction %d"):format(at)
     if failure then assert.equal(INTERRUPT, failure, where) end
-    if event and not rfsm.get_actleaf_fqn(fsm) then assert(fsm._phase ~= "idle", where) end
+    local is_between = event and not rfsm.get_actleaf_fqn(fsm)
+    if is_between then assert(fsm._phase ~= "idle", where) end
     within_limit(rfsm.run, fsm)
     assert.is_nil(defect(fsm), where)
     if leaf and rfsm.get_actleaf_fqn(fsm) ~= leaf then -- it was not even sent
