@@ -1023,9 +1023,13 @@ do
 
   -- Lists the states from the root to `leaf`.
   function line_to(leaf)
-    local above = leaf.parent == leaf and {} or line_to(leaf.parent)
-    leaf.line = leaf.line or append(append({}, above), { leaf })
-    return leaf.line
+    if leaf.line then return leaf.line end
+    local line, def = {}, leaf
+    for i = leaf.depth + 1, 1, -1 do
+      line[i], def = def, def.parent
+    end
+    leaf.line = line
+    return line
   end
 end
 
@@ -3097,8 +3101,21 @@ end
 
 -- Merge: a new element of a live machine ------------------------------------------
 
+-- Drops the definitions of the old plan, but for those of the path that is being taken.
+local function forget_paths(fsm)
+  local old, ways, def = fsm._ways, {}, fsm._phase == "take" and fsm._path
+  while def do
+    local node = def.kind == "state" and def or def.connector
+    if node then ways[node] = old[node] end
+    def = node and old[node]
+  end
+  fsm._ways = ways
+  if fsm._phase == "idle" then fsm._path = false end
+end
+
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
+  forget_paths(fsm)
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
   for i, tr in ipairs(fsm._transitions) do

@@ -31,6 +31,9 @@ local NONE = {}
 -- So many values are bound to one function: Lua 5.1 allows 60.
 local MAX_VALUES = 50
 
+-- So many connectors of a path are looked up without a loop.
+local MAX_LOOKUPS = 8
+
 -- So many paths through connectors are prepared for one transition.
 local MAX_PATHS = 100
 
@@ -282,8 +285,8 @@ end
 
 local SEARCH_BEGIN = [[
   return function(fsm)
-  fsm._phase = "search"
   fsm._calls.begun = 0
+  fsm._phase = "search"
   local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
   local events, s0, lent = fsm._curq, fsm._from, nil]]
 
@@ -515,10 +518,8 @@ return function(engine, core)
     return path
   end
 
-  -- Returns the function for that path. They are kept in a tree: by the levels that are
-  -- left, then by the transitions behind the first one. A machine that was prepared
-  -- compiles no more.
-  local function run_of(first, ways, exits, is_hooked, is_prepared)
+  -- Makes the function for that path.
+  local function note_run(first, ways, exits, is_hooked)
     local def, name = first, is_hooked and "hooked_runs" or "runs"
     first[name] = first[name] or {}
     first[name][exits] = first[name][exits] or { run = false }
@@ -528,10 +529,33 @@ return function(engine, core)
       at[def] = at[def] or { run = false }
       at = at[def]
     end
-    if at.run or is_prepared then return at.run or take_plainly end
-    at.run = make_run(path_of(first, ways), exits, is_hooked, false) or take_plainly
+    at.run = at.run or make_run(path_of(first, ways), exits, is_hooked, false)
+      or take_plainly
     return at.run
   end
+
+  -- Returns the function for that path. They are kept in a tree: by the levels that are
+  -- left, then by the transitions behind the first one. A machine that was prepared
+  -- compiles no more. Without a loop up to MAX_LOOKUPS connectors, for LuaJIT.
+  local lookup = new_text { "note_run", note_run, "take_plainly", take_plainly }
+  lookup:write [[
+    return function(first, ways, exits, is_hooked, is_prepared)
+    local runs, connector, way = first.runs, first.connector, nil
+    if is_hooked then runs = first.hooked_runs end
+    local at = runs and runs[exits] ]]
+  for _ = 1, MAX_LOOKUPS do
+    lookup:write [[
+      if at and connector then
+      way = ways[connector]
+      at, connector = at[way], way.connector]]
+  end
+  lookup:write(("end\n"):rep(MAX_LOOKUPS))
+  lookup:write [[
+    if at and not connector and at.run then return at.run end
+    if is_prepared and not at then return take_plainly end
+    return note_run(first, ways, exits, is_hooked)
+    end]]
+  local run_of = lookup:compile(loadstring, "lookup")
 
   -- Takes the path that the machine has noted; returns what its function returns.
   local function take(fsm)
