@@ -101,9 +101,14 @@ local Machine = { rfsm = "state" }
 
 local KINDS = { state = "state", transition = "transition", connector = "connector" }
 
--- Returns the kind of a model element, nil for any other value. A table of another
--- library counts if its metatable has a true `rfsm` and its method `type` names a kind.
-local function kind_of(value)
+--- Return the kind of a model element, nil for any other value, for extensions.
+--
+-- A table of another library counts if its metatable has a true `rfsm` and its method
+-- `type` names a kind.
+--
+---@param value any
+---@return "state"|"transition"|"connector"|nil kind
+function rfsm.kind_of(value)
   local class = getmetatable(value)
   local mark = type(class) == "table" and rawget(class, "rfsm")
   if not mark then return nil end
@@ -111,6 +116,8 @@ local function kind_of(value)
   local ok, kind = pcall(function() return KINDS[value:type()] end)
   return ok and kind or nil
 end
+
+local kind_of = rfsm.kind_of
 
 ---@class rfsm.StateConstructor
 ---@field new fun(self: any, t: rfsm.State): rfsm.State
@@ -2701,7 +2708,7 @@ function rfsm.reset(fsm)
   check_machine(fsm, "rfsm.reset")
   fsm._reset_wanted, fsm._is_usual = true, false
   if is_stepping(fsm) then return end
-  fsm._phase, fsm._curq, fsm._joined = "idle", {}, false
+  fsm._phase, fsm._curq, fsm._joined, fsm._failure = "idle", {}, false, false
   reset_now(fsm)
 end
 

@@ -571,14 +571,12 @@ local function interrupted_in_engine(instructions, value, f, a)
     if not is_engine(f) then return debug.sethook(hook, "", 1) end
     debug.sethook()
     is_hit = true
-    if os.getenv "WHERE" then WHERE = debug.traceback() end
     error(value, 0)
   end
   debug.sethook(hook, "", instructions)
   local ok, failure = pcall(f, a)
   debug.sethook()
   if is_hit and (ok or not rawequal(failure, value)) then
-    if os.getenv "WHERE" then print(WHERE) end
     return "the interrupt did not reach the caller, but " .. tostring(failure)
   end
 end
