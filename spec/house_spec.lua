@@ -240,7 +240,7 @@ describe("the core", function()
       local is_loaded, is_compiled = package.loaded["rfsm.fast"] ~= nil, count > 0
       local before = count
       rfsm.run(fsm)
-      for _ = 1, 22 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
+      for _ = 1, 21 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
       print(("%s %s %d %s"):format(tostring(is_loaded), tostring(is_compiled),
         count - before, rfsm.get_actleaf_fqn(fsm)))
     ]]))
