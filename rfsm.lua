@@ -1575,7 +1575,7 @@ local function run_hooks(fsm, hooks, slot)
     if hook == OWN then hook = fsm[slot] end
     if hook then
       local ok, failure = call(fsm, hook, fsm, fsm._curq)
-      if not is_callable(hook) then
+      if not (ok or is_callable(hook)) then
         failure = ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
       end
       if not ok then give_up(fsm, failure) end
@@ -2121,17 +2121,17 @@ engine.choose, engine.take, engine.iterate = choose, take, iterate
 local patience = 8
 
 local PARTS = {
-  FIRST = FIRST, OWN_ONLY = OWN_ONLY,
-  append = append, ask_getevents = ask_getevents, borrowers = borrowers,
-  call_post_hooks = call_post_hooks, give_up = give_up,
-  call = call, call_aside = call_aside, choose = choose, complete = complete,
-  before = PHASES.before, go_on = go_on,
-  compile_transition = compile_transition, decide = decide, enabled_with = enabled_with,
-  enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
+  append = append, ask_getevents = ask_getevents, before = PHASES.before,
+  borrowers = borrowers, call = call, call_aside = call_aside,
+  call_post_hooks = call_post_hooks, choose = choose,
+  compile_transition = compile_transition, complete = complete, decide = decide,
+  enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
+  give_up = give_up, go_on = go_on, GO_ON = GO_ON,
+  handler = getinfo and note_interrupt or same, is_callable = is_callable,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
-  matches = matches, no_events = no_events, raise_failure = raise_failure,
-  is_callable = is_callable, refuse_guard = refuse_guard, silent = silent, take = take,
-  warn_of_conflict = warn_of_conflict, GO_ON = GO_ON,
+  matches = matches, no_events = no_events, OWN_ONLY = OWN_ONLY,
+  raise_failure = raise_failure, refuse_guard = refuse_guard, results_of = results_of,
+  silent = silent, take = take, warn_of_conflict = warn_of_conflict,
 }
 
 local function load_fast()
