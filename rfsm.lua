@@ -2122,15 +2122,15 @@ local patience = 8
 
 local PARTS = {
   append = append, ask_getevents = ask_getevents, before = PHASES.before,
-  borrowers = borrowers, call = call, call_aside = call_aside,
+  borrowers = borrowers, call = call,
   call_post_hooks = call_post_hooks, choose = choose,
-  compile_transition = compile_transition, complete = complete, decide = decide,
+  compile_transition = compile_transition, decide = decide,
   enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
   give_up = give_up, go_on = go_on, GO_ON = GO_ON,
   handler = getinfo and note_interrupt or same, is_callable = is_callable,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
   matches = matches, no_events = no_events, OWN_ONLY = OWN_ONLY,
-  raise_failure = raise_failure, refuse_guard = refuse_guard, results_of = results_of,
+  refuse_guard = refuse_guard, results_of = results_of,
   silent = silent, take = take, warn_of_conflict = warn_of_conflict,
 }
 
