@@ -184,13 +184,23 @@ local function text_in_source(f, info, lines)
     or comment_of(info, lines)
 end
 
+-- Returns the text of a value; nil if it is an address, which no two runs share.
+local function text_without_address(value)
+  local kind, text = type(value), rfsm.text_of(value)
+  if kind == "number" then return (text:gsub("^%-0$", "0")) end
+  if kind == "string" or kind == "boolean" then return text end
+  local is_address = text == kind or text:find("^" .. kind .. ": ")
+    or text:find("^builtin: ") or text:find("0x%x")
+  return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
+end
+
 -- Returns a function that gives a callback a text, the same on each run and each Lua.
 -- The file of the first callback is not named.
 local function new_callback_text()
   local sources, first = {}, nil
   return function(f)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
-    if not info or info.what == "C" then return type(f) end
+    if not info or info.what == "C" then return text_without_address(f) or type(f) end
     local source = info.source
     first, sources[source] = first or source, sources[source] or lines_of(source)
     local text = text_in_source(f, info, sources[source])
@@ -201,16 +211,6 @@ local function new_callback_text()
 end
 
 -- Events: a text for any value, and words for a reader ------------------------
-
--- Returns the text of a value; nil if it is an address, which no two runs share.
-local function text_without_address(value)
-  local kind, text = type(value), rfsm.text_of(value)
-  if kind == "number" then return (text:gsub("^%-0$", "0")) end
-  if kind == "string" or kind == "boolean" then return text end
-  local is_address = text == kind or text:find("^" .. kind .. ": ")
-    or text:find("^builtin: ") or text:find("0x%x")
-  return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
-end
 
 --- Return a function that gives each event a text, the same on each run and each Lua.
 --
