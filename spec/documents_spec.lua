@@ -113,7 +113,7 @@ describe("the chart in the README", function()
 
   setup(function()
     folder = new_folder()
-    write_file(folder .. "/lamp.lua", blocks_of("README.md")[1].text)
+    for _, block in ipairs(blocks_of("README.md")) do follow(folder, block) end
   end)
 
   teardown(function() os.execute("rm -r " .. folder) end)

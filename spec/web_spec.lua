@@ -749,7 +749,7 @@ describe("rfsm.web.serve", function()
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
       ["unknown option 'prot', expected: allow_send, allow_why, clock, history, host, "
-        .. "machine, port, title"] = { prot = 1 },
+        .. "machine, port, stub, title"] = { prot = 1 },
       ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },
       ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)
