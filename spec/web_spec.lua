@@ -972,7 +972,7 @@ describe("the command line", function()
     ["rfsm-web ."] = "rfsm web: .: Is a directory",
     ["rfsm examples/on_off.lua"] = "rfsm: 'examples/on_off.lua' is no command. To step "
       .. "through that chart, type: rfsm sim examples/on_off.lua",
-    ["rfsm help nothing"] = "Error: no command is named 'nothing'",
+    ["rfsm help nothing"] = "Error: no command is named 'nothing', rfsm lists them",
     ["rfsm"] = LAST_COMMAND, ["rfsm help"] = LAST_COMMAND,
     ["rfsm-watch a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
   } do
