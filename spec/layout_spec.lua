@@ -246,6 +246,38 @@ describe("a transition from a state to itself", function()
   end
 end)
 
+describe("an arrow at a state with loops", function()
+  -- Is a point at the side of a box where its loops are?
+  local function meets(point, box, direction)
+    if direction == "TB" then
+      return point[1] > box.right - 3 and point[2] > box.top + 3
+        and point[2] < box.bottom - 3
+    end
+    return point[2] < box.top + 3 and point[1] > box.left + 3
+      and point[1] < box.right - 3
+  end
+
+  for _, direction in ipairs { "TB", "LR" } do
+    it("does not run through them, " .. direction, function()
+      local model = rfsm.load "doc/gallery/loops.lua"
+      local shapes, count = draw(model, { direction = direction }), 0
+      for i, tr in ipairs(model) do
+        local shape = shapes["root.trans[" .. i .. "]"]
+        local box, is_at_idle = shapes["root.idle"].box, false
+        for _, point in ipairs { shape.ends[1], shape.tip } do
+          is_at_idle = is_at_idle or meets(point, box, direction)
+        end
+        if tr.src == tr.tgt and tr.src == "idle" then
+          count = count + (is_at_idle and 1 or 0)
+        else
+          assert.is_false(is_at_idle, i)
+        end
+      end
+      assert.equal(2, count)
+    end)
+  end
+end)
+
 describe("an arrow across frames", function()
   -- a, m{ x, y } ; a -> m.y, m.y -> a, m -> m.y
   local function model()

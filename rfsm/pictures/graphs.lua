@@ -163,6 +163,7 @@ local function end_text(level, finish, is_tail)
   if not finish.node then return finish.gate.id .. ":" .. compass end
   local id = "n" .. finish.node.index
   if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
+  if finish.is_pinned then return id .. ":" .. compass end
   return finish.node.kind == "connector" and id .. ":p" or id
 end
 

@@ -11,7 +11,7 @@ local graphs = require "rfsm.pictures.graphs"
 local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
-local ipairs, log, max = ipairs, math.log, math.max
+local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
 
 local levels = {}
 
@@ -82,11 +82,44 @@ local function draw_loops(level)
   end
 end
 
--- Has Graphviz lay out levels, and draws their loops.
+-- Does a line end at the side of a box where the loops are?
+local function meets_loops(level, box, point)
+  if level.direction == "TB" then
+    return point[1] > box.x + box.width / 2 - 3
+      and abs(point[2] - box.y) < box.height / 2 - 3
+  end
+  return point[2] > box.y + box.height / 2 - 3
+    and abs(point[1] - box.x) < box.width / 2 - 3
+end
+
+-- Keeps lines of a level away from loops. Returns whether there was one to pin.
+local function pin_lines(level)
+  local has_pinned = false
+  local function pin(finish, point)
+    local node = finish and finish.node
+    if not (node and node.loops) or node.level or finish.is_pinned then return end
+    if not meets_loops(level, level.boxes[node.index], point) then return end
+    finish.is_pinned, has_pinned = true, true
+  end
+  for _, link in ipairs(level.links) do
+    if not link.is_loop then
+      local points, tip = link.points, link.tip
+      pin(link.upper, link.head == "upper" and tip or points[1])
+      pin(link.lower, link.head == "lower" and tip or points[#points])
+    end
+  end
+  return has_pinned
+end
+
+-- Has Graphviz lay out levels, once more if lines run through loops, and draws these.
 local function lay_out(list, run)
-  local problem = graphs.lay_out(list, run)
+  local problem, again = graphs.lay_out(list, run), {}
+  for _, level in ipairs(problem and {} or list) do
+    if pin_lines(level) then again[#again + 1] = level end
+  end
+  problem = problem or again[1] and graphs.lay_out(again, run)
   for _, level in ipairs(problem and {} or list) do draw_loops(level) end
-  return problem
+  return problem or nil
 end
 
 -- Levels that do not fit ------------------------------------------------------

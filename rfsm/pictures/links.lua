@@ -51,6 +51,7 @@ local links = {}
 ---@class rfsm.pictures.End
 ---@field node? rfsm.pictures.Node
 ---@field gate? rfsm.pictures.Gate
+---@field is_pinned? true in the middle of its side of the node
 
 --- A part of an arrow: between two ends in a level.
 ---@class rfsm.pictures.Link
