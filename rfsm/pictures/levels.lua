@@ -249,16 +249,33 @@ local function turn(list, run)
   return worse[1] and lay_out(worse, run)
 end
 
-local function mend(chart, list, run)
-  local divided, turned = {}, {}
-  for _, level in ipairs(list) do
-    if is_misfit(chart, level) then
-      level.plan = columns.plan(level)
-      local group = level.plan and divided or is_closed(level) and turned or {}
-      group[#group + 1] = level
-    end
+local WIDE = 1.25 -- times the width that is aimed at
+
+-- Is a level that stays as it is too wide? Then Graphviz makes it higher.
+local function is_wide(chart, level)
+  if level.composite ~= chart.root or #level.boxes < FEWEST then return false end
+  level.is_stretched = level.width / level.height > columns.RATIO * WIDE
+  return level.is_stretched
+end
+
+-- Returns how a level is changed: "turn", "divide" or "stretch"; nil if it stays.
+local function change_of(chart, level)
+  if not is_misfit(chart, level) then
+    return is_wide(chart, level) and "stretch" or nil
   end
-  return turn(turned, run) or divide(chart, divided, run)
+  level.plan = columns.plan(level)
+  return level.plan and "divide" or is_closed(level) and "turn" or nil
+end
+
+local function mend(chart, list, run)
+  local levels_for = { turn = {}, divide = {}, stretch = {} }
+  for _, level in ipairs(list) do
+    local group = levels_for[change_of(chart, level) or false] or {}
+    group[#group + 1] = level
+  end
+  local stretched = levels_for.stretch
+  return turn(levels_for.turn, run) or divide(chart, levels_for.divide, run)
+    or stretched[1] and lay_out(stretched, run) or nil
 end
 
 -- Layout ----------------------------------------------------------------------
