@@ -108,6 +108,13 @@ describe("who follows", function()
   end
 end)
 
+describe("the README", function()
+  it("has at most 900 words", function()
+    local _, count = helper.content("README.md"):gsub("%S+", "")
+    assert.is_true(count <= 900, count)
+  end)
+end)
+
 describe("the chart in the README", function()
   local folder
 

@@ -6,6 +6,7 @@ local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local lines = require "rfsm.pictures.lines"
+local looks = require "rfsm.pictures.looks"
 local marsh = require "rfsm.marsh"
 local Picture = require "rfsm.web.picture"
 local pictures = require "spec.support.pictures"
@@ -64,6 +65,7 @@ describe("a line", function()
       lines.rounded { { 0, 0 }, { 4, 0 }, { 4, 9 } }[1],
       lines.rounded { { 0, 0 }, { 4, 0 }, { 4, 9 } }[4] })
     assert.equal(4, #lines.rounded { { 0, 0 }, { 0, 0 }, { 4, 0 } })
+    assert.same({ 28, 0 }, lines.rounded { { 0, 0 }, { 30, 0 }, { 30, 4 } }[4])
   end)
 
   it("is joined to another by a straight part, or moved to it if it is near", function()
@@ -421,6 +423,23 @@ describe("a text in lines", function()
     assert.same({ "go()", "move(arm, 1)" }, wrap("go() move(arm, 1)", 13))
     assert.same({ "f(a, (b), c)", "g" }, wrap("f(a, (b), c) g", 12))
     assert.same({ "a) b", "c" }, wrap("a) b c", 4))
+  end)
+
+  it("goes on in the line before it if it is short, never if it is long", function()
+    assert.same({ "go [x]" }, diagram.wrap({ "go", "[x]" }, 6))
+    assert.same({ "go", "[x y", "z]" }, diagram.wrap({ "go", "[x y z]" }, 5))
+  end)
+
+  it("has a width in characters: 28 in a label, 40 in a row", function()
+    local e = "\195\169"
+    assert.equal(1, #diagram.label_lines { parts = { e:rep(14), e:rep(13) } })
+    assert.equal(2, #diagram.label_lines { parts = { e:rep(14), e:rep(14) } })
+    local function rows_of(length)
+      return looks.state_label { name = "a", rows = { ("x"):rep(20) .. " "
+        .. ("y"):rep(length - 21) } }
+    end
+    assert.matches("x y", rows_of(40))
+    assert.not_matches("x y", rows_of(41))
   end)
 
   it("is broken inside of a call that is too long, at a space", function()

@@ -501,7 +501,8 @@ describe("rfsm-check", function()
 
   it("opens a chart with stubs in place of what is not here, and names them", function()
     local name = write_file("arm.lua", 'require "rttlib"\n' .. CHART)
-    fails("rfsm viz " .. name, "rfsm viz: " .. name .. ":1: module 'rttlib' not found\n")
+    fails("rfsm viz " .. name, "rfsm viz: " .. name
+      .. ":1: module 'rttlib' not found\n")
     local line = name .. ": stubbed: rttlib\n"
     check("rfsm check --static --stub " .. name, name .. ": ok\n" .. line)
     local out, err = run("rfsm viz --stub -T mermaid " .. name)
