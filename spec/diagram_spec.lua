@@ -229,7 +229,7 @@ for _, language in ipairs(LANGUAGES) do
 
     it("says how often a run came to a place, and in which steps", function()
       local text = exporter.encode(lamp(), {
-        coverage = { states = { ["root.off"] = 1 },
+        coverage = { states = { ["root.off"] = 2 },
           transitions = { ["root.trans[2]"] = 3 } },
         trace = { { record = 1 }, "root.off", { taken = { "root.trans[2]" } },
           { m = 1, leaf = "root.on.idle" }, { leaf = "root.off" },
