@@ -75,13 +75,27 @@ local function note_links(tr, links, entries)
   end
 end
 
-local function itself(element) return element end
+-- Returns the transitions and the nodes in each composite, and the name of each
+-- transition.
+local function members_of(fsm)
+  local transitions, nodes, names, links, entries = {}, {}, {}, {}, {}
+  rfsm.mapfsm(function(element, composite, name)
+    if rfsm.is_trans(element) then
+      append(transitions, composite, element)
+      names[element] = name
+      note_links(element, links, entries)
+    elseif element ~= fsm then
+      append(nodes, composite, element)
+    end
+  end, fsm)
+  return transitions, nodes, names, links, entries
+end
 
 -- Returns a function that lists the nodes of a composite: breadth first from `initial`,
--- then from those that are entered from outside, then from the others by name.
+-- then from those that are entered from outside, then from the others by name; the
+-- transitions in each composite; and their names.
 local function new_walk(fsm)
-  local links, entries = {}, {}
-  rfsm.mapfsm(function(tr) note_links(tr, links, entries) end, fsm, rfsm.is_trans)
+  local transitions, nodes_in, names, links, entries = members_of(fsm)
   return function(composite)
     local order, is_listed, done, count = {}, {}, 0, 0
     local function add(node)
@@ -96,12 +110,12 @@ local function new_walk(fsm)
         for _, tgt in ipairs(links[order[done]] or {}) do add(tgt) end
       end
     end
-    local nodes = rfsm.mapfsm(itself, composite, rfsm.is_nr_node, 1)
+    local nodes = nodes_in[composite] or {}
     for _, node in ipairs(nodes) do if node._id == "initial" then start(node) end end
     for _, node in ipairs(entries[composite] or {}) do start(node) end
     for _, node in ipairs(nodes) do start(node) end
     return order
-  end
+  end, transitions, names
 end
 
 -- Callbacks: their name, text or comment in the source, or their line ---------
@@ -184,13 +198,23 @@ local function text_in_source(f, info, lines)
     or comment_of(info, lines)
 end
 
+-- Returns the text of a value; nil if it is an address, which no two runs share.
+local function text_without_address(value)
+  local kind, text = type(value), rfsm.text_of(value)
+  if kind == "number" then return (text:gsub("^%-0$", "0")) end
+  if kind == "string" or kind == "boolean" then return text end
+  local is_address = text == kind or text:find("^" .. kind .. ": ")
+    or text:find("^builtin: ") or text:find("0x%x")
+  return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
+end
+
 -- Returns a function that gives a callback a text, the same on each run and each Lua.
 -- The file of the first callback is not named.
 local function new_callback_text()
   local sources, first = {}, nil
   return function(f)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
-    if not info or info.what == "C" then return type(f) end
+    if not info or info.what == "C" then return text_without_address(f) or type(f) end
     local source = info.source
     first, sources[source] = first or source, sources[source] or lines_of(source)
     local text = text_in_source(f, info, sources[source])
@@ -201,16 +225,6 @@ local function new_callback_text()
 end
 
 -- Events: a text for any value, and words for a reader ------------------------
-
--- Returns the text of a value; nil if it is an address, which no two runs share.
-local function text_without_address(value)
-  local kind, text = type(value), rfsm.text_of(value)
-  if kind == "number" then return (text:gsub("^%-0$", "0")) end
-  if kind == "string" or kind == "boolean" then return text end
-  local is_address = text == kind or text:find("^" .. kind .. ": ")
-    or text:find("^builtin: ") or text:find("0x%x")
-  return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
-end
 
 --- Return a function that gives each event a text, the same on each run and each Lua.
 --
@@ -249,6 +263,8 @@ end
 --- How the tables of a machine are made.
 ---@class rfsm.marsh.Writer
 ---@field walk fun(composite: rfsm.State): rfsm.Node[]
+---@field transitions table<rfsm.State, rfsm.Transition[]> those in each composite
+---@field names table<rfsm.Transition, string|number>
 ---@field prefix string the FQN of the root
 ---@field callback_text? fun(f: function): string only of a full description
 ---@field event_text fun(event: any): string
@@ -301,7 +317,7 @@ local function add_words(writer, tab, tr)
   tab.words = words
 end
 
-local function transition_table(writer, tr, composite, name)
+local function transition_table(writer, tr, composite)
   local events = {}
   for i = 1, tr.events and #tr.events or 0 do events[i] = tr.events[i] end
   local tab = {
@@ -309,6 +325,7 @@ local function transition_table(writer, tr, composite, name)
     pn = tr.pn, events = events, internal = tr._is_internal,
   }
   if not writer.callback_text then return tab end
+  local name = writer.names[tr]
   tab.key = path_of(writer, composite)
     .. (type(name) == "number" and ".trans[%s]" or ".%s"):format(rfsm.text_of(name))
   add_words(writer, tab, tr)
@@ -337,11 +354,11 @@ local function node_table(writer, node)
   local tab = { id = node._id, type = "state" }
   if writer.callback_text then add_details(writer, tab, node) end
   if rfsm.is_leaf(node) then return tab end
-  tab.transitions = rfsm.mapfsm(function(tr, composite, name)
-    return transition_table(writer, tr, composite, name)
-  end, node, rfsm.is_trans, 1)
-  tab.subnodes = writer.walk(node)
-  for i, subnode in ipairs(tab.subnodes) do
+  tab.transitions, tab.subnodes = {}, {}
+  for i, tr in ipairs(writer.transitions[node] or {}) do
+    tab.transitions[i] = transition_table(writer, tr, node)
+  end
+  for i, subnode in ipairs(writer.walk(node)) do
     tab.subnodes[i] = node_table(writer, subnode)
   end
   return tab
@@ -349,8 +366,9 @@ end
 
 -- Returns the table of a machine under a name; texts are those of `texts`.
 function machine_table(fsm, id, prefix, texts)
-  local tab = node_table({ walk = new_walk(fsm), prefix = prefix,
-    callback_text = texts.callback_text, event_text = texts.event_text,
+  local walk, transitions, names = new_walk(fsm)
+  local tab = node_table({ walk = walk, transitions = transitions, names = names,
+    prefix = prefix, callback_text = texts.callback_text, event_text = texts.event_text,
     regions_of = texts.regions_of }, fsm)
   tab.id = id
   return tab

@@ -60,6 +60,7 @@ end
 ---@field file string the chart
 ---@field execute? string[] Lua to run first
 ---@field replay? string file to replay first
+---@field stub? boolean modules and globals that are not here do nothing
 ---@field dry? boolean without the functions of the chart
 ---@field quiet? boolean no banner
 ---@field interactive? boolean read commands, also after `execute`
@@ -81,7 +82,8 @@ function rfsm_sim.main(options)
   local is_terminal = terminal.is_terminal(0)
   io.stdout:setvbuf("line")
   if is_terminal then terminal.catch_interrupts() end
-  local sim, problems = session.open(options.file, is_terminal)
+  local sim, problems = session.open(options.file, is_terminal,
+    options.stub)
   if not sim then
     for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
     return 1

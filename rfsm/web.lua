@@ -39,6 +39,7 @@ local OPTIONS = {
   host = { "name or address", opts.is_text, "127.0.0.1" },
   machine = { "whole number from 1 on", opts.is_whole(1, huge) },
   port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
+  stub = { "boolean", is_boolean, false },
   title = { "text", opts.is_text },
 }
 
@@ -148,7 +149,7 @@ local function start_picture(server)
   if graph == server.graph then return end
   if server.drawing then server.drawing:drop() end
   server.graph, server.picture = graph, false
-  server.drawing = graph ~= "" and Picture.start(graph)
+  server.drawing = graph ~= "" and Picture.start(graph, source.view.description)
 end
 
 -- Takes a picture that is complete.
@@ -322,6 +323,7 @@ end
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1
 ---@field port? integer default 8044; 0: one that is free
+---@field stub? boolean with `open`: modules and globals that are not here do nothing
 ---@field title? string of the page
 ---@field clock? fun(): number seconds, in place of that of luasocket
 
@@ -417,7 +419,7 @@ function web.open(file, options)
   local settings, problem = prepare(options)
   if not settings then return nil, problem end
   local session = require("rfsm.web.session").open(file, settings.clock
-    or settings.gettime)
+    or settings.gettime, settings.stub)
   return open_server(session, settings)
 end
 

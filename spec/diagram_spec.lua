@@ -59,6 +59,19 @@ local content, file_with = helper.content, helper.file_with
 
 after_each(helper.remove_files)
 
+describe("a picture from left to right", function()
+  for language, line in pairs { -- any order: each stands alone
+    ["rfsm.plantuml"] = "left to right direction", ["rfsm.mermaid"] = "direction LR",
+    ["rfsm.dot"] = "rankdir=LR",
+  } do
+    it("is one in " .. language, function()
+      local encode = require(language).encode
+      contains(encode(lamp(), { direction = "LR" }), { line })
+      assert.is_nil(encode(lamp()):find(line, 1, true))
+    end)
+  end
+end)
+
 describe("gen_event_text", function()
   it("is the same on each Lua, and counts what has only an address", function()
     local text_of, t, f = marsh.gen_event_text(), {}, function() end
@@ -338,7 +351,7 @@ describe("a picture by Graphviz", function()
   it("has a class, and a colour, for what is marked", function()
     local fsm = lamp()
     local options = {
-      coverage = { states = { ["root.off"] = 2 },
+      coverage = { states = { ["root.off"] = 1 },
         transitions = { ["root.trans[2]"] = 3 } },
       trace = { "root.trans[2]" }, active = "root.on.idle",
     }

@@ -108,12 +108,19 @@ describe("who follows", function()
   end
 end)
 
+describe("the README", function()
+  it("has at most 900 words", function()
+    local _, count = helper.content("README.md"):gsub("%S+", "")
+    assert.is_true(count <= 900, count)
+  end)
+end)
+
 describe("the chart in the README", function()
   local folder
 
   setup(function()
     folder = new_folder()
-    write_file(folder .. "/lamp.lua", blocks_of("README.md")[1].text)
+    for _, block in ipairs(blocks_of("README.md")) do follow(folder, block) end
   end)
 
   teardown(function() os.execute("rm -r " .. folder) end)

@@ -343,6 +343,22 @@ describe("rfsm.json", function()
   end)
 end)
 
+describe("an object in JSON", function()
+  it("has its keys in a fixed order", function()
+    local text = json.encode(helper.init(state {
+      a = state { doc = "first", final = true },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "internal", events = "e_x", pn = 2,
+        guard = function() end, effect = function() end },
+    }))
+    local keys, last = {}, text:match('{([^{}]*"key":"root%.trans%[2%]"[^{}]*)}')
+    for key in last:gmatch('"(%l+)":') do keys[#keys + 1] = key end
+    assert.equal("type key src tgt pn events words guard effect internal",
+      table.concat(keys, " "))
+    assert.matches('"id":"a",%s*"doc":"first",%s*"final":true', text)
+  end)
+end)
+
 describe("decode_all", function()
   it("gives the values of a text, without a last line that was cut off", function()
     assert.same({ { a = 1 } }, json.decode_all('{"a":1}'))

@@ -6,6 +6,7 @@ local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local lines = require "rfsm.pictures.lines"
+local looks = require "rfsm.pictures.looks"
 local marsh = require "rfsm.marsh"
 local Picture = require "rfsm.web.picture"
 local pictures = require "spec.support.pictures"
@@ -64,6 +65,7 @@ describe("a line", function()
       lines.rounded { { 0, 0 }, { 4, 0 }, { 4, 9 } }[1],
       lines.rounded { { 0, 0 }, { 4, 0 }, { 4, 9 } }[4] })
     assert.equal(4, #lines.rounded { { 0, 0 }, { 0, 0 }, { 4, 0 } })
+    assert.same({ 28, 0 }, lines.rounded { { 0, 0 }, { 30, 0 }, { 30, 4 } }[4])
   end)
 
   it("is joined to another by a straight part, or moved to it if it is near", function()
@@ -88,6 +90,21 @@ describe("a line", function()
   end)
 end)
 
+-- s1 ... s12 with 36 transitions, some of them loops
+local function tangle()
+  local model, seed = state { trans { src = "initial", tgt = "s1" } }, 1
+  local function any_state()
+    seed = seed * 16807 % 2147483647
+    return "s" .. seed % 12 + 1
+  end
+  for i = 1, 12 do model["s" .. i] = state {} end
+  for i = 1, 36 do
+    local src = any_state()
+    model[#model + 1] = trans { src = src, tgt = any_state(), events = "e_" .. i }
+  end
+  return model
+end
+
 describe("the shape of a picture", function()
   for _, case in ipairs {
     { name = "a chain of 5", model = chain(5) },
@@ -95,11 +112,12 @@ describe("the shape of a picture", function()
     { name = "a chain of 100", model = chain(100) },
     { name = "a chain of 300", model = chain(300) },
     { name = "a chain of 30, to the right", model = chain(30), direction = "LR" },
+    { name = "a tangle of 12", model = tangle(), most = 1.7 },
     { name = "a factory of 300", model = rfsm.load("doc/gallery/factory.lua") },
   } do
     it("is near 4:3 for " .. case.name, function()
       local _, width, height = draw(case.model, { direction = case.direction })
-      assert.is_true(width / height > 0.8 and width / height < 2.1,
+      assert.is_true(width / height > 0.8 and width / height < (case.most or 2.1),
         width .. " x " .. height)
     end)
   end
@@ -246,6 +264,38 @@ describe("a transition from a state to itself", function()
   end
 end)
 
+describe("an arrow at a state with loops", function()
+  -- Is a point at the side of a box where its loops are?
+  local function meets(point, box, direction)
+    if direction == "TB" then
+      return point[1] > box.right - 3 and point[2] > box.top + 3
+        and point[2] < box.bottom - 3
+    end
+    return point[2] < box.top + 3 and point[1] > box.left + 3
+      and point[1] < box.right - 3
+  end
+
+  for _, direction in ipairs { "TB", "LR" } do
+    it("does not run through them, " .. direction, function()
+      local model = rfsm.load "doc/gallery/loops.lua"
+      local shapes, count = draw(model, { direction = direction }), 0
+      for i, tr in ipairs(model) do
+        local shape = shapes["root.trans[" .. i .. "]"]
+        local box, is_at_idle = shapes["root.idle"].box, false
+        for _, point in ipairs { shape.ends[1], shape.tip } do
+          is_at_idle = is_at_idle or meets(point, box, direction)
+        end
+        if tr.src == tr.tgt and tr.src == "idle" then
+          count = count + (is_at_idle and 1 or 0)
+        else
+          assert.is_false(is_at_idle, i)
+        end
+      end
+      assert.equal(2, count)
+    end)
+  end
+end)
+
 describe("an arrow across frames", function()
   -- a, m{ x, y } ; a -> m.y, m.y -> a, m -> m.y
   local function model()
@@ -373,6 +423,23 @@ describe("a text in lines", function()
     assert.same({ "go()", "move(arm, 1)" }, wrap("go() move(arm, 1)", 13))
     assert.same({ "f(a, (b), c)", "g" }, wrap("f(a, (b), c) g", 12))
     assert.same({ "a) b", "c" }, wrap("a) b c", 4))
+  end)
+
+  it("goes on in the line before it if it is short, never if it is long", function()
+    assert.same({ "go [x]" }, diagram.wrap({ "go", "[x]" }, 6))
+    assert.same({ "go", "[x y", "z]" }, diagram.wrap({ "go", "[x y z]" }, 5))
+  end)
+
+  it("has a width in characters: 28 in a label, 40 in a row", function()
+    local e = "\195\169"
+    assert.equal(1, #diagram.label_lines { parts = { e:rep(14), e:rep(13) } })
+    assert.equal(2, #diagram.label_lines { parts = { e:rep(14), e:rep(14) } })
+    local function rows_of(length)
+      return looks.state_label { name = "a", rows = { ("x"):rep(20) .. " "
+        .. ("y"):rep(length - 21) } }
+    end
+    assert.matches("x y", rows_of(40))
+    assert.not_matches("x y", rows_of(41))
   end)
 
   it("is broken inside of a call that is too long, at a space", function()

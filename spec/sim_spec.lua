@@ -156,6 +156,9 @@ local COMPLAINTS = {
   ["stpe(1)"] = "nothing is named stpe (did you mean 'step'?), help() lists the "
     .. "commands\n",
   ["e_restart"] = "e_restart is an event: 'ser e_restart' sends it and runs\n",
+  ["help nothing"] = "help: no command is named nothing, help() lists them\n",
+  ["breakpoint nowhere"] = "breakpoint: state, event or transition (off -> on) "
+    .. "expected, got 'nowhere', pp() shows the states\n",
   ["help stpe"] = "help: no command is named stpe (did you mean 'step'?)\n",
   ["breakpoint helo"] = "breakpoint: state, event or transition (off -> on) expected, "
     .. "got 'helo' (did you mean 'hello'?)\n",

@@ -749,7 +749,7 @@ describe("rfsm.web.serve", function()
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
       ["unknown option 'prot', expected: allow_send, allow_why, clock, history, host, "
-        .. "machine, port, title"] = { prot = 1 },
+        .. "machine, port, stub, title"] = { prot = 1 },
       ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },
       ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)
@@ -972,7 +972,7 @@ describe("the command line", function()
     ["rfsm-web ."] = "rfsm web: .: Is a directory",
     ["rfsm examples/on_off.lua"] = "rfsm: 'examples/on_off.lua' is no command. To step "
       .. "through that chart, type: rfsm sim examples/on_off.lua",
-    ["rfsm help nothing"] = "Error: no command is named 'nothing'",
+    ["rfsm help nothing"] = "Error: no command is named 'nothing', rfsm lists them",
     ["rfsm"] = LAST_COMMAND, ["rfsm help"] = LAST_COMMAND,
     ["rfsm-watch a:b:c"] = "Error: HOST or HOST:PORT expected, got 'a:b:c'",
   } do

@@ -45,7 +45,7 @@ local ROOMS = {
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "tools" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },
-    specs = { "shared", "mistakes", "checks", "tools" } },
+    specs = { "shared", "stub", "mistakes", "checks", "tools" } },
 }
 
 local function fail(message)

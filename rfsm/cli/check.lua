@@ -31,6 +31,7 @@ function check.add_arguments(command)
   end
   local is_count = opts.is_whole(1, math.huge)
   common.add_files(command)
+  common.add_stub(command)
   command:flag("-a --all", "print notes, too")
   command:flag("-q --quiet", "print nothing, only set the status")
   command:flag("-s --strict", "count a warning as a problem")
@@ -74,7 +75,7 @@ local function write_tests(options, parser)
     parser:error("one FILE expected, tests are those of one chart, got "
       .. #options.files)
   end
-  local model = common.try(common.load_model(file))
+  local model = common.try(common.load_model(file, options.stub))
   local old = options.output ~= "-" and io.open(options.output)
   local old_text = old and old:read("*a")
   if old then old:close() end
@@ -91,11 +92,12 @@ local function review(file, options)
   local command = require("rfsm.checks.command")
   local settings, problem = command.settings_for(file)
   if not settings then common.fail(problem, 2) end
-  local model, warnings = common.load_model(file)
+  local model, warnings, world = common.load_model(file, options.stub)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, command.review, file,
     model, warnings, settings, options)
   if not ok then return { chart.reason(file, lines) }, "error" end
+  lines[#lines + 1] = chart.stub_line(file, world)
   return lines, gravest
 end
 

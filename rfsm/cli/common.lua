@@ -79,6 +79,11 @@ function common.add_files(command)
     :argname("FILE")
 end
 
+function common.add_stub(command)
+  command:flag("--stub", "in place of modules and globals that are not here, put "
+    .. "values that do nothing")
+end
+
 -- Ends the program with status 2 if a file cannot be read.
 function common.check_readable(file)
   if file == "-" then return end
@@ -89,19 +94,25 @@ function common.check_readable(file)
   handle:close()
 end
 
--- Returns the model in a file, and its warnings; nil and the problem in one line.
-function common.load_model(file)
-  return select(2, common.with_streams(io.stderr, chart.load, file))
+-- Returns the model in a file, its warnings, and where it comes from; nil and the
+-- problem in one line.
+function common.load_model(file, has_stubs)
+  return select(2, common.with_streams(io.stderr, chart.load, file, has_stubs))
 end
 
--- Returns the machine of a chart, made silently.
-local function load_machine(file)
-  local _, fsm, problems = common.with_streams(io.stderr, chart.open, file,
-    function(model)
-      model.dbg, model.err, model.warn, model.info = false, false, false, false
-      return common.call(file, rfsm.init, model)
-    end, function() end)
-  return fsm or common.fail(concat(problems, "\n"))
+-- Returns the machine of a chart, made silently, and the names of its stubs.
+local function load_machine(file, has_stubs)
+  local model, problem, world = common.load_model(file, has_stubs)
+  if not model then common.fail(problem) end
+  model.dbg, model.err, model.warn, model.info = false, false, false, false
+  local fsm, _, problems = common.call(file, rfsm.init, model)
+  if not fsm then
+    for i, text in ipairs(problems) do problems[i] = chart.line(file, text) end
+    common.fail(concat(problems, "\n"))
+  end
+  local line = chart.stub_line(file, world)
+  if line then io.stderr:write("rfsm ", common.command, ": ", line, "\n") end
+  return fsm, world.names
 end
 
 -- Results out -----------------------------------------------------------------
@@ -119,12 +130,14 @@ function common.write(file, text)
   if not ok then common.fail(problem) end
 end
 
--- Encodes every chart before anything is written: encode(fsm, title).
-function common.encode_all(files, encode)
+-- Encodes the chart in every file before anything is written: encode(fsm, title).
+function common.encode_all(options, encode)
   local texts = {}
-  for i, file in ipairs(files) do
+  for i, file in ipairs(options.files) do
     local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
-    local text = common.call(file, encode, load_machine(file), title)
+    local fsm, names = load_machine(file, options.stub)
+    if names[1] then title = ("%s (stubbed: %s)"):format(title, concat(names, ", ")) end
+    local text = common.call(file, encode, fsm, title)
     texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
   end
   return texts

@@ -15,12 +15,13 @@ local function new_encoder(name, language, ending)
 
   function encoder.add_arguments(command)
     common.add_files(command)
+    common.add_stub(command)
     command:option("-o --output", "one file for all results; - is stdout")
       :argname("FILE")
   end
 
   function encoder.run(options)
-    local texts = common.encode_all(options.files, require("rfsm." .. name).encode)
+    local texts = common.encode_all(options, require("rfsm." .. name).encode)
     if options.output then return common.write(options.output, concat(texts)) end
     for i, file in ipairs(options.files) do
       local output = file == "-" and "-" or file:gsub("%.lua$", "") .. "." .. ending

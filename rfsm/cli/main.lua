@@ -5,6 +5,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local common = require "rfsm.cli.common"
 local encoders = require "rfsm.cli.encoders"
 local opts = require "rfsm.shared.options"
@@ -37,7 +38,8 @@ end
 local function print_help(parser, parsers, argv)
   local command = argv[2] and parsers[argv[2]]
   if argv[2] and not command then
-    parser:error("no command is named '" .. argv[2] .. "'")
+    parser:error(("no command is named '%s'%s, rfsm lists them"):format(argv[2],
+      advice.nearest_name(argv[2], COMMANDS)))
   end
   print((command or parser):get_help())
   return 0

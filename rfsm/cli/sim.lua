@@ -12,6 +12,7 @@ local sim = {
 
 function sim.add_arguments(command)
   common.add_file(command)
+  common.add_stub(command)
   command:option("-e --execute", "run CODE, print the values of an expression, and end")
     :argname("CODE"):count("*")
   command:flag("-i --interactive", "read commands after CODE, too")

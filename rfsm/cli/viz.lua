@@ -23,6 +23,7 @@ end
 
 function viz.add_arguments(command)
   common.add_files(command)
+  common.add_stub(command)
   command:option("-T --format", concat(FORMATS, ", ")
     .. "; without it the ending of the output decides, or it is dot")
     :argname("FORMAT"):choices(FORMATS)
@@ -87,7 +88,7 @@ function viz.run(options, parser)
     trace = options.trace and read_trace(options.trace),
   }
   local machine
-  local text = concat(common.encode_all(options.files, function(fsm, title)
+  local text = concat(common.encode_all(options, function(fsm, title)
     looks.title, machine = title, fsm
     return exporter.encode(fsm, looks)
   end))

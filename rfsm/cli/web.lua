@@ -12,6 +12,7 @@ local web = {
 
 function web.add_arguments(command)
   common.add_file(command):args("?")
+  common.add_stub(command)
   command:option("-a --attach", "watch a machine that answers there by rfsm.proto")
     :argname("HOST:PORT")
   command:option("-m --machine", "with --attach: its number at that port, 1")
@@ -26,7 +27,8 @@ function web.run(options, parser)
     parser:error("FILE or --attach expected")
   end
   local server
-  local page = { host = options.host, port = options.port, machine = options.machine }
+  local page = { host = options.host, port = options.port, machine = options.machine,
+    stub = options.stub }
   if options.attach then
     local host, port = common.address_of(parser, options.attach)
     server = common.try(require("rfsm.web").attach(host, port, page))

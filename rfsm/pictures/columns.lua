@@ -21,9 +21,11 @@ local max, min, select, sort = math.max, math.min, select, table.sort
 
 local columns = {}
 
-local RATIO = 4 / 3 -- of width to height
+columns.RATIO = 4 / 3 -- of width to height
 
-local function misfit_of(width, height) return abs(log(width / height / RATIO)) end
+local function misfit_of(width, height)
+  return abs(log(width / height / columns.RATIO))
+end
 
 --- Return how far a level is from the ratio that is aimed at; 0 if it has it.
 ---@param level rfsm.pictures.Level

@@ -14,8 +14,8 @@ local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local io = rawget(_G, "io") -- absent in a browser
-local rawset, select, tonumber, tostring = rawset, select, tonumber, tostring
-local type = type
+local rawset, select, setmetatable = rawset, select, setmetatable
+local tonumber, tostring, type = tonumber, tostring, type
 local concat, max = table.concat, math.max
 
 local diagram = {}
@@ -88,7 +88,7 @@ local diagram = {}
 ---@param text string
 ---@return string id
 function diagram.new_id(chart, text)
-  local plain = text:gsub("[^%w]", "_")
+  local plain = text:gsub("%W", "_")
   local id, count = plain, 1
   while chart.taken[id] do
     count = count + 1
@@ -103,7 +103,7 @@ end
 ---@return string
 ---@nodiscard
 function diagram.clean(text)
-  if not text:find("[%z\1-\31\127-\255]") then return text end
+  if not text:find("[^ -~]") then return text end
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
   return (text:gsub("[%z\1-\9\11-\31\127]", "\239\191\189"))
 end
@@ -437,12 +437,17 @@ function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
 ---@return string label
 function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
 
+local INDENTS = setmetatable({}, { __index = function(indents, depth)
+  indents[depth] = ("  "):rep(depth)
+  return indents[depth]
+end })
+
 --- Append a line, indented.
 ---@param lines string[]
 ---@param depth integer
 ---@param text string
 function diagram.add(lines, depth, text)
-  lines[#lines + 1] = ("  "):rep(depth) .. text
+  lines[#lines + 1] = INDENTS[depth] .. text
 end
 
 --- Write a text to a file.

@@ -163,6 +163,7 @@ local function end_text(level, finish, is_tail)
   if not finish.node then return finish.gate.id .. ":" .. compass end
   local id = "n" .. finish.node.index
   if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
+  if finish.is_pinned then return id .. ":" .. compass end
   return finish.node.kind == "connector" and id .. ":p" or id
 end
 
@@ -187,6 +188,7 @@ local function graph_of(level)
   if #level.links > LARGE then
     add(lines, 1, "graph [nslimit=2, nslimit1=2, mclimit=0.5]")
   end
+  if level.is_stretched then add(lines, 1, "graph [ratio=0.75]") end
   if level.is_spread then add(lines, 1, "graph [ranksep=1, nodesep=0.1]") end
   add_border(lines, level)
   add_nodes(lines, level)

@@ -11,7 +11,7 @@ local graphs = require "rfsm.pictures.graphs"
 local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
-local ipairs, log, max = ipairs, math.log, math.max
+local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
 
 local levels = {}
 
@@ -82,11 +82,44 @@ local function draw_loops(level)
   end
 end
 
--- Has Graphviz lay out levels, and draws their loops.
+-- Does a line end at the side of a box where the loops are?
+local function meets_loops(level, box, point)
+  if level.direction == "TB" then
+    return point[1] > box.x + box.width / 2 - 3
+      and abs(point[2] - box.y) < box.height / 2 - 3
+  end
+  return point[2] > box.y + box.height / 2 - 3
+    and abs(point[1] - box.x) < box.width / 2 - 3
+end
+
+-- Keeps lines of a level away from loops. Returns whether there was one to pin.
+local function pin_lines(level)
+  local has_pinned = false
+  local function pin(finish, point)
+    local node = finish and finish.node
+    if not (node and node.loops) or node.level or finish.is_pinned then return end
+    if not meets_loops(level, level.boxes[node.index], point) then return end
+    finish.is_pinned, has_pinned = true, true
+  end
+  for _, link in ipairs(level.links) do
+    if not link.is_loop then
+      local points, tip = link.points, link.tip
+      pin(link.upper, link.head == "upper" and tip or points[1])
+      pin(link.lower, link.head == "lower" and tip or points[#points])
+    end
+  end
+  return has_pinned
+end
+
+-- Has Graphviz lay out levels, once more if lines run through loops, and draws these.
 local function lay_out(list, run)
-  local problem = graphs.lay_out(list, run)
+  local problem, again = graphs.lay_out(list, run), {}
+  for _, level in ipairs(problem and {} or list) do
+    if pin_lines(level) then again[#again + 1] = level end
+  end
+  problem = problem or again[1] and graphs.lay_out(again, run)
   for _, level in ipairs(problem and {} or list) do draw_loops(level) end
-  return problem
+  return problem or nil
 end
 
 -- Levels that do not fit ------------------------------------------------------
@@ -216,16 +249,33 @@ local function turn(list, run)
   return worse[1] and lay_out(worse, run)
 end
 
-local function mend(chart, list, run)
-  local divided, turned = {}, {}
-  for _, level in ipairs(list) do
-    if is_misfit(chart, level) then
-      level.plan = columns.plan(level)
-      local group = level.plan and divided or is_closed(level) and turned or {}
-      group[#group + 1] = level
-    end
+local WIDE = 1.25 -- times the width that is aimed at
+
+-- Is a level that stays as it is too wide? Then Graphviz makes it higher.
+local function is_wide(chart, level)
+  if level.composite ~= chart.root or #level.boxes < FEWEST then return false end
+  level.is_stretched = level.width / level.height > columns.RATIO * WIDE
+  return level.is_stretched
+end
+
+-- Returns how a level is changed: "turn", "divide" or "stretch"; nil if it stays.
+local function change_of(chart, level)
+  if not is_misfit(chart, level) then
+    return is_wide(chart, level) and "stretch" or nil
   end
-  return turn(turned, run) or divide(chart, divided, run)
+  level.plan = columns.plan(level)
+  return level.plan and "divide" or is_closed(level) and "turn" or nil
+end
+
+local function mend(chart, list, run)
+  local levels_for = { turn = {}, divide = {}, stretch = {} }
+  for _, level in ipairs(list) do
+    local group = levels_for[change_of(chart, level) or false] or {}
+    group[#group + 1] = level
+  end
+  local stretched = levels_for.stretch
+  return turn(levels_for.turn, run) or divide(chart, levels_for.divide, run)
+    or stretched[1] and lay_out(stretched, run) or nil
 end
 
 -- Layout ----------------------------------------------------------------------

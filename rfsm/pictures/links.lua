@@ -29,6 +29,7 @@ local links = {}
 ---@field arches rfsm.pictures.Box[] of the labels above composites, by number of a link
 ---@field width number
 ---@field height number
+---@field is_stretched? boolean Graphviz makes it higher
 ---@field header? rfsm.pictures.Box of name and rows
 
 --- A part of a level: its middle, and its size.
@@ -51,6 +52,7 @@ local links = {}
 ---@class rfsm.pictures.End
 ---@field node? rfsm.pictures.Node
 ---@field gate? rfsm.pictures.Gate
+---@field is_pinned? true in the middle of its side of the node
 
 --- A part of an arrow: between two ends in a level.
 ---@class rfsm.pictures.Link

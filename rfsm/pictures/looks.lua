@@ -41,7 +41,10 @@ local quoted = looks.quoted
 --- Return the id of an FQN or a key in the SVG: a line feed is "\n".
 ---@param text string
 ---@return string attribute
-function looks.id_of(text) return "id=" .. quoted(diagram.clean(text)) end
+function looks.id_of(text)
+  if not text:find("[^%w_%.%[%]/ ]") then return 'id="' .. text .. '"' end
+  return "id=" .. quoted(diagram.clean(text))
+end
 
 local function lines_of(text, width)
   return concat(diagram.wrap({ text }, width), "\n")

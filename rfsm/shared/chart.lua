@@ -7,11 +7,16 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local load_file = rfsm.load -- itself: that of charts looks beside them
+local beside = require "rfsm.shared.beside"
+local stubs = require "rfsm.shared.stubs"
 
-local getmetatable, io, ipairs, next = getmetatable, io, ipairs, next
-local pcall, rawget, require = pcall, rawget, require
+local error, getmetatable, io, ipairs, next = error, getmetatable, io, ipairs, next
+local os, pcall, rawget, rawset, require = os, pcall, rawget, rawset, require
 local setmetatable, type = setmetatable, type
-local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+local concat = table.concat
+local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
+local getinfo = debug and debug.getinfo
 
 local chart = {}
 
@@ -65,15 +70,14 @@ end
 
 -- What stands around a global whose existence is asked for.
 local QUESTIONS = {
-  "not%s+NAME%f[^%w_]", "NAME%s*[~=]=%s*nil", "NAME%s+and%f[%W]", "NAME%s+or%f[%W]",
-  "NAME%s+then%f[%W]",
+  "not%s+NAME%s*%f[^%w_%s:.%[(]", "not%s+NAME%s+%w", "NAME%s*[~=]=%s*nil",
+  "NAME%s+and%f[%W]", "NAME%s+or%f[%W]", "NAME%s+then%f[%W]",
 }
 
 -- Does a line of a file ask whether a global exists? Then the host may define it.
 local function is_asked(file, line, name)
-  if file == "-" then return false end
-  local number = 0
-  for text in io.lines(file) do
+  local handle, number = io.open(file), 0
+  for text in handle and handle:lines() or function() end do
     number = number + 1
     for _, pattern in ipairs(number == line and QUESTIONS or {}) do
       if text:find("%f[%w_]" .. pattern:gsub("NAME", name)) then return true end
@@ -92,21 +96,90 @@ local function find_given(name)
   return ok and module or nil
 end
 
--- Calls f(...), and calls note(name, line) for each global that `source` reads and that
--- does not exist. Returns what pcall does.
-local function with_watch(source, note, f, ...)
-  if not getinfo or getmetatable(_G) then return pcall(f, ...) end
-  local function watch(_, name)
+-- Globals: those that do not exist ----------------------------------------------
+
+-- Returns the warning about a global; nil if the code asks whether it exists.
+local function warning_of(name, reader)
+  local file, line = reader.source:match("^@(.*)"), reader.currentline
+  if file and is_asked(file, line, name) then return nil end
+  return ("%s:%d: warning: undefined global '%s'%s"):format(file or "stdin", line, name,
+    name:find("^e_") and " (an event is a string, in quotes)" or "")
+end
+
+-- Returns a stub for a global; nil if the code asks whether it exists.
+local function stub_for(world, name, reader)
+  local is_wanted = world.insists or warning_of(name, reader)
+  return is_wanted and beside.stub(world, name) or nil
+end
+
+-- Returns what code of a chart finds in place of a global that does not exist. A global
+-- that looks like an event is one without its quotes, and no stub.
+local function new_watch(world, warnings)
+  local is_known = {}
+  local function note(name, reader)
+    if reader.source ~= world.source or is_known[name] then return end
+    is_known[name] = true
+    warnings[#warnings + 1] = warning_of(name, reader)
+  end
+  return function(_, name)
     local module = GIVEN[name] and find_given(name)
     if module then return module end
-    local reader = getinfo(2, "Sl")
-    if reader and reader.source == source then note(name, reader.currentline) end
+    local reader = type(name) == "string" and getinfo(2, "Sl")
+    if not reader or beside.world_of(reader.source) ~= world then return nil end
+    if world.has_stubs and not name:find("^e_") then
+      return stub_for(world, name, reader)
+    end
+    note(name, reader)
   end
+end
+
+local stub_class = nil -- the metatable of _G while there are stubs
+
+-- Calls f(...) while globals are watched. Stubs stay, since callbacks read them.
+-- Returns what pcall does.
+local function with_watch(world, warnings, f, ...)
+  if getmetatable(_G) == stub_class then setmetatable(_G, nil) end
+  if not getinfo or getmetatable(_G) then return pcall(f, ...) end
+  local watch = new_watch(world, warnings)
   local class = { __index = watch }
   setmetatable(_G, class)
   local ok, model = pcall(f, ...)
+  if world.has_stubs then
+    stub_class = class
+    return ok, model
+  end
   class.__index = class.__index ~= watch and class.__index or nil -- a chart's own
   if getmetatable(_G) == class and not next(class) then setmetatable(_G, nil) end
+  return ok, model
+end
+
+-- Bounds: what must not happen while a chart is loaded ---------------------------
+
+chart.SECONDS = 5 -- of the processor, for loading
+
+local function refuse_exit() error("os.exit is called while the chart is loaded", 2) end
+
+-- Calls f(...), which may neither end the program nor go on without end. LuaJIT does
+-- not call the hook in compiled code.
+local function within_bounds(f, ...)
+  local sethook, gethook = debug and debug.sethook, debug and debug.gethook
+  local exit, limit = os.exit, os.clock() + chart.SECONDS
+  local is_compiling = jit and jit.status()
+  local hook, mask, count
+  if sethook then
+    if is_compiling then jit.off() end
+    hook, mask, count = gethook()
+    sethook(function()
+      if os.clock() < limit then return end
+      error(("loading takes more than %g s, is there a loop without end?"):format(
+        chart.SECONDS), 2)
+    end, "", 10000)
+  end
+  rawset(os, "exit", refuse_exit)
+  local ok, model = f(...)
+  rawset(os, "exit", exit)
+  if sethook then sethook(hook, mask, count) end
+  if is_compiling then jit.on() end
   return ok, model
 end
 
@@ -116,41 +189,60 @@ local function load_stdin()
   return rfsm.load_str(text, "=stdin")
 end
 
+-- Loads the model in a file once. `insists`: globals whose existence is asked for are
+-- stubs, too.
+local function try_load(file, has_stubs, insists)
+  local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
+  local world = beside.enter(file, source, has_stubs)
+  world.insists = insists or false
+  local ok, model = within_bounds(with_watch, world, warnings,
+    file == "-" and load_stdin or load_file, file)
+  beside.leave()
+  return ok, model, warnings, world
+end
+
 --- Load the model in a file; `-` is stdin.
 --
 -- A chart that reads the global `rfsm_timeevent` switches time events on.
 --
 ---@param file string
+---@param has_stubs? boolean modules and globals that are not here are stubs
 ---@return rfsm.State? model nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
-function chart.load(file)
-  local warnings, is_known = {}, {}
-  local load, source = rfsm.load, "@" .. file
-  if file == "-" then load, source = load_stdin, "=stdin" end
+---@return rfsm.shared.World world `names` are those of the stubs
+function chart.load(file, has_stubs)
   find_given("rfsmpp") -- for callbacks; these two change no machines
   find_given("rfsm_ext")
-  local ok, model = with_watch(source, function(name, line)
-    if is_known[name] or type(name) ~= "string" then return end
-    is_known[name] = true
-    if is_asked(file, line, name) then return end
-    warnings[#warnings + 1] = ("%s:%d: warning: undefined global '%s'%s"):format(
-      chart.name_of(file), line, name,
-      name:find("^e_") and " (an event is a string, in quotes)" or "")
-  end, load, file)
-  if ok then return model, warnings end
-  return nil, chart.reason(file, model)
+  local ok, model, warnings, world = try_load(file, has_stubs)
+  if not ok and has_stubs and file ~= "-" then
+    local is_better, other, more, other_world = try_load(file, true, true)
+    if is_better then ok, model, warnings, world = true, other, more, other_world end
+  end
+  if ok and has_stubs then stubs.complete(model) end
+  if ok then return model, warnings, world end
+  return nil, chart.reason(file, model), world
+end
+
+--- Return the line that names the stubs of a chart; nil if it has none.
+---@param file string
+---@param world rfsm.shared.World
+---@return string? line
+function chart.stub_line(file, world)
+  return world.names[1] and chart.line(file, "stubbed: " .. concat(world.names, ", "))
 end
 
 --- Make the machine of the chart in a file.
 ---@param file string
 ---@param init fun(model: rfsm.State): rfsm.Machine|false, string?, string[]?
----@param warn fun(line: string) called for each undefined global
+---@param warn fun(line: string) called for each undefined global, and for the stubs
+---@param has_stubs? boolean
 ---@return rfsm.Machine|false fsm
 ---@return rfsm.State|string[] model or the problems, a line each
-function chart.open(file, init, warn)
-  local model, warnings = chart.load(file)
+function chart.open(file, init, warn, has_stubs)
+  local model, warnings, world = chart.load(file, has_stubs)
   if not model then return false, { warnings } end
   for _, line in ipairs(warnings) do warn(line) end
+  if world.names[1] then warn(chart.stub_line(file, world)) end
   local ok, fsm, _, problems = pcall(init, model)
   if not ok then return false, { chart.reason(file, fsm) } end
   if fsm then return fsm, model end

@@ -274,8 +274,9 @@ function(_, name)
     if command then return print_help(command) end
     local list = {}
     for _, known in ipairs(commands.list) do list[#list + 1] = known.name end
+    local hint = names.hint(text_of(name), list)
     error("help: no command is named " .. text_of(name)
-      .. names.hint(text_of(name), list), 0)
+      .. (hint ~= "" and hint or ", help() lists them"), 0)
   end
   for _, members in ipairs(groups) do
     print(members.title)

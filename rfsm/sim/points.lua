@@ -44,8 +44,9 @@ local function fail(fsm, text)
     list[#list + 1] = name
     list[#list + 1] = name:gsub("^root%.", "")
   end
+  local hint = names.hint(text, list)
   error(("breakpoint: state, event or transition (off -> on) expected, got '%s'%s")
-    :format(text, names.hint(text, list)), 0)
+    :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
 end
 
 -- Returns the breakpoint that a text means.

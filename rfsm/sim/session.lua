@@ -32,6 +32,7 @@ local complain, text_of = view.complain, rfsm.text_of
 ---@field fsm rfsm.Machine
 ---@field model rfsm.State that of the machine
 ---@field file string of the chart
+---@field has_stubs boolean
 ---@field follows boolean an advance prints what was taken, and the tree
 ---@field tree? string|false the tree that was shown last
 ---@field level boolean|"full" which trace records are shown
@@ -268,7 +269,7 @@ end
 
 --- Read the chart anew. If it has a problem the machine stays.
 function Session:reload()
-  local fsm, result = chart.open(self.file, init_quietly, complain)
+  local fsm, result = chart.open(self.file, init_quietly, complain, self.has_stubs)
   if not fsm then
     for _, problem in ipairs(result) do complain(problem) end
     return
@@ -286,14 +287,16 @@ local session = {}
 --- Open a chart.
 ---@param file string
 ---@param follows boolean
+---@param has_stubs? boolean
 ---@return rfsm.sim.Session? sim
 ---@return string[]? problems
-function session.open(file, follows)
-  local fsm, result = chart.open(file, init_quietly, complain)
+function session.open(file, follows, has_stubs)
+  local fsm, result = chart.open(file, init_quietly, complain, has_stubs)
   if not fsm then return nil, result end
   local sim = setmetatable({
     fsm = fsm, model = result, file = file, follows = follows, level = false,
     hooks = {}, points = {}, missing = {}, is_over = false, env = {},
+    has_stubs = has_stubs or false,
   }, Session)
   history.start(sim)
   return sim

@@ -128,8 +128,10 @@ function view.draw(fsm, file)
   if not FORMATS[format] then
     return "file.svg, .png, .pdf or .dot expected, got '" .. file .. "'"
   end
-  local picture, problem = dot.encode(fsm), nil
-  if format ~= "dot" then picture, problem = dot.render(picture, format) end
+  local picture, problem = format == "dot" and dot.encode(fsm) or nil, nil
+  if not picture then
+    picture, problem = dot.render(dot.layout(fsm) or dot.encode(fsm), format)
+  end
   if picture then problem = select(2, diagram.write(file, picture)) end
   return problem
 end

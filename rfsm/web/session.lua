@@ -86,7 +86,7 @@ end
 -- Returns a machine; false and the lines that say why not.
 local function load_machine(session)
   return chart.open(session.file, function(model) return init(session, model) end,
-    function(line) tell(session, "warning", line) end)
+    function(line) tell(session, "warning", line) end, session.has_stubs)
 end
 
 local function read(file)
@@ -345,12 +345,14 @@ end
 --- Open a chart, also one with mistakes.
 ---@param file string
 ---@param real fun(): number seconds of the wall's clock
+---@param has_stubs boolean modules and globals that are not here do nothing
 ---@return rfsm.web.Session session
-function Session.open(file, real)
+function Session.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
     generation = 0, turn = 0, turns = {}, recorder = false, now = 0, since = 0,
     is_live = true, points = {}, stopped = false,
+    has_stubs = has_stubs,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Session)
   local start = os.time() -- of the day, for e_at

@@ -1,0 +1,186 @@
+--- What a chart loads: looked for beside its file, whatever folder one is in.
+--
+-- In the code of a chart, `require`, `rfsm.load`, `dofile` and `loadfile` look in the
+-- folder of the chart, then in the one above it, then where they always do. The code of
+-- a chart is its file, and each file that was found so. If the chart is to have stubs,
+-- a module or file that is nowhere is one.
+--
+-- @module rfsm.shared.beside
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local stubs = require "rfsm.shared.stubs"
+
+local _G, error, io, ipairs, loadfile = _G, error, io, ipairs, loadfile
+local package, pairs, rawget, rawset, type = package, pairs, rawget, rawset, type
+local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+local insert = table.insert
+
+local beside = {}
+
+--- Where a chart comes from, and what it has stubs for.
+---@class rfsm.shared.World
+---@field source string of its file
+---@field folders string[] that are searched
+---@field has_stubs boolean
+---@field insists boolean a global is a stub also where the code asks if it exists
+---@field names string[] of the stubs, in the order in which they were needed
+---@field stubs table<string, table> by name
+local current = nil ---@type rfsm.shared.World? of the chart that is loaded now
+
+local world_of_source = {} -- by the source of its code
+local found = {} -- names of modules beside a chart, or of stubs: is it a stub?
+local found_for = nil -- folder of that chart
+
+-- Stubs -----------------------------------------------------------------------
+
+--- Return the stub of a name, the same each time.
+---@param world rfsm.shared.World
+---@param name string
+---@return table stub
+function beside.stub(world, name)
+  if not world.stubs[name] then
+    world.names[#world.names + 1] = name
+    world.stubs[name] = stubs.new(name)
+  end
+  return world.stubs[name]
+end
+
+-- Files -----------------------------------------------------------------------
+
+local function exists(name)
+  local handle = io.open(name)
+  return handle ~= nil and handle:close() ~= nil
+end
+
+-- Returns the folder above a folder; both end with a slash, or are "".
+local function above(folder)
+  local parent, last = folder:match("^(.-)([^/]+)/$")
+  if parent and last ~= "." and last ~= ".." then return parent end
+  return folder .. "../"
+end
+
+-- Returns the file that a chart means by a name; nil if it is not beside the chart.
+local function find(world, name)
+  if name:find("^/") then return exists(name) and name or nil end
+  for _, folder in ipairs(world.folders) do
+    if exists(folder .. name) then return folder .. name end
+  end
+end
+
+-- The same. If there are stubs, folders in the name may be those of a robot.
+local function find_file(world, name)
+  local file = find(world, name)
+  if file or not world.has_stubs or exists(name) then return file end
+  return find(world, name:match("[^/]*$"))
+end
+
+local function adopt(world, file)
+  world_of_source["@" .. file] = world
+  return file
+end
+
+-- Returns the chart whose code has called a function, which is at this level of the
+-- stack; that which is loaded if the call was the last of its caller.
+local function world_at(level)
+  local info = getinfo and getinfo(level + 1, "S")
+  return info and world_of_source[info.source] or current
+end
+
+-- Functions that load a file ------------------------------------------------------
+
+-- Puts a function that looks beside the chart in place of one that loads a file.
+local function wrap(owner, key, new_stub)
+  local plain = owner[key]
+  rawset(owner, key, function(file, ...)
+    local world = world_at(2)
+    local name = world and (stubs.name_of(file) or file)
+    if type(name) ~= "string" then return plain(file, ...) end
+    local path = find_file(world, name:match('"([^"]*)"%)$') or name)
+    if path then return plain(adopt(world, path), ...) end
+    if not world.has_stubs or exists(name) then return plain(file, ...) end
+    if name == file then beside.stub(world, name) end
+    return new_stub(name)
+  end)
+end
+
+-- Modules -------------------------------------------------------------------------
+
+-- Returns a loader for a module that is beside the chart.
+local function load_beside(world, name)
+  local file = name:gsub("%.", "/")
+  local path = find(world, file .. ".lua") or find(world, file .. "/init.lua")
+  if not path then return nil end
+  found[name] = false
+  local chunk, problem = loadfile(adopt(world, path))
+  return chunk or error(problem, 0)
+end
+
+-- Modules called rfsm... are those of this library, if it has them.
+local function search_first(name)
+  local world = not name:find("^rfsm") and world_at(3)
+  return world and load_beside(world, name) or nil
+end
+
+-- A chart that calls `pcall(require, ...)` can do without: it gets no stub.
+local function search_last(name)
+  local world = world_at(3)
+  local loader = world and load_beside(world, name)
+  if loader or not (world and world.has_stubs) then return loader end
+  local info = getinfo(3, "S")
+  if not world_of_source[info.source] then return nil end
+  found[name] = true
+  return function() return beside.stub(world, name) end
+end
+
+local is_installed = false
+
+local function install()
+  if is_installed or not package then return end
+  is_installed = true
+  local searchers = rawget(package, "searchers") or rawget(package, "loaders")
+  insert(searchers, 2, search_first)
+  searchers[#searchers + 1] = search_last
+  wrap(rfsm, "load", stubs.new_state)
+  wrap(_G, "dofile", stubs.new)
+  wrap(_G, "loadfile", stubs.new)
+end
+
+-- Forgets stubs, and modules beside a chart in another folder.
+local function forget(folder)
+  for name, is_stub in pairs(found) do -- any order: each stands alone
+    if is_stub or found_for ~= folder then
+      package.loaded[name], found[name] = nil, nil
+    end
+  end
+  found_for = folder
+end
+
+-- Public functions ----------------------------------------------------------------
+
+--- Make a chart the one that is loaded now, up to `beside.leave`.
+---@param file string
+---@param source string of its code
+---@param has_stubs? boolean
+---@return rfsm.shared.World world
+function beside.enter(file, source, has_stubs)
+  install()
+  local folder = file:match("^.*/") or ""
+  forget(folder)
+  current = {
+    source = source, folders = { folder, above(folder) },
+    has_stubs = has_stubs or false, insists = false, names = {}, stubs = {},
+  }
+  world_of_source[source] = current
+  return current
+end
+
+--- The chart is loaded.
+function beside.leave() current = nil end
+
+--- Return the chart that code belongs to; nil if it is none of a chart.
+---@param source string of the code
+---@return rfsm.shared.World? world
+function beside.world_of(source) return world_of_source[source] end
+
+return beside

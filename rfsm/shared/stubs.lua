@@ -1,0 +1,120 @@
+--- Stubs: inert values in place of what is not here, such as the modules of a robot.
+--
+-- A stub may be indexed and called, which returns a stub; nothing happens. Joined to a
+-- text it is its name: 'rf.findFile("arm.lua")'. In arithmetic it is 0. A loop over it
+-- ends.
+--
+-- @module rfsm.shared.stubs
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local getmetatable, ipairs, rawget, rawset = getmetatable, ipairs, rawget, rawset
+local select, setmetatable, type = select, setmetatable, type
+local concat = table.concat
+
+local stubs = {}
+
+local Stub = {}
+-- What each stub is called, and its fields: not in the stub, so that it is empty.
+local names = setmetatable({}, { __mode = "k" })
+local fields = setmetatable({}, { __mode = "k" })
+
+--- Return a stub.
+---@param name string
+---@return table stub
+function stubs.new(name)
+  local stub = setmetatable({}, Stub)
+  names[stub], fields[stub] = name, {}
+  return stub
+end
+
+--- Return the name of a stub; nil for all other values.
+---@param value any
+---@return string? name
+function stubs.name_of(value)
+  return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
+end
+
+local MOST = 9 -- last element, so that a loop over elements ends
+
+function Stub.__index(stub, key)
+  if type(key) == "number" and key > MOST then return nil end
+  local known = fields[stub]
+  if not known[key] then
+    known[key] = stubs.new(names[stub] .. "." .. rfsm.text_of(key))
+  end
+  return known[key]
+end
+
+local LONGEST = 200 -- bytes of a name
+
+-- A loop over a stub calls it with two nils, and ends.
+function Stub.__call(stub, ...)
+  local texts, count = {}, select("#", ...)
+  if count == 2 and (...) == nil and select(2, ...) == nil then return nil end
+  for i = 1, count do
+    local argument = select(i, ...)
+    if type(argument) == "string" then texts[#texts + 1] = '"' .. argument .. '"' end
+  end
+  local name = ("%s(%s)"):format(names[stub], concat(texts, ", "))
+  return stubs.new(#name <= LONGEST and name or names[stub])
+end
+
+function Stub.__tostring(stub) return names[stub] end
+
+function Stub.__concat(a, b) return rfsm.text_of(a) .. rfsm.text_of(b) end
+
+local function zero() return 0 end
+local function no() return false end
+
+for _, operator in ipairs { "add", "sub", "mul", "div", "mod", "pow", "unm", "len",
+  "idiv", "band", "bor", "bxor", "shl", "shr", "bnot" } do
+  rawset(Stub, "__" .. operator, zero)
+end
+Stub.__lt, Stub.__le = no, no
+
+-- States: stubs with the parts that transitions name ------------------------------
+
+local is_stubbed = setmetatable({}, { __mode = "k" }) -- states
+
+--- Return a state in place of one that is not here.
+---@param name string
+---@return rfsm.State state
+function stubs.new_state(name)
+  local state = rfsm.state { doc = name .. " is a stub" }
+  is_stubbed[state] = true
+  return state
+end
+
+-- Gives a state that is a stub a part, which it begins with if it is the first.
+local function add_part(state, name)
+  state[name] = name == "initial" and rfsm.conn {} or stubs.new_state(name)
+  if not state.initial and not state[1] then
+    state[1] = rfsm.trans { src = "initial", tgt = name }
+  end
+end
+
+-- Makes states of the stubs in the path to the source or target of a transition.
+local function complete_path(root, state, path)
+  if path:find("^root%.") then state, path = root, path:sub(6) end
+  for name in path:gmatch("[^.]+") do
+    local part = rawget(state, name)
+    if stubs.name_of(part) then state[name] = stubs.new_state(stubs.name_of(part)) end
+    if part == nil and is_stubbed[state] then add_part(state, name) end
+    state = rawget(state, name)
+    if not rfsm.is_state(state) then return end
+  end
+end
+
+--- Make states of the stubs in a model that are sources or targets of transitions.
+---@param model rfsm.State
+function stubs.complete(model)
+  rfsm.mapfsm(function(tr, state)
+    for _, path in ipairs { tr.src, tr.tgt } do
+      if type(path) == "string" then complete_path(model, state, path) end
+    end
+  end, model, rfsm.is_trans)
+end
+
+return stubs

@@ -1,0 +1,228 @@
+-- Charts away from their robot: what they load is looked for beside them, and stubs are
+-- in place of what is not here.
+
+local rfsm = require "rfsm"
+local chart = require "rfsm.shared.chart"
+local json = require "rfsm.json"
+local mermaid = require "rfsm.mermaid"
+local record = require "rfsm.record"
+local snapshot = require "rfsm.snapshot"
+local stubs = require "rfsm.shared.stubs"
+
+local folder
+
+-- Writes files, by name, and returns the name of `chart.lua` among them.
+local function write_files(files)
+  for name, text in pairs(files) do -- any order: each stands alone
+    local handle = assert(io.open(folder .. "/robot/" .. name, "wb"))
+    handle:write(text)
+    handle:close()
+  end
+  return folder .. "/robot/chart.lua"
+end
+
+-- Loads a chart; returns the model, or the problem, and the names of its stubs.
+local function open(files, has_stubs)
+  local file = write_files(files)
+  local model, warnings, world = chart.load(file, has_stubs)
+  local problem = not model and warnings:gsub("%S+/robot/", "") or nil
+  return model, problem, world.names
+end
+
+local function machine_of(files)
+  local model, problem = open(files, true)
+  assert.is_nil(problem)
+  model.info, model.warn = false, false
+  return assert(rfsm.init(model))
+end
+
+before_each(function()
+  folder = os.tmpname()
+  os.remove(folder)
+  assert(os.execute("mkdir -p " .. folder .. "/robot/parts"))
+end)
+
+after_each(function()
+  setmetatable(_G, nil)
+  os.execute("rm -r " .. folder)
+end)
+
+describe("a chart finds beside its file", function()
+  local LEAF = 'return rfsm.state { doc = "found" }'
+
+  for _, case in ipairs {
+    { what = "a module", chart = 'return require "part"', part = "part.lua" },
+    { what = "a module in a folder", chart = 'return require "parts.part"',
+      part = "parts/part.lua" },
+    { what = "a chart", chart = 'return rfsm.load "part.lua"', part = "part.lua" },
+    { what = "a chart, as seen from the folder above",
+      chart = 'return rfsm.load "robot/part.lua"', part = "part.lua" },
+    { what = "a file for dofile", chart = 'return dofile "part.lua"',
+      part = "part.lua" },
+    { what = "a file for loadfile", chart = 'local x = loadfile "part.lua"; return x()',
+      part = "part.lua" },
+  } do
+    it(case.what, function()
+      local model, problem = open { ["chart.lua"] = case.chart, [case.part] = LEAF }
+      assert.is_nil(problem)
+      assert.equal("found", model.doc)
+    end)
+  end
+
+  it("a file that a callback runs later", function()
+    local model = open { ["part.lua"] = "ran = (ran or 0) + 1", ["chart.lua"] = [[
+      return rfsm.state { info = false, entry = function() dofile "part.lua" end,
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } }
+    ]] }
+    rawset(_G, "ran", nil)
+    model.warn = false
+    rfsm.run((assert(rfsm.init(model))))
+    assert.equal(1, rawget(_G, "ran"))
+    rawset(_G, "ran", nil)
+  end)
+
+  it("its own module, not that of a chart in another folder", function()
+    write_files { ["chart.lua"] = 'return require "part"', ["part.lua"] = LEAF }
+    os.execute(("mv %s/robot %s/first; mkdir %s/robot"):format(folder, folder, folder))
+    assert.equal("found", chart.load(folder .. "/first/chart.lua").doc)
+    local model = open { ["chart.lua"] = 'return require "part"',
+      ["part.lua"] = 'return rfsm.state { doc = "other" }' }
+    assert.equal("other", model.doc)
+  end)
+
+  it("nothing for code that is not a chart's", function()
+    write_files { ["part.lua"] = LEAF }
+    open { ["chart.lua"] = LEAF }
+    assert.is_false((pcall(require, "part")))
+    assert.is_nil((loadfile "part.lua"))
+  end)
+
+  it("no rfsm module in place of the library's", function()
+    local model = open { ["chart.lua"] = 'require "rfsm_emem"; ' .. LEAF,
+      ["rfsm_emem.lua"] = "error 'not this one'" }
+    assert.equal("found", model.doc)
+  end)
+end)
+
+describe("a stub", function()
+  local stub = stubs.new "rf"
+
+  it("can be indexed, called and joined, and is called by its name then", function()
+    assert.equal('rf.findFile("arm.lua").x', tostring(stub:findFile("arm.lua").x))
+    assert.equal("path: rf/lib", "path: " .. stub .. "/lib")
+    assert.equal(stub.x, stub.x)
+  end)
+
+  it("is 0 in arithmetic, and less than nothing", function()
+    assert.same({ 0, 0, 0, 0 }, { stub + 1, 2 * stub, -stub, stub / stub })
+    assert.is_false(stub < stub)
+  end)
+
+  it("has no end in no loop", function()
+    local count = 0
+    for _ in ipairs(stub) do count = count + 1 end
+    for _ in stub:all() do count = count + 100 end
+    for _ in pairs(stub) do count = count + 100 end
+    assert.is_true(count < 100)
+  end)
+
+  it("has a name of bounded length", function()
+    local long = stub
+    for _ = 1, 100 do long = long("0123456789") end
+    assert.is_true(#tostring(long) <= 200)
+  end)
+end)
+
+-- A robot's chart: modules, globals, files and peers that are not here.
+local ROBOT = [[
+require "rttlib"
+local tc = rtt.getTC()
+local rate = tc:getProperty("rate"):get()
+local has_colours, colours = pcall(require, "no_colours")
+if gripper then error "there is no gripper" end
+return rfsm.state {
+  info = false, port = tc:getPort("out"), period = 1 / (rate + 1),
+  colours = has_colours and colours or "none",
+  off = rfsm.state { entry = function() rtt.log("off") end },
+  on = rfsm.load(rf:findFile("on.lua")),
+  grasp = rfsm.load "grasp.lua",
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_on" }, guard = tc.isReady },
+  rfsm.trans { src = "on", tgt = "grasp", events = { "e_grasp" } },
+  rfsm.trans { src = "grasp.done", tgt = "off", events = { "e_off" } },
+}
+]]
+local FILES = { ["chart.lua"] = ROBOT, ["on.lua"] = "return rfsm.state {}" }
+
+describe("a chart of a robot", function()
+  it("cannot be loaded without stubs", function()
+    local _, problem = open(FILES)
+    assert.equal("chart.lua:1: module 'rttlib' not found", problem)
+  end)
+
+  it("is loaded with stubs, which are named", function()
+    local model, problem, names = open(FILES, true)
+    assert.is_nil(problem)
+    assert.same({ "rttlib", "rtt", "rf", "grasp.lua" }, names)
+    assert.equal("none", model.colours)
+    assert.is_true(rfsm.is_state(model.grasp.done))
+  end)
+
+  it("is drawn with the names of its stubs", function()
+    local text = mermaid.encode(machine_of(FILES))
+    assert.matches("root_off %-%-> root_on : e_on %[rtt%.getTC%(%)%.isReady%]", text)
+    assert.matches("grasp%.lua is a stub", text)
+    assert.is_table(json.decode_all(json.encode(machine_of(FILES))))
+  end)
+
+  it("runs, is recorded, replayed, saved and restored", function()
+    local fsm, file = machine_of(FILES), folder .. "/recording"
+    local recorder = record.record(fsm, file)
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, "e_on")
+    rfsm.run(fsm)
+    local snap = snapshot.take(fsm)
+    rfsm.send_events(fsm, "e_grasp")
+    rfsm.run(fsm)
+    recorder:stop()
+    assert.equal("root.grasp.done", rfsm.get_actleaf_fqn(fsm))
+    local model = open(FILES, true)
+    model.warn = false
+    assert.equal("root.on", rfsm.get_actleaf_fqn(snapshot.restore(model, snap)))
+    local again = record.replay(model, file)
+    assert.equal("root.grasp.done", rfsm.get_actleaf_fqn(again))
+  end)
+
+  it("gets stubs for globals it asks for only if nothing else helps", function()
+    local _, _, names = open({ ["chart.lua"] = [[
+      if not rtt then error "no rtt" end
+      return rfsm.state {}
+    ]] }, true)
+    assert.same({ "rtt" }, names)
+  end)
+
+  it("gets no stub for an event without quotes", function()
+    local file = write_files { ["chart.lua"] = "return rfsm.state { x = e_go }" }
+    local model, warnings = chart.load(file, true)
+    assert.is_nil(model.x)
+    assert.equal(1, #warnings)
+  end)
+end)
+
+describe("loading a chart", function()
+  local seconds = chart.SECONDS
+
+  teardown(function() chart.SECONDS = seconds end)
+
+  it("has an end", function()
+    chart.SECONDS = 0.05
+    local _, problem = open { ["chart.lua"] = "\nwhile true do end" }
+    assert.equal("chart.lua:2: loading takes more than 0.05 s, is there a loop without "
+      .. "end?", problem)
+  end)
+
+  it("does not end the program", function()
+    local _, problem = open { ["chart.lua"] = "os.exit(3)" }
+    assert.equal("chart.lua:1: os.exit is called while the chart is loaded", problem)
+  end)
+end)
