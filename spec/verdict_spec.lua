@@ -241,6 +241,14 @@ describe("a verdict", function()
       1, true))
   end)
 
+  it("sees the states that a step passes through by a transition of another state",
+    function()
+    local model = chart { c = state { k = conn {}, x = state {}, go("initial", "x") },
+      [2] = go("a", "root.c.k", "e_x"), [4] = go("root.c.k", "b") }
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_x: root.trans[2], root.trans[4] -> root.b", verdict(model, never "root.c"))
+  end)
+
   it("sees the states that a region passes through", function()
     local model = chart { b = rfsm.seqand { run = true, arm = state { warn = false,
       info = false, x = state {}, y = state {}, go("initial", "x"),

@@ -156,16 +156,20 @@ function Puppet:occurrence(part, event)
   return found
 end
 
+-- Is a node in a composite?
+local function is_inside(node, state)
+  while node ~= state and not rfsm.is_root(node) do node = node._parent end
+  return node == state
+end
+
 -- Does a connector inside of a composite lead out of it? Then a step may pass through.
 local function is_passable(state)
   local is_found = false
-  rfsm.mapfsm(function(tr)
-    local tgt = tr.tgt
-    while is_conn(tr.src) and tgt ~= state and not rfsm.is_root(tgt) do
-      tgt = tgt._parent
+  rfsm.mapfsm(function(connector)
+    for _, tr in ipairs(connector._otrs) do
+      is_found = is_found or not is_inside(tr.tgt, state)
     end
-    is_found = is_found or is_conn(tr.src) and tgt ~= state
-  end, state, rfsm.is_trans)
+  end, state, is_conn)
   return is_found
 end
 
