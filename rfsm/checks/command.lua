@@ -10,9 +10,8 @@ local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
 local assert, error, io, ipairs = assert, error, io, ipairs
-local loadfile, os, pairs, pcall = loadfile, os, pairs, pcall
-local rawget, require, type = rawget, require, type
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local loadfile, os, pcall = loadfile, os, pcall
+local require, type = require, type
 
 local command = {}
 
@@ -101,11 +100,12 @@ end
 local function write_witnesses(model, findings, name)
   local count = 0
   for _, finding in ipairs(findings) do
-    if finding.witness and finding.witness[1] then
+    local witness = finding.witness or finding.run
+    if witness and witness[1] then
       count = count + 1
       finding.record = count > 1 and name .. "." .. count or name
       os.remove(finding.record) -- a recording is appended to
-      rfsm_checks.record_witness(model, finding.witness, finding.record)
+      rfsm_checks.record_witness(model, witness, finding.record)
     end
   end
 end
@@ -123,34 +123,13 @@ local function explore(file, model, options)
   return result
 end
 
--- Does a static check tell of the same element what an exploration tells?
-local function is_told(findings, finding)
-  for _, other in ipairs(findings) do
-    local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
-    if path == finding.place and other.code == codes.twin[finding.code] then
-      return true
-    end
-  end
-  return false
-end
-
 -- Returns all findings about a chart, and what was explored; nil: nothing was.
 local function find_all(file, model, settings, options)
-  local findings, silenced = static.findings(model, {})
-  local result = nil
+  local findings, result = static.collect(model), nil
   if not (options.static or gravest_of(findings) == "error") then
     result = explore(file, model, options)
-    local count = #findings
-    for _, finding in ipairs(result.findings) do
-      if not is_told({ unpack(findings, 1, count) }, finding) then
-        findings[#findings + 1] = finding
-      end
-    end
-    for note in pairs(result.silenced) do silenced[note] = true end -- a set
-    for _, finding in ipairs(result.bound and {} or static.idle_silences(model,
-      silenced)) do
-      findings[#findings + 1] = finding
-    end
+    findings:join(result.findings)
+    if not result.bound then findings:add_idle_silences(model) end
   end
   return static.apply(findings, settings), result
 end

@@ -105,29 +105,6 @@ local function may_clash(tr, other)
     and (tr.guard or not other.guard or is_conn(tr.src))
 end
 
---- List the transitions behind `tr` that only their position keeps from being taken
---- before it.
-function order.conflicts_of(tr)
-  local conflicts, is_behind = {}, false
-  for _, other in ipairs(tr.src._otrs) do
-    if is_behind and may_clash(other, tr) then conflicts[#conflicts + 1] = other end
-    is_behind = is_behind or other == tr
-  end
-  return conflicts
-end
-
---- Is another one enabled where `tr` was taken: in a connector by all events of a step,
---- in a state by one of them that enables both?
-function order.is_clash(tr, other, list)
-  if is_conn(tr.src) then return match.may_enable(other, list) end
-  for i = 1, #list do
-    if is_enabled_by(tr, list[i]) and match.may_enable(other, { list[i] }) then
-      return true
-    end
-  end
-  return false
-end
-
 -- Returns an event that enables both, as a text.
 local function shared_event(tr, other)
   if match.is_any(tr) and match.is_any(other) then return "any event" end
@@ -138,17 +115,14 @@ local function shared_event(tr, other)
   end
 end
 
---- Return the text of a conflict.
-function order.conflict_text(other, event)
-  return ("enabled together with %s%s, and of the same pn"):format(
-    rfsm.location_of(other), event and " on " .. event or "")
-end
-
 local function check_conflicts(tr, add)
   for _, other in ipairs(tr.src._otrs) do
     if other == tr then return end
     local event = may_clash(tr, other) and shared_event(tr, other)
-    if event then return add("conflict", tr, order.conflict_text(other, event)) end
+    if event then
+      return add("conflict", tr, ("enabled together with %s on %s, and of the same pn")
+        :format(rfsm.location_of(other), event))
+    end
   end
 end
 

@@ -19,7 +19,6 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local match = require "rfsm.checks.match"
-local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
@@ -28,7 +27,8 @@ local stubs = require "rfsm.checks.stubs"
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
-local concat, max, sort = table.concat, math.max, table.sort
+local concat, sort = table.concat, table.sort
+local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_conn = rfsm.is_conn
 
@@ -53,7 +53,6 @@ local puppet = {}
 ---@field is_doo boolean[] whether that was a doo
 ---@field asked integer how many there were
 ---@field taken integer[] numbers of the transitions that the last step took
----@field clashes integer[][] of those, and one of equal pn that was enabled, too
 local Puppet = {}
 Puppet.__index = Puppet
 
@@ -228,15 +227,9 @@ local function make_transition(self, part, tr)
     tr.guard, self.free.guards = function() return self:choose(path) end, true
   end
   local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
-  local conflicts = order.conflicts_of(tr)
   tr.likely = nil
-  tr.effect = function(fsm, _, _, events)
+  tr.effect = function(fsm)
     self.taken[#self.taken + 1] = number
-    for _, other in ipairs(conflicts) do
-      if order.is_clash(tr, other, events) then
-        self.clashes[#self.clashes + 1] = { self.number_of[other], number }
-      end
-    end
     if stub then stub(fsm) end
   end
 end
@@ -482,7 +475,6 @@ end
 function Puppet:step(events, choices)
   self.choices, self.asked, self.steps = choices, 0, self.steps + 1
   clear(self.taken)
-  clear(self.clashes)
   clear(self.moments)
   clear(self.last_events)
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
@@ -513,13 +505,16 @@ function puppet.next_choices(choices, asked)
   return false
 end
 
+local MANY_PATHS = 20 -- more than a step takes that ends, in a machine and its regions
+
 --- Return the outcome of a step as a text: the transitions taken, and the active leaf.
 ---@param paths string[]
 ---@param leaf? string|false
 ---@return string text "root.trans[2] -> root.b"
 function puppet.outcome(paths, leaf)
-  return (paths[1] and concat(paths, ", ") or "no transition") .. " -> "
-    .. (leaf or "not entered")
+  local text = concat(paths, ", ", 1, min(#paths, MANY_PATHS))
+  if #paths > MANY_PATHS then text = text .. " and on and on" end
+  return (paths[1] and text or "no transition") .. " -> " .. (leaf or "not entered")
 end
 
 --- List the paths of transitions by their numbers, such as those taken.
@@ -652,7 +647,7 @@ function puppet.new(model, options)
     path_of = {}, names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, clashes = {}, moments = {}, passed = {}, last_events = {}, ids = {},
+    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
     notes_events = false }, Puppet)

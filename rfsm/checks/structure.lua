@@ -51,12 +51,12 @@ local function check_node(fsm, node, reached, add)
       add("unreachable", node, "unreachable, no path of transitions leads here")
     end
   elseif is_conn(node) and not node._otrs[1] then
-    add("connector-end", node, "no way out of this connector, so that no transition to "
+    add("closed", node, "no way out of this connector, so that no transition to "
       .. "it is ever taken")
   elseif node ~= fsm and is_leaf(node) and not node.final
     and not has_way_out(fsm, node) then
     add("dead-end", node, "no exit, neither this state nor one around it is ever left",
-      codes.is_named_as_end(node) and "note")
+      codes.means(node, "an end") and "note")
   end
 end
 

@@ -12,7 +12,7 @@
 local rfsm = require "rfsm"
 local explore = require "rfsm.checks.explore"
 local match = require "rfsm.checks.match"
-local named = require "rfsm.checks.named"
+local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local rehearsal = require "rfsm.checks.rehearsal"
@@ -178,7 +178,7 @@ local function steps_at_rest(walk, number)
   local leaf = conf[1].leaf
   local found = reactions.of(own.parts[1], leaf)
   if puppet.is_driven(conf) or found.any or rfsm.regions(leaf)[1] then return {} end
-  local goes_on = conf[1].mode == "active" and { named.node(leaf, "root") } or nil
+  local goes_on = conf[1].mode == "active" and { place.name_of(leaf, "root") } or nil
   local list = { { goes_on = goes_on }, { "e_unknown" } }
   for _, event in ipairs(own:named_texts()) do
     if not (found.set[event] or own:maker_of(event)) then
