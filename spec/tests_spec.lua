@@ -21,9 +21,10 @@ local function load_chart(file)
 end
 
 -- Does a rehearsal of the model do what the tests expect of the chart?
-local function passes(result, load)
+local function passes(result, load, callbacks)
+  local options = { callbacks = callbacks or false }
   for _, planned in ipairs(result.runs) do
-    local ok, run = pcall(rfsm_checks.rehearsal, load())
+    local ok, run = pcall(rfsm_checks.rehearsal, load(), options)
     if not ok then return false end
     mutate.negate(run)
     for _, step in ipairs(planned.steps) do
@@ -141,24 +142,49 @@ describe("tests of an example", function()
   end)
 end)
 
+describe("tests that run callbacks", function()
+  it("hold the order of callbacks and what they print", function()
+    local file = "examples/on_off.lua"
+    local text = tests.busted(file, load_chart(file), true)
+    assert.matches("local OPTIONS = { callbacks = true }\n", text)
+    assert.matches('it%("goes to off, on, off", function', text)
+    assert.matches('assert.equal%("off %-e_push%-> on: entry on, print%(bright%)", '
+      .. 'run:step { "e_push" }%)', text)
+    run_spec(text, file)
+  end)
+
+  it("notice callbacks that are swapped", function()
+    local function load() return load_chart("examples/on_off.lua") end
+    local result = tests.plan(load(), true)
+    assert.is_true(passes(result, load, true))
+    assert.is_false(passes(result, function()
+      local model = load()
+      model.on.entry, model.off.entry = model.off.entry, model.on.entry
+      return model
+    end, true))
+  end)
+end)
+
 describe("tests that are written again", function()
   it("keep what stands around the marks, and name the chart as the spec sees it",
     function()
     local file, load = "examples/on_off.lua", function()
       return load_chart("examples/on_off.lua")
     end
-    local text = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua")
+    local text = tests.busted(file, load(), false, "spec/lamps/on_off_spec.lua")
     assert.matches('\nlocal FILE = here .. "../../examples/on_off.lua"\n', text)
-    assert.matches('"../on_off.lua"', (tests.busted(file, load(), {},
+    assert.matches('"../on_off.lua"', (tests.busted(file, load(), false,
       "examples/spec/on_off_spec.lua")))
     assert.matches('\nlocal FILE = "examples/on_off.lua"\n',
       (tests.busted(file, load())))
     local changed = text:gsub("on %-e_switch%-> off", "nonsense")
     local own = "-- mine\n" .. changed .. "-- more\n"
-    local again = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua", own)
+    local again = tests.busted(file, load(), false, "spec/lamps/on_off_spec.lua", own)
     assert.equal("-- mine\n" .. text .. "-- more\n", again)
-    assert.equal(text, (tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua",
-      "nothing marked")))
+    local ok, problem = pcall(tests.busted, file, load(), false, "on_off_spec.lua",
+      "nothing marked")
+    assert.is_false(ok)
+    assert.equal("the output has no marks of an earlier call: it is kept", problem)
   end)
 end)
 
@@ -184,6 +210,49 @@ describe("a rehearsal", function()
       run:step { after = 3, guards = { ["b -e_after(2)-> a"] = false } })
     assert.equal("stays in b, (b -e_after(2)-> a was not asked)",
       run:step { "e_x", guards = { ["b -e_after(2)-> a"] = false } })
+  end)
+
+  it("runs callbacks against fakes, and holds their order, if it shall", function()
+    local kept = rawget(_G, "print")
+    local model = rfsm.load_str [[
+      local rfsm = require "rfsm"
+      local state, trans = rfsm.state, rfsm.trans
+      local function fail() error("called") end
+      return state { info = false, warn = false, err = false,
+        a = state { exit = function() print("off", 2, {}) end },
+        b = state { doo = fail, entry = function(fsm)
+          rfsm.send_events(fsm, "e_sent")
+          error("broken")
+        end },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_x" }, guard = fail,
+          effect = function(_, _, what) return motor.left:start(what) end },
+        trans { src = "b", tgt = "a", events = { "e_sent" } } }
+    ]]
+    local run = rfsm_checks.rehearsal(model, { callbacks = true })
+    assert.equal("initial --> a", run:step())
+    assert.equal("a -e_x-> b: exit a, print(off, 2, table), effect, "
+      .. "motor.left.start(motor.left, effect), entry b, sends e_sent, fails: broken",
+      run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
+    assert.equal("stays in b", run:step { goes_on = { "b" } })
+    assert.equal(kept, rawget(_G, "print"))
+    assert.is_nil(rawget(_G, "motor"))
+    local seen = {}
+    run = rfsm_checks.rehearsal(model, { callbacks = true, fakes = {
+      print = function(text) seen[1] = text end,
+      motor = { left = { start = function() seen[2] = "started" end } } } })
+    run:step()
+    assert.equal("a -e_x-> b: exit a, effect, entry b, sends e_sent, fails: broken",
+      run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
+    assert.same({ "off", "started" }, seen)
+  end)
+
+  it("refuses options that are wrong", function()
+    local _, text = pcall(function()
+      return (rfsm_checks.rehearsal(busy(), { callback = true }))
+    end)
+    assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: unknown option "
+      .. "'callback', expected: callbacks, fakes$", text)
   end)
 
   it("refuses names of what is not there", function()

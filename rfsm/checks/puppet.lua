@@ -45,6 +45,7 @@ local puppet = {}
 ---@field free table<string, true> what the chart has: guards, predicates, timers, doos
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
+---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
 ---@field notes_events boolean keep in `last_events` those that iterations had?
@@ -194,8 +195,8 @@ local function make_state(self, part, state)
   own.entry = entry
   if part.owner or not rfsm.is_root(state) and rfsm.is_composite(state)
     and is_passable(state) then
-    function own.entry(fsm)
-      if entry then entry(fsm) end
+    function own.entry(...)
+      if entry then entry(...) end
       note_moment(self, state)
     end
   end
@@ -228,9 +229,9 @@ local function make_transition(self, part, tr)
   end
   local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
   tr.likely = nil
-  tr.effect = function(fsm)
+  tr.effect = function(...)
     self.taken[#self.taken + 1] = number
-    if stub then stub(fsm) end
+    if stub then stub(...) end
   end
 end
 
@@ -477,6 +478,7 @@ function Puppet:step(events, choices)
   clear(self.taken)
   clear(self.moments)
   clear(self.last_events)
+  clear(self.called)
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
@@ -640,13 +642,15 @@ end
 --- Make a puppet of a model, in the configuration before the first entry.
 -- @raise if the model is not valid, or an option is wrong
 ---@param model rfsm.State
----@param options { alphabet?: any[], flags?: table, sends?: table, dry_run?: boolean }
+---@param options table `alphabet`, `flags`, `sends`, `dry_run` as in an exploration;
+-- `callbacks`: call entries, exits and effects
 ---@return rfsm_checks.Puppet
 function puppet.new(model, options)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     path_of = {}, names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
-    is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
+    is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
+    choices = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, moments = {}, passed = {}, last_events = {}, ids = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,

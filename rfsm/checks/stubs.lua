@@ -134,13 +134,28 @@ end
 
 -- Stubs .............................................................................
 
--- Calls a callback once; returns the events that it sends to its machine.
-local function dry_run(fsm, callback, obj, what)
+-- Calls a callback. Returns the events that it sends to its machine, which are taken
+-- from the queue, and what `calls.try` does.
+local function call_apart(callback, fsm, ...)
   local sent, first = {}, #fsm._intq + 1
-  calls.try(callback, fsm, obj, what, {})
+  local ok, failure = calls.try(callback, fsm, ...)
   for i = first, #fsm._intq do sent[#sent + 1] = fsm._intq[i] end
   for i = #fsm._intq, first, -1 do fsm._intq[i] = nil end
-  return sent
+  return sent, ok, failure
+end
+
+-- Returns a stub that calls the callback, and notes its name, what it sends, and the
+-- failure.
+local function new_call(self, name, callback)
+  return function(...)
+    local called = self.called
+    called[#called + 1] = name
+    local sent, ok, failure = call_apart(callback, ...)
+    for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
+    if not ok then
+      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^%S+:%d+: ", "")
+    end
+  end
 end
 
 --- Note that a callback may exist; return its stub.
@@ -155,9 +170,13 @@ function stubs.new(self, what, path, fsm, obj, callback)
   local name = what .. " " .. path
   self.callbacks[name] = true
   stubs.note_writer(self, name, callback)
+  if self.calls_callbacks then
+    local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
+    return callback and new_call(self, short, callback)
+  end
   local flags, events = self.flags_of[name] or {}, self.sends[name] or {}
   if self.is_dry_run and callback and not self.sends[name] then
-    events = dry_run(fsm, callback, obj, what)
+    events = call_apart(callback, fsm, obj, what, {})
   end
   if not flags[1] and events[1] == nil then return nil end
   return function(own)

@@ -46,6 +46,7 @@ function check.add_arguments(command)
     :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
+  command:flag("--callbacks", "tests: run entries, exits and effects, too")
   command:option("-o --output", "tests: file to write; - is stdout", "-")
     :argname("FILE")
 end
@@ -79,7 +80,7 @@ local function write_tests(options, parser)
   local old_text = old and old:read("*a")
   if old then old:close() end
   local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
-    model, {}, options.output, old_text)
+    model, options.callbacks, options.output, old_text)
   common.write(options.output, text)
   io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
     result.taken, result.transitions, result.steps))
