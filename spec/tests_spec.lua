@@ -226,21 +226,21 @@ describe("a rehearsal", function()
         end },
         trans { src = "initial", tgt = "a" },
         trans { src = "a", tgt = "b", events = { "e_x" }, guard = fail,
-          effect = function(_, _, what) return motor.left:start(what) end },
+          effect = function(_, _, what) return crane.left:start(what) end },
         trans { src = "b", tgt = "a", events = { "e_sent" } } }
     ]]
     local run = rfsm_checks.rehearsal(model, { callbacks = true })
     assert.equal("initial --> a", run:step())
     assert.equal("a -e_x-> b: exit a, print(off, 2, table), effect, "
-      .. "motor.left.start(motor.left, effect), entry b, sends e_sent, fails: broken",
+      .. "crane.left.start(crane.left, effect), entry b, sends e_sent, fails: broken",
       run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
     assert.equal("stays in b", run:step { goes_on = { "b" } })
     assert.equal(kept, rawget(_G, "print"))
-    assert.is_nil(rawget(_G, "motor"))
+    assert.is_nil(rawget(_G, "crane"))
     local seen = {}
     run = rfsm_checks.rehearsal(model, { callbacks = true, fakes = {
       print = function(text) seen[1] = text end,
-      motor = { left = { start = function() seen[2] = "started" end } } } })
+      crane = { left = { start = function() seen[2] = "started" end } } } })
     run:step()
     assert.equal("a -e_x-> b: exit a, effect, entry b, sends e_sent, fails: broken",
       run:step { "e_x", guards = { ["a -e_x-> b"] = true } })

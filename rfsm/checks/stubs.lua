@@ -153,7 +153,7 @@ local function new_call(self, name, callback)
     local sent, ok, failure = call_apart(callback, ...)
     for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
     if not ok then
-      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^%S+:%d+: ", "")
+      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^.-:%d+: ", "")
     end
   end
 end
