@@ -35,6 +35,7 @@ local FIELDS = {
   state = { "entry", "exit", "doo" },
   root = {
     "entry", "exit", "doo", "getevents", "idle_hook", "pre_step_hook", "post_step_hook",
+    "dbg", "info", "warn", "err",
   },
   transition = { "src", "tgt", "events", "guard", "effect", "pn" },
   connector = {},

@@ -317,6 +317,19 @@ local CASES = {
     { b = state { entry = yes }, [4] = go("b", "b", "e_done") } },
   { "endless", "none that takes nothing again, an internal one",
     { [4] = go("b", "internal", "e_done") } },
+  { "false-guard", "a guard that is false", { [4] = go("a", "b", "e_y",
+    { guard = false }), c = state { x = state {}, go("initial", "x", nil,
+      { guard = false }) }, [5] = go("a", "c", "e_c"), [6] = go("c", "a", "e_c") },
+    "root.trans[4] (a -> b): its guard is false and counts as absent, it was made "
+      .. "while the chart was loaded",
+    "root.c.trans[1] (initial -> x): its guard is false and counts as absent, it was "
+      .. "made while the chart was loaded" },
+  { "false-guard", "none that is a function, or absent",
+    { [4] = go("a", "b", "e_y", { guard = yes }) } },
+  { "any-event", "a transition of a state without events",
+    { [4] = go("b", "a", {}, { pn = -1 }) },
+    "root.trans[4] (b -> a): it has no events, and is taken on any" },
+  { "any-event", "none of a connector", via_k(go("k", "b")) },
   { "never-done", "an e_done@F of no leaf", { [4] = go("a", "b", "e_done@root.z") },
     "root.trans[4] (a -> b): event 'e_done@root.z' never comes, 'root.z' is no leaf "
       .. "state of this machine" },
@@ -384,6 +397,14 @@ local CASES = {
   { "unknown-field", "a field in other words",
     { [4] = go("a", "b", "e", { action = yes }) }, "root.trans[4] (a -> b): a "
       .. "transition has no field 'action' (did you mean 'effect'?)" },
+  { "unknown-field", "true and false in a field that is nearly there",
+    { debug = true, wran = false, a = state { finl = true } },
+    "root: a state has no field 'debug' (did you mean 'dbg'?)",
+    "root: a state has no field 'wran' (did you mean 'warn'?)",
+    "root.a: a state has no field 'finl' (did you mean 'final'?)" },
+  { "unknown-field", "none of the user's, true or not",
+    { [4] = go("a", "b", "e", { finl = true }),
+      a = state { done = true, final = 1 } } },
   { "unknown-field", "none of the user's",
     { [4] = go("a", "b", "e", { note = "x" }) } },
   { "unmarked", "a state that was not marked", { c = { x = state {} } },
@@ -393,6 +414,10 @@ local CASES = {
   { "misplaced", "a transition inside a leaf",
     { b = state { go("root.b", "root.a", "e") } }, "root.b: a transition inside a leaf "
       .. "state" },
+  { "misplaced", "transitions in a sequential AND state, once",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_c"), c = rfsm.seqand {
+      x_in_c(), go("initial", "1"), go("1", "2", "e") } },
+    "root.c: a transition in a sequential AND state, it belongs into a region" },
   { "misplaced", "none around it", { [4] = go("b", "a", "e") } },
   { "silence", "a code that does not exist, and one without a reason",
     { b = state { checks = { ["dead-ent"] = "no", typo = "" } } },
@@ -422,7 +447,9 @@ describe("each code", function()
   end
 
   local codes = require "rfsm.checks.codes"
-  local OTHERS = { invalid = true, init = true, trap = true, violated = true }
+  local OTHERS = { invalid = true, init = true, trap = true, violated = true,
+    undefined = true, ["no-value"] = true, ["no-yield"] = true, ["busy-doo"] = true,
+    ["doo-ends"] = true }
   for _, entry in ipairs(codes.list) do
     if not OTHERS[entry.code] then
       it("has a chart that shows it, and one that does not: " .. entry.code, function()

@@ -530,8 +530,8 @@ describe("rfsm-check", function()
     assert.equal(WARNED:gsub("FILE", file), (run("rfsm-check '" .. file .. "'")))
   end)
 
-  it("knows time events and await, also if the host of a chart loads them", function()
-    checks([[
+  it("warns of time events and awaits unless chart or settings load them", function()
+    local text = [[
       local rfsm = require "rfsm"
       return rfsm.state {
         a = rfsm.state {}, b = rfsm.state {},
@@ -539,7 +539,18 @@ describe("rfsm-check", function()
         rfsm.trans { src = "a", tgt = "b", events = { "e_after(2)" } },
         rfsm.trans { src = "b", tgt = "a", events = { "await(e_a)" } },
       }
-    ]], "FILE: ok\n", 0)
+    ]]
+    local warning = "FILE:%d: warning: root.trans[%d] (%s): the chart does not load "
+      .. "the extension that knows '%s' (require %q) [unknown-word]\n"
+    local of_time = warning:format(5, 2, "a -> b", "e_after(2)", "rfsm_timeevent")
+    local of_await = warning:format(6, 3, "b -> a", "await(e_a)", "rfsm_await")
+    checks(text, of_time .. of_await, 0)
+    checks("require 'rfsm.timeevent'" .. text, of_await, 0)
+    checks("local _ = rfsm_timeevent" .. text, of_await, 0)
+    checks("require 'rfsm_await'" .. text, of_time, 0)
+    write_file(".rfsmcheck.lua", "require 'rfsm_timeevent' return {}")
+    checks(text, of_await, 0)
+    os.remove(folder .. "/.rfsmcheck.lua")
   end)
 
   it("looks into the machines inside a state", function()

@@ -82,6 +82,12 @@ describe("a verdict", function()
     assert.equal("root.moving", helper.leaf_after(fsm, "e_joy_left"))
   end)
 
+  it("calls no predicate, so that one without end does no harm", function()
+    local model = chart { [2] = go("a", "b", { function() while true do end end }) }
+    assert.equal("p: holds (one event a step; predicates free)",
+      verdict(model, always "root"))
+  end)
+
   it("has the predicates of regions, too", function()
     local region = state { warn = false, info = false, x = state {}, y = state {},
       go("initial", "x"), go("x", "y", { yes }), go("y", "x", "e_y") }
@@ -246,7 +252,8 @@ describe("a verdict", function()
     local model = chart { c = state { k = conn {}, x = state {}, go("initial", "x") },
       [2] = go("a", "root.c.k", "e_x"), [4] = go("root.c.k", "b") }
     assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
-      .. "  2. e_x: root.trans[2], root.trans[4] -> root.b", verdict(model, never "root.c"))
+      .. "  2. e_x: root.trans[2], root.trans[4] -> root.b",
+      verdict(model, never "root.c"))
   end)
 
   it("sees the states that a region passes through", function()

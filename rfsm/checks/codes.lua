@@ -50,6 +50,20 @@ warning never-done: an e_done that no leaf sends
   name a leaf state, or a final event of your own
 warning never-called: a callback stands where none is called
   guard and effect belong to transitions; entry, exit and doo to states
+warning false-guard: a guard that was false while loading counts as absent
+  write a function: guard = function() return speed < max end
+warning no-value: a guard that returns nothing never forbids
+  return true or false
+warning undefined: a callback reads a global that is not defined; a note if the host may
+  correct the name, or define it
+warning no-yield: a doo that never returns to the engine
+  call rfsm.yield() in its loop
+note busy-doo: a doo that is never idle, so that run never returns
+  yield true where there is nothing to do
+note doo-ends: a doo ends, and nothing waits for its e_done
+  add a transition on e_done, or let the doo go on
+note any-event: a transition of a state on any event
+  name its events, or e_done if it waits for none
 warning typo: an event is one letter from another
   use one name; or silence the finding at this transition
 warning odd-event: an event that looks like several, or like a list

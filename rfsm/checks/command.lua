@@ -5,13 +5,18 @@
 
 local chart = require "rfsm.shared.chart"
 local codes = require "rfsm.checks.codes"
+local match = require "rfsm.checks.match"
+local place = require "rfsm.checks.place"
+local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
 local assert, error, io, ipairs = assert, error, io, ipairs
 local loadfile, os, pcall = loadfile, os, pcall
-local require, type = require, type
+local package, pairs, rawget = package, pairs, rawget
+local rawset, require, type = rawset, require, type
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local command = {}
 
@@ -123,9 +128,67 @@ local function explore(file, model, options)
   return result
 end
 
+-- Extensions that rfsm check loads, by who makes their events: the names of their
+-- modules, the one to require first.
+local EXTENSIONS = {
+  timer = { "rfsm_timeevent", "rfsm.timeevent" },
+  await = { "rfsm_await", "rfsm.await" },
+}
+
+--- Call a function that loads a chart, and note which extensions that requires.
+---@param f function
+---@param ... any
+---@return table<string, true> required "timer", "await"
+---@return any ... results of `f`
+function command.noting_extensions(f, ...)
+  local required, kept = {}, {}
+  local loaded, preload = package.loaded, package.preload
+  for maker, names in pairs(EXTENSIONS) do -- any order: each stands alone
+    for _, name in ipairs(names) do
+      kept[name] = { require(name), rawget(_G, name) }
+      preload[name] = function()
+        required[maker] = true
+        rawset(_G, name, kept[name][2])
+        return kept[name][1]
+      end
+    end
+  end
+  for name in pairs(kept) do -- any order: each stands alone
+    loaded[name] = nil
+    rawset(_G, name, nil)
+  end
+  local results = { pcall(f, ...) }
+  for name, values in pairs(kept) do -- any order: each stands alone
+    loaded[name], preload[name] = values[1], nil
+    rawset(_G, name, values[2])
+  end
+  if not results[1] then error(results[2], 0) end
+  return required, unpack(results, 2, 4)
+end
+
+-- Finds events of extensions that the chart does not require: its host may do so.
+local function add_missing_extensions(findings, model, required)
+  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
+      for _, event in ipairs(tr.events or {}) do
+        local maker = match.maker_of(event)
+        if EXTENSIONS[maker] and not required[maker] then
+          findings:add("unknown-word", tr, place.path(tr, entry.prefix),
+            ("the chart does not load the extension that knows '%s' (require %q)")
+              :format(event:gsub("@root.*$", ""), EXTENSIONS[maker][1]),
+            place.in_words(tr, entry.prefix))
+        end
+      end
+    end
+  end
+end
+
 -- Returns all findings about a chart, and what was explored; nil: nothing was.
 local function find_all(file, model, settings, options)
-  local findings, result = static.collect(model), nil
+  local findings, result = static.collect(model, static.OF_FILES), nil
+  if gravest_of(findings) ~= "error" then
+    add_missing_extensions(findings, model, options.required or {})
+  end
   if not (options.static or gravest_of(findings) == "error") then
     result = explore(file, model, options)
     findings:join(result.findings)
@@ -162,7 +225,8 @@ end
 ---@param model rfsm.State
 ---@param warnings string[] about its file
 ---@param settings table<string, string>
----@param options table of the command: all, static, together ...
+---@param options table of the command: all, static, together ...; `required`: what
+-- `command.noting_extensions` has noted
 ---@return string[] lines "chart.lua: ok" if there is nothing to report
 ---@return "error"|"warning"|nil gravest severity, but for notes
 function command.review(file, model, warnings, settings, options)

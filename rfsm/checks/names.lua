@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local match = require "rfsm.checks.match"
 
 local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
 
@@ -30,7 +31,8 @@ local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 -- which no other table equals.
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
-    local mark = type(event) == "string" and event:match("^[^(@]*"):match("[,|%s]")
+    local mark = type(event) == "string" and not match.maker_of(event)
+      and event:match("^[^(@]*"):match("[,|%s]")
     if mark then
       add("odd-event", tr, ("'%s' is one event with %s in its name"):format(event,
         MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"))

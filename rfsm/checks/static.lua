@@ -15,6 +15,7 @@ local place = require "rfsm.checks.place"
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local require, select, setmetatable = require, select, setmetatable
 local table, type = table, type
+local concat = table.concat
 
 local static = {}
 
@@ -37,6 +38,12 @@ local CHECKS = {
   "rfsm.checks.loops", "rfsm.checks.names",
 }
 
+--- The checks of files: those, and that of the text of callbacks.
+static.OF_FILES = {
+  "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
+  "rfsm.checks.loops", "rfsm.checks.names", "rfsm.checks.source",
+}
+
 -- Findings, but for those that an element expects .....................................
 
 local function silences_of(obj)
@@ -53,12 +60,15 @@ end
 ---@class rfsm_checks.Findings
 ---@field [integer] rfsm_checks.Finding
 ---@field silenced table<string, true> what elements expect: "root.a dead-end"
+---@field told table<string, true> so that none is there twice
 local Findings = {}
 Findings.__index = Findings
 
 --- Return an empty list of findings.
 ---@return rfsm_checks.Findings
-function static.new_list() return setmetatable({ silenced = {} }, Findings) end
+function static.new_list()
+  return setmetatable({ silenced = {}, told = {} }, Findings)
+end
 
 --- Append a finding, unless its element expects it.
 ---@param code string
@@ -73,7 +83,9 @@ function Findings:add(code, obj, path, text, at, file)
     self.silenced[path .. " " .. code] = true
     return nil
   end
-  local known = codes.of[code]
+  local known, key = codes.of[code], concat({ code, path or at, text }, " ")
+  if self.told[key] then return nil end
+  self.told[key] = true
   local finding = { code = code, severity = known.severity, hint = known.hint,
     file = file or obj and place.split(rfsm.location_of(obj)) or "",
     place = at or path, text = text }
@@ -135,14 +147,14 @@ end
 -- Checks ..........................................................................
 
 -- Appends the findings about a machine, in the order of its elements.
-local function check_machine(entry, findings)
+local function check_machine(entry, findings, checks)
   local fsm, by_element, elements = entry.machine, {}, rfsm.elements(entry.machine)
   if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
   for _, obj in ipairs(elements) do by_element[obj] = {} end
   local function add(code, obj, text, severity)
     table.insert(by_element[obj], { code = code, text = text, severity = severity })
   end
-  for _, name in ipairs(CHECKS) do require(name).check(fsm, add) end
+  for _, name in ipairs(checks) do require(name).check(fsm, add) end
   for _, obj in ipairs(elements) do
     check_silences(obj, add)
     for _, found in ipairs(by_element[obj]) do
@@ -194,17 +206,58 @@ local function elements_by_place(fsm)
   return found
 end
 
+local INSIDE = "a transition inside a leaf state"
+
+local function has_regions(obj) return obj and rfsm.regions(obj)[1] ~= nil end
+
+-- Is the text about a transition in a sequential AND state? One about that is enough.
+local function is_told(at, text, by_place)
+  return has_regions(by_place[at and at:match("^(root.*)%.trans%[")])
+    or is_detailed(text)
+end
+
+-- Leaves out lines about words of extensions of which an extension has said more.
+local function without_doubles(lines)
+  local is_told_of, kept = {}, {}
+  for _, line in ipairs(lines) do
+    local word = line:match("'(%S+%b())': ")
+    if word then is_told_of[word] = true end
+  end
+  for _, line in ipairs(lines) do
+    local word = line:match("no loaded extension knows '(.-)'")
+    if not is_told_of[word] then kept[#kept + 1] = line end
+  end
+  return kept
+end
+
 -- Appends lines of init about a machine as findings; `code`: nil for warnings.
 local function add_lines(findings, lines, code, fsm, prefix)
   local by_place = elements_by_place(fsm)
-  for _, line in ipairs(lines) do
+  for _, line in ipairs(without_doubles(lines)) do
     local file, rest = place.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
-    if code or not is_detailed(text or rest) then
-      local obj = by_place[at]
+    local obj = by_place[at]
+    if text == INSIDE and has_regions(obj) then
+      text = "a transition in a sequential AND state, it belongs into a region"
+    end
+    if code or not is_told(at, text or rest, by_place) then
       findings:add(code or codes.of_warning(line), obj,
         obj and place.path(obj, prefix), text or rest,
         place.location_of(prefix) .. (at or "root"), file)
+    end
+  end
+end
+
+-- Finds guards that count as absent: a machine does not have them any more.
+local function add_false_guards(findings, model, node)
+  for _, key in ipairs(rfsm.sorted_keys(model)) do
+    local value = model[key]
+    local own = not rfsm.is_meta(key) and node[key] -- no field of a part of a machine
+    if rfsm.is_trans(value) and value.guard == false and rfsm.is_trans(own) then
+      findings:add("false-guard", own, place.path(own), "its guard is false and counts "
+        .. "as absent, it was made while the chart was loaded", place.of(own))
+    elseif own and rfsm.is_state(value) and rfsm.is_composite(own) then
+      add_false_guards(findings, value, own)
     end
   end
 end
@@ -222,6 +275,7 @@ local function check_model(findings, model)
   end
   add_lines(findings, problems or {}, "invalid", nil, "root")
   add_lines(findings, warnings, nil, fsm, "root")
+  if fsm then add_false_guards(findings, model, fsm) end
   for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
     if entry.owner then
       local _, _, own = rfsm.verify_early(entry.machine)
@@ -233,12 +287,13 @@ end
 
 --- Find all there is, whatever its severity.
 ---@param model rfsm.State a model, or a machine
+---@param checks? string[] names of modules
 ---@return rfsm_checks.Findings
-function static.collect(model)
+function static.collect(model, checks)
   local findings = static.new_list()
   local fsm = rfsm.is_initialized_root(model) and model or check_model(findings, model)
   for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
-    check_machine(entry, findings)
+    check_machine(entry, findings, checks or CHECKS)
   end
   return findings
 end

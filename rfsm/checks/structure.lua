@@ -4,10 +4,12 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 
-local ipairs = ipairs
+local ipairs, type = ipairs, type
 local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
 
 local structure = {}
@@ -74,12 +76,39 @@ local function check_callbacks(obj, add)
   end
 end
 
+-- Fields that are true or false.
+local FLAGS = { "final" }
+local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
+
+-- Finds true and false in fields that are not there, but nearly.
+local function check_flags(state, flags, add)
+  for _, key in ipairs(rfsm.sorted_keys(state)) do
+    for _, flag in ipairs(type(state[key]) == "boolean" and flags or {}) do
+      local is_near = type(key) == "string" and advice.is_near(key, flag)
+      if is_near and key ~= flag or flag == "dbg" and key == "debug" then
+        add("unknown-field", state, ("a state has no field '%s' (did you mean '%s'?)")
+          :format(key, flag))
+      end
+    end
+  end
+end
+
+local function check_transition(tr, add)
+  if match.is_any(tr) and not is_conn(tr.src) then
+    add("any-event", tr, "it has no events, and is taken on any")
+  end
+end
+
 --- Find what is wrong with nodes.
 ---@type rfsm_checks.Check
 function structure.check(fsm, add)
   local reached = structure.reached(fsm)
   for _, obj in ipairs(rfsm.elements(fsm)) do
     if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
+    if rfsm.is_trans(obj) then check_transition(obj, add) end
+    if rfsm.is_state(obj) then
+      check_flags(obj, rfsm.is_root(obj) and ROOT_FLAGS or FLAGS, add)
+    end
     check_callbacks(obj, add)
   end
 end

@@ -90,9 +90,13 @@ end
 -- Returns lines about the chart in a file, and the gravest severity.
 local function review(file, options)
   local command = require("rfsm.checks.command")
-  local settings, problem = command.settings_for(file)
-  if not settings then common.fail(problem, 2) end
-  local model, warnings = common.load_model(file)
+  local settings, model, warnings
+  options.required, model, warnings = command.noting_extensions(function()
+    local problem
+    settings, problem = command.settings_for(file)
+    if not settings then common.fail(problem, 2) end
+    return common.load_model(file)
+  end)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, command.review, file,
     model, warnings, settings, options)

@@ -284,31 +284,22 @@ local BOUND = 300 -- configurations: charts that have more are left out
 local FLAGS = { "f1", "f2" }
 
 -- Adds flags that callbacks set: to the options, and by the names of callbacks here.
+-- Each is set by some callback, and no callback has one twice.
 local function add_flags(options, choice, random, callbacks)
-  options.flags = {}
+  options.flags, choice.names = {}, FLAGS
   for _, name in ipairs(FLAGS) do
-    local flag = { on = {}, off = {} }
-    for _ = 1, random:below(4) do
-      local own = random:pick(callbacks)
-      local field = random:chance(50) and "on" or "off"
-      local is_new = true
-      for _, other in ipairs(choice.sets[own.id] or {}) do
-        is_new = is_new and other[1] ~= name
-      end
-      if is_new then
+    local flag, is_used = { on = {}, off = {} }, {}
+    for i = 1, 1 + random:below(4) do
+      local own, field = random:pick(callbacks), "on"
+      if i > 1 and random:chance(50) then field = "off" end
+      if not is_used[own] then
+        is_used[own] = true
         table.insert(flag[field], own.name)
         choice.sets[own.id] = choice.sets[own.id] or {}
         table.insert(choice.sets[own.id], { name, field == "on" and "+" or "-" })
       end
     end
-    if flag.on[1] then options.flags[name], choice.names[#choice.names + 1] = flag, name
-    else
-      for _, list in pairs(choice.sets) do -- any order: each stands alone
-        for i = #list, 1, -1 do
-          if list[i][1] == name then table.remove(list, i) end
-        end
-      end
-    end
+    options.flags[name] = flag
   end
 end
 
@@ -332,10 +323,11 @@ end
 -- one or two events a step, flags, and what effects send, as an option or in a dry run.
 local function options_of(chart, random)
   local path_of = paths_of(chart)
-  local choice = { sends = {}, sets = {}, names = {}, together = random:chance(30) and 2
-    or 1 }
+  local choice = { sends = {}, sets = {}, names = {},
+    together = random:chance(30) and 2 or 1 }
   local options = { configurations = BOUND, together = choice.together, sends = {},
-    dry_run = random:chance(30), alphabet = random:chance(25) and { "e1", "e2" } or nil }
+    dry_run = random:chance(30),
+    alphabet = random:chance(25) and { "e1", "e2" } or nil }
   for _, number in ipairs(rfsm.sorted_keys(path_of)) do
     if not number:find("/", 1, true) and tonumber(number) % 7 == 1 then
       choice.sends[number] = "e2"
