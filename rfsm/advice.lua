@@ -46,7 +46,7 @@ local ALIASES = {
   state = {
     enter = "entry", onentry = "entry", onenter = "entry", onexit = "exit",
     leave = "exit", onleave = "exit", ["do"] = "doo", during = "doo", activity = "doo",
-    doactivity = "doo",
+    doactivity = "doo", prehook = "pre_step_hook", posthook = "post_step_hook",
   },
   transition = {
     source = "src", from = "src", target = "tgt", to = "tgt", dst = "tgt", dest = "tgt",
