@@ -419,6 +419,9 @@ describe("rfsm-check", function()
       1, "-x --record '" .. folder .. "/run'")
     assert.matches("root.b", (run("rfsm-sim -q --dry --replay '" .. folder .. "/run' '"
       .. folder .. "/chart.lua' -e 'print(rfsm.get_actleaf_fqn(fsm))'")))
+    assert.matches("\n   1  e_init_fsm +root.a%(done%)\n   2  e_done@root.a, e_go +"
+      .. "root.b%(done%)\nactive: root.a%(done%)\n", (run("rfsm-sim -q --dry --replay '"
+      .. folder .. "/run' '" .. folder .. "/chart.lua' -e 'history()' -e 'goto(1)'")))
     for text, problem in pairs { -- any order: each stands alone
       ["return 7"] = "FILE.lua: FILE_properties.lua: table with the field 'properties' "
         .. "expected, got number\n",

@@ -267,8 +267,8 @@ describe("a verdict", function()
     local model = chart { [4] = go("b", "c", "e_c", { effect = function(fsm)
       fsm[2].tgt = fsm.c
     end }), c = state {}, [5] = go("c", "a", "e_x") }
-    local result = rfsm_checks.explore(model, { properties = { never "root.spare" },
-      flags = { ["root.spare"] = {} } })
+    local result = rfsm_checks.explore(model,
+      { properties = { never { "root.a", "root.b" } } })
     assert.equal("targets", result.bound)
     assert.same({ "targets that the effect root.trans[4] may write" }, result.untried)
     assert.is_nil(result.properties[1].holds)
@@ -291,6 +291,10 @@ describe("options of an exploration", function()
     { options = { flags = { lit = "on" } },
       text = "flags: lit: table with the lists 'on' and 'off' expected, got string "
         .. "'on'" },
+    { options = { flags = { lit = { off = { "entry root.b" } } } },
+      text = "flags: lit.on: callbacks that switch it on expected, got none" },
+    { options = { flags = { lit = { on = {} } } },
+      text = "flags: lit.on: callbacks that switch it on expected, got none" },
     { options = { sends = { ["entry root.b"] = "e_x" } },
       text = "sends: ['entry root.b']: list of events expected, got string 'e_x'" },
     { options = { alphabet = { e_x = true } }, text = "alphabet: list expected, got "
@@ -303,6 +307,13 @@ describe("options of an exploration", function()
       assert.equal("rfsm_checks.explore: " .. case.text, (text:gsub("^%S+:%d+: ", "")))
     end)
   end
+
+  it("have no flag that is named like a state", function()
+    local ok, text = pcall(rfsm_checks.explore, chart(), { flags = { ["root.b"] = {
+      on = { "entry root.a" } } } })
+    assert.is_false(ok)
+    assert.equal("flags: 'root.b' is the path of a state, use another name", text)
+  end)
 
   it("have no event in the alphabet that no transition names", function()
     local function explore(members, alphabet)

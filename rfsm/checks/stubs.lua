@@ -46,6 +46,9 @@ local function check_flag(where, flag)
         opts.got(flag[field]))
     end
   end
+  if not (flag.on and flag.on[1]) then
+    return where .. ".on: callbacks that switch it on expected, got none"
+  end
 end
 
 --- Is it a table of flags: { motor = { on = {...}, off = {...} } }?
@@ -200,6 +203,15 @@ function stubs.read_flags(self, flags)
     self.flag_numbers[name], self.flags[number] = number, "-"
     set_flag(self, flags[name].on, number, "+")
     set_flag(self, flags[name].off, number, "-")
+  end
+end
+
+--- Raise an error if a flag is named like a state: a condition could mean both.
+function stubs.check_flag_names(self)
+  for _, name in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
+    if self.names[name] then
+      error(("flags: '%s' is the path of a state, use another name"):format(name), 0)
+    end
   end
 end
 
