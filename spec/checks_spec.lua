@@ -89,6 +89,15 @@ describe("watch", function()
     assert.same({}, warnings)
   end)
 
+  it("is not there unless it is asked for", function()
+    local fsm, warnings = helper.init(chart()), {}
+    fsm.warn = function(text) warnings[#warnings + 1] = text end
+    rfsm.fsm_merge(fsm, fsm, go("a", "b", "e_new"))
+    helper.post_and_run(fsm, "e_y")
+    assert.same({}, warnings)
+    assert.equal(rfsm_checks, rawget(_G, "rfsm_checks"))
+  end)
+
   it("blames the caller for what is no machine", function()
     local _, text = pcall(function() rfsm_checks.watch(chart()) end)
     assert.matches("checks_spec.lua:%d+: rfsm_checks.watch: initialised fsm expected, "
@@ -103,6 +112,19 @@ local function lines_of(model)
 end
 
 describe("check", function()
+  it("finds what is wrong with the top of a part of a machine", function()
+    local whole = helper.init(state { p = chart { guard = print }, go("initial", "p") })
+    assert.same({ "root: the guard of a state is never called [never-called]" },
+      lines_of(whole.p))
+  end)
+
+  it("has the warnings of a model that is not valid, too", function()
+    assert.same({ "root.trans[4]: src is missing, the name of a state or connector "
+      .. "expected", "root.trans[5] (a -> b): a transition has no field 'action' (did "
+      .. "you mean 'effect'?) [unknown-field]" }, lines_of(chart {
+      [4] = go(nil, "a"), [5] = go("a", "b", "e", { action = print }) }))
+  end)
+
   it("takes a machine, and a part of one, too", function()
     local model = chart { c = state {} }
     local findings = rfsm_checks.check(model)

@@ -142,6 +142,102 @@ describe("tests of an example", function()
   end)
 end)
 
+local LAMP = [[
+local rfsm = require "rfsm"
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+local function yes() return true end
+return state { info = false, warn = false,
+  off = state {}, warm = state { doo = yes }, k = conn {},
+  on = state { low = state {}, high = state {},
+    trans { src = "initial", tgt = "low" },
+    trans { src = "low", tgt = "high", events = { "e_more", 7 }, pn = 1 },
+    trans { src = "low", tgt = "high", events = { "e_boost" }, guard = yes },
+    trans { src = "high", tgt = "low", events = { "e_after(2.5)" } },
+  },
+  trans { src = "initial", tgt = "off" },
+  trans { src = "off", tgt = "warm", events = { "e_on" } },
+  trans { src = "warm", tgt = "k", events = { "e_done" } },
+  trans { src = "k", tgt = "on", guard = yes, pn = 1 },
+  trans { src = "k", tgt = "off" },
+  trans { src = "on", tgt = "off", events = { "e_off" } },
+  trans { src = "on", tgt = "internal", events = { "e_ping" }, pn = -1 },
+}
+]]
+
+local LAMP_SPEC = [=[
+-- Runs of lamp.lua that take 11 of its 11 transitions, in 33 steps.
+--
+-- Callbacks of the chart do not run.
+-- `guards` has the answers of guards, `ends` and `goes_on` states whose doo does so;
+-- `after` lets that many seconds go by. What is asked and not mentioned is part of the
+-- result.
+
+require "rfsm_timeevent"
+local rehearsal = require("rfsm_checks").rehearsal
+
+local here = debug.getinfo(1, "S").source:match("^@(.*/)") or ""
+local FILE = here .. "../lamp.lua"
+local OPTIONS = { callbacks = false }
+
+-- rfsm check --tests: what stands from here ...
+describe("lamp.lua", function()
+  it("goes to off, warm, on.low, on.high, off, warm, off ... on.high", function()
+    local run = rehearsal(FILE, OPTIONS)
+    assert.equal("initial --> off", run:step())
+    assert.equal("stays in off", run:step())
+    assert.equal("stays in off", run:step { "e_unknown" })
+    assert.equal("stays in off", run:step { "e_off" })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { goes_on = { "warm" } })
+    assert.equal("stays in warm", run:step { "e_unknown" })
+    assert.equal("stays in warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> on, on.initial --> on.low",
+      run:step { guards = { ["k --> on"] = true } })
+    assert.equal("stays in on.low", run:step())
+    assert.equal("stays in on.low", run:step { "e_unknown" })
+    assert.equal("stays in on.low", run:step { "e_on" })
+    assert.equal("on.low -7, e_more-> on.high", run:step { "e_more" })
+    assert.equal("stays in on.high", run:step())
+    assert.equal("stays in on.high", run:step { "e_unknown" })
+    assert.equal("stays in on.high", run:step { "e_on" })
+    assert.equal("on -e_off-> off", run:step { "e_off" })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> off",
+      run:step { guards = { ["k --> on"] = false } })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> on, on.initial --> on.low",
+      run:step { guards = { ["k --> on"] = true } })
+    assert.equal("on.low -7, e_more-> on.high", run:step { 7 })
+    assert.equal("on -e_ping-> internal", run:step { "e_ping" })
+    assert.equal("on.high -e_after(2.5)-> on.low", run:step { after = 2.501 })
+    assert.equal("on.low -e_boost-> on.high",
+      run:step { "e_boost", guards = { ["on.low -e_boost-> on.high"] = true } })
+    assert.equal("on -e_off-> off", run:step { "e_off", "e_ping" })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> on, on.initial --> on.low",
+      run:step { guards = { ["k --> on"] = true } })
+    assert.equal("on.low -7, e_more-> on.high", run:step { "e_more", "e_boost" })
+  end)
+end)
+-- rfsm check --tests: ... to here is written anew.
+]=]
+
+describe("the spec of a chart", function()
+  it("has steps of events, time, guards and doos, and such that change nothing",
+    function()
+    local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), false,
+      "spec/lamp_spec.lua")
+    assert.equal(LAMP_SPEC, text)
+    assert.same({ 11, 11, 0, 4 }, { result.taken, result.transitions, result.skipped,
+      result.least })
+    assert.equal(select(2, text:gsub("run:step", "")), result.steps)
+  end)
+end)
+
 describe("tests that run callbacks", function()
   it("hold the order of callbacks and what they print", function()
     local file = "examples/on_off.lua"

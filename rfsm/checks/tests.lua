@@ -171,13 +171,24 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
+-- Is some transition taken on any event in a leaf?
+local function takes_any(part, leaf)
+  for _, node in ipairs(leaf and place.line(part.fsm, leaf) or {}) do
+    for _, tr in ipairs(node._otrs) do
+      if match.is_any(tr) or match.has_predicate(tr) then return true end
+    end
+  end
+  return false
+end
+
 -- Lists steps in which a machine stays where it is: without an event; with one that
 -- nothing names; with one that other leaves react to.
 local function steps_at_rest(walk, number)
   local own, conf = walk.puppet, walk:configuration(number)
   local leaf = conf[1].leaf
   local found = reactions.of(own.parts[1], leaf)
-  if puppet.is_driven(conf) or found.any or rfsm.regions(leaf)[1] then return {} end
+  local is_open = takes_any(own.parts[1], leaf) or rfsm.regions(leaf)[1]
+  if puppet.is_driven(conf) or is_open then return {} end
   local goes_on = conf[1].mode == "active" and { place.name_of(leaf, "root") } or nil
   local list = { { goes_on = goes_on }, { "e_unknown" } }
   for _, event in ipairs(own:named_texts()) do
