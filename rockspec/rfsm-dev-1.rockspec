@@ -45,7 +45,6 @@ build = {
     ["rfsm.checks.match"] = "rfsm/checks/match.lua",
     ["rfsm.checks.names"] = "rfsm/checks/names.lua",
     ["rfsm.checks.order"] = "rfsm/checks/order.lua",
-    ["rfsm.checks.paths"] = "rfsm/checks/paths.lua",
     ["rfsm.checks.place"] = "rfsm/checks/place.lua",
     ["rfsm.checks.properties"] = "rfsm/checks/properties.lua",
     ["rfsm.checks.puppet"] = "rfsm/checks/puppet.lua",

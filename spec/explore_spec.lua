@@ -63,6 +63,11 @@ describe("explore", function()
         .. "to root.a [trap]",
       "  1. no event: root.trans[1] -> root.a", "  2. e_x: root.trans[2] -> root.fault")
       },
+    { "as a note, a way of more states than those before", {
+      c = state {}, d = state {}, e = state {}, [4] = go("a", "c", "e_c"),
+      [5] = go("c", "d", "e_x"), [6] = go("d", "e", "e_x"), [7] = go("e", "c", "e_x") },
+      "note: root.c: root.c and root.d and root.e lead to each other, and never back "
+        .. "to root.a [trap]" },
     { "no trap behind states that are left by themselves", {
       c = state { doo = yes }, d = state {}, [1] = go("initial", "c"),
       [4] = go("c", "d", "e_done"), [5] = go("d", "a", "e_after(1)") }, "" },

@@ -62,6 +62,8 @@ local CASES = {
     transition = "guard = function(tr)\n local f = function() return tr end f() end" },
   { name = "no guard with a value", lines = {},
     transition = "guard = function() if 1 then return false end end" },
+  { name = "no guard that fails", lines = {},
+    transition = "guard = function() error('no') end" },
   { name = "a doo that never yields", lines = { NO_YIELD },
     state = "doo = function()\n while true do print(1) end end" },
   { name = "a doo that never yields, in another loop", lines = { NO_YIELD },

@@ -221,7 +221,6 @@ local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
   self.number_of[tr] = number
   self.transitions[number] = { tr = tr, path = path, prefix = part.prefix }
-  self.path_of[tr] = path
   note_events(self, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)
@@ -547,7 +546,8 @@ local function new_predicate(self, tr)
   return function(event)
     if count ~= self.steps then answers, count = {}, self.steps end
     if answers[event] == nil then
-      answers[event] = self:choose(self.path_of[tr] .. " predicate")
+      local path = self.transitions[self.number_of[tr]].path
+      answers[event] = self:choose(path .. " predicate")
     end
     return answers[event]
   end
@@ -647,7 +647,7 @@ end
 ---@return rfsm_checks.Puppet
 function puppet.new(model, options)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
-    path_of = {}, names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
+    names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
     choices = {}, askers = {}, is_doo = {}, asked = 0,

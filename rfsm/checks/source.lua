@@ -105,21 +105,23 @@ local function each_node(func, f)
   end)
 end
 
-local function check_guard(func, add)
-  local has_value = false
-  each_node(func, function(node)
-    has_value = has_value or node.tag == "Return" and node[1] ~= nil
-  end)
-  if not has_value then
-    add("no-value", "the guard returns no value, it never forbids")
-  end
-end
-
 -- Returns the last name of what is called: "yield" for rfsm.yield.
 local function called_name(node)
   local callee = node[1]
   return callee.tag == "Index" and callee[2].tag == "String" and callee[2][1]
     or callee.tag == "Id" and callee[1] or ""
+end
+
+-- A guard that raises an error forbids, too.
+local function check_guard(func, add)
+  local has_value = false
+  each_node(func, function(node)
+    has_value = has_value or node.tag == "Return" and node[1] ~= nil
+      or node.tag == "Call" and called_name(node) == "error"
+  end)
+  if not has_value then
+    add("no-value", "the guard returns no value, it never forbids")
+  end
 end
 
 -- Is it a call of a function that cannot yield: one of Lua's, or of the library?

@@ -34,14 +34,14 @@ local static = {}
 ---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
 
 local CHECKS = {
-  "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
-  "rfsm.checks.loops", "rfsm.checks.names",
+  "rfsm.checks.structure", "rfsm.checks.order", "rfsm.checks.loops",
+  "rfsm.checks.names",
 }
 
 --- The checks of files: those, and that of the text of callbacks.
 static.OF_FILES = {
-  "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
-  "rfsm.checks.loops", "rfsm.checks.names", "rfsm.checks.source",
+  "rfsm.checks.structure", "rfsm.checks.order", "rfsm.checks.loops",
+  "rfsm.checks.names", "rfsm.checks.source",
 }
 
 -- Findings, but for those that an element expects .....................................

@@ -203,14 +203,15 @@ local function find_waiting(walk, numbers, leads_there)
 end
 
 -- Returns a configuration in which the machine waited before it came to `numbers`,
--- and whether it is on a cycle.
-local function find_before(walk, numbers, others)
+-- and whether it is on a cycle of at least so many states.
+local function find_before(walk, numbers, others, least)
   local set, first = {}, nil
   for _, number in ipairs(numbers) do set[number] = true end
   local leads_there = graph.can_reach(walk, set)
   for _, component in ipairs(others) do
     local number = find_waiting(walk, component, leads_there)
-    if number and leaves_of_all(walk, component)[2] then return number, true end
+    local paths = leaves_of_all(walk, number and component or {})
+    if paths[least] then return number, true end
     if number and (not first or number < first) then first = number end
   end
   return first, false
@@ -218,14 +219,14 @@ end
 
 -- Configurations that lead to each other and nowhere else, while the machine waited for
 -- an event before that led there. It may have been set up for them: a note, unless
--- there is a cycle elsewhere, too, or one of them is named as a fault.
+-- there is a cycle of as many states elsewhere, or one of them is named as a fault.
 local function find_traps(walk, findings)
   local bottoms, others = graph.components(walk)
   for _, numbers in ipairs(bottoms) do
     local paths, has_end, states = leaves_of_all(walk, numbers)
     local outside, is_fault = nil, false
     if paths[2] and not has_end then
-      outside, is_fault = find_before(walk, numbers, others)
+      outside, is_fault = find_before(walk, numbers, others, #paths)
     end
     for _, state in ipairs(states) do
       is_fault = is_fault or codes.means(state, "a fault")
