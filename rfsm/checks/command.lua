@@ -128,12 +128,14 @@ local function explore(file, model, options)
   return result
 end
 
--- Extensions that rfsm check loads, by who makes their events: the names of their
--- modules, the one to require first.
+-- Modules of extensions that rfsm check loads, by name: who makes their events.
 local EXTENSIONS = {
-  timer = { "rfsm_timeevent", "rfsm.timeevent" },
-  await = { "rfsm_await", "rfsm.await" },
+  rfsm_timeevent = "timer", ["rfsm.timeevent"] = "timer",
+  rfsm_await = "await", ["rfsm.await"] = "await",
 }
+
+-- What to require for them.
+local MODULES = { timer = "rfsm_timeevent", await = "rfsm_await" }
 
 --- Call a function that loads a chart, and note which extensions that requires.
 ---@param f function
@@ -143,14 +145,12 @@ local EXTENSIONS = {
 function command.noting_extensions(f, ...)
   local required, kept = {}, {}
   local loaded, preload = package.loaded, package.preload
-  for maker, names in pairs(EXTENSIONS) do -- any order: each stands alone
-    for _, name in ipairs(names) do
-      kept[name] = { require(name), rawget(_G, name) }
-      preload[name] = function()
-        required[maker] = true
-        rawset(_G, name, kept[name][2])
-        return kept[name][1]
-      end
+  for name, maker in pairs(EXTENSIONS) do -- any order: each stands alone
+    kept[name] = { require(name), rawget(_G, name) }
+    preload[name] = function()
+      required[maker] = true
+      rawset(_G, name, kept[name][2])
+      return kept[name][1]
     end
   end
   for name in pairs(kept) do -- any order: each stands alone
@@ -172,10 +172,10 @@ local function add_missing_extensions(findings, model, required)
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
       for _, event in ipairs(tr.events or {}) do
         local maker = match.maker_of(event)
-        if EXTENSIONS[maker] and not required[maker] then
+        if MODULES[maker] and not required[maker] then
           findings:add("unknown-word", tr, place.path(tr, entry.prefix),
             ("the chart does not load the extension that knows '%s' (require %q)")
-              :format(event:gsub("@root.*$", ""), EXTENSIONS[maker][1]),
+              :format(event:gsub("@root.*$", ""), MODULES[maker]),
             place.in_words(tr, entry.prefix))
         end
       end

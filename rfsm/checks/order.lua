@@ -37,7 +37,7 @@ local ANY = {} -- stands for each event of a transition that has none
 -- Does the event enable `tr`, as far as names tell? Predicates may accept anything, but
 -- nobody can rely on it.
 local function is_enabled_by(tr, event)
-  return match.is_any(tr) or type(event) ~= "function" and match.names(tr, event)
+  return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
 -- Does some path of connectors lead from one to another?

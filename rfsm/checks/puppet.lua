@@ -518,12 +518,11 @@ function puppet.outcome(paths, leaf)
   return (paths[1] and text or "no transition") .. " -> " .. (leaf or "not entered")
 end
 
---- List the paths of transitions by their numbers, such as those taken.
----@param numbers? integer[] default: those that the last step took
+--- List the paths of the transitions that the last step took.
 ---@return string[] paths
-function Puppet:paths_of(numbers)
+function Puppet:paths_of()
   local paths = {}
-  for i, number in ipairs(numbers or self.taken) do
+  for i, number in ipairs(self.taken) do
     paths[i] = self.transitions[number].path
   end
   return paths
@@ -578,7 +577,7 @@ end
 local function has_predicate(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
-      if match.has_predicate(tr) then return true end
+      if match.triggers(tr, NOTHING) == nil then return true end
     end
   end
   return false

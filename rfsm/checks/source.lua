@@ -169,7 +169,7 @@ local function check_doo(func, state, add)
   end
   local waits = false
   for _, tr in ipairs(state._otrs) do
-    waits = waits or match.is_any(tr) or match.names(tr, "e_done@" .. state._fqn)
+    waits = waits or match.triggers(tr, "e_done@" .. state._fqn) ~= false
   end
   if not (seen.has_loop or waits) then
     add("doo-ends", "the doo ends, and no transition waits for e_done")

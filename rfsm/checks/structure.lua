@@ -107,7 +107,7 @@ local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
 -- Returns what a transition lets pass of an event, or of any.
 local function passing(tr, event)
-  if match.is_any(tr) or match.names(tr, event) then return { event } end
+  if match.triggers(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
@@ -136,7 +136,7 @@ end
 -- Is there a way on for this event that no guard can close?
 local function has_default(connector, event)
   for _, tr in ipairs(connector._otrs) do
-    if not tr.guard and (match.is_any(tr) or match.names(tr, event)) then
+    if not tr.guard and match.triggers(tr, event) then
       return true
     end
   end

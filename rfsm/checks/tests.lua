@@ -175,7 +175,7 @@ end
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and place.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
-      if match.is_any(tr) or match.has_predicate(tr) then return true end
+      if match.triggers(tr, "e_unknown") ~= false then return true end
     end
   end
   return false
