@@ -9,7 +9,7 @@ local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
-local ipairs, type = ipairs, type
+local ipairs, setmetatable, type = ipairs, setmetatable, type
 local is_conn = rfsm.is_conn
 
 local order = {}
@@ -40,26 +40,8 @@ local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- Does some path of connectors lead from one to another?
-local function leads_to(connector, tgt, seen)
-  if connector == tgt then return true end
-  if seen[connector] then return false end
-  seen[connector] = true
-  for _, tr in ipairs(connector._otrs) do
-    if is_conn(tr.tgt) and leads_to(tr.tgt, tgt, seen) then return true end
-  end
-  return false
-end
-
--- Returns the set of connectors that a path to a node may have passed: it cannot pass
--- one of them again.
-local function passed_before(fsm, node)
-  local passed = {}
-  for _, connector in ipairs(is_conn(node) and rfsm.elements(fsm, is_conn) or {}) do
-    passed[connector] = leads_to(connector, node, {}) or nil
-  end
-  return passed
-end
+-- A path to a connector may have passed any other one, and passes none twice.
+local ALL = setmetatable({}, { __index = function() return true end })
 
 -- Returns a transition that is tried before `tr`, from its source or a composite that
 -- the source is in, and always taken on the event.
@@ -68,7 +50,7 @@ local function find_shadow(fsm, tr, event)
     for _, other in ipairs(node._otrs) do
       if other == tr then break end
       if is_enabled_by(other, event)
-        and is_always_enabled(other, passed_before(fsm, tr.src)) then
+        and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
         return other
       end
     end
