@@ -193,6 +193,14 @@ describe("check", function()
     }))
   end)
 
+  it("has the warnings of init about machines in a state", function()
+    assert.same({ "root.par.1: root.trans[4] (a -> b): a transition has no field "
+      .. "'action' (did you mean 'effect'?) [unknown-field]" }, lines_of(chart {
+      par = rfsm.seqand { chart { [4] = go("a", "b", "e_y", { action = print }) } },
+      [4] = go("a", "par", "e"), [5] = go("par", "a", "e"),
+    }))
+  end)
+
   it("blames the caller for what is no state", function()
     local _, text = pcall(function() return (rfsm_checks.check {}) end)
     assert.matches("checks_spec.lua:%d+: rfsm_checks.check: state expected, got table",

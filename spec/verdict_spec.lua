@@ -61,6 +61,19 @@ describe("a verdict", function()
       verdict(waiting(), never "root.b", { alphabet = { "e_p" } }))
   end)
 
+  it("has awaits of many events, in any order", function()
+    local model = chart { [2] = go("a", "b", "await(e_p, e_q, e_r)"),
+      [4] = go("a", "c", "await(e_q, e_s)"), c = state {}, [5] = go("c", "a", "e_x") }
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_p: no transition -> root.a\n  3. e_q: no transition -> root.a\n"
+      .. "  4. e_r: root.trans[2] -> root.b", verdict(model, never "root.b"))
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_q: no transition -> root.a\n  3. e_s: root.trans[4] -> root.c",
+      verdict(model, never "root.c"))
+    assert.equal("p: holds (one event a step; no event outside of the alphabet)",
+      verdict(model, never { "root.b" }, { alphabet = { "e_p", "e_q", "e_s" } }))
+  end)
+
   it("forgets what an await has received when its state is left", function()
     local model = silent { a = state {}, b = state {}, c = state {}, go("initial", "a"),
       go("a", "b", "await(e_p, e_q)"), go("a", "c", "e_p", { pn = 1 }),

@@ -87,7 +87,6 @@ Puppet.__index = Puppet
 ---@field path string of the leaf
 ---@field paths string[] of the leaf and the states around it
 ---@field reactions rfsm_checks.Reactions|false
----@field noted table<string, table<any, rfsm_checks.Stand>> by mode and waiting event
 
 --- Where a machine can stand.
 ---@class rfsm_checks.Stand
@@ -265,8 +264,7 @@ local function add_leaf(part, leaf, number)
     paths[i] = place.path(node, part.prefix)
   end
   part.known[leaf] = { state = leaf, number = number, path = paths[#paths],
-    paths = paths, reactions = false,
-    noted = { active = {}, done = {}, inactive = {} } }
+    paths = paths, reactions = false }
 end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
@@ -338,10 +336,11 @@ local function put_awaits(fsm, digits)
   end
 end
 
--- Returns the place where a machine stands, with the events that wait: always the same
--- table.
-local function find_stand(self, part, leaf, mode, events)
-  local waiting, numbers = relevant(self, part, leaf, events), {}
+-- Returns where a machine stands, with the events that wait: always the same table.
+local function read_stand(self, part)
+  local leaf, numbers = part.fsm._act_leaf, {}
+  local mode = leaf and leaf._mode or "inactive"
+  local waiting = relevant(self, part, leaf, part.fsm._intq)
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   sort(numbers)
   local known, received = part.known[leaf], read_awaits(part.fsm)
@@ -352,19 +351,6 @@ local function find_stand(self, part, leaf, mode, events)
     or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
       received = received }
   return part.stands[id]
-end
-
--- Returns where a machine stands; with one event at most, the usual case, it is noted.
-local function read_stand(self, part)
-  local leaf, queue = part.fsm._act_leaf, part.fsm._intq
-  local mode = leaf and leaf._mode or "inactive"
-  if queue[2] ~= nil or part.fsm._awaits then
-    return find_stand(self, part, leaf, mode, queue)
-  end
-  local noted, first = part.known[leaf].noted[mode], queue[1]
-  if first == nil then first = NOTHING end
-  noted[first] = noted[first] or find_stand(self, part, leaf, mode, queue)
-  return noted[first]
 end
 
 --- Return the key of the configuration in which the machines are: the numbers of their
