@@ -468,6 +468,33 @@ describe("the code", function()
   end)
 end)
 
+describe("a callback that is never called", function()
+  local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
+  local CALLED = { state = "entry exit doo", transition = "guard effect",
+    connector = "" }
+
+  for _, kind in ipairs { "state", "transition", "connector" } do
+    it("is any of a " .. kind .. " but " .. CALLED[kind], function()
+      local expected, members = {}, { k = conn {}, c = state { final = true },
+        [4] = go("a", "k", "e_k"), [5] = go("k", "c") }
+      local obj = ({ state = members.c, transition = members[4],
+        connector = members.k })[kind]
+      for _, field in ipairs(FIELDS) do
+        obj[field] = yes
+        if not CALLED[kind]:find(field) then
+          expected[#expected + 1] = ("the %s of a %s is never called"):format(field,
+            kind)
+        end
+      end
+      local texts = findings_of(chart(members), "never-called")
+      for i = 1, #texts do texts[i] = texts[i]:match(": (the .*)$") end
+      table.sort(texts)
+      table.sort(expected)
+      assert.same(expected, texts)
+    end)
+  end
+end)
+
 describe("each code", function()
   local function has_case(code, has_finding)
     for _, case in ipairs(CASES) do
