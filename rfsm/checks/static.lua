@@ -13,7 +13,8 @@ local codes = require "rfsm.checks.codes"
 local place = require "rfsm.checks.place"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local require, select, setmetatable = require, select, setmetatable
+local rawget, require, select = rawget, require, select
+local setmetatable = setmetatable
 local table, type = table, type
 local concat = table.concat
 
@@ -253,7 +254,8 @@ local function add_false_guards(findings, model, node)
   for _, key in ipairs(rfsm.sorted_keys(model)) do
     local value = model[key]
     local own = not rfsm.is_meta(key) and node[key] -- no field of a part of a machine
-    if rfsm.is_trans(value) and value.guard == false and rfsm.is_trans(own) then
+    local is_false = rfsm.is_trans(value) and rawget(value, "guard") == false
+    if is_false and rfsm.is_trans(own) then
       findings:add("false-guard", own, place.path(own), "its guard is false and counts "
         .. "as absent, it was made while the chart was loaded", place.of(own))
     elseif own and rfsm.is_state(value) and rfsm.is_composite(own) then
