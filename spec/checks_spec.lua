@@ -63,7 +63,7 @@ describe("watch", function()
   end
 
   it("is asked for by the model, too", function()
-    local fsm, warnings = helper.init(chart { checkevents = true }), {}
+    local fsm, warnings = helper.started(chart { checkevents = true }), {}
     fsm.warn = function(text) warnings[#warnings + 1] = text end
     helper.post_and_run(fsm, "e_y")
     assert.same({ undeclared "e_y" }, warnings)
@@ -98,7 +98,7 @@ describe("watch", function()
   end)
 
   it("is not there unless it is asked for", function()
-    local fsm, warnings = helper.init(chart()), {}
+    local fsm, warnings = helper.started(chart()), {}
     fsm.warn = function(text) warnings[#warnings + 1] = text end
     rfsm.fsm_merge(fsm, fsm, go("a", "b", "e_new"))
     helper.post_and_run(fsm, "e_y")
@@ -358,10 +358,10 @@ local CASES = {
   { "false-guard", "a guard that is false", { [4] = go("a", "b", "e_y",
     { guard = false }), c = state { x = state {}, go("initial", "x", nil,
       { guard = false }) }, [5] = go("a", "c", "e_c"), [6] = go("c", "a", "e_c") },
-    "root.trans[4] (a -> b): its guard is false and counts as absent, it was made "
-      .. "while the chart was loaded",
     "root.c.trans[1] (initial -> x): its guard is false and counts as absent, it was "
-      .. "made while the chart was loaded" },
+      .. "made while the chart was loaded",
+    "root.trans[4] (a -> b): its guard is false and counts as absent, it was made "
+      .. "while the chart was loaded" },
   { "false-guard", "none that is a function, or absent",
     { [4] = go("a", "b", "e_y", { guard = yes }) } },
   { "any-event", "a transition of a state without events",
@@ -568,11 +568,11 @@ end)
 
 describe("rfsm.checkevents", function()
   it("watches each machine that is initialised afterwards, and none before", function()
-    local warnings, before = {}, helper.init(chart())
+    local warnings, before = {}, helper.started(chart())
     require "rfsm.checkevents"
     local model = chart()
     model.warn = function(text) warnings[#warnings + 1] = text end
-    local after = helper.init(model)
+    local after = helper.started(model)
     helper.post_and_run(before, "e_y")
     helper.post_and_run(after, "e_y")
     assert.same({ undeclared "e_y" }, warnings)

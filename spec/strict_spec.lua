@@ -70,6 +70,7 @@ describe("a strict machine", function()
     local lines, model = {}, chart { strict = true }
     model.warn = function(text) lines[#lines + 1] = text end
     local fsm = helper.init(model)
+    rfsm.run(fsm)
     for _ = 1, 2 do rfsm.send_events(fsm, "e_q") end
     rfsm.run(fsm)
     assert.equal(1, #lines)

@@ -117,6 +117,7 @@ local WARNINGS = {
   { "a connector holds no", "misplaced" },
   { "never fires here", "never-done" },
   { "no loaded extension knows", "unknown-word" },
+  { "its guard is false", "false-guard" },
 }
 
 --- Return the code of a warning of the core.

@@ -13,8 +13,7 @@ local codes = require "rfsm.checks.codes"
 local place = require "rfsm.checks.place"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local rawget, require, select = rawget, require, select
-local setmetatable = setmetatable
+local require, select, setmetatable = require, select, setmetatable
 local table, type = table, type
 local concat = table.concat
 
@@ -249,21 +248,6 @@ local function add_lines(findings, lines, code, fsm, prefix)
   end
 end
 
--- Finds guards that count as absent: a machine does not have them any more.
-local function add_false_guards(findings, model, node)
-  for _, key in ipairs(rfsm.sorted_keys(model)) do
-    local value = model[key]
-    local own = not rfsm.is_meta(key) and node[key] -- no field of a part of a machine
-    local is_false = rfsm.is_trans(value) and rawget(value, "guard") == false
-    if is_false and rfsm.is_trans(own) then
-      findings:add("false-guard", own, place.path(own), "its guard is false and counts "
-        .. "as absent, it was made while the chart was loaded", place.of(own))
-    elseif own and rfsm.is_state(value) and rfsm.is_composite(own) then
-      add_false_guards(findings, value, own)
-    end
-  end
-end
-
 -- Appends all findings about a model: problems, warnings of init, those of the checks.
 -- Returns its machine; nil if there is none.
 local function check_model(findings, model)
@@ -277,7 +261,6 @@ local function check_model(findings, model)
   end
   add_lines(findings, problems or {}, "invalid", nil, "root")
   add_lines(findings, warnings, nil, fsm, "root")
-  if fsm then add_false_guards(findings, model, fsm) end
   for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
     if entry.owner then
       local _, _, own = rfsm.verify_early(entry.machine)
