@@ -16,7 +16,7 @@ local function says(text) return function() print(text) end end
 local work = rfsm.state {
   a = rfsm.state { entry = says("a") },
   b = rfsm.state { entry = says("b"),
-    checks = { unreached = "both transitions to it lose: that is to be shown" } },
+    checks = { unreachable = "both transitions to it lose: that is to be shown" } },
   c = rfsm.state { entry = says("c") },
 
   rfsm.trans { src = "initial", tgt = "a" },

@@ -35,6 +35,7 @@ local FIELDS = {
   state = { "entry", "exit", "doo" },
   root = {
     "entry", "exit", "doo", "getevents", "idle_hook", "pre_step_hook", "post_step_hook",
+    "dbg", "info", "warn", "err",
   },
   transition = { "src", "tgt", "events", "guard", "effect", "pn" },
   connector = {},
@@ -45,7 +46,7 @@ local ALIASES = {
   state = {
     enter = "entry", onentry = "entry", onenter = "entry", onexit = "exit",
     leave = "exit", onleave = "exit", ["do"] = "doo", during = "doo", activity = "doo",
-    doactivity = "doo",
+    doactivity = "doo", prehook = "pre_step_hook", posthook = "post_step_hook",
   },
   transition = {
     source = "src", from = "src", target = "tgt", to = "tgt", dst = "tgt", dest = "tgt",

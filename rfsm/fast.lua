@@ -75,8 +75,8 @@ end
 -- Writes the lines of a block, in which $x stands for places.x. The lines that call a
 -- callback begin with "callback(".
 function Text:write(block, places)
-  for line in block:gmatch("[^\n]+") do
-    line = line:gsub("^%s+", ""):gsub("$(%l+)", places or NONE)
+  for raw in block:gmatch("[^\n]+") do
+    local line = raw:gsub("^%s+", ""):gsub("$(%l+)", places or NONE)
     self.lines[#self.lines + 1] = for_jit(line)
     -- the first line has the names
     if line:find("^callback%(") then self.call_lines[#self.lines + 1] = true end

@@ -63,7 +63,7 @@ describe("watch", function()
   end
 
   it("is asked for by the model, too", function()
-    local fsm, warnings = helper.init(chart { checkevents = true }), {}
+    local fsm, warnings = helper.started(chart { checkevents = true }), {}
     fsm.warn = function(text) warnings[#warnings + 1] = text end
     helper.post_and_run(fsm, "e_y")
     assert.same({ undeclared "e_y" }, warnings)
@@ -97,6 +97,15 @@ describe("watch", function()
     assert.same({}, warnings)
   end)
 
+  it("is not there unless it is asked for", function()
+    local fsm, warnings = helper.started(chart()), {}
+    fsm.warn = function(text) warnings[#warnings + 1] = text end
+    rfsm.fsm_merge(fsm, fsm, go("a", "b", "e_new"))
+    helper.post_and_run(fsm, "e_y")
+    assert.same({}, warnings)
+    assert.equal(rfsm_checks, rawget(_G, "rfsm_checks"))
+  end)
+
   it("blames the caller for what is no machine", function()
     local _, text = pcall(function() rfsm_checks.watch(chart()) end)
     assert.matches("checks_spec.lua:%d+: rfsm_checks.watch: initialised fsm expected, "
@@ -111,6 +120,19 @@ local function lines_of(model)
 end
 
 describe("check", function()
+  it("finds what is wrong with the top of a part of a machine", function()
+    local whole = helper.init(state { p = chart { guard = print }, go("initial", "p") })
+    assert.same({ "root: the guard of a state is never called [never-called]" },
+      lines_of(whole.p))
+  end)
+
+  it("has the warnings of a model that is not valid, too", function()
+    assert.same({ "root.trans[4]: src is missing, the name of a state or connector "
+      .. "expected", "root.trans[5] (a -> b): a transition has no field 'action' (did "
+      .. "you mean 'effect'?) [unknown-field]" }, lines_of(chart {
+      [4] = go(nil, "a"), [5] = go("a", "b", "e", { action = print }) }))
+  end)
+
   it("takes a machine, and a part of one, too", function()
     local model = chart { c = state {} }
     local findings = rfsm_checks.check(model)
@@ -175,6 +197,14 @@ describe("check", function()
     assert.same({ "root.par.1: root.c: unreachable, no path of transitions leads here "
       .. "[unreachable]" }, lines_of(chart {
       par = rfsm.seqand { chart { c = state {} } },
+      [4] = go("a", "par", "e"), [5] = go("par", "a", "e"),
+    }))
+  end)
+
+  it("has the warnings of init about machines in a state", function()
+    assert.same({ "root.par.1: root.trans[4] (a -> b): a transition has no field "
+      .. "'action' (did you mean 'effect'?) [unknown-field]" }, lines_of(chart {
+      par = rfsm.seqand { chart { [4] = go("a", "b", "e_y", { action = print }) } },
       [4] = go("a", "par", "e"), [5] = go("par", "a", "e"),
     }))
   end)
@@ -248,9 +278,9 @@ local CASES = {
     { c = state { final = true }, [4] = go("a", "c", "e_c") } },
   { "dead-end", "no state in a composite that has an exit",
     { c = x_in_c(), [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_x") } },
-  { "connector-end", "a connector that leads nowhere", via_k(),
+  { "closed", "a connector that leads nowhere", via_k(),
     "root.k: no way out of this connector, so that no transition to it is ever taken" },
-  { "connector-end", "no connector that leads on", via_k(go("k", "b")) },
+  { "closed", "no connector that leads on", via_k(go("k", "b")) },
   { "connector-cycle", "connectors in a circle", {
     j = conn {}, k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "j"),
     [6] = go("j", "k", nil, { guard = yes }), [7] = go("j", "b") },
@@ -325,6 +355,19 @@ local CASES = {
     { b = state { entry = yes }, [4] = go("b", "b", "e_done") } },
   { "endless", "none that takes nothing again, an internal one",
     { [4] = go("b", "internal", "e_done") } },
+  { "false-guard", "a guard that is false", { [4] = go("a", "b", "e_y",
+    { guard = false }), c = state { x = state {}, go("initial", "x", nil,
+      { guard = false }) }, [5] = go("a", "c", "e_c"), [6] = go("c", "a", "e_c") },
+    "root.c.trans[1] (initial -> x): its guard is false and counts as absent, it was "
+      .. "made while the chart was loaded",
+    "root.trans[4] (a -> b): its guard is false and counts as absent, it was made "
+      .. "while the chart was loaded" },
+  { "false-guard", "none that is a function, or absent",
+    { [4] = go("a", "b", "e_y", { guard = yes }) } },
+  { "any-event", "a transition of a state without events",
+    { [4] = go("b", "a", {}, { pn = -1 }) },
+    "root.trans[4] (b -> a): it has no events, and is taken on any" },
+  { "any-event", "none of a connector", via_k(go("k", "b")) },
   { "never-done", "an e_done@F of no leaf", { [4] = go("a", "b", "e_done@root.z") },
     "root.trans[4] (a -> b): event 'e_done@root.z' never comes, 'root.z' is no leaf "
       .. "state of this machine" },
@@ -392,6 +435,14 @@ local CASES = {
   { "unknown-field", "a field in other words",
     { [4] = go("a", "b", "e", { action = yes }) }, "root.trans[4] (a -> b): a "
       .. "transition has no field 'action' (did you mean 'effect'?)" },
+  { "unknown-field", "true and false in a field that is nearly there",
+    { debug = true, wran = false, a = state { finl = true } },
+    "root: a state has no field 'debug' (did you mean 'dbg'?)",
+    "root: a state has no field 'wran' (did you mean 'warn'?)",
+    "root.a: a state has no field 'finl' (did you mean 'final'?)" },
+  { "unknown-field", "none of the user's, true or not",
+    { [4] = go("a", "b", "e", { finl = true }),
+      a = state { done = true, final = 1 } } },
   { "unknown-field", "none of the user's",
     { [4] = go("a", "b", "e", { note = "x" }) } },
   { "unmarked", "a state that was not marked", { c = { x = state {} } },
@@ -401,6 +452,10 @@ local CASES = {
   { "misplaced", "a transition inside a leaf",
     { b = state { go("root.b", "root.a", "e") } }, "root.b: a transition inside a leaf "
       .. "state" },
+  { "misplaced", "transitions in a sequential AND state, once",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_c"), c = rfsm.seqand {
+      x_in_c(), go("initial", "1"), go("1", "2", "e") } },
+    "root.c: a transition in a sequential AND state, it belongs into a region" },
   { "misplaced", "none around it", { [4] = go("b", "a", "e") } },
   { "silence", "a code that does not exist, and one without a reason",
     { b = state { checks = { ["dead-ent"] = "no", typo = "" } } },
@@ -421,6 +476,33 @@ describe("the code", function()
   end)
 end)
 
+describe("a callback that is never called", function()
+  local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
+  local CALLED = { state = "entry exit doo", transition = "guard effect",
+    connector = "" }
+
+  for _, kind in ipairs { "state", "transition", "connector" } do
+    it("is any of a " .. kind .. " but " .. CALLED[kind], function()
+      local expected, members = {}, { k = conn {}, c = state { final = true },
+        [4] = go("a", "k", "e_k"), [5] = go("k", "c") }
+      local obj = ({ state = members.c, transition = members[4],
+        connector = members.k })[kind]
+      for _, field in ipairs(FIELDS) do
+        obj[field] = yes
+        if not CALLED[kind]:find(field) then
+          expected[#expected + 1] = ("the %s of a %s is never called"):format(field,
+            kind)
+        end
+      end
+      local texts = findings_of(chart(members), "never-called")
+      for i = 1, #texts do texts[i] = texts[i]:match(": (the .*)$") end
+      table.sort(texts)
+      table.sort(expected)
+      assert.same(expected, texts)
+    end)
+  end
+end)
+
 describe("each code", function()
   local function has_case(code, has_finding)
     for _, case in ipairs(CASES) do
@@ -430,9 +512,11 @@ describe("each code", function()
   end
 
   local codes = require "rfsm.checks.codes"
-  for i = 1, codes.static do
-    local entry = codes.list[i]
-    if entry.code ~= "invalid" and entry.code ~= "init" then
+  local OTHERS = { invalid = true, init = true, trap = true, violated = true,
+    undefined = true, ["no-value"] = true, ["no-yield"] = true, ["busy-doo"] = true,
+    ["doo-ends"] = true }
+  for _, entry in ipairs(codes.list) do
+    if not OTHERS[entry.code] then
       it("has a chart that shows it, and one that does not: " .. entry.code, function()
         assert.is_true(has_case(entry.code, true))
         assert.is_true(has_case(entry.code, false))
@@ -446,7 +530,7 @@ describe("findings", function()
     assert.same({
       code = "unreachable", severity = "warning", place = "root.c",
       text = "unreachable, no path of transitions leads here",
-      hint = "add a transition to it, or remove it",
+      hint = "see which transition leads to it, or remove it",
     }, (function()
       local finding = rfsm_checks.findings(chart { c = state {} })[1]
       assert.matches("^spec/checks_spec.lua:%d+: $", finding.file)
@@ -484,11 +568,11 @@ end)
 
 describe("rfsm.checkevents", function()
   it("watches each machine that is initialised afterwards, and none before", function()
-    local warnings, before = {}, helper.init(chart())
+    local warnings, before = {}, helper.started(chart())
     require "rfsm.checkevents"
     local model = chart()
     model.warn = function(text) warnings[#warnings + 1] = text end
-    local after = helper.init(model)
+    local after = helper.started(model)
     helper.post_and_run(before, "e_y")
     helper.post_and_run(after, "e_y")
     assert.same({ undeclared "e_y" }, warnings)

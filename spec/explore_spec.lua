@@ -35,10 +35,10 @@ describe("explore", function()
     { "a state that an earlier transition keeps from being reached", {
       c = state {}, [4] = go("a", "c", "e_x", { guard = yes }),
       [5] = go("c", "a", "e_x"), [2] = go("a", "b", "e_x", { pn = 1 }) },
-      "warning: root.c: active in no configuration [unreached]" },
+      "warning: root.c: active in no configuration [unreachable]" },
     { "a transition that an earlier one keeps from being taken", {
       [4] = go("a", "a", "e_x", { pn = -1 }) },
-      "warning: root.trans[4]: no step takes it (root.a -> root.a) [untaken]" },
+      "warning: root.trans[4]: no step takes it (root.a -> root.a) [shadowed]" },
     { "a connector that no step passes, once", {
       k = conn {}, [4] = go("a", "k", "e_x", { pn = -1 }),
       [5] = go("b", "k", "e_x", { pn = -1 }), [6] = go("k", "a") },
@@ -54,6 +54,20 @@ describe("explore", function()
       "warning: root.c: root.c and root.d lead to each other, and never back to root.a "
         .. "[trap]",
       "  1. no event: root.trans[1] -> root.a", "  2. e_c: root.trans[4] -> root.c") },
+    { "states that are named as faults, and lead to each other", {
+      fault = state {}, d = state {}, [2] = go("a", "fault", "e_x"),
+      [3] = go("b", "a", "e_x"), [4] = go("fault", "d", "e_x"),
+      [5] = go("d", "fault", "e_x") }, lines(
+      "warning: root.b: active in no configuration [unreachable]",
+      "warning: root.fault: root.fault and root.d lead to each other, and never back "
+        .. "to root.a [trap]",
+      "  1. no event: root.trans[1] -> root.a", "  2. e_x: root.trans[2] -> root.fault")
+      },
+    { "as a note, a way of more states than those before", {
+      c = state {}, d = state {}, e = state {}, [4] = go("a", "c", "e_c"),
+      [5] = go("c", "d", "e_x"), [6] = go("d", "e", "e_x"), [7] = go("e", "c", "e_x") },
+      "note: root.c: root.c and root.d and root.e lead to each other, and never back "
+        .. "to root.a [trap]" },
     { "no trap behind states that are left by themselves", {
       c = state { doo = yes }, d = state {}, [1] = go("initial", "c"),
       [4] = go("c", "d", "e_done"), [5] = go("d", "a", "e_after(1)") }, "" },
@@ -64,22 +78,19 @@ describe("explore", function()
       "" },
     { "as a note, that nothing leaves an end that is named so", {
       FAILED = state {}, [4] = go("a", "FAILED", "e_c") }, lines(
-      "note: root.FAILED: nothing happens any more in this configuration [stuck]",
+      "note: root.FAILED: nothing happens any more in this configuration [dead-end]",
       "  1. no event: root.trans[1] -> root.a", "  2. e_c: root.trans[4] -> "
         .. "root.FAILED") },
-    { "a path that needs two events, which one alone does not open", {
+    { "a path that needs two events", {
       k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c", "e_l"),
-      [6] = go("c", "a", "e_x") }, lines(
-      "note: root.k: no way on for e_k, which is discarded in root.a [swallowed]",
-      "  1. no event: root.trans[1] -> root.a",
-      "  2. e_k: no transition -> root.a") },
+      [6] = go("c", "a", "e_x") }, "" },
     { "that an event must not come twice to open a path", {
       k = conn {}, c = state {}, [4] = go("a", "k", "e_k"), [5] = go("k", "c", "e_k"),
       [6] = go("c", "a", "e_x") }, "", { together = 2 } },
     { "a configuration that nothing leaves", {
       c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_done",
       { guard = yes }) }, lines(
-      "warning: root.c: nothing happens any more in this configuration [stuck]",
+      "warning: root.c: nothing happens any more in this configuration [dead-end]",
       "  1. no event: root.trans[1] -> root.a",
       "  2. e_c: root.trans[4] -> root.c",
       "  3. no event (root.trans[5] false): no transition -> root.c") },
@@ -87,30 +98,11 @@ describe("explore", function()
       "" },
     { "a cycle that no event ends", { c = state {}, [4] = go("a", "c", "e_c"),
       [5] = go("c", "c", "e_done"), [6] = go("c", "a", "e_x") }, lines(
-      "warning: root.c: run never becomes idle from this configuration [livelock]",
+      "warning: root.c: run never becomes idle from this configuration [endless]",
       "  1. no event: root.trans[1] -> root.a",
       "  2. e_c: root.trans[4] -> root.c") },
-    { "connectors with several ways", {
-      k = conn {}, [4] = go("a", "k", "e_k"), [5] = go("k", "b", nil, { guard = yes }),
-      [6] = go("k", "a", nil, { guard = yes }) }, lines(
-      "note: root.trans[6]: enabled together with root.trans[5] (k -> b), and of the "
-        .. "same pn [clash]",
-      "  1. no event: root.trans[1] -> root.a",
-      "  2. e_k (root.trans[5] true, root.trans[6] true): root.trans[4], root.trans[5] "
-        .. "-> root.b") },
-    { "states with several ways on one event, also through a connector", {
-      k = conn {}, [4] = go("a", "a", "e_y", { guard = yes }),
-      [5] = go("a", "k", "e_y", { guard = yes }), [6] = go("k", "b", "e_y"),
-      [7] = go("b", "a", "e_y") }, lines(
-      "note: root.trans[5]: enabled together with root.trans[4] (a -> a), and of the "
-        .. "same pn [clash]",
-      "  1. no event: root.trans[1] -> root.a",
-      "  2. e_y (root.trans[4] true): root.trans[4] -> root.a") },
-    { "no states with several ways on different events, or as if and else", {
-      [4] = go("a", "a", "e_y"), [5] = go("a", "a", "e_z", { guard = yes }),
-      [6] = go("a", "b", "e_z") }, "", { together = 2 } },
     { "that the machine cannot be entered", { [1] = go("initial", "a", "e_never") },
-      "warning: root: the machine cannot be entered [stuck]", { alphabet = {} } },
+      "warning: root: the machine cannot be entered [dead-end]", { alphabet = {} } },
   }
   for _, case in ipairs(CASES) do
     it("finds " .. case[1], function()
@@ -124,7 +116,7 @@ describe("explore", function()
     function()
     assert.equal("", report(chart {
       c = state { checks = { ["dead-end"] = "meant to be" } },
-      d = state { checks = { unreached = "later" } }, [4] = go("a", "c", "e_c") }))
+      d = state { checks = { unreachable = "later" } }, [4] = go("a", "c", "e_c") }))
   end)
 
   it("calls no callback of the user, and leaves the model as it is", function()
@@ -252,8 +244,8 @@ describe("machines in a sequential AND state", function()
       [3] = go("closed", "open", "e_done") }
     local model = chart { b = rfsm.seqand { run = true, endless } }
     assert.matches("root: a machine in a sequential AND state never becomes idle "
-      .. "%[livelock%]\n  1. no event: root.trans%[1%] %-> root.a\n  2. e_x: ",
-      report(model))
+      .. "%[endless%]\n  1. no event: root.trans%[1%] %-> root.a\n  2. e_x: [^\n]* and "
+      .. "on and on %-> not entered\n", report(model))
   end)
 end)
 
@@ -349,8 +341,8 @@ end)
 -- Agreement with random runs ----------------------------------------------------
 
 describe(claim.name, function()
-  it("agree on 8 charts", function()
+  it("agree on 24 charts", function()
     claim.runs = 40
-    assert.is_nil((select(2, claim.run(8, 1))))
+    assert.is_nil((select(2, claim.run(24, 1))))
   end)
 end)

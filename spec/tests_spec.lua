@@ -21,9 +21,10 @@ local function load_chart(file)
 end
 
 -- Does a rehearsal of the model do what the tests expect of the chart?
-local function passes(result, load)
+local function passes(result, load, callbacks)
+  local options = { callbacks = callbacks or false }
   for _, planned in ipairs(result.runs) do
-    local ok, run = pcall(rfsm_checks.rehearsal, load())
+    local ok, run = pcall(rfsm_checks.rehearsal, load(), options)
     if not ok then return false end
     mutate.negate(run)
     for _, step in ipairs(planned.steps) do
@@ -141,24 +142,145 @@ describe("tests of an example", function()
   end)
 end)
 
+local LAMP = [[
+local rfsm = require "rfsm"
+local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
+local function yes() return true end
+return state { info = false, warn = false,
+  off = state {}, warm = state { doo = yes }, k = conn {},
+  on = state { low = state {}, high = state {},
+    trans { src = "initial", tgt = "low" },
+    trans { src = "low", tgt = "high", events = { "e_more", 7 }, pn = 1 },
+    trans { src = "low", tgt = "high", events = { "e_boost" }, guard = yes },
+    trans { src = "high", tgt = "low", events = { "e_after(2.5)" } },
+  },
+  trans { src = "initial", tgt = "off" },
+  trans { src = "off", tgt = "warm", events = { "e_on" } },
+  trans { src = "warm", tgt = "k", events = { "e_done" } },
+  trans { src = "k", tgt = "on", guard = yes, pn = 1 },
+  trans { src = "k", tgt = "off" },
+  trans { src = "on", tgt = "off", events = { "e_off" } },
+  trans { src = "on", tgt = "internal", events = { "e_ping" }, pn = -1 },
+}
+]]
+
+local LAMP_SPEC = [=[
+-- Runs of lamp.lua that take 11 of its 11 transitions, in 33 steps.
+--
+-- Callbacks of the chart do not run.
+-- `guards` has the answers of guards, `ends` and `goes_on` states whose doo does so;
+-- `after` lets that many seconds go by. What is asked and not mentioned is part of the
+-- result.
+
+require "rfsm_timeevent"
+local rehearsal = require("rfsm_checks").rehearsal
+
+local here = debug.getinfo(1, "S").source:match("^@(.*/)") or ""
+local FILE = here .. "../lamp.lua"
+local OPTIONS = { callbacks = false }
+
+-- rfsm check --tests: what stands from here ...
+describe("lamp.lua", function()
+  it("goes to off, warm, on.low, on.high, off, warm, off ... on.high", function()
+    local run = rehearsal(FILE, OPTIONS)
+    assert.equal("initial --> off", run:step())
+    assert.equal("stays in off", run:step())
+    assert.equal("stays in off", run:step { "e_unknown" })
+    assert.equal("stays in off", run:step { "e_off" })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { goes_on = { "warm" } })
+    assert.equal("stays in warm", run:step { "e_unknown" })
+    assert.equal("stays in warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> on, on.initial --> on.low",
+      run:step { guards = { ["k --> on"] = true } })
+    assert.equal("stays in on.low", run:step())
+    assert.equal("stays in on.low", run:step { "e_unknown" })
+    assert.equal("stays in on.low", run:step { "e_on" })
+    assert.equal("on.low -7, e_more-> on.high", run:step { "e_more" })
+    assert.equal("stays in on.high", run:step())
+    assert.equal("stays in on.high", run:step { "e_unknown" })
+    assert.equal("stays in on.high", run:step { "e_on" })
+    assert.equal("on -e_off-> off", run:step { "e_off" })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> off",
+      run:step { guards = { ["k --> on"] = false } })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> on, on.initial --> on.low",
+      run:step { guards = { ["k --> on"] = true } })
+    assert.equal("on.low -7, e_more-> on.high", run:step { 7 })
+    assert.equal("on -e_ping-> internal", run:step { "e_ping" })
+    assert.equal("on.high -e_after(2.5)-> on.low", run:step { after = 2.501 })
+    assert.equal("on.low -e_boost-> on.high",
+      run:step { "e_boost", guards = { ["on.low -e_boost-> on.high"] = true } })
+    assert.equal("on -e_off-> off", run:step { "e_off", "e_ping" })
+    assert.equal("off -e_on-> warm", run:step { "e_on" })
+    assert.equal("stays in warm", run:step { ends = { "warm" } })
+    assert.equal("warm -e_done-> k, k --> on, on.initial --> on.low",
+      run:step { guards = { ["k --> on"] = true } })
+    assert.equal("on.low -7, e_more-> on.high", run:step { "e_more", "e_boost" })
+  end)
+end)
+-- rfsm check --tests: ... to here is written anew.
+]=]
+
+describe("the spec of a chart", function()
+  it("has steps of events, time, guards and doos, and such that change nothing",
+    function()
+    local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), false,
+      "spec/lamp_spec.lua")
+    assert.equal(LAMP_SPEC, text)
+    assert.same({ 11, 11, 0, 4 }, { result.taken, result.transitions, result.skipped,
+      result.least })
+    assert.equal(select(2, text:gsub("run:step", "")), result.steps)
+  end)
+end)
+
+describe("tests that run callbacks", function()
+  it("hold the order of callbacks and what they print", function()
+    local file = "examples/on_off.lua"
+    local text = tests.busted(file, load_chart(file), true)
+    assert.matches("local OPTIONS = { callbacks = true }\n", text)
+    assert.matches('it%("goes to off, on, off", function', text)
+    assert.matches('assert.equal%("off %-e_push%-> on: entry on, print%(bright%)", '
+      .. 'run:step { "e_push" }%)', text)
+    run_spec(text, file)
+  end)
+
+  it("notice callbacks that are swapped", function()
+    local function load() return load_chart("examples/on_off.lua") end
+    local result = tests.plan(load(), true)
+    assert.is_true(passes(result, load, true))
+    assert.is_false(passes(result, function()
+      local model = load()
+      model.on.entry, model.off.entry = model.off.entry, model.on.entry
+      return model
+    end, true))
+  end)
+end)
+
 describe("tests that are written again", function()
   it("keep what stands around the marks, and name the chart as the spec sees it",
     function()
     local file, load = "examples/on_off.lua", function()
       return load_chart("examples/on_off.lua")
     end
-    local text = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua")
+    local text = tests.busted(file, load(), false, "spec/lamps/on_off_spec.lua")
     assert.matches('\nlocal FILE = here .. "../../examples/on_off.lua"\n', text)
-    assert.matches('"../on_off.lua"', (tests.busted(file, load(), {},
+    assert.matches('"../on_off.lua"', (tests.busted(file, load(), false,
       "examples/spec/on_off_spec.lua")))
     assert.matches('\nlocal FILE = "examples/on_off.lua"\n',
       (tests.busted(file, load())))
     local changed = text:gsub("on %-e_switch%-> off", "nonsense")
     local own = "-- mine\n" .. changed .. "-- more\n"
-    local again = tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua", own)
+    local again = tests.busted(file, load(), false, "spec/lamps/on_off_spec.lua", own)
     assert.equal("-- mine\n" .. text .. "-- more\n", again)
-    assert.equal(text, (tests.busted(file, load(), {}, "spec/lamps/on_off_spec.lua",
-      "nothing marked")))
+    local ok, problem = pcall(tests.busted, file, load(), false, "on_off_spec.lua",
+      "nothing marked")
+    assert.is_false(ok)
+    assert.equal("the output has no marks of an earlier call: it is kept", problem)
   end)
 end)
 
@@ -184,6 +306,49 @@ describe("a rehearsal", function()
       run:step { after = 3, guards = { ["b -e_after(2)-> a"] = false } })
     assert.equal("stays in b, (b -e_after(2)-> a was not asked)",
       run:step { "e_x", guards = { ["b -e_after(2)-> a"] = false } })
+  end)
+
+  it("runs callbacks against fakes, and holds their order, if it shall", function()
+    local kept = rawget(_G, "print")
+    local model = rfsm.load_str [[
+      local rfsm = require "rfsm"
+      local state, trans = rfsm.state, rfsm.trans
+      local function fail() error("called") end
+      return state { info = false, warn = false, err = false,
+        a = state { exit = function() print("off", 2, {}) end },
+        b = state { doo = fail, entry = function(fsm)
+          rfsm.send_events(fsm, "e_sent")
+          error("broken")
+        end },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_x" }, guard = fail,
+          effect = function(_, _, what) return crane.left:start(what) end },
+        trans { src = "b", tgt = "a", events = { "e_sent" } } }
+    ]]
+    local run = rfsm_checks.rehearsal(model, { callbacks = true })
+    assert.equal("initial --> a", run:step())
+    assert.equal("a -e_x-> b: exit a, print(off, 2, table), effect, "
+      .. "crane.left.start(crane.left, effect), entry b, sends e_sent, fails: broken",
+      run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
+    assert.equal("stays in b", run:step { goes_on = { "b" } })
+    assert.equal(kept, rawget(_G, "print"))
+    assert.is_nil(rawget(_G, "crane"))
+    local seen = {}
+    run = rfsm_checks.rehearsal(model, { callbacks = true, fakes = {
+      print = function(text) seen[1] = text end,
+      crane = { left = { start = function() seen[2] = "started" end } } } })
+    run:step()
+    assert.equal("a -e_x-> b: exit a, effect, entry b, sends e_sent, fails: broken",
+      run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
+    assert.same({ "off", "started" }, seen)
+  end)
+
+  it("refuses options that are wrong", function()
+    local _, text = pcall(function()
+      return (rfsm_checks.rehearsal(busy(), { callback = true }))
+    end)
+    assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: unknown option "
+      .. "'callback', expected: callbacks, fakes$", text)
   end)
 
   it("refuses names of what is not there", function()

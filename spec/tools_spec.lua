@@ -329,7 +329,7 @@ describe("rfsm-check", function()
     }
   ]]
   local WARNED = "FILE:3: warning: root.spare: unreachable, no path of transitions "
-    .. "leads here (add a transition to it, or remove it) [unreachable]\n"
+    .. "leads here (see which transition leads to it, or remove it) [unreachable]\n"
   local NOTED = "FILE:3: note: root.k: no way on without a guard for e_go (add a "
     .. "transition without guard and events, of the least pn) [no-default]\n"
 
@@ -385,8 +385,7 @@ describe("rfsm-check", function()
 
   it("lists the codes", function()
     local out, _, status = run("rfsm-check --codes")
-    assert.matches("\ndead%-end +warning +a leaf and the composites around it are "
-      .. "never left\n", out)
+    assert.matches("\ndead%-end +warning +nothing leads on from a leaf\n", out)
     assert.equal(0, status)
   end)
 
@@ -420,6 +419,9 @@ describe("rfsm-check", function()
       1, "-x --record '" .. folder .. "/run'")
     assert.matches("root.b", (run("rfsm-sim -q --dry --replay '" .. folder .. "/run' '"
       .. folder .. "/chart.lua' -e 'print(rfsm.get_actleaf_fqn(fsm))'")))
+    assert.matches("\n   1  e_init_fsm +root.a%(done%)\n   2  e_done@root.a, e_go +"
+      .. "root.b%(done%)\nactive: root.a%(done%)\n", (run("rfsm-sim -q --dry --replay '"
+      .. folder .. "/run' '" .. folder .. "/chart.lua' -e 'history()' -e 'goto(1)'")))
     for text, problem in pairs { -- any order: each stands alone
       ["return 7"] = "FILE.lua: FILE_properties.lua: table with the field 'properties' "
         .. "expected, got number\n",
@@ -441,7 +443,7 @@ describe("rfsm-check", function()
       local rfsm = require "rfsm"
       return rfsm.state {
         a = rfsm.state { checks = { ["dead-end"] = "meant" } },
-        b = rfsm.state { checks = { stuck = "meant", trap = "meant" } },
+        b = rfsm.state { checks = { trap = "meant" } },
         rfsm.trans { src = "initial", tgt = "a" },
         rfsm.trans { src = "a", tgt = "b", events = { "e_go" },
           checks = { ["unknown-field"] = "later" }, action = 1 },
@@ -471,7 +473,7 @@ describe("rfsm-check", function()
     ]], "FILE:3: warning: root.b: no exit, neither this state nor one around it is "
       .. "ever left (add a transition, or declare final = true) [dead-end]\n"
       .. "FILE:4: warning: root.spare: unreachable, no path of transitions leads here "
-      .. "(add a transition to it, or remove it) [unreachable]\n", 0)
+      .. "(see which transition leads to it, or remove it) [unreachable]\n", 0)
   end)
 
   it("refuses numbers that are none of events or configurations", function()
@@ -542,8 +544,8 @@ describe("rfsm-check", function()
     assert.equal(WARNED:gsub("FILE", file), (run("rfsm-check '" .. file .. "'")))
   end)
 
-  it("knows time events and await, also if the host of a chart loads them", function()
-    checks([[
+  it("warns of time events and awaits unless chart or settings load them", function()
+    local text = [[
       local rfsm = require "rfsm"
       return rfsm.state {
         a = rfsm.state {}, b = rfsm.state {},
@@ -551,7 +553,18 @@ describe("rfsm-check", function()
         rfsm.trans { src = "a", tgt = "b", events = { "e_after(2)" } },
         rfsm.trans { src = "b", tgt = "a", events = { "await(e_a)" } },
       }
-    ]], "FILE: ok\n", 0)
+    ]]
+    local warning = "FILE:%d: warning: root.trans[%d] (%s): the chart does not load "
+      .. "the extension that knows '%s' (require %q) [unknown-word]\n"
+    local of_time = warning:format(5, 2, "a -> b", "e_after(2)", "rfsm_timeevent")
+    local of_await = warning:format(6, 3, "b -> a", "await(e_a)", "rfsm_await")
+    checks(text, of_time .. of_await, 0)
+    checks("require 'rfsm.timeevent'" .. text, of_await, 0)
+    checks("local _ = rfsm_timeevent" .. text, of_await, 0)
+    checks("require 'rfsm_await'" .. text, of_time, 0)
+    write_file(".rfsmcheck.lua", "require 'rfsm_timeevent' return {}")
+    checks(text, of_await, 0)
+    os.remove(folder .. "/.rfsmcheck.lua")
   end)
 
   it("looks into the machines inside a state", function()

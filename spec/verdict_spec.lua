@@ -61,6 +61,19 @@ describe("a verdict", function()
       verdict(waiting(), never "root.b", { alphabet = { "e_p" } }))
   end)
 
+  it("has awaits of many events, in any order", function()
+    local model = chart { [2] = go("a", "b", "await(e_p, e_q, e_r)"),
+      [4] = go("a", "c", "await(e_q, e_s)"), c = state {}, [5] = go("c", "a", "e_x") }
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_p: no transition -> root.a\n  3. e_q: no transition -> root.a\n"
+      .. "  4. e_r: root.trans[2] -> root.b", verdict(model, never "root.b"))
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_q: no transition -> root.a\n  3. e_s: root.trans[4] -> root.c",
+      verdict(model, never "root.c"))
+    assert.equal("p: holds (one event a step; no event outside of the alphabet)",
+      verdict(model, never { "root.b" }, { alphabet = { "e_p", "e_q", "e_s" } }))
+  end)
+
   it("forgets what an await has received when its state is left", function()
     local model = silent { a = state {}, b = state {}, c = state {}, go("initial", "a"),
       go("a", "b", "await(e_p, e_q)"), go("a", "c", "e_p", { pn = 1 }),
@@ -80,6 +93,12 @@ describe("a verdict", function()
       verdict(model, never { "root.moving", "root.parked" }))
     local fsm = helper.started(model)
     assert.equal("root.moving", helper.leaf_after(fsm, "e_joy_left"))
+  end)
+
+  it("calls no predicate, so that one without end does no harm", function()
+    local model = chart { [2] = go("a", "b", { function() while true do end end }) }
+    assert.equal("p: holds (one event a step; predicates free)",
+      verdict(model, always "root"))
   end)
 
   it("has the predicates of regions, too", function()
@@ -241,6 +260,15 @@ describe("a verdict", function()
       1, true))
   end)
 
+  it("sees the states that a step passes through by a transition of another state",
+    function()
+    local model = chart { c = state { k = conn {}, x = state {}, go("initial", "x") },
+      [2] = go("a", "root.c.k", "e_x"), [4] = go("root.c.k", "b") }
+    assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.a\n"
+      .. "  2. e_x: root.trans[2], root.trans[4] -> root.b",
+      verdict(model, never "root.c"))
+  end)
+
   it("sees the states that a region passes through", function()
     local model = chart { b = rfsm.seqand { run = true, arm = state { warn = false,
       info = false, x = state {}, y = state {}, go("initial", "x"),
@@ -252,15 +280,114 @@ describe("a verdict", function()
     local model = chart { [4] = go("b", "c", "e_c", { effect = function(fsm)
       fsm[2].tgt = fsm.c
     end }), c = state {}, [5] = go("c", "a", "e_x") }
-    local result = rfsm_checks.explore(model, { properties = { never "root.spare" },
-      flags = { ["root.spare"] = {} } })
+    local result = rfsm_checks.explore(model,
+      { properties = { never { "root.a", "root.b" } } })
     assert.equal("targets", result.bound)
     assert.same({ "targets that the effect root.trans[4] may write" }, result.untried)
     assert.is_nil(result.properties[1].holds)
   end)
 end)
 
+describe("a callback that may write a target", function()
+  local function writer(fsm) fsm[2]["tgt"] = fsm.c end
+  local function calls_writer(fsm) writer(fsm) end
+  local function reader(fsm) return fsm[2].tgt == fsm.c and { tgt = fsm.c } end
+
+  local CASES = {
+    { name = "by an index", effect = writer, is_known = false },
+    { name = "by a function that it calls", effect = calls_writer, is_known = false },
+    { name = "by a global function", is_known = false,
+      effect = function(fsm) return rawget(_G, "write_target")(fsm) end },
+    { name = "no target that is read", effect = reader, is_known = true },
+    { name = "no target, as a function of C", effect = print, is_known = true },
+  }
+  for _, case in ipairs(CASES) do
+    it("is found: " .. case.name, function()
+      rawset(_G, "write_target", writer)
+      local result = rfsm_checks.explore(chart { c = state {}, [4] = go("b", "c", "e_c",
+        { effect = case.effect }), [5] = go("c", "a", "e_x") })
+      rawset(_G, "write_target", nil)
+      assert.equal(case.is_known, result.bound == nil)
+    end)
+  end
+
+  it("may be an entry, exit, guard, doo or predicate", function()
+    local function untried(members)
+      return rfsm_checks.explore(chart(members)).untried[1]
+    end
+    local before = "targets that the "
+    assert.equal(before .. "entry root.b may write",
+      untried { b = state { entry = writer } })
+    assert.equal(before .. "exit root.b may write",
+      untried { b = state { exit = writer } })
+    assert.equal(before .. "doo root.b may write",
+      untried { b = state { doo = writer } })
+    assert.equal(before .. "guard root.trans[4] may write",
+      untried { [4] = go("a", "b", "e_y", { guard = writer }) })
+    assert.matches("^targets that the predicate of .*root.trans%[4%] %(a %-> b%) may",
+      untried { [4] = go("a", "b", { writer }) })
+  end)
+end)
+
 describe("options of an exploration", function()
+  it("have a function that is called now and then", function()
+    local members, calls = {}, {}
+    for i = 1, 600 do
+      members["s" .. i] = state {}
+      members[3 + i] = go(i == 1 and "a" or "s" .. i - 1, "s" .. i, "e_go")
+    end
+    rfsm_checks.explore(chart(members), { progress = function(count, depth)
+      calls[#calls + 1] = count + depth
+    end })
+    assert.equal(2, #calls)
+    assert.is_true(calls[2] > calls[1])
+  end)
+
+  it("are conditions of the right types", function()
+    local CASES = {
+      { f = rfsm_checks.never, text = "rfsm_checks.never: path of a state, name of a "
+        .. "flag, list of them or function expected, got number" },
+      { f = rfsm_checks.always, text = "rfsm_checks.always: path" },
+      { f = rfsm_checks.from, text = "rfsm_checks.from: path" },
+      { f = from "root.a".can_reach, text = "rfsm_checks.from(...).can_reach: path" },
+      { f = after "e_x".reach, text = "rfsm_checks.after(...).reach: path" },
+    }
+    for _, case in ipairs(CASES) do
+      for _, wrong in ipairs { 7, {}, { 7 }, { "root.a", 7 } } do
+        local ok, text = pcall(function() return (case.f(wrong)) end)
+        assert.is_false(ok)
+        if wrong == 7 then
+          assert.matches("^[^\n]*verdict_spec.lua:%d+: ", text)
+          assert.is_truthy(text:find(case.text, 1, true))
+        end
+      end
+    end
+    local _, text = pcall(function() return (after(nil)) end)
+    assert.matches("verdict_spec.lua:%d+: rfsm_checks.after: event expected, got nil",
+      text)
+    assert.equal("after e_x reach root.a and root.b",
+      tostring(after "e_x".reach { "root.a", "root.b" }))
+    assert.equal("from a function can reach root.a",
+      tostring(from(print).can_reach "root.a"))
+  end)
+
+  it("refuse other types", function()
+    local CASES = {
+      { dry_run = 1 }, { depth = "x" }, { seconds = "x" }, { progress = 1 },
+      { properties = 1 }, { flags = 1 }, { sends = 1 },
+    }
+    local EXPECTED = { dry_run = "boolean", depth = "number", seconds = "number",
+      progress = "function", properties = "table", flags = "table of flags",
+      sends = "table of lists" }
+    for _, options in ipairs(CASES) do
+      local name = next(options)
+      local ok, text = pcall(rfsm_checks.explore, chart(), options)
+      assert.is_false(ok)
+      assert.is_truthy(text:find(name .. ": " .. EXPECTED[name] .. " expected, got", 1,
+        true), text)
+    end
+  end)
+
   -- Options, the message.
   local REFUSED = {
     { options = { together = 0 }, text = "together: whole number above 0 expected, got "
@@ -276,6 +403,10 @@ describe("options of an exploration", function()
     { options = { flags = { lit = "on" } },
       text = "flags: lit: table with the lists 'on' and 'off' expected, got string "
         .. "'on'" },
+    { options = { flags = { lit = { off = { "entry root.b" } } } },
+      text = "flags: lit.on: callbacks that switch it on expected, got none" },
+    { options = { flags = { lit = { on = {} } } },
+      text = "flags: lit.on: callbacks that switch it on expected, got none" },
     { options = { sends = { ["entry root.b"] = "e_x" } },
       text = "sends: ['entry root.b']: list of events expected, got string 'e_x'" },
     { options = { alphabet = { e_x = true } }, text = "alphabet: list expected, got "
@@ -288,6 +419,13 @@ describe("options of an exploration", function()
       assert.equal("rfsm_checks.explore: " .. case.text, (text:gsub("^%S+:%d+: ", "")))
     end)
   end
+
+  it("have no flag that is named like a state", function()
+    local ok, text = pcall(rfsm_checks.explore, chart(), { flags = { ["root.b"] = {
+      on = { "entry root.a" } } } })
+    assert.is_false(ok)
+    assert.equal("flags: 'root.b' is the path of a state, use another name", text)
+  end)
 
   it("have no event in the alphabet that no transition names", function()
     local function explore(members, alphabet)

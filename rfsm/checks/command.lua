@@ -5,13 +5,17 @@
 
 local chart = require "rfsm.shared.chart"
 local codes = require "rfsm.checks.codes"
+local match = require "rfsm.checks.match"
+local place = require "rfsm.checks.place"
+local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
 local assert, error, io, ipairs = assert, error, io, ipairs
-local loadfile, os, pairs, pcall = loadfile, os, pairs, pcall
-local rawget, require, type = rawget, require, type
+local loadfile, os, pcall = loadfile, os, pcall
+local package, pairs, rawget = package, pairs, rawget
+local rawset, require, type = rawset, require, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local command = {}
@@ -101,11 +105,12 @@ end
 local function write_witnesses(model, findings, name)
   local count = 0
   for _, finding in ipairs(findings) do
-    if finding.witness and finding.witness[1] then
+    local witness = finding.witness or finding.run
+    if witness and witness[1] then
       count = count + 1
       finding.record = count > 1 and name .. "." .. count or name
       os.remove(finding.record) -- a recording is appended to
-      rfsm_checks.record_witness(model, finding.witness, finding.record)
+      rfsm_checks.record_witness(model, witness, finding.record)
     end
   end
 end
@@ -123,34 +128,71 @@ local function explore(file, model, options)
   return result
 end
 
--- Does a static check tell of the same element what an exploration tells?
-local function is_told(findings, finding)
-  for _, other in ipairs(findings) do
-    local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
-    if path == finding.place and other.code == codes.twin[finding.code] then
-      return true
+-- Modules of extensions that rfsm check loads, by name: who makes their events.
+local EXTENSIONS = {
+  rfsm_timeevent = "timer", ["rfsm.timeevent"] = "timer",
+  rfsm_await = "await", ["rfsm.await"] = "await",
+}
+
+-- What to require for them.
+local MODULES = { timer = "rfsm_timeevent", await = "rfsm_await" }
+
+--- Call a function that loads a chart, and note which extensions that requires.
+---@param f function
+---@param ... any
+---@return table<string, true> required "timer", "await"
+---@return any ... results of `f`
+function command.noting_extensions(f, ...)
+  local required, kept = {}, {}
+  local loaded, preload = package.loaded, package.preload
+  for name, maker in pairs(EXTENSIONS) do -- any order: each stands alone
+    kept[name] = { require(name), rawget(_G, name) }
+    preload[name] = function()
+      required[maker] = true
+      rawset(_G, name, kept[name][2])
+      return kept[name][1]
     end
   end
-  return false
+  for name in pairs(kept) do -- any order: each stands alone
+    loaded[name] = nil
+    rawset(_G, name, nil)
+  end
+  local results = { pcall(f, ...) }
+  for name, values in pairs(kept) do -- any order: each stands alone
+    loaded[name], preload[name] = values[1], nil
+    rawset(_G, name, values[2])
+  end
+  if not results[1] then error(results[2], 0) end
+  return required, unpack(results, 2, 4)
+end
+
+-- Finds events of extensions that the chart does not require: its host may do so.
+local function add_missing_extensions(findings, model, required)
+  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
+      for _, event in ipairs(tr.events or {}) do
+        local maker = match.maker_of(event)
+        if MODULES[maker] and not required[maker] then
+          findings:add("unknown-word", tr, place.path(tr, entry.prefix),
+            ("the chart does not load the extension that knows '%s' (require %q)")
+              :format(event:gsub("@root.*$", ""), MODULES[maker]),
+            place.in_words(tr, entry.prefix))
+        end
+      end
+    end
+  end
 end
 
 -- Returns all findings about a chart, and what was explored; nil: nothing was.
 local function find_all(file, model, settings, options)
-  local findings, silenced = static.findings(model, {})
-  local result = nil
+  local findings, result = static.collect(model, static.OF_FILES), nil
+  if gravest_of(findings) ~= "error" then
+    add_missing_extensions(findings, model, options.required or {})
+  end
   if not (options.static or gravest_of(findings) == "error") then
     result = explore(file, model, options)
-    local count = #findings
-    for _, finding in ipairs(result.findings) do
-      if not is_told({ unpack(findings, 1, count) }, finding) then
-        findings[#findings + 1] = finding
-      end
-    end
-    for note in pairs(result.silenced) do silenced[note] = true end -- a set
-    for _, finding in ipairs(result.bound and {} or static.idle_silences(model,
-      silenced)) do
-      findings[#findings + 1] = finding
-    end
+    findings:join(result.findings)
+    if not result.bound then findings:add_idle_silences(model) end
   end
   return static.apply(findings, settings), result
 end
@@ -183,7 +225,8 @@ end
 ---@param model rfsm.State
 ---@param warnings string[] about its file
 ---@param settings table<string, string>
----@param options table of the command: all, static, together ...
+---@param options table of the command: all, static, together ...; `required`: what
+-- `command.noting_extensions` has noted
 ---@return string[] lines "chart.lua: ok" if there is nothing to report
 ---@return "error"|"warning"|nil gravest severity, but for notes
 function command.review(file, model, warnings, settings, options)

@@ -16,7 +16,6 @@
 local rfsm = require "rfsm"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local stubs = require "rfsm.checks.stubs"
@@ -53,8 +52,6 @@ local explore = {}
 ---@field first integer[] configuration -> where its steps begin in `steps`
 ---@field steps integer[] targets; negative: without an event from outside
 ---@field taken table<integer, table> transition -> the first step that takes it
----@field clashes table<integer, table> transition -> the first step that takes another
----@field swallowed table<string, table> see `note_swallowed`
 ---@field moves table<integer, true> configurations that a step leaves or acts in
 ---@field expanded integer configurations whose steps were all taken
 ---@field endless table? the first step in which a machine inside never becomes idle
@@ -119,14 +116,8 @@ end
 
 -- Notes what a step did that has not been seen before.
 local function note(walk, from, label)
-  local own = walk.puppet
-  for _, number in ipairs(own.taken) do
+  for _, number in ipairs(walk.puppet.taken) do
     walk.taken[number] = walk.taken[number] or { from = from, label = label() }
-  end
-  for _, clash in ipairs(own.clashes) do
-    local number, by = clash[1], clash[2]
-    walk.clashes[number] = walk.clashes[number]
-      or { from = from, label = label(), by = by }
   end
 end
 
@@ -161,10 +152,9 @@ end
 
 local MANY_CHOICES = 4096
 
--- Takes a step with these events, once for each choice. Returns whether one of them
--- took a transition.
+-- Takes a step with these events, once for each choice.
 local function try_events(walk, from, conf, events, seen)
-  local own, choices, tries, has_taken = walk.puppet, {}, 0, false
+  local own, choices, tries = walk.puppet, {}, 0
   repeat
     own:put(conf)
     local ended, asked, text = own:step(events, choices), own.asked, nil
@@ -173,7 +163,6 @@ local function try_events(walk, from, conf, events, seen)
       return text
     end
     walk.count, tries = walk.count + 1, tries + 1
-    has_taken = has_taken or own.taken[1] ~= nil
     note(walk, from, label)
     if ended then
       local tgt = find_configuration(walk, own:read(), from, label)
@@ -188,7 +177,6 @@ local function try_events(walk, from, conf, events, seen)
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
     end
   until tries == MANY_CHOICES or not puppet.next_choices(choices, asked)
-  return has_taken
 end
 
 -- Lists the sets of up to `most` of the events, smaller ones first.
@@ -203,22 +191,6 @@ local function sets_of(list, most)
   return sets
 end
 
--- Notes that an event alone took no transition, though one that names it leads to a
--- connector.
-local function note_swallowed(walk, from, leaf, occurrence)
-  local event = occurrence.event
-  local fsm = walk.puppet.parts[1].fsm
-  for _, node in ipairs(leaf and place.line(fsm, leaf) or {}) do
-    for _, tr in ipairs(node._otrs) do
-      if rfsm.is_conn(tr.tgt) and match.names(tr, event) then
-        local key = tr.tgt._fqn .. " " .. rfsm.text_of(event)
-        walk.swallowed[key] = walk.swallowed[key] or { from = from, event = event,
-          connector = tr.tgt, leaf = leaf, label = label_of({ occurrence }, {}, 0) }
-      end
-    end
-  end
-end
-
 -- Takes all steps from a configuration.
 local function expand(walk, from, seen)
   local conf = walk:configuration(from)
@@ -231,10 +203,7 @@ local function expand(walk, from, seen)
   walk:add_wanted(list)
   for _, events in ipairs(sets_of(list, walk.together)) do
     if events[1] ~= nil or puppet.is_busy(conf) then
-      local has_taken = try_events(walk, from, conf, events, seen)
-      if not has_taken and #events == 1 then
-        note_swallowed(walk, from, conf[1].leaf, events[1])
-      end
+      try_events(walk, from, conf, events, seen)
     end
   end
   for _, events in ipairs(needed) do
@@ -315,8 +284,8 @@ function explore.walk(model, options, prepare)
   local walk = setmetatable({ puppet = own, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
-    steps = {}, taken = {}, clashes = {}, swallowed = {}, endless = nil, bound = nil,
-    moves = {}, count = 0, expanded = 0 }, Walk)
+    steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
+    expanded = 0 }, Walk)
   check_writers(walk)
   if prepare then prepare(walk) end
   find_configuration(walk, own:read(), 0, function() return "" end)

@@ -8,25 +8,16 @@ local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
-local ipairs, type = ipairs, type
+local ipairs = ipairs
 local concat = table.concat
 local is_conn = rfsm.is_conn
 
 local loops = {}
 
--- Does the event trigger `tr`? Nil if a predicate decides.
-local function is_triggered(tr, event)
-  if match.is_any(tr) or match.names(tr, event) then return true end
-  for _, other in ipairs(tr.events) do
-    if type(other) == "function" then return nil end
-  end
-  return false
-end
-
 -- Returns the first of the transitions that the event takes; nil if a guard decides.
 local function find_taken(transitions, event)
   for _, tr in ipairs(transitions) do
-    local is_wanted = is_triggered(tr, event)
+    local is_wanted = match.triggers(tr, event)
     if is_wanted == nil or is_wanted and tr.guard then return nil, true end
     if is_wanted then return tr end
   end

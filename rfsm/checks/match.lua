@@ -33,10 +33,12 @@ function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 --- Does the transition name the event? A predicate names none.
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 
---- Is there a predicate among the events of the transition?
-function match.has_predicate(tr)
-  for _, event in ipairs(tr.events or {}) do
-    if type(event) == "function" then return true end
+--- Does an event trigger the transition, as far as names tell?
+---@return boolean|nil nil: a predicate decides
+function match.triggers(tr, event)
+  if match.is_any(tr) or match.names(tr, event) then return true end
+  for _, other in ipairs(tr.events) do
+    if type(other) == "function" then return nil end
   end
   return false
 end
@@ -49,7 +51,7 @@ end
 ---@return boolean
 function match.may_enable(tr, list, seen)
   local is_named = match.is_any(tr)
-  for i = 1, #list do is_named = is_named or match.names(tr, list[i]) end
+  for i = 1, #list do is_named = is_named or match.triggers(tr, list[i]) end
   seen = seen or {}
   if not is_named or seen[tr.tgt] then return false end
   if not rfsm.is_conn(tr.tgt) then return true end

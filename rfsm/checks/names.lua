@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local match = require "rfsm.checks.match"
 
 local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
 
@@ -30,7 +31,8 @@ local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 -- which no other table equals.
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
-    local mark = type(event) == "string" and event:match("^[^(@]*"):match("[,|%s]")
+    local mark = type(event) == "string" and not match.maker_of(event)
+      and event:match("^[^(@]*"):match("[,|%s]")
     if mark then
       add("odd-event", tr, ("'%s' is one event with %s in its name"):format(event,
         MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"))
@@ -43,49 +45,27 @@ end
 
 -- Misspelt events ................................................................
 
--- Splits e_pusch_button into its words.
-local function words_of(event)
-  local words = {}
-  for word in event:gmatch("[^_%W]+") do words[#words + 1] = word end
-  return words
-end
-
--- Is `b` the word `a` without a letter inside of it, or with another one there, or with
--- two letters in reverse? A letter at the end or the start makes too many words that
--- are meant: close, closed; lock, block; so do letters in short words: load, lead.
-local function is_edited(a, b)
-  for i = 1, #a do
-    local before, letter, behind = a:sub(1, i - 1), a:sub(i, i), a:sub(i + 1)
-    local is_inside = i > 1 and i < #a
-    if is_inside and (before .. behind == b or #a > 4 and #a == #b
-        and before .. b:sub(i, i) .. behind == b)
-      or before .. behind:sub(1, 1) .. letter .. behind:sub(2) == b then
-      return true
+-- Calls f(key) for the shapes of an event: two events that have one in common look
+-- alike. A shape is the event with a word of five letters or more without one inside of
+-- it: a letter too many, or another one in its place, gives the same; or with two
+-- letters of a word in alphabetical order; or without underscores and capitals. Letters
+-- at the ends make too many words that are meant: close, closed; lock, block. So do
+-- letters in short words, load, lead, and numbers.
+local function each_shape(event, f)
+  f((event:lower():gsub("_", "")))
+  for at, word in event:gmatch("()(%a+)") do
+    local before, behind = event:sub(1, at - 1), event:sub(at + #word)
+    local is_counted = event:find("^%d", at + #word) or event:sub(at - 1):find("^%d")
+    if #word > 3 and not is_counted then
+      f(event)
+      for i = 1, #word - 1 do
+        local head, pair = before .. word:sub(1, i - 1), word:sub(i, i + 1)
+        if pair:byte(1) > pair:byte(2) then pair = pair:reverse() end
+        f(head .. "<" .. pair .. ">" .. word:sub(i + 2) .. behind)
+        if i > 1 and #word > 4 then f(head .. word:sub(i + 1) .. behind) end
+      end
     end
   end
-  return false
-end
-
--- Do two words look alike? Numbers and short words are meant to.
-local function is_near(a, b)
-  if a:lower() == b:lower() then return true end
-  if #a < 4 or #b < 4 or a:find("%d") or b:find("%d") then return false end
-  return is_edited(a, b) or is_edited(b, a)
-end
-
--- Do two events differ in one word, or in underscores, and look alike there?
-local function is_misspelt(a, b)
-  if #a > #b + 3 or #b > #a + 3 then return false end
-  if a:lower():gsub("_", "") == b:lower():gsub("_", "") then return true end
-  local words, others, differs = words_of(a), words_of(b), false
-  if #words ~= #others then return false end
-  for i, word in ipairs(words) do
-    if word ~= others[i] then
-      if differs or not is_near(word, others[i]) then return false end
-      differs = true
-    end
-  end
-  return differs
 end
 
 local function is_name(event)
@@ -106,21 +86,13 @@ local function usage_of(fsm)
   return list, users
 end
 
--- Calls f(key) for the event without underscores, and for the same without each of its
--- letters. Two events that look alike have one of them in common.
-local function each_key(event, f)
-  local text = event:lower():gsub("[_%W]", "")
-  f(text)
-  for i = 1, #text do f(text:sub(1, i - 1) .. text:sub(i + 1)) end
-end
-
--- Returns lists of positions of events, by their keys.
+-- Returns lists of positions of events, by their shapes.
 local function index_of(list)
   local index = {}
   for i, event in ipairs(list) do
-    each_key(event, function(key)
-      index[key] = index[key] or {}
-      table.insert(index[key], i)
+    each_shape(event, function(shape)
+      index[shape] = index[shape] or {}
+      table.insert(index[shape], i)
     end)
   end
   return index
@@ -129,13 +101,10 @@ end
 -- Returns the first event that looks like event `i`, and that as many or more use.
 local function find_similar(list, users, index, i)
   local least
-  each_key(list[i], function(key)
-    for _, j in ipairs(index[key]) do
+  each_shape(list[i], function(shape)
+    for _, j in ipairs(index[shape]) do
       local is_rarer = #users[list[j]] > 1 or j < i
-      if j ~= i and is_rarer and (not least or j < least)
-        and is_misspelt(list[i], list[j]) then
-        least = j
-      end
+      if j ~= i and is_rarer and (not least or j < least) then least = j end
     end
   end)
   return least and list[least]

@@ -9,7 +9,7 @@ local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local structure = require "rfsm.checks.structure"
 
-local ipairs, type = ipairs, type
+local ipairs, setmetatable, type = ipairs, setmetatable, type
 local is_conn = rfsm.is_conn
 
 local order = {}
@@ -37,29 +37,11 @@ local ANY = {} -- stands for each event of a transition that has none
 -- Does the event enable `tr`, as far as names tell? Predicates may accept anything, but
 -- nobody can rely on it.
 local function is_enabled_by(tr, event)
-  return match.is_any(tr) or type(event) ~= "function" and match.names(tr, event)
+  return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- Does some path of connectors lead from one to another?
-local function leads_to(connector, tgt, seen)
-  if connector == tgt then return true end
-  if seen[connector] then return false end
-  seen[connector] = true
-  for _, tr in ipairs(connector._otrs) do
-    if is_conn(tr.tgt) and leads_to(tr.tgt, tgt, seen) then return true end
-  end
-  return false
-end
-
--- Returns the set of connectors that a path to a node may have passed: it cannot pass
--- one of them again.
-local function passed_before(fsm, node)
-  local passed = {}
-  for _, connector in ipairs(is_conn(node) and rfsm.elements(fsm, is_conn) or {}) do
-    passed[connector] = leads_to(connector, node, {}) or nil
-  end
-  return passed
-end
+-- A path to a connector may have passed any other one, and passes none twice.
+local ALL = setmetatable({}, { __index = function() return true end })
 
 -- Returns a transition that is tried before `tr`, from its source or a composite that
 -- the source is in, and always taken on the event.
@@ -68,7 +50,7 @@ local function find_shadow(fsm, tr, event)
     for _, other in ipairs(node._otrs) do
       if other == tr then break end
       if is_enabled_by(other, event)
-        and is_always_enabled(other, passed_before(fsm, tr.src)) then
+        and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
         return other
       end
     end
@@ -105,29 +87,6 @@ local function may_clash(tr, other)
     and (tr.guard or not other.guard or is_conn(tr.src))
 end
 
---- List the transitions behind `tr` that only their position keeps from being taken
---- before it.
-function order.conflicts_of(tr)
-  local conflicts, is_behind = {}, false
-  for _, other in ipairs(tr.src._otrs) do
-    if is_behind and may_clash(other, tr) then conflicts[#conflicts + 1] = other end
-    is_behind = is_behind or other == tr
-  end
-  return conflicts
-end
-
---- Is another one enabled where `tr` was taken: in a connector by all events of a step,
---- in a state by one of them that enables both?
-function order.is_clash(tr, other, list)
-  if is_conn(tr.src) then return match.may_enable(other, list) end
-  for i = 1, #list do
-    if is_enabled_by(tr, list[i]) and match.may_enable(other, { list[i] }) then
-      return true
-    end
-  end
-  return false
-end
-
 -- Returns an event that enables both, as a text.
 local function shared_event(tr, other)
   if match.is_any(tr) and match.is_any(other) then return "any event" end
@@ -138,17 +97,14 @@ local function shared_event(tr, other)
   end
 end
 
---- Return the text of a conflict.
-function order.conflict_text(other, event)
-  return ("enabled together with %s%s, and of the same pn"):format(
-    rfsm.location_of(other), event and " on " .. event or "")
-end
-
 local function check_conflicts(tr, add)
   for _, other in ipairs(tr.src._otrs) do
     if other == tr then return end
     local event = may_clash(tr, other) and shared_event(tr, other)
-    if event then return add("conflict", tr, order.conflict_text(other, event)) end
+    if event then
+      return add("conflict", tr, ("enabled together with %s on %s, and of the same pn")
+        :format(rfsm.location_of(other), event))
+    end
   end
 end
 

@@ -239,9 +239,7 @@ end
 local function is_taken(own, event)
   for _, number in ipairs(own.taken) do
     local tr = own.transitions[number].tr
-    if match.is_any(tr) or match.names(tr, event) or match.has_predicate(tr) then
-      return true
-    end
+    if match.triggers(tr, event) ~= false then return true end
   end
   return false
 end

@@ -19,7 +19,6 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local match = require "rfsm.checks.match"
-local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
@@ -28,7 +27,8 @@ local stubs = require "rfsm.checks.stubs"
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
-local concat, max, sort = table.concat, math.max, table.sort
+local concat, sort = table.concat, table.sort
+local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_conn = rfsm.is_conn
 
@@ -45,6 +45,7 @@ local puppet = {}
 ---@field free table<string, true> what the chart has: guards, predicates, timers, doos
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
+---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
 ---@field notes_events boolean keep in `last_events` those that iterations had?
@@ -53,7 +54,6 @@ local puppet = {}
 ---@field is_doo boolean[] whether that was a doo
 ---@field asked integer how many there were
 ---@field taken integer[] numbers of the transitions that the last step took
----@field clashes integer[][] of those, and one of equal pn that was enabled, too
 local Puppet = {}
 Puppet.__index = Puppet
 
@@ -87,7 +87,6 @@ Puppet.__index = Puppet
 ---@field path string of the leaf
 ---@field paths string[] of the leaf and the states around it
 ---@field reactions rfsm_checks.Reactions|false
----@field noted table<string, table<any, rfsm_checks.Stand>> by mode and waiting event
 
 --- Where a machine can stand.
 ---@class rfsm_checks.Stand
@@ -156,16 +155,20 @@ function Puppet:occurrence(part, event)
   return found
 end
 
+-- Is a node in a composite?
+local function is_inside(node, state)
+  while node ~= state and not rfsm.is_root(node) do node = node._parent end
+  return node == state
+end
+
 -- Does a connector inside of a composite lead out of it? Then a step may pass through.
 local function is_passable(state)
   local is_found = false
-  rfsm.mapfsm(function(tr)
-    local tgt = tr.tgt
-    while is_conn(tr.src) and tgt ~= state and not rfsm.is_root(tgt) do
-      tgt = tgt._parent
+  rfsm.mapfsm(function(connector)
+    for _, tr in ipairs(connector._otrs) do
+      is_found = is_found or not is_inside(tr.tgt, state)
     end
-    is_found = is_found or is_conn(tr.src) and tgt ~= state
-  end, state, rfsm.is_trans)
+  end, state, is_conn)
   return is_found
 end
 
@@ -191,8 +194,8 @@ local function make_state(self, part, state)
   own.entry = entry
   if part.owner or not rfsm.is_root(state) and rfsm.is_composite(state)
     and is_passable(state) then
-    function own.entry(fsm)
-      if entry then entry(fsm) end
+    function own.entry(...)
+      if entry then entry(...) end
       note_moment(self, state)
     end
   end
@@ -217,23 +220,16 @@ local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
   self.number_of[tr] = number
   self.transitions[number] = { tr = tr, path = path, prefix = part.prefix }
-  self.path_of[tr] = path
   note_events(self, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)
     tr.guard, self.free.guards = function() return self:choose(path) end, true
   end
   local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
-  local conflicts = order.conflicts_of(tr)
   tr.likely = nil
-  tr.effect = function(fsm, _, _, events)
+  tr.effect = function(...)
     self.taken[#self.taken + 1] = number
-    for _, other in ipairs(conflicts) do
-      if order.is_clash(tr, other, events) then
-        self.clashes[#self.clashes + 1] = { self.number_of[other], number }
-      end
-    end
-    if stub then stub(fsm) end
+    if stub then stub(...) end
   end
 end
 
@@ -268,8 +264,7 @@ local function add_leaf(part, leaf, number)
     paths[i] = place.path(node, part.prefix)
   end
   part.known[leaf] = { state = leaf, number = number, path = paths[#paths],
-    paths = paths, reactions = false,
-    noted = { active = {}, done = {}, inactive = {} } }
+    paths = paths, reactions = false }
 end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
@@ -341,10 +336,11 @@ local function put_awaits(fsm, digits)
   end
 end
 
--- Returns the place where a machine stands, with the events that wait: always the same
--- table.
-local function find_stand(self, part, leaf, mode, events)
-  local waiting, numbers = relevant(self, part, leaf, events), {}
+-- Returns where a machine stands, with the events that wait: always the same table.
+local function read_stand(self, part)
+  local leaf, numbers = part.fsm._act_leaf, {}
+  local mode = leaf and leaf._mode or "inactive"
+  local waiting = relevant(self, part, leaf, part.fsm._intq)
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   sort(numbers)
   local known, received = part.known[leaf], read_awaits(part.fsm)
@@ -355,19 +351,6 @@ local function find_stand(self, part, leaf, mode, events)
     or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
       received = received }
   return part.stands[id]
-end
-
--- Returns where a machine stands; with one event at most, the usual case, it is noted.
-local function read_stand(self, part)
-  local leaf, queue = part.fsm._act_leaf, part.fsm._intq
-  local mode = leaf and leaf._mode or "inactive"
-  if queue[2] ~= nil or part.fsm._awaits then
-    return find_stand(self, part, leaf, mode, queue)
-  end
-  local noted, first = part.known[leaf].noted[mode], queue[1]
-  if first == nil then first = NOTHING end
-  noted[first] = noted[first] or find_stand(self, part, leaf, mode, queue)
-  return noted[first]
 end
 
 --- Return the key of the configuration in which the machines are: the numbers of their
@@ -478,9 +461,9 @@ end
 function Puppet:step(events, choices)
   self.choices, self.asked, self.steps = choices, 0, self.steps + 1
   clear(self.taken)
-  clear(self.clashes)
   clear(self.moments)
   clear(self.last_events)
+  clear(self.called)
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
@@ -509,21 +492,23 @@ function puppet.next_choices(choices, asked)
   return false
 end
 
+local MANY_PATHS = 20 -- more than a step takes that ends, in a machine and its regions
+
 --- Return the outcome of a step as a text: the transitions taken, and the active leaf.
 ---@param paths string[]
 ---@param leaf? string|false
 ---@return string text "root.trans[2] -> root.b"
 function puppet.outcome(paths, leaf)
-  return (paths[1] and concat(paths, ", ") or "no transition") .. " -> "
-    .. (leaf or "not entered")
+  local text = concat(paths, ", ", 1, min(#paths, MANY_PATHS))
+  if #paths > MANY_PATHS then text = text .. " and on and on" end
+  return (paths[1] and text or "no transition") .. " -> " .. (leaf or "not entered")
 end
 
---- List the paths of transitions by their numbers, such as those taken.
----@param numbers? integer[] default: those that the last step took
+--- List the paths of the transitions that the last step took.
 ---@return string[] paths
-function Puppet:paths_of(numbers)
+function Puppet:paths_of()
   local paths = {}
-  for i, number in ipairs(numbers or self.taken) do
+  for i, number in ipairs(self.taken) do
     paths[i] = self.transitions[number].path
   end
   return paths
@@ -546,7 +531,8 @@ local function new_predicate(self, tr)
   return function(event)
     if count ~= self.steps then answers, count = {}, self.steps end
     if answers[event] == nil then
-      answers[event] = self:choose(self.path_of[tr] .. " predicate")
+      local path = self.transitions[self.number_of[tr]].path
+      answers[event] = self:choose(path .. " predicate")
     end
     return answers[event]
   end
@@ -577,7 +563,7 @@ end
 local function has_predicate(fsm)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
-      if match.has_predicate(tr) then return true end
+      if match.triggers(tr, NOTHING) == nil then return true end
     end
   end
   return false
@@ -641,19 +627,22 @@ end
 --- Make a puppet of a model, in the configuration before the first entry.
 -- @raise if the model is not valid, or an option is wrong
 ---@param model rfsm.State
----@param options { alphabet?: any[], flags?: table, sends?: table, dry_run?: boolean }
+---@param options table `alphabet`, `flags`, `sends`, `dry_run` as in an exploration;
+-- `callbacks`: call entries, exits and effects
 ---@return rfsm_checks.Puppet
 function puppet.new(model, options)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
-    path_of = {}, names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
+    names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
-    is_dry_run = options.dry_run, choices = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, clashes = {}, moments = {}, passed = {}, last_events = {}, ids = {},
+    is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
+    choices = {}, askers = {}, is_doo = {}, asked = 0,
+    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
     notes_events = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
   add_parts(self, new_machine(self, model))
+  stubs.check_flag_names(self)
   stubs.check_names(self, self.flags_of, "flags")
   stubs.check_names(self, self.sends, "sends")
   check_alphabet(self, options.alphabet)

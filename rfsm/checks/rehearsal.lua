@@ -8,12 +8,14 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
-local named = require "rfsm.checks.named"
+local opts = require "rfsm.shared.options"
 local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 
-local error, ipairs, require = error, ipairs, require
-local setmetatable, table, type = setmetatable, table, type
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, rawget, rawset, require = pcall, rawget, rawset, require
+local select, setmetatable = select, setmetatable
+local table, type = table, type
 local concat = table.concat
 
 local rehearsal = {}
@@ -39,7 +41,7 @@ end
 -- Gives each transition and doo a name, and each name what the puppet asks with.
 local function add_names(own)
   own.asker_of, own.name_of = {}, {}
-  named.add(own.transitions)
+  place.add_names(own.transitions)
   local function add(name, who)
     own.asker_of[name], own.name_of[who] = own.asker_of[name] or who, name
   end
@@ -49,24 +51,88 @@ local function add_names(own)
   end
   for _, part in ipairs(own.parts) do
     for _, leaf in ipairs(rfsm.elements(part.fsm, rfsm.is_leaf)) do
-      add(named.node(leaf, part.prefix), place.path(leaf, part.prefix))
+      add(place.name_of(leaf, part.prefix), place.path(leaf, part.prefix))
     end
   end
 end
 
+-- Fakes: what callbacks find in place of `print`, and of globals that are not there. A
+-- call is noted: "motor.start(5)".
+
+local Fake = {}
+
+local function new_fake(own, name)
+  return setmetatable({ own = own, name = name }, Fake)
+end
+
+function Fake:__index(key)
+  local name = rawget(self, "name") .. "." .. rfsm.text_of(key)
+  self[key] = new_fake(rawget(self, "own"), name)
+  return self[key]
+end
+
+-- Tables and functions have no text that is the same in each run.
+local function text_of_argument(value)
+  if getmetatable(value) == Fake then return rawget(value, "name") end
+  local is_plain = type(value) ~= "table" and type(value) ~= "function"
+  return is_plain and rfsm.text_of(value) or type(value)
+end
+
+function Fake:__call(...)
+  local texts, called = {}, rawget(self, "own").called
+  for i = 1, select("#", ...) do texts[i] = text_of_argument((select(i, ...))) end
+  called[#called + 1] = ("%s(%s)"):format(rawget(self, "name"), concat(texts, ", "))
+  return self
+end
+
+-- Calls f(...) with fakes as globals.
+local function with_fakes(own, f, ...)
+  local real, fakes, class = {}, own.fakes, nil
+  for name, fake in pairs(fakes) do -- any order: each stands alone
+    real[name] = { rawget(_G, name) }
+    rawset(_G, name, fake)
+  end
+  if not getmetatable(_G) then
+    class = { __index = function(_, name)
+      own.unknown[name] = own.unknown[name] or new_fake(own, rfsm.text_of(name))
+      return own.unknown[name]
+    end }
+    setmetatable(_G, class)
+  end
+  local ok, result = pcall(f, ...)
+  if class and getmetatable(_G) == class then setmetatable(_G, nil) end
+  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- likewise
+  if not ok then error(result, 0) end
+  return result
+end
+
+local KNOWN = {
+  callbacks = { "boolean", function(x) return type(x) == "boolean" end, false },
+  fakes = { "table", function(x) return type(x) == "table" end, {} },
+}
+
 --- Begin the rehearsal of a chart.
--- @raise if it is not valid
+-- @raise if it is not valid, or an option is wrong
 ---@param chart string|rfsm.State a file or a model
+---@param options? { callbacks: boolean?, fakes: table<string, any>? } `callbacks`: run
+-- entries, exits and effects, with `fakes` as globals. By default `print` and globals
+-- that are not there are fakes, whose calls are noted
 ---@return rfsm_checks.Rehearsal
-function rehearsal.rehearsal(chart)
+function rehearsal.rehearsal(chart, options)
+  local settings, problem = opts.read(KNOWN, options or {})
+  if not settings then error("rfsm_checks.rehearsal: " .. problem, 2) end
   local model = type(chart) == "string" and rfsm.load(chart) or chart
   if not rfsm.is_state(model) then
     error("rfsm_checks.rehearsal: file or state expected, got " .. type(chart), 2)
   end
-  local self = setmetatable({ puppet = puppet.new(model, {}) }, Rehearsal)
-  self.puppet.choose, self.puppet.said, self.puppet.is_asked = answer, {}, {}
-  add_names(self.puppet)
-  return self
+  local own = puppet.new(model, { callbacks = settings.callbacks })
+  own.choose, own.said, own.is_asked = answer, {}, {}
+  if settings.callbacks then
+    own.fakes, own.unknown = { print = new_fake(own, "print") }, {}
+    for name, fake in pairs(settings.fakes) do own.fakes[name] = fake end -- any order
+  end
+  add_names(own)
+  return setmetatable({ puppet = own }, Rehearsal)
 end
 
 -- Returns the events of the step of a witness, as `Rehearsal:step` takes them.
@@ -150,10 +216,11 @@ local function outcome(own)
   local texts, leaf = {}, own.parts[1].fsm._act_leaf
   for i, number in ipairs(own.taken) do texts[i] = own.transitions[number].name end
   if not texts[1] then
-    texts[1] = leaf and "stays in " .. named.node(leaf, "root") or "is not entered"
+    texts[1] = leaf and "stays in " .. place.name_of(leaf, "root") or "is not entered"
   end
   for _, text in ipairs(surprises(own)) do texts[#texts + 1] = text end
-  return concat(texts, ", ")
+  local called = own.called[1] and ": " .. concat(own.called, ", ") or ""
+  return concat(texts, ", ") .. called
 end
 
 --- Take a step with the events given, and with what guards and doos decide in it.
@@ -164,13 +231,19 @@ end
 -- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
 -- regions, by their paths
 ---@return string text "off -e_x-> on": transitions taken; "stays in off": none. What
--- was asked and not mentioned follows, and what was mentioned and not asked
+-- was asked and not mentioned follows, and what was mentioned and not asked; behind a
+-- colon the callbacks in order, if they run
 function Rehearsal:step(what)
   what = what or {}
   local own = self.puppet
   tell(own, what)
   own.now = own.now + (what.after or 0)
-  own:step(occurrences_of(own, what), {})
+  local events = occurrences_of(own, what)
+  if own.fakes then
+    with_fakes(own, own.step, own, events, {})
+  else
+    own:step(events, {})
+  end
   return outcome(own)
 end
 

@@ -13,7 +13,9 @@ local codes = require "rfsm.checks.codes"
 local place = require "rfsm.checks.place"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local require, select, table, type = require, select, table, type
+local require, select, setmetatable = require, select, setmetatable
+local table, type = table, type
+local concat = table.concat
 
 local static = {}
 
@@ -25,21 +27,106 @@ local static = {}
 ---@field place string "root.trans[2] (off -> on)", in a region "root.par.left: root.a"
 ---@field text string one sentence
 ---@field hint string how to mend it
+---@field witness? rfsm_checks.WitnessStep[] of an exploration: the run that shows it
 
 --- A check: calls `add` for each finding about a machine.
 ---@alias rfsm_checks.Add fun(code: string, obj: table, text: string, severity?: any)
 ---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
 
 local CHECKS = {
-  "rfsm.checks.structure", "rfsm.checks.paths", "rfsm.checks.order",
-  "rfsm.checks.loops", "rfsm.checks.names",
+  "rfsm.checks.structure", "rfsm.checks.order", "rfsm.checks.loops",
+  "rfsm.checks.names",
 }
 
--- Silence: findings that an element expects ........................................
+--- The checks of files: those, and that of the text of callbacks.
+static.OF_FILES = {
+  "rfsm.checks.structure", "rfsm.checks.order", "rfsm.checks.loops",
+  "rfsm.checks.names", "rfsm.checks.source",
+}
+
+-- Findings, but for those that an element expects .....................................
 
 local function silences_of(obj)
   local silences = obj.checks
   return type(silences) == "table" and not rfsm.is_fsmobj(silences) and silences or {}
+end
+
+local function is_silenced(obj, code)
+  local reason = silences_of(obj)[code]
+  return type(reason) == "string" and reason:find("%S") ~= nil
+end
+
+--- A list of findings.
+---@class rfsm_checks.Findings
+---@field [integer] rfsm_checks.Finding
+---@field silenced table<string, true> what elements expect: "root.a dead-end"
+---@field told table<string, true> so that none is there twice
+local Findings = {}
+Findings.__index = Findings
+
+--- Return an empty list of findings.
+---@return rfsm_checks.Findings
+function static.new_list()
+  return setmetatable({ silenced = {}, told = {} }, Findings)
+end
+
+--- Append a finding, unless its element expects it.
+---@param code string
+---@param obj rfsm.State|rfsm.Transition|rfsm.Connector|nil
+---@param path string of the element, see `place.path`
+---@param text string
+---@param at? string its place in words
+---@param file? string
+---@return rfsm_checks.Finding? finding
+function Findings:add(code, obj, path, text, at, file)
+  if obj and is_silenced(obj, code) then
+    self.silenced[path .. " " .. code] = true
+    return nil
+  end
+  local known, key = codes.of[code], concat({ code, path or at, text }, " ")
+  if self.told[key] then return nil end
+  self.told[key] = true
+  local finding = { code = code, severity = known.severity, hint = known.hint,
+    file = file or obj and place.split(rfsm.location_of(obj)) or "",
+    place = at or path, text = text }
+  self[#self + 1] = finding
+  return finding
+end
+
+-- Returns the finding of a code about the same element.
+function Findings:find_same(finding)
+  for _, other in ipairs(self) do
+    local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
+    if path == finding.place and other.code == finding.code then return other end
+  end
+end
+
+--- Append the findings of an exploration. What is there already gets the run.
+---@param others rfsm_checks.Findings
+function Findings:join(others)
+  local more = {}
+  for _, finding in ipairs(others) do
+    local same = self:find_same(finding)
+    if same then same.run = finding.witness else more[#more + 1] = finding end
+  end
+  for _, finding in ipairs(more) do self[#self + 1] = finding end
+  for note in pairs(others.silenced) do self.silenced[note] = true end -- a set
+end
+
+--- Append findings about silences that silence nothing.
+---@param model rfsm.State
+function Findings:add_idle_silences(model)
+  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+    for _, obj in ipairs(rfsm.elements(entry.machine)) do
+      for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
+        local path = place.path(obj, entry.prefix)
+        if is_silenced(obj, code) and not self.silenced[path .. " " .. code] then
+          self:add("silence", obj, path, ("checks['%s']: there is nothing to silence "
+            .. "any more"):format(code), place.in_words(obj, entry.prefix))
+        end
+      end
+    end
+  end
 end
 
 -- Finds codes that do not exist, and those without a reason.
@@ -57,92 +144,25 @@ local function check_silences(obj, add)
   end
 end
 
---- Does an element expect the findings of a code, with a reason?
-function static.is_silenced(obj, code)
-  local reason = silences_of(obj)[code]
-  return type(reason) == "string" and reason:find("%S") ~= nil
-end
-
---- The codes that elements have silenced: "root.a dead-end".
----@alias rfsm_checks.Silenced table<string, true>
-
---- Note that a finding was silenced at a path.
-function static.note_silenced(silenced, path, code)
-  silenced[path .. " " .. code] = true
-end
-
---- List findings about silences that silence nothing.
----@param model rfsm.State
----@param silenced rfsm_checks.Silenced
----@return rfsm_checks.Finding[]
-function static.idle_silences(model, silenced)
-  local findings = {}
-  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
-    for _, obj in ipairs(rfsm.elements(entry.machine)) do
-      for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
-        local path = place.path(obj, entry.prefix)
-        if static.is_silenced(obj, code) and not silenced[path .. " " .. code] then
-          local file, at = place.split(rfsm.location_of(obj))
-          findings[#findings + 1] = codes.finding("silence", file,
-            place.location_of(entry.prefix) .. at,
-            ("checks['%s']: there is nothing to silence any more"):format(code))
-        end
-      end
-    end
-  end
-  return findings
-end
-
--- Leaves out the findings of init that an element expects.
-local function drop_silenced(fsm, findings, silenced)
-  local is_dropped = {}
-  for _, obj in ipairs(rfsm.elements(fsm)) do
-    for code in pairs(silences_of(obj)) do -- any order: a set
-      if static.is_silenced(obj, code) then
-        local _, events = place.split(rfsm.location_of(obj, "events"))
-        local note = place.path(obj) .. " " .. code
-        is_dropped[code .. place.of(obj)], is_dropped[code .. events] = note, note
-      end
-    end
-  end
-  local kept = {}
-  for _, finding in ipairs(findings) do
-    local note = is_dropped[finding.code .. finding.place]
-    if note then silenced[note] = true else kept[#kept + 1] = finding end
-  end
-  return kept
-end
-
 -- Checks ..........................................................................
 
 -- Appends the findings about a machine, in the order of its elements.
-local function check_machine(entry, findings, silenced)
-  local fsm, location = entry.machine, place.location_of(entry.prefix)
-  local by_element, elements = {}, rfsm.elements(fsm)
+local function check_machine(entry, findings, checks)
+  local fsm, by_element, elements = entry.machine, {}, rfsm.elements(entry.machine)
   if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
   for _, obj in ipairs(elements) do by_element[obj] = {} end
   local function add(code, obj, text, severity)
-    if static.is_silenced(obj, code) then
-      return static.note_silenced(silenced, place.path(obj, entry.prefix), code)
-    end
-    local file, at = place.split(rfsm.location_of(obj))
-    local finding = codes.finding(code, file, location .. at, text)
-    finding.severity = severity or finding.severity
-    table.insert(by_element[obj], finding)
+    table.insert(by_element[obj], { code = code, text = text, severity = severity })
   end
-  for _, name in ipairs(CHECKS) do require(name).check(fsm, add) end
-  for _, obj in ipairs(elements) do check_silences(obj, add) end
+  for _, name in ipairs(checks) do require(name).check(fsm, add) end
   for _, obj in ipairs(elements) do
-    for _, finding in ipairs(by_element[obj]) do findings[#findings + 1] = finding end
+    check_silences(obj, add)
+    for _, found in ipairs(by_element[obj]) do
+      local finding = findings:add(found.code, obj, place.path(obj, entry.prefix),
+        found.text, place.in_words(obj, entry.prefix))
+      if finding then finding.severity = found.severity or finding.severity end
+    end
   end
-end
-
--- The same about a machine and those inside of it.
-local function check_machines(fsm, findings, silenced)
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    check_machine(entry, findings, silenced)
-  end
-  return findings
 end
 
 -- Machines of the model ...........................................................
@@ -164,46 +184,103 @@ function static.init(model, warn)
 end
 
 -- What the checks find in more detail.
-local function is_finding(text)
-  return text:find("^no outgoing transitions from node")
-    or text:find("each transition from here has events or a guard", 1, true)
-    or text:find("'e_done' never fires here", 1, true)
+local DETAILED = { "^no outgoing transitions from node", "'e_done' never fires here",
+  "each transition from here has events or a guard" }
+
+local function is_detailed(text)
+  for _, pattern in ipairs(DETAILED) do
+    if text:find(pattern) then return true end
+  end
+  return false
 end
 
-local function add_lines(findings, lines, code_of, location)
+-- Returns the elements of a machine by what stands before a warning about them.
+local function elements_by_place(fsm)
+  local found = {}
+  for _, obj in ipairs(fsm and rfsm.elements(fsm) or {}) do
+    for _, location in ipairs { rfsm.location_of(obj), rfsm.location_of(obj, "events") }
+    do
+      found[select(2, place.split(location))] = obj
+    end
+  end
+  return found
+end
+
+local INSIDE = "a transition inside a leaf state"
+
+local function has_regions(obj) return obj and rfsm.regions(obj)[1] ~= nil end
+
+-- Is the text about a transition in a sequential AND state? One about that is enough.
+local function is_told(at, text, by_place)
+  return has_regions(by_place[at and at:match("^(root.*)%.trans%[")])
+    or is_detailed(text)
+end
+
+-- Leaves out lines about words of extensions of which an extension has said more.
+local function without_doubles(lines)
+  local is_told_of, kept = {}, {}
   for _, line in ipairs(lines) do
+    local word = line:match("'(%S+%b())': ")
+    if word then is_told_of[word] = true end
+  end
+  for _, line in ipairs(lines) do
+    local word = line:match("no loaded extension knows '(.-)'")
+    if not is_told_of[word] then kept[#kept + 1] = line end
+  end
+  return kept
+end
+
+-- Appends lines of init about a machine as findings; `code`: nil for warnings.
+local function add_lines(findings, lines, code, fsm, prefix)
+  local by_place = elements_by_place(fsm)
+  for _, line in ipairs(without_doubles(lines)) do
     local file, rest = place.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
-    local code = code_of(line)
-    if code == "invalid" or not is_finding(line) then
-      findings[#findings + 1] = codes.finding(code, file, location .. (at or "root"),
-        text or rest)
+    local obj = by_place[at]
+    if text == INSIDE and has_regions(obj) then
+      text = "a transition in a sequential AND state, it belongs into a region"
+    end
+    if code or not is_told(at, text or rest, by_place) then
+      findings:add(code or codes.of_warning(line), obj,
+        obj and place.path(obj, prefix), text or rest,
+        place.location_of(prefix) .. (at or "root"), file)
     end
   end
 end
 
-local function invalid() return "invalid" end
+-- Appends all findings about a model: problems, warnings of init, those of the checks.
+-- Returns its machine; nil if there is none.
+local function check_model(findings, model)
+  local fsm, _, is_valid, problems, warnings
+  is_valid, problems, warnings = rfsm.verify_early(model)
+  if is_valid then
+    warnings = {}
+    fsm, _, problems = static.init(model, function(text)
+      warnings[#warnings + 1] = rfsm.text_of(text):gsub("^WARNING: ", "")
+    end)
+  end
+  add_lines(findings, problems or {}, "invalid", nil, "root")
+  add_lines(findings, warnings, nil, fsm, "root")
+  for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
+    if entry.owner then
+      local _, _, own = rfsm.verify_early(entry.machine)
+      add_lines(findings, own, nil, entry.machine, entry.prefix)
+    end
+  end
+  return fsm
+end
 
--- Returns all findings about a model: problems, warnings of init, those of the checks.
-local function findings_of_model(model, silenced)
-  local findings = {}
-  local is_valid, problems, early = rfsm.verify_early(model)
-  add_lines(findings, problems, invalid, "")
-  if not is_valid then
-    add_lines(findings, early, codes.of_warning, "")
-    return findings
+--- Find all there is, whatever its severity.
+---@param model rfsm.State a model, or a machine
+---@param checks? string[] names of modules
+---@return rfsm_checks.Findings
+function static.collect(model, checks)
+  local findings = static.new_list()
+  local fsm = rfsm.is_initialized_root(model) and model or check_model(findings, model)
+  for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
+    check_machine(entry, findings, checks or CHECKS)
   end
-  local fsm, _, found = static.init(model, function(text)
-    text = rfsm.text_of(text):gsub("^WARNING: ", "")
-    add_lines(findings, { text }, codes.of_warning, "")
-  end)
-  add_lines(findings, found or {}, invalid, "")
-  if not fsm then return findings end
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    local warnings = entry.owner and select(3, rfsm.verify_early(entry.machine)) or {}
-    add_lines(findings, warnings, codes.of_warning, place.location_of(entry.prefix))
-  end
-  return check_machines(fsm, drop_silenced(fsm, findings, silenced), silenced)
+  return findings
 end
 
 --- Give findings the severity that a project has set, and drop those that are off.
@@ -229,7 +306,6 @@ end
 ---@param model rfsm.State a model, or a machine
 ---@param settings? table<string, string>
 ---@return rfsm_checks.Finding[] findings in the order of the tree
----@return rfsm_checks.Silenced silenced what elements expect
 ---@nodiscard
 function static.findings(model, settings)
   if not rfsm.is_state(model) then
@@ -237,11 +313,7 @@ function static.findings(model, settings)
   end
   local problem = codes.check_settings(settings or {})
   if problem then error("rfsm_checks.findings: settings: " .. problem, 2) end
-  local is_machine = rfsm.is_initialized_root(model)
-  local silenced = {}
-  local findings = is_machine and check_machines(model, {}, silenced)
-    or findings_of_model(model, silenced)
-  return static.apply(findings, settings or {}), silenced
+  return static.apply(static.collect(model), settings or {})
 end
 
 --- Return a finding in one line: "chart.lua:7: root.a: text [code]". The problems of a

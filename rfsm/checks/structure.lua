@@ -1,13 +1,17 @@
---- Structure: nodes that nothing reaches or leaves, callbacks that nobody calls.
+--- Structure: nodes that nothing reaches or leaves, callbacks that nobody calls,
+--- connectors that lead nowhere at times, or back to themselves.
 --
 -- @module rfsm.checks.structure
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 
-local ipairs = ipairs
+local ipairs, setmetatable, type = ipairs, setmetatable, type
+local concat = table.concat
 local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
 
 local structure = {}
@@ -51,12 +55,12 @@ local function check_node(fsm, node, reached, add)
       add("unreachable", node, "unreachable, no path of transitions leads here")
     end
   elseif is_conn(node) and not node._otrs[1] then
-    add("connector-end", node, "no way out of this connector, so that no transition to "
+    add("closed", node, "no way out of this connector, so that no transition to "
       .. "it is ever taken")
   elseif node ~= fsm and is_leaf(node) and not node.final
     and not has_way_out(fsm, node) then
     add("dead-end", node, "no exit, neither this state nor one around it is ever left",
-      codes.is_named_as_end(node) and "note")
+      codes.means(node, "an end") and "note")
   end
 end
 
@@ -74,14 +78,133 @@ local function check_callbacks(obj, add)
   end
 end
 
+-- Fields that are true or false.
+local FLAGS = { "final" }
+local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
+
+-- Finds true and false in fields that are not there, but nearly.
+local function check_flags(state, flags, add)
+  for _, key in ipairs(rfsm.sorted_keys(state)) do
+    for _, flag in ipairs(type(state[key]) == "boolean" and flags or {}) do
+      local is_near = type(key) == "string" and advice.is_near(key, flag)
+      if is_near and key ~= flag or flag == "dbg" and key == "debug" then
+        add("unknown-field", state, ("a state has no field '%s' (did you mean '%s'?)")
+          :format(key, flag))
+      end
+    end
+  end
+end
+
+local function check_transition(tr, add)
+  if match.is_any(tr) and not is_conn(tr.src) then
+    add("any-event", tr, "it has no events, and is taken on any")
+  end
+end
+
+-- Which events can reach a connector ..............................................
+
+local ANY = setmetatable({}, { __tostring = function() return "any event" end })
+
+-- Returns what a transition lets pass of an event, or of any.
+local function passing(tr, event)
+  if match.triggers(tr, event) then return { event } end
+  return event == ANY and tr.events or {}
+end
+
+-- Notes the connectors to which a transition leads an event that comes to its source; a
+-- predicate says nothing of what comes.
+local function arrive(arrivals, tr, event)
+  for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
+    local list = arrivals[tr.tgt] or {}
+    if not list[own] and type(own) ~= "function" then
+      arrivals[tr.tgt], list[own], list[#list + 1] = list, true, own
+      for _, way in ipairs(tr.tgt._otrs) do arrive(arrivals, way, own) end
+    end
+  end
+end
+
+-- Returns for each connector the events that can lead to it, one at a time.
+local function arrivals_of(fsm)
+  local arrivals = {}
+  arrive(arrivals, { tgt = fsm.initial }, "e_init_fsm")
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    if not is_conn(tr.src) then arrive(arrivals, tr, ANY) end
+  end
+  return arrivals
+end
+
+-- Is there a way on for this event that no guard can close?
+local function has_default(connector, event)
+  for _, tr in ipairs(connector._otrs) do
+    if not tr.guard and match.triggers(tr, event) then
+      return true
+    end
+  end
+  return false
+end
+
+local function check_default(connector, arriving, add)
+  local texts = {}
+  for _, event in ipairs(arriving or {}) do
+    if not has_default(connector, event) then
+      texts[#texts + 1] = rfsm.text_of(event)
+    end
+  end
+  if not texts[1] or not connector._otrs[1] then return end
+  local list = concat(texts, ", ")
+  if connector._id == "initial" then
+    add("closed-initial", connector, ("each transition from here has events or a guard,"
+      .. " '%s' cannot be entered on %s while none of them is enabled"):format(
+      connector._parent._fqn, list))
+  else
+    add("no-default", connector, "no way on without a guard for " .. list)
+  end
+end
+
+-- Cycles ..........................................................................
+
+-- Returns the connectors on a way from `node` back to `start`, without `start`.
+local function find_cycle(start, node, seen)
+  if seen[node] then return nil end
+  seen[node] = true
+  for _, tr in ipairs(node._otrs) do
+    if tr.tgt == start then return { node._fqn } end
+    local rest = is_conn(tr.tgt) and find_cycle(start, tr.tgt, seen)
+    if rest then
+      table.insert(rest, 1, node._fqn)
+      return rest
+    end
+  end
+end
+
+-- Finds what is wrong with connectors.
+local function check_connectors(fsm, add)
+  local arrivals, is_told = arrivals_of(fsm), {}
+  for _, connector in ipairs(rfsm.elements(fsm, is_conn)) do
+    check_default(connector, arrivals[connector], add)
+    local cycle = not is_told[connector._fqn] and find_cycle(connector, connector, {})
+    for _, fqn in ipairs(cycle or {}) do is_told[fqn] = true end
+    if cycle then
+      cycle[#cycle + 1] = connector._fqn
+      add("connector-cycle", connector, "connectors in a circle: "
+        .. concat(cycle, " -> "))
+    end
+  end
+end
+
 --- Find what is wrong with nodes.
 ---@type rfsm_checks.Check
 function structure.check(fsm, add)
   local reached = structure.reached(fsm)
   for _, obj in ipairs(rfsm.elements(fsm)) do
     if rfsm.is_node(obj) then check_node(fsm, obj, reached, add) end
+    if rfsm.is_trans(obj) then check_transition(obj, add) end
+    if rfsm.is_state(obj) then
+      check_flags(obj, rfsm.is_root(obj) and ROOT_FLAGS or FLAGS, add)
+    end
     check_callbacks(obj, add)
   end
+  check_connectors(fsm, add)
 end
 
 return structure

@@ -46,6 +46,9 @@ local function check_flag(where, flag)
         opts.got(flag[field]))
     end
   end
+  if not (flag.on and flag.on[1]) then
+    return where .. ".on: callbacks that switch it on expected, got none"
+  end
 end
 
 --- Is it a table of flags: { motor = { on = {...}, off = {...} } }?
@@ -134,13 +137,28 @@ end
 
 -- Stubs .............................................................................
 
--- Calls a callback once; returns the events that it sends to its machine.
-local function dry_run(fsm, callback, obj, what)
+-- Calls a callback. Returns the events that it sends to its machine, which are taken
+-- from the queue, and what `calls.try` does.
+local function call_apart(callback, fsm, ...)
   local sent, first = {}, #fsm._intq + 1
-  calls.try(callback, fsm, obj, what, {})
+  local ok, failure = calls.try(callback, fsm, ...)
   for i = first, #fsm._intq do sent[#sent + 1] = fsm._intq[i] end
   for i = #fsm._intq, first, -1 do fsm._intq[i] = nil end
-  return sent
+  return sent, ok, failure
+end
+
+-- Returns a stub that calls the callback, and notes its name, what it sends, and the
+-- failure.
+local function new_call(self, name, callback)
+  return function(...)
+    local called = self.called
+    called[#called + 1] = name
+    local sent, ok, failure = call_apart(callback, ...)
+    for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
+    if not ok then
+      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^.-:%d+: ", "")
+    end
+  end
 end
 
 --- Note that a callback may exist; return its stub.
@@ -155,9 +173,13 @@ function stubs.new(self, what, path, fsm, obj, callback)
   local name = what .. " " .. path
   self.callbacks[name] = true
   stubs.note_writer(self, name, callback)
+  if self.calls_callbacks then
+    local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
+    return callback and new_call(self, short, callback)
+  end
   local flags, events = self.flags_of[name] or {}, self.sends[name] or {}
   if self.is_dry_run and callback and not self.sends[name] then
-    events = dry_run(fsm, callback, obj, what)
+    events = call_apart(callback, fsm, obj, what, {})
   end
   if not flags[1] and events[1] == nil then return nil end
   return function(own)
@@ -181,6 +203,15 @@ function stubs.read_flags(self, flags)
     self.flag_numbers[name], self.flags[number] = number, "-"
     set_flag(self, flags[name].on, number, "+")
     set_flag(self, flags[name].off, number, "-")
+  end
+end
+
+--- Raise an error if a flag is named like a state: a condition could mean both.
+function stubs.check_flag_names(self)
+  for _, name in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
+    if self.names[name] then
+      error(("flags: '%s' is the path of a state, use another name"):format(name), 0)
+    end
   end
 end
 

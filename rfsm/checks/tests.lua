@@ -12,12 +12,12 @@
 local rfsm = require "rfsm"
 local explore = require "rfsm.checks.explore"
 local match = require "rfsm.checks.match"
-local named = require "rfsm.checks.named"
+local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local rehearsal = require "rfsm.checks.rehearsal"
 
-local ipairs, pairs, rawget = ipairs, pairs, rawget
+local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
 local tonumber, type = tonumber, type
 local ceil, max = math.ceil, math.max
 local concat = table.concat
@@ -171,14 +171,25 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
+-- Is some transition taken on any event in a leaf?
+local function takes_any(part, leaf)
+  for _, node in ipairs(leaf and place.line(part.fsm, leaf) or {}) do
+    for _, tr in ipairs(node._otrs) do
+      if match.triggers(tr, "e_unknown") ~= false then return true end
+    end
+  end
+  return false
+end
+
 -- Lists steps in which a machine stays where it is: without an event; with one that
 -- nothing names; with one that other leaves react to.
 local function steps_at_rest(walk, number)
   local own, conf = walk.puppet, walk:configuration(number)
   local leaf = conf[1].leaf
   local found = reactions.of(own.parts[1], leaf)
-  if puppet.is_driven(conf) or found.any or rfsm.regions(leaf)[1] then return {} end
-  local goes_on = conf[1].mode == "active" and { named.node(leaf, "root") } or nil
+  local is_open = takes_any(own.parts[1], leaf) or rfsm.regions(leaf)[1]
+  if puppet.is_driven(conf) or is_open then return {} end
+  local goes_on = conf[1].mode == "active" and { place.name_of(leaf, "root") } or nil
   local list = { { goes_on = goes_on }, { "e_unknown" } }
   for _, event in ipairs(own:named_texts()) do
     if not (found.set[event] or own:maker_of(event)) then
@@ -199,8 +210,8 @@ end
 
 -- Rehearses a run as planned; with `waits` timers fire because time goes by. Returns
 -- its steps, nil if something else happens. Leaves that it comes to first are noted.
-local function rehearse(walk, model, run, waits, is_seen)
-  local steps, own = {}, rehearsal.rehearsal(model)
+local function rehearse(walk, model, run, waits, is_seen, callbacks)
+  local steps, own = {}, rehearsal.rehearsal(model, { callbacks = callbacks })
   local function add(what)
     steps[#steps + 1] = { what = what, result = own:step(what) }
   end
@@ -219,12 +230,11 @@ end
 
 --- Plan runs that take every transition of a model that can be taken.
 ---@param model rfsm.State
----@param options? rfsm_checks.Options
+---@param callbacks? boolean run entries, exits and effects
 ---@return rfsm_checks.Tests
-function tests.plan(model, options)
-  options = options or {}
-  options.together = options.together or 2
-  local walk = explore.walk(model, options, watch_steps)
+function tests.plan(model, callbacks)
+  callbacks = callbacks or false
+  local walk = explore.walk(model, { together = 2 }, watch_steps)
   local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.puppet.transitions,
     skipped = 0 }
@@ -237,8 +247,8 @@ function tests.plan(model, options)
   result.least = ceil(result.taken / most)
   local is_seen = {}
   for _, run in ipairs(plan(walk, left)) do
-    local steps = rehearse(walk, model, run, true, is_seen)
-      or rehearse(walk, model, run, false, is_seen)
+    local steps = rehearse(walk, model, run, true, is_seen, callbacks)
+      or rehearse(walk, model, run, false, is_seen, callbacks)
     if steps then
       result.runs[#result.runs + 1] = { steps = steps }
       result.steps = result.steps + #steps
@@ -287,16 +297,24 @@ end
 local HEAD = [[
 -- Runs of %s that take %d of its %d transitions, in %d steps.
 --
--- Callbacks of the chart do not run. `guards` has the answers of guards, `ends` and
--- `goes_on` the states whose doo does so; `after` lets that many seconds go by. What is
--- asked and not mentioned is part of the result.
+-- %s
+-- `guards` has the answers of guards, `ends` and `goes_on` states whose doo does so;
+-- `after` lets that many seconds go by. What is asked and not mentioned is part of the
+-- result.
 
 %slocal rehearsal = require("rfsm_checks").rehearsal
 
 local here = debug.getinfo(1, "S").source:match("^@(.*/)") or ""
 local FILE = %s
+local OPTIONS = { callbacks = %s }
 
 ]]
+
+local RUNS = {
+  [true] = "Entries, exits and effects run, in the order that is behind the colon.\n"
+    .. "-- The field `fakes` of OPTIONS has what they find as globals.",
+  [false] = "Callbacks of the chart do not run.",
+}
 
 local BEGIN = "-- rfsm check --tests: what stands from here ...\n"
 local END = "-- rfsm check --tests: ... to here is written anew.\n"
@@ -317,7 +335,8 @@ end
 local function name_of(run)
   local names, last = {}, nil
   for _, step in ipairs(run.steps) do
-    local leaf = step.result:gsub(", %(.*$", ""):match("%-> ([^>]*)$")
+    local leaf = step.result:gsub(", %(.*$", ""):gsub(": .*$", "")
+      :match("%-> ([^>]*)$")
     if leaf and leaf ~= last then names[#names + 1] = leaf end
     last = leaf or last
   end
@@ -344,35 +363,37 @@ local function file_text(file, output)
   return "here .. " .. quoted(folder:gsub("%.?[^/]*/", "../") .. file)
 end
 
--- Returns an old file with new runs in place of its own; the new one without marks.
+-- Returns an old file with new runs in place of its own.
 local function merge(old, head, body)
-  local _, from = (old or ""):find(BEGIN, 1, true)
+  if not old or old == "" then return head .. BEGIN .. body .. END end
+  local _, from = old:find(BEGIN, 1, true)
   local to = from and old:find(END, from + 1, true)
-  if not to then return head .. BEGIN .. body .. END end
+  if not to then error("the output has no marks of an earlier call: it is kept", 0) end
   return old:sub(1, from) .. body .. old:sub(to)
 end
 
 --- Write the runs of a chart as a spec for busted.
 ---@param file string of the chart
 ---@param model rfsm.State
----@param options? rfsm_checks.Options
+---@param callbacks? boolean the runs run entries, exits and effects, too
 ---@param output? string the file of the spec; the chart is loaded relative to it
 ---@param old? string what stands in that file: only the marked lines are written anew
 ---@return string text
 ---@return rfsm_checks.Tests
-function tests.busted(file, model, options, output, old)
-  local result = tests.plan(model, options)
+function tests.busted(file, model, callbacks, output, old)
+  callbacks = callbacks or false
+  local result = tests.plan(model, callbacks)
   local modules = rawget(_G, "package").loaded.rfsm_timeevent
     and 'require "rfsm_timeevent"\n' or ""
   local blocks = {}
   for i, run in ipairs(result.runs) do
     local lines = { ("  it(%q, function()"):format(name_of(run)),
-      "    local run = rehearsal(FILE)" }
+      "    local run = rehearsal(FILE, OPTIONS)" }
     for _, step in ipairs(run.steps) do add_step(lines, step) end
     blocks[i] = concat(lines, "\n") .. "\n  end)\n"
   end
   local head = HEAD:format(file, result.taken, result.transitions, result.steps,
-    modules, file_text(file, output))
+    RUNS[callbacks], modules, file_text(file, output), rfsm.text_of(callbacks))
   return merge(old, head, ("describe(%q, function()\n"):format(file)
     .. concat(blocks, "\n") .. "end)\n"), result
 end

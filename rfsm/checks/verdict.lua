@@ -7,7 +7,6 @@ local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
-local order = require "rfsm.checks.order"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
@@ -30,7 +29,6 @@ local verdict = {}
 ---@field untried string[] what was not tried, as texts; empty without a bound
 ---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
----@field silenced rfsm_checks.Silenced
 ---@field properties rfsm_checks.Verdict[]
 local Exploration = {}
 Exploration.__index = Exploration
@@ -44,71 +42,48 @@ Exploration.__index = Exploration
 
 -- Findings ........................................................................
 
--- Adds a finding, unless its element expects it, by this code or that of the static
--- check that sees the same.
-local function add(result, code, obj, path, text, witness)
-  for _, name in ipairs { code, codes.twin[code] } do
-    if obj and static.is_silenced(obj, name) then
-      return static.note_silenced(result.silenced, path, name)
-    end
-  end
-  local file = obj and place.split(rfsm.location_of(obj)) or ""
-  local finding = codes.finding(code, file, path, text)
-  finding.witness = witness
-  result.findings[#result.findings + 1] = finding
-  return finding
-end
-
--- Returns the set of paths of states that are active in some configuration, or entered
--- by some step.
-local function active_paths(walk)
-  local set = {}
+-- Returns what steps have met: the set of paths of states that are active in some
+-- configuration or entered by some step, the connectors to which one leads, and those
+-- that one leaves.
+local function met_by(walk)
+  local met = { active = {}, entered = {}, left = {} }
   for _, passed in ipairs(walk.passed) do
-    for path in pairs(passed.moment.active) do set[path] = true end -- any order: a set
+    for path in pairs(passed.moment.active) do met.active[path] = true end -- a set
   end
   for _, part in ipairs(walk.puppet.parts) do
     for _, leaf in ipairs(puppet.leaves(part.stands)) do
-      for _, path in ipairs(leaf.paths) do set[path] = true end
+      for _, path in ipairs(leaf.paths) do met.active[path] = true end
     end
   end
-  return set
+  for number in pairs(walk.taken) do -- any order: a set
+    local tr = walk.puppet.transitions[number].tr
+    met.entered[tr.tgt], met.left[tr.src] = true, true
+  end
+  return met
 end
 
 -- States that are never active, but not those in another one.
-local function find_unreached(walk, result)
-  local active = active_paths(walk)
+local function find_unreachable(walk, findings, met)
   for _, path in ipairs(walk.puppet.paths) do
     local state = walk.puppet.names[path]
     local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
-    if not active[path] and (not above or active[above]) then
-      add(result, "unreached", state, path, "active in no configuration")
+    if not met.active[path] and (not above or met.active[above]) then
+      findings:add("unreachable", state, path, "active in no configuration")
     end
   end
-end
-
--- Returns the sets of connectors to which a step leads, and of those that one leaves.
-local function passed_connectors(walk)
-  local entered, left = {}, {}
-  for number, entry in ipairs(walk.puppet.transitions) do
-    if walk.taken[number] then
-      entered[entry.tr.tgt], left[entry.tr.src] = true, true
-    end
-  end
-  return entered, left
 end
 
 -- Connectors in reached states to which transitions lead, and which no step passes.
-local function find_closed(walk, result)
-  local active, _, left = active_paths(walk), passed_connectors(walk)
+local function find_closed(walk, findings, met)
   local is_closed = {}
   for _, entry in ipairs(walk.puppet.transitions) do
     local connector, prefix = entry.tr.tgt, entry.prefix
-    local is_met = rfsm.is_conn(connector) and not left[connector]
-      and active[place.path(entry.tr.src, prefix)]
+    local is_met = rfsm.is_conn(connector) and not met.left[connector]
+      and met.active[place.path(entry.tr.src, prefix)]
     if is_met and connector._id ~= "initial" and not is_closed[connector] then
       is_closed[connector] = true
-      add(result, "closed", connector, place.path(connector, prefix), "no step passes "
-        .. "this connector")
+      findings:add("closed", connector, place.path(connector, prefix),
+        "no step passes this connector")
     end
   end
   return is_closed
@@ -116,19 +91,18 @@ end
 
 -- Transitions from reached states to reached states, or from connectors that a step
 -- enters. Of others another finding tells.
-local function find_untaken(walk, result, is_closed)
-  local active, entered = active_paths(walk), passed_connectors(walk)
+local function find_untaken(walk, findings, met, is_closed)
   local function is_told(entry)
     local src, tgt = entry.tr.src, entry.tr.tgt
     if rfsm.is_conn(tgt) and tgt._id == "initial" then tgt = tgt._parent end
-    return is_closed[tgt] or rfsm.is_conn(src) and not entered[src]
+    return is_closed[tgt] or rfsm.is_conn(src) and not met.entered[src]
       and not (src._id == "initial" and rfsm.is_root(src._parent))
-      or rfsm.is_state(src) and not active[place.path(src, entry.prefix)]
-      or rfsm.is_state(tgt) and not active[place.path(tgt, entry.prefix)]
+      or rfsm.is_state(src) and not met.active[place.path(src, entry.prefix)]
+      or rfsm.is_state(tgt) and not met.active[place.path(tgt, entry.prefix)]
   end
   for number, entry in ipairs(walk.puppet.transitions) do
     if not (walk.taken[number] or is_told(entry)) then
-      add(result, "untaken", entry.tr, entry.path, ("no step takes it (%s -> %s)")
+      findings:add("shadowed", entry.tr, entry.path, ("no step takes it (%s -> %s)")
         :format(entry.tr.src._fqn, entry.tr.tgt._fqn))
     end
   end
@@ -146,29 +120,36 @@ local function leaves_of(walk, number)
   return leaves, concat(paths, ", "), are_final
 end
 
+-- Appends a finding with the run that leads to a configuration, and on by a step.
+local function add_run(walk, findings, code, state, path, text, number, label)
+  local finding = findings:add(code, state, path, text)
+  if finding then finding.witness = walk:witness(number, label) end
+  return finding or {}
+end
+
 -- Configurations in which nothing happens any more, one for each set of leaves.
-local function find_stuck(walk, result)
+local function find_dead_ends(walk, findings)
   local is_told = {}
   for number = 1, walk.expanded do
     if not walk.moves[number] then
       local leaves, text, are_final = leaves_of(walk, number)
       local state = leaves[1] and leaves[1].state
       if not state then
-        add(result, "stuck", walk.puppet.parts[1].fsm, "root", "the machine cannot be "
-          .. "entered", {})
+        add_run(walk, findings, "dead-end", walk.puppet.parts[1].fsm, "root",
+          "the machine cannot be entered", number)
       elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
         is_told[text] = true
-        local finding = add(result, "stuck", state, text, "nothing happens any more in "
-          .. "this configuration", walk:witness(number))
-        if finding and codes.is_named_as_end(state) then finding.severity = "note" end
+        local finding = add_run(walk, findings, "dead-end", state, text,
+          "nothing happens any more in this configuration", number)
+        if codes.means(state, "an end") then finding.severity = "note" end
       end
     end
   end
 end
 
 -- Configurations from which events that wait lead on and on.
-local function find_livelock(walk, result)
-  local is_idle = {}
+local function find_endless(walk, findings)
+  local is_idle, step = {}, walk.endless
   for number = 1, #walk.keys do
     is_idle[number] = number > walk.expanded or not walk:is_driven(number)
   end
@@ -176,26 +157,28 @@ local function find_livelock(walk, result)
   for number = 2, walk.expanded do
     if not ends[number] then
       local leaves, text = leaves_of(walk, number)
-      return add(result, "livelock", leaves[1] and leaves[1].state, text,
-        "run never becomes idle from this configuration", walk:witness(number))
+      return add_run(walk, findings, "endless", leaves[1] and leaves[1].state, text,
+        "run never becomes idle from this configuration", number)
     end
   end
-  local step = walk.endless
-  if not step then return end
-  add(result, "livelock", nil, "root", "a machine in a sequential AND state never "
-    .. "becomes idle", walk:witness(step.from, step.label))
+  if step then
+    add_run(walk, findings, "endless", nil, "root", "a machine in a sequential AND "
+      .. "state never becomes idle", step.from, step.label)
+  end
 end
 
--- Returns the paths of the leaves of some configurations, and whether one is final.
+-- Returns the leaves of some configurations and their paths, and whether one is final.
 local function leaves_of_all(walk, numbers)
-  local paths, is_listed, has_end = {}, {}, false
+  local paths, states, is_listed, has_end = {}, {}, {}, false
   for _, number in ipairs(numbers) do
     local leaves, text, are_final = leaves_of(walk, number)
     has_end = has_end or are_final or not leaves[1]
-    if not is_listed[text] then paths[#paths + 1] = text end
+    if not is_listed[text] and leaves[1] then
+      paths[#paths + 1], states[#states + 1] = text, leaves[#leaves].state
+    end
     is_listed[text] = true
   end
-  return paths, has_end
+  return paths, has_end, states
 end
 
 -- Does a configuration wait for an event from outside? Not one that goes on by itself.
@@ -209,10 +192,9 @@ local function is_waiting(walk, number)
   return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
 end
 
--- Returns the first of some configurations in which the machine waits and from which
--- some run leads to one of a set.
-local function find_waiting_before(walk, numbers, set)
-  local leads_there = graph.can_reach(walk, set)
+-- Returns the first configuration of a component in which the machine waits and from
+-- which some run leads to one of a set.
+local function find_waiting(walk, numbers, leads_there)
   for _, number in ipairs(numbers) do
     if number > 1 and leads_there[number] and is_waiting(walk, number) then
       return number
@@ -221,13 +203,15 @@ local function find_waiting_before(walk, numbers, set)
 end
 
 -- Returns a configuration in which the machine waited before it came to `numbers`,
--- and whether it is on a cycle.
-local function find_before(walk, numbers, others)
+-- and whether it is on a cycle of at least so many states.
+local function find_before(walk, numbers, others, least)
   local set, first = {}, nil
   for _, number in ipairs(numbers) do set[number] = true end
+  local leads_there = graph.can_reach(walk, set)
   for _, component in ipairs(others) do
-    local number = find_waiting_before(walk, component, set)
-    if number and leaves_of_all(walk, component)[2] then return number, true end
+    local number = find_waiting(walk, component, leads_there)
+    local paths = leaves_of_all(walk, number and component or {})
+    if paths[least] then return number, true end
     if number and (not first or number < first) then first = number end
   end
   return first, false
@@ -235,42 +219,25 @@ end
 
 -- Configurations that lead to each other and nowhere else, while the machine waited for
 -- an event before that led there. It may have been set up for them: a note, unless
--- there is a cycle elsewhere, too.
-local function find_traps(walk, result)
+-- there is a cycle of as many states elsewhere, or one of them is named as a fault.
+local function find_traps(walk, findings)
   local bottoms, others = graph.components(walk)
   for _, numbers in ipairs(bottoms) do
-    local paths, has_end = leaves_of_all(walk, numbers)
-    local outside, is_cycle = nil, nil
+    local paths, has_end, states = leaves_of_all(walk, numbers)
+    local outside, is_fault = nil, false
     if paths[2] and not has_end then
-      outside, is_cycle = find_before(walk, numbers, others)
+      outside, is_fault = find_before(walk, numbers, others, #paths)
+    end
+    for _, state in ipairs(states) do
+      is_fault = is_fault or codes.means(state, "a fault")
     end
     if outside then
-      local leaves = leaves_of(walk, numbers[1])
       local _, name = leaves_of(walk, outside)
-      local finding = add(result, "trap", leaves[#leaves].state, paths[1],
+      local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
-        walk:witness(numbers[1]))
-      if finding and not is_cycle then finding.severity = "note" end
+        numbers[1])
+      if not is_fault then finding.severity = "note" end
     end
-  end
-end
-
-local function find_clashes(walk, result)
-  local transitions = walk.puppet.transitions
-  for _, number in ipairs(rfsm.sorted_keys(walk.clashes)) do
-    local step, entry = walk.clashes[number], transitions[number]
-    add(result, "clash", entry.tr, entry.path,
-      order.conflict_text(transitions[step.by].tr), walk:witness(step.from, step.label))
-  end
-end
-
-local function find_swallowed(walk, result)
-  for _, key in ipairs(rfsm.sorted_keys(walk.swallowed)) do
-    local step = walk.swallowed[key]
-    local text = ("no way on for %s, which is discarded in %s"):format(
-      rfsm.text_of(step.event), step.leaf._fqn)
-    add(result, "swallowed", step.connector, step.connector._fqn, text,
-      walk:witness(step.from, step.label))
   end
 end
 
@@ -280,7 +247,8 @@ local function find_violations(walk, result, list)
     result.properties[i] = { name = judged.name, holds = judged.holds,
       vacuous = judged.holds and judged.vacuous or nil, witness = witness }
     if judged.holds == false then
-      add(result, "violated", nil, judged.name, "does not hold", witness)
+      add_run(walk, result.findings, "violated", nil, judged.name, "does not hold",
+        judged.at, judged.label)
     end
   end
 end
@@ -405,18 +373,18 @@ function verdict.of(model, options)
   properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
     transitions = #walk.puppet.transitions, taken = count_of(walk.taken),
-    silenced = {}, bound = walk.bound, untried = walk.untried, findings = {},
+    bound = walk.bound, untried = walk.untried, findings = static.new_list(),
     properties = {}, premises = premises_of(walk, options) }, Exploration)
+  local findings = result.findings
   find_violations(walk, result, list)
-  find_stuck(walk, result)
-  find_livelock(walk, result)
+  find_dead_ends(walk, findings)
+  find_endless(walk, findings)
   if not walk.bound and walk.keys[2] then
-    find_unreached(walk, result)
-    find_untaken(walk, result, find_closed(walk, result))
-    find_traps(walk, result)
+    local met = met_by(walk)
+    find_unreachable(walk, findings, met)
+    find_untaken(walk, findings, met, find_closed(walk, findings, met))
+    find_traps(walk, findings)
   end
-  find_clashes(walk, result)
-  find_swallowed(walk, result)
   return result
 end
 

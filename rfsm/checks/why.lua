@@ -11,7 +11,6 @@ local calls = require "rfsm.shared.calls"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
-local reactions = require "rfsm.checks.reactions"
 
 local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 local select, setmetatable, type = select, setmetatable, type
@@ -211,14 +210,9 @@ local OTHER = setmetatable({}, { __tostring = function() return "any other event
 -- Appends the events that enable a transition of the machine, or of one in its leaf.
 -- Those that count only as any event are tried, too: guards may tell them apart.
 local function add_enabled(list, is_listed, fsm)
-  local found = reactions.collect(fsm, fsm._act_leaf)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
-  local function is_enabled(event)
-    if not (found.any or found.set[event]) then return false end
-    return select(2, answers_of(fsm, { event }))
-  end
   for _, event in ipairs(alphabet.of(fsm).list) do
-    if not is_listed[event] and is_enabled(event) then
+    if not is_listed[event] and select(2, answers_of(fsm, { event })) then
       is_listed[event] = true
       list[#list + 1] = event
     end

@@ -47,6 +47,7 @@ function check.add_arguments(command)
     :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
+  command:flag("--callbacks", "tests: run entries, exits and effects, too")
   command:option("-o --output", "tests: file to write; - is stdout", "-")
     :argname("FILE")
 end
@@ -80,7 +81,7 @@ local function write_tests(options, parser)
   local old_text = old and old:read("*a")
   if old then old:close() end
   local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
-    model, {}, options.output, old_text)
+    model, options.callbacks, options.output, old_text)
   common.write(options.output, text)
   io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
     result.taken, result.transitions, result.steps))
@@ -90,9 +91,13 @@ end
 -- Returns lines about the chart in a file, and the gravest severity.
 local function review(file, options)
   local command = require("rfsm.checks.command")
-  local settings, problem = command.settings_for(file)
-  if not settings then common.fail(problem, 2) end
-  local model, warnings, world = common.load_model(file, options.stub)
+  local settings, model, warnings, world
+  options.required, model, warnings, world = command.noting_extensions(function()
+    local problem
+    settings, problem = command.settings_for(file)
+    if not settings then common.fail(problem, 2) end
+    return common.load_model(file, options.stub)
+  end)
   if not model then return { warnings }, "error" end
   local ok, lines, gravest = common.with_streams(common.NOWHERE, command.review, file,
     model, warnings, settings, options)

@@ -1,12 +1,14 @@
 -- Exploration against brute force: random charts with timers, awaits, predicates and
--- sequential AND states. Whatever random runs reach was reached, also of several
--- machines at once, and each witness leads to its end on a machine of its own.
+-- sequential AND states, with random options. Whatever random runs reach was reached,
+-- also of several machines and flags at once, and each witness leads to its end on a
+-- machine of its own.
 
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
 local explore = require "rfsm.checks.explore"
 local new_random = require "spec.support.random"
 local place = require "rfsm.checks.place"
+local puppet = require "rfsm.checks.puppet"
 local rfsm = require "rfsm"
 local rfsm_timeevent = require "rfsm_timeevent"
 require "rfsm.await"
@@ -68,7 +70,8 @@ local function model_of(chart, make, prefix)
   rfsm.mapfsm(function(tr) tr.number = prefix .. tr.number end, model, rfsm.is_trans)
   for fqn, regions in pairs(chart.regions) do -- any order: each stands alone
     local fields = { step = regions.step, warn = false, info = false,
-      entry = make.entry and make.entry(prefix .. fqn) }
+      entry = make.entry and make.entry(prefix .. fqn),
+      exit = make.exit and make.exit(prefix .. fqn) }
     for i, region in ipairs(regions.of) do
       fields[i] = model_of(region, make, prefix .. fqn .. "/" .. i .. "/")
     end
@@ -81,30 +84,61 @@ end
 
 -- Random runs -----------------------------------------------------------------------
 
--- Returns the leaf and mode of each machine as texts, and all of them as one.
-local function stands_of(fsm)
+-- What the callbacks of random runs do: they note what they see, set flags, and send.
+---@class World
+---@field random function
+---@field seen table<string, true>
+---@field sends table<string, string> what an effect sends, by the number of it
+---@field flags table<string, string> "+" or "-" by name
+---@field sets table<string, table[]> what a callback sets: { name, sign }, by "entry F"
+
+local function set_flags(world, id)
+  for _, flag in ipairs(world.sets[id] or {}) do world.flags[flag[1]] = flag[2] end
+end
+
+local function flags_text(flags)
+  local signs = {}
+  for i, name in ipairs(rfsm.sorted_keys(flags)) do signs[i] = flags[name] end
+  return table.concat(signs)
+end
+
+-- Returns the path of a state in puppets: "root.a/1/root.b" is "root.a.1.b".
+local function path_of_state(id) return (id:gsub("/(%d+)/root", ".%1")) end
+
+-- Returns the leaf and mode of each machine as texts, and all of them with the flags.
+local function stands_of(fsm, flags)
   local texts = {}
   for i, entry in ipairs(rfsm.machines(fsm)) do
     local leaf = entry.machine._act_leaf
     texts[i] = entry.prefix .. " "
       .. (leaf and leaf._fqn .. " " .. leaf._mode or "none")
   end
-  texts[#texts + 1] = table.concat(texts, "; ")
+  texts[#texts + 1] = table.concat(texts, "; ") .. " " .. flags_text(flags)
   return texts
 end
 
--- The callbacks of random runs, which note what they see.
-local function wanderer(random, seen, sends, fsm_of)
+-- The callbacks of random runs.
+local function wanderer(world, fsm_of)
+  local random, seen, sends = world.random, world.seen, world.sends
   return {
     guard = function() return function() return random(2) == 1 end end,
     predicate = function() return function() return random(2) == 1 end end,
     effect = function(id)
       return function(fsm)
         seen["taken " .. id] = true
+        set_flags(world, "effect " .. id)
         if sends[id] and fsm == fsm_of() then rfsm.send_events(fsm, sends[id]) end
       end
     end,
-    entry = function(id) return function() seen["entered " .. id] = true end end,
+    entry = function(id)
+      return function()
+        seen["entered " .. path_of_state(id)] = true
+        set_flags(world, "entry " .. path_of_state(id))
+      end
+    end,
+    exit = function(id)
+      return function() set_flags(world, "exit " .. path_of_state(id)) end
+    end,
     doo = function()
       return function()
         while random(3) > 1 do rfsm.yield(random(2) == 1) end
@@ -115,39 +149,46 @@ end
 
 local LENGTH = 6 -- steps of a run, on average
 
--- Takes a step with at most one event or timer. Returns whether two timers came.
-local function wander_on(fsm, random, events, clock)
-  local choice, fired = random(4), 0
-  local wait = choice == 1 and rfsm_timeevent.next_deadline(fsm)
+-- Takes a step with so many events or timers at most. Returns whether more timers came.
+local function wander_on(fsm, random, events, clock, most)
+  local fired = 0
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.dbg = function(id) if id == "TIMEEVENT" then fired = fired + 1 end end
   end
-  if wait then
-    clock.now = clock.now + wait + 0.0000001
-  elseif choice > 2 and events[1] ~= nil then
-    rfsm.send_events(fsm, events[random(#events)])
+  for _ = 1, random(most) do
+    local choice = random(4)
+    local wait = choice == 1 and rfsm_timeevent.next_deadline(fsm)
+    if wait and clock.now == clock.last then
+      clock.now = clock.now + wait + 0.0000001
+    elseif choice > 2 and events[1] ~= nil then
+      rfsm.send_events(fsm, events[random(#events)])
+      fired = fired + 1
+    end
   end
   rfsm.step(fsm)
-  return fired > 1
+  clock.last = clock.now
+  return fired > most
 end
 
 -- Runs the chart so often. Returns a set of texts of what was seen.
-local function run_at_random(chart, events, sends, seed)
-  local random, seen, fsm = new_random(seed), {}, nil
-  local clock = { now = 0 }
-  fsm = rfsm.init(model_of(chart, wanderer(random, seen, sends,
-    function() return fsm end), ""))
+local function run_at_random(chart, events, choice, seed)
+  local fsm
+  local world = { random = new_random(seed), seen = {}, sends = choice.sends,
+    flags = {}, sets = choice.sets }
+  local clock = { now = 0, last = 0 }
+  fsm = rfsm.init(model_of(chart, wanderer(world, function() return fsm end), ""))
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.gettime = function() return clock.now, 0 end
   end
   for _ = 1, claim.runs do
+    for _, name in ipairs(choice.names) do world.flags[name] = "-" end
     repeat
-      if wander_on(fsm, random, events, clock) then break end
-      for _, text in ipairs(stands_of(fsm)) do seen[text] = true end
-    until random(LENGTH) == 1
+      if wander_on(fsm, world.random, events, clock, choice.together) then break end
+      for _, text in ipairs(stands_of(fsm, world.flags)) do world.seen[text] = true end
+    until world.random(LENGTH) == 1
     rfsm.reset(fsm)
   end
-  return seen
+  return world.seen
 end
 
 -- Exploration -----------------------------------------------------------------------
@@ -163,7 +204,8 @@ local function paths_of(chart)
   return path_of
 end
 
--- Returns the first configuration, or the first step, that shows each text.
+-- Returns the first configuration, or the first step, that shows each text; false for
+-- the entry of a state, which may have been in an earlier step.
 local function explored(walk)
   local shown, own = {}, walk.puppet
   for number = 1, #walk.keys do
@@ -172,8 +214,17 @@ local function explored(walk)
       texts[i] = own.parts[i].prefix .. " " .. (stand.leaf
         and stand.leaf._fqn .. " " .. stand.mode or "none")
     end
-    texts[#texts + 1] = table.concat(texts, "; ")
+    local conf = walk:configuration(number)
+    texts[#texts + 1] = table.concat(texts, "; ") .. " " .. conf.flags
     for _, text in ipairs(texts) do shown[text] = shown[text] or { at = number } end
+    for _, leaf in ipairs(puppet.leaves(conf)) do
+      for _, path in ipairs(leaf.paths) do shown["entered " .. path] = false end
+    end
+  end
+  for _, passed in ipairs(walk.passed) do
+    for path in pairs(passed.moment.active) do -- any order: a set
+      shown["entered " .. path] = false
+    end
   end
   for number, step in pairs(walk.taken) do -- any order: a set
     shown["taken " .. own.transitions[number].tr.number] = { at = step.from,
@@ -183,13 +234,16 @@ local function explored(walk)
 end
 
 -- Follows a witness on a machine of its own; returns a set of texts of what it shows.
-local function follow(chart, witness, sends)
-  local answers, seen, at, fsm = {}, {}, 0, nil
+local function follow(chart, witness, choice)
+  local answers, at, fsm = {}, 0, nil
+  local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
+    sets = choice.sets }
+  for _, name in ipairs(choice.names) do world.flags[name] = "-" end
   local function answer()
     at = at + 1
     return (answers[at] or {}).answer
   end
-  local make = wanderer(new_random(1), seen, sends, function() return fsm end)
+  local make = wanderer(world, function() return fsm end)
   make.guard = function() return answer end
   make.predicate = function() -- asked once about each event of a step
     local known, of_step = {}, nil
@@ -212,44 +266,94 @@ local function follow(chart, witness, sends)
   end
   for _, step in ipairs(witness) do
     answers, at = step.choices, 0
-    for text in pairs(seen) do seen[text] = nil end
+    for text in pairs(world.seen) do world.seen[text] = nil end
     for _, event in ipairs(step.values) do rfsm.send_events(fsm, event) end
     for _, inner in ipairs(step.inside) do
       rfsm.send_events(machine_of[inner.prefix], inner.event)
     end
     rfsm.step(fsm)
   end
-  for _, text in ipairs(stands_of(fsm)) do seen[text] = true end
-  return seen
+  for _, text in ipairs(stands_of(fsm, world.flags)) do world.seen[text] = true end
+  return world.seen
 end
 
 -- The claim -------------------------------------------------------------------------
 
 local BOUND = 300 -- configurations: charts that have more are left out
 
--- Returns random options: an alphabet now and then, and what effects send.
-local function options_of(chart, random)
-  local sends, own = {}, {}
-  for number, path in pairs(paths_of(chart)) do -- any order: decided by the number
-    if not number:find("/", 1, true) and tonumber(number) % 7 == 1 then
-      sends[number], own["effect " .. path] = "e2", { "e2" }
+local FLAGS = { "f1", "f2" }
+
+-- Adds flags that callbacks set: to the options, and by the names of callbacks here.
+-- Each is set by some callback, and no callback has one twice.
+local function add_flags(options, choice, random, callbacks)
+  options.flags, choice.names = {}, FLAGS
+  for _, name in ipairs(FLAGS) do
+    local flag, is_used = { on = {}, off = {} }, {}
+    for i = 1, 1 + random:below(4) do
+      local own, field = random:pick(callbacks), "on"
+      if i > 1 and random:chance(50) then field = "off" end
+      if not is_used[own] then
+        is_used[own] = true
+        table.insert(flag[field], own.name)
+        choice.sets[own.id] = choice.sets[own.id] or {}
+        table.insert(choice.sets[own.id], { name, field == "on" and "+" or "-" })
+      end
     end
+    options.flags[name] = flag
   end
-  local alphabet = random:chance(25) and {}
-  for i = 1, alphabet and 2 or 0 do alphabet[i] = EVENTS[i] end
-  return { sends = own, configurations = BOUND, alphabet = alphabet or nil }, sends
 end
 
-local function explore_chart(chart, options)
+-- Lists the callbacks of a chart: `name` in options, `id` here.
+local function callbacks_of(chart, path_of)
+  local list, fsm = {}, rfsm.init(model_of(chart, {}, ""))
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
+      local path = place.path(state, entry.prefix)
+      list[#list + 1] = { name = "entry " .. path, id = "entry " .. path }
+      list[#list + 1] = { name = "exit " .. path, id = "exit " .. path }
+    end
+  end
+  for _, number in ipairs(rfsm.sorted_keys(path_of)) do
+    list[#list + 1] = { name = "effect " .. path_of[number], id = "effect " .. number }
+  end
+  return list
+end
+
+-- Returns random options, and what they mean for random runs: an alphabet now and then,
+-- one or two events a step, flags, and what effects send, as an option or in a dry run.
+local function options_of(chart, random)
+  local path_of = paths_of(chart)
+  local choice = { sends = {}, sets = {}, names = {},
+    together = random:chance(30) and 2 or 1 }
+  local options = { configurations = BOUND, together = choice.together, sends = {},
+    dry_run = random:chance(30),
+    alphabet = random:chance(25) and { "e1", "e2" } or nil }
+  for _, number in ipairs(rfsm.sorted_keys(path_of)) do
+    if not number:find("/", 1, true) and tonumber(number) % 7 == 1 then
+      choice.sends[number] = "e2"
+      if not options.dry_run then
+        options.sends["effect " .. path_of[number]] = { "e2" }
+      end
+    end
+  end
+  if random:chance(40) then
+    add_flags(options, choice, random, callbacks_of(chart, path_of))
+  end
+  return options, choice
+end
+
+local function explore_chart(chart, options, sends)
   local function yes() return true end
   local function make() return yes end
   local model = model_of(chart, { guard = make, predicate = make, doo = make,
-    effect = make, entry = make }, "")
+    entry = make, effect = function(id)
+      return sends[id] and function(fsm) rfsm.send_events(fsm, sends[id]) end or yes
+    end }, "")
   local ok, walk = pcall(explore.walk, model, options)
   if ok then return walk end
   if options.alphabet and tostring(walk):find("alphabet: no transition", 1, true) then
     options.alphabet = nil -- which the chart does not name
-    return explore_chart(chart, options)
+    return explore_chart(chart, options, sends)
   end
   error(walk, 0)
 end
@@ -257,30 +361,35 @@ end
 -- Appends in which way exploring the chart of `seed` and random runs differ.
 local function compare(seed, list)
   local chart, random = claim.chart(seed), new_random(seed + 13)
-  local options, sends = options_of(chart, random)
-  local walk = explore_chart(chart, options)
+  local options, choice = options_of(chart, random)
+  local walk = explore_chart(chart, options, choice.sends)
   if walk.bound then return end
   local events, shown = walk.puppet:outside_events(), explored(walk)
   events = options.alphabet or events
   if not options.alphabet then table.insert(events, "e_?") end
-  local seen = run_at_random(chart, events, sends, seed)
+  local seen = run_at_random(chart, events, choice, seed)
   for text in pairs(seen) do -- any order: sorted
-    local is_shown = shown[text] or text:find("^entered")
-    if not is_shown then list[#list + 1] = ("%d: %s was seen"):format(seed, text) end
+    if shown[text] == nil then
+      list[#list + 1] = ("%d: %s was seen"):format(seed, text)
+    end
   end
   for text, step in pairs(shown) do -- any order: sorted
-    if not follow(chart, walk:witness(step.at, step.label), sends)[text] then
+    if step and not follow(chart, walk:witness(step.at, step.label), choice)[text] then
       list[#list + 1] = ("%d: %s is not reached"):format(seed, text)
     end
   end
+  return true
 end
 
---- Explores the charts of so many seeds. Returns their number, and what is wrong.
+--- Explores the charts of so many seeds. Returns how many of them have no more
+--- configurations than the bound, and what is wrong.
 function claim.run(n, seed)
-  local list = {}
-  for i = seed or 1, (seed or 1) + n - 1 do compare(i, list) end
+  local list, compared = {}, 0
+  for i = seed or 1, (seed or 1) + n - 1 do
+    if compare(i, list) then compared = compared + 1 end
+  end
   table.sort(list)
-  return n, list[1] and table.concat(list, "\n") or nil
+  return compared, list[1] and table.concat(list, "\n") or nil
 end
 
 return claim

@@ -1,0 +1,209 @@
+--- Source: what the text of a chart's callbacks shows, if luacheck is installed, whose
+--- parser reads it.
+--
+-- Only what is certain is a warning: a call of a function that is not known may yield.
+--
+-- @module rfsm.checks.source
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local match = require "rfsm.checks.match"
+
+local io, ipairs, pcall, rawget = io, ipairs, pcall, rawget
+local require, setmetatable, type = require, setmetatable, type
+local getinfo = (rawget(_G, "debug") or {}).getinfo
+
+local source = {}
+
+local has_luacheck, luacheck = pcall(require, "luacheck")
+local has_parser, parser = pcall(require, "luacheck.parser")
+local has_decoder, decoder = pcall(require, "luacheck.decoder")
+
+--- Can texts be read? Only where luacheck and Lua's debug library are.
+source.is_there = has_luacheck and has_parser and has_decoder and getinfo ~= nil
+
+-- Files ...........................................................................
+
+--- What is known of a file.
+---@class rfsm_checks.File
+---@field functions table<integer, table|false> by line; false: several begin there
+---@field undefined { name: string, line: integer }[] globals that are read
+---@field tested table<string, true> names whose existence is asked for
+
+-- Calls f(node) for a node and those in it, but not in functions that f(node) is false
+-- for.
+local function walk(node, f)
+  if type(node) ~= "table" or node.tag and f(node) == false then return end
+  for _, child in ipairs(node) do walk(child, f) end
+end
+
+local TESTS = { ["not"] = true, ["and"] = true, ["or"] = true, eq = true, ne = true }
+
+-- Notes the names that are operands of a test, or conditions.
+local function note_tested(node, tested)
+  local first = node.tag == "Op" and TESTS[node[1]] and 2
+    or (node.tag == "If" or node.tag == "While") and 1
+  for i = first or 1, first and #node or 0 do
+    if node[i].tag == "Id" then tested[node[i][1]] = true end
+  end
+end
+
+local function read_file(name)
+  local handle = name ~= "" and io.open(name)
+  if not handle then return nil end
+  local text = handle:read("*a"):gsub("^#[^\n]*", "")
+  handle:close()
+  local ok, tree = pcall(function() return parser.parse(decoder.decode(text)) end)
+  if not ok then return nil end
+  local file = { functions = {}, undefined = {}, tested = {} }
+  walk(tree, function(node)
+    if node.tag == "Function" then
+      file.functions[node.line] = file.functions[node.line] == nil and node or false
+    end
+    note_tested(node, file.tested)
+  end)
+  local options = { std = "min", allow_defined = true }
+  for _, warning in ipairs(luacheck.check_strings({ text }, options)[1]) do
+    if warning.code == "113" then
+      file.undefined[#file.undefined + 1] = { name = warning.name, line = warning.line }
+    end
+  end
+  return file
+end
+
+-- Checks ..........................................................................
+
+-- Returns the name that was probably meant.
+local function meant(name)
+  if rfsm[name] ~= nil then return "rfsm." .. name end
+  for _, other in ipairs(rfsm.sorted_keys(_G)) do
+    if type(other) == "string" and advice.is_near(name, other) then return other end
+  end
+end
+
+-- Globals that nobody has defined when the chart was loaded. The host may do that
+-- later, so that only what looks like another name is a warning.
+local function check_globals(file, info, add)
+  for _, global in ipairs(file.undefined) do
+    local line = global.line
+    local is_here = line >= info.linedefined and line <= info.lastlinedefined
+    if is_here and rawget(_G, global.name) == nil and not file.tested[global.name] then
+      local other = meant(global.name)
+      add("undefined", ("line %d reads the global '%s', which is not defined%s"):format(
+        line, global.name, other and " (did you mean '" .. other .. "'?)" or ""),
+        not other and "note" or nil)
+    end
+  end
+end
+
+-- Calls f(node) for the nodes of a function, but for those of functions inside of it.
+local function each_node(func, f)
+  walk(func[2], function(node)
+    f(node)
+    return node.tag ~= "Function"
+  end)
+end
+
+-- Returns the last name of what is called: "yield" for rfsm.yield.
+local function called_name(node)
+  local callee = node[1]
+  return callee.tag == "Index" and callee[2].tag == "String" and callee[2][1]
+    or callee.tag == "Id" and callee[1] or ""
+end
+
+-- A guard that raises an error forbids, too.
+local function check_guard(func, add)
+  local has_value = false
+  each_node(func, function(node)
+    has_value = has_value or node.tag == "Return" and node[1] ~= nil
+      or node.tag == "Call" and called_name(node) == "error"
+  end)
+  if not has_value then
+    add("no-value", "the guard returns no value, it never forbids")
+  end
+end
+
+-- Is it a call of a function that cannot yield: one of Lua's, or of the library?
+local function is_plain_call(node)
+  local callee = node[1]
+  local name = callee.tag == "Index" and callee[1].tag == "Id" and callee[1][1]
+    or callee.tag == "Id" and callee[1]
+  return node.tag == "Call" and (name == "rfsm" or rawget(_G, name) ~= nil)
+end
+
+-- What nodes of a loop may do.
+local DEEDS = { Return = "leaves", Break = "leaves", Goto = "leaves", Invoke = "idles" }
+
+-- Returns what a call may do: "yields" nothing, or "idles"; nil for neither.
+local function deed_of_call(node)
+  if not called_name(node):find("yield") then
+    return not is_plain_call(node) and "idles" or nil
+  end
+  local tag = node[2] and node[2].tag or "Nil"
+  return tag ~= "Nil" and tag ~= "False" and "idles" or "yields"
+end
+
+-- Notes what there is inside of a loop that has no condition.
+local function look_into(loop, seen)
+  local deeds = {}
+  walk(loop, function(node)
+    local deed = DEEDS[node.tag] or node.tag == "Call" and deed_of_call(node)
+    if deed then deeds[deed] = true end
+  end)
+  seen.has_loop = true
+  seen.is_idle = seen.is_idle or deeds.idles or deeds.leaves
+  seen.yields = seen.yields and (deeds.yields or deeds.idles or deeds.leaves)
+end
+
+local function check_doo(func, state, add)
+  local seen = { yields = true, is_idle = false, has_loop = false }
+  each_node(func, function(node)
+    if node.tag == "While" and node[1].tag == "True" then look_into(node[2], seen) end
+    if node.tag == "Repeat" and node[2].tag == "False" then look_into(node[1], seen) end
+  end)
+  if not seen.yields then
+    add("no-yield", "a loop in the doo has no end and no yield")
+  elseif seen.has_loop and not seen.is_idle then
+    add("busy-doo", "the doo is never idle, it yields nothing")
+  end
+  local waits = false
+  for _, tr in ipairs(state._otrs) do
+    waits = waits or match.triggers(tr, "e_done@" .. state._fqn) ~= false
+  end
+  if not (seen.has_loop or waits) then
+    add("doo-ends", "the doo ends, and no transition waits for e_done")
+  end
+end
+
+local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
+
+-- Checks a callback of an element.
+local function check_callback(files, obj, field, add)
+  local callback = obj[field]
+  local info = type(callback) == "function" and getinfo(callback, "S")
+  local file = info and files[info.source:match("^@(.*)") or ""]
+  if not file then return end
+  local function report(code, text, severity) add(code, obj, text, severity) end
+  check_globals(file, info, report)
+  local func = file.functions[info.linedefined]
+  if func and field == "guard" then check_guard(func, report) end
+  if func and field == "doo" then check_doo(func, obj, report) end
+end
+
+--- Find what is wrong with the text of callbacks.
+---@type rfsm_checks.Check
+function source.check(fsm, add)
+  if not source.is_there then return end
+  local files = setmetatable({}, { __index = function(files, name)
+    files[name] = read_file(name) or false
+    return files[name]
+  end })
+  for _, obj in ipairs(rfsm.elements(fsm)) do
+    for _, field in ipairs(obj._regions and {} or FIELDS) do
+      check_callback(files, obj, field, add)
+    end
+  end
+end
+
+return source

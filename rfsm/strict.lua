@@ -1,0 +1,157 @@
+--- Strict: warnings of events that are odd, early or undeclared, and of fields that are
+--- not there, with the sender's file and line.
+--
+-- Once this module is loaded it is on for machines whose root has `strict = true`, and
+-- for all if the environment has RFSM_STRICT=1. Each warning comes once a machine.
+--
+-- @module rfsm.strict
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
+local calls = require "rfsm.shared.calls"
+
+local getmetatable, ipairs, rawget = getmetatable, ipairs, rawget
+local select, setmetatable, type = select, setmetatable, type
+local getinfo = (rawget(_G, "debug") or {}).getinfo
+local text_of = rfsm.text_of
+
+local strict = { is_watching = false }
+
+local os = rawget(_G, "os")
+local is_wanted_by_all = os and os.getenv and os.getenv("RFSM_STRICT") == "1"
+
+-- What was told, by machine.
+local told = setmetatable({}, { __mode = "k" })
+
+local function warn(fsm, text)
+  if told[fsm][text] then return end
+  told[fsm][text] = true
+  rfsm.report(fsm, "warn", "WARNING: " .. text)
+end
+
+-- Events ............................................................................
+
+-- Returns the texts of events that a machine and its regions name.
+local function names_of(known)
+  local names = {}
+  for _, event in ipairs(known.list) do names[#names + 1] = text_of(event) end
+  for _, event in ipairs(known.awaited) do names[#names + 1] = event end
+  return names
+end
+
+local function is_accepted(known, event)
+  if known.set[event] then return true end
+  for _, predicate in ipairs(known.predicates) do
+    local ok, answer = calls.try(predicate, event)
+    if ok and answer then return true end
+  end
+  return false
+end
+
+local function is_state_name(fsm, event)
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    if state._id == event or state._fqn == event then return true end
+  end
+  return false
+end
+
+-- Returns what is wrong with an event that nothing names.
+local function oddness_of(fsm, known, event)
+  if type(event) == "table" and not getmetatable(event) then
+    return event[1] ~= nil and "a list is one event (did you mean "
+      .. "rfsm.send_events(fsm, unpack(list))?)"
+      or "a table is an event of its own, as each argument is"
+  elseif type(event) ~= "string" then
+    return ("no transition names the event %s"):format(text_of(event))
+  elseif is_state_name(fsm, event) then
+    return ("'%s' is the name of a state, no event"):format(event)
+  elseif event:match("^[^(@]*"):find("[,|%s]") then
+    return ("'%s' is one event (write an argument for each)"):format(event)
+  end
+  return ("no transition names the event '%s'%s"):format(event,
+    advice.nearest_name(event, names_of(known)))
+end
+
+-- Warns of what is sent to a machine. `at`: the sender, "lamp.lua:7: ".
+local function check_events(fsm, at, ...)
+  local known = alphabet.of_all(fsm)
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    if event == nil then
+      warn(fsm, ("%sargument %d is nil, which is no event"):format(at, i))
+    elseif not is_accepted(known, event) then
+      warn(fsm, at .. oddness_of(fsm, known, event))
+    elseif rfsm.get_sta_mode(fsm) == "inactive" then
+      warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
+        :format(at, text_of(event)))
+    end
+  end
+end
+
+-- Returns where the caller of `send_events` stands.
+local function sender()
+  local info = getinfo and getinfo(3, "Sl")
+  return info and info.currentline > 0
+    and ("%s:%d: "):format(info.short_src, info.currentline) or ""
+end
+
+-- From the first strict machine on events go this way.
+local function watch_senders()
+  local send_events = rfsm.send_events
+  function rfsm.send_events(fsm, ...)
+    if told[fsm] then check_events(fsm, sender(), ...) end
+    return send_events(fsm, ...)
+  end
+end
+
+-- Fields ............................................................................
+
+local CALLBACKS = { state = { "entry", "exit", "doo" },
+  transition = { "guard", "effect" }, connector = {} }
+
+-- Warns of callbacks that cannot be called, and of fields that are nearly those of the
+-- library, in an element of a machine.
+local function check_fields(fsm, obj)
+  local kind = obj:type()
+  for _, field in ipairs(CALLBACKS[kind]) do
+    local value = obj[field]
+    if value and not rfsm.is_callable(value) then
+      warn(fsm, ("%s: function expected, got %s '%s'"):format(
+        rfsm.location_of(obj, field), type(value), text_of(value)))
+    end
+  end
+  for _, key in ipairs(rfsm.sorted_keys(obj)) do
+    local is_field = type(key) == "string" and not rfsm.is_meta(key)
+    local meant = is_field and rfsm.is_callable(obj[key])
+      and advice.field_meant(rfsm.is_root(obj) and "root" or kind, key) or ""
+    if meant ~= "" then
+      warn(fsm, ("%s: a %s has no field '%s' (did you mean '%s'?)"):format(
+        rfsm.location_of(obj), kind, key, meant))
+    end
+  end
+end
+
+local function check_all_fields(fsm)
+  for _, obj in ipairs(rfsm.elements(fsm)) do check_fields(fsm, obj) end
+end
+
+-- Public functions ..................................................................
+
+--- Have a machine warn of what is odd.
+---@param fsm rfsm.Machine
+function strict.watch(fsm)
+  if not strict.is_watching then watch_senders() end
+  strict.is_watching = true
+  if told[fsm] then return end
+  told[fsm] = {}
+  rfsm.pre_step_hook_add(fsm, check_all_fields)
+end
+
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  local is_wanted = fsm.strict == true or is_wanted_by_all and fsm.strict ~= false
+  if is_wanted and not merged then strict.watch(fsm) end
+end
+
+return strict

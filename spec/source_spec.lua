@@ -1,0 +1,111 @@
+-- What the text of callbacks shows, where luacheck is installed.
+
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local source = require "rfsm.checks.source"
+local static = require "rfsm.checks.static"
+
+local CHART = [[
+local rfsm = require "rfsm"
+local state, trans, yield = rfsm.state, rfsm.trans, rfsm.yield
+return state { info = false, warn = false,
+  a = state {},
+  b = state {
+    %s
+  },
+  trans { src = "initial", tgt = "a" },
+  trans { src = "a", tgt = "b", events = { "e_x" },
+    %s
+  },
+  trans { src = "b", tgt = "a", events = { "%s" } },
+}
+]]
+
+-- Returns the findings of this check about a chart: "code: text", a note with "note".
+local function found(case)
+  local file = helper.file_with(CHART:format(case.state or "", case.transition or "",
+    case.event or "e_x"))
+  local lines = {}
+  for i, finding in ipairs(static.collect(rfsm.load(file), { "rfsm.checks.source" })) do
+    local note = finding.severity == "note" and "note " or ""
+    lines[i] = note .. finding.code .. ": " .. finding.place .. ": " .. finding.text
+  end
+  helper.remove_files()
+  return lines
+end
+
+local GUARD = "no-value: root.trans[2] (a -> b): the guard returns no value, it never "
+  .. "forbids"
+local NO_YIELD = "no-yield: root.b: a loop in the doo has no end and no yield"
+local BUSY = "note busy-doo: root.b: the doo is never idle, it yields nothing"
+local ENDS = "note doo-ends: root.b: the doo ends, and no transition waits for e_done"
+
+local function undefined(line, name, hint)
+  return ("undefined: root.b: line %d reads the global '%s', which is not defined%s")
+    :format(line, name, hint)
+end
+
+local CASES = {
+  { name = "a global that is nearly there", state = "entry = function() prnt 'hi' end",
+    lines = { undefined(6, "prnt", " (did you mean 'print'?)") } },
+  { name = "a function of the library without its name", lines = {
+    undefined(7, "send_events", " (did you mean 'rfsm.send_events'?)") },
+    state = "exit = function(fsm)\n send_events(fsm, 'e') end" },
+  { name = "as a note, a global that the host may define",
+    state = "entry = function() crane.stop() end",
+    lines = { "note " .. undefined(6, "crane", "") } },
+  { name = "no global whose existence is asked for",
+    state = "entry = function() if crane then crane.stop() end end", lines = {} },
+  { name = "no global that the chart sets",
+    state = "entry = function() own_count = 1 return own_count end", lines = {} },
+  { name = "a guard without a value", lines = { GUARD },
+    transition = "guard = function(tr)\n local f = function() return tr end f() end" },
+  { name = "no guard with a value", lines = {},
+    transition = "guard = function() if 1 then return false end end" },
+  { name = "no guard that fails", lines = {},
+    transition = "guard = function() error('no') end" },
+  { name = "a doo that never yields", lines = { NO_YIELD },
+    state = "doo = function()\n while true do print(1) end end" },
+  { name = "a doo that never yields, in another loop", lines = { NO_YIELD },
+    state = "doo = function()\n repeat local x = 1 until false end" },
+  { name = "no doo whose loop calls what may yield", lines = {},
+    state = "doo = function(f)\n while true do f() end end" },
+  { name = "no doo whose loop has a method that may yield", lines = {},
+    state = "doo = function(f)\n while true do f:go() end end" },
+  { name = "no doo whose loop is left", lines = {},
+    state = "doo = function()\n while true do break end end" },
+  { name = "as a note, a doo that is busy", lines = { BUSY },
+    state = "doo = function()\n while true do rfsm.yield() print(1) end end" },
+  { name = "as a note, a doo that yields false", lines = { BUSY },
+    state = "doo = function()\n while true do yield(false) end end" },
+  { name = "no doo that yields true", lines = {},
+    state = "doo = function()\n while true do yield(true) end end" },
+  { name = "no doo that yields what it knows", lines = {},
+    state = "doo = function(x)\n while true do rfsm.yield(x) end end" },
+  { name = "as a note, a doo whose end nobody waits for", lines = { ENDS },
+    state = "doo = function()\n print(1) end" },
+  { name = "no doo whose end is waited for", lines = {}, event = "e_done",
+    state = "doo = function()\n print(1) end" },
+}
+
+describe("the text of callbacks", function()
+  if not source.is_there then
+    it("is not read without luacheck", function()
+      assert.same({}, found(CASES[1]))
+    end)
+    return
+  end
+
+  for _, case in ipairs(CASES) do
+    it("shows " .. case.name, function() assert.same(case.lines, found(case)) end)
+  end
+
+  it("is left alone where it cannot be read, or begins twice in a line", function()
+    local model = rfsm.load_str("local rfsm = require 'rfsm' return rfsm.state { "
+      .. "info = false, warn = false, a = rfsm.state { exit = function() prnt() end }, "
+      .. "rfsm.trans { src = 'initial', tgt = 'a' } }")
+    assert.equal(0, #static.collect(model, { "rfsm.checks.source" }))
+    assert.same({}, found { transition = "guard = (function() return function() end "
+      .. "end)()" })
+  end)
+end)
