@@ -3023,9 +3023,8 @@ end
 -- @usage
 --    fsm.post_step_hook = rfsm.borrows(function(fsm, events) count(#events) end)
 --
----@generic F : function
----@param f F
----@return F f
+---@param f function
+---@return function f
 function rfsm.borrows(f)
   check_function(f, "rfsm.borrows")
   borrowers[f] = true

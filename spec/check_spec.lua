@@ -100,7 +100,7 @@ describe("nothing is wrong", function()
     ["false, which counts as absent"] = {
       b = state { entry = false, exit = false, doo = false },
       m = state { x = state {}, doo = false, to_x {} },
-      [2] = trans { src = "a", tgt = "b", guard = false, effect = false, pn = false,
+      [2] = trans { src = "a", tgt = "b", effect = false, pn = false,
         events = false },
       getevents = false, idle_hook = false, pre_step_hook = false,
       post_step_hook = false, dbg = false },
