@@ -148,7 +148,7 @@ local function start_picture(server)
   if graph == server.graph then return end
   if server.drawing then server.drawing:drop() end
   server.graph, server.picture = graph, false
-  server.drawing = graph ~= "" and Picture.start(graph)
+  server.drawing = graph ~= "" and Picture.start(graph, source.view.description)
 end
 
 -- Takes a picture that is complete.

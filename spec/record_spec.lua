@@ -272,6 +272,103 @@ describe("a recording", function()
   end)
 end)
 
+describe("the clock", function()
+  local function timed(gettime)
+    return state { info = false, warn = false, gettime = gettime, a = state {},
+      b = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_after(5)" } } }
+  end
+
+  -- Returns what the process's clock was asked for while f() ran.
+  local function readings_of_process(f)
+    local count = 0
+    timeevent.set_gettime_hook(function()
+      count = count + 1
+      return 0, 0
+    end)
+    count = 0
+    f()
+    timeevent.set_gettime_hook(nil)
+    return count
+  end
+
+  it("is the machine's own: that of the process is not read or replaced", function()
+    local now, sink, fsm = 10, {}, nil
+    local function own() return now, 0 end
+    assert.equal(0, readings_of_process(function()
+      fsm = helper.init(timed(own))
+      local recorder = record.record(fsm, sink)
+      rfsm.step(fsm)
+      now = 15.5
+      rfsm.run(fsm)
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+      assert.is_true(recorder:back(2))
+      assert.equal(5, math.floor(timeevent.next_deadline(fsm)))
+      recorder:stop()
+    end))
+    assert.equal(own, rawget(fsm, "gettime"))
+    local again = assert(record.replay(timed(nil), sink))
+    assert.same({ "root.a", nil },
+      { rfsm.get_actleaf_fqn(again), rawget(again, "gettime") })
+  end)
+
+  it("may be set while the machine is recorded", function()
+    local sink, fsm = {}, helper.init(timed(function() return 10, 0 end))
+    local recorder = record.record(fsm, sink)
+    rfsm.step(fsm)
+    local function later() return 16, 0 end
+    fsm.gettime = later
+    rfsm.run(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    recorder:stop()
+    assert.equal(later, rawget(fsm, "gettime"))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(assert(record.replay(timed(), sink))))
+  end)
+
+  it("that fails fails again", function()
+    local model, sink, texts = timed(function() error("no battery", 0) end), {}, {}
+    model.err = function(...) texts[#texts + 1] = table.concat({ ... }, " ") end
+    local fsm = helper.init(model)
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    local before = #texts
+    assert.is_true(before > 0)
+    model.gettime = nil
+    assert(record.replay(model, sink))
+    assert.equal(texts[before], texts[#texts])
+    assert.is_true(#texts > before)
+  end)
+
+  it("of a region that has its own is the recording's, too", function()
+    local now = 0
+    local function model(gettime)
+      return state { info = false, warn = false, gettime = gettime and gettime(1),
+        both = rfsm.seqand { fast = rfsm.init(timed(gettime and gettime(2))),
+          slow = rfsm.init(timed()) },
+        trans { src = "initial", tgt = "both" } }
+    end
+    local chart = model(function(rate) return function() return now * rate, 0 end end)
+    local fsm, sink = helper.init(chart), {}
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    now = 3 -- 6 s of the fast one
+    rfsm.run(fsm)
+    local function places(machine)
+      local texts = {}
+      for _, at in ipairs(rfsm.machines(machine)) do
+        texts[#texts + 1] = at.prefix .. "=" .. rfsm.get_actleaf_fqn(at.machine)
+      end
+      return texts
+    end
+    local expected = { "root=root.both", "root.both.fast=root.b",
+      "root.both.slow=root.a" }
+    assert.same(expected, places(fsm))
+    local again, problem = record.replay(model(), sink)
+    assert.is_nil(problem)
+    assert.same(expected, places(again))
+  end)
+end)
+
 describe("an interrupt while it is recorded", function()
   -- Returns the error of a step in which `f` of the model raises what Control-C raises.
   local function interrupted(name, f)

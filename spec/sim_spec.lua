@@ -510,7 +510,6 @@ end)
 it("random commands do what the same calls do, and back leads where it was", function()
   local n = tonumber(os.getenv "RFSM_N") or 5
   assert.same({ n }, { require("spec.support.claims.sim").run(n, 11) })
-  require("rfsm.clock").set_hook(nil)
 end)
 
 it("the history keeps its size", function()

@@ -71,7 +71,6 @@ after_each(function()
   helper.clear(servers)
   proto.uninstall()
   helper.remove_files()
-  require("rfsm.clock").set_hook(nil)
 end)
 
 -- The texts of a log, oldest first.

@@ -136,7 +136,7 @@ function view.draw(fsm, file)
   if not FORMATS[format] then
     return "file.svg, .png, .pdf or .dot expected, got '" .. file .. "'"
   end
-  local picture, problem = dot.encode(fsm), nil
+  local picture, problem = format ~= "dot" and dot.layout(fsm) or dot.encode(fsm), nil
   if format ~= "dot" then picture, problem = dot.render(picture, format) end
   if picture then problem = select(2, diagram.write(file, picture)) end
   return problem

@@ -13,7 +13,6 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local clock = require "rfsm.clock"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
@@ -79,7 +78,9 @@ local function init(session, model)
     end
   end
   local fsm, text, problems = rfsm.init(model)
-  if fsm and own_warn == nil then fsm.warn = false end -- the view hears it anyway
+  if not fsm then return fsm, text, problems end
+  fsm.gettime = session.gettime
+  if own_warn == nil then fsm.warn = false end -- the view hears it anyway
   return fsm, text, problems
 end
 
@@ -114,7 +115,6 @@ local function begin_turn(session)
   if session.is_live then
     session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
   end
-  clock.set_hook(session.gettime)
   session.turn, session.stopped = session.turn + 1, false
   session.turns[session.turn] = {
     now = session.now, count = session.recorder and session.recorder.count,
@@ -189,7 +189,6 @@ local function load(session, keeps_place)
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.turn = session.generation + 1, 0
   session.recorder, session.turns, session.points = false, {}, {}
-  clock.set_hook(session.gettime)
   local fsm, problems = load_machine(session)
   session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
   if fsm then begin(session, fsm, snap) end
@@ -228,7 +227,6 @@ function commands.back(session, message)
   local turn = session.turns[type(to) == "number" and to + 1]
   if not (turn and session.recorder) then return "there is no such turn" end
   session.now = turn.now
-  clock.set_hook(session.gettime)
   local ok, problem = session.recorder:back(session.recorder.count - turn.count)
   if not ok then return problem end
   local fsm = session.view.fsm -- what a page has sent is in no record
@@ -296,7 +294,6 @@ end
 local function next_timer(session)
   local timeevent = package.loaded.rfsm_timeevent
   if not (timeevent and session.view) then return nil end
-  clock.set_hook(session.gettime)
   local ok, seconds = pcall(timeevent.next_deadline, session.view.fsm)
   return ok and seconds or nil
 end

@@ -93,7 +93,6 @@ after_each(function()
   host = nil
   proto.uninstall()
   helper.remove_files()
-  require("rfsm.clock").set_hook(nil)
 end)
 
 describe("the page", function()
