@@ -56,7 +56,8 @@ test:                   ## lint, then every spec on each of LUAS
 
 test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
-	@$(BUSTED) --lua=$$(command -v $(LUA)) --pattern=page spec/browser
+	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
+	  --pattern=page spec/browser
 
 test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)
