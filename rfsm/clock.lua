@@ -146,4 +146,14 @@ function clock.read(is_monotonic)
   return sec, nsec
 end
 
+--- Return a clock of seconds that begins now.
+---@return fun(): number seconds
+function clock.from_now()
+  local sec, nsec = clock.read(true)
+  return function()
+    local now_sec, now_nsec = clock.read(true)
+    return now_sec - sec + (now_nsec - nsec) / 1e9
+  end
+end
+
 return clock

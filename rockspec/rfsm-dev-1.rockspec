@@ -137,6 +137,7 @@ build = {
     ["rfsm.timeevent"] = "rfsm/timeevent.lua",
     ["rfsm.watch"] = "rfsm/watch.lua",
     ["rfsm.web"] = "rfsm/web.lua",
+    ["rfsm.web.hosted"] = "rfsm/web/hosted.lua",
     ["rfsm.web.http"] = "rfsm/web/http.lua",
     ["rfsm.web.live"] = "rfsm/web/live.lua",
     ["rfsm.web.outline"] = "rfsm/web/outline.lua",

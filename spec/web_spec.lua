@@ -241,7 +241,7 @@ describe("the server", function()
     local connection = server.http.connections[1]
     for _ = 1, 400 do
       connection.cursor = nil -- as long after the last frame
-      server.source.view:note("output", name)
+      server.shown[1].source.view:note("output", name)
       server:step(0)
     end
     assert.is_true(connection.pending ~= "")
@@ -430,18 +430,47 @@ describe("a page", function()
       about.entered, about.failures, about.data })
     assert.matches(":3$", about.file)
     assert.same({ 400, 400, 400 }, { inspect(99), inspect("x"), inspect(-1) })
-    local dim
-    for i, node in ipairs(http.chart(server).nodes) do
-      if node.fqn == "root.on.dim" then dim = i - 1 end
-    end
-    assert.same({ dim }, page:command("breakpoint", { node = dim, on = true }).points)
+    assert.same({ "root.on.dim" },
+      page:command("breakpoint", { at = "on.dim", on = true }).points)
     local message = page:send("e_push")
     assert.same({ "root.on.dim", "root.on.dim" }, { message.leaf, message.stopped })
     assert.same({ "e_done@root.on.dim" }, message.queue) -- the rest of the run waits
-    assert.same({}, page:command("breakpoint", { node = dim, on = false }).points)
-    assert.equal(400, (http.command(server, { command = "breakpoint", node = 99 })))
+    assert.same({}, page:command("breakpoint", { at = "on.dim", on = false }).points)
     page:send("e_push")
     assert.is_false(page:send("e_push").stopped)
+  end)
+
+  it("stops at an event and at a transition, also when the chart was mended", function()
+    local server, file = open()
+    local page = http.page(server)
+    local function stopped_at(at, event)
+      page:command("breakpoint", { at = at, on = true })
+      local stopped = page:send(event).stopped
+      assert.same({}, page:command("breakpoint", { at = at }).points)
+      return stopped
+    end
+    page:send("e_push")
+    assert.equal("e_more", stopped_at("e_more", "e_more"))
+    assert.equal("root.on.bright -> root.on.dim",
+      stopped_at("on.bright -> on.dim", "e_less"))
+    assert.is_false(stopped_at("e_less", "e_more"))
+    local function refused(at)
+      return select(2, http.command(server, { command = "breakpoint", at = at,
+        on = true }))
+    end
+    assert.equal("breakpoint: state, event or transition (off -> on) expected, got "
+      .. "'e_mor' (did you mean 'e_more'?)\n", refused("e_mor"))
+    assert.equal("at: state, event or transition expected\n", refused(7))
+    for _, at in ipairs { "off", "off", "on.bright" } do
+      page:command("breakpoint", { at = at, on = true })
+    end
+    overwrite(file, (LAMP:gsub("bright", "light")))
+    now = now + 1
+    local message = page:next()
+    assert.same({ "root.off" }, message.points)
+    assert.same({ "warning: 2 state root.on.bright: is gone, and no breakpoint now" },
+      { texts_of(message.log)[1] })
+    assert.equal("root.off", page:send("e_push").stopped)
   end)
 
   it("ends a run that has no end", function()
@@ -718,6 +747,39 @@ describe("rfsm.web.serve", function()
     assert.equal(4, #first.log)
   end)
 
+  it("has a tab for each of several machines", function()
+    local left, right = rfsm.init(lamp()), rfsm.init(lamp())
+    local before = outside_of(right)
+    local server = opened(web.serve({ left, right },
+      { port = 0, title = { "left" }, allow_send = true,
+        clock = function() return now end }))
+    rfsm.run(left)
+    rfsm.run(right)
+    assert.same({ "left", "machine 2" }, http.chart(server).machines)
+    assert.same({ "left", "machine 2" },
+      { http.chart(server).title, http.chart(server, 2).title })
+    local one, first = http.page(server)
+    assert.same({ "root.off", before }, { first.leaf, outside_of(right) })
+    local two = http.page(server, 2)
+    assert.same({ "e_push" }, two:command("send", { event = "e_push" }).queue)
+    rfsm.run(right)
+    assert.equal("root.on", two:next().leaf)
+    assert.equal("root.off", rfsm.get_actleaf_fqn(left))
+    helper.post_and_run(left, "e_push")
+    assert.equal("root.on", one:next().leaf)
+    two.tcp:close()
+    http.until_done(server, function() return server.http.streams == 1 end)
+    for _ = 1, 2 do
+      now = now + 5.1
+      server:step(0)
+    end
+    assert.same(before, outside_of(right)) -- nobody looks at this one
+    assert.is_false(left.dbg == before[1])
+    assert.same({ 404, 404, 404 }, { (http.request(server, "GET", "/chart?machine=3")),
+      (http.request(server, "GET", "/chart?machine=0")),
+      (http.command(server, { command = "send", event = "e_push" }, 3)) })
+  end)
+
   it("builds one message a frame, however much happens", function()
     local fsm, count = rfsm.init(lamp()), 0
     local server = opened(web.serve(fsm, { port = 0 }))
@@ -758,6 +820,9 @@ describe("rfsm.web.serve", function()
       assert.same({ false, "rfsm.web.serve: " .. text },
         { ok, (problem:gsub("^.-:%d+: ", "")) })
     end
+    assert.has_error(function() web.serve({ fsm, lamp() }, { port = 0 }) end,
+      "rfsm.web.serve: initialised fsm expected, got state (rfsm.init makes one of a "
+        .. "state)")
     assert.has_error(function() web.serve({}) end,
       "rfsm.web.serve: initialised fsm expected, got table")
   end)
@@ -819,10 +884,34 @@ describe("a machine elsewhere", function()
     assert.equal(5, #http.chart(server).nodes)
   end)
 
+  it("is one of several at that port, each with a tab", function()
+    local one, door = host(true)
+    local two = rfsm.init(lamp { third = state {} })
+    local server = opened(assert(web.attach("127.0.0.1", door.port, { port = 0 })))
+    local first = http.page(server)
+    assert.is_true(wait_for(server, one, first, "root.off"))
+    rfsm.run(two)
+    for _ = 1, 200 do
+      rfsm.run(two)
+      server:step(0.001)
+      if server.shown[2] and server.shown[2].source.view.leaf then break end
+    end
+    local second, message = http.page(server, 2)
+    assert.equal("root.off", message.leaf)
+    local title = "127.0.0.1:" .. ("%d"):format(door.port)
+    assert.same({ title, title .. ", machine 2" }, http.chart(server).machines)
+    assert.same({ 4, 5 }, { #http.chart(server).nodes, #http.chart(server, 2).nodes })
+    http.command(server, { command = "send", event = "e_push" }, 2)
+    assert.is_true(wait_for(server, two, second, "root.on"))
+    rfsm.run(one)
+    assert.equal("root.off", rfsm.get_actleaf_fqn(one))
+  end)
+
   it("goes on after a message that cannot be read", function()
     local messages, server = {}, nil
     helper.with(subscriber, { connect = function()
-      return { receive = function() return table.remove(messages, 1) end }
+      return { address = "127.0.0.1:1",
+        receive = function() return table.remove(messages, 1) end }
     end }, function()
       server = opened(assert(web.attach("127.0.0.1", 1, { port = 0 })))
     end)

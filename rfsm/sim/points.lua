@@ -127,7 +127,8 @@ end
 
 --- Find the states and transitions in another machine of the chart, by their names.
 ---@param sim rfsm.sim.Session
-function points.renew(sim)
+---@param complain fun(line: string) called for each that is gone
+function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]
     if point.kind == "state" or point.kind == "transition" then
@@ -135,7 +136,7 @@ function points.renew(sim)
       if ok and renewed.kind == point.kind then
         sim.points[i] = renewed
       else
-        view.complain(("%d %s %s: is gone, and no breakpoint now"):format(i,
+        complain(("%d %s %s: is gone, and no breakpoint now"):format(i,
           point.kind, point.name))
         remove(sim.points, i)
       end

@@ -274,7 +274,7 @@ function Session:use(fsm, model)
   self.fsm, self.env.fsm, self.model = fsm, fsm, model
   if self.saved then self.saved = take_functions(fsm) end
   if self.level then self:set_level(self.level) end
-  points.renew(self)
+  points.renew(self, complain)
   history.start(self)
 end
 

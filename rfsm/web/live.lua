@@ -34,6 +34,8 @@ local MAX_LOST = 20 -- events without an effect that are named
 ---@field last_lost any[] those of the last entry in the log
 ---@field entered table<integer, integer> how often a state was entered while watched
 ---@field is_watched boolean
+---@field points rfsm.sim.Point[] breakpoints
+---@field hit string|false the one that was reached since this was set to false
 local Live = setmetatable({}, { __index = View })
 Live.__index = Live
 
@@ -45,16 +47,15 @@ Live.__index = Live
 ---@field prefix string the FQN of its root in the description
 ---@field numbers table<rfsm.State, integer> of its nodes
 ---@field by_fqn table<string, integer> of its nodes by their FQN in the machine
----@field edges table<string, integer> numbers of its transitions by their texts
+---@field transitions table<string, rfsm.Transition> by their texts
 ---@field path string|false of the transition in the current iteration
 ---@field printers table[] that were replaced
 
--- Returns the numbers of a machine's transitions by their texts.
-local function edges_by_text(view, machine, prefix)
+local function transitions_by_text(machine)
   local by_text = {}
   for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
     local text = tostring(tr)
-    by_text[text] = by_text[text] or view.outline.edge_of[place.path(tr, prefix)]
+    by_text[text] = by_text[text] or tr
   end
   return by_text
 end
@@ -62,7 +63,7 @@ end
 local function add_machine(view, location)
   local fsm, prefix = location.machine, location.prefix
   local watched = { fsm = fsm, prefix = prefix, path = false, numbers = {}, by_fqn = {},
-    edges = edges_by_text(view, fsm, prefix), printers = {} }
+    transitions = transitions_by_text(fsm), printers = {} }
   for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
     local number = view.outline.number_of[prefix .. node._fqn:sub(#"root" + 1)]
     watched.numbers[node], watched.by_fqn[node._fqn] = number, number
@@ -124,6 +125,16 @@ end
 
 -- What a watched machine does -----------------------------------------------------
 
+-- Notes the breakpoint that is reached, if one is.
+local function check_points(view, kind, value, fsm)
+  for _, point in ipairs(view.points) do
+    if point.kind == kind and rawequal(point.value, value)
+      and (kind ~= "state" or point.fsm == fsm) then
+      view.hit = point.name
+    end
+  end
+end
+
 -- The meaning of the records of a trace for the page.
 local RECORDS = {}
 
@@ -132,10 +143,16 @@ function RECORDS.EXEC_PATH(_, watched, text)
   watched.path = (watched.prefix == "root" and "" or watched.prefix .. ": ") .. text
 end
 
-function RECORDS.EFFECT(view, watched, text) view:see_edge(watched.edges[text]) end
+function RECORDS.EFFECT(view, watched, text)
+  local tr = watched.transitions[text]
+  if not tr then return end -- merged in
+  view:see_edge(view.outline.edge_of[place.path(tr, watched.prefix)])
+  check_points(view, "transition", tr)
+end
 
 function RECORDS.STATE_ENTER(view, watched, fqn)
   local number = watched.by_fqn[fqn]
+  check_points(view, "state", fqn, watched.fsm)
   if number then view.entered[number] = (view.entered[number] or 0) + 1 end
 end
 
@@ -167,6 +184,9 @@ end
 
 -- Notes an iteration; one without events that took no transition is none.
 local function note_step(view, watched, events)
+  for i = 1, view.points[1] and #events or 0 do
+    check_points(view, "event", events[i])
+  end
   if watched.path then
     for _, number in ipairs(add_active({}, watched)) do view:see_node(number) end
     view:note("step", watched.path, view:texts_of(events), active_numbers(view))
@@ -301,6 +321,7 @@ function Live.new(fsm, clock)
   local view = View.create(Live, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.node_of = fsm, {}, {}
   view.lost, view.last_lost, view.entered, view.is_watched = {}, {}, {}, false
+  view.points, view.hit = {}, false
   for _, location in ipairs(rfsm.machines(fsm)) do
     listen_to_failures(view, add_machine(view, location))
   end
