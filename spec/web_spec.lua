@@ -470,6 +470,7 @@ describe("a page", function()
     assert.same({ "root.off" }, message.points)
     assert.same({ "warning: 2 state root.on.bright: is gone, and no breakpoint now" },
       { texts_of(message.log)[1] })
+    assert.is_false(page:send("e_push").stopped)
     assert.equal("root.off", page:send("e_push").stopped)
   end)
 
