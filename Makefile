@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -84,6 +84,10 @@ bench:                  ## run the measurements in bench/, with LUA
 	$(LUA) bench/growth.lua
 	$(LUA) bench/scale.lua
 	$(LUA) bench/extensions.lua
+
+soak: MINUTES = 60
+soak:                   ## a machine that two pages watch for MINUTES of its time, with LUA
+	$(LUA) bench/soak.lua $(MINUTES)
 
 bench-profile:          ## print the hottest functions and lines, with LUA
 	$(LUA) bench/profile.lua
