@@ -52,9 +52,12 @@ local function new_browser(driver)
   end }
 end
 
-local driver = webdriver.is_there()
-  and webdriver.start(function(timeout) server:step(timeout) end)
-local pages = {}
+local function start_driver()
+  local is_there = webdriver.is_there()
+  return is_there and webdriver.start(function(timeout) server:step(timeout) end)
+end
+
+local driver, pages = start_driver(), {}
 for i = 1, PAGES do pages[i] = driver and new_browser(driver) or new_stream() end
 
 -- Returns KiB of this process, and of each page.
