@@ -716,6 +716,27 @@ describe("rfsm.web.serve", function()
     assert.same(before, outside_of(fsm))
   end)
 
+  it("changes nothing that the machine prints, also if it prints all", function()
+    local lines = {}
+    local function print_all(f)
+      helper.with(_G, { print = function(...)
+        lines[#lines + 1] = table.concat({ ... }, "\t")
+      end }, f)
+    end
+    local plain, fsm = rfsm.init(lamp()), rfsm.init(lamp())
+    plain.dbg, fsm.dbg = true, true
+    print_all(function() rfsm.run(plain) end)
+    local expected = lines
+    lines = {}
+    print_all(function()
+      local server = opened(web.serve(fsm, { port = 0, history = true }))
+      rfsm.run(fsm)
+      server:close()
+    end)
+    assert.same(expected, lines)
+    assert.is_true(rawget(fsm, "dbg"))
+  end)
+
   it("gives back the printers when it is closed, but those set meanwhile", function()
     local fsm, own = rfsm.init(lamp { err = false }), function() end
     local err, warn = fsm.err, fsm.warn

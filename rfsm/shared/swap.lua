@@ -3,6 +3,9 @@
 -- @module rfsm.shared.swap
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
+local rfsm = require "rfsm"
+
 local rawequal, rawget = rawequal, rawget
 
 local swap = {}
@@ -12,12 +15,26 @@ local swap = {}
 ---@param obj table
 ---@param field string
 ---@param value any
----@return table done `own` is the value before
+---@return { own: any, new: any } done the value before, and that of now
 function swap.put(swaps, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
   swaps[#swaps + 1] = done
   obj[field] = value
   return done
+end
+
+--- Have a printer of a machine call a function first.
+---@param swaps table[]
+---@param fsm rfsm.Machine
+---@param name "dbg"|"info"|"warn"|"err"
+---@param note fun(...)
+function swap.listen(swaps, fsm, name, note)
+  local own = fsm[name]
+  swap.put(swaps, fsm, name, function(...)
+    note(...)
+    if rfsm.is_callable(own) then return own(...) end
+    if own then rawget(_G, "print")(calls.text("\t", ...)) end -- true prints
+  end)
 end
 
 --- Give the fields in a list back, unless somebody has set others meanwhile.

@@ -8,8 +8,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local calls = require "rfsm.shared.calls"
 local names = require "rfsm.sim.names"
+local swap = require "rfsm.shared.swap"
 local terminal = require "rfsm.sim.terminal"
 
 local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetatable
@@ -131,22 +131,15 @@ end
 -- Attach and detach -----------------------------------------------------------------
 
 function Probe:attach(machine)
-  local fsm, own = machine.fsm, machine.fsm.dbg
-  machine.own = own
-  function machine.dbg(id, ...)
-    self:note(machine, id, ...)
-    if rfsm.is_callable(own) then return own(id, ...) end
-    if own then print(calls.text("\t", id, ...)) end
-  end
+  swap.listen(self.swaps, machine.fsm, "dbg", function(...) self:note(machine, ...) end)
   function machine.hook(_, events) self:note_events(machine, events) end
-  fsm.dbg = machine.dbg
-  rfsm.pre_step_hook_add(fsm, machine.hook, "after")
+  rfsm.pre_step_hook_add(machine.fsm, machine.hook, "after")
 end
 
 --- Stop watching. What somebody has put into `dbg` meanwhile stays.
 function Probe:detach()
+  swap.give_back(self.swaps)
   for _, machine in ipairs(self.machines) do
-    if rawequal(machine.fsm.dbg, machine.dbg) then machine.fsm.dbg = machine.own end
     rfsm.pre_step_hook_rm(machine.fsm, machine.hook)
   end
 end
@@ -172,7 +165,7 @@ local probe = {}
 ---@return table probe
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    is_seen = {}, seen = {}, is_used = {}, machines = {} }, Probe)
+    is_seen = {}, seen = {}, is_used = {}, machines = {}, swaps = {} }, Probe)
   for i, place in ipairs(rfsm.machines(sim.fsm)) do
     self.machines[i] = { fsm = place.machine, prefix = place.prefix }
     self:attach(self.machines[i])

@@ -15,6 +15,7 @@ local rfsm_checks = require "rfsm_checks"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 local place = require "rfsm.checks.place"
+local swap = require "rfsm.shared.swap"
 local values = require "rfsm.sim.view"
 local View = require "rfsm.web.view"
 
@@ -49,7 +50,8 @@ Live.__index = Live
 ---@field by_fqn table<string, integer> of its nodes by their FQN in the machine
 ---@field transitions table<string, rfsm.Transition> by their texts
 ---@field path string|false of the transition in the current iteration
----@field printers table[] that were replaced
+---@field printers table[] err and warn, as of `rfsm.shared.swap`
+---@field tracer table[] dbg, likewise, while it is watched
 
 local function transitions_by_text(machine)
   local by_text = {}
@@ -63,7 +65,7 @@ end
 local function add_machine(view, location)
   local fsm, prefix = location.machine, location.prefix
   local watched = { fsm = fsm, prefix = prefix, path = false, numbers = {}, by_fqn = {},
-    transitions = transitions_by_text(fsm), printers = {} }
+    transitions = transitions_by_text(fsm), printers = {}, tracer = {} }
   for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
     local number = view.outline.number_of[prefix .. node._fqn:sub(#"root" + 1)]
     watched.numbers[node], watched.by_fqn[node._fqn] = number, number
@@ -75,26 +77,6 @@ local function add_machine(view, location)
 end
 
 -- Failures: noted also while nobody watches ----------------------------------------
-
--- Has a printer of a machine call `note`, too.
-local function listen(watched, name, note)
-  local fsm = watched.fsm
-  local raw, own = rawget(fsm, name), fsm[name]
-  local function new(...)
-    note(...)
-    if rfsm.is_callable(own) then return own(...) end
-  end
-  fsm[name] = new
-  watched.printers[name] = { raw = raw, new = new }
-end
-
--- Gives a printer back, unless somebody has set another one meanwhile.
-local function listen_no_more(watched, name)
-  local printer, fsm = watched.printers[name], watched.fsm
-  watched.printers[name] = nil
-  if not (printer and rawequal(rawget(fsm, name), printer.new)) then return end
-  fsm[name] = printer.raw
-end
 
 -- Returns what a printer was called with, without the id of the record.
 local function line_of(...)
@@ -119,8 +101,13 @@ local function note_failure(view, watched, ...)
 end
 
 local function listen_to_failures(view, watched)
-  listen(watched, "err", function(...) note_failure(view, watched, ...) end)
-  listen(watched, "warn", function(...) view:note("warning", line_of(...)) end)
+  local fsm = watched.fsm
+  swap.listen(watched.printers, fsm, "err", function(...)
+    note_failure(view, watched, ...)
+  end)
+  swap.listen(watched.printers, fsm, "warn", function(...)
+    view:note("warning", line_of(...))
+  end)
 end
 
 -- What a watched machine does -----------------------------------------------------
@@ -200,7 +187,7 @@ end
 
 local function attach(view, watched)
   local fsm = watched.fsm
-  listen(watched, "dbg", function(id, text)
+  swap.listen(watched.tracer, fsm, "dbg", function(id, text)
     local take = RECORDS[id]
     if take then take(view, watched, text) end
   end)
@@ -213,7 +200,7 @@ end
 
 local function detach(_, watched)
   local fsm = watched.fsm
-  listen_no_more(watched, "dbg")
+  swap.give_back(watched.tracer)
   rfsm.post_step_hook_rm(fsm, watched.after_step)
   rfsm.reset_hook_rm(fsm, watched.after_reset)
 end
@@ -234,10 +221,7 @@ end
 --- Leave the machine as it was.
 function Live:close()
   self:watch(false)
-  for _, watched in ipairs(self.machines) do
-    listen_no_more(watched, "err")
-    listen_no_more(watched, "warn")
-  end
+  for _, watched in ipairs(self.machines) do swap.give_back(watched.printers) end
 end
 
 -- The state of now -----------------------------------------------------------------
