@@ -6,12 +6,14 @@ local claim = require "spec.support.claims.record"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
+local record_lines = require "rfsm.record.lines"
 local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
@@ -213,6 +215,150 @@ describe("a recording", function()
     recorder:stop()
     assert.is_true(#helper.content(file) - before <= 600)
     assert.equal(20, recorder.count)
+  end)
+
+  it("in a file has its fields in a fixed order", function()
+    assert.equal('{"m":1,"fresh":true,"had":{},"events":["a"],"added":[],"got":[],'
+      .. '"clock":[],"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,'
+      .. '"kept":{},"regions":[]}', (record_lines.encode { m = 1, fresh = true,
+      had = json.decode "{}", events = { "a" }, added = {}, got = {}, clock = {},
+      guards = {}, reset = true, sent = {}, leaf = "x", done = true,
+      kept = json.decode "{}", regions = {} }:gsub("%[%]", "[]")))
+    local file = helper.file_with("")
+    recorded(file)
+    assert.matches('^{"record":2,"guards":%[%[.-%]%],"snapshot":{',
+      helper.content(file):gsub('"file":"[^"]*",', ""))
+  end)
+
+  -- Returns the lines of records; `encode` is dkjson's, for those that are odd.
+  local function lines_of(records, encode)
+    local texts = {}
+    local write = record_lines.writer { write = function(_, text, stop)
+      texts[#texts + 1] = text .. (stop == "\n" and "" or "?")
+    end }
+    helper.with(json, { encode = encode or json.encode }, function()
+      for _, rec in ipairs(records) do write(rec) end
+    end)
+    return texts
+  end
+
+  it("in a file has short lines, which are seldom work for dkjson's encode",
+    function()
+      local records = {
+        { events = { "e_\"a" }, leaf = "root.a" },
+        { events = { true, false }, leaf = "root.a", sent = { "e_b" } },
+        { events = { "e_b" }, leaf = "root.b", done = true,
+          sent = { "e_done@root.b" } },
+        { events = { "e_done@root.b" }, leaf = "root.b", done = true },
+        { leaf = "root.b", done = true },
+        { events = { "x" }, done = true },
+        { m = 1, leaf = "root.r" }, { m = 1, leaf = "root.r" },
+        { events = { 7 }, leaf = "root.a" },
+      }
+      local usual = { '{"events":["e_\\"a"],"leaf":"root.a"}',
+        '{"events":[true,false],"sent":["e_b"]}', '{"leaf":"root.b","done":true}', "{}",
+        "{}", '{"events":["x"],"leaf":false,"done":true}' }
+      local odd = { '{"m":1,"leaf":"root.r"}', '{"m":1}',
+        '{"events":[7],"leaf":"root.a"}' }
+      local expected = {}
+      for _, text in ipairs(usual) do expected[#expected + 1] = text end
+      assert.same(expected, lines_of({ unpack(records, 1, 6) }, error))
+      for _, text in ipairs(odd) do expected[#expected + 1] = text end
+      assert.same(expected, lines_of(records))
+    end)
+
+  it("in a file remembers a thousand texts, not more", function()
+    local count, records = 0, {}
+    for i = 1, 1002 do records[i] = { events = { "e" .. i % 1001 }, leaf = "root" } end
+    records[1003] = records[1002]
+    local real = json.quotestring
+    helper.with(json, { quotestring = function(text)
+      count = count + 1
+      return real(text)
+    end }, function() lines_of(records) end)
+    assert.is_true(count >= 1002 and count <= 1005, count)
+  end)
+
+  it("is handed to a function, or written to a stream that stays open", function()
+    local list, file = {}, helper.file_with("")
+    recorded(function(rec) list[#list + 1] = rec end)
+    local sink = {}
+    recorded(sink)
+    assert.same(sink, list)
+    local stream = assert(io.open(file, "w"))
+    local recorder = recorded(stream)
+    assert.equal(10, select(2, helper.content(file):gsub("\n", ""))) -- flushed
+    recorder:stop()
+    assert.equal("file", io.type(stream))
+    stream:close()
+    recorder = recorded(file)
+    local own = recorder.sink
+    recorder:stop()
+    assert.equal("closed file", io.type(own))
+    recorder:stop() -- again does no harm
+  end)
+
+  it("holds targets that have changed, and whether that was in a step", function()
+    local sink = {}
+    local function model()
+      return state { info = false, warn = false, a = state { entry = function(fsm)
+        fsm[3].tgt = fsm.c
+      end }, b = state {}, c = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_b" } },
+        trans { src = "b", tgt = "a", events = { "e_back" } } }
+    end
+    local fsm = helper.init(model())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    assert.same({ "root.a", "root.a", "root.c" },
+      { sink[2].leaf, sink[3].leaf, sink[2].kept.targets[#sink[2].kept.targets] })
+    assert.is_nil(sink[3].kept)
+    fsm[3].tgt = fsm.a
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "root.b", true, nil },
+      { sink[4].leaf, sink[4].had ~= nil, sink[4].kept })
+    helper.post_and_run(fsm, "e_back")
+    assert.same({ "root.a", true },
+      { sink[6].leaf, sink[6].kept.targets ~= nil })
+    local again = assert(record.replay(model(), sink, { dry = true }))
+    assert.equal(again.c, again[3].tgt)
+    assert(record.replay(model(), sink))
+  end)
+
+  it("holds what guards have returned, and their failures", function()
+    local answers, sink, said = { "yes", false, "fail" }, {}, {}
+    local function guard()
+      local answer = table.remove(answers, 1)
+      if answer == "fail" then error("no sensor", 0) end
+      return answer
+    end
+    local fsm = helper.init(worker({}, guard))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    for _ = 1, 3 do helper.post_and_run(fsm, "e_go") end
+    local noted = {}
+    for i = 2, #sink do
+      if sink[i].guards then noted[#noted + 1] = sink[i].guards[2] end
+    end
+    assert.same({ true, false, "no sensor" }, noted)
+    local again = worker({}, error)
+    again.err = function(...) said[#said + 1] = table.concat({ ... }, " ") end
+    assert(record.replay(again, sink))
+    assert.equal(1, #said)
+    assert.matches("no sensor$", said[1])
+  end)
+
+  it("says nothing when it is replayed dry, whatever the model's printers", function()
+    local sink, said = {}, 0
+    recorded(sink)
+    local model = worker({}, error)
+    for _, name in ipairs { "dbg", "info", "warn", "err" } do
+      model[name] = function() said = said + 1 end
+    end
+    helper.init(model)
+    local before = said
+    assert(record.replay(model, sink, { dry = true, to = 3 }))
+    assert.is_true(said <= 2 * before, said) -- of the machine that is returned
   end)
 
   it("of files of format 1 is read as before", function()
@@ -431,6 +577,15 @@ describe("back", function()
     assert.is_true(recorder:back(1))
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
     assert.equal(2, math.floor(timeevent.next_deadline(fsm)))
+  end)
+
+  it("reports why it cannot", function()
+    local sink = {}
+    local recorder, fsm = recorded(sink)
+    sink[5].leaf = "root.nowhere"
+    assert.same({ false, "step 4: active leaf root.nowhere(done) expected, got "
+      .. "root.idle(done)" }, { recorder:back(1) })
+    assert.same({ "root.idle", 9 }, { rfsm.get_actleaf_fqn(fsm), recorder.count })
   end)
 
   it("needs the records", function()
