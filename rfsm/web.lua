@@ -45,7 +45,7 @@ local OPTIONS = {
 
 local MAX_DRAWN = 2000 -- nodes
 local FRAME = 1 / 30 -- seconds between two messages to a page
-local LINGER = 5 -- seconds that a machine is watched when the last page is gone
+local LINGER = 5 -- seconds that a machine is watched when no page reads any more
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -97,7 +97,7 @@ Server.__index = Server
 ---@field picture string|false
 ---@field picture_count integer
 ---@field drawn integer the generation of the chart that is drawn
----@field seen_at number|false when the last page was there; false while one is
+---@field seen_at number|false when the last page has read; false while one does
 
 -- Adds the machines that are known by now.
 local function update_shown(server)
@@ -205,7 +205,6 @@ local ROUTES = {
     if request.query:match("token=(%x*)") ~= server.token then
       return { status = 403 }
     end
-    if shown.source.watch then shown.source:watch(true) end
     return { type = "text/event-stream", stream = shown, body = "retry: 1000\n\n" }
   end },
   ["/command"] = { POST = command_reply },
@@ -252,6 +251,7 @@ local function send_changes(server)
   server.is_late = false
   server.http:feed(function(connection)
     local shown, cursor = connection.stream, connection.cursor
+    if shown.source.is_watched == false then shown.source:watch(true) end
     local version, view = version_of(server, shown), shown.source.view
     if cursor and cursor.version == version
       and cursor.revision == (view and view.revision) then
@@ -272,10 +272,18 @@ local function send_changes(server)
   end)
 end
 
--- Has the machine of a program noted no more when nobody looks.
-local function rest(shown, now)
+local function has_reader(server, shown)
+  for _, connection in ipairs(shown.streams > 0 and server.http.connections or {}) do
+    if connection.stream == shown and connection.pending == "" then return true end
+  end
+  return false
+end
+
+-- Has the machine of a program noted no more when no page reads.
+local function rest(server, shown)
   if not shown.source.is_watched then return end
-  if shown.streams > 0 then
+  local now = server.http.clock
+  if has_reader(server, shown) then
     shown.seen_at = false
   elseif not shown.seen_at then
     shown.seen_at = now()
@@ -299,7 +307,7 @@ function Server:step(timeout)
   if self.is_late then wait = min(wait, FRAME) end
   self.http:step(wait)
   send_changes(self)
-  for _, shown in ipairs(self.shown) do rest(shown, self.http.clock) end
+  for _, shown in ipairs(self.shown) do rest(self, shown) end
 end
 
 --- Serve until the program ends.

@@ -716,6 +716,39 @@ describe("rfsm.web.serve", function()
     assert.same(before, outside_of(fsm))
   end)
 
+  it("leaves the machine alone when its page does not read, until it does", function()
+    local fsm = rfsm.init(lamp())
+    local before = outside_of(fsm)
+    local server = opened(web.serve(fsm,
+      { port = 0, clock = function() return now end }))
+    rfsm.run(fsm)
+    local page = http.page(server)
+    local at = 0
+    server.gettime = function() return at end
+    for _ = 1, 1000 do -- until its buffers are full
+      at = at + 1
+      for _ = 1, 60 do server.shown[1].source.view:note("note", ("x"):rep(2000)) end
+      server:step(0)
+      if server.http.connections[1].pending ~= "" then break end
+    end
+    assert.is_true(server.http.connections[1].pending ~= "")
+    for _ = 1, 2 do
+      now = now + 5.1
+      server:step(0)
+    end
+    assert.same(before, outside_of(fsm))
+    assert.equal(1, server.http.streams)
+    at = at + 1
+    http.until_done(server, function()
+      page.tcp:receive("*a")
+      return fsm.dbg ~= before[1]
+    end)
+    at = at + 1
+    helper.post_and_run(fsm, "e_push")
+    page.text = ""
+    assert.equal(fsm._act_leaf._fqn, page:next().leaf)
+  end)
+
   it("changes nothing that the machine prints, also if it prints all", function()
     local lines = {}
     local function print_all(f)

@@ -49,23 +49,36 @@ Live.__index = Live
 ---@field numbers table<rfsm.State, integer> of its nodes
 ---@field by_fqn table<string, integer> of its nodes by their FQN in the machine
 ---@field transitions table<string, rfsm.Transition> by their texts
+---@field edges table<rfsm.Transition, integer> their numbers
+---@field path_texts table<string, string> for a reader
 ---@field path string|false of the transition in the current iteration
 ---@field printers table[] err and warn, as of `rfsm.shared.swap`
 ---@field tracer table[] dbg, likewise, while it is watched
 
-local function transitions_by_text(machine)
-  local by_text = {}
-  for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+-- Adds the transitions of a machine, by their texts, and their numbers.
+local function add_transitions(view, watched)
+  for _, tr in ipairs(rfsm.elements(watched.fsm, rfsm.is_trans)) do
     local text = tostring(tr)
-    by_text[text] = by_text[text] or tr
+    watched.transitions[text] = watched.transitions[text] or tr
+    watched.edges[tr] = view.outline.edge_of[place.path(tr, watched.prefix)]
   end
-  return by_text
+end
+
+-- Returns a table of paths as a reader sees them, by their texts in a trace.
+local function new_path_texts(prefix)
+  local begin = prefix == "root" and "" or prefix .. ": "
+  return setmetatable({}, { __index = function(texts, text)
+    texts[text] = begin .. text:gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
+    return texts[text]
+  end })
 end
 
 local function add_machine(view, location)
   local fsm, prefix = location.machine, location.prefix
   local watched = { fsm = fsm, prefix = prefix, path = false, numbers = {}, by_fqn = {},
-    transitions = transitions_by_text(fsm), printers = {}, tracer = {} }
+    transitions = {}, edges = {}, path_texts = new_path_texts(prefix), printers = {},
+    tracer = {} }
+  add_transitions(view, watched)
   for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
     local number = view.outline.number_of[prefix .. node._fqn:sub(#"root" + 1)]
     watched.numbers[node], watched.by_fqn[node._fqn] = number, number
@@ -126,14 +139,13 @@ end
 local RECORDS = {}
 
 function RECORDS.EXEC_PATH(_, watched, text)
-  text = text_of(text):gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
-  watched.path = (watched.prefix == "root" and "" or watched.prefix .. ": ") .. text
+  watched.path = watched.path_texts[text]
 end
 
 function RECORDS.EFFECT(view, watched, text)
   local tr = watched.transitions[text]
   if not tr then return end -- merged in
-  view:see_edge(view.outline.edge_of[place.path(tr, watched.prefix)])
+  view:see_edge(watched.edges[tr])
   check_points(view, "transition", tr)
 end
 
@@ -176,7 +188,7 @@ local function note_step(view, watched, events)
   end
   if watched.path then
     for _, number in ipairs(add_active({}, watched)) do view:see_node(number) end
-    view:note("step", watched.path, view:texts_of(events), active_numbers(view))
+    view:note("step", watched.path, { unpack(events) }, active_numbers(view))
     view.lost = {}
   elseif watched.fsm == view.fsm then
     add_lost(view, events)
@@ -249,7 +261,7 @@ end
 function Live:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
-  self:note("lost", "no transition", self:texts_of(self.last_lost))
+  self:note("lost", "no transition", self.last_lost)
 end
 
 function Live:go_back(turn)
