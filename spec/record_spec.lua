@@ -113,6 +113,41 @@ describe("a recording", function()
     assert.same({}, again) -- the guard fails
   end)
 
+  it("knows its guards by machine, number and text", function()
+    local function region()
+      return state { info = false, warn = false, x = state {},
+        trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "x", events = { "e_r" }, guard = yes } }
+    end
+    local sink = {}
+    record.record(helper.init(state { info = false, warn = false,
+      both = rfsm.seqand { a = helper.init(region()), b = helper.init(region()) },
+      trans { src = "initial", tgt = "both" },
+      trans { src = "both", tgt = "both", events = { "e_b" }, guard = yes } }), sink)
+    local loop = "T={ src='root.x', tgt='root.x', events='e_r' }"
+    assert.same({ { 2, "T={ src='root.both', tgt='root.both', events='e_b' }" },
+      { 2, loop }, { 2, loop } }, sink[1].guards)
+    sink = {}
+    record.record(helper.init(state { info = false, a = state {},
+      trans { src = "initial", tgt = "a" } }), sink)
+    assert.is_nil(sink[1].guards)
+  end)
+
+  it("finds a guard by its text in a chart with other transitions", function()
+    local sink = {}
+    recorded(sink)
+    local model = worker({}, error)
+    table.insert(model, 2, trans { src = "idle", tgt = "idle", events = { "e_new" },
+      guard = error })
+    assert.matches("^rfsm.snapshot: the snapshot is of another chart",
+      select(2, record.replay(model, sink)))
+    local fsm = assert(record.replay(model, sink, { migrate = true }))
+    assert.equal("root.idle", rfsm.get_actleaf_fqn(fsm))
+    local without = worker({}, yes)
+    without[2].guard = nil
+    assert(record.replay(without, sink, { migrate = true, to = 5 }))
+  end)
+
   it("is replayed up to an iteration", function()
     local sink = {}
     recorded(sink)
@@ -414,6 +449,22 @@ describe("a recording", function()
     end
     local text = record.to_spec(sink)
     assert.matches("ok 1 %- .* takes the steps that were recorded", output_of(text))
+    assert.is_truthy(text:find(("local FILE = %q"):format(chart), 1, true))
+    assert.is_truthy(text:find("{ dry = false }", 1, true))
+    assert.is_truthy(text:find("decode_all [=[\n", 1, true))
+    text = record.to_spec(sink, { chart = "other.lua", dry = true })
+    assert.is_truthy(text:find('local FILE = "other.lua"', 1, true))
+    assert.is_truthy(text:find("{ dry = true }", 1, true))
+    helper.post_and_run(fsm, "]]", "x]=]")
+    text = record.to_spec(sink)
+    assert.is_truthy(text:find("decode_all [==[\n", 1, true))
+    assert.matches("ok 1 ", output_of(text))
+    sink[1].file = nil
+    assert.error_matches(function() record.to_spec(sink) end,
+      "rfsm.record.to_spec: the file of the chart expected")
+    assert.error_matches(function() record.to_spec({}) end,
+      "rfsm.record: a recording of format 1 expected")
+    assert.matches("FILE", record.to_spec(sink, { chart = "x" }))
     assert.matches("not ok 1", output_of((text:gsub('"leaf":"root.b"', '"leaf":"x"'))))
   end)
 end)

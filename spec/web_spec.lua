@@ -13,6 +13,7 @@ local watch = require "rfsm.watch"
 local web = require "rfsm.web"
 
 local state, trans = rfsm.state, rfsm.trans
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- What several specs need -------------------------------------------------------
 
@@ -232,6 +233,108 @@ describe("the server", function()
     server:step(0)
     assert.equal(0, #server.http.connections)
     tcp:close()
+  end)
+
+  -- Brings a connection into a phase; returns it.
+  local PHASES = {
+    reading = function(server, tcp) http.send(server, tcp, "GET / HT") end,
+    writing = function(server, tcp)
+      server.page = ("x"):rep(20000000)
+      http.send(server, tcp, "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    end,
+    closing = function(server, tcp)
+      http.send(server, tcp, "GET /none HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    end,
+    stream = function(server, tcp)
+      http.send(server, tcp, "GET /events?token=" .. server.token
+        .. " HTTP/1.1\r\nHost: localhost\r\n\r\n")
+      http.until_done(server, function() return server.http.streams == 1 end)
+      local connection = server.http.connections[1]
+      connection.pending, connection.sent = ("x"):rep(20000000), 0
+      server:step(0) -- takes as much as the buffers do
+    end,
+  }
+
+  for phase, seconds in pairs { -- any order: each is a spec of its own
+    reading = 5, writing = 30, closing = 2, stream = 30,
+  } do
+    it("waits " .. seconds .. " s for a connection that is " .. phase, function()
+      local server = open()
+      local tcp = http.connect(server)
+      PHASES[phase](server, tcp)
+      local connection = http.until_done(server, function()
+        local first = server.http.connections[1]
+        return first and first.phase == phase and first
+      end)
+      for _ = 1, 50 do server:step(0) end
+      now = seconds
+      server:step(0)
+      assert.equal(connection, server.http.connections[1])
+      now = seconds + 0.001
+      server:step(0)
+      assert.same({}, server.http.connections)
+      tcp:close()
+    end)
+  end
+
+  it("takes a body of 16 KiB, and no more", function()
+    local server = open()
+    for size, expected in pairs { [16384] = 400, [16385] = 413 } do -- any order
+      assert.equal(expected, (http.request(server, "POST", "/command",
+        { "Host: localhost", "X-Rfsm-Token: " .. server.token }, (" "):rep(size))))
+    end
+  end)
+
+  it("accepts 50 connections at a time, and serves others in between", function()
+    local server, clients = open(), {}
+    for i = 1, 60 do clients[i] = http.connect(server) end
+    server:step(0)
+    assert.equal(50, #server.http.connections)
+    server:step(0)
+    assert.equal(60, #server.http.connections)
+    for _, tcp in ipairs(clients) do tcp:close() end
+    for _ = 1, 60 do server:step(0) end
+    assert.equal(0, #server.http.connections)
+  end)
+
+  it("has 200 connections, pages among them, which stay", function()
+    local server, clients = open(), {}
+    local page = http.page(server)
+    for i = 1, 205 do
+      clients[i] = http.connect(server)
+      server:step(0)
+    end
+    assert.equal(200, #server.http.connections)
+    assert.equal("stream", server.http.connections[1].phase)
+    assert.equal("root.on.dim", page:send("e_push").leaf)
+    for _, tcp in ipairs(clients) do tcp:close() end
+  end)
+
+  it("has a picture once it is drawn, which is another chart for a page", function()
+    local picture = nil
+    helper.with(Picture, { start = function()
+      return { is_pending = true, drop = function() end, take = function()
+        local text = picture
+        picture = nil
+        return text
+      end }
+    end }, function()
+      local server = open()
+      local _, first = http.page(server)
+      local before = http.chart(server)
+      assert.same({ false, 404 },
+        { before.has_picture, (http.request(server, "GET", "/picture.svg")) })
+      picture = "<svg/>"
+      local page, second = http.page(server)
+      local after = http.chart(server)
+      assert.same({ true, 200, "<svg/>" },
+        { after.has_picture, unpack({ http.request(server, "GET", "/picture.svg") },
+          1, 2) })
+      assert.is_true(after.version ~= before.version)
+      assert.same({ before.version, after.version },
+        { first.version, second.version })
+      assert.is_true(page.tcp:close() ~= nil)
+    end)
   end)
 
   it("keeps one message for a page that does not read, then drops it", function()
@@ -918,6 +1021,11 @@ describe("a machine elsewhere", function()
     assert.equal("root.off → root.on", first.log[#first.log].text)
     assert.equal(1, #first.taken)
     assert.equal("root.off", chart.nodes[chart.edges[first.taken[1] + 1].src + 1].fqn)
+    local active = {}
+    for i, number in ipairs(first.active) do active[i] = chart.nodes[number + 1].fqn end
+    assert.same({ "root", "root.on" }, active)
+    assert.same({ { 3, 3 }, { 1, 3 }, "done", {} },
+      { first.states, first.transitions, first.mode, first.queue })
     other.tcp:close()
   end)
 
