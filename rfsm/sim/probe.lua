@@ -9,6 +9,7 @@
 
 local rfsm = require "rfsm"
 local names = require "rfsm.sim.names"
+local points = require "rfsm.sim.points"
 local swap = require "rfsm.shared.swap"
 local terminal = require "rfsm.sim.terminal"
 
@@ -71,13 +72,10 @@ local function is_own(event)
   return event == "e_init_fsm" or type(event) == "string" and event:find("^e_done@")
 end
 
-function Probe:check_points(kind, value, fsm)
-  for i, point in ipairs(self.sim.points) do
-    if point.kind == kind and rawequal(point.value, value)
-      and (kind ~= "state" or point.fsm == fsm) then
-      self.hits[i], self.is_hit = true, true
-    end
-  end
+function Probe:check_points(kind, value)
+  points.each_reached(self.sim.points, kind, value, function(i)
+    self.hits[i], self.is_hit = true, true
+  end)
 end
 
 -- Notes the events that a transition has used; appends their texts to `by`.
@@ -111,7 +109,7 @@ function Probe:note(machine, id, text)
   if id == "EXEC_PATH" then
     self:note_path(machine, text)
   elseif id == "STATE_ENTER" then
-    self:check_points("state", text, machine.fsm)
+    self:check_points("state", names.full(machine.prefix, text))
   end
 end
 

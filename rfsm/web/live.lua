@@ -15,11 +15,12 @@ local rfsm_checks = require "rfsm_checks"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 local place = require "rfsm.checks.place"
+local points = require "rfsm.sim.points"
 local swap = require "rfsm.shared.swap"
 local values = require "rfsm.sim.view"
 local View = require "rfsm.web.view"
 
-local ipairs, rawequal, rawget, select = ipairs, rawequal, rawget, select
+local ipairs, rawget, select = ipairs, rawget, select
 local setmetatable, tostring, type = setmetatable, tostring, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -126,13 +127,10 @@ end
 -- What a watched machine does -----------------------------------------------------
 
 -- Notes the breakpoint that is reached, if one is.
-local function check_points(view, kind, value, fsm)
-  for _, point in ipairs(view.points) do
-    if point.kind == kind and rawequal(point.value, value)
-      and (kind ~= "state" or point.fsm == fsm) then
-      view.hit = point.name
-    end
-  end
+local function check_points(view, kind, value)
+  points.each_reached(view.points, kind, value, function(_, point)
+    view.hit = point.name
+  end)
 end
 
 -- The meaning of the records of a trace for the page.
@@ -151,7 +149,7 @@ end
 
 function RECORDS.STATE_ENTER(view, watched, fqn)
   local number = watched.by_fqn[fqn]
-  check_points(view, "state", fqn, watched.fsm)
+  check_points(view, "state", watched.prefix .. fqn:sub(#"root" + 1))
   if number then view.entered[number] = (view.entered[number] or 0) + 1 end
 end
 
