@@ -573,6 +573,16 @@ it("the history shows the timer that was the cause", function()
 end)
 
 describe("a picture", function()
+  it("in another format is laid out by Graphviz", function()
+    local file = file_with("") .. ".svg"
+    local out = sim("-q " .. HELLO, "view " .. file .. "\nstep\n")
+    assert.equal(INFO .. AT_HELLO, out)
+    local text = content(file)
+    os.remove(file)
+    assert.matches('id="root.hello"', text, 1, true)
+    assert.matches("</svg>", text)
+  end)
+
   it("is kept up to date, in the format of its ending", function()
     local file = file_with("") .. ".dot"
     local out = sim("-q " .. HELLO, "view " .. file .. "\nstep\nio.open('" .. file

@@ -455,7 +455,8 @@ describe("a page", function()
     local message = page:send("e_more")
     assert.same({ "lost: no transition" }, texts_of(message.log))
     assert.same({ "e_more" }, message.log[1].events)
-    local _, why = http.command(server, { command = "why" })
+    local status, why = http.command(server, { command = "why" })
+    assert.equal(200, status)
     assert.matches("^no transition would be taken on e_more in root.off\n", why)
     assert.matches("%(off %-> on%): waits for e_push", why)
   end)
@@ -498,6 +499,25 @@ describe("a page", function()
     local one, two = http.page(server), http.page(server)
     http.command(server, { command = "send", event = "e_push", run = true })
     assert.same(one:next(), two:next())
+  end)
+
+  it("is told warnings and what the chart prints itself, which goes on", function()
+    rawset(_G, "said", {})
+    local server = open([[
+      local rfsm = require "rfsm"
+      local function note(...) said[#said + 1] = table.concat({ ... }, " ") end
+      return rfsm.state { warn = note, err = note, info = note,
+        a = rfsm.state { entry = function() error("no power", 0) end },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_go", "e_go" } } }
+    ]])
+    local _, first = http.page(server)
+    local texts = table.concat(texts_of(first.log), "\n")
+    assert.matches("error: error executing entry of root.a: no power", texts)
+    local said = table.concat(rawget(_G, "said"), "\n")
+    rawset(_G, "said", nil)
+    assert.matches("no power", said)
+    assert.is_function(rawget(server.shown[1].source.view.fsm, "warn"))
   end)
 
   it("is told errors of callbacks, and the machine goes on", function()
@@ -786,6 +806,23 @@ describe("rfsm.web.serve", function()
     assert.equal(3, #readings)
   end)
 
+  it("shows a machine that is not entered yet", function()
+    local _, first = http.page(opened(web.serve(rfsm.init(lamp()), { port = 0 })))
+    assert.same({ false, "inactive", {}, { "e_init_fsm" }, { 0, 3 } }, { first.leaf,
+      first.mode, first.active, first.queue, first.states })
+  end)
+
+  it("has an address for a browser, also of IPv6", function()
+    local fsm = rfsm.init(lamp())
+    for host, text in pairs { ["127.0.0.1"] = "127.0.0.1", ["::1"] = "[::1]" } do
+      local ok, server = pcall(web.serve, fsm, { port = 0, host = host }) -- any order
+      if ok then -- there may be no IPv6
+        assert.equal(("http://%s:%d/"):format(text, server.port), server.url)
+        server:close()
+      end
+    end
+  end)
+
   it("takes no event unless the host allows it", function()
     local fsm = rfsm.init(lamp())
     local server = opened(web.serve(fsm, { port = 0 }))
@@ -796,7 +833,8 @@ describe("rfsm.web.serve", function()
 
   -- What a program can see of the printers and hooks of its machine.
   local function outside_of(fsm)
-    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks }
+    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks,
+      #(fsm._reset_hooks or {}) }
   end
 
   it("leaves the machine alone while no page is open", function()
@@ -1103,34 +1141,6 @@ describe("a machine elsewhere", function()
   end)
 end)
 
-describe("a subscriber", function()
-  it("subscribes, and says once a second that it is there", function()
-    local udp = assert(require("socket").udp4())
-    udp:setsockname("127.0.0.1", 0)
-    udp:settimeout(1)
-    local client = assert(subscriber.connect("127.0.0.1",
-      tonumber((select(2, udp:getsockname()))), { path = true, only = 2 }))
-    local at = 100
-    client.clock = function() return at end
-    local function sent()
-      client:receive(0)
-      udp:settimeout(0.05)
-      local data, ip, port = udp:receivefrom()
-      if data then udp:sendto('{"type":"x"}', ip, port) end
-      require("socket").select({ client.udp }, nil, data and 1 or 0)
-      return data and dkjson.decode(data) or false
-    end
-    assert.same({ type = "subscribe", path = true, fsm = 2 }, sent())
-    assert.is_false(sent())
-    at = 100.9
-    assert.is_false(sent())
-    at = 101
-    assert.same({ type = "heartbeat" }, sent())
-    client:close()
-    udp:close()
-  end)
-end)
-
 describe("rfsm.watch", function()
   local GRAPH = { id = "root", type = "state", subnodes = {
     { id = "initial", type = "connector" }, { id = "off", type = "state" },
@@ -1190,6 +1200,34 @@ describe("rfsm.watch", function()
     assert.equal("no answer since 3 s", lines[6])
     assert.equal("no answer since 12 s", lines[15])
     assert.matches("root.on %(done%)$", lines[16])
+  end)
+
+  it("says that once in a pipe, on stderr, and again behind a message", function()
+    local said, calls, silent = {}, 0, client {}
+    silent.receive = function()
+      calls, now = calls + 1, now + 1
+      return (calls == 6 or calls == 12) and state_message("root.s" .. calls) or nil
+    end
+    helper.with(io, { stderr = { write = function(_, ...)
+      said[#said + 1] = table.concat({ ... })
+    end } }, function()
+      helper.printed(function()
+        watch.run(silent, { number = 1, count = 2, is_terminal = false })
+      end)
+    end)
+    assert.same({ "waiting for robot:7\n", "no answer since 3 s\n" }, said)
+  end)
+
+  it("shows the last ten lines of the log", function()
+    local messages = {}
+    for i = 1, 12 do messages[i] = state_message("root.s" .. i) end
+    local screens = helper.printed(function()
+      watch.run(client(messages), { number = 1, count = 12, is_terminal = true })
+    end)
+    local _, count = screens[12]:gsub("%(done%)", "")
+    assert.equal(10, count)
+    assert.is_truthy(screens[12]:find("root.s3 ", 1, true))
+    assert.is_nil(screens[12]:find("root.s2 ", 1, true))
   end)
 
   it("goes on after a message that cannot be read", function()
