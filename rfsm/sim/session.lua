@@ -267,17 +267,6 @@ function Session:set_dry(is_dry)
   end)
 end
 
---- Use another machine of the chart from now on.
----@param fsm rfsm.Machine
----@param model rfsm.State
-function Session:use(fsm, model)
-  self.fsm, self.env.fsm, self.model = fsm, fsm, model
-  if self.saved then self.saved = take_functions(fsm) end
-  if self.level then self:set_level(self.level) end
-  points.renew(self, complain)
-  history.start(self)
-end
-
 --- Read the chart anew. If it has a problem the machine stays.
 function Session:reload()
   local fsm, result = chart.open(self.file, init_quietly, complain)
@@ -287,7 +276,11 @@ function Session:reload()
   end
   time.install(self, fsm)
   local problem = put_in_place(fsm, self.fsm)
-  self:use(fsm, result)
+  self.fsm, self.env.fsm, self.model = fsm, fsm, result
+  if self.saved then self.saved = take_functions(fsm) end
+  if self.level then self:set_level(self.level) end
+  points.renew(self, complain)
+  history.start(self)
   if problem then complain(text_of(problem) .. ": the machine begins anew") end
   self:show()
 end

@@ -32,12 +32,6 @@ end
 
 function COMMANDS.why(hosted) return nil, hosted.view:why() end
 
-function COMMANDS.inspect(hosted, message)
-  local about = hosted.view:inspect(message.node)
-  if not about then return "node: number of a state expected" end
-  return nil, about
-end
-
 --- Note what the machine does from now on, or no more.
 ---@param is_wanted boolean
 function Hosted:watch(is_wanted)
@@ -65,7 +59,7 @@ function Hosted:describe(message) message.clock = self.view.clock() end
 function Hosted.new(fsm, title, settings)
   local hosted = setmetatable({ view = Live.new(fsm, clock.from_now()), title = title,
     problems = {}, generation = 1, has_history = settings.history, is_watched = false,
-    commands = { inspect = COMMANDS.inspect,
+    commands = { inspect = Live.answer_inspect,
       send = settings.allow_send and COMMANDS.send or nil,
       why = settings.allow_why and COMMANDS.why or nil } }, Hosted)
   if settings.history then hosted:watch(true) end

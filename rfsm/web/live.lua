@@ -307,6 +307,16 @@ function Live:inspect(number)
   return about
 end
 
+--- Answer the command `inspect` of a page.
+---@param source { view: rfsm.web.Live }
+---@param message { node: any }
+---@return string? problem
+---@return table? about
+function Live.answer_inspect(source, message)
+  local about = source.view:inspect(message.node)
+  return not about and "node: number of a state expected" or nil, about
+end
+
 --- View a machine; `watch` begins to follow it.
 ---@param fsm rfsm.Machine
 ---@param clock fun(): number seconds, for the log

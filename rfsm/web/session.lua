@@ -268,11 +268,7 @@ function commands.breakpoint(session, message)
   session.view:touch()
 end
 
-function commands.inspect(session, message)
-  local about = session.view:inspect(message.node)
-  if not about then return "node: number of a state expected" end
-  return nil, about
-end
+commands.inspect = Live.answer_inspect
 
 -- Seconds to the next timer of the chart; nil if there is none.
 local function next_timer(session)
