@@ -184,7 +184,7 @@ function terminal.is_caught() return counter ~= nil end
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)
-    return callback(...)
+    return (callback(...)) -- no tail call: this function stays behind it on the stack
   end
 end
 
