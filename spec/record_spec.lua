@@ -639,6 +639,10 @@ describe("back", function()
     assert.same({ "root.idle", 9 }, { rfsm.get_actleaf_fqn(fsm), recorder.count })
   end)
 
+  it("is in a module with a global", function()
+    assert.equal(record, rawget(_G, "rfsm_record"))
+  end)
+
   it("needs the records", function()
     local recorder = recorded(function() end)
     assert.error_matches(function() recorder:back() end,

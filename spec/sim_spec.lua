@@ -165,6 +165,7 @@ local COMPLAINTS = {
   ["delete 9"] = "delete: number of a breakpoint expected, got 9\n",
   ["watch 1 +"] = "^watch:1: [^\n]*\n$",
   ["clock -1"] = "clock: seconds from 0 to 1e9 expected, got -1\n",
+  ["clock 1e9"] = "^clock: seconds from 0 to 1e9 expected, got 1",
   ["clock 1e308"] = "^clock: seconds from 0 to 1e9 expected, got 1e%+308\n$",
   ["clock(0/0)"] = "^clock: seconds from 0 to 1e9 expected, got %-?nan\n$",
   ["step -1"] = "step: whole number from 1 expected, got -1\n",

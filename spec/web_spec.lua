@@ -587,9 +587,12 @@ describe("a page", function()
     for _, at in ipairs { "off", "off", "on.bright" } do
       page:command("breakpoint", { at = at, on = true })
     end
+    now = 5
+    assert.is_true(page:command("run").clock >= 5)
     overwrite(file, (LAMP:gsub("bright", "light")))
-    now = now + 1
+    now = 6
     local message = page:next()
+    assert.equal(0, message.clock) -- its state is gone: it begins anew
     assert.same({ "root.off" }, message.points)
     assert.same({ "warning: 2 state root.on.bright: is gone, and no breakpoint now" },
       { texts_of(message.log)[1] })
@@ -998,6 +1001,10 @@ describe("rfsm.web.serve", function()
     local message = page:next()
     assert.equal(60, #message.log)
     assert.is_true(message.skipped > 100)
+  end)
+
+  it("sets a global", function()
+    assert.equal(web, rawget(_G, "rfsm_web"))
   end)
 
   it("raises an error that says what is wrong", function()

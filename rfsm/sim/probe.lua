@@ -58,7 +58,7 @@ end
 -- May the transition have fired on this event? A predicate is not asked again. Without
 -- events it fires on any, but a connector is left whatever the event.
 local function takes(tr, event)
-  local events = tr.events or {}
+  local events = tr.events
   for i = 1, #events do
     if rawequal(events[i], event) or rfsm.is_callable(events[i]) then return true end
   end
@@ -84,7 +84,7 @@ function Probe:note_used(tr, events, by)
     local event = events[i]
     if takes(tr, event) then
       self.is_used[event] = true
-      if tr.events and tr.events[1] ~= nil then
+      if tr.events[1] ~= nil then
         by[#by + 1] = (rfsm.text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
     end
