@@ -363,8 +363,9 @@ local function attach(fsm, server)
     if feed.number > 0 then after_step() end
   end
 
-  rfsm.pre_step_hook_add(fsm, before_step, "before") -- other hooks come after events
-  rfsm.post_step_hook_add(fsm, after_step)
+  -- other hooks come after events
+  rfsm.pre_step_hook_add(fsm, rfsm.borrows(before_step), "before")
+  rfsm.post_step_hook_add(fsm, rfsm.borrows(after_step))
   rfsm.reset_hook_add(fsm, after_reset)
 end
 

@@ -573,6 +573,33 @@ it("the history shows the timer that was the cause", function()
   assert.matches("%d  e_after%(60%)@root.lights +root.dark", out)
 end)
 
+describe("a line that is read", function()
+  local terminal = require "rfsm.sim.terminal"
+
+  it("is dropped by an interrupt, and by nothing else", function()
+    local function read(line)
+      return terminal.read(function(prompt)
+        if line == prompt then return line end
+        error(line, 0)
+      end, "> ")
+    end
+    assert.same({ "> ", false }, { read "> " })
+    assert.same({ false, true }, { read "stdin:1: interrupted!" })
+    assert.same({ false, "no line" }, { pcall(read, "no line") })
+  end)
+
+  it("is followed by what came meanwhile: no interrupt leaves a busy function",
+    function()
+      assert.same({ false, "as itself" },
+        { pcall(terminal.uninterrupted, function() error("as itself", 0) end) })
+      local got = {}
+      terminal.uninterrupted(function(...) got = { ... } end, 1, 2)
+      assert.same({ 1, 2 }, got)
+      assert.is_false(terminal.is_caught())
+      assert.is_false(terminal.is_interrupted())
+    end)
+end)
+
 describe("a picture", function()
   it("in another format is laid out by Graphviz", function()
     local file = file_with("") .. ".svg"

@@ -194,8 +194,8 @@ function track.attach(fsm, add, ...)
     add(own, ...)
     track.wrap(own)
     replace_guards(own)
-    rfsm.pre_step_hook_add(machine, own.begin, "before")
-    rfsm.post_step_hook_add(machine, own.finish, "before")
+    rfsm.pre_step_hook_add(machine, rfsm.borrows(own.begin), "before")
+    rfsm.post_step_hook_add(machine, rfsm.borrows(own.finish), "before")
     rfsm.reset_hook_add(machine, own.reset)
     tracks[i] = own
   end

@@ -143,7 +143,7 @@ function points.renew(sim, complain)
     local point = sim.points[i]
     if point.kind == "state" or point.kind == "transition" then
       local ok, renewed = pcall(of_text, sim.fsm, point.name)
-      if ok and renewed.kind == point.kind then
+      if ok then
         sim.points[i] = renewed
       else
         complain(("%d %s %s: is gone, and no breakpoint now"):format(i,

@@ -131,7 +131,7 @@ end
 function Probe:attach(machine)
   swap.listen(self.swaps, machine.fsm, "dbg", function(...) self:note(machine, ...) end)
   function machine.hook(_, events) self:note_events(machine, events) end
-  rfsm.pre_step_hook_add(machine.fsm, machine.hook, "after")
+  rfsm.pre_step_hook_add(machine.fsm, rfsm.borrows(machine.hook), "after")
 end
 
 --- Stop watching. What somebody has put into `dbg` meanwhile stays.

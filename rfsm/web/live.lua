@@ -204,7 +204,7 @@ local function attach(view, watched)
   function watched.after_step(_, events) note_step(view, watched, events) end
   function watched.after_reset() view:touch() end
   -- before those of the user, which may fail
-  rfsm.post_step_hook_add(fsm, watched.after_step, "before")
+  rfsm.post_step_hook_add(fsm, rfsm.borrows(watched.after_step), "before")
   rfsm.reset_hook_add(fsm, watched.after_reset)
 end
 
