@@ -22,8 +22,8 @@ Picture.__index = Picture
 -- The output has its name once it is complete, also if Graphviz has failed.
 local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; { "
   .. "nice dot -T%s '%s' >'%s.part' 2>/dev/null </dev/null & "
-  .. "trap \"kill $!; rm -f '%s.part'; exit\" TERM; wait; mv '%s.part' '%s'; "
-  .. "} >/dev/null & echo $!; }"
+  .. "trap \"kill $! 2>/dev/null; rm -f '%s.part'; exit\" TERM; wait; "
+  .. "mv '%s.part' '%s'; } >/dev/null & echo $!; }"
 
 -- Begins a run of Graphviz.
 local function begin(picture, graph, format)
