@@ -117,10 +117,10 @@ local SAID = {
     .. "queue:  e_done@root.hello, e_done@root.hello\n",
   ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO
     .. "* root\n  * hello (done)\n    world\n",
-  ["follow(true)\nses('e_restart')\nstep\nfollow(false)"] =
-    "taken:  root.initial -> root.hello\ndiscarded: e_restart ('why e_restart' "
-    .. "explains)\n* root\n  * hello (done)\n    world\n" .. AT_HELLO
-    .. "taken:  root.hello -> root.world on e_done\nhello\nworld\n"
+  ["follow(true)\nstep\nses('e_restart')\nfollow(false)"] =
+    "taken:  root.initial -> root.hello\n* root\n  * hello (done)\n    world\n"
+    .. AT_HELLO .. "taken:  root.hello -> root.world on e_done\nhello\nworld\n"
+    .. "discarded: e_restart ('why e_restart' explains)\n"
     .. "* root\n    hello\n  * world (done)\n" .. AT_WORLD,
   ["breakpoint world\nrun\nbreakpoint\nrun\ndelete"] = "1  state root.world\n"
     .. "hello\nworld\n" .. AT_WORLD .. "stopped at 1: state root.world\n"
