@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -56,7 +56,8 @@ test:                   ## lint, then every spec on each of LUAS
 
 test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
-	@$(BUSTED) --lua=$$(command -v $(LUA)) --pattern=page spec/browser
+	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
+	  --pattern=page spec/browser
 
 test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)
@@ -83,6 +84,10 @@ bench:                  ## run the measurements in bench/, with LUA
 	$(LUA) bench/growth.lua
 	$(LUA) bench/scale.lua
 	$(LUA) bench/extensions.lua
+
+soak: MINUTES = 60
+soak:                   ## a machine that two pages watch for MINUTES of its time, with LUA
+	$(LUA) bench/soak.lua $(MINUTES)
 
 bench-profile:          ## print the hottest functions and lines, with LUA
 	$(LUA) bench/profile.lua

@@ -76,29 +76,14 @@ local function new_standard_clock()
   local function set_hook(relative, absolute)
     in_use[true], in_use[false] = relative, absolute or relative
   end
-  return { in_use = in_use, find = find, set_hook = set_hook }
+  local function split(gettime) return { [true] = gettime, [false] = gettime } end
+  return { in_use = in_use, set_hook = set_hook, split = split }
 end
 
 local has_clock, clock = pcall(require, "rfsm.clock")
 if not has_clock then clock = new_standard_clock() end
 
 local in_use = clock.in_use
-
--- Returns the pair of functions that a clock of the user means. If it wants a clock id,
--- it is given one. The time of RTT is not that of the day. Any other one is for both,
--- for nobody knows what it counts.
-local function clocks_of(gettime)
-  local rtt = rawget(_G, "rtt")
-  if type(rtt) == "table" and rawequal(rtt.getTime, gettime) then
-    return { [true] = gettime, [false] = clock.find(false) }
-  elseif pcall(gettime) or not pcall(gettime, "CLOCK_MONOTONIC") then
-    return { [true] = gettime, [false] = gettime }
-  end
-  return {
-    [true] = function() return gettime("CLOCK_MONOTONIC") end,
-    [false] = function() return gettime("CLOCK_REALTIME") end,
-  }
-end
 
 -- Returns the clock of a machine: its field `gettime`, or that of a machine around it.
 local function clock_of(fsm, is_relative)
@@ -109,7 +94,7 @@ local function clock_of(fsm, is_relative)
   end
   if not gettime then return in_use[is_relative] end
   if not rawequal(own.gettime, gettime) then
-    own.gettime, own.clocks = gettime, clocks_of(gettime)
+    own.gettime, own.clocks = gettime, clock.split(gettime)
   end
   return own.clocks[is_relative]
 end
@@ -606,7 +591,7 @@ function rfsm_timeevent.set_gettime_hook(gettime)
     error("rfsm_timeevent.set_gettime_hook: function expected, got " .. type(gettime),
       2)
   end
-  local clocks = gettime and clocks_of(gettime) or {}
+  local clocks = gettime and clock.split(gettime) or {}
   clock.set_hook(clocks[true], clocks[false])
 end
 

@@ -61,6 +61,11 @@ local function measure_page(count)
   local plain, fsm = ring(count), ring(count)
   local server = web.serve(fsm, { port = 0 })
   local step = function() server:step(0) end
+  server:step(0) -- begins the picture
+  local drawing = server.shown[1].drawing
+  while drawing and drawing.is_pending do server:step(0.05) end
+  running(plain)(2 * count) -- each leaf is known then
+  running(fsm)(2 * count)
   local closed = measure.best_in_turn({ running(plain), running(fsm, step),
     function(n) for _ = 1, n do server:step(0) end end }, ROUNDS, SECONDS)
   local page = open_page(server)
@@ -70,7 +75,17 @@ local function measure_page(count)
   end) }, ROUNDS, SECONDS)
   page:close()
   for _ = 1, 20 do server:step(0.001) end
-  local frozen = open_page(server)
+  local frozen = open_page(server) -- until its buffers are full
+  for _ = 1, 2000 do
+    server:step(0.001)
+    if server.http.connections[1].pending ~= "" then break end
+    for _ = 1, 60 do server.shown[1].source.view:note("note", ("x"):rep(2000)) end
+  end
+  local clock = server.http.clock
+  server.http.clock = function() return clock() + 6 end -- it has not read for so long
+  for _ = 1, 2 do server:step(0) end
+  server.http.clock = function() return clock() + 12 end
+  server:step(0)
   local stuck = measure.best_in_turn({ running(fsm, step) }, ROUNDS, SECONDS)
   frozen:close()
   server:close()

@@ -6,8 +6,8 @@
 -- @module rfsm.clock
 -- @license BSD-3-Clause
 
-local error, pcall, rawget, require = error, pcall, rawget, require
-local setmetatable, type = setmetatable, type
+local error, getmetatable, pcall, rawequal = error, getmetatable, pcall, rawequal
+local rawget, require, setmetatable, type = rawget, require, setmetatable, type
 
 local clock = {}
 
@@ -100,6 +100,41 @@ function clock.set_hook(gettime, time_of_day)
   clock.in_use[true], clock.in_use[false] = nil, nil
 end
 
+-- A clock that is two, as `twofold` makes it.
+local Twofold = {}
+
+function Twofold:__call(id) return self[id ~= "CLOCK_REALTIME"]() end
+
+--- Return a clock for the field `gettime` of a machine from two functions.
+---@param relative fun(): number, number? for e_after
+---@param time_of_day fun(): number, number? for e_at
+---@return function gettime
+function clock.twofold(relative, time_of_day)
+  return setmetatable({ [true] = relative, [false] = time_of_day }, Twofold)
+end
+
+--- Return the two functions that a clock of the user means.
+--
+-- If it wants a clock id, it is given one. The time of RTT is not that of the day. Any
+-- other one is for both, for nobody knows what it counts.
+--
+---@param gettime function
+---@return table<boolean, function> clocks by whether the clock is for relative times
+function clock.split(gettime)
+  local rtt = rawget(_G, "rtt")
+  if getmetatable(gettime) == Twofold then
+    return gettime
+  elseif type(rtt) == "table" and rawequal(rtt.getTime, gettime) then
+    return { [true] = gettime, [false] = clock.find(false) }
+  elseif pcall(gettime) or not pcall(gettime, "CLOCK_MONOTONIC") then
+    return { [true] = gettime, [false] = gettime }
+  end
+  return {
+    [true] = function() return gettime("CLOCK_MONOTONIC") end,
+    [false] = function() return gettime("CLOCK_REALTIME") end,
+  }
+end
+
 --- Return seconds and nanoseconds; an error of the clock is returned, not raised.
 ---@param is_monotonic boolean prefer a clock that is never set?
 ---@return number? sec nil if the clock fails
@@ -109,6 +144,16 @@ function clock.read(is_monotonic)
   if not ok then return nil, sec end
   if nsec == nil then return 0, sec end -- nanoseconds
   return sec, nsec
+end
+
+--- Return a clock of seconds that begins now.
+---@return fun(): number seconds
+function clock.from_now()
+  local sec, nsec = clock.read(true)
+  return function()
+    local now_sec, now_nsec = clock.read(true)
+    return now_sec - sec + (now_nsec - nsec) / 1e9
+  end
 end
 
 return clock

@@ -17,8 +17,9 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
+local swap = require "rfsm.shared.swap"
 
-local error, ipairs, pairs, pcall, rawequal = error, ipairs, pairs, pcall, rawequal
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local rawget, rawset, setmetatable, tonumber = rawget, rawset, setmetatable, tonumber
 local tostring, type = tostring, type
 local huge, remove = math.huge, table.remove
@@ -316,18 +317,13 @@ end
 
 -- Has the `dbg` of a machine note the path that is taken, or no more.
 local function trace_path(feed, is_wanted)
-  local fsm = feed.fsm
-  if is_wanted and not feed.dbg then
-    local own = fsm.dbg
-    feed.raw_dbg = rawget(fsm, "dbg")
-    function feed.dbg(id, text, ...)
+  if is_wanted and not feed.tracer[1] then
+    swap.listen(feed.tracer, feed.fsm, "dbg", function(id, text)
       if id == "EXEC_PATH" then feed.path = rfsm.text_of(text) end
-      if rfsm.is_callable(own) then return own(id, text, ...) end
-    end
-    fsm.dbg = feed.dbg
-  elseif feed.dbg and not is_wanted then
-    if rawequal(rawget(fsm, "dbg"), feed.dbg) then fsm.dbg = feed.raw_dbg end
-    feed.dbg, feed.path = false, false
+    end)
+  elseif not is_wanted and feed.tracer[1] then
+    swap.give_back(feed.tracer)
+    feed.path = false
   end
 end
 
@@ -337,7 +333,7 @@ end
 -- that never run have none.
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
-    path = false, dbg = false }
+    path = false, tracer = {} }
   local before_step, after_step, after_reset
 
   local function detach()
@@ -367,8 +363,9 @@ local function attach(fsm, server)
     if feed.number > 0 then after_step() end
   end
 
-  rfsm.pre_step_hook_add(fsm, before_step, "before") -- other hooks come after events
-  rfsm.post_step_hook_add(fsm, after_step)
+  -- other hooks come after events
+  rfsm.pre_step_hook_add(fsm, rfsm.borrows(before_step), "before")
+  rfsm.post_step_hook_add(fsm, rfsm.borrows(after_step))
   rfsm.reset_hook_add(fsm, after_reset)
 end
 

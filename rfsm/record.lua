@@ -15,10 +15,12 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local clock = require "rfsm.clock"
 local lines = require "rfsm.record.lines"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
+local swap = require "rfsm.shared.swap"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall, rawget, rawset = error, ipairs, pcall, rawget, rawset
@@ -75,27 +77,35 @@ local function writer_to(sink)
   return lines.writer(sink)
 end
 
--- Returns clocks that note their readings in the record that is under way.
-local function noting_clocks(recorder)
-  return tracks.new_clocks(function(ok, sec, nsec)
-    tracks.note(recorder.timed, "clock", ok and { tracks.pack(sec),
-      nsec and tracks.pack(nsec) } or { text_of(sec) })
-  end)
+-- Returns a function that reads a clock, and notes the reading in the record that is
+-- under way.
+local function noting(recorder, clocks, is_relative)
+  return function()
+    local ok, sec, nsec = calls.try(clocks[is_relative])
+    if recorder.timed then
+      tracks.note(recorder.timed, "clock", ok and { tracks.pack(sec),
+        nsec and tracks.pack(nsec) } or { text_of(sec) })
+    end
+    if not ok then error(sec, 0) end
+    return sec, nsec
+  end
 end
 
--- Sees to it that what getevents returns is noted.
-local function wrap_getevents(track)
-  local fsm, getevents = track.fsm, rawget(track.fsm, "getevents")
-  if not getevents or getevents == track.getevents then return end
-  track.own_getevents = getevents
-  function track.getevents()
-    local events, waiting = getevents(), #fsm._intq
+-- Returns a clock that notes its readings.
+local function noting_clock(recorder, own)
+  local clocks = own and clock.split(own) or clock.in_use
+  return clock.twofold(noting(recorder, clocks, true), noting(recorder, clocks, false))
+end
+
+-- Returns a getevents whose events are noted.
+local function noting_getevents(track, own)
+  return function()
+    local events, waiting = own(), #track.fsm._intq
     if type(events) ~= "table" then return events end
     for i = 1, #events do tracks.note(track, "got", tracks.pack_event(events[i])) end
     if track.rec then track.first, track.last = waiting + 1, waiting + #events end
     return events
   end
-  fsm.getevents = track.getevents
 end
 
 -- Notes the data that the chart keeps in a field of the record, if it has changed.
@@ -133,12 +143,11 @@ local function begin(recorder, track, events)
     events = tracks.pack_events(events) }
   note_kept(track, "had")
   track.got, track.is_fresh, track.first, track.last = nil, false, 1, 0
-  wrap_getevents(track)
+  tracks.wrap(track)
   if track.m ~= nil then return end
   local leaf = track.fsm._act_leaf
   track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
   recorder.timed = track.rec
-  tracks.use_clocks(recorder.clocks)
 end
 
 -- Fields of a record of an iteration that has done something.
@@ -177,7 +186,7 @@ local function finish(recorder, track, events)
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
   local is_whole, interrupt = pcall(calls.try, note_data, recorder, track)
   track.rec = false
-  if track.m == nil then tracks.leave_clocks(recorder.clocks) end
+  if track.m == nil then recorder.timed = false end
   if events[1] ~= nil or not is_empty(track, rec) then
     if track.m == nil then recorder.count = recorder.count + 1 end
     recorder.write(rec)
@@ -204,13 +213,24 @@ local function add_recorder(track, recorder)
     if track.rec then track.rec.reset = true else track.is_fresh = true end
   end
   function track.guard(...) return call_guard(track, ...) end
-  wrap_getevents(track)
+  function track.clock(own) return noting_clock(recorder, own) end
+  function track.getevents(own) return noting_getevents(track, own) end
+end
+
+-- Takes the snapshot of the header, and notes the readings of the clock meanwhile.
+local function take_first(recorder, fsm)
+  local swaps = {}
+  swap.put(swaps, fsm, "gettime", noting_clock(recorder, rawget(fsm, "gettime")))
+  local is_whole, ok, snap = pcall(calls.try, snapshot.take, fsm)
+  swap.give_back(swaps)
+  recorder.timed = false
+  if not is_whole then error(ok, 0) end
+  return ok, snap
 end
 
 --- Record no more.
 function Recorder:stop()
   tracks.detach(self.tracks)
-  tracks.leave_clocks(self.clocks)
   if self.file then self.file:close() end
   self.tracks, self.file = {}, nil
 end
@@ -235,11 +255,7 @@ function record.record(fsm, sink)
   local header = { record = record.VERSION }
   local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header },
     Recorder)
-  recorder.clocks = noting_clocks(recorder)
-  tracks.use_clocks(recorder.clocks)
-  local is_whole, ok, snap = pcall(calls.try, snapshot.take, fsm)
-  tracks.leave_clocks(recorder.clocks)
-  if not is_whole then error(ok, 0) end
+  local ok, snap = take_first(recorder, fsm)
   if not ok then error("rfsm.record.record: " .. text_of(snap), 2) end
   if type(sink) == "string" then
     local file, problem = lines.open(sink)
@@ -267,9 +283,10 @@ function Recorder:back(n)
   end
   rfsm.check_between_steps(self.fsm, "rfsm.record.back")
   local count, model = max(self.count - (n or 1), 0), self.fsm._plan.model
-  local fsm, problem = replay(model, self.sink, { dry = true, to = count })
-  if not fsm then return false, problem end
-  local ok, text = snapshot.put(self.fsm, snapshot.take(fsm))
+  local session = replay(model, self.sink, { dry = true, to = count })
+  local problem = session.problem or session.unsaved
+  if problem then return false, problem end
+  local ok, text = snapshot.put(self.fsm, session.snap)
   if not ok then return false, text end
   tracks.truncate(self.sink, count)
   self.count = count
@@ -294,6 +311,16 @@ local function check_recording(recording)
     end
   end
   return header
+end
+
+-- Returns the machine of a replay as it stands, on the clock of now.
+local function now(session, model)
+  if session.is_dry then
+    if session.unsaved then return false, session.unsaved end
+    return snapshot.restore(model, session.snap)
+  end
+  if session.snap and session.latest then snapshot.put(session.fsm, session.snap) end
+  return session.fsm, session.unsaved
 end
 
 --- How a recording is replayed.
@@ -324,7 +351,11 @@ function record.replay(model, recording, options)
   if type(recording) == "string" then recording = record.read(recording) end
   local header = check_recording(recording)
   if type(header) == "string" then return false, header end
-  return replay(model, recording, options or {})
+  local session = replay(model, recording, options or {})
+  if session.problem then
+    return false, session.problem, session.fsm and session.at
+  end
+  return now(session, model)
 end
 
 --- Read the records of a run in a file. A last line that was cut off is left out.

@@ -15,20 +15,21 @@
 
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
-local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
+local Hosted = require "rfsm.web.hosted"
 local opts = require "rfsm.shared.options"
 local Picture = require "rfsm.web.picture"
-local Live = require "rfsm.web.live"
 
-local error, io, package, pcall = error, io, package, pcall
+local error, io, ipairs, package, pcall = error, io, ipairs, package, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
-local type = type
+local tonumber, type = tonumber, type
 local huge, min = math.huge, math.min
 
 local web = {}
 
 local function is_boolean(x) return type(x) == "boolean" end
+
+local function is_title(x) return opts.is_text(x) or type(x) == "table" end
 
 -- Description, test, default of each option.
 local OPTIONS = {
@@ -40,12 +41,12 @@ local OPTIONS = {
   machine = { "whole number from 1 on", opts.is_whole(1, huge) },
   port = { "whole number from 0 to 65535", opts.is_whole(0, 65535), 8044 },
   stub = { "boolean", is_boolean, false },
-  title = { "text", opts.is_text },
+  title = { "text or list of texts", is_title },
 }
 
 local MAX_DRAWN = 2000 -- nodes
 local FRAME = 1 / 30 -- seconds between two messages to a page
-local LINGER = 5 -- seconds that a machine is watched when the last page is gone
+local LINGER = 5 -- seconds that a machine is watched when no page reads any more
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -83,17 +84,44 @@ end
 ---@field url string for the browser
 ---@field host string
 ---@field port integer
+---@field shown rfsm.web.Shown[] the machines of the page, in the order of their tabs
 local Server = {}
 Server.__index = Server
 
+--- A machine of a page, and its picture.
+---@class rfsm.web.Shown
+---@field source table where it runs: its view, its title, its commands
+---@field number integer
+---@field streams integer pages that show it
+---@field graph string of which the picture is, or is to be
+---@field drawing rfsm.web.Picture|false the picture in the making
+---@field picture string|false
+---@field picture_count integer
+---@field drawn integer the generation of the chart that is drawn
+---@field seen_at number|false when the last page has read; false while one does
+
+-- Adds the machines that are known by now.
+local function update_shown(server)
+  for i = #server.shown + 1, #server.sources do
+    server.shown[i] = { source = server.sources[i], number = i, streams = 0, graph = "",
+      drawing = false, picture = false, picture_count = 0, drawn = 0, seen_at = false }
+  end
+end
+
+-- Returns the machine that a request is about: the first one if it names none.
+local function shown_in(server, request)
+  return server.shown[tonumber(request.query:match("machine=(%d+)") or 1)]
+end
+
 -- Returns the name of the chart that is drawn; a page with another one fetches it.
-local function version_of(server)
-  return ("%s-%d-%d"):format(server.id, server.source.generation, server.picture_count)
+local function version_of(server, shown)
+  return ("%s-%d-%d-%d-%d"):format(server.id, shown.number, #server.shown,
+    shown.source.generation, shown.picture_count)
 end
 
 -- Returns the message for a page that knows what a cursor says, and its next cursor.
-local function state_message(server, cursor, version)
-  local source, message = server.source, {}
+local function state_message(server, shown, cursor, version)
+  local source, message = shown.source, {}
   local view, next_cursor = source.view, { version = version, rewrites = -1 }
   if view then
     local is_known = cursor and cursor.version == version
@@ -107,12 +135,14 @@ local function state_message(server, cursor, version)
   return ("event: state\ndata: %s\n\n"):format(text), next_cursor
 end
 
-local function chart_reply(server)
-  local source = server.source
+local function chart_reply(server, _, shown)
+  local source = shown.source
   local chart = source.view and source.view:chart() or {}
-  chart.title, chart.version, chart.server = source.title, version_of(server), server.id
+  chart.title, chart.version = source.title, version_of(server, shown)
+  chart.server, chart.machines = server.id, {}
+  for i, other in ipairs(server.shown) do chart.machines[i] = other.source.title end
   chart.problems, chart.commands = source.problems, rfsm.sorted_keys(source.commands)
-  chart.has_picture = server.picture ~= false
+  chart.has_picture = shown.picture ~= false
   return { type = "application/json", body = server.json.encode(chart) }
 end
 
@@ -124,13 +154,13 @@ local function decode(server, text)
   return ok and type(message) == "table" and message or nil
 end
 
-local function command_reply(server, request)
+local function command_reply(server, request, shown)
   if request.headers["x-rfsm-token"] ~= server.token then return { status = 403 } end
-  local message = decode(server, request.body)
-  local command = message and server.source.commands[message.command]
+  local source, message = shown.source, decode(server, request.body)
+  local command = message and source.commands[message.command]
   if not command then return { status = 400, body = "no such command\n" } end
-  if not server.source.view then return { status = 400, body = "no machine\n" } end
-  local problem, answer = command(server.source, message)
+  if not source.view then return { status = 400, body = "no machine\n" } end
+  local problem, answer = command(source, message)
   if problem then return { status = 400, body = problem .. "\n" } end
   if type(answer) == "table" then
     return { type = "application/json", body = server.json.encode(answer) }
@@ -141,23 +171,24 @@ end
 -- Pictures ------------------------------------------------------------------------
 
 -- Has a new chart drawn, unless Graphviz would take too long.
-local function start_picture(server)
-  local source = server.source
-  local is_drawn = source.view and #source.view.outline.nodes <= MAX_DRAWN
-  local graph = is_drawn and dot.encode(source.view.description) or ""
-  server.drawn = source.generation
-  if graph == server.graph then return end
-  if server.drawing then server.drawing:drop() end
-  server.graph, server.picture = graph, false
-  server.drawing = graph ~= "" and Picture.start(graph, source.view.description)
+local function start_picture(shown)
+  local view = shown.source.view
+  local is_drawn = view and #view.outline.nodes <= MAX_DRAWN
+  local graph = is_drawn and dot.encode(view.description) or ""
+  shown.drawn = shown.source.generation
+  if graph == shown.graph then return end
+  if shown.drawing then shown.drawing:drop() end
+  shown.graph, shown.picture = graph, false
+  shown.drawing = graph ~= "" and Picture.start(graph, view.description)
 end
 
 -- Takes a picture that is complete.
-local function update_picture(server)
-  if server.drawn ~= server.source.generation then start_picture(server) end
-  local picture = server.drawing and server.drawing:take()
-  if not picture then return end
-  server.picture, server.picture_count = picture, server.picture_count + 1
+local function update_picture(shown)
+  if shown.drawn ~= shown.source.generation then start_picture(shown) end
+  local picture = shown.drawing and shown.drawing:take()
+  if picture then
+    shown.picture, shown.picture_count = picture, shown.picture_count + 1
+  end
 end
 
 -- Routes --------------------------------------------------------------------------
@@ -167,14 +198,15 @@ local ROUTES = {
     return { type = "text/html", body = server.page, headers = server.page_headers }
   end },
   ["/chart"] = { GET = chart_reply },
-  ["/picture.svg"] = { GET = function(server)
-    if not server.picture then return { status = 404 } end
-    return { type = "image/svg+xml", body = server.picture }
+  ["/picture.svg"] = { GET = function(_, _, shown)
+    if not shown.picture then return { status = 404 } end
+    return { type = "image/svg+xml", body = shown.picture }
   end },
-  ["/events"] = { GET = function(server, request)
-    if request.query ~= "token=" .. server.token then return { status = 403 } end
-    if server.source.watch then server.source:watch(true) end
-    return { type = "text/event-stream", is_stream = true, body = "retry: 1000\n\n" }
+  ["/events"] = { GET = function(server, request, shown)
+    if request.query:match("token=(%x*)") ~= server.token then
+      return { status = 403 }
+    end
+    return { type = "text/event-stream", stream = shown, body = "retry: 1000\n\n" }
   end },
   ["/command"] = { POST = command_reply },
 }
@@ -197,10 +229,10 @@ local function handle(server, request)
   if not is_for(server, request.headers.host) or is_foreign(request) then
     return { status = 403 }
   end
-  local route = ROUTES[request.path]
-  if not route then return { status = 404 } end
+  local route, shown = ROUTES[request.path], shown_in(server, request)
+  if not (route and shown) then return { status = 404 } end
   local answer = route[request.method]
-  return answer and answer(server, request) or { status = 405 }
+  return answer and answer(server, request, shown) or { status = 405 }
 end
 
 -- A mistake of ours, or of a chart, is no reason to end; Control-C is.
@@ -215,24 +247,25 @@ end
 -- Sends what has changed to each page that has taken its last message, at most once a
 -- frame. Pages that know the same get the same text.
 local function send_changes(server)
-  local http = server.http
-  if http.streams == 0 then return end
-  local version, view = version_of(server), server.source.view
-  local revision, messages, now = view and view.revision, {}, server.gettime()
+  if server.http.streams == 0 then return end
+  local messages, now = {}, server.gettime()
   server.is_late = false
-  http:feed(function(connection)
-    local cursor = connection.cursor
-    if cursor and cursor.version == version and cursor.revision == revision then
+  server.http:feed(function(connection)
+    local shown, cursor = connection.stream, connection.cursor
+    if shown.source.is_watched == false then shown.source:watch(true) end
+    local version, view = version_of(server, shown), shown.source.view
+    if cursor and cursor.version == version
+      and cursor.revision == (view and view.revision) then
       return nil
     end
     if cursor and now < cursor.at + FRAME and now >= cursor.at then
       server.is_late = true
       return nil
     end
-    local key = cursor or server
+    local key = cursor or shown
     local message = messages[key]
     if not message then
-      message = { state_message(server, cursor, version) }
+      message = { state_message(server, shown, cursor, version) }
       messages[key] = message
     end
     connection.cursor = message[2]
@@ -240,31 +273,42 @@ local function send_changes(server)
   end)
 end
 
--- Has the machine of a program noted no more when nobody looks.
-local function rest(server)
-  local source, now = server.source, server.http.clock
-  if not source.is_watched then return end
-  if server.http.streams > 0 then
-    server.seen_at = false
-  elseif not server.seen_at then
-    server.seen_at = now()
-  elseif now() > server.seen_at + LINGER then
-    source:watch(false)
+local function has_reader(server, shown)
+  for _, connection in ipairs(shown.streams > 0 and server.http.connections or {}) do
+    if connection.stream == shown and connection.pending == "" then return true end
+  end
+  return false
+end
+
+-- Has the machine of a program noted no more when no page reads.
+local function rest(server, shown)
+  if not shown.source.is_watched then return end
+  local now = server.http.clock
+  if has_reader(server, shown) then
+    shown.seen_at = false
+  elseif not shown.seen_at then
+    shown.seen_at = now()
+  elseif now() > shown.seen_at + LINGER then
+    shown.source:watch(false)
   end
 end
 
 --- Serve what is ready, and wait at most `timeout` seconds for it.
 ---@param timeout? number default 0
 function Server:step(timeout)
-  self.source:poll()
-  update_picture(self)
+  local wait = timeout or 0
+  for _, shown in ipairs(self.shown) do
+    shown.source:poll()
+    update_picture(shown)
+    wait = min(wait, shown.source:wait())
+    if shown.drawing and shown.drawing.is_pending then wait = min(wait, 0.02) end
+  end
+  update_shown(self)
   send_changes(self)
-  local wait = min(timeout or 0, self.source:wait())
-  if self.drawing and self.drawing.is_pending then wait = min(wait, 0.02) end
   if self.is_late then wait = min(wait, FRAME) end
   self.http:step(wait)
   send_changes(self)
-  rest(self)
+  for _, shown in ipairs(self.shown) do rest(self, shown) end
 end
 
 --- Serve until the program ends.
@@ -275,8 +319,10 @@ end
 --- Close the port; again does no harm.
 function Server:close()
   self.http:close()
-  if self.drawing then self.drawing:drop() end
-  if self.source.close then self.source:close() end
+  for _, shown in ipairs(self.shown) do
+    if shown.drawing then shown.drawing:drop() end
+    if shown.source.close then shown.source:close() end
+  end
 end
 
 -- Returns the options and the packages; nil and a problem.
@@ -291,16 +337,16 @@ local function prepare(options)
 end
 
 -- Opens the port and reads the page; nil and a problem.
-local function open_server(source, settings)
+local function open_server(sources, settings)
   local page, token, problem
   page, problem = find_page()
   if page then token, problem = new_secret(16) end
   if not token then return nil, problem end
   local server = setmetatable({
-    source = source, json = settings.json, gettime = settings.gettime, token = token,
-    id = new_secret(4), name = settings.host, picture = false, picture_count = 0,
-    drawing = false, drawn = false, graph = "", is_late = false, seen_at = false,
+    sources = sources, shown = {}, json = settings.json, gettime = settings.gettime,
+    token = token, id = new_secret(4), name = settings.host, is_late = false,
   }, Server)
+  update_shown(server)
   server.page = page:gsub("{{token}}", token)
   server.page_headers = { ["Content-Security-Policy"] = CSP:format(token) }
   local listener
@@ -324,61 +370,8 @@ end
 ---@field host? string address to listen on, default 127.0.0.1
 ---@field port? integer default 8044; 0: one that is free
 ---@field stub? boolean with `open`: modules and globals that are not here do nothing
----@field title? string of the page
+---@field title? string|string[] of the page, or of each machine
 ---@field clock? fun(): number seconds, in place of that of luasocket
-
--- Returns a clock that begins now.
-local function seconds_from_now()
-  local sec, nsec = clock.read(true)
-  return function()
-    local now_sec, now_nsec = clock.read(true)
-    return now_sec - sec + (now_nsec - nsec) / 1e9
-  end
-end
-
--- A machine that a program drives; the page watches it, and may do what its commands
--- allow.
-local Hosted = {}
-Hosted.__index = Hosted
-
-local HOSTED = {}
-
-function HOSTED.send(hosted, message)
-  local event = hosted.view:event_of(message)
-  if event == nil then return "event: text or number of an event expected" end
-  rfsm.send_events(hosted.view.fsm, event)
-  hosted.view:touch()
-end
-
-function HOSTED.why(hosted) return nil, hosted.view:why() end
-
-function HOSTED.inspect(hosted, message)
-  local about = hosted.view:inspect(message.node)
-  if not about then return "node: number of a state expected" end
-  return nil, about
-end
-
--- Returns the commands that a program allows.
-local function hosted_commands(settings)
-  return { inspect = HOSTED.inspect, send = settings.allow_send and HOSTED.send or nil,
-    why = settings.allow_why and HOSTED.why or nil }
-end
-
-function Hosted:watch(is_wanted)
-  self.is_watched = is_wanted or self.has_history
-  self.view:watch(self.is_watched)
-end
-
-function Hosted:close() self.view:close() end
-
-function Hosted:poll()
-  local view = self.view
-  if view.lost[1] ~= nil and view.fsm._intq[1] == nil then view:settle() end
-end
-
-function Hosted.wait() return huge end
-
-function Hosted:describe(message) message.clock = self.view.clock() end
 
 --- Serve the page of a machine that your program drives.
 --
@@ -390,22 +383,23 @@ function Hosted:describe(message) message.clock = self.view.clock() end
 --    end
 --
 -- @raise when an option is wrong, a package is missing or the port cannot be opened
----@param fsm rfsm.Machine
+---@param fsm rfsm.Machine|rfsm.Machine[] a list has a tab for each
 ---@param options? rfsm.web.Options
 ---@return rfsm.web.Server server
 function web.serve(fsm, options)
-  rfsm.check_machine(fsm, "rfsm.web.serve")
+  local is_list = type(fsm) == "table" and rfsm.is_initialized_root(fsm[1])
+  local machines, sources = is_list and fsm or { fsm }, {}
   local settings, problem = prepare(options)
   if not settings then error("rfsm.web.serve: " .. problem, 2) end
-  local source = setmetatable({
-    view = Live.new(fsm, seconds_from_now()),
-    title = settings.title or "machine", problems = {}, generation = 1,
-    commands = hosted_commands(settings), has_history = settings.history,
-    is_watched = false,
-  }, Hosted)
-  if settings.history then source:watch(true) end
+  for i, machine in ipairs(machines) do
+    rfsm.check_machine(machine, "rfsm.web.serve")
+    local title = settings.title
+    if type(title) == "table" then title = title[i] end
+    sources[i] = Hosted.new(machine, title or is_list and "machine " .. i or "machine",
+      settings)
+  end
   local server
-  server, problem = open_server(source, settings)
+  server, problem = open_server(sources, settings)
   if not server then error("rfsm.web.serve: " .. problem, 2) end
   return server
 end
@@ -420,7 +414,7 @@ function web.open(file, options)
   if not settings then return nil, problem end
   local session = require("rfsm.web.session").open(file, settings.clock
     or settings.gettime, settings.stub)
-  return open_server(session, settings)
+  return open_server({ session }, settings)
 end
 
 --- Serve the page of a machine that runs elsewhere and answers by `rfsm.proto`.
@@ -430,13 +424,12 @@ end
 ---@return rfsm.web.Server? server nil if there is a problem
 ---@return string? problem in one line
 function web.attach(host, port, options)
-  local settings, remote, problem
+  local settings, remotes, problem
   settings, problem = prepare(options)
   if not settings then return nil, problem end
-  remote, problem = require("rfsm.web.remote").open(host, port, seconds_from_now(),
-    settings.machine)
-  if not remote then return nil, problem end
-  return open_server(remote, settings)
+  remotes, problem = require("rfsm.web.remote").open(host, port, settings.machine)
+  if not remotes then return nil, problem end
+  return open_server(remotes, settings)
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_web", web) end

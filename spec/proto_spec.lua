@@ -197,6 +197,49 @@ describe("a subscription", function()
     end
   end)
 
+  it("writes the graph in a fixed order of fields", function()
+    local server = install()
+    local fsm = init(state { warn = false, info = false, on = state { dim = state {},
+      trans { src = "initial", tgt = "dim" },
+      trans { src = "dim", tgt = "dim", pn = 2, events = { "e_a", "e_b" } },
+      trans { src = "dim", tgt = "internal", events = { "e_c" } } },
+      trans { src = "initial", tgt = "on" } })
+    local client = new_client(server)
+    client:subscribe()
+    rfsm.step(fsm)
+    assert.equal('{"type":"rfsm_model","version":2,"fsm":1,"cnt":0,"graph":{"id":'
+      .. '"root","type":"state","transitions":[{"type":"transition","src":'
+      .. '"root.initial","tgt":"root.on.initial","events":[]}],"subnodes":[{"id":'
+      .. '"initial","type":"connector"},{"id":"on","type":"state","transitions":'
+      .. '[{"type":"transition","src":"root.on.initial","tgt":"root.on.dim",'
+      .. '"events":[]},{"type":"transition","src":"root.on.dim","tgt":"root.on.dim",'
+      .. '"pn":2,"events":["e_a","e_b"]},{"type":"transition","src":"root.on.dim",'
+      .. '"tgt":"root.on.dim","events":["e_c"],"internal":true}],"subnodes":[{"id":'
+      .. '"initial","type":"connector"},{"id":"dim","type":"state"}]}]}}',
+      client:peek())
+  end)
+
+  it("brings the paths that are taken to whom asks, and traces for nobody else",
+    function()
+      local fsm, client, server = served()
+      local other, own = started(lamp()), rawget(fsm, "dbg")
+      client:send { type = "subscribe", path = true, fsm = 2 }
+      rfsm.step(fsm)
+      assert.equal(own, rawget(fsm, "dbg"))
+      rfsm.step(other)
+      client:lines(2)
+      local asking = new_client(server)
+      asking:send { type = "subscribe", path = true, fsm = 1 }
+      helper.post_and_run(fsm, "e_push")
+      local paths = {}
+      for i = 1, 3 do paths[i] = asking:read().path or false end
+      assert.same({ false, "root.off[LS]->root.on[LS]", false },
+        { paths[1], asking:read().path or paths[2], paths[3] })
+      asking:send { type = "unsubscribe" }
+      rfsm.step(fsm)
+      assert.equal(own, rawget(fsm, "dbg"))
+    end)
+
   it("is served before the machine has been entered, or if it cannot be", function()
     for _, is_closed in ipairs { false, true } do
       local server, model = install(), lamp()
@@ -584,6 +627,37 @@ describe("install", function()
     end
   end)
 
+  -- Least, most, and default of each limit.
+  local LIMITS = {
+    max_datagram = { least = 1024, most = 65507, default = 65507 },
+    max_events = { least = 1, default = 1000 },
+    max_reads = { least = 1, default = 64 },
+    max_received = { least = 64, most = 65507, default = 4096 },
+    max_silence = { least = 0, default = 3 },
+    max_subscribers = { least = 1, default = 16 },
+    port = { least = 0, most = 65535 },
+    read_timeout = { least = 0, default = 0 },
+  }
+
+  for name, limit in pairs(LIMITS) do -- any order: each is a spec of its own
+    it("takes each value of " .. name .. " that it names, and no other", function()
+      assert.equal(limit.default, name ~= "port" and install()[name] or nil)
+      for _, value in ipairs(name == "port" and {} or { limit.least, limit.most }) do
+        assert.equal(value, install { [name] = value }[name])
+      end
+      local above = limit.most and limit.most + 1
+      for _, value in ipairs { limit.least - 1, above } do
+        local problem = problem_of { [name] = value }
+        assert.equal(name .. ": ", problem:sub(1, #name + 2))
+        assert.matches(("got %d$"):format(value):gsub("%-", "%%-"), problem)
+      end
+    end)
+  end
+
+  it("sets its global, under the name of the original", function()
+    assert.equal(proto, rawget(_G, "rfsm_proto"))
+  end)
+
   it("says when the port is in use, or when there is no such host", function()
     local port = install().port
     assert.equal(("cannot listen on localhost, port %d: address already in use")
@@ -605,6 +679,84 @@ describe("install", function()
       end)
     end)
   end
+end)
+
+describe("a client", function()
+  local subscriber = require "rfsm.proto.subscriber"
+
+  -- Returns a client, its clock, what it has sent, and what it is to receive.
+  local function connected(options)
+    local client = assert(subscriber.connect("127.0.0.1", 9, options))
+    clients[#clients + 1] = client
+    local at, sent, coming = { now = 0 }, {}, {}
+    client.clock = function() return at.now end
+    client.udp:close()
+    client.udp = { close = function() end, settimeout = function() end,
+      send = function(_, text) sent[#sent + 1] = text end,
+      receive = function()
+        local text = table.remove(coming, 1)
+        if text then return text end
+        return nil, "timeout"
+      end }
+    return client, at, sent, coming
+  end
+
+  it("subscribes until it is heard, then sends a heartbeat a second", function()
+    local client, at, sent, coming = connected { path = true, only = 2 }
+    for _, seconds in ipairs { 0, 0.5, 1, 1.5, 2 } do
+      at.now = seconds
+      assert.is_nil(client:receive(0))
+    end
+    assert.equal(3, #sent)
+    assert.same({ type = "subscribe", path = true, fsm = 2 }, dkjson.decode(sent[1]))
+    assert.is_false(client.is_heard)
+    coming[1] = '{"type":"rfsm_error","text":"something"}'
+    assert.equal("something", client:receive(0).text)
+    assert.is_true(client.is_heard)
+    at.now = 3
+    client:receive(0)
+    assert.same({ type = "heartbeat" }, dkjson.decode(sent[4]))
+    coming[1] = '{"type":"rfsm_error","text":"heartbeat: not subscribed"}'
+    client:receive(0)
+    assert.is_false(client.is_heard)
+    client:receive(0) -- at once
+    assert.equal("subscribe", dkjson.decode(sent[5]).type)
+    coming[1] = "[1]x"
+    assert.is_table(client:receive(0))
+    coming[1] = "x"
+    assert.is_nil(client:receive(0))
+    assert.equal("127.0.0.1:9", client.address)
+  end)
+
+  it("is not heard once its messages are refused", function()
+    local client, _, _, coming = connected()
+    coming[1] = '{"type":"rfsm_error"}'
+    client:receive(0)
+    client.udp.receive = function() return nil, "connection refused" end
+    client:receive(0)
+    assert.is_false(client.is_heard)
+  end)
+
+  it("handles the messages about its machine, and reports what it cannot", function()
+    local seen = {}
+    local function handle(message)
+      return subscriber.handle({ known = function(target, got)
+        seen[#seen + 1] = { target.number, got.text:upper() }
+      end }, { number = 2 }, message)
+    end
+    assert.is_nil(handle { type = "known", fsm = 2, text = "a" })
+    assert.is_nil(handle { type = "known", text = "b" })
+    assert.is_nil(handle { type = "known", fsm = 1, text = "c" })
+    assert.is_nil(handle { type = "unknown", fsm = 2 })
+    assert.equal("unreadable message 'known'", handle { type = "known", fsm = 2 })
+    assert.same({ { 2, "A" }, { 2, "B" } }, seen)
+  end)
+
+  it("names the host that it does not find", function()
+    local client, problem = subscriber.connect("no host", 1)
+    assert.is_nil(client)
+    assert.matches("^no host: ", problem)
+  end)
 end)
 
 describe("uninstall", function()

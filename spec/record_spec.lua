@@ -6,12 +6,14 @@ local claim = require "spec.support.claims.record"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
+local record_lines = require "rfsm.record.lines"
 local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
 
 local state, trans = rfsm.state, rfsm.trans
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
@@ -109,6 +111,41 @@ describe("a recording", function()
     assert.same({ {}, 2, "root.idle" }, { again, fsm.count, rfsm.get_actleaf_fqn(fsm) })
     helper.post_and_run(fsm, "e_go") -- its callbacks are there
     assert.same({}, again) -- the guard fails
+  end)
+
+  it("knows its guards by machine, number and text", function()
+    local function region()
+      return state { info = false, warn = false, x = state {},
+        trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "x", events = { "e_r" }, guard = yes } }
+    end
+    local sink = {}
+    record.record(helper.init(state { info = false, warn = false,
+      both = rfsm.seqand { a = helper.init(region()), b = helper.init(region()) },
+      trans { src = "initial", tgt = "both" },
+      trans { src = "both", tgt = "both", events = { "e_b" }, guard = yes } }), sink)
+    local loop = "T={ src='root.x', tgt='root.x', events='e_r' }"
+    assert.same({ { 2, "T={ src='root.both', tgt='root.both', events='e_b' }" },
+      { 2, loop }, { 2, loop } }, sink[1].guards)
+    sink = {}
+    record.record(helper.init(state { info = false, a = state {},
+      trans { src = "initial", tgt = "a" } }), sink)
+    assert.is_nil(sink[1].guards)
+  end)
+
+  it("finds a guard by its text in a chart with other transitions", function()
+    local sink = {}
+    recorded(sink)
+    local model = worker({}, error)
+    table.insert(model, 2, trans { src = "idle", tgt = "idle", events = { "e_new" },
+      guard = error })
+    assert.matches("^rfsm.snapshot: the snapshot is of another chart",
+      select(2, record.replay(model, sink)))
+    local fsm = assert(record.replay(model, sink, { migrate = true }))
+    assert.equal("root.idle", rfsm.get_actleaf_fqn(fsm))
+    local without = worker({}, yes)
+    without[2].guard = nil
+    assert(record.replay(without, sink, { migrate = true, to = 5 }))
   end)
 
   it("is replayed up to an iteration", function()
@@ -215,6 +252,150 @@ describe("a recording", function()
     assert.equal(20, recorder.count)
   end)
 
+  it("in a file has its fields in a fixed order", function()
+    assert.equal('{"m":1,"fresh":true,"had":{},"events":["a"],"added":[],"got":[],'
+      .. '"clock":[],"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,'
+      .. '"kept":{},"regions":[]}', (record_lines.encode { m = 1, fresh = true,
+      had = json.decode "{}", events = { "a" }, added = {}, got = {}, clock = {},
+      guards = {}, reset = true, sent = {}, leaf = "x", done = true,
+      kept = json.decode "{}", regions = {} }:gsub("%[%]", "[]")))
+    local file = helper.file_with("")
+    recorded(file)
+    assert.matches('^{"record":2,"guards":%[%[.-%]%],"snapshot":{',
+      helper.content(file):gsub('"file":"[^"]*",', ""))
+  end)
+
+  -- Returns the lines of records; `encode` is dkjson's, for those that are odd.
+  local function lines_of(records, encode)
+    local texts = {}
+    local write = record_lines.writer { write = function(_, text, stop)
+      texts[#texts + 1] = text .. (stop == "\n" and "" or "?")
+    end }
+    helper.with(json, { encode = encode or json.encode }, function()
+      for _, rec in ipairs(records) do write(rec) end
+    end)
+    return texts
+  end
+
+  it("in a file has short lines, which are seldom work for dkjson's encode",
+    function()
+      local records = {
+        { events = { "e_\"a" }, leaf = "root.a" },
+        { events = { true, false }, leaf = "root.a", sent = { "e_b" } },
+        { events = { "e_b" }, leaf = "root.b", done = true,
+          sent = { "e_done@root.b" } },
+        { events = { "e_done@root.b" }, leaf = "root.b", done = true },
+        { leaf = "root.b", done = true },
+        { events = { "x" }, done = true },
+        { m = 1, leaf = "root.r" }, { m = 1, leaf = "root.r" },
+        { events = { 7 }, leaf = "root.a" },
+      }
+      local usual = { '{"events":["e_\\"a"],"leaf":"root.a"}',
+        '{"events":[true,false],"sent":["e_b"]}', '{"leaf":"root.b","done":true}', "{}",
+        "{}", '{"events":["x"],"leaf":false,"done":true}' }
+      local odd = { '{"m":1,"leaf":"root.r"}', '{"m":1}',
+        '{"events":[7],"leaf":"root.a"}' }
+      local expected = {}
+      for _, text in ipairs(usual) do expected[#expected + 1] = text end
+      assert.same(expected, lines_of({ unpack(records, 1, 6) }, error))
+      for _, text in ipairs(odd) do expected[#expected + 1] = text end
+      assert.same(expected, lines_of(records))
+    end)
+
+  it("in a file remembers a thousand texts, not more", function()
+    local count, records = 0, {}
+    for i = 1, 1002 do records[i] = { events = { "e" .. i % 1001 }, leaf = "root" } end
+    records[1003] = records[1002]
+    local real = json.quotestring
+    helper.with(json, { quotestring = function(text)
+      count = count + 1
+      return real(text)
+    end }, function() lines_of(records) end)
+    assert.is_true(count >= 1002 and count <= 1005, count)
+  end)
+
+  it("is handed to a function, or written to a stream that stays open", function()
+    local list, file = {}, helper.file_with("")
+    recorded(function(rec) list[#list + 1] = rec end)
+    local sink = {}
+    recorded(sink)
+    assert.same(sink, list)
+    local stream = assert(io.open(file, "w"))
+    local recorder = recorded(stream)
+    assert.equal(10, select(2, helper.content(file):gsub("\n", ""))) -- flushed
+    recorder:stop()
+    assert.equal("file", io.type(stream))
+    stream:close()
+    recorder = recorded(file)
+    local own = recorder.sink
+    recorder:stop()
+    assert.equal("closed file", io.type(own))
+    recorder:stop() -- again does no harm
+  end)
+
+  it("holds targets that have changed, and whether that was in a step", function()
+    local sink = {}
+    local function model()
+      return state { info = false, warn = false, a = state { entry = function(fsm)
+        fsm[3].tgt = fsm.c
+      end }, b = state {}, c = state {}, trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_b" } },
+        trans { src = "b", tgt = "a", events = { "e_back" } } }
+    end
+    local fsm = helper.init(model())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    assert.same({ "root.a", "root.a", "root.c" },
+      { sink[2].leaf, sink[3].leaf, sink[2].kept.targets[#sink[2].kept.targets] })
+    assert.is_nil(sink[3].kept)
+    fsm[3].tgt = fsm.a
+    helper.post_and_run(fsm, "e_b")
+    assert.same({ "root.b", true, nil },
+      { sink[4].leaf, sink[4].had ~= nil, sink[4].kept })
+    helper.post_and_run(fsm, "e_back")
+    assert.same({ "root.a", true },
+      { sink[6].leaf, sink[6].kept.targets ~= nil })
+    local again = assert(record.replay(model(), sink, { dry = true }))
+    assert.equal(again.c, again[3].tgt)
+    assert(record.replay(model(), sink))
+  end)
+
+  it("holds what guards have returned, and their failures", function()
+    local answers, sink, said = { "yes", false, "fail" }, {}, {}
+    local function guard()
+      local answer = table.remove(answers, 1)
+      if answer == "fail" then error("no sensor", 0) end
+      return answer
+    end
+    local fsm = helper.init(worker({}, guard))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    for _ = 1, 3 do helper.post_and_run(fsm, "e_go") end
+    local noted = {}
+    for i = 2, #sink do
+      if sink[i].guards then noted[#noted + 1] = sink[i].guards[2] end
+    end
+    assert.same({ true, false, "no sensor" }, noted)
+    local again = worker({}, error)
+    again.err = function(...) said[#said + 1] = table.concat({ ... }, " ") end
+    assert(record.replay(again, sink))
+    assert.equal(1, #said)
+    assert.matches("no sensor$", said[1])
+  end)
+
+  it("says nothing when it is replayed dry, whatever the model's printers", function()
+    local sink, said = {}, 0
+    recorded(sink)
+    local model = worker({}, error)
+    for _, name in ipairs { "dbg", "info", "warn", "err" } do
+      model[name] = function() said = said + 1 end
+    end
+    helper.init(model)
+    local before = said
+    assert(record.replay(model, sink, { dry = true, to = 3 }))
+    assert.is_true(said <= 2 * before, said) -- of the machine that is returned
+  end)
+
   it("of files of format 1 is read as before", function()
     local sink = {}
     recorded(sink)
@@ -268,7 +449,120 @@ describe("a recording", function()
     end
     local text = record.to_spec(sink)
     assert.matches("ok 1 %- .* takes the steps that were recorded", output_of(text))
+    assert.is_truthy(text:find(("local FILE = %q"):format(chart), 1, true))
+    assert.is_truthy(text:find("{ dry = false }", 1, true))
+    assert.is_truthy(text:find("decode_all [=[\n", 1, true))
+    text = record.to_spec(sink, { chart = "other.lua", dry = true })
+    assert.is_truthy(text:find('local FILE = "other.lua"', 1, true))
+    assert.is_truthy(text:find("{ dry = true }", 1, true))
+    helper.post_and_run(fsm, "]]", "x]=]")
+    text = record.to_spec(sink)
+    assert.is_truthy(text:find("decode_all [==[\n", 1, true))
+    assert.matches("ok 1 ", output_of(text))
+    sink[1].file = nil
+    assert.error_matches(function() record.to_spec(sink) end,
+      "rfsm.record.to_spec: the file of the chart expected")
+    assert.error_matches(function() record.to_spec({}) end,
+      "rfsm.record: a recording of format 1 expected")
+    assert.matches("FILE", record.to_spec(sink, { chart = "x" }))
     assert.matches("not ok 1", output_of((text:gsub('"leaf":"root.b"', '"leaf":"x"'))))
+  end)
+end)
+
+describe("the clock", function()
+  local function timed(gettime)
+    return state { info = false, warn = false, gettime = gettime, a = state {},
+      b = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_after(5)" } } }
+  end
+
+  -- Returns what the process's clock was asked for while f() ran.
+  local function readings_of_process(f)
+    local count = 0
+    timeevent.set_gettime_hook(function()
+      count = count + 1
+      return 0, 0
+    end)
+    count = 0
+    f()
+    timeevent.set_gettime_hook(nil)
+    return count
+  end
+
+  it("is the machine's own: that of the process is not read or replaced", function()
+    local now, sink, fsm = 10, {}, nil
+    local function own() return now, 0 end
+    assert.equal(0, readings_of_process(function()
+      fsm = helper.init(timed(own))
+      local recorder = record.record(fsm, sink)
+      rfsm.step(fsm)
+      now = 15.5
+      rfsm.run(fsm)
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+      assert.is_true(recorder:back(2))
+      assert.equal(5, math.floor(timeevent.next_deadline(fsm)))
+      recorder:stop()
+    end))
+    assert.equal(own, rawget(fsm, "gettime"))
+    local again = assert(record.replay(timed(nil), sink))
+    assert.same({ "root.a", nil },
+      { rfsm.get_actleaf_fqn(again), rawget(again, "gettime") })
+  end)
+
+  it("may be set while the machine is recorded", function()
+    local sink, fsm = {}, helper.init(timed(function() return 10, 0 end))
+    local recorder = record.record(fsm, sink)
+    rfsm.step(fsm)
+    local function later() return 16, 0 end
+    fsm.gettime = later
+    rfsm.run(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    recorder:stop()
+    assert.equal(later, rawget(fsm, "gettime"))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(assert(record.replay(timed(), sink))))
+  end)
+
+  it("that fails fails again", function()
+    local model, sink, texts = timed(function() error("no battery", 0) end), {}, {}
+    model.err = function(...) texts[#texts + 1] = table.concat({ ... }, " ") end
+    local fsm = helper.init(model)
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    local before = #texts
+    assert.is_true(before > 0)
+    model.gettime = nil
+    assert(record.replay(model, sink))
+    assert.equal(texts[before], texts[#texts])
+    assert.is_true(#texts > before)
+  end)
+
+  it("of a region that has its own is the recording's, too", function()
+    local now = 0
+    local function model(gettime)
+      return state { info = false, warn = false, gettime = gettime and gettime(1),
+        both = rfsm.seqand { fast = rfsm.init(timed(gettime and gettime(2))),
+          slow = rfsm.init(timed()) },
+        trans { src = "initial", tgt = "both" } }
+    end
+    local chart = model(function(rate) return function() return now * rate, 0 end end)
+    local fsm, sink = helper.init(chart), {}
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    now = 3 -- 6 s of the fast one
+    rfsm.run(fsm)
+    local function places(machine)
+      local texts = {}
+      for _, at in ipairs(rfsm.machines(machine)) do
+        texts[#texts + 1] = at.prefix .. "=" .. rfsm.get_actleaf_fqn(at.machine)
+      end
+      return texts
+    end
+    local expected = { "root=root.both", "root.both.fast=root.b",
+      "root.both.slow=root.a" }
+    assert.same(expected, places(fsm))
+    local again, problem = record.replay(model(), sink)
+    assert.is_nil(problem)
+    assert.same(expected, places(again))
   end)
 end)
 
@@ -334,6 +628,19 @@ describe("back", function()
     assert.is_true(recorder:back(1))
     assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
     assert.equal(2, math.floor(timeevent.next_deadline(fsm)))
+  end)
+
+  it("reports why it cannot", function()
+    local sink = {}
+    local recorder, fsm = recorded(sink)
+    sink[5].leaf = "root.nowhere"
+    assert.same({ false, "step 4: active leaf root.nowhere(done) expected, got "
+      .. "root.idle(done)" }, { recorder:back(1) })
+    assert.same({ "root.idle", 9 }, { rfsm.get_actleaf_fqn(fsm), recorder.count })
+  end)
+
+  it("is in a module with a global", function()
+    assert.equal(record, rawget(_G, "rfsm_record"))
   end)
 
   it("needs the records", function()

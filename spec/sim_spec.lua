@@ -103,6 +103,9 @@ local SAID = {
     .. "T={ src='root.initial', tgt='root.hello' }\n",
   ["{ 1, 'a', x = { y = 2 }, [true] = fsm.world }, {}"] =
     '{ 1, "a", [true] = state root.world (inactive), x = { y = 2 } }\t{}\n',
+  ["{ { { { 1 } } } }"] = "^{ { { table: %S+ } } }\n$",
+  ["local t = {} for i = 1, 25 do t[i] = i end x = t\nx\nx = nil"] =
+    "{ 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, ... }\n",
   ["for i = 1, 2 do\n  print(i)\nend\n"] = "1\n2\n",
   ["step 3"] = AT_END, ["run\nser e_restart, 'e_restart'"] = AT_END .. AT_END,
   ["next({ 7 })"] = "1\t7\n",
@@ -114,10 +117,10 @@ local SAID = {
     .. "queue:  e_done@root.hello, e_done@root.hello\n",
   ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO
     .. "* root\n  * hello (done)\n    world\n",
-  ["follow(true)\nses('e_restart')\nstep\nfollow(false)"] =
-    "taken:  root.initial -> root.hello\ndiscarded: e_restart ('why e_restart' "
-    .. "explains)\n* root\n  * hello (done)\n    world\n" .. AT_HELLO
-    .. "taken:  root.hello -> root.world on e_done\nhello\nworld\n"
+  ["follow(true)\nstep\nses('e_restart')\nfollow(false)"] =
+    "taken:  root.initial -> root.hello\n* root\n  * hello (done)\n    world\n"
+    .. AT_HELLO .. "taken:  root.hello -> root.world on e_done\nhello\nworld\n"
+    .. "discarded: e_restart ('why e_restart' explains)\n"
     .. "* root\n    hello\n  * world (done)\n" .. AT_WORLD,
   ["breakpoint world\nrun\nbreakpoint\nrun\ndelete"] = "1  state root.world\n"
     .. "hello\nworld\n" .. AT_WORLD .. "stopped at 1: state root.world\n"
@@ -165,6 +168,7 @@ local COMPLAINTS = {
   ["delete 9"] = "delete: number of a breakpoint expected, got 9\n",
   ["watch 1 +"] = "^watch:1: [^\n]*\n$",
   ["clock -1"] = "clock: seconds from 0 to 1e9 expected, got -1\n",
+  ["clock 1e9"] = "^clock: seconds from 0 to 1e9 expected, got 1",
   ["clock 1e308"] = "^clock: seconds from 0 to 1e9 expected, got 1e%+308\n$",
   ["clock(0/0)"] = "^clock: seconds from 0 to 1e9 expected, got %-?nan\n$",
   ["step -1"] = "step: whole number from 1 expected, got -1\n",
@@ -179,6 +183,12 @@ local COMPLAINTS = {
   ["view x.doc"] = "view: file.svg, .png, .pdf or .dot expected, got 'x.doc'\n",
   ["view /no/x.dot"] = "view: /no/x.dot: No such file or directory\n",
   ["record /no/x"] = "record: /no/x: No such file or directory\n",
+  ["view(7)"] = "view: name of a file expected, got number\n",
+  ["record(7)"] = "record: name of a file expected, got number\n",
+  ["watch(7)"] = "watch: expression as a text expected, got number\n",
+  ["history x"] = "history: number expected, got string\n",
+  ["view x.doc\nprint()"] = "view: file.svg, .png, .pdf or .dot expected, got "
+    .. "'x.doc'\n",
   ["require 'no.such'"] = "^[^\n]*module 'no.such' not found\n$",
 }
 
@@ -433,6 +443,19 @@ return rfsm.state {
       .. "clock:  6 s\nactive: root.a(done)\nqueue:  \n", out)
   end)
 
+  it("keeps breakpoints and expressions, but those of what is gone", function()
+    local chart, other = file_with(CHART),
+      file_with((CHART:gsub("%f[%w]b =", "c ="):gsub('"b"', '"c"')))
+    local out, complaints = sim("-q " .. chart, "breakpoint b\nbreakpoint a\n"
+      .. "breakpoint a -> b\nbreakpoint e_b\nwatch 1 + 1\nos.rename('" .. other
+      .. "', '" .. chart .. "')\nreload\nprint '~'\nbreakpoint\nrun\n")
+    assert.equal("3 transition root.a -> root.b: is gone, and no breakpoint now\n"
+      .. "1 state root.b: is gone, and no breakpoint now\n", complaints)
+    assert.equal("1  state root.a\n2  event e_b\n3  watch 1 + 1\nactive: root.a(done)"
+      .. "\nqueue:  e_done@root.a\nwatch:  1 + 1 = 2\nstopped at 1: state root.a\n",
+      out:match("~\n(.*)"))
+  end)
+
   it("begins anew if the state is gone", function()
     local out, complaints = reloaded((CHART:gsub("%f[%w]b =", "c =")
       :gsub('"b"', '"c"')), "run\n")
@@ -513,7 +536,6 @@ end)
 it("random commands do what the same calls do, and back leads where it was", function()
   local n = tonumber(os.getenv "RFSM_N") or 5
   assert.same({ n }, { require("spec.support.claims.sim").run(n, 11) })
-  require("rfsm.clock").set_hook(nil)
 end)
 
 it("the history keeps its size", function()
@@ -554,7 +576,44 @@ it("the history shows the timer that was the cause", function()
   assert.matches("%d  e_after%(60%)@root.lights +root.dark", out)
 end)
 
+describe("a line that is read", function()
+  local terminal = require "rfsm.sim.terminal"
+
+  it("is dropped by an interrupt, and by nothing else", function()
+    local function read(line)
+      return terminal.read(function(prompt)
+        if line == prompt then return line end
+        error(line, 0)
+      end, "> ")
+    end
+    assert.same({ "> ", false }, { read "> " })
+    assert.same({ false, true }, { read "stdin:1: interrupted!" })
+    assert.same({ false, "no line" }, { pcall(read, "no line") })
+  end)
+
+  it("is followed by what came meanwhile: no interrupt leaves a busy function",
+    function()
+      assert.same({ false, "as itself" },
+        { pcall(terminal.uninterrupted, function() error("as itself", 0) end) })
+      local got = {}
+      terminal.uninterrupted(function(...) got = { ... } end, 1, 2)
+      assert.same({ 1, 2 }, got)
+      assert.is_false(terminal.is_caught())
+      assert.is_false(terminal.is_interrupted())
+    end)
+end)
+
 describe("a picture", function()
+  it("in another format is laid out by Graphviz", function()
+    local file = file_with("") .. ".svg"
+    local out = sim("-q " .. HELLO, "view " .. file .. "\nstep\n")
+    assert.equal(INFO .. AT_HELLO, out)
+    local text = content(file)
+    os.remove(file)
+    assert.matches('id="root.hello"', text, 1, true)
+    assert.matches("</svg>", text)
+  end)
+
   it("is kept up to date, in the format of its ending", function()
     local file = file_with("") .. ".dot"
     local out = sim("-q " .. HELLO, "view " .. file .. "\nstep\nio.open('" .. file
@@ -641,6 +700,242 @@ describe("a recording", function()
     _, complaints, status = sim("-q -r Makefile " .. HELLO)
     assert.matches("^rfsm sim: [^\n]*Makefile[^\n]*\n$", complaints)
     assert.equal(1, status)
+  end)
+end)
+
+describe("a session with regions, timers, guards and data", function()
+  local CHART = [[
+local rfsm = require "rfsm"
+require "rfsm_timeevent"
+local function arm()
+  return rfsm.init(rfsm.state { info = false, warn = false,
+    open = rfsm.state {}, shut = rfsm.state {},
+    rfsm.trans { src = "initial", tgt = "open" },
+    rfsm.trans { src = "open", tgt = "shut", events = { "e_grasp" } } })
+end
+is_open = false
+return rfsm.state { warn = false, info = false, keep = { "n" }, n = 0,
+  idle = rfsm.state { entry = function(fsm) fsm.n = fsm.n + 1 end },
+  arms = rfsm.seqand { left = arm(), right = arm() },
+  work = rfsm.state { doo = function() while true do rfsm.yield(true) end end },
+  rfsm.trans { src = "initial", tgt = "idle" },
+  rfsm.trans { src = "idle", tgt = "arms", events = { "e_go" } },
+  rfsm.trans { src = "arms", tgt = "idle", events = { "e_back" } },
+  rfsm.trans { src = "idle", tgt = "work", events = { "e_work" },
+    guard = function() return is_open end },
+  rfsm.trans { src = "work", tgt = "idle", events = { "e_after(5)" } },
+}]]
+
+  -- Lines without blanks at their ends.
+  local function trimmed(text) return (text:gsub(" +\n", "\n")) end
+
+  it("stops in a region and at an event, until the breakpoint is deleted", function()
+    local out, complaints = sim("-q " .. file_with(CHART), [=[
+run
+breakpoint arms.left.shut
+breakpoint e_grasp
+ser e_go
+ser e_grasp
+ser e_back
+breakpoint
+delete 1
+breakpoint
+]=])
+    assert.equal("", complaints)
+    assert.equal([[
+active: root.idle(done)
+queue:
+1  state root.arms.left.shut
+2  event e_grasp
+active: root.arms(active)
+queue:
+active: root.arms(active)
+queue:
+stopped at 1: state root.arms.left.shut
+stopped at 2: event e_grasp
+active: root.idle(done)
+queue:
+1  state root.arms.left.shut
+2  event e_grasp
+1  event e_grasp
+]], trimmed(out))
+  end)
+
+  it("shows what regions take", function()
+    local out, complaints = sim("-q " .. file_with(CHART), [=[
+follow(true)
+run
+ser e_go
+ser e_grasp
+]=])
+    assert.equal("", complaints)
+    assert.equal([[
+taken:  root.initial -> root.idle
+* root
+    arms ...
+  * idle (done)
+    work
+active: root.idle(done)
+queue:
+taken:  root.idle -> root.arms on e_go
+taken:  root.arms.left.initial -> root.arms.left.open
+taken:  root.arms.right.initial -> root.arms.right.open
+* root
+  * arms
+    * left
+      * open (done)
+        shut
+    * right
+      * open (done)
+        shut
+    idle
+    work
+active: root.arms(active)
+queue:
+taken:  root.arms.left.open -> root.arms.left.shut on e_grasp
+taken:  root.arms.right.open -> root.arms.right.shut on e_grasp
+* root
+  * arms
+    * left
+        open
+      * shut (done)
+    * right
+        open
+      * shut (done)
+    idle
+    work
+active: root.arms(active)
+queue:
+]], trimmed(out))
+  end)
+
+  it("keeps the time of each place on the way back and forward", function()
+    local out, complaints = sim("-q " .. file_with(CHART), [=[
+clock 0
+is_open = true
+ser e_work
+clock 3
+back
+clock
+clock 1
+back 2
+clock
+forward 1
+clock
+next
+fsm.n
+clock(false)
+clock
+]=])
+    assert.equal("", complaints)
+    assert.equal([[
+clock:  0 s
+active: root.idle(done)
+queue:
+active: root.work(active)
+queue:
+clock:  3 s
+active: root.work(active)
+queue:
+active: root.work(active)
+queue:
+clock:  0 s
+clock:  1 s
+active: root.work(active)
+queue:
+active: root.idle(done)
+queue:
+clock:  0 s
+active: root.work(active)
+queue:
+clock:  0 s
+clock:  5 s
+active: root.idle(done)
+queue:
+2
+clock:  real time
+]], trimmed(out))
+  end)
+
+  it("says what events would do", function()
+    local out, complaints = sim("-q " .. file_with(CHART), [=[
+run
+events
+why e_work
+why
+ser e_go
+events
+]=])
+    assert.equal("", complaints)
+    assert.equal([[
+active: root.idle(done)
+queue:
+e_go
+no transition would be taken on e_work in root.idle
+  root.trans[2] (idle -> arms): waits for e_go
+  root.trans[4] (idle -> work): its guard returns false
+no transition would be taken without an event in root.idle
+  root.trans[2] (idle -> arms): waits for e_go
+  root.trans[4] (idle -> work): waits for e_work
+active: root.arms(active)
+queue:
+e_back
+e_grasp
+]], trimmed(out))
+  end)
+
+  it("leaves the functions of the chart out, then has them again", function()
+    local out, complaints = sim("-q " .. file_with(CHART), [=[
+dry(true)
+run
+ser e_work
+se e_done
+run
+dry(false)
+reset
+run
+ser e_work
+fsm.n
+]=])
+    assert.equal("", complaints)
+    assert.equal([[
+active: root.idle(done)
+queue:
+active: root.work(active)
+queue:
+queue:  e_done@root.work
+active: root.work(active)
+queue:
+active: <none>
+queue:  e_init_fsm
+active: root.idle(done)
+queue:
+active: root.idle(done)
+queue:
+1
+]], trimmed(out))
+  end)
+
+  it("lists as much of the history as is wanted", function()
+    local out, complaints = sim("-q " .. file_with(CHART), [=[
+run
+for i = 1, 24 do ses('e_back') end
+print '~'
+history 2
+history 0
+goto 3
+history
+]=])
+    assert.equal("", complaints)
+    assert.equal([[
+  25  e_back                          root.idle(done)
+  26  e_back                          root.idle(done)
+active: root.idle(done)
+queue:
+   1  e_init_fsm                      root.idle(done)
+   2  e_done@root.idle                root.idle(done)
+   3  e_back                          root.idle(done)
+]], trimmed(out:match("~\n(.*)")))
   end)
 end)
 

@@ -13,6 +13,7 @@ local watch = require "rfsm.watch"
 local web = require "rfsm.web"
 
 local state, trans = rfsm.state, rfsm.trans
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 -- What several specs need -------------------------------------------------------
 
@@ -71,7 +72,6 @@ after_each(function()
   helper.clear(servers)
   proto.uninstall()
   helper.remove_files()
-  require("rfsm.clock").set_hook(nil)
 end)
 
 -- The texts of a log, oldest first.
@@ -235,6 +235,108 @@ describe("the server", function()
     tcp:close()
   end)
 
+  -- Brings a connection into a phase; returns it.
+  local PHASES = {
+    reading = function(server, tcp) http.send(server, tcp, "GET / HT") end,
+    writing = function(server, tcp)
+      server.page = ("x"):rep(20000000)
+      http.send(server, tcp, "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    end,
+    closing = function(server, tcp)
+      http.send(server, tcp, "GET /none HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    end,
+    stream = function(server, tcp)
+      http.send(server, tcp, "GET /events?token=" .. server.token
+        .. " HTTP/1.1\r\nHost: localhost\r\n\r\n")
+      http.until_done(server, function() return server.http.streams == 1 end)
+      local connection = server.http.connections[1]
+      connection.pending, connection.sent = ("x"):rep(20000000), 0
+      server:step(0) -- takes as much as the buffers do
+    end,
+  }
+
+  for phase, seconds in pairs { -- any order: each is a spec of its own
+    reading = 5, writing = 30, closing = 2, stream = 30,
+  } do
+    it("waits " .. seconds .. " s for a connection that is " .. phase, function()
+      local server = open()
+      local tcp = http.connect(server)
+      PHASES[phase](server, tcp)
+      local connection = http.until_done(server, function()
+        local first = server.http.connections[1]
+        return first and first.phase == phase and first
+      end)
+      for _ = 1, 50 do server:step(0) end
+      now = seconds
+      server:step(0)
+      assert.equal(connection, server.http.connections[1])
+      now = seconds + 0.001
+      server:step(0)
+      assert.same({}, server.http.connections)
+      tcp:close()
+    end)
+  end
+
+  it("takes a body of 16 KiB, and no more", function()
+    local server = open()
+    for size, expected in pairs { [16384] = 400, [16385] = 413 } do -- any order
+      assert.equal(expected, (http.request(server, "POST", "/command",
+        { "Host: localhost", "X-Rfsm-Token: " .. server.token }, (" "):rep(size))))
+    end
+  end)
+
+  it("accepts 50 connections at a time, and serves others in between", function()
+    local server, clients = open(), {}
+    for i = 1, 60 do clients[i] = http.connect(server) end
+    server:step(0)
+    assert.equal(50, #server.http.connections)
+    server:step(0)
+    assert.equal(60, #server.http.connections)
+    for _, tcp in ipairs(clients) do tcp:close() end
+    for _ = 1, 60 do server:step(0) end
+    assert.equal(0, #server.http.connections)
+  end)
+
+  it("has 200 connections, pages among them, which stay", function()
+    local server, clients = open(), {}
+    local page = http.page(server)
+    for i = 1, 205 do
+      clients[i] = http.connect(server)
+      server:step(0)
+    end
+    assert.equal(200, #server.http.connections)
+    assert.equal("stream", server.http.connections[1].phase)
+    assert.equal("root.on.dim", page:send("e_push").leaf)
+    for _, tcp in ipairs(clients) do tcp:close() end
+  end)
+
+  it("has a picture once it is drawn, which is another chart for a page", function()
+    local picture = nil
+    helper.with(Picture, { start = function()
+      return { is_pending = true, drop = function() end, take = function()
+        local text = picture
+        picture = nil
+        return text
+      end }
+    end }, function()
+      local server = open()
+      local _, first = http.page(server)
+      local before = http.chart(server)
+      assert.same({ false, 404 },
+        { before.has_picture, (http.request(server, "GET", "/picture.svg")) })
+      picture = "<svg/>"
+      local page, second = http.page(server)
+      local after = http.chart(server)
+      assert.same({ true, 200, "<svg/>" },
+        { after.has_picture, unpack({ http.request(server, "GET", "/picture.svg") },
+          1, 2) })
+      assert.is_true(after.version ~= before.version)
+      assert.same({ before.version, after.version },
+        { first.version, second.version })
+      assert.is_true(page.tcp:close() ~= nil)
+    end)
+  end)
+
   it("keeps one message for a page that does not read, then drops it", function()
     local server = open()
     local page, name = http.page(server), ("x"):rep(1900)
@@ -242,7 +344,7 @@ describe("the server", function()
     local connection = server.http.connections[1]
     for _ = 1, 400 do
       connection.cursor = nil -- as long after the last frame
-      server.source.view:note("output", name)
+      server.shown[1].source.view:note("output", name)
       server:step(0)
     end
     assert.is_true(connection.pending ~= "")
@@ -353,7 +455,8 @@ describe("a page", function()
     local message = page:send("e_more")
     assert.same({ "lost: no transition" }, texts_of(message.log))
     assert.same({ "e_more" }, message.log[1].events)
-    local _, why = http.command(server, { command = "why" })
+    local status, why = http.command(server, { command = "why" })
+    assert.equal(200, status)
     assert.matches("^no transition would be taken on e_more in root.off\n", why)
     assert.matches("%(off %-> on%): waits for e_push", why)
   end)
@@ -398,6 +501,25 @@ describe("a page", function()
     assert.same(one:next(), two:next())
   end)
 
+  it("is told warnings and what the chart prints itself, which goes on", function()
+    rawset(_G, "said", {})
+    local server = open([[
+      local rfsm = require "rfsm"
+      local function note(...) said[#said + 1] = table.concat({ ... }, " ") end
+      return rfsm.state { warn = note, err = note, info = note,
+        a = rfsm.state { entry = function() error("no power", 0) end },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_go", "e_go" } } }
+    ]])
+    local _, first = http.page(server)
+    local texts = table.concat(texts_of(first.log), "\n")
+    assert.matches("error: error executing entry of root.a: no power", texts)
+    local said = table.concat(rawget(_G, "said"), "\n")
+    rawset(_G, "said", nil)
+    assert.matches("no power", said)
+    assert.is_function(rawget(server.shown[1].source.view.fsm, "warn"))
+  end)
+
   it("is told errors of callbacks, and the machine goes on", function()
     local server = open([[
       local rfsm = require "rfsm"
@@ -431,18 +553,51 @@ describe("a page", function()
       about.entered, about.failures, about.data })
     assert.matches(":3$", about.file)
     assert.same({ 400, 400, 400 }, { inspect(99), inspect("x"), inspect(-1) })
-    local dim
-    for i, node in ipairs(http.chart(server).nodes) do
-      if node.fqn == "root.on.dim" then dim = i - 1 end
-    end
-    assert.same({ dim }, page:command("breakpoint", { node = dim, on = true }).points)
+    assert.same({ "root.on.dim" },
+      page:command("breakpoint", { at = "on.dim", on = true }).points)
     local message = page:send("e_push")
     assert.same({ "root.on.dim", "root.on.dim" }, { message.leaf, message.stopped })
     assert.same({ "e_done@root.on.dim" }, message.queue) -- the rest of the run waits
-    assert.same({}, page:command("breakpoint", { node = dim, on = false }).points)
-    assert.equal(400, (http.command(server, { command = "breakpoint", node = 99 })))
+    assert.same({}, page:command("breakpoint", { at = "on.dim", on = false }).points)
     page:send("e_push")
     assert.is_false(page:send("e_push").stopped)
+  end)
+
+  it("stops at an event and at a transition, also when the chart was mended", function()
+    local server, file = open()
+    local page = http.page(server)
+    local function stopped_at(at, event)
+      page:command("breakpoint", { at = at, on = true })
+      local stopped = page:send(event).stopped
+      assert.same({}, page:command("breakpoint", { at = at }).points)
+      return stopped
+    end
+    page:send("e_push")
+    assert.equal("e_more", stopped_at("e_more", "e_more"))
+    assert.equal("root.on.bright -> root.on.dim",
+      stopped_at("on.bright -> on.dim", "e_less"))
+    assert.is_false(stopped_at("e_less", "e_more"))
+    local function refused(at)
+      return select(2, http.command(server, { command = "breakpoint", at = at,
+        on = true }))
+    end
+    assert.equal("breakpoint: state, event or transition (off -> on) expected, got "
+      .. "'e_mor' (did you mean 'e_more'?)\n", refused("e_mor"))
+    assert.equal("at: state, event or transition expected\n", refused(7))
+    for _, at in ipairs { "off", "off", "on.bright" } do
+      page:command("breakpoint", { at = at, on = true })
+    end
+    now = 5
+    assert.is_true(page:command("run").clock >= 5)
+    overwrite(file, (LAMP:gsub("bright", "light")))
+    now = 6
+    local message = page:next()
+    assert.equal(0, message.clock) -- its state is gone: it begins anew
+    assert.same({ "root.off" }, message.points)
+    assert.same({ "warning: 2 state root.on.bright: is gone, and no breakpoint now" },
+      { texts_of(message.log)[1] })
+    assert.is_false(page:send("e_push").stopped)
+    assert.equal("root.off", page:send("e_push").stopped)
   end)
 
   it("ends a run that has no end", function()
@@ -654,6 +809,23 @@ describe("rfsm.web.serve", function()
     assert.equal(3, #readings)
   end)
 
+  it("shows a machine that is not entered yet", function()
+    local _, first = http.page(opened(web.serve(rfsm.init(lamp()), { port = 0 })))
+    assert.same({ false, "inactive", {}, { "e_init_fsm" }, { 0, 3 } }, { first.leaf,
+      first.mode, first.active, first.queue, first.states })
+  end)
+
+  it("has an address for a browser, also of IPv6", function()
+    local fsm = rfsm.init(lamp())
+    for host, text in pairs { ["127.0.0.1"] = "127.0.0.1", ["::1"] = "[::1]" } do
+      local ok, server = pcall(web.serve, fsm, { port = 0, host = host }) -- any order
+      if ok then -- there may be no IPv6
+        assert.equal(("http://%s:%d/"):format(text, server.port), server.url)
+        server:close()
+      end
+    end
+  end)
+
   it("takes no event unless the host allows it", function()
     local fsm = rfsm.init(lamp())
     local server = opened(web.serve(fsm, { port = 0 }))
@@ -664,7 +836,8 @@ describe("rfsm.web.serve", function()
 
   -- What a program can see of the printers and hooks of its machine.
   local function outside_of(fsm)
-    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks }
+    return { fsm.dbg, rawget(fsm, "dbg") or false, #fsm._pre_hooks, #fsm._post_hooks,
+      #(fsm._reset_hooks or {}) }
   end
 
   it("leaves the machine alone while no page is open", function()
@@ -685,6 +858,60 @@ describe("rfsm.web.serve", function()
     now = now + 5
     server:step(0)
     assert.same(before, outside_of(fsm))
+  end)
+
+  it("leaves the machine alone when its page does not read, until it does", function()
+    local fsm = rfsm.init(lamp())
+    local before = outside_of(fsm)
+    local server = opened(web.serve(fsm,
+      { port = 0, clock = function() return now end }))
+    rfsm.run(fsm)
+    local page = http.page(server)
+    local at = 0
+    server.gettime = function() return at end
+    for _ = 1, 1000 do -- until its buffers are full
+      at = at + 1
+      for _ = 1, 60 do server.shown[1].source.view:note("note", ("x"):rep(2000)) end
+      server:step(0)
+      if server.http.connections[1].pending ~= "" then break end
+    end
+    assert.is_true(server.http.connections[1].pending ~= "")
+    for _ = 1, 2 do
+      now = now + 5.1
+      server:step(0)
+    end
+    assert.same(before, outside_of(fsm))
+    assert.equal(1, server.http.streams)
+    at = at + 1
+    http.until_done(server, function()
+      page.tcp:receive("*a")
+      return fsm.dbg ~= before[1]
+    end)
+    at = at + 1
+    helper.post_and_run(fsm, "e_push")
+    page.text = ""
+    assert.equal(fsm._act_leaf._fqn, page:next().leaf)
+  end)
+
+  it("changes nothing that the machine prints, also if it prints all", function()
+    local lines = {}
+    local function print_all(f)
+      helper.with(_G, { print = function(...)
+        lines[#lines + 1] = table.concat({ ... }, "\t")
+      end }, f)
+    end
+    local plain, fsm = rfsm.init(lamp()), rfsm.init(lamp())
+    plain.dbg, fsm.dbg = true, true
+    print_all(function() rfsm.run(plain) end)
+    local expected = lines
+    lines = {}
+    print_all(function()
+      local server = opened(web.serve(fsm, { port = 0, history = true }))
+      rfsm.run(fsm)
+      server:close()
+    end)
+    assert.same(expected, lines)
+    assert.is_true(rawget(fsm, "dbg"))
   end)
 
   it("gives back the printers when it is closed, but those set meanwhile", function()
@@ -719,6 +946,39 @@ describe("rfsm.web.serve", function()
     assert.equal(4, #first.log)
   end)
 
+  it("has a tab for each of several machines", function()
+    local left, right = rfsm.init(lamp()), rfsm.init(lamp())
+    local before = outside_of(right)
+    local server = opened(web.serve({ left, right },
+      { port = 0, title = { "left" }, allow_send = true,
+        clock = function() return now end }))
+    rfsm.run(left)
+    rfsm.run(right)
+    assert.same({ "left", "machine 2" }, http.chart(server).machines)
+    assert.same({ "left", "machine 2" },
+      { http.chart(server).title, http.chart(server, 2).title })
+    local one, first = http.page(server)
+    assert.same({ "root.off", before }, { first.leaf, outside_of(right) })
+    local two = http.page(server, 2)
+    assert.same({ "e_push" }, two:command("send", { event = "e_push" }).queue)
+    rfsm.run(right)
+    assert.equal("root.on", two:next().leaf)
+    assert.equal("root.off", rfsm.get_actleaf_fqn(left))
+    helper.post_and_run(left, "e_push")
+    assert.equal("root.on", one:next().leaf)
+    two.tcp:close()
+    http.until_done(server, function() return server.http.streams == 1 end)
+    for _ = 1, 2 do
+      now = now + 5.1
+      server:step(0)
+    end
+    assert.same(before, outside_of(right)) -- nobody looks at this one
+    assert.is_false(left.dbg == before[1])
+    assert.same({ 404, 404, 404 }, { (http.request(server, "GET", "/chart?machine=3")),
+      (http.request(server, "GET", "/chart?machine=0")),
+      (http.command(server, { command = "send", event = "e_push" }, 3)) })
+  end)
+
   it("builds one message a frame, however much happens", function()
     local fsm, count = rfsm.init(lamp()), 0
     local server = opened(web.serve(fsm, { port = 0 }))
@@ -743,6 +1003,10 @@ describe("rfsm.web.serve", function()
     assert.is_true(message.skipped > 100)
   end)
 
+  it("sets a global", function()
+    assert.equal(web, rawget(_G, "rfsm_web"))
+  end)
+
   it("raises an error that says what is wrong", function()
     local fsm = rfsm.init(lamp())
     local used = opened(web.serve(fsm, { port = 0 }))
@@ -759,6 +1023,9 @@ describe("rfsm.web.serve", function()
       assert.same({ false, "rfsm.web.serve: " .. text },
         { ok, (problem:gsub("^.-:%d+: ", "")) })
     end
+    assert.has_error(function() web.serve({ fsm, lamp() }, { port = 0 }) end,
+      "rfsm.web.serve: initialised fsm expected, got state (rfsm.init makes one of a "
+        .. "state)")
     assert.has_error(function() web.serve({}) end,
       "rfsm.web.serve: initialised fsm expected, got table")
   end)
@@ -799,6 +1066,11 @@ describe("a machine elsewhere", function()
     assert.equal("root.off → root.on", first.log[#first.log].text)
     assert.equal(1, #first.taken)
     assert.equal("root.off", chart.nodes[chart.edges[first.taken[1] + 1].src + 1].fqn)
+    local active = {}
+    for i, number in ipairs(first.active) do active[i] = chart.nodes[number + 1].fqn end
+    assert.same({ "root", "root.on" }, active)
+    assert.same({ { 3, 3 }, { 1, 3 }, "done", {} },
+      { first.states, first.transitions, first.mode, first.queue })
     other.tcp:close()
   end)
 
@@ -820,10 +1092,34 @@ describe("a machine elsewhere", function()
     assert.equal(5, #http.chart(server).nodes)
   end)
 
+  it("is one of several at that port, each with a tab", function()
+    local one, door = host(true)
+    local two = rfsm.init(lamp { third = state {} })
+    local server = opened(assert(web.attach("127.0.0.1", door.port, { port = 0 })))
+    local first = http.page(server)
+    assert.is_true(wait_for(server, one, first, "root.off"))
+    rfsm.run(two)
+    for _ = 1, 200 do
+      rfsm.run(two)
+      server:step(0.001)
+      if server.shown[2] and server.shown[2].source.view.leaf then break end
+    end
+    local second, message = http.page(server, 2)
+    assert.equal("root.off", message.leaf)
+    local title = "127.0.0.1:" .. ("%d"):format(door.port)
+    assert.same({ title, title .. ", machine 2" }, http.chart(server).machines)
+    assert.same({ 4, 5 }, { #http.chart(server).nodes, #http.chart(server, 2).nodes })
+    http.command(server, { command = "send", event = "e_push" }, 2)
+    assert.is_true(wait_for(server, two, second, "root.on"))
+    rfsm.run(one)
+    assert.equal("root.off", rfsm.get_actleaf_fqn(one))
+  end)
+
   it("goes on after a message that cannot be read", function()
     local messages, server = {}, nil
     helper.with(subscriber, { connect = function()
-      return { receive = function() return table.remove(messages, 1) end }
+      return { address = "127.0.0.1:1",
+        receive = function() return table.remove(messages, 1) end }
     end }, function()
       server = opened(assert(web.attach("127.0.0.1", 1, { port = 0 })))
     end)
@@ -849,34 +1145,6 @@ describe("a machine elsewhere", function()
     rfsm.run(fsm)
     assert.equal("root.off (done)\nroot.on (done)\n", pipe:read("*a"))
     pipe:close()
-  end)
-end)
-
-describe("a subscriber", function()
-  it("subscribes, and says once a second that it is there", function()
-    local udp = assert(require("socket").udp4())
-    udp:setsockname("127.0.0.1", 0)
-    udp:settimeout(1)
-    local client = assert(subscriber.connect("127.0.0.1",
-      tonumber((select(2, udp:getsockname()))), { path = true, only = 2 }))
-    local at = 100
-    client.clock = function() return at end
-    local function sent()
-      client:receive(0)
-      udp:settimeout(0.05)
-      local data, ip, port = udp:receivefrom()
-      if data then udp:sendto('{"type":"x"}', ip, port) end
-      require("socket").select({ client.udp }, nil, data and 1 or 0)
-      return data and dkjson.decode(data) or false
-    end
-    assert.same({ type = "subscribe", path = true, fsm = 2 }, sent())
-    assert.is_false(sent())
-    at = 100.9
-    assert.is_false(sent())
-    at = 101
-    assert.same({ type = "heartbeat" }, sent())
-    client:close()
-    udp:close()
   end)
 end)
 
@@ -939,6 +1207,34 @@ describe("rfsm.watch", function()
     assert.equal("no answer since 3 s", lines[6])
     assert.equal("no answer since 12 s", lines[15])
     assert.matches("root.on %(done%)$", lines[16])
+  end)
+
+  it("says that once in a pipe, on stderr, and again behind a message", function()
+    local said, calls, silent = {}, 0, client {}
+    silent.receive = function()
+      calls, now = calls + 1, now + 1
+      return (calls == 6 or calls == 12) and state_message("root.s" .. calls) or nil
+    end
+    helper.with(io, { stderr = { write = function(_, ...)
+      said[#said + 1] = table.concat({ ... })
+    end } }, function()
+      helper.printed(function()
+        watch.run(silent, { number = 1, count = 2, is_terminal = false })
+      end)
+    end)
+    assert.same({ "waiting for robot:7\n", "no answer since 3 s\n" }, said)
+  end)
+
+  it("shows the last ten lines of the log", function()
+    local messages = {}
+    for i = 1, 12 do messages[i] = state_message("root.s" .. i) end
+    local screens = helper.printed(function()
+      watch.run(client(messages), { number = 1, count = 12, is_terminal = true })
+    end)
+    local _, count = screens[12]:gsub("%(done%)", "")
+    assert.equal(10, count)
+    assert.is_truthy(screens[12]:find("root.s3 ", 1, true))
+    assert.is_nil(screens[12]:find("root.s2 ", 1, true))
   end)
 
   it("goes on after a message that cannot be read", function()

@@ -6,6 +6,7 @@
 #   tools/deps.sh web           for the tests of the page in a browser
 #   tools/deps.sh doc           for the pages of the API
 #   tools/deps.sh fleet         for machines in Redis, with lua5.3
+#   tools/deps.sh axe           prints the file of axe-core, which npm fetches once
 #
 # Missing Debian packages are installed if you are root or have password-free sudo.
 # Otherwise the command to type is printed, and the status is 1.
@@ -105,7 +106,23 @@ install_packages() {
   rm -f "$log"
 }
 
+# Prints the name of axe.min.js, in a folder that is kept. Status 1 if npm has it not.
+find_axe() {
+  version=4.14.1
+  folder=${XDG_CACHE_HOME:-${HOME:-/tmp}/.cache}/rfsm/axe-core-$version
+  if [ ! -s "$folder/axe.min.js" ]; then
+    new=$(mktemp -d)
+    (cd "$new" && timeout 60 npm pack --silent "axe-core@$version" &&
+      tar -xzf "axe-core-$version.tgz" package/axe.min.js package/LICENSE &&
+      mkdir -p "$folder" && mv package/LICENSE package/axe.min.js "$folder") \
+      >/dev/null 2>&1 </dev/null
+    rm -rf "$new"
+  fi
+  [ -s "$folder/axe.min.js" ] && echo "$folder/axe.min.js"
+}
+
 case "${1:-}" in
+  axe) find_axe ;;
   sim | test | web | doc | fleet)
     target=$1
     shift
@@ -115,5 +132,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|web|doc|fleet|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|axe|doc|fleet|test LUA ..." >&2; exit 2 ;;
 esac

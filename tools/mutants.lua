@@ -36,7 +36,7 @@ local ROOMS = {
     specs = { "export", "pictures", "layout", "diagram" } },
   { name = "sim", files = { "rfsm/sim.lua", "rfsm/sim/*.lua" }, specs = { "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua", "rfsm/watch.lua" },
-    specs = { "web" } },
+    specs = { "view", "web" } },
   { name = "proto", files = { "rfsm/proto.lua", "rfsm/proto/*.lua" },
     specs = { "proto", "web" } },
   { name = "redis", files = { "rfsm/redis.lua", "rfsm/redis/*.lua", "rfsm/fleet.lua" },

@@ -7,18 +7,21 @@
 
 local order = require "rfsm.shared.order"
 local calls = require "rfsm.shared.calls"
+local clock = require "rfsm.clock"
+local dry = require "rfsm.shared.dry"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
+local swap = require "rfsm.shared.swap"
 local tracks = require "rfsm.record.track"
 
-local error, getmetatable, ipairs = error, getmetatable, ipairs
+local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tostring, type = tostring, type
 local max, min, remove = math.max, math.min, table.remove
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
 local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
-local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
@@ -28,8 +31,13 @@ local watch_clock, with_clock = tracks.watch_clock, tracks.with_clock
 ---@field at integer how many records have been replayed
 ---@field last integer how many are to be
 ---@field is_dry boolean
----@field problem string|nil where the run departs from the recording
----@field latest any[]|nil the reading of the clock
+---@field fsm rfsm.Machine|nil nil if it cannot stand where the recording begins
+---@field problem string|nil the reason, or where the run departs from the recording
+---@field snap rfsm.snapshot.Snapshot|nil of the end, unless there is a problem
+---@field unsaved string|nil why there is none else
+---@field clock function in place of those of the machines
+---@field readings any[]|nil of the clock, that are to come in this iteration
+---@field latest any[]|nil the reading before
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
@@ -52,17 +60,13 @@ local function fill(session, list, events)
   end
 end
 
--- Has readings of the clock come from a list; behind its end, the latest one.
-local function reading(session, readings)
-  local i = 0
-  local function read()
-    i = i + 1
-    local now = readings and readings[i] or session.latest or { 0, 0 }
-    if type(now[1]) == "string" then error(now[1], 0) end
-    session.latest = now
-    return plain.unpack(now[1], 0), plain.unpack(now[2], 0)
-  end
-  return function() return read end
+-- Returns the next of the recorded readings of the clock; behind the last one, the
+-- latest.
+local function read_again(session)
+  local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
+  if type(now[1]) == "string" then error(now[1], 0) end
+  session.latest = now
+  return plain.unpack(now[1], 0), plain.unpack(now[2], 0)
 end
 
 -- Returns the record of the iteration that begins; raises STOP if there is none.
@@ -86,7 +90,7 @@ local function begin_again(session, track, events)
   track.rec, track.guard_at = rec, 0
   fill(session, events, rec.events)
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
-  if track.m == nil then watch_clock(session, reading(session, rec.clock)) end
+  if track.m == nil then session.readings = { unpack(rec.clock or {}) } end
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
 end
 
@@ -151,7 +155,6 @@ end
 local function finish_again(session, track)
   local rec = track.rec
   if not rec then return end
-  if track.m == nil then watch_clock(session, nil) end
   local ok, failure = calls.try(compare, session, track)
   if not ok then depart(session, "%s", reason(failure)) end
   if session.is_dry then
@@ -200,20 +203,6 @@ local function doo_again(session, track)
   end
 end
 
--- Takes the user's callbacks away.
-local function dry(session, track)
-  local fsm = track.fsm
-  fsm.pre_step_hook, fsm.post_step_hook = nil, nil
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    local owner = state._regions or state
-    owner.entry, owner.exit = nil, nil
-    if state.doo and not state._regions then state.doo = doo_again(session, track) end
-  end
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    tr.effect, tr.likely = nil, nil
-  end
-end
-
 -- Returns the numbers that guards have now, by those they had when they were recorded,
 -- for a chart that has changed.
 local function numbers_of(track, session)
@@ -230,16 +219,23 @@ local function numbers_of(track, session)
   return numbers
 end
 
+local function no_events() return {} end
+
 local function add_player(track, session, options)
   local fsm = track.fsm
   track.numbers = numbers_of(track, session)
   track.at, track.guard_at = 0, 0
   track.records = track.m and (session.inner[track.m] or {}) or session.records
-  track.own_getevents, fsm.getevents = rawget(fsm, "getevents"), nil
-  if session.is_dry then dry(session, track) end
+  if session.is_dry then
+    for _, state in ipairs(dry(track.swaps, fsm)) do
+      swap.put(track.swaps, state, "doo", doo_again(session, track))
+    end
+  end
   function track.begin(_, events) begin_again(session, track, events) end
   function track.finish() finish_again(session, track) end
   function track.reset() end
+  function track.getevents() return no_events end
+  function track.clock() return session.clock end
   function track.guard(...) return answer_again(session, track, options.guards, ...) end
 end
 
@@ -271,46 +267,60 @@ local function new_session(recording, options)
   local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
     is_dry = options.dry and true or false, guards = recording[1].guards,
     problem = nil }
+  local function read() return read_again(session) end
+  session.clock = clock.twofold(read, read)
   for i = 2, #recording do
     local rec = recording[i]
     session.step_of[rec] = #session.records + 1
     tracks.note(rec.m and session.inner or session, rec.m or "records", rec)
   end
-  session.last = options.to or options["until"] or #session.records
+  session.last = options.to or #session.records
   session.last = min(max(session.last, 0), #session.records)
   return session
 end
 
--- Returns the machine as it stands, on the clock of now.
-local function settle(session, model, fsm)
-  local ok, snap = with_clock(session, reading(session), snapshot.take, fsm)
-  if not ok then return not session.is_dry and fsm or nil, text_of(snap) end
-  if session.is_dry then return snapshot.restore(model, snap) end
-  if session.latest then snapshot.put(fsm, snap) end
-  return fsm
+local function itself(snap) return snap end
+
+-- Makes a machine that stands where the recording begins.
+local function begin(session, model, header, options)
+  local fsm, problem = rfsm.init(session.is_dry and quiet(model) or model)
+  if not fsm then
+    session.problem = problem
+    return
+  end
+  local swaps = {}
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    swap.put(swaps, at.machine, "gettime", session.clock)
+  end
+  session.readings = { unpack(header.clock or {}) }
+  local ok
+  ok, problem = snapshot.put(fsm, header.snapshot,
+    { migrate = options.migrate and itself or nil })
+  swap.give_back(swaps)
+  session.fsm, session.problem = ok and fsm or nil, problem
 end
 
-local function itself(snap) return snap end
+-- Advances the machine, and takes a snapshot where the recording ends.
+local function go_through(session)
+  run(session, session.tracks[1])
+  if session.problem then return end
+  local ok, snap = calls.try(snapshot.take, session.fsm)
+  if ok then session.snap = snap else session.unsaved = text_of(snap) end
+end
 
 --- Run a machine through a recording, which is one.
 ---@param model rfsm.State
 ---@param recording table[]
 ---@param options rfsm.record.Options
----@return rfsm.Machine|false fsm as of `rfsm.record.replay`
----@return string? problem
----@return integer? step
+---@return rfsm.record.Session session with a machine, a snapshot of it, or a problem
 return function(model, recording, options)
-  local session, header = new_session(recording, options), recording[1]
-  local ok, fsm, problem = with_clock(session, reading(session, header.clock),
-    snapshot.restore, session.is_dry and quiet(model) or model, header.snapshot,
-    { migrate = options.migrate and itself or nil })
-  if not ok or not fsm then return false, problem or text_of(fsm) end
-  local all = tracks.attach(fsm, add_player, session, options)
-  session.tracks = all
-  if options.watch then options.watch(fsm) end
-  ok, problem = with_clock(session, reading(session), run, session, all[1])
-  tracks.detach(all)
-  if not ok then error(problem, 0) end
-  if session.problem then return false, session.problem, session.at end
-  return settle(session, model, fsm)
+  local session = new_session(recording, options)
+  begin(session, model, recording[1], options)
+  if session.problem then return session end
+  session.tracks = tracks.attach(session.fsm, add_player, session, options)
+  if options.watch then options.watch(session.fsm) end
+  local is_whole, failure = pcall(go_through, session)
+  tracks.detach(session.tracks)
+  if not is_whole then error(failure, 0) end
+  return session
 end

@@ -1,18 +1,17 @@
 --- Tracks: what recording and replay have in common.
 --
--- Events as plain data, clocks that are read through another function, and the hooks of
+-- Events as plain data, data that may have changed, and the hooks, guards and clocks of
 -- a machine and of those in its states.
 --
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
 
 local order = require "rfsm.shared.order"
-local calls = require "rfsm.shared.calls"
-local clock = require "rfsm.clock"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
+local swap = require "rfsm.shared.swap"
 
-local error, ipairs, pcall = error, ipairs, pcall
+local ipairs = ipairs
 local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
 local type = type
 local concat = table.concat
@@ -121,70 +120,6 @@ function track.may_have_changed(watched)
   return may
 end
 
--- Clock --------------------------------------------------------------------------
-
---- Two clocks of an owner, made once, to be read in place of those in use.
----@class rfsm.record.Clocks
----@field before table<boolean, function> those in use, while the owner's are read
-
---- Return clocks that note each reading by note(...), or a failure.
----@param note fun(ok: boolean, ...)
----@return rfsm.record.Clocks clocks
-function track.new_clocks(note)
-  local clocks = { before = {} }
-  for _, kind in ipairs { true, false } do
-    clocks[kind] = function(...)
-      local ok, sec, nsec = calls.try(clocks.before[kind], ...)
-      note(ok, sec, nsec)
-      if not ok then error(sec, 0) end
-      return sec, nsec
-    end
-  end
-  return clocks
-end
-
---- Have clocks read through those of an owner from now on.
-function track.use_clocks(clocks)
-  local in_use, before = clock.in_use, clocks.before
-  for i = 1, 2 do
-    local kind = i == 1
-    local read = in_use[kind]
-    if read ~= clocks[kind] then before[kind], in_use[kind] = read, clocks[kind] end
-  end
-end
-
---- Have clocks read as before, unless somebody has set another one.
-function track.leave_clocks(clocks)
-  local in_use, before = clock.in_use, clocks.before
-  for i = 1, 2 do
-    local kind = i == 1
-    if in_use[kind] == clocks[kind] then in_use[kind] = before[kind] end
-  end
-end
-
---- Have clocks read through wrap(read), in place of what the owner had before; nil: as
--- they are.
-function track.watch_clock(owner, wrap)
-  local in_use = clock.in_use
-  for kind, read in order.each(owner.clocks or {}) do -- any order: each stands alone
-    if in_use[kind] == read.own then in_use[kind] = read.before end
-  end
-  owner.clocks = wrap and {}
-  for _, kind in ipairs(wrap and { true, false } or {}) do
-    owner.clocks[kind] = { own = wrap(in_use[kind]), before = in_use[kind] }
-    in_use[kind] = owner.clocks[kind].own
-  end
-end
-
---- Call f(...) meanwhile; return whether it succeeded, and two results.
-function track.with_clock(owner, wrap, f, ...)
-  track.watch_clock(owner, wrap)
-  local is_whole, ok, result, problem = pcall(calls.try, f, ...)
-  track.watch_clock(owner, nil)
-  if not is_whole then error(ok, 0) end
-  return ok, result, problem
-end
-
 -- Machines -----------------------------------------------------------------------
 
 --- A machine that is recorded or replayed, and what it calls.
@@ -196,17 +131,37 @@ end
 ---@field finish function the post step hook
 ---@field reset function the reset hook
 ---@field guard function called in place of each guard: number, guard, arguments
----@field guards table<rfsm.Transition, { own: function, new: function }>
----@field getevents function|nil set on the machine, in place of its own
----@field own_getevents function|nil
+---@field clock fun(own: function?): function returns the clock in place of its own
+---@field getevents fun(own: function): function|nil returns that in place of its own
+---@field swaps table[] what was replaced
+---@field wrapped table<string, table> the latest of these, for a field of the machine
+
+-- Has a function in place of that in a field of the machine; again if somebody has set
+-- another one meanwhile.
+local function wrap(own, field, make)
+  local wrapped, value = own.wrapped[field], rawget(own.fsm, field)
+  if not (wrapped and rawequal(wrapped.new, value)) then
+    own.wrapped[field] = swap.put(own.swaps, own.fsm, field, make(value))
+  end
+end
+
+--- Have a machine call getevents and the clock by its track. A region without a clock
+-- has that of the machine around it.
+---@param own rfsm.record.Track
+function track.wrap(own)
+  local fsm = own.fsm
+  if own.m == nil or rawget(fsm, "gettime") then wrap(own, "gettime", own.clock) end
+  if rawget(fsm, "getevents") then wrap(own, "getevents", own.getevents) end
+end
 
 -- Has the guards of a machine asked by its track.
 local function replace_guards(own)
   for number, tr in ipairs(rfsm.elements(own.fsm, rfsm.is_trans)) do
     local guard = tr.guard
     if guard then
-      local function ask(_, events) return own.guard(number, guard, tr, events) end
-      tr.guard, own.guards[tr] = ask, { own = guard, new = ask }
+      swap.put(own.swaps, tr, "guard", function(_, events)
+        return own.guard(number, guard, tr, events)
+      end)
     end
   end
 end
@@ -234,11 +189,13 @@ function track.attach(fsm, add, ...)
   local tracks = {}
   for i, at in ipairs(rfsm.machines(fsm)) do
     local machine = at.machine
-    local own = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false, guards = {} }
+    local own = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false, swaps = {},
+      wrapped = {} }
     add(own, ...)
+    track.wrap(own)
     replace_guards(own)
-    rfsm.pre_step_hook_add(machine, own.begin, "before")
-    rfsm.post_step_hook_add(machine, own.finish, "before")
+    rfsm.pre_step_hook_add(machine, rfsm.borrows(own.begin), "before")
+    rfsm.post_step_hook_add(machine, rfsm.borrows(own.finish), "before")
     rfsm.reset_hook_add(machine, own.reset)
     tracks[i] = own
   end
@@ -248,16 +205,10 @@ end
 --- Leave the machines as they were.
 function track.detach(tracks)
   for _, own in ipairs(tracks) do
-    local fsm = own.fsm
-    for tr, guard in order.each(own.guards) do -- any order: each stands alone
-      if rawequal(tr.guard, guard.new) then tr.guard = guard.own end
-    end
-    if rawget(fsm, "getevents") == own.getevents then
-      fsm.getevents = own.own_getevents
-    end
-    rfsm.pre_step_hook_rm(fsm, own.begin)
-    rfsm.post_step_hook_rm(fsm, own.finish)
-    rfsm.reset_hook_rm(fsm, own.reset)
+    swap.give_back(own.swaps)
+    rfsm.pre_step_hook_rm(own.fsm, own.begin)
+    rfsm.post_step_hook_rm(own.fsm, own.finish)
+    rfsm.reset_hook_rm(own.fsm, own.reset)
   end
 end
 

@@ -12,6 +12,7 @@
 local rfsm = require "rfsm"
 local record = require "rfsm.record"
 local record_lines = require "rfsm.record.lines"
+local replay = require "rfsm.record.replay"
 local snapshot = require "rfsm.snapshot"
 local terminal = require "rfsm.sim.terminal"
 local tracks = require "rfsm.record.track"
@@ -188,19 +189,19 @@ end
 -- Go to ---------------------------------------------------------------------------
 
 -- Replays records with a model that says nothing of itself.
-local function replay(sim, list, options)
+local function replay_list(sim, list, options)
   local model = sim.model
   local info, warn = model.info, model.warn
   model.info, model.warn, options.migrate = false, false, true
-  local ok, fsm, problem, step = pcall(record.replay, model, list, options)
+  local ok, session = pcall(replay, model, list, options)
   model.info, model.warn = info, warn
-  if not ok then error(fsm, 0) end
-  return fsm, problem, step
+  if not ok then error(session, 0) end
+  return session.snap, session.problem or session.unsaved, session.fsm and session.at
 end
 
--- Puts the machine of a session where another one stands.
-local function put(sim, fsm)
-  local ok, problem, difference = snapshot.put(sim.fsm, snapshot.take(fsm))
+-- Puts the machine of a session where a snapshot says.
+local function put(sim, snap)
+  local ok, problem, difference = snapshot.put(sim.fsm, snap)
   if ok then return end
   if difference then
     problem = "the machine has changed, " .. concat(difference, ", ")
@@ -222,12 +223,13 @@ local function move(sim, n, mark)
   if not chunk then return end -- nothing has happened
   history.pause(sim, function()
     local before = set_time(sim.time, mark)
-    local fsm, problem = replay(sim, chunk.list, { dry = true, to = n - chunk.first })
-    if not fsm then
+    local snap, problem = replay_list(sim, chunk.list,
+      { dry = true, to = n - chunk.first })
+    if not snap then
       set_time(sim.time, before)
       error("goto: " .. text_of(problem), 0)
     end
-    put(sim, fsm)
+    put(sim, snap)
     own.count = n
   end)
   if own.file then history.save(sim, own.name) end
@@ -339,12 +341,12 @@ function history.replay(sim, name)
   local list, about = record.read(name)
   local own, is_dry = sim.history, sim.saved ~= nil
   stop(own)
-  local fsm, problem, step = replay(sim, list, { dry = is_dry })
-  if not fsm and step then
-    fsm = replay(sim, list, { dry = true, to = step })
+  local snap, problem, step = replay_list(sim, list, { dry = is_dry })
+  if not snap and step then
+    snap = replay_list(sim, list, { dry = true, to = step })
   end
-  if not fsm then error(name .. ": " .. text_of(problem), 0) end
-  put(sim, fsm)
+  if not snap then error(name .. ": " .. text_of(problem), 0) end
+  put(sim, snap)
   if problem then tracks.truncate(list, step) end
   own.count = count_iterations(list)
   own.last, own.chunks = own.count, { { first = 0, count = own.count, list = list } }

@@ -47,13 +47,13 @@ end
 --- List the states and connectors.
 ---@param fsm rfsm.Machine
 ---@return string[] list names
----@return table<string, { node: table, fsm: rfsm.Machine }> by_name
+---@return table<string, table> by_name the nodes
 function names.nodes(fsm)
   local list, by_name = {}, {}
   for _, place in ipairs(rfsm.machines(fsm)) do
     for _, node in ipairs(rfsm.elements(place.machine, rfsm.is_nr_node)) do
       local name = names.full(place.prefix, node._fqn)
-      list[#list + 1], by_name[name] = name, { node = node, fsm = place.machine }
+      list[#list + 1], by_name[name] = name, node
     end
   end
   return list, by_name

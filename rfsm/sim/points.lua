@@ -17,8 +17,7 @@ local points = {}
 ---@class rfsm.sim.Point
 ---@field kind "state"|"transition"|"event"|"watch"
 ---@field name string for a reader; the expression
----@field value any the FQN, the transition or the event; the last value shown
----@field fsm? rfsm.Machine of the state
+---@field value any the name, the transition or the event; the last value shown
 
 local function is_called(node, name)
   local fqn = rfsm.is_node(node) and node._fqn:gsub("%.initial$", "")
@@ -54,8 +53,8 @@ local function of_text(fsm, text)
   local by_name = select(2, names.nodes(fsm))
   local name = by_name[text] and text or "root." .. text
   local found = by_name[name]
-  if found and rfsm.is_state(found.node) then
-    return { kind = "state", name = name, value = found.node._fqn, fsm = found.fsm }
+  if rfsm.is_state(found) then
+    return { kind = "state", name = name, value = name }
   end
   local src, tgt = text:match("^(.-)%s*%->%s*(.-)$")
   local tr = src and find_transition(fsm, src, tgt)
@@ -79,6 +78,17 @@ function points.add(sim, what)
   end
   sim.points[#sim.points + 1] = point
   return #sim.points
+end
+
+--- Call f(i, point) for each breakpoint in a list that is reached.
+---@param list rfsm.sim.Point[]
+---@param kind "state"|"transition"|"event"
+---@param value any its name, the transition, the event
+---@param f fun(i: integer, point: rfsm.sim.Point)
+function points.each_reached(list, kind, value, f)
+  for i, point in ipairs(list) do
+    if point.kind == kind and rawequal(point.value, value) then f(i, point) end
+  end
 end
 
 --- Watch an expression: its value is shown after each advance.
@@ -128,15 +138,16 @@ end
 
 --- Find the states and transitions in another machine of the chart, by their names.
 ---@param sim rfsm.sim.Session
-function points.renew(sim)
+---@param complain fun(line: string) called for each that is gone
+function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]
     if point.kind == "state" or point.kind == "transition" then
       local ok, renewed = pcall(of_text, sim.fsm, point.name)
-      if ok and renewed.kind == point.kind then
+      if ok then
         sim.points[i] = renewed
       else
-        view.complain(("%d %s %s: is gone, and no breakpoint now"):format(i,
+        complain(("%d %s %s: is gone, and no breakpoint now"):format(i,
           point.kind, point.name))
         remove(sim.points, i)
       end

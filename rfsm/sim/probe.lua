@@ -8,8 +8,9 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local calls = require "rfsm.shared.calls"
 local names = require "rfsm.sim.names"
+local points = require "rfsm.sim.points"
+local swap = require "rfsm.shared.swap"
 local terminal = require "rfsm.sim.terminal"
 
 local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetatable
@@ -57,7 +58,7 @@ end
 -- May the transition have fired on this event? A predicate is not asked again. Without
 -- events it fires on any, but a connector is left whatever the event.
 local function takes(tr, event)
-  local events = tr.events or {}
+  local events = tr.events
   for i = 1, #events do
     if rawequal(events[i], event) or rfsm.is_callable(events[i]) then return true end
   end
@@ -71,13 +72,10 @@ local function is_own(event)
   return event == "e_init_fsm" or type(event) == "string" and event:find("^e_done@")
 end
 
-function Probe:check_points(kind, value, fsm)
-  for i, point in ipairs(self.sim.points) do
-    if point.kind == kind and rawequal(point.value, value)
-      and (kind ~= "state" or point.fsm == fsm) then
-      self.hits[i], self.is_hit = true, true
-    end
-  end
+function Probe:check_points(kind, value)
+  points.each_reached(self.sim.points, kind, value, function(i)
+    self.hits[i], self.is_hit = true, true
+  end)
 end
 
 -- Notes the events that a transition has used; appends their texts to `by`.
@@ -86,7 +84,7 @@ function Probe:note_used(tr, events, by)
     local event = events[i]
     if takes(tr, event) then
       self.is_used[event] = true
-      if tr.events and tr.events[1] ~= nil then
+      if tr.events[1] ~= nil then
         by[#by + 1] = (rfsm.text_of(event):gsub("^(e_[%w()._]*)@root.*", "%1"))
       end
     end
@@ -111,7 +109,7 @@ function Probe:note(machine, id, text)
   if id == "EXEC_PATH" then
     self:note_path(machine, text)
   elseif id == "STATE_ENTER" then
-    self:check_points("state", text, machine.fsm)
+    self:check_points("state", names.full(machine.prefix, text))
   end
 end
 
@@ -131,22 +129,15 @@ end
 -- Attach and detach -----------------------------------------------------------------
 
 function Probe:attach(machine)
-  local fsm, own = machine.fsm, machine.fsm.dbg
-  machine.own = own
-  function machine.dbg(id, ...)
-    self:note(machine, id, ...)
-    if rfsm.is_callable(own) then return own(id, ...) end
-    if own then print(calls.text("\t", id, ...)) end
-  end
+  swap.listen(self.swaps, machine.fsm, "dbg", function(...) self:note(machine, ...) end)
   function machine.hook(_, events) self:note_events(machine, events) end
-  fsm.dbg = machine.dbg
-  rfsm.pre_step_hook_add(fsm, machine.hook, "after")
+  rfsm.pre_step_hook_add(machine.fsm, rfsm.borrows(machine.hook), "after")
 end
 
 --- Stop watching. What somebody has put into `dbg` meanwhile stays.
 function Probe:detach()
+  swap.give_back(self.swaps)
   for _, machine in ipairs(self.machines) do
-    if rawequal(machine.fsm.dbg, machine.dbg) then machine.fsm.dbg = machine.own end
     rfsm.pre_step_hook_rm(machine.fsm, machine.hook)
   end
 end
@@ -172,7 +163,7 @@ local probe = {}
 ---@return table probe
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
-    is_seen = {}, seen = {}, is_used = {}, machines = {} }, Probe)
+    is_seen = {}, seen = {}, is_used = {}, machines = {}, swaps = {} }, Probe)
   for i, place in ipairs(rfsm.machines(sim.fsm)) do
     self.machines[i] = { fsm = place.machine, prefix = place.prefix }
     self:attach(self.machines[i])

@@ -10,18 +10,19 @@ local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local dry = require "rfsm.sim.dry"
+local dry = require "rfsm.shared.dry"
 local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"
 local points = require "rfsm.sim.points"
 local probe = require "rfsm.sim.probe"
 local snapshot = require "rfsm.snapshot"
+local swap = require "rfsm.shared.swap"
 local terminal = require "rfsm.sim.terminal"
 local time = require "rfsm.sim.time"
 local view = require "rfsm.sim.view"
 
 local error, ipairs, pcall, print = error, ipairs, pcall, print
-local rawequal, rawget, select, setmetatable = rawequal, rawget, select, setmetatable
+local rawget, select, setmetatable = rawget, select, setmetatable
 local type = type
 local huge, min, concat = math.huge, math.min, table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -187,28 +188,17 @@ function Session:send(...)
   rfsm.send_events(self.fsm, unpack(events, 1, n))
 end
 
--- Appends a doo that Control-C can end, in place of that of a state.
-local function wrap(wrapped, state)
-  local own = state.doo
-  if not own then return end
-  state.doo = terminal.interruptible(own)
-  wrapped[#wrapped + 1] = { state = state, own = own, wrapper = state.doo }
-end
-
 --- Have Control-C end a doo that never yields, until the function returned is called.
 ---@return fun() release
 function Session:guard_doos()
-  local wrapped = {}
+  local swaps = {}
   for _, place in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
     for _, state in ipairs(rfsm.elements(place.machine, rfsm.is_leaf)) do
-      wrap(wrapped, state)
+      local doo = state.doo
+      if doo then swap.put(swaps, state, "doo", terminal.interruptible(doo)) end
     end
   end
-  return function()
-    for _, doo in ipairs(wrapped) do
-      if rawequal(doo.state.doo, doo.wrapper) then doo.state.doo = doo.own end
-    end
-  end
+  return function() swap.give_back(swaps) end
 end
 
 -- Other records, another machine ----------------------------------------------------
@@ -235,7 +225,7 @@ function Session:set_level(level)
 end
 
 -- Puts a machine where one of an older chart stands. Returns the problem if it cannot.
-local function place(fsm, old)
+local function put_in_place(fsm, old)
   local ok, snap = pcall(snapshot.take, old)
   if not ok then return snap end
   local options = { migrate = function() return snap end }
@@ -246,25 +236,36 @@ local function place(fsm, old)
   return (select(2, snapshot.put(fsm, snap, options)))
 end
 
+-- The doo in place of another: it goes on until its state is left.
+local function idle()
+  while true do rfsm.yield(true) end
+end
+
+local function let_pass() return true end
+
+-- Takes the functions of a chart away; returns what gives them back.
+local function take_functions(fsm)
+  local swaps = {}
+  for _, place in ipairs(rfsm.machines(fsm)) do
+    local machine = place.machine
+    for _, state in ipairs(dry(swaps, machine)) do
+      swap.put(swaps, state, "doo", idle)
+    end
+    if machine.getevents then swap.put(swaps, machine, "getevents", nil) end
+    for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+      if tr.guard then swap.put(swaps, tr, "guard", let_pass) end
+    end
+  end
+  return swaps
+end
+
 --- Take the functions of the chart away, or give them back.
 ---@param is_dry boolean
 function Session:set_dry(is_dry)
   history.pause(self, function()
-    if self.saved then dry.give_back(self.saved) end
-    self.saved = is_dry and dry.take(self.fsm) or nil
+    swap.give_back(self.saved or {})
+    self.saved = is_dry and take_functions(self.fsm) or nil
   end)
-end
-
---- Use another machine of the chart from now on.
----@param fsm rfsm.Machine
----@param model rfsm.State
-function Session:use(fsm, model)
-  self.fsm, self.env.fsm, self.model = fsm, fsm, model
-  if self.saved then self.saved = dry.take(fsm) end
-  if self.level then self:set_level(self.level) end
-  points.renew(self)
-  time.install(self)
-  history.start(self)
 end
 
 --- Read the chart anew. If it has a problem the machine stays.
@@ -274,8 +275,13 @@ function Session:reload()
     for _, problem in ipairs(result) do complain(problem) end
     return
   end
-  local problem = place(fsm, self.fsm)
-  self:use(fsm, result)
+  time.install(self, fsm)
+  local problem = put_in_place(fsm, self.fsm)
+  self.fsm, self.env.fsm, self.model = fsm, fsm, result
+  if self.saved then self.saved = take_functions(fsm) end
+  if self.level then self:set_level(self.level) end
+  points.renew(self, complain)
+  history.start(self)
   if problem then complain(text_of(problem) .. ": the machine begins anew") end
   self:show()
 end

@@ -9,8 +9,9 @@
 local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
+local swap = require "rfsm.shared.swap"
 
-local error, ipairs, pcall = error, ipairs, pcall
+local error, pcall = error, pcall
 local floor, min = math.floor, math.min
 local print, rawget = print, rawget
 local text_of, loaded = rfsm.text_of, rawget(_G, "package").loaded
@@ -22,37 +23,46 @@ local time = {}
 ---@field sec number
 ---@field nsec number
 ---@field starts table<boolean, { sec: number, nsec: number }> by whether nobody sets it
+---@field swaps table[] the clock of the machine before
 
---- Have the timers of all machines read the simulated clock, if a session has one.
+--- Have the timers of a machine read the simulated clock, if a session has one.
 ---@param sim rfsm.sim.Session
-function time.install(sim)
+---@param fsm rfsm.Machine
+function time.install(sim, fsm)
   local now = sim.time
   if not now then return end
-  for _, is_monotonic in ipairs { true, false } do
-    local start = now.starts[is_monotonic]
-    clock.in_use[is_monotonic] = function()
-      return start.sec + now.sec, start.nsec + now.nsec
-    end
+  local function simulated(start)
+    return function() return start.sec + now.sec, start.nsec + now.nsec end
   end
+  swap.put(now.swaps, fsm, "gettime", clock.twofold(simulated(now.starts[true]),
+    simulated(now.starts[false])))
+end
+
+-- Reads a clock of the machine, or that of the process.
+local function read(fsm, is_monotonic)
+  local own = rawget(fsm, "gettime")
+  local ok, sec, nsec = pcall((own and clock.split(own) or clock.in_use)[is_monotonic])
+  if not ok then error("clock: the clock failed: " .. text_of(sec), 0) end
+  return { sec = nsec and sec or 0, nsec = nsec or sec }
 end
 
 local function start(sim)
   if sim.time then return end
-  local starts = {}
-  for _, is_monotonic in ipairs { true, false } do
-    local sec, nsec = clock.read(is_monotonic)
-    if not sec then error("clock: the clock failed: " .. text_of(nsec), 0) end
-    starts[is_monotonic] = { sec = sec, nsec = nsec }
-  end
-  sim.time = { sec = 0, nsec = 0, starts = starts }
-  time.install(sim)
+  local starts = { [true] = read(sim.fsm, true), [false] = read(sim.fsm, false) }
+  history.pause(sim, function()
+    sim.time = { sec = 0, nsec = 0, swaps = {}, starts = starts }
+    time.install(sim, sim.fsm)
+  end)
 end
 
 --- Go on with the clock that was there before.
 ---@param sim rfsm.sim.Session
 function time.use_real(sim)
-  sim.time = nil
-  clock.in_use[true], clock.in_use[false] = nil, nil
+  if not sim.time then return end
+  history.pause(sim, function()
+    swap.give_back(sim.time.swaps)
+    sim.time = nil
+  end)
 end
 
 --- Return the seconds until the next timer can fire.

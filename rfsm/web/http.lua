@@ -94,7 +94,8 @@ end
 ---@field type? string default "text/plain"
 ---@field body? string of a stream: what it begins with
 ---@field headers? table<string, string>
----@field is_stream? boolean it goes on with the messages that `feed` asks for
+---@field stream? table it goes on with the messages that `feed` asks for; `streams`
+-- counts those about it
 
 local REASONS = {
   [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
@@ -119,7 +120,7 @@ end
 local function reply_text(reply)
   local status = reply.status or 200
   local body = reply.body or (status ~= 204 and REASONS[status] .. "\n" or "")
-  local length = reply.is_stream and "" or ("Content-Length: %d\r\n"):format(#body)
+  local length = reply.stream and "" or ("Content-Length: %d\r\n"):format(#body)
   return ("HTTP/1.1 %d %s\r\nContent-Type: %s; charset=utf-8\r\n"):format(status,
     REASONS[status], reply.type or "text/plain") .. length .. COMMON
     .. header_lines(reply.headers) .. "\r\n" .. body
@@ -136,6 +137,7 @@ end
 ---@field sent integer bytes of it that the client has taken
 ---@field since number when a stream last took something, or began to be sent it
 ---@field deadline number it is dropped then, unless it is a stream
+---@field stream? table what a stream is about
 
 local function new_connection(client, now)
   client:settimeout(0)
@@ -146,9 +148,14 @@ local function new_connection(client, now)
   }
 end
 
+local function count_stream(server, connection, change)
+  local stream = connection.stream
+  server.streams, stream.streams = server.streams + change, stream.streams + change
+end
+
 local function drop(server, connection)
   connection.socket:close()
-  if connection.phase == "stream" then server.streams = server.streams - 1 end
+  if connection.phase == "stream" then count_stream(server, connection, -1) end
   for i, other in ipairs(server.connections) do
     if other == connection then return remove(server.connections, i) end
   end
@@ -177,9 +184,10 @@ end
 
 local function begin_reply(server, connection, reply)
   local now = server.clock()
-  if reply.is_stream then
+  if reply.stream then
     if server.streams >= MAX_STREAMS then drop_stream(server) end
-    server.streams, connection.phase = server.streams + 1, "stream"
+    connection.phase, connection.stream = "stream", reply.stream
+    count_stream(server, connection, 1)
   else
     connection.phase, connection.deadline = "writing", now + REPLY_TIME
   end

@@ -15,10 +15,12 @@ local rfsm_checks = require "rfsm_checks"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 local place = require "rfsm.checks.place"
+local points = require "rfsm.sim.points"
+local swap = require "rfsm.shared.swap"
 local values = require "rfsm.sim.view"
 local View = require "rfsm.web.view"
 
-local ipairs, rawequal, rawget, select = ipairs, rawequal, rawget, select
+local ipairs, rawget, select = ipairs, rawget, select
 local setmetatable, tostring, type = setmetatable, tostring, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -34,6 +36,8 @@ local MAX_LOST = 20 -- events without an effect that are named
 ---@field last_lost any[] those of the last entry in the log
 ---@field entered table<integer, integer> how often a state was entered while watched
 ---@field is_watched boolean
+---@field points rfsm.sim.Point[] breakpoints
+---@field hit string|false the one that was reached since this was set to false
 local Live = setmetatable({}, { __index = View })
 Live.__index = Live
 
@@ -45,24 +49,37 @@ Live.__index = Live
 ---@field prefix string the FQN of its root in the description
 ---@field numbers table<rfsm.State, integer> of its nodes
 ---@field by_fqn table<string, integer> of its nodes by their FQN in the machine
----@field edges table<string, integer> numbers of its transitions by their texts
+---@field transitions table<string, rfsm.Transition> by their texts
+---@field edges table<rfsm.Transition, integer> their numbers
+---@field path_texts table<string, string> for a reader
 ---@field path string|false of the transition in the current iteration
----@field printers table[] that were replaced
+---@field printers table[] err and warn, as of `rfsm.shared.swap`
+---@field tracer table[] dbg, likewise, while it is watched
 
--- Returns the numbers of a machine's transitions by their texts.
-local function edges_by_text(view, machine, prefix)
-  local by_text = {}
-  for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
+-- Adds the transitions of a machine, by their texts, and their numbers.
+local function add_transitions(view, watched)
+  for _, tr in ipairs(rfsm.elements(watched.fsm, rfsm.is_trans)) do
     local text = tostring(tr)
-    by_text[text] = by_text[text] or view.outline.edge_of[place.path(tr, prefix)]
+    watched.transitions[text] = watched.transitions[text] or tr
+    watched.edges[tr] = view.outline.edge_of[place.path(tr, watched.prefix)]
   end
-  return by_text
+end
+
+-- Returns a table of paths as a reader sees them, by their texts in a trace.
+local function new_path_texts(prefix)
+  local begin = prefix == "root" and "" or prefix .. ": "
+  return setmetatable({}, { __index = function(texts, text)
+    texts[text] = begin .. text:gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
+    return texts[text]
+  end })
 end
 
 local function add_machine(view, location)
   local fsm, prefix = location.machine, location.prefix
   local watched = { fsm = fsm, prefix = prefix, path = false, numbers = {}, by_fqn = {},
-    edges = edges_by_text(view, fsm, prefix), printers = {} }
+    transitions = {}, edges = {}, path_texts = new_path_texts(prefix), printers = {},
+    tracer = {} }
+  add_transitions(view, watched)
   for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
     local number = view.outline.number_of[prefix .. node._fqn:sub(#"root" + 1)]
     watched.numbers[node], watched.by_fqn[node._fqn] = number, number
@@ -74,26 +91,6 @@ local function add_machine(view, location)
 end
 
 -- Failures: noted also while nobody watches ----------------------------------------
-
--- Has a printer of a machine call `note`, too.
-local function listen(watched, name, note)
-  local fsm = watched.fsm
-  local raw, own = rawget(fsm, name), fsm[name]
-  local function new(...)
-    note(...)
-    if rfsm.is_callable(own) then return own(...) end
-  end
-  fsm[name] = new
-  watched.printers[name] = { raw = raw, new = new }
-end
-
--- Gives a printer back, unless somebody has set another one meanwhile.
-local function listen_no_more(watched, name)
-  local printer, fsm = watched.printers[name], watched.fsm
-  watched.printers[name] = nil
-  if not (printer and rawequal(rawget(fsm, name), printer.new)) then return end
-  fsm[name] = printer.raw
-end
 
 -- Returns what a printer was called with, without the id of the record.
 local function line_of(...)
@@ -118,24 +115,41 @@ local function note_failure(view, watched, ...)
 end
 
 local function listen_to_failures(view, watched)
-  listen(watched, "err", function(...) note_failure(view, watched, ...) end)
-  listen(watched, "warn", function(...) view:note("warning", line_of(...)) end)
+  local fsm = watched.fsm
+  swap.listen(watched.printers, fsm, "err", function(...)
+    note_failure(view, watched, ...)
+  end)
+  swap.listen(watched.printers, fsm, "warn", function(...)
+    view:note("warning", line_of(...))
+  end)
 end
 
 -- What a watched machine does -----------------------------------------------------
+
+-- Notes the breakpoint that is reached, if one is.
+local function check_points(view, kind, value)
+  points.each_reached(view.points, kind, value, function(_, point)
+    view.hit = point.name
+  end)
+end
 
 -- The meaning of the records of a trace for the page.
 local RECORDS = {}
 
 function RECORDS.EXEC_PATH(_, watched, text)
-  text = text_of(text):gsub("%[%w+%]", ""):gsub("%->", " \226\134\146 ")
-  watched.path = (watched.prefix == "root" and "" or watched.prefix .. ": ") .. text
+  watched.path = watched.path_texts[text]
 end
 
-function RECORDS.EFFECT(view, watched, text) view:see_edge(watched.edges[text]) end
+function RECORDS.EFFECT(view, watched, text)
+  local tr = watched.transitions[text]
+  if not tr then return end -- merged in
+  view:see_edge(watched.edges[tr])
+  check_points(view, "transition", tr)
+end
 
 function RECORDS.STATE_ENTER(view, watched, fqn)
   local number = watched.by_fqn[fqn]
+  check_points(view, "state", watched.prefix .. fqn:sub(#"root" + 1))
   if number then view.entered[number] = (view.entered[number] or 0) + 1 end
 end
 
@@ -167,9 +181,12 @@ end
 
 -- Notes an iteration; one without events that took no transition is none.
 local function note_step(view, watched, events)
+  for i = 1, view.points[1] and #events or 0 do
+    check_points(view, "event", events[i])
+  end
   if watched.path then
     for _, number in ipairs(add_active({}, watched)) do view:see_node(number) end
-    view:note("step", watched.path, view:texts_of(events), active_numbers(view))
+    view:note("step", watched.path, { unpack(events) }, active_numbers(view))
     view.lost = {}
   elseif watched.fsm == view.fsm then
     add_lost(view, events)
@@ -180,20 +197,20 @@ end
 
 local function attach(view, watched)
   local fsm = watched.fsm
-  listen(watched, "dbg", function(id, text)
+  swap.listen(watched.tracer, fsm, "dbg", function(id, text)
     local take = RECORDS[id]
     if take then take(view, watched, text) end
   end)
   function watched.after_step(_, events) note_step(view, watched, events) end
   function watched.after_reset() view:touch() end
   -- before those of the user, which may fail
-  rfsm.post_step_hook_add(fsm, watched.after_step, "before")
+  rfsm.post_step_hook_add(fsm, rfsm.borrows(watched.after_step), "before")
   rfsm.reset_hook_add(fsm, watched.after_reset)
 end
 
 local function detach(_, watched)
   local fsm = watched.fsm
-  listen_no_more(watched, "dbg")
+  swap.give_back(watched.tracer)
   rfsm.post_step_hook_rm(fsm, watched.after_step)
   rfsm.reset_hook_rm(fsm, watched.after_reset)
 end
@@ -214,10 +231,7 @@ end
 --- Leave the machine as it was.
 function Live:close()
   self:watch(false)
-  for _, watched in ipairs(self.machines) do
-    listen_no_more(watched, "err")
-    listen_no_more(watched, "warn")
-  end
+  for _, watched in ipairs(self.machines) do swap.give_back(watched.printers) end
 end
 
 -- The state of now -----------------------------------------------------------------
@@ -245,7 +259,7 @@ end
 function Live:settle()
   if self.lost[1] == nil then return end
   self.last_lost, self.lost = self.lost, {}
-  self:note("lost", "no transition", self:texts_of(self.last_lost))
+  self:note("lost", "no transition", self.last_lost)
 end
 
 function Live:go_back(turn)
@@ -293,6 +307,16 @@ function Live:inspect(number)
   return about
 end
 
+--- Answer the command `inspect` of a page.
+---@param source { view: rfsm.web.Live }
+---@param message { node: any }
+---@return string? problem
+---@return table? about
+function Live.answer_inspect(source, message)
+  local about = source.view:inspect(message.node)
+  return not about and "node: number of a state expected" or nil, about
+end
+
 --- View a machine; `watch` begins to follow it.
 ---@param fsm rfsm.Machine
 ---@param clock fun(): number seconds, for the log
@@ -301,6 +325,7 @@ function Live.new(fsm, clock)
   local view = View.create(Live, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.node_of = fsm, {}, {}
   view.lost, view.last_lost, view.entered, view.is_watched = {}, {}, {}, false
+  view.points, view.hit = {}, false
   for _, location in ipairs(rfsm.machines(fsm)) do
     listen_to_failures(view, add_machine(view, location))
   end

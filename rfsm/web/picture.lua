@@ -19,55 +19,47 @@ local CPU_SECONDS = 60 -- then a run of Graphviz is stopped
 local Picture = {}
 Picture.__index = Picture
 
-local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; "
-  .. "nice dot -T%s '%s' >'%s' 2>/dev/null </dev/null & echo $!; }"
+-- The output has its name once it is complete, also if Graphviz has failed.
+local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; { "
+  .. "nice dot -T%s '%s' >'%s.part' 2>/dev/null </dev/null & "
+  .. "trap \"kill $! 2>/dev/null; rm -f '%s.part'; exit\" TERM; wait; "
+  .. "mv '%s.part' '%s'; } >/dev/null & echo $!; }"
 
 -- Begins a run of Graphviz.
 local function begin(picture, graph, format)
-  local handle = io.open(picture.input, "wb")
+  local handle, output = io.open(picture.input, "wb"), picture.output
   if not handle then return end
   handle:write(graph)
   handle:close()
-  os.remove(picture.output)
-  local pipe = io.popen(COMMAND:format(CPU_SECONDS, format, picture.input,
-    picture.output))
+  os.remove(output)
+  local pipe = io.popen(COMMAND:format(CPU_SECONDS, format, picture.input, output,
+    output, output, output))
   picture.pid = pipe:read("*l")
   pipe:close()
 end
 
--- Returns what Graphviz has written; nil before its end.
-local function read_output(file, ending)
-  local handle = io.open(file, "rb")
-  local size = handle and handle:seek("end") or 0
-  local text = size > #ending and handle:seek("set", size - #ending)
-    and handle:read("*a") == ending and handle:seek("set") and handle:read("*a")
-  if handle then handle:close() end
-  return text or nil
-end
-
--- Has Graphviz run, and yields until it is done. Returns nil without Graphviz.
-local function run(picture, graph, format, ending)
+-- Has Graphviz run, and yields until it is done. Returns nil if it is missing or fails.
+local function run(picture, graph, format)
   begin(picture, graph, format)
   while picture.pid do
-    local text = read_output(picture.output, ending)
-    if text then return text end
+    local handle = io.open(picture.output, "rb")
+    if handle then
+      local text = handle:read("*a")
+      handle:close()
+      return text ~= "" and text or nil
+    end
     coroutine.yield()
   end
 end
-
--- An empty graph behind all others: the answer is complete if it ends with this one.
-local LAST = "digraph last_of_all { }\n"
-local LAST_ANSWER = 'digraph last_of_all {\n\tgraph [bb="0,0,0,0"];\n'
-  .. '\tnode [label="\\N"];\n}\n'
 
 local function draw(picture, graph, description)
   if description then
     local chart = diagram.read(description, "rfsm.web.picture")
     graph = layout.draw(chart, function(graphs)
-      return run(picture, graphs .. LAST, "dot", LAST_ANSWER), "no Graphviz"
+      return run(picture, graphs, "dot"), "no Graphviz"
     end) or graph
   end
-  return run(picture, graph, "svg", "</svg>\n")
+  return run(picture, graph, "svg")
 end
 
 --- Begin a picture of a graph; without Graphviz none will come.

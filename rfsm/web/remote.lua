@@ -3,6 +3,7 @@
 -- @module rfsm.web.remote
 -- @license BSD-3-Clause
 
+local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
 local subscriber = require "rfsm.proto.subscriber"
@@ -11,6 +12,7 @@ local ipairs, setmetatable, type = ipairs, setmetatable, type
 
 local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
 local MAX_MESSAGES = 100 -- that are taken at a time
+local MAX_MACHINES = 100 -- of a port
 local WAIT = 0.02 -- seconds until the socket is looked at again
 
 --- The machine as it was last described.
@@ -75,10 +77,13 @@ local function take_state(view, message)
   view:touch()
 end
 
---- A connection that a page watches.
+--- A machine elsewhere. The first one of a port has the connection.
 ---@class rfsm.web.Remote
+---@field number integer at that port
 ---@field view rfsm.web.RemoteView|false false before the machine is described
 ---@field problems string[]
+---@field all rfsm.web.Remote[] those of the port
+---@field is_only boolean? no other machine of the port is shown
 local Remote = { commands = {} }
 Remote.__index = Remote
 
@@ -111,17 +116,48 @@ local function refuse(remote, problem)
   remote.problems = { remote.title .. ": " .. problem }
 end
 
+local function add_remote(all, client, clock_of_page, number)
+  local title = client.address
+  if number then title = title .. ", machine " .. ("%d"):format(number) end
+  all[#all + 1] = setmetatable({
+    client = client, title = title, number = number or 1, generation = 0, view = false,
+    problems = { title .. ": no machine has answered yet" }, is_heard = false,
+    clock = clock_of_page, all = all,
+  }, Remote)
+  return all[#all]
+end
+
+-- Returns the machine that a message is about: a new one if it is the first.
+local function remote_of(first, message)
+  local number = message.fsm
+  if number == nil or first.number == number then return first end
+  if first.is_only then return nil end
+  for _, remote in ipairs(first.all) do
+    if remote.number == number then return remote end
+  end
+  if message.type ~= "rfsm_model" or #first.all >= MAX_MACHINES then return nil end
+  return add_remote(first.all, first.client, first.clock, number)
+end
+
+local function take(first, message)
+  local remote = remote_of(first, message)
+  local problem = remote and subscriber.handle(TAKE, remote, message)
+  if problem then refuse(remote, problem) end
+end
+
 --- Take the messages that have come.
 function Remote:poll()
+  if self ~= self.all[1] then return end
   for _ = 1, MAX_MESSAGES do
     local message = self.client:receive(0)
     if not message then break end
-    local problem = subscriber.handle(TAKE, self, message)
-    if problem then refuse(self, problem) end
+    take(self, message)
   end
-  if self.view and self.is_heard ~= self.client.is_heard then
-    self.is_heard = self.client.is_heard
-    self.view:note("note", self.is_heard and "the machine answers" or "no answer")
+  for _, remote in ipairs(self.all) do
+    if remote.view and remote.is_heard ~= self.client.is_heard then
+      remote.is_heard = self.client.is_heard
+      remote.view:note("note", remote.is_heard and "the machine answers" or "no answer")
+    end
   end
 end
 
@@ -129,23 +165,18 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Watch a machine elsewhere.
+--- Watch the machines of a port.
 ---@param host string
 ---@param port integer
----@param clock fun(): number seconds, for the log
----@param number? integer which machine of the host, default 1
----@return rfsm.web.Remote? remote
+---@param number? integer only this one
+---@return rfsm.web.Remote[]? remotes grows with the machines that are heard of
 ---@return string? problem in one line
-function Remote.open(host, port, clock, number)
+function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, { path = true })
   if not client then return nil, problem end
-  local title = ("%s:%d"):format(host, port)
-  if number then title = title .. ", machine " .. ("%d"):format(number) end
-  return setmetatable({
-    client = client, title = title, number = number or 1, generation = 0, view = false,
-    problems = { title .. ": no machine has answered yet" }, is_heard = false,
-    clock = clock,
-  }, Remote)
+  local all = {}
+  add_remote(all, client, clock.from_now(), number).is_only = number ~= nil
+  return all
 end
 
 return Remote

@@ -13,15 +13,15 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local clock = require "rfsm.clock"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
+local points = require "rfsm.sim.points"
+local utf8 = require("rfsm.marsh").utf8
 
-local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
-local pcall = pcall
+local io, ipairs, os, package, pcall = io, ipairs, os, package, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
-local type = type
+local type, remove = type, table.remove
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -47,6 +47,8 @@ local TICK = 1e-6 -- seconds are rounded up to these
 ---@field snap table? of the machine before a chart with a mistake
 ---@field now number seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
+---@field points rfsm.sim.Point[] breakpoints
+---@field stopped string|false the one at which the last run has ended
 local Session = { MAX_STEPS = 1000 } -- of one run
 Session.__index = Session
 
@@ -79,7 +81,9 @@ local function init(session, model)
     end
   end
   local fsm, text, problems = rfsm.init(model)
-  if fsm and own_warn == nil then fsm.warn = false end -- the view hears it anyway
+  if not fsm then return fsm, text, problems end
+  fsm.gettime = session.gettime
+  if own_warn == nil then fsm.warn = false end -- the view hears it anyway
   return fsm, text, problems
 end
 
@@ -114,7 +118,6 @@ local function begin_turn(session)
   if session.is_live then
     session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
   end
-  clock.set_hook(session.gettime)
   session.turn, session.stopped = session.turn + 1, false
   session.turns[session.turn] = {
     now = session.now, count = session.recorder and session.recorder.count,
@@ -125,39 +128,18 @@ end
 
 local function step(session) return rfsm.step(session.view.fsm) end
 
--- Returns the breakpoint that was entered since `entered` was copied; nil if none was.
-local function find_stop(session, entered)
-  for _, number in ipairs(session.points) do
-    local count = session.view.entered[number] or 0
-    if count > (entered[number] or 0) then return number end
-  end
-end
-
--- Is a breakpoint entered in the step? A page is told.
-local function has_stopped(session, entered)
-  local number = find_stop(session, entered)
-  if number then
-    session.stopped = session.view.outline.nodes[number + 1].fqn
-    session.view:note("note", "stopped at " .. session.stopped)
-  end
-  return number ~= nil
-end
-
-local function copy(t)
-  local new = {}
-  for key, value in pairs(t) do new[key] = value end -- any order: a copy
-  return new
-end
-
--- Steps until the machine is idle, has entered a breakpoint, or too long.
+-- Steps until the machine is idle, has reached a breakpoint, or too long.
 local function run(session)
+  local view = session.view
   for _ = 1, Session.MAX_STEPS do
-    local entered = session.points[1] and copy(session.view.entered)
+    view.hit = false
     local is_idle = guarded(session, step)
-    if is_idle == nil or entered and has_stopped(session, entered) then return end
-    if is_idle then return session.view:settle() end
+    session.stopped = view.hit
+    if view.hit then return view:note("note", "stopped at " .. view.hit) end
+    if is_idle == nil then return end
+    if is_idle then return view:settle() end
   end
-  session.view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
+  view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
 end
 
 local function itself(snap) return snap end
@@ -170,8 +152,9 @@ end
 
 -- Begins with a machine: where another one stood, if the chart still has that state.
 local function begin(session, fsm, snap)
-  if session.view then session.view:close() end
   session.view = Live.new(fsm, function() return session.now end)
+  session.view.points = session.points
+  points.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:watch(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
   if not (snap and snapshot.put(fsm, snap, { migrate = itself })) then
@@ -188,8 +171,7 @@ local function load(session, keeps_place)
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.turn = session.generation + 1, 0
-  session.recorder, session.turns, session.points = false, {}, {}
-  clock.set_hook(session.gettime)
+  session.recorder, session.turns = false, {}
   local fsm, problems = load_machine(session)
   session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
   if fsm then begin(session, fsm, snap) end
@@ -228,7 +210,6 @@ function commands.back(session, message)
   local turn = session.turns[type(to) == "number" and to + 1]
   if not (turn and session.recorder) then return "there is no such turn" end
   session.now = turn.now
-  clock.set_hook(session.gettime)
   local ok, problem = session.recorder:back(session.recorder.count - turn.count)
   if not ok then return problem end
   local fsm = session.view.fsm -- what a page has sent is in no record
@@ -272,31 +253,27 @@ function commands.wait(session, message)
   pass(session, message.seconds)
 end
 
--- Sets or removes a breakpoint at a state.
+-- Sets or removes a breakpoint: a state, an event, or a transition "off -> on".
 function commands.breakpoint(session, message)
-  if not session.view:inspect(message.node) then
-    return "node: number of a state expected"
+  local list = session.points
+  if type(message.at) ~= "string" then
+    return "at: state, event or transition expected"
   end
-  local points = {}
-  for _, number in ipairs(session.points) do
-    if number ~= message.node then points[#points + 1] = number end
+  local ok, number = pcall(points.add, session.view, message.at)
+  if not ok then return number end
+  local name = list[number].name
+  for i = message.on and number - 1 or number, 1, -1 do -- those that are the same
+    if list[i].name == name then remove(list, i) end
   end
-  if message.on then points[#points + 1] = message.node end
-  session.points = points
   session.view:touch()
 end
 
-function commands.inspect(session, message)
-  local about = session.view:inspect(message.node)
-  if not about then return "node: number of a state expected" end
-  return nil, about
-end
+commands.inspect = Live.answer_inspect
 
 -- Seconds to the next timer of the chart; nil if there is none.
 local function next_timer(session)
   local timeevent = package.loaded.rfsm_timeevent
   if not (timeevent and session.view) then return nil end
-  clock.set_hook(session.gettime)
   local ok, seconds = pcall(timeevent.next_deadline, session.view.fsm)
   return ok and seconds or nil
 end
@@ -338,7 +315,10 @@ end
 function Session:describe(message)
   message.clock, message.live = self.now, self.is_live
   message.timer = next_timer(self) or false
-  message.points, message.stopped = self.points, self.stopped
+  message.stopped, message.points = self.stopped, {}
+  for i, point in ipairs(self.points) do
+    message.points[i] = utf8(point.name)
+  end
   message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
 end
 

@@ -85,16 +85,17 @@ local function trim(view)
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
 end
 
---- Add an entry to the log.
+--- Add an entry to the log. Most entries of a fast machine are never sent: events
+-- become texts when they are.
 ---@param kind string "step", "lost", "error", "warning", "output" or "note"
 ---@param text string
----@param events? string[] of a step
+---@param events? any[] of a step
 ---@param active? integer[] the active states behind a step
 function View:note(kind, text, events, active)
   self.count = self.count + 1
   self.log[#self.log + 1] = {
     number = self.count, at = self.clock(), kind = kind, events = events,
-    turn = self.turn, text = marsh.utf8(text:sub(1, MAX_TEXT)), active = active,
+    turn = self.turn, text = text, active = active,
   }
   trim(self)
   self:touch()
@@ -169,12 +170,20 @@ function View:chart()
   return { nodes = lists.nodes, edges = lists.edges, events = lists.events }
 end
 
+-- Returns an entry of the log as it is sent.
+local function sent(view, entry)
+  return { number = entry.number, at = entry.at, kind = entry.kind, turn = entry.turn,
+    active = entry.active, text = marsh.utf8(entry.text:sub(1, MAX_TEXT)),
+    events = entry.events and view:texts_of(entry.events) }
+end
+
 -- Returns the last entries behind number `last`, at most `most`.
 local function entries_after(view, last, most)
-  local log, first = view.log, #view.log + 1
-  local least = max(1, #log - most + 1)
-  while first > least and log[first - 1].number > last do first = first - 1 end
-  return { unpack(log, first) }
+  local log, entries = view.log, {}
+  local first = max(1, #log - most + 1)
+  while log[first] and log[first].number <= last do first = first + 1 end
+  for i = first, #log do entries[#entries + 1] = sent(view, log[i]) end
+  return entries
 end
 
 -- Returns failures as a list { node, count, node, count, ... }.

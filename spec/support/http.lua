@@ -63,9 +63,12 @@ function http.request(server, method, path, headers, body)
   return status, reply and reply:match("\r\n\r\n(.*)$"), reply
 end
 
+-- Returns the address of something about a machine, the first one if none is named.
+local function url_of(path, machine) return path .. "?machine=" .. (machine or 1) end
+
 --- Sends a command as the page does; returns the status and the body.
-function http.command(server, message)
-  return http.request(server, "POST", "/command", { "Host: 127.0.0.1",
+function http.command(server, message, machine)
+  return http.request(server, "POST", url_of("/command", machine), { "Host: 127.0.0.1",
     "X-Rfsm-Token: " .. server.token }, dkjson.encode(message))
 end
 
@@ -89,7 +92,7 @@ end
 function Page:command(name, fields)
   fields = fields or {}
   fields.command = name
-  http.command(self.server, fields)
+  http.command(self.server, fields, self.machine)
   return self:next()
 end
 
@@ -99,17 +102,17 @@ function Page:send(event)
 end
 
 --- Opens the stream of a page; returns it and the first message.
-function http.page(server)
-  local page = setmetatable({ server = server, tcp = http.connect(server), text = "" },
-    Page)
-  http.send(server, page.tcp, "GET /events?token=" .. server.token
-    .. " HTTP/1.1\r\nHost: localhost\r\n\r\n")
+function http.page(server, machine)
+  local page = setmetatable({ server = server, tcp = http.connect(server), text = "",
+    machine = machine }, Page)
+  http.send(server, page.tcp, "GET " .. url_of("/events", machine) .. "&token="
+    .. server.token .. " HTTP/1.1\r\nHost: localhost\r\n\r\n")
   return page, page:next()
 end
 
 --- Returns the chart as the page gets it.
-function http.chart(server)
-  local _, body = http.request(server, "GET", "/chart")
+function http.chart(server, machine)
+  local _, body = http.request(server, "GET", url_of("/chart", machine))
   return (dkjson.decode(body))
 end
 

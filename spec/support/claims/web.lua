@@ -68,6 +68,7 @@ local function check(seed)
   local model = kept.model(seed)
   model.err = false
   local fsm = assert(rfsm.init(model))
+  fsm.gettime = session.gettime
   run(fsm)
   local problem = wander(session, fsm, random, places)
     or check_back(session, random, places)
