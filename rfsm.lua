@@ -2944,7 +2944,15 @@ end
 local function move_to(state, mode)
   local fsm = state
   while fsm._parent ~= fsm do fsm = fsm._parent end
-  set_inactive(fsm)
+  local left = fsm -- what is active is reached by _actchild
+  while left do
+    local child = left._actchild
+    left._mode = "inactive"
+    if left._doo_co then left._doo_co = nil end
+    if child then rawset(left, "_actchild", nil) end
+    left = child
+  end
+  fsm._act_leaf, fsm._is_plain = false, false
   state._mode = mode
   if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
