@@ -4,6 +4,9 @@
 local new_random = require "spec.support.random"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+
+local put = snapshot.put
 
 local EVENTS = { "e_next", "e_next", "e_same", "e_none" }
 
@@ -30,8 +33,11 @@ local function new_model(seed)
     model[name] = rfsm.state { keep = random:chance(70) and { "n" } or nil, n = i }
     model[#model + 1] = rfsm.trans { src = name, tgt = to, effect = new_effect(random,
       name), events = { "e_next", random:chance(40) and "e_after(2)" or nil } }
+    local is_moving = random:chance(20)
     model[#model + 1] = rfsm.trans { src = name, tgt = name, events = { "e_same",
-      random:chance(30) and "e_at(1005)" or nil } }
+      random:chance(30) and "e_at(1005)" or nil }, guard = function(tr)
+        if is_moving then tr.tgt = tr._fsm.s2 end
+      end }
   end
   return rfsm.state(model)
 end
@@ -82,18 +88,17 @@ local function new_host(trace, clock)
   }
 end
 
+local function put_the_long_way(fsm, snap, options)
+  return put(fsm, snap, { migrate = options.migrate, rename = options.rename })
+end
+
 -- Makes the library anew, with the short way or without, and makes random calls.
 local function run_library(seed, is_short)
-  local real = package.loaded["rfsm.redis.short"]
   package.loaded["rfsm.redis.functions"] = nil
-  if not is_short then
-    package.loaded["rfsm.redis.short"] = { put = function() return false end,
-      take = function() return nil end }
-  end
+  snapshot.put = is_short and put or put_the_long_way
   local random, trace, clock = new_random(seed * 31), {}, { now = 1000 }
   local functions = require "rfsm.redis.functions" (new_host(trace, clock),
     { { name = "c", make = function() return new_model(seed) end } })
-  package.loaded["rfsm.redis.short"] = real
   for i = 1, 30 do
     local key = "m" .. random:below(2)
     clock.now = clock.now + random:below(8) / 4
@@ -103,6 +108,8 @@ local function run_library(seed, is_short)
       reply = functions.rfsm_create({ i <= 2 and "m" .. i or key }, { "c" })
     elseif what == 2 then
       reply = functions.rfsm_tick({ key }, {})
+    elseif what == 3 then
+      reply = functions.rfsm_why({ key }, { "e_same" }) -- guards run
     else
       reply = functions.rfsm_send({ key }, { random:pick(EVENTS), random:pick(EVENTS) })
     end
@@ -114,7 +121,6 @@ end
 return { name = "the short way in Redis", run = function(n, seed)
   local loaded = package.loaded["rfsm.redis.functions"]
   local problem = nil
-  require "rfsm.redis.short"
   for i = 1, n do
     local with, without = run_library(seed * 1009 + i, true),
       run_library(seed * 1009 + i, false)
@@ -126,7 +132,7 @@ return { name = "the short way in Redis", run = function(n, seed)
     end
     if problem then break end
   end
-  package.loaded["rfsm.redis.functions"] = loaded
+  package.loaded["rfsm.redis.functions"], snapshot.put = loaded, put
   require("rfsm_timeevent").set_gettime_hook(nil)
   return n, problem
 end }
