@@ -388,18 +388,16 @@ end
 -- When a machine is to be woken; nil: not before an event comes.
 local function due_of(machine, is_idle)
   if not is_idle and machine.fsm._act_leaf then return now() end
-  local left, later = timeevent.next_deadline(machine.fsm), machine.list[LATER]
-  local due = left and now() + left
+  local snap, later = machine.list[SNAP], machine.list[LATER]
+  local left = (snap.ext or snap.regions) and timeevent.next_deadline(machine.fsm)
+  local due = left and now() + left or nil
   later = later and later[1]
   if later then due = min(due or later[1], later[1]) end
   return due
 end
 
 -- Returns the value of a machine; its list ends with what is there.
-local function pack_machine(machine, due)
-  local list = machine.list
-  list[SNAP] = snapshot.take(machine.fsm)
-  machine.chart.options.is_tidy = list[SNAP].targets == nil
+local function pack_machine(list, due)
   if list[LATER] then
     list[IDS] = list[IDS] or false
     if not list[LATER][1] then list[LATER] = nil end
@@ -480,14 +478,17 @@ end
 -- has changed, and returns the reply: leaf, mode, errors.
 local function advance(machine)
   emitted, printed, machine.chart.fsm = {}, machine.notes or {}, nil
-  local due = due_of(machine, rfsm.step(machine.fsm, MAX_STEPS))
-  machine.chart.fsm = machine.fsm
-  local leaf = machine.fsm._act_leaf
+  local fsm, chart, list = machine.fsm, machine.chart, machine.list
+  local is_idle, leaf = rfsm.step(fsm, MAX_STEPS), fsm._act_leaf
+  chart.fsm = fsm
+  list[SNAP] = snapshot.take(fsm)
+  chart.options.is_tidy = list[SNAP].targets == nil
+  local due = due_of(machine, is_idle)
   local reply = { leaf and leaf._fqn or "", leaf and leaf._mode or "inactive" }
   writes = {}
   add_due(machine, due)
   add_streams(machine)
-  add_write(nil, "SET", machine.key, pack_machine(machine, due))
+  add_write(nil, "SET", machine.key, pack_machine(list, due))
   if reply[1] ~= (machine.leaf or "") then add_move(machine, reply[1]) end
   local ok, problem = pcall(host.call, unpack(writes[1]))
   if not ok then
