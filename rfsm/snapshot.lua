@@ -463,7 +463,9 @@ end
 local function try_put(fsm, snap, options, may_reset)
   if type(options) ~= "table" then options = NONE end -- a position of dkjson.decode
   local ok, failure = true, false
-  if options.trusted then ok, failure = try(put_directly, fsm, snap, options.is_tidy) end
+  if options.trusted then
+    ok, failure = try(put_directly, fsm, snap, options.is_tidy)
+  end
   if not ok then rfsm.reset(fsm) end
   if ok and not failure then ok, failure = try(put, fsm, snap, options, may_reset) end
   if ok then return true end

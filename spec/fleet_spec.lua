@@ -13,6 +13,9 @@ end
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
 local redis = require "rfsm.redis"
+local redis_host = require "spec.support.redis_host"
+local rfsm = require "rfsm"
+local timeevent = require "rfsm_timeevent"
 
 teardown(servers.stop_all)
 after_each(helper.remove_files)
@@ -55,6 +58,15 @@ return rfsm.state {
 }]]
 
 local server
+
+-- Loads a module once more; what is loaded stays.
+local function reloaded(name)
+  local loaded = package.loaded[name]
+  package.loaded[name] = nil
+  local module = require(name)
+  package.loaded[name] = loaded
+  return module
+end
 
 local function library(options, charts)
   local arguments = {}
@@ -116,6 +128,26 @@ describe("an event with an id", function()
       call("rfsm_send 1 {0} e_tick ID " .. id)
     end
     assert.equal(3, count_of("{0}"))
+  end)
+
+  it("is known for a time, if the library says so", function()
+    local clock = { now = 1000 }
+    local functions = reloaded("rfsm.redis.functions")(redis_host.new({}, clock),
+      { { name = "c", make = function() return rfsm.load_str(COUNTER) end } },
+      { ids_for = 10, ids = 3 })
+    functions.rfsm_create({ "m" }, { "c" })
+    local function count_after(id)
+      functions.rfsm_send({ "m" }, { "e_tick", "ID", id })
+      return tonumber(functions.rfsm_get({ "m" })[12])
+    end
+    assert.same({ 1, 1, 2 }, { count_after("a"), count_after("a"), count_after("b") })
+    clock.now = 1010
+    assert.same({ 2, 3 }, { count_after("a"), count_after("c") }, "for 10 seconds")
+    clock.now = 1011
+    assert.same({ 4, 5 }, { count_after("d"), count_after("a") }, "no longer")
+    assert.same({ 5, 6, 7 }, { count_after("c"), count_after("e"), count_after("c") },
+      "three at most")
+    timeevent.set_gettime_hook(nil)
   end)
 
   it("has an id of 1 to 64 bytes", function()

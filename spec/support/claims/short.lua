@@ -1,8 +1,8 @@
 -- The short way in and out of machines in Redis writes what the long way writes, in the
 -- same order, for random charts and calls. Redis is a table here.
 
+local host = require "spec.support.redis_host"
 local new_random = require "spec.support.random"
-local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
@@ -42,52 +42,6 @@ local function new_model(seed)
   return rfsm.state(model)
 end
 
--- Returns data as a text in which the order of keys is always the same.
-local function sorted(value)
-  if type(value) ~= "table" then
-    return type(value) == "number" and ("%.9g"):format(value) or tostring(value)
-  end
-  local parts = {}
-  for i, key in ipairs(rfsm.sorted_keys(value)) do
-    parts[i] = tostring(key) .. "=" .. sorted(value[key])
-  end
-  return "{" .. table.concat(parts, ",") .. "}"
-end
-
--- Returns a host that notes what is written in `trace`; `clock.now` is its time.
-local function new_host(trace, clock)
-  local values, packed = {}, nil
-  local commands = {
-    GET = function(key) return values[key] and key or false end,
-    EXISTS = function(key) return values[key] and 1 or 0 end,
-    TIME = function()
-      local seconds = math.floor(clock.now)
-      return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
-    end,
-    TYPE = function() return { ok = "none" } end,
-    SET = function(key)
-      values[key] = packed
-      trace[#trace + 1] = "SET " .. sorted(packed)
-    end,
-  }
-  return {
-    call = function(name, ...)
-      if commands[name] then return commands[name](...) end
-      trace[#trace + 1] = name .. " " .. sorted { ... }
-    end,
-    may = function() return true end,
-    error_reply = function(text) return { err = text } end,
-    json = { encode = function() return "json" end, decode = function() return {} end },
-    pack = {
-      pack = function(list)
-        packed = plain.copy_of(list)
-        return "packed"
-      end,
-      unpack = function(key) return plain.copy_of(values[key]) end,
-    },
-  }
-end
-
 local function put_the_long_way(fsm, snap, options)
   return put(fsm, snap, { migrate = options.migrate, rename = options.rename })
 end
@@ -97,7 +51,7 @@ local function run_library(seed, is_short)
   package.loaded["rfsm.redis.functions"] = nil
   snapshot.put = is_short and put or put_the_long_way
   local random, trace, clock = new_random(seed * 31), {}, { now = 1000 }
-  local functions = require "rfsm.redis.functions" (new_host(trace, clock),
+  local functions = require "rfsm.redis.functions" (host.new(trace, clock),
     { { name = "c", make = function() return new_model(seed) end } })
   for i = 1, 30 do
     local key = "m" .. random:below(2)
@@ -113,7 +67,7 @@ local function run_library(seed, is_short)
     else
       reply = functions.rfsm_send({ key }, { random:pick(EVENTS), random:pick(EVENTS) })
     end
-    trace[#trace + 1] = sorted(reply)
+    trace[#trace + 1] = host.sorted(reply)
   end
   return trace
 end
