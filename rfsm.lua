@@ -2783,6 +2783,28 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   return results
 end
 
+local function itself(element) return element end
+
+-- Lists the elements of a machine that is being prepared, all of its plan. The order is
+-- found once: positive numbers are nodes, negative ones transitions.
+local function planned_elements(fsm, pred)
+  local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
+  if not order then
+    order = rfsm.mapfsm(itself, fsm)
+    for i, obj in ipairs(order) do
+      local index = obj["_%def"].index
+      order[i] = rfsm.is_trans(obj) and -index or index
+    end
+    fsm._plan.order = order
+  end
+  local list = {}
+  for i = 1, #order do
+    local element = order[i] > 0 and nodes[order[i]] or transitions[-order[i]]
+    if not pred or pred(element) then list[#list + 1] = element end
+  end
+  return list
+end
+
 --- List an element and those below it that `pred` accepts, for extensions.
 --
 -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
@@ -2791,7 +2813,7 @@ end
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
-  local function itself(element) return element end
+  if rfsm.is_root(obj) and obj._preparing then return planned_elements(obj, pred) end
   if rfsm.is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
   local list = rfsm.mapfsm(itself, obj, pred)
   if not rfsm.is_root(obj) and (not pred or pred(obj)) then
