@@ -183,8 +183,9 @@ end
 -- Put: checks everything before anything is changed ---------------------------------
 
 local function find_leaf(fsm, own, fqn)
-  local leaf = own.leaves[fqn]
-  if leaf or fqn == nil then return leaf or false end
+  if fqn == nil then return false end
+  local index = own.chart.leaves[fqn]
+  if index then return own.nodes[index] end
   fail(charts.find_state(fsm, fqn) and "leaf: '%s' is a composite"
     or "leaf: no state is '%s'", fqn)
 end
@@ -386,7 +387,7 @@ end
 
 -- Is a snapshot of the same chart, without what is rare?
 local function is_usual(own, snap)
-  return own.leaves[snap.leaf] and snap.chart == own.chart.name
+  return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
     and snap.version == move.VERSION and not (snap.queue or snap.saved or snap.targets
     or snap.regions) and not (own.chart.has_load or own.places[2])
 end
@@ -396,9 +397,9 @@ end
 -- changed nothing, if it does not know the way.
 local function put_directly(fsm, snap, is_tidy)
   local own, data, ext = charts.of(fsm), snap.data or NONE, snap.ext or NONE
-  local leaf, keepers = own.leaves[snap.leaf], own.chart.keepers
-  local hooks = charts.hooks(fsm)
+  local keepers, hooks = own.chart.keepers, charts.hooks(fsm)
   if not is_usual(own, snap) then return false end
+  local leaf = own.nodes[own.chart.leaves[snap.leaf]]
   rfsm.place(fsm, leaf, snap.done and "done" or "active", {})
   if not is_tidy then set_targets(own, NONE) end
   for i = 1, #keepers do

@@ -149,6 +149,7 @@ end
 ---@field has_load boolean a keeper has functions, which may fail
 ---@field has_regions boolean
 ---@field index table<string, integer> numbers of the nodes, by FQN
+---@field leaves table<string, integer> those of the leaves
 ---@field targets integer[] number of the target of each transition
 
 -- What is known of structures that are in use, and by name.
@@ -191,9 +192,11 @@ local function chart_of(fsm)
   if charts[key] then return charts[key] end
   local self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
     keepers = {}, keeper = {}, has_load = false, has_regions = false, index = {},
-    targets = {} }
+    leaves = {}, targets = {} }
   add_lines(self, fsm)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local fqn = state._fqn
+    self.leaves[fqn] = rfsm.is_leaf(state) and self.index[fqn] or nil
     add_keeper(self, state)
     add_regions(self, state)
   end
@@ -244,7 +247,7 @@ end
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
 ---@field states rfsm.State[] that of each keeper
----@field leaves table<string, rfsm.State> by FQN
+---@field nodes table[]
 ---@field transitions rfsm.Transition[]
 ---@field targets table[] the target of each of them, as the model names it
 ---@field path rfsm.snapshot.Path for `take`
@@ -257,14 +260,11 @@ function chart.of(fsm)
   if own and own.key == key then return own end
   local known, nodes = chart_of(fsm), nodes_of(fsm)
   own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
-    states = {}, leaves = {}, transitions = chart.transitions(fsm), targets = {},
+    states = {}, nodes = nodes, transitions = chart.transitions(fsm), targets = {},
     path = { owner = "", keeper = false, prefix = "root", base = 0, seen = false } }
   if known.has_regions then own.places = rfsm.machines(fsm) end
   for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.index] end
   for i, index in ipairs(known.targets) do own.targets[i] = nodes[index] end
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    own.leaves[leaf._fqn] = leaf
-  end
   fsm._kept = own
   return own
 end
