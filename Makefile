@@ -14,9 +14,9 @@ SEED     ?= 1
 PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
-BUNDLE   ?= rfsm rfsm.quick rfsm.straight rfsm.advice
+BUNDLE   ?= rfsm rfsm.fast rfsm.advice
 DIST     ?= dist
-SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.quick rfsm.straight rfsm.emem \
+SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.fast rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')

@@ -6,24 +6,38 @@
 -- and `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
--- resolve, compile, machine, run, public functions, merge. An FQN is a fully qualified
--- name ("root.a.b"); an iteration is one turn of the loop inside `step`.
+-- resolve, compile, machine, run, build, use, tools, merge. An FQN is a fully qualified
+-- name ("root.a.b"); an iteration is one turn of the loop inside `step`. What a machine
+-- does is complete here; rfsm/fast.lua makes it faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
 
-local error, getmetatable, ipairs, loadfile = error, getmetatable, ipairs, loadfile
-local next, pairs, pcall, rawequal, rawget = next, pairs, pcall, rawequal, rawget
-local rawset, require, select, setmetatable = rawset, require, select, setmetatable
-local coroutine, tostring, type = coroutine, tostring, type
-local concat, sort = table.concat, table.sort
-local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
-local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local next, pairs = next, pairs
+local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset, select
+local setmetatable, tostring, type, xpcall = setmetatable, tostring, type, xpcall
+local concat, insert = table.concat, table.insert
+local remove, sort = table.remove, table.sort
+local huge = 1 / 0
+
+-- Returns a global, or a field of one; nil where a sandbox lacks it.
+local function find_global(name, field)
+  local value = rawget(_G, name)
+  if not field then return value end
+  return type(value) == "table" and rawget(value, field) or nil
+end
+
+local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
+local loadstring = find_global "loadstring" or find_global "load"
+local unpack = find_global("table", "unpack") or find_global "unpack"
+local getinfo = find_global("debug", "getinfo")
+local getlocal = find_global("debug", "getlocal")
+local _, require = pcall(function() return require end) -- also one of a bundle
 
 -- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
 -- functions are interpreted.
-local jit = rawget(_G, "jit")
-local interpret = type(jit) == "table" and jit.off or function() end
+local interpret = find_global("jit", "off") or function() end
 
 ---@class rfsm
 ---@field seqand fun(t: table): rfsm.State
@@ -127,7 +141,7 @@ do
     local caller = getinfo(level + 1, "Sl")
     if caller and caller.currentline > 0 and caller.short_src ~= this_file then
       local file = caller.source:match("^@(.*)") or caller.short_src -- cut to 60
-      made_at[t] = file .. ":" .. caller.currentline
+      made_at[t] = ("%s:%d"):format(file, caller.currentline)
     end
   end
 
@@ -185,7 +199,7 @@ rfsm.connector = rfsm.conn
 
 --- Suspend a doo until the next doo cycle; a true value means idle.
 ---@type fun(idle?: boolean): rfsm.Machine, rfsm.State, "doo"
-rfsm.yield = coroutine.yield
+rfsm.yield = find_global("coroutine", "yield")
 
 --- Is `key` one of the engine's own (a leading underscore)?
 ---@param key any
@@ -366,6 +380,7 @@ function rfsm.load(file)
   if type(file) ~= "string" then
     error("rfsm.load: file name expected, got " .. type(file), 2)
   end
+  if not loadfile then error("rfsm.load: there is no loadfile here", 2) end
   local chunk, problem = loadfile(file)
   if not chunk then error("rfsm.load: " .. problem, 0) end
   return run_chunk(chunk, file, "rfsm.load: no valid rfsm in file '" .. file .. "'")
@@ -420,7 +435,7 @@ end
 
 -- Returns a module that may be missing, nil then.
 local function find_module(name)
-  if not require then return nil end
+  if type(require) ~= "function" then return nil end
   local ok, module = pcall(require, name)
   if ok then return module end
   if not text_of(module):find("module '" .. name .. "' not found", 1, true) then
@@ -546,7 +561,7 @@ do
           .. "holes or keys")
         return false
       elseif event ~= event then
-        add(build.problems, def, "events[" .. i .. "]", "an event cannot be NaN")
+        add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
       end
       list[i] = event
     end
@@ -916,9 +931,11 @@ end
 ---@field nodes rfsm.Def[] parents before children, the root first
 ---@field transitions rfsm.Def[]
 ---@field events table<any, true> the events that transitions name
----@field trail table|false see `is_current`; a plan that one machine has alone has none
+---@field trail table|false see `is_current`; only the plan of a model has one
+---@field variants table<string, rfsm.Plan> those made by preproc functions
+---@field ids table<any, integer> numbers of events and priorities in their keys
 
-local compile, compile_transition, line_to, run_segment, run_warily
+local compile, compile_transition, line_to
 
 do
   -- The order in which the transitions of a node are tried: larger pn first, then the
@@ -933,20 +950,29 @@ do
 
   local CLASSES = { state = State, transition = Transition, connector = Connector }
 
+  -- The events of a transition: a list of the caller's own, since machines share the
+  -- definition.
+  local Events = {}
+  function Events.__index(proto, key)
+    return key == "events" and append({}, proto["_%def"].events or NONE) or nil
+  end
+
   -- Makes the metatable of the elements, in which absent fields are looked up.
   local function make_proto(def)
     local class = CLASSES[def.kind]
     local proto = {
       ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
       __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
-      events = def.events or {}, _is_internal = def.is_internal or nil,
       __eq = rawequal, -- so that no other one's is ever asked
     }
+    if def.kind == "transition" then
+      proto.guard, proto.effect = false, false
+      proto._is_internal = def.is_internal or nil
+      setmetatable(proto, Events)
+    end
     proto.__index = proto
     def.proto = proto
-    if def.is_leaf then
-      def.done_event, def.choices, def.quick = "e_done@" .. def.fqn, NONE, NONE
-    end
+    if def.is_leaf then def.done_event = "e_done@" .. def.fqn end
   end
 
   -- Gives each node the list of its outgoing transitions, in order, and removes the
@@ -990,31 +1016,35 @@ do
     for i = state.depth - lca.depth, 1, -1 do
       entries[i], state = state, state.parent
     end
-    def.lca, def.entries, def.has_predicate = lca, entries, false
-    def.tgt_index = tgt.index
-    for i = 1, def.events and #def.events or 0 do
-      def.has_predicate = def.has_predicate or type(def.events[i]) == "function"
-    end
-    def.run, def.run_hooked, def.run_traced = run_warily, run_warily, run_segment
+    def.lca, def.entries = lca, entries
     def.connector = tgt.kind == "connector" and tgt -- last: the others are set
     return def
   end
 
   -- Lists the states from the root to `leaf`.
   function line_to(leaf)
-    local above = leaf.parent == leaf and {} or line_to(leaf.parent)
-    leaf.line = leaf.line or append(append({}, above), { leaf })
-    return leaf.line
+    if leaf.line then return leaf.line end
+    local line, def = {}, leaf
+    for i = leaf.depth + 1, 1, -1 do
+      line[i], def = def, def.parent
+    end
+    leaf.line = line
+    return line
   end
+end
+
+local function new_plan(model)
+  return {
+    model = model, nodes = {}, transitions = {}, events = {}, trail = false,
+    warnings = {}, created = {}, variants = setmetatable({}, { __mode = "v" }),
+    ids = setmetatable({}, { __mode = "k" }), last_id = 0,
+  }
 end
 
 -- Returns a plan like this one, for changes: its definitions are new ones.
 local function copy_plan(plan)
-  local copies = {}
-  local copy = {
-    model = plan.model, nodes = {}, transitions = {}, trail = false, first = false,
-    warnings = plan.warnings, created = plan.created, is_changed = plan.is_changed,
-  }
+  local copies, copy = {}, new_plan(plan.model)
+  copy.warnings, copy.created = plan.warnings, plan.created
   for _, list in ipairs({ "nodes", "transitions" }) do
     for i, def in ipairs(plan[list]) do
       copies[def] = {}
@@ -1023,8 +1053,7 @@ local function copy_plan(plan)
   end
   local STRUCTURE = {
     "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
-    "tgt", "events", "pn", "written", "is_internal", "entry", "exit", "doo", "guard",
-    "effect",
+    "tgt", "events", "pn", "is_internal", "entry", "exit", "doo", "guard", "effect",
   }
   for def, new in pairs(copies) do -- any order: each stands alone
     for _, field in ipairs(STRUCTURE) do
@@ -1108,30 +1137,24 @@ end
 -- name, callbacks, `_parent`, `_otrs`, `_mode` and the user's data are raw. `_fqn`,
 -- `_id`, `events`, `pn` are inherited from the definition.
 --
--- Where a machine stands is noted in it, and nowhere else: `_mode` of each state,
--- `_actchild` of each active composite, `_act_leaf`. While it runs:
---
---   _segment  false: no step is under way. A transition: that segment is being taken.
---             true: a search or a doo is under way
---   _from     while a segment leaves states: the state from which it started
+-- The configuration is kept in the machine, and nowhere else: `_mode` of each state,
+-- `_actchild` of each active composite, `_act_leaf`.
 
 local function silent() end
 
 local function no_events() return {} end
 
--- Stands in the list of hooks for the model's own one, the field `slot`.
+-- Its place in a list of hooks is that of the model's own hook, the field `slot`.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
 
--- What a machine lacks is found here. Printers and getevents are not wanted as long as
--- they are absent; for the rest, these are the values to begin with.
-local OFF = {
-  dbg = silent, getevents = no_events, rfsm = "state", type = State.type,
-  new = State.new, _id = "root", _fqn = "root", _preparing = false,
-  _is_fed = false, _is_hooked = false, _reset_wanted = false, _has_failure = false,
-  _spare = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY, _reset_hooks = NONE,
-  _entry_hooks = false, _exit_hooks = false,
+-- Fields that few machines ever set.
+local DEFAULTS = {
+  rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
+  dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
+  _reset_hooks = NONE, _failure = false, _joined = false, _reset_wanted = false,
+  _preparing = false, _lends_events = false, _is_prepared = false, _spare = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1141,49 +1164,36 @@ local function own_fields()
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
-    -- the run
-    _segment = false, _from = false, _run = "run", _is_plain = false,
-    _is_traced = false, _is_unsettled = false, _is_kept = false,
-    -- the search
-    _search = 0, _searched = {}, _ways = {},
+    -- the iteration, see "Run"
+    _act = false, _run = false, _phase = "idle", _path = false, _from = false,
+    _ways = {}, _outcome = "free", _after_free = false,
+    _calls = { count = 0, begun = 0, noted = 0, ok = true, result = nil, more = nil },
+    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
+    -- for rfsm/fast.lua: are there hooks or a getevents? Is there nothing to do but to
+    -- take a path, now and at the end of the iteration?
+    _is_hooked = false, _is_usual = false,
   }
 end
 
--- The flags for the fields that a plain machine lacks.
-local FLAG_OF = {
-  dbg = "_is_traced", getevents = "_is_fed", pre_step_hook = "_is_hooked",
-  post_step_hook = "_is_hooked",
-}
+-- Functions that do not keep the list of events that they get.
+local borrowers = setmetatable({}, { __mode = "k" })
 
 -- All machines, so that one access decides if a value is one.
 local machines = setmetatable({}, { __mode = "k" })
 
--- A hook that is set while an iteration goes on runs at its end.
-local function set_flag(fsm, flag)
-  fsm[flag], fsm._is_plain = true, false
-  if flag == "_is_hooked" then fsm._is_unsettled = true end
-end
+Machine.__index, Machine.__eq = DEFAULTS, rawequal
 
--- A machine is plain again when nothing stands behind any flag and a leaf is active.
-local function check_plain(fsm)
-  fsm._is_plain = fsm._act_leaf and not (fsm._is_traced or fsm._is_fed or fsm._is_hooked
-    or fsm._run == "run_hooked")
-end
+-- The fields of hooks are absent until one is set.
+local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
-Machine.__index, Machine.__eq = OFF, rawequal
-
--- Sees to it that setting a printer, a hook or getevents is noticed: they are absent
--- from the machine while they are off.
 function Machine.__newindex(fsm, key, value)
-  local flag = FLAG_OF[key]
-  if flag and value then
-    if not is_callable(value) and not (key == "dbg" and value == true) then
-      error(("%s: function%s expected, %s"):format(key,
-        key == "dbg" and ", true or false" or "", got(value)), 2)
+  if STEP_HOOKS[key] and value then
+    if not rfsm.is_callable(value) then
+      error(key .. ": function expected, " .. got(value), 2)
     end
-    set_flag(fsm, flag)
+    fsm._is_hooked, fsm._is_usual = true, false
   end
-  if value or not flag then rawset(fsm, key, value) end
+  rawset(fsm, key, value)
 end
 
 local clone_data
@@ -1263,15 +1273,25 @@ local function list_otrs(fsm, plan)
   end
 end
 
--- Run: collect events, choose, take, doo ----------------------------------------
+-- Run: one iteration after the other ----------------------------------------------
 --
--- Invariants: between two iterations exactly one leaf is active, or none before the
--- first entry. Errors of callbacks are reported to `err`. Hooks and getevents are
--- called when the machine is consistent, so their errors are raised at once. Errors of
--- printers are kept until the iteration is over.
+-- Between two iterations exactly one leaf is active, or none before the first entry. An
+-- iteration goes through phases; `_phase` names the one that is under way:
 --
--- Most machines are plain: no dbg, getevents or hook. A step checks `_is_plain` in
--- place of each of them. The other flags may be set too long, never too short.
+--   idle     none: the machine waits for its caller
+--   begin    an iteration is about to begin
+--   collect  the pending events, then those of getevents, become the current ones
+--   before   the pre step hooks are called
+--   search   a path is chosen that the events enable
+--   take     the states of that path are left and entered
+--   doo      there is no path: a doo cycle is run
+--   after    the post step hooks are called
+--
+-- An interrupt is an error that a debug hook raises: Control-C, a host's limit of time.
+-- It may come at any instruction, and reaches the caller of `step`. The next step goes
+-- on with the phase that was cut short, from its start. That is safe because only the
+-- calls of the user's functions cannot be repeated, and `call` makes none of them
+-- twice.
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1312,17 +1332,128 @@ end
 ---@param fsm rfsm.Machine
 ---@param failure any
 function rfsm.keep_failure(fsm, failure)
-  if fsm._has_failure then return end
-  fsm._has_failure, fsm._failure, fsm._is_unsettled = true, failure, true
+  fsm._failure = fsm._failure or { failure }
+  fsm._is_usual = false
 end
 
 local keep_failure = rfsm.keep_failure
 
 local function raise_failure(fsm)
-  if not fsm._has_failure then return end
-  local failure = fsm._failure
-  fsm._has_failure, fsm._failure = false, nil
-  error(failure, 0)
+  local kept = fsm._failure
+  if not kept then return end
+  fsm._failure = false
+  error(kept[1], 0)
+end
+
+-- What rfsm/fast.lua may replace. The functions below are the specification.
+--
+--   choose(fsm, events)         the transition with which an enabled path begins
+--   take(fsm)                   takes the path that begins with `_path`
+--   iterate(fsm, after_free)    one iteration
+--   prepare(fsm)                compiles what would be compiled in a run
+--   note_failure(f, level)      an error was raised while the function `f` ran
+--   is_taking(f, level, fsm)    is `f` a function that takes a path of this machine?
+local engine = { prepare = false, note_failure = false, is_taking = false }
+
+-- What the handler of an error returns if the iteration is to go on: the error is that
+-- of a callback, and has been noted as the result of its call.
+local function GO_ON() end
+
+local go_on
+
+-- The functions of the phases.
+local PHASES = {}
+
+-- Calls of the user's functions .....................................................
+--
+-- The calls of an iteration are numbered in the order in which they are made.
+-- `_calls.count` is the number of the last one that was reached, `begun` of the last
+-- one that was made, `noted` of the last one whose results are known. Each phase,
+-- segment and action has numbers of its own, so that a hook that is added to one of
+-- them does not change those of the next.
+
+local ACTION, SEGMENT = 1e3, 1e9
+local FIRST = {
+  begin = 0, collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15,
+  after = 2e15,
+}
+
+-- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
+-- A call that was made before the phase was cut short is not made again: its results
+-- are returned, or none if later calls have been made.
+--
+-- `note_interrupt` reads the locals. The sum in `count + 1` is made where `ok` will be,
+-- which is therefore a boolean only after the call.
+local function call(fsm, f, ...)
+  local calls = fsm._calls
+  local count, begun = calls.count, calls.begun
+  calls.count = count + 1
+  if begun <= count then
+    calls.begun = count + 1
+    local ok, result, more = pcall(f, ...)
+    calls.ok, calls.result, calls.more = ok, result, more
+    calls.noted = count + 1
+  end
+  if calls.noted ~= count + 1 then return true end
+  return calls.ok, calls.result, calls.more
+end
+
+-- The same for a call that belongs to no phase.
+local function call_aside(_, f, ...) return pcall(f, ...) end
+
+-- How many locals come before `calls`: Lua 5.1 has a hidden one for the rest of the
+-- arguments.
+local FIRST_LOCAL = getinfo and (function(...) -- luacheck: ignore 212 (it has to be)
+  local mark = getinfo
+  local _, value = getlocal(1, 1)
+  return value == mark and 2 or 3
+end)()
+
+-- `call` was cut short: was that before the user's function or after it? The call
+-- counts as not begun, or its results are noted. `count`, `begun` and the rest are its
+-- locals.
+local function note_call(calls, count, begun, ok, result, more)
+  if type(count) ~= "number" or calls.begun ~= count + 1 or calls.noted == count + 1
+    or type(begun) ~= "number" or begun > count then
+    return
+  elseif type(ok) ~= "boolean" then
+    calls.begun = count
+    return
+  end
+  calls.ok, calls.result, calls.more = ok, result, more
+  calls.noted = count + 1
+end
+
+-- The handler of errors that are raised in the engine itself: none comes from inside of
+-- the user's functions that `call` calls.
+local function note_interrupt(failure)
+  local level, info = 2, getinfo(2, "f")
+  while info and info.func ~= call and info.func ~= go_on do
+    local note = engine.note_failure
+    if note and note(info.func, level + 1, failure) then return GO_ON end
+    level = level + 1
+    info = getinfo(level, "f")
+  end
+  if not info or info.func ~= call then return failure end
+  local values = {}
+  for i = 1, 6 do
+    local _, value = getlocal(level, FIRST_LOCAL + i)
+    values[i] = value
+  end
+  if type(values[1]) == "table" then note_call(unpack(values, 1, 6)) end
+  return failure
+end
+
+-- Calls one of the machine's printers by `protect`, which is `call` or `call_aside`.
+local function print_by(protect, fsm, name, ...)
+  local printer = printer_of(fsm, name)
+  local ok, failure = protect(fsm, printer, ...)
+  if ok then return end
+  if not is_callable(printer) then
+    failure = ("rfsm: %s: function, true or false expected, %s"):format(name,
+      got(printer))
+  end
+  keep_failure(fsm, failure)
 end
 
 --- Call one of a machine's printers, for extensions.
@@ -1332,101 +1463,263 @@ end
 ---@param fsm rfsm.Machine
 ---@param name "dbg"|"info"|"warn"|"err"
 ---@param ... any
-function rfsm.report(fsm, name, ...)
-  local printer = printer_of(fsm, name)
-  if not is_callable(printer) then
-    return keep_failure(fsm, ("rfsm: %s: function, true or false expected, %s"):format(
-      name, got(printer)))
-  end
-  local ok, failure = pcall(printer, ...)
-  if not ok then keep_failure(fsm, failure) end
-end
+function rfsm.report(fsm, name, ...) return print_by(call_aside, fsm, name, ...) end
 
 local report = rfsm.report
 
-local function trace(fsm, ...)
+local function is_traced(fsm)
   local dbg = fsm.dbg
-  if dbg and dbg ~= silent then return report(fsm, "dbg", ...) end
-  fsm.dbg, fsm._is_traced = nil, false
-  check_plain(fsm)
+  return dbg and dbg ~= silent
 end
 
---- Did an interrupt such as Control-C raise the error, rather than a callback? That is
--- for the caller. For extensions.
+--- Did an interrupt such as Control-C raise the error, rather than a callback? It is
+-- for the caller of `step` then. For extensions.
 --
--- The position in the text is no help: that of `error(text, 2)` in a callback, and of
--- any function in C, is in the engine, too.
+-- The text is that of the interpreters, alone or behind a position.
 --
 ---@param failure any
 ---@return boolean
 function rfsm.is_interrupt(failure)
-  return type(failure) == "string" and failure:find("interrupted!$") ~= nil
+  return type(failure) == "string" and (failure == "interrupted!"
+    or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- A callback of a state or transition failed. A search that was interrupted in a guard
--- is done again by the next step.
-local function report_callback(fsm, callback, owner, failure)
-  if rfsm.is_interrupt(failure) then
-    if callback == "guard" then error(failure, 0) end
-    return keep_failure(fsm, failure)
-  end
-  report(fsm, "err", callback:upper(),
-    "error executing " .. callback .. " of " .. owner .. ": ", failure)
+-- A callback of a state or transition failed.
+local function report_callback(protect, fsm, name, owner, callback, failure)
+  if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
+  if not is_callable(callback) then failure = "function expected, " .. got(callback) end
+  local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
+  print_by(protect, fsm, "err", name:upper(), text .. ": ", failure)
 end
 
--- The functions of rfsm/quick.lua; false where it is missing, nil before it was asked
--- for.
-local quick, ask_quick
-
--- The number of parameters of a function, if straight code can find it. A function
--- without a parameter for the events cannot keep them.
-local parameters_of = setmetatable({}, { __index = function() return math.huge end })
-
--- A function got the list of events and may have kept it.
-local function keep_events(fsm) fsm._is_kept, fsm._is_unsettled = true, true end
-
--- Appends the events of getevents to a list.
-local function collect(fsm, list)
-  local getevents = fsm.getevents
-  if not getevents or getevents == no_events then
-    fsm.getevents, fsm._is_fed = nil, false
-    return check_plain(fsm)
-  elseif not is_callable(getevents) then
-    error("rfsm.step: getevents: function expected, " .. got(getevents), 0)
-  end
-  local events = getevents()
-  if events ~= nil and type(events) ~= "table" then
-    error("rfsm.step: getevents: list of events expected, " .. got(events), 0)
-  end
-  for i = 1, events and #events or 0 do
-    if events[i] ~= nil then list[#list + 1] = events[i] end
-  end
-end
-
-local function run_hooks(fsm, hooks, slot, events)
-  for i = 1, #hooks do
-    local hook = hooks[i]
-    if hook == OWN then hook = fsm[slot] end
-    if hook then
-      if parameters_of[hook] > 1 then
-        if not is_callable(hook) then
-          error(("rfsm.step: %s: function expected, %s"):format(slot, got(hook)), 0)
-        end
-        keep_events(fsm)
-      end
-      hook(fsm, events)
-    end
-  end
+-- Calls a callback of a state, if it has one.
+local function run_callback(protect, fsm, state, name)
+  local callback = state[name]
+  if not callback then return end
+  local ok, failure = protect(fsm, callback, fsm, state, name)
+  if not ok then report_callback(protect, fsm, name, state, callback, failure) end
 end
 
 -- Calls the hooks of extensions for the entry or exit of a state. `hooks` is false, or
 -- has a list for the state.
-local function run_state_hooks(fsm, state, hooks)
+local function run_state_hooks(protect, fsm, state, hooks)
   hooks = hooks and hooks[state]
   for i = 1, hooks and #hooks or 0 do
-    local ok, failure = pcall(hooks[i], fsm, state)
+    local ok, failure = protect(fsm, hooks[i], fsm, state)
     if not ok then keep_failure(fsm, failure) end
   end
+end
+
+-- Events that come first in the queue again.
+local function put_back(fsm)
+  fsm._intq = append(append({}, fsm._curq), fsm._intq)
+  fsm._curq = {}
+end
+
+-- Ends an iteration early: a hook or getevents has failed.
+local function give_up(fsm, failure)
+  if fsm._phase == "after" then fsm._curq = {} else put_back(fsm) end
+  fsm._phase = "idle"
+  error(failure, 0)
+end
+
+-- Returns the events of getevents, a list with nils perhaps; nil and the failure.
+local function ask_getevents(fsm, protect)
+  local getevents = fsm.getevents
+  if not getevents or getevents == no_events then return NONE end
+  local ok, events = protect(fsm, getevents)
+  if not is_callable(getevents) then
+    return nil, "rfsm.step: getevents: function expected, " .. got(getevents)
+  elseif not ok then
+    return nil, events
+  elseif events ~= nil and type(events) ~= "table" then
+    return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
+  end
+  return events or NONE
+end
+
+-- Calls step hooks; returns false and the failure of one.
+local function run_hooks(fsm, hooks, slot)
+  for i = 1, #hooks do
+    local hook = hooks[i]
+    if hook == OWN then hook = fsm[slot] end
+    if hook then
+      local ok, failure = call(fsm, hook, fsm, fsm._curq)
+      if not is_callable(hook) then
+        failure = ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
+      end
+      if not ok then give_up(fsm, failure) end
+    end
+  end
+end
+
+-- Search: the path that the events enable .........................................
+--
+-- A search may be done twice if it is cut short: guards have no side effects.
+
+local enabled
+
+-- Is one of `events` among those of the transition, or accepted by a predicate there?
+local function matches(def, events)
+  local wanted = def.events
+  if not wanted then return true end
+  for i = 1, #wanted do
+    local is_predicate = type(wanted[i]) == "function"
+    for j = 1, #events do
+      if rawequal(wanted[i], events[j]) then return true end
+      if is_predicate then
+        local ok, answer = pcall(wanted[i], events[j])
+        if ok and answer then return true end
+      end
+    end
+  end
+  return false
+end
+
+-- A guard that fails does not let its transition pass. One that is interrupted is asked
+-- again by the next step.
+local function refuse_guard(fsm, tr, guard, failure)
+  if rfsm.is_interrupt(failure) then error(failure, 0) end
+  report_callback(call_aside, fsm, "guard", tr, guard, failure)
+end
+
+local function allows(fsm, tr, guard, events)
+  local ok, answer = pcall(guard, tr, events)
+  if not ok then refuse_guard(fsm, tr, guard, answer) end
+  return ok and answer ~= false
+end
+
+local function warn_of_conflict(fsm, connector, ways)
+  report(fsm, "warn", "conflicting transitions from src " .. connector.fqn .. " to")
+  for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt.fqn) end
+end
+
+-- Returns the way out of a connector: the first of its transitions that is enabled, or
+-- false. Further ones of the same priority are searched to warn of a conflict.
+local function choose_way(fsm, connector, events, depth)
+  local ways = {}
+  for i = 1, #connector.otrs do
+    local def = connector.otrs[i]
+    if ways[1] and (def.pn or 0) ~= (ways[1].pn or 0) then break end
+    ways[#ways + 1] = matches(def, events) and enabled(fsm, def, events, depth + 1)
+      or nil
+  end
+  if ways[2] then warn_of_conflict(fsm, connector, ways) end
+  return ways[1] or false
+end
+
+-- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
+local MAX_DEPTH = 500
+
+-- The same on a stack of its own. A guard that yields there does not enable.
+local function choose_way_aside(fsm, connector, events)
+  local co = coroutine.create(choose_way)
+  local ok, way = coroutine.resume(co, fsm, connector, events, 1)
+  if not ok then error(way, 0) end
+  return coroutine.status(co) == "dead" and way
+end
+
+-- Returns the way out of a connector, or false. It is chosen once a search. During
+-- its evaluation a connector counts as not enabled, so that cycles end.
+local function find_way(fsm, connector, events, depth)
+  local ways = fsm._ways
+  if ways[connector] == nil then
+    ways[connector] = false
+    local choose_here = depth < MAX_DEPTH and coroutine and choose_way
+      or choose_way_aside
+    ways[connector] = choose_here(fsm, connector, events, depth)
+  end
+  return ways[connector]
+end
+
+-- A transition of the machine has got another target. Returns its definition with that
+-- target; nil if it is none.
+local function retarget(fsm, def, tgt)
+  local node = is_node(tgt) and getmetatable(tgt)["_%def"]
+  if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
+  if not node or not rawequal(fsm._nodes[node.index], tgt) then
+    report(fsm, "err", "ERROR: tgt of " .. end_text(fsm._transitions[def.index].src)
+      .. ": node of the fsm expected, " .. got(tgt))
+    return nil
+  end
+  if node.kind == "state" and not node.is_leaf then node = node.members.initial end
+  if not node then return nil end
+  def = fsm._plan.transitions[def.index] -- a guard may have merged something
+  return compile_transition {
+    kind = "transition", index = def.index, id = def.id, parent = def.parent,
+    model = def.model, src = def.src, tgt = node, events = def.events, pn = def.pn,
+  }
+end
+
+-- Is the path through `def` to `tgt` enabled? Returns the definition of its first
+-- segment, which is another one if the machine has changed the target.
+local function enabled_with(fsm, def, tgt, events, depth)
+  if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
+  if def and def.connector == nil then compile_transition(def) end
+  local connector = def and def.connector
+  if connector and not find_way(fsm, connector, events, depth) then return nil end
+  return def
+end
+
+-- Is the transition enabled, with a path up to a leaf? Its events match. Returns its
+-- definition. `depth` counts the connectors before it.
+function enabled(fsm, def, events, depth)
+  local tr = fsm._transitions[def.index]
+  local guard = tr.guard
+  if guard and not allows(fsm, tr, guard, events) then return nil end
+  return enabled_with(fsm, def, tr.tgt, events, depth)
+end
+
+-- Returns the first transition from a node that is enabled, or nil.
+local function find_transition(fsm, node, events)
+  for i = 1, #node.otrs do
+    local def = node.otrs[i]
+    local found = matches(def, events) and enabled(fsm, def, events, 0)
+    if found then return found end
+  end
+end
+
+-- Returns the transition that the events enable, or nil: node by node from the root
+-- down to the active leaf. A guard may merge something into the machine: then it is
+-- searched again.
+local function choose(fsm, events)
+  if events[1] == nil then return nil end
+  local plan, line = fsm._plan, line_to(fsm._act_leaf["_%def"])
+  local traces = is_traced(fsm)
+  fsm._ways = {}
+  if traces then
+    report(fsm, "dbg", "TRANSITION",
+      "searching transitions for events: " .. list_text(events))
+  end
+  for i = 1, #line do
+    if traces then
+      report(fsm, "dbg", "CHECKING", "depth:", i - 1,
+        "for transitions from " .. line[i].fqn)
+    end
+    local def = find_transition(fsm, line[i], events)
+    if fsm._plan ~= plan then return choose(fsm, events) end
+    if def then return def end
+  end
+  if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
+end
+
+-- No path leads into the machine.
+local function refuse_entry(fsm, events)
+  local text = list_text(events)
+  put_back(fsm)
+  fsm._outcome, fsm._phase = "refused", "idle"
+  report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+    .. "events: " .. text)
+end
+
+-- First entry: the path from `initial`. It begins with the definition of the root.
+local function find_entry(fsm, events)
+  local root = fsm._plan.nodes[1]
+  fsm._ways = {}
+  if root.is_leaf then return root end
+  local def = find_transition(fsm, root.members.initial, events)
+  fsm._ways[root] = def
+  return def and root
 end
 
 -- Returns the innermost active state.
@@ -1436,504 +1729,215 @@ local function innermost(fsm)
   return state
 end
 
--- Choose: the transition that the events enable .....................................
-
-local choose, enabled, enabled_with, find_transition, matches, search
-local warn_of_conflict
-
-do
-  local find_way, retarget
-
-  -- Is one of `events` among those of the transition, or accepted by a predicate there?
-  function matches(def, events)
-    local wanted = def.events
-    if not wanted then return true end
-    for i = 1, #wanted do
-      local is_predicate = type(wanted[i]) == "function"
-      for j = 1, #events do
-        if rawequal(wanted[i], events[j]) then return true end
-        if is_predicate then
-          local ok, answer = pcall(wanted[i], events[j])
-          if ok and answer then return true end
-        end
-      end
-    end
-    return false
+-- Ends the phase "search", in which `def` was found or nothing. A guard may have moved
+-- the machine.
+local function decide(fsm, leaf, def)
+  if def and leaf and not rawequal(fsm._act_leaf, leaf) then
+    leaf = innermost(fsm)
+    if fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
   end
-
-  -- Does the guard let the transition pass? One that fails does not.
-  local function allows(fsm, tr, guard, events)
-    if parameters_of[guard] > 1 then keep_events(fsm) end
-    local ok, answer = pcall(guard, tr, events)
-    if ok then return answer ~= false end
-    report_callback(fsm, "guard", tostring(tr), answer)
-    return false
+  fsm._from = leaf or fsm
+  if def then
+    fsm._path = def
+    fsm._phase = "take"
+  elseif fsm._curq[1] == nil or fsm._after_free then
+    fsm._phase = "doo"
+  else
+    fsm._outcome, fsm._phase = "free", "after"
   end
+end
 
-  -- Is the path through `def` to `tgt` enabled? Returns the definition of its first
-  -- segment, another one if the machine has changed the target.
-  function enabled_with(fsm, def, tgt, events, depth)
-    if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
-    if def and def.connector == nil then compile_transition(def) end
-    local connector = def and def.connector
-    if connector and not find_way(fsm, connector, events, depth) then return nil end
-    return def
-  end
-
-  -- Is the transition enabled, with a path up to a leaf? Its events match. Returns its
-  -- definition. `depth` counts the connectors before it.
-  function enabled(fsm, def, events, depth)
-    local tr = fsm._transitions[def.index]
-    local guard = tr.guard
-    if guard and not allows(fsm, tr, guard, events) then return nil end
-    return enabled_with(fsm, def, tr.tgt, events, depth)
-  end
-
-  -- A transition of the machine has got another target: returns its definition with
-  -- that target, nil when it is none.
-  function retarget(fsm, def, tgt)
-    local node = is_node(tgt) and getmetatable(tgt)["_%def"]
-    if tgt == fsm then node = fsm._plan.nodes[1] end
-    if not node or not rawequal(fsm._nodes[node.index], tgt) then
-      report(fsm, "err", "ERROR: tgt of " .. end_text(fsm._transitions[def.index].src)
-        .. ": node of the fsm expected, " .. got(tgt))
-      return nil
-    end
-    if node.kind == "state" and not node.is_leaf then node = node.members.initial end
-    if not node then return nil end
-    def = fsm._plan.transitions[def.index] -- a guard may have merged something
-    def.variants = def.variants or {}
-    local variant = def.variants[node]
-    if not variant then
-      variant = {}
-      for key, value in pairs(def) do variant[key] = value end -- any order: a copy
-      variant.tgt, variant.is_internal, variant.run = node, false, run_warily
-      variant.variants, variant.runs = nil, nil
-      def.variants[node] = compile_transition(variant)
-    end
-    return variant
-  end
-
-  function warn_of_conflict(fsm, connector, ways)
-    report(fsm, "warn", "conflicting transitions from src " .. connector.fqn .. " to")
-    for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt.fqn) end
-  end
-
-  -- The way out of a connector: the first of its transitions that is enabled. Further
-  -- ones of the same priority are searched only to warn of a conflict.
-  local function choose_way(fsm, connector, events, depth)
-    local ways = {}
-    for i = 1, #connector.otrs do
-      local def = connector.otrs[i]
-      if ways[1] and (def.pn or 0) ~= (ways[1].pn or 0) then break end
-      ways[#ways + 1] = matches(def, events) and enabled(fsm, def, events, depth + 1)
-        or nil
-    end
-    if ways[2] then warn_of_conflict(fsm, connector, ways) end
-    return ways[1] or false
-  end
-
-  -- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
-  local MAX_DEPTH = 500
-
-  -- The same on a stack of its own. A guard that yields there does not enable.
-  local function choose_way_aside(fsm, connector, events)
-    local co = coroutine.create(choose_way)
-    local ok, way = coroutine.resume(co, fsm, connector, events, 1)
-    if not ok then error(way, 0) end
-    return coroutine.status(co) == "dead" and way
-  end
-
-  -- Returns the way out of a connector, or false. It is chosen once a search. During
-  -- its evaluation a connector counts as not enabled, so that cycles end.
-  function find_way(fsm, connector, events, depth)
-    local searched, ways = fsm._searched, fsm._ways
-    if searched[connector] == fsm._search then return ways[connector] end
-    searched[connector], ways[connector] = fsm._search, false
-    local choose_here = depth < MAX_DEPTH and choose_way or choose_way_aside
-    ways[connector] = choose_here(fsm, connector, events, depth)
-    return ways[connector]
-  end
-
-  -- Returns the first transition from a node that is enabled, or nil.
-  function find_transition(fsm, node, events)
-    for i = 1, #node.otrs do
-      local def = node.otrs[i]
-      local found = matches(def, events) and enabled(fsm, def, events, 0)
-      if found then return found end
-    end
-  end
-
-  -- From the root down to the active leaf, node by node; an outer transition wins.
-  function search(fsm, leaf, events)
-    local line, is_traced = line_to(leaf), fsm._is_traced
-    fsm._search = fsm._search + 1
-    if is_traced then
-      trace(fsm, "TRANSITION",
-        "searching transitions for events: " .. list_text(events))
-    end
-    for i = 1, #line do
-      if is_traced then
-        trace(fsm, "CHECKING", "depth:", i - 1, "for transitions from " .. line[i].fqn)
-      end
-      local def = find_transition(fsm, line[i], events)
-      if def then return def end
-    end
-    if is_traced then trace(fsm, "TRANSITION", "no enabled paths found") end
-  end
-
-  -- Returns the transition that the events enable, or nil. A guard may merge something
-  -- into the machine: then it is searched again.
-  function choose(fsm, events)
-    if events[1] == nil then return nil end
-    local leaf, plan = fsm._act_leaf["_%def"], fsm._plan
-    local find = quick and not fsm._is_traced and quick.find or search
-    local def = find(fsm, leaf, events)
-    if fsm._plan ~= plan then return choose(fsm, events) end
-    return def
-  end
+function PHASES.search(fsm)
+  local leaf, events = fsm._act_leaf, fsm._curq
+  if leaf then return decide(fsm, leaf, engine.choose(fsm, events)) end
+  local def = find_entry(fsm, events)
+  if not def then return refuse_entry(fsm, events) end
+  return decide(fsm, leaf, def)
 end
 
 -- Take: leave, effect, enter ......................................................
 --
--- One protected call runs a whole path. If a callback fails, or on an interrupt, the
--- modes of the states show how far the path was run. `resume_segment` runs the rest.
+-- A path is a sequence of actions: a state is left, an effect is run, a state is
+-- entered, a record is traced. Taken again, it skips those that were completed.
 
-local call_alone, complete, enter_machine, finish_exit, recover, resume_segment
-local run_parts, take
+-- Begins the next action. Returns false if a later one has called something already.
+local function begin_action(fsm)
+  local calls = fsm._calls
+  calls.count = calls.count - calls.count % ACTION + ACTION
+  return calls.begun < calls.count + ACTION
+end
 
-do
-  -- Completes the exit of `state` after its callback.
-  function finish_exit(fsm, state, hooks)
-    run_state_hooks(fsm, state, hooks)
-    if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
-    if state._doo_co then state._doo_co = nil end
-    if fsm._is_traced then trace(fsm, "STATE_EXIT", state._fqn) end
+-- Traces a record of a path; `describe` returns its parts.
+local function record(fsm, describe, def)
+  if begin_action(fsm) and is_traced(fsm) then
+    print_by(call, fsm, "dbg", describe(fsm, def))
   end
+end
 
-  -- A leaf has done its work.
-  function complete(fsm, leaf)
-    local queue, event = fsm._intq, leaf["_%def"].done_event
-    leaf._mode = "done"
-    if fsm._is_traced then trace(fsm, "RAISED", event) end
-    queue[#queue + 1] = event
+local function leave(protect, fsm, state)
+  state._mode = "inactive"
+  state._parent._actchild = nil
+  run_callback(protect, fsm, state, "exit")
+  run_state_hooks(protect, fsm, state, fsm._exit_hooks)
+  if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
+  state._doo_co = nil
+  if is_traced(fsm) then print_by(protect, fsm, "dbg", "STATE_EXIT", state._fqn) end
+end
+
+-- A leaf has done its work.
+local function complete(fsm, leaf)
+  local queue, event = fsm._intq, leaf["_%def"].done_event
+  if is_traced(fsm) then print_by(call, fsm, "dbg", "RAISED", event) end
+  if not rawequal(queue[#queue], event) then queue[#queue + 1] = event end
+  leaf._mode = "done"
+end
+
+local function enter(fsm, state, def)
+  state._mode = "active"
+  if state ~= fsm then state._parent._actchild = state end
+  run_state_hooks(call, fsm, state, fsm._entry_hooks)
+  run_callback(call, fsm, state, "entry")
+  if def.is_leaf then
+    fsm._act_leaf = state
+    if not state.doo then complete(fsm, state) end
   end
+  if is_traced(fsm) then print_by(call, fsm, "dbg", "STATE_ENTER", state._fqn) end
+end
 
-  -- Completes the entry of `state` after its callback.
-  local function finish_entry(fsm, state, def)
-    if def.is_leaf then
-      fsm._act_leaf = state
-      if not state.doo then complete(fsm, state) end
-    end
-    if fsm._is_traced then trace(fsm, "STATE_ENTER", state._fqn) end
+local function exits_record(_, def)
+  local outermost = def.src
+  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+    outermost = outermost.parent
   end
+  return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+    def.lca.fqn
+end
 
-  local function leave(fsm, state)
-    local exit, parent = state.exit, state._parent
-    state._mode, parent._actchild = "inactive", nil
-    if exit then exit(fsm, state, "exit") end
-    finish_exit(fsm, state, fsm._exit_hooks)
+local function effect_record(fsm, def)
+  return "EFFECT", tostring(fsm._transitions[def.index])
+end
+
+local function entries_record(_, def)
+  local names, node = {}, def.tgt
+  while node ~= def.lca do
+    names[#names + 1], node = node.fqn, node.parent
   end
+  return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", concat(names, " > ")
+end
 
-  local function enter(fsm, state, def)
-    state._mode, state._parent._actchild = "active", state
-    run_state_hooks(fsm, state, fsm._entry_hooks)
-    local entry = state.entry
-    if entry then entry(fsm, state, "entry") end
-    finish_entry(fsm, state, def)
+-- root.a[LS]->root.k[c]->root.b[LS]
+local function path_record(fsm, def)
+  local function text(node)
+    return ("%s[%s]"):format(node.fqn, rfsm.fsmobj_tochar(fsm._nodes[node.index]))
   end
-
-  local function trace_exits(fsm, def)
-    if def.is_internal then return end
-    local outermost = def.src
-    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-      outermost = outermost.parent
-    end
-    trace(fsm, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
-      def.lca.fqn)
+  local texts = { text(def.src) }
+  while def do
+    texts[#texts + 1] = text(def.tgt)
+    def = def.connector and fsm._ways[def.connector]
   end
+  return "EXEC_PATH", concat(texts, "->")
+end
 
-  local function trace_entries(fsm, def)
-    if def.is_internal then return end
-    local names, node = {}, def.tgt
-    while node ~= def.lca do
-      names[#names + 1], node = node.fqn, node.parent
-    end
-    trace(fsm, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ",
-      concat(names, " > "))
+local function run_effect(fsm, def)
+  local tr = fsm._transitions[def.index]
+  local effect = tr.effect
+  record(fsm, effect_record, def)
+  if not (begin_action(fsm) and effect) then return end
+  local ok, failure = call(fsm, effect, fsm, tr, "effect", fsm._curq)
+  if not ok then report_callback(call, fsm, "effect", tr, effect, failure) end
+end
+
+local function begin_segment(calls)
+  calls.count = calls.count - calls.count % SEGMENT + SEGMENT
+end
+
+-- Takes the segment `def` from the active state `state`: (a) leaves the states up to
+-- the lca, (b) runs the effect, (c) enters the states down to the target.
+local function take_segment(fsm, def, state)
+  local nodes, entries = fsm._nodes, def.entries
+  begin_segment(fsm._calls)
+  if def.is_internal then return run_effect(fsm, def) end
+  record(fsm, exits_record, def)
+  while state ~= nodes[def.lca.index] do
+    if begin_action(fsm) then leave(call, fsm, state) end
+    state = state._parent
   end
-
-  local function run_effect(fsm, def)
-    local tr = fsm._transitions[def.index]
-    if fsm._is_traced then trace(fsm, "EFFECT", tostring(tr)) end
-    local effect = tr.effect
-    if not effect then return end
-    if parameters_of[effect] > 3 then keep_events(fsm) end
-    effect(fsm, tr, "effect", fsm._curq)
+  run_effect(fsm, def)
+  record(fsm, entries_record, def)
+  for i = 1, #entries do
+    if begin_action(fsm) then enter(fsm, nodes[entries[i].index], entries[i]) end
   end
+end
 
-  -- The parts of the segment `def`: (a) leaves the states from `state` up to the lca,
-  -- (b) runs the effect, (c) enters the states from number `first` on. 0 stands for all
-  -- of it.
-  function run_parts(fsm, def, state, first)
-    local nodes = fsm._nodes
-    local lca = nodes[def.lca.index]
-    if first == 0 then
-      while state ~= lca do
-        leave(fsm, state)
-        state = state._parent
-      end
-      fsm._from = false
-      run_effect(fsm, def)
-      first = 1
-    end
-    if first == 1 and fsm._is_traced then trace_entries(fsm, def) end
-    for i = first, #def.entries do
-      enter(fsm, nodes[def.entries[i].index], def.entries[i])
-    end
+-- Takes the path that begins with `_path`. At the first entry it begins with the root.
+local function take(fsm)
+  local def, state, ways = fsm._path, fsm._from, fsm._ways
+  fsm._calls.count = FIRST.take -- not when a function of rfsm/fast.lua goes on here
+  if def.kind == "state" then
+    if begin_action(fsm) then enter(fsm, fsm, def) end
+    def = ways[def]
   end
-
-  -- Takes the segment that the machine has noted, beginning at the state `from`.
-  function run_segment(fsm, from)
-    local def = fsm._segment
-    if fsm._is_traced then trace_exits(fsm, def) end
-    if def.is_internal then from = fsm._nodes[def.lca.index] end
-    run_parts(fsm, def, from, 0)
-  end
-
-  -- Takes the segment `def` from the active state `from`, then those that the search
-  -- chose behind it. It calls itself where a loop would keep LuaJIT from making one
-  -- trace of it. `run` is "run", "run_hooked" or "run_traced".
-  local function run_path(fsm, def, from, run)
-    fsm._from = from
-    fsm._segment = def
-    def[run](fsm, from, fsm._transitions[def.index])
+  if def then record(fsm, path_record, def) end
+  while def do
+    take_segment(fsm, def, state)
     local connector = def.connector
     if not connector then return end
-    if fsm._is_traced then run = "run_traced" end
-    return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index], run)
-  end
-
-  -- The number of a node among definitions, which may be those of an older plan.
-  local function number_of(node, defs)
-    for i = 1, #defs do
-      if defs[i].index == node["_%def"].index then return i end
-    end
-  end
-
-  -- Returns which callback was called last when the segment `def` ended early: its
-  -- name, its state, and the number of the entry. "begin": none yet; nil: all have
-  -- been.
-  local function find_callback(fsm, def)
-    local inner, state = innermost(fsm), fsm._from
-    if def.is_internal then return "effect", inner end
-    if state then
-      if state == inner then return "begin", state end
-      while state._parent ~= inner and state ~= fsm do state = state._parent end
-      return state ~= fsm and "exit" or nil, state
-    elseif inner == fsm._nodes[def.lca.index] then
-      return "effect", inner
-    end
-    local number = number_of(inner, def.entries)
-    return number and not fsm._act_leaf and "entry" or nil, inner, number
-  end
-
-  -- Runs the rest of the segment. No callback is under way.
-  local function redo(fsm, def, what, state)
-    if what then return run_parts(fsm, def, state, 0) end
-    local leaf = fsm._act_leaf
-    if leaf and leaf._mode == "active" and not leaf.doo then complete(fsm, leaf) end
-  end
-
-  -- Completes the last callback, then runs the rest of the segment.
-  local function go_on(fsm, def, what, state, number)
-    if what == "exit" then
-      state._mode = "inactive"
-      finish_exit(fsm, state, fsm._exit_hooks)
-      return run_parts(fsm, def, state._parent, 0)
-    elseif what == "entry" then
-      state._mode = "active"
-      finish_entry(fsm, state, def.entries[number])
-    end
-    return run_parts(fsm, def, state, (number or 0) + 1)
-  end
-
-  -- Runs the rest of the segment that is under way, after its last callback, which may
-  -- have failed.
-  function resume_segment(fsm, has_failed, failure)
-    local def = fsm._segment
-    local what, state, number = find_callback(fsm, def)
-    if not what or what == "begin" then
-      if has_failed then keep_failure(fsm, failure) end
-      return redo(fsm, def, what, state)
-    end
-    local owner = what == "effect" and fsm._transitions[def.index] or state
-    if has_failed and not owner[what] then
-      keep_failure(fsm, failure)
-    elseif has_failed then
-      local name = what == "effect" and tostring(owner) or state._fqn
-      report_callback(fsm, what, name, failure)
-    end
-    return go_on(fsm, def, what, state, number)
-  end
-
-  local function resume_path(fsm, has_failed, failure)
-    resume_segment(fsm, has_failed, failure)
-    local connector = fsm._segment.connector
-    if not connector then return end
-    return run_path(fsm, fsm._ways[connector], fsm._nodes[connector.parent.index],
-      "run_traced")
-  end
-
-  -- Goes on after a failure until the path is at its end. Each failure comes from
-  -- further on in the path than the one before.
-  function recover(fsm, has_failed, failure)
-    local ok, def, from, inner
-    keep_events(fsm)
-    repeat
-      def, from, inner = fsm._segment, fsm._from, innermost(fsm)
-      ok, failure = pcall(resume_path, fsm, has_failed, failure)
-      if not ok and def == fsm._segment and from == fsm._from
-        and inner == innermost(fsm) then
-        error(failure, 0)
-      end
-      has_failed = true
-    until ok
-  end
-
-  -- root.a[LS]->root.k[c]->root.b[LS]
-  local function path_text(fsm, def)
-    local function text(node)
-      return ("%s[%s]"):format(node.fqn, rfsm.fsmobj_tochar(fsm._nodes[node.index]))
-    end
-    local texts = { text(def.src) }
-    while def do
-      texts[#texts + 1] = text(def.tgt)
-      def = def.connector and fsm._ways[def.connector]
-    end
-    return concat(texts, "->")
-  end
-
-  -- Takes the path that starts with `def` in the active state `from`.
-  function take(fsm, def, from)
-    local run = fsm._run
-    if fsm._is_traced then
-      trace(fsm, "EXEC_PATH", path_text(fsm, def))
-      run = "run_traced"
-    elseif from._actchild or from._mode == "inactive" then
-      run = "run_traced" -- a guard has moved the machine
-    end
-    fsm._from = from
-    fsm._segment = def
-    local ok, failure = pcall(run_path, fsm, def, from, run)
-    if not ok then recover(fsm, true, failure) end
-  end
-
-  -- Takes a segment for the first time.
-  function run_warily(fsm, from)
-    local def, run = fsm._segment, fsm._run
-    if quick then def[run] = quick.segment(def, run == "run_hooked") end
-    return run_segment(fsm, from)
-  end
-
-  -- Calls a callback outside of a transition.
-  function call_alone(fsm, state, what)
-    local callback = state[what]
-    if not callback then return end
-    local ok, failure = pcall(callback, fsm, state, what)
-    if not ok then report_callback(fsm, what, state._fqn, failure) end
-  end
-
-  local function enter_root(fsm)
-    fsm._mode = "active"
-    run_state_hooks(fsm, fsm, fsm._entry_hooks)
-    call_alone(fsm, fsm, "entry")
-    finish_entry(fsm, fsm, fsm._plan.nodes[1])
-  end
-
-  -- First entry: the root, then the path from its `initial`; false when none is
-  -- enabled.
-  function enter_machine(fsm, events)
-    local root = fsm._plan.nodes[1]
-    if root.is_leaf then
-      enter_root(fsm)
-      return true
-    end
-    fsm._search = fsm._search + 1
-    local def = find_transition(fsm, root.members.initial, events)
-    if not def then return false end
-    enter_root(fsm)
-    take(fsm, def, fsm)
-    return true
+    def, state = ways[connector], fsm._nodes[connector.parent.index]
   end
 end
 
 -- Doo ............................................................................
 
-local run_doo
+-- Makes the coroutine of a doo, in which the engine runs nothing.
+local function new_doo(doo)
+  if type(doo) == "function" then return coroutine.create(doo) end
+  return coroutine.create(function(...) return doo(...) end)
+end
 
-do
-  local create, resume = coroutine.create, coroutine.resume
+local function fail_doo(fsm, leaf, failure)
+  leaf._doo_co, leaf._mode = nil, "done"
+  if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
+  print_by(call, fsm, "err", "DOO",
+    "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+end
 
-  -- Returned by a doo's coroutine at its end, before the results of the doo.
-  local function ENDED() end
-
-  local function doo_body(doo, fsm, state) return ENDED, doo(fsm, state, "doo") end
-
-  local function fail_doo(fsm, leaf, failure)
-    leaf._doo_co, leaf._mode = nil, "done"
-    if rfsm.is_interrupt(failure) then
-      keep_failure(fsm, failure)
-      return true
-    end
-    report(fsm, "err", "DOO", "doo program of state '" .. leaf._fqn .. "' failed: ",
-      failure)
-    return true
+local function end_doo(fsm, leaf)
+  complete(fsm, leaf)
+  leaf._doo_co = nil
+  if is_traced(fsm) then
+    print_by(call, fsm, "dbg", "DOO",
+      "removing completed coroutine of " .. leaf._fqn .. " doo")
   end
+end
 
-  -- Completes a doo that has ended.
-  local function end_doo(fsm, leaf)
-    leaf._doo_co = nil
+-- One cycle of the active leaf's doo; true when it is idle or done.
+local function run_doo(fsm, leaf)
+  local co = leaf._doo_co
+  if leaf._mode == "done" and not co then return true end
+  if not (co or leaf.doo) then
     complete(fsm, leaf)
-    if fsm._is_traced then
-      trace(fsm, "DOO", "removing completed coroutine of " .. leaf._fqn .. " doo")
-    end
     return true
-  end
-
-  -- Completes a doo cycle. Returns true if the doo is idle or done.
-  local function finish_cycle(fsm, leaf, ok, idle)
-    fsm._segment = false
-    if not ok then return fail_doo(fsm, leaf, idle) end
-    if idle == ENDED then return end_doo(fsm, leaf) end
-    return idle and true or false
-  end
-
-  -- The first cycle: a coroutine is made.
-  local function start_doo(fsm, leaf)
-    local doo = leaf.doo
-    if not doo then
-      complete(fsm, leaf)
+  elseif not co then
+    if is_traced(fsm) then
+      print_by(call, fsm, "dbg", "DOO",
+        "created coroutine for " .. leaf._fqn .. " doo")
+    end
+    if not coroutine then
+      fail_doo(fsm, leaf, "there are no coroutines here")
       return true
     end
-    if fsm._is_traced then
-      trace(fsm, "DOO", "created coroutine for " .. leaf._fqn .. " doo")
-    end
-    leaf._doo_co, fsm._segment = create(doo_body), true
-    return finish_cycle(fsm, leaf, resume(leaf._doo_co, doo, fsm, leaf))
+    co = new_doo(leaf.doo)
+    leaf._doo_co = co
   end
-
-  -- One cycle of the active leaf's doo; true when it is idle or done.
-  function run_doo(fsm, leaf)
-    if leaf._mode == "done" then return true end
-    local co = leaf._doo_co
-    if not co then return start_doo(fsm, leaf) end
-    fsm._segment = true
-    local ok, idle = resume(co, fsm, leaf, "doo")
-    if not ok or idle == ENDED then return finish_cycle(fsm, leaf, ok, idle) end
-    fsm._segment = false
+  local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
+  if not ok then
+    fail_doo(fsm, leaf, idle)
+  elseif coroutine.status(co) == "dead" then
+    end_doo(fsm, leaf)
+  else
     return idle and true or false
   end
+  return true
 end
 
 -- Iterate ........................................................................
@@ -1945,244 +1949,159 @@ local function set_inactive(fsm)
       rawset(node, "_actchild", nil)
     end
   end
-  fsm._act_leaf, fsm._is_plain = false, false
+  fsm._act_leaf = false
 end
 
+-- Makes a machine as it was after init, but for the events of the current iteration.
 local function reset_now(fsm)
-  fsm._reset_wanted = true
-  fsm._segment = true -- an interrupt leaves the rest to the next step
   set_inactive(fsm)
-  fsm._intq, fsm._curq = { "e_init_fsm" }, {}
-  fsm._segment, fsm._from, fsm._reset_wanted = false, false, false
-  run_hooks(fsm, fsm._reset_hooks)
+  fsm._intq = { "e_init_fsm" }
+  fsm._reset_wanted = false
+  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
 end
 
-local is_stepping, iterate, mend
-
-do
-  -- The note while hooks and getevents are called. It stays if one raises an error.
-  -- Without `debug` a step would seem to be under way then.
-  local MAY_RAISE = getinfo ~= nil
-
-  local function empty(events)
-    for i = #events, 3, -1 do events[i] = nil end
-    if events[2] ~= nil then events[2] = nil end
-    if events[1] ~= nil then events[1] = nil end
-    return events
-  end
-
-  -- Events of an iteration that was cut short come first in the queue again.
-  local function put_back(fsm)
-    local events = fsm._curq
-    if events[1] == nil then return end
-    if not rawequal(events, fsm._intq) then append(events, fsm._intq) end
-    fsm._intq = events
+-- The phase "collect". If one before was cut short, or a hook failed in it, its events
+-- come first.
+function PHASES.collect(fsm)
+  if fsm._reset_wanted then
     fsm._curq = {}
+    reset_now(fsm)
   end
-
-  -- The end of an iteration with hooks, kept events, an error or a wanted reset. The
-  -- list of events is emptied and becomes a queue again, unless a function may have
-  -- kept it. The list that post step hooks get is used: `gather` must not find it.
-  local function settle(fsm, events)
-    local hooks = fsm._post_hooks
-    if fsm._reset_wanted then reset_now(fsm) end
-    if hooks ~= OWN_ONLY or fsm.post_step_hook then
-      fsm._curq = fsm._spare or { nil, nil }
-      fsm._segment, fsm._spare = MAY_RAISE, false
-      run_hooks(fsm, hooks, "post_step_hook", events)
-      fsm._spare = not fsm._is_kept and empty(events)
-    elseif fsm._is_kept then
-      fsm._curq = { nil, nil } -- with room for two
-    else
-      empty(events)
-    end
-    fsm._segment, fsm._is_kept, fsm._is_unsettled = false, false, false
-    if fsm._has_failure then raise_failure(fsm) end
-  end
-
-  -- Returns the current events: those of the queue, then those of getevents, as changed
-  -- by the hooks.
-  local function gather(fsm)
-    if fsm._reset_wanted then reset_now(fsm) end
-    if fsm._curq[1] ~= nil then put_back(fsm) end
-    local events, spare = fsm._intq, fsm._curq
-    fsm._segment = MAY_RAISE
-    fsm._curq = events
-    fsm._intq = spare
-    if fsm._is_fed then collect(fsm, events) end
-    if not fsm._is_hooked then return events end
-    local has_post_hook = fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook
-    if has_post_hook then fsm._is_unsettled = true end
-    if fsm._pre_hooks == OWN_ONLY and not fsm.pre_step_hook then
-      if not has_post_hook then
-        fsm.pre_step_hook, fsm.post_step_hook, fsm._is_hooked = nil, nil, false
-        check_plain(fsm)
-      end
-      return events
-    end
-    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook", events)
-    return fsm._curq
-  end
-
-  -- No way in: the queue is kept.
-  local function refuse_entry(fsm, events)
-    local text = list_text(events)
-    fsm._segment = false
-    put_back(fsm)
-    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-      .. "events: " .. text)
-    if fsm._reset_wanted then reset_now(fsm) end
-    raise_failure(fsm)
-  end
-
-  -- Takes the transition that a search has found. If there is none, a doo cycle is run,
-  -- unless events came and the last iteration counted. Returns as `iterate`.
-  local function react(fsm, def, leaf, events, after_free)
-    if def and not rawequal(fsm._act_leaf, leaf) then -- a guard has moved the machine
-      leaf = innermost(fsm)
-      if fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
-    end
-    if def then
-      take(fsm, def, leaf)
-      return true, false
-    end
-    local is_eventless = events[1] == nil
-    if not (is_eventless or after_free) then return false, false end
-    local idle = run_doo(fsm, leaf)
-    fsm._segment = MAY_RAISE
-    if idle and is_eventless and fsm._is_fed then collect(fsm, fsm._intq) end
-    return true, idle
-  end
-
-  local function is_idle(fsm, idle)
-    return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
-  end
-
-  -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
-  -- as a step and whether its doo cycle was idle. `after_free`: the last one did not
-  -- count. `events` if they were gathered.
-  local function iterate_fully(fsm, after_free, events)
-    if quick == nil then ask_quick() end
-    events = events or gather(fsm)
-    local leaf, counted, idle = fsm._act_leaf, true, false
-    fsm._segment = true
-    if leaf then
-      counted, idle = react(fsm, choose(fsm, events), leaf, events, after_free)
-    elseif enter_machine(fsm, events) then
-      check_plain(fsm)
-    else
-      return refuse_entry(fsm, events)
-    end
-    settle(fsm, events)
-    return counted, is_idle(fsm, idle)
-  end
-
-  iterate = iterate_fully
-
-  -- While a step is under way, one of these functions is on the stack.
-  local STEPPING = { [iterate_fully] = true }
-  local getlocal = getinfo and rawget(_G, "debug").getlocal
-
-  -- Is a step of this machine under way on this stack, or in its doo?
-  function is_stepping(fsm)
-    if not fsm._segment then return false end
-    local co = fsm._act_leaf and fsm._act_leaf._doo_co
-    local status = co and coroutine.status(co)
-    if status == "running" or status == "normal" then return true end
-    if not getinfo then return fsm._segment ~= false end
-    local level, info = 3, getinfo(3, "f")
-    while info do
-      if STEPPING[info.func] and rawequal(select(2, getlocal(level, 1)), fsm) then
-        return true
-      end
-      level = level + 1
-      info = getinfo(level, "f")
-    end
-    return false
-  end
-
-  -- A step was cut short by a hook that raised, by an interrupt outside of the
-  -- protected call, or because its coroutine was dropped: finishes it. False when it
-  -- goes on.
-  function mend(fsm)
-    local def = fsm._segment
-    if is_stepping(fsm) then return false end
-    if rawequal(fsm._curq, fsm._intq) then -- nothing has begun
-      fsm._curq = {}
-    elseif def ~= true and not (fsm._act_leaf and fsm._curq[1] == nil) then
-      recover(fsm, false)
-      fsm._curq = {}
-    end
-    fsm._segment = false
-    put_back(fsm)
-    if fsm._reset_wanted then reset_now(fsm) end
-    return true
-  end
-
-  STEPPING[mend] = true
-
-  -- So many iterations come before the quick ones are asked for: a program that does
-  -- little should not pay for them.
-  local patience = 8
-
-  local PARTS = {
-    choose = choose, collect = collect, compile_transition = compile_transition,
-    enabled = enabled, enabled_with = enabled_with, gather = gather, is_idle = is_idle,
-    iterate_fully = iterate_fully, keep_events = keep_events, line_to = line_to,
-    matches = matches, react = react, recover = recover, run_doo = run_doo,
-    report_callback = report_callback, run_segment = run_segment, search = search,
-    run_state_hooks = run_state_hooks, settle = settle,
-    warn_of_conflict = warn_of_conflict,
-    -- Goes on in detail after the callback that was called last.
-    resume = function(fsm) return resume_segment(fsm, false) end,
-    -- Goes on in detail after the exit and the hooks of `state`.
-    finish_leaving = function(fsm, state)
-      finish_exit(fsm, state, nil)
-      return run_parts(fsm, fsm._segment, state._parent, 0)
-    end,
-  }
-
-  -- Gets the functions of rfsm/quick.lua, if they are there, when they pay.
-  function ask_quick()
-    patience = patience - 1
-    if patience > 0 then return end
-    quick = false -- an interrupt while they are loaded leaves it at that
-    PARTS.straight = loadstring and find_module("rfsm.straight")
-    local make = find_module("rfsm.quick")
-    if not make then return end
-    quick = make(PARTS)
-    for _, f in ipairs(quick.stepping) do STEPPING[f] = true end
-    iterate, parameters_of = quick.iterate, quick.parameters_of or parameters_of
-  end
+  if fsm._curq[1] == nil then fsm._curq = fsm._intq end
+  if rawequal(fsm._curq, fsm._intq) then fsm._intq = {} end
+  local events, failure = ask_getevents(fsm, call)
+  if not events then give_up(fsm, failure) end
+  if #events > 0 then fsm._joined = append(append({}, fsm._curq), events) end
+  fsm._phase = "before"
 end
 
--- Iterates until `left` iterations counted or the machine is idle. Returns whether it
--- is idle. `counted` and `idle` are the results of the last iteration.
-local function advance(fsm, left, counted, idle)
-  while counted ~= nil do
-    if counted then
-      left = left - 1
-      if left < 1 then return idle end
-    end
-    local idle_hook = idle and fsm.idle_hook
-    if idle and not idle_hook then break end
-    if idle_hook then
-      if not is_callable(idle_hook) then
-        error("rfsm.step: idle_hook: function expected, " .. got(idle_hook), 0)
-      end
-      idle_hook(fsm)
-    end
-    counted, idle = iterate(fsm, not counted)
-  end
-  if idle and fsm._is_traced then
-    trace(fsm, "HIBERNATING",
-      "no events, no idle_hook, no doos or doo idle, halting engines")
-    raise_failure(fsm)
-  end
-  return idle or false
+function PHASES.before(fsm)
+  local joined = fsm._joined
+  if joined then fsm._curq = joined end
+  fsm._joined = false
+  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook")
+  fsm._phase = "search"
 end
 
--- Public functions --------------------------------------------------------------
+function PHASES.doo(fsm)
+  local idle = run_doo(fsm, fsm._from)
+  if idle and fsm._curq[1] == nil then
+    local events, failure = ask_getevents(fsm, call)
+    if not events then give_up(fsm, failure) end
+    if #events > 0 then fsm._joined = append(append({}, fsm._intq), events) end
+  end
+  fsm._outcome, fsm._phase = idle and "idle" or "counted", "after"
+end
+
+function PHASES.take(fsm)
+  engine.take(fsm)
+  fsm._outcome, fsm._phase = "counted", "after"
+end
+
+local function call_post_hooks(fsm)
+  if fsm._joined then fsm._intq = fsm._joined end -- those of getevents
+  fsm._joined = false
+  if fsm._reset_wanted then reset_now(fsm) end
+  run_hooks(fsm, fsm._post_hooks, "post_step_hook")
+end
+
+function PHASES.after(fsm)
+  call_post_hooks(fsm)
+  fsm._curq = {}
+  fsm._phase = "idle"
+end
+
+function PHASES.begin(fsm)
+  local calls = fsm._calls
+  calls.begun, calls.noted = 0, 0
+  fsm._phase = "collect"
+end
+
+-- Goes through the phases of an iteration, from the one that is under way on, up to
+-- `last`, if it is given.
+function go_on(fsm, last)
+  repeat
+    local phase = fsm._phase
+    fsm._calls.count = FIRST[phase]
+    PHASES[phase](fsm)
+  until fsm._phase == "idle" or fsm._phase == last
+end
+
+local iterate
+
+-- Without `debug` the thread that runs a step is noted: see `is_stepping`.
+local running = not getinfo and find_global("coroutine", "running")
+
+local function same(failure) return failure end
+
+local function results_of(fsm, outcome)
+  if fsm._reset_wanted and outcome == "refused" then reset_now(fsm) end
+  raise_failure(fsm)
+  if outcome == "refused" then return nil end
+  return outcome ~= "free",
+    outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
+end
+
+-- One iteration, or the rest of one that was cut short. Returns nil if the machine
+-- cannot be entered, else whether it counts as a step and whether the machine is idle.
+-- `after_free`: the last iteration did not count.
+function iterate(fsm, after_free, phases)
+  if fsm._phase == "idle" then
+    fsm._after_free = after_free
+    fsm._phase = "begin"
+  end
+  fsm._run = phases or go_on
+  if running then fsm._thread = running() or true end
+  local ok, failure = xpcall(fsm._act, getinfo and note_interrupt or same)
+  if running then fsm._thread = false end
+  if not ok then
+    if failure == GO_ON then return iterate(fsm, after_free) end
+    error(failure, 0)
+  end
+  fsm._calls.noted = 0
+  return results_of(fsm, fsm._outcome)
+end
+
+engine.choose, engine.take, engine.iterate = choose, take, iterate
+
+-- So many iterations come before rfsm/fast.lua is loaded: a program that does little
+-- should not pay for it.
+local patience = 8
+
+local PARTS = {
+  FIRST = FIRST, OWN_ONLY = OWN_ONLY,
+  append = append, ask_getevents = ask_getevents, borrowers = borrowers,
+  call_post_hooks = call_post_hooks, give_up = give_up,
+  call = call, call_aside = call_aside, choose = choose, complete = complete,
+  before = PHASES.before, go_on = go_on,
+  compile_transition = compile_transition, decide = decide, enabled_with = enabled_with,
+  enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
+  iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
+  matches = matches, no_events = no_events, raise_failure = raise_failure,
+  is_callable = is_callable, refuse_guard = refuse_guard, silent = silent, take = take,
+  warn_of_conflict = warn_of_conflict, GO_ON = GO_ON,
+}
+
+local function load_fast()
+  patience = -1
+  local make = find_module("rfsm.fast")
+  if make then make(engine, PARTS) end
+end
+
+-- The first iterations of a program, and all of them if there is no rfsm/fast.lua.
+local function iterate_patiently(fsm, after_free)
+  if patience == 0 then
+    engine.iterate = iterate
+    load_fast()
+    return engine.iterate(fsm, after_free)
+  end
+  patience = patience - 1
+  return iterate(fsm, after_free)
+end
+
+engine.iterate = iterate_patiently
+
+-- Build: a plan of a model, and a machine of the plan -------------------------------
 
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
@@ -2267,7 +2186,7 @@ do
     root.data = {}
     for i = 1, #data, 2 do
       local key = data[i]
-      if taken[key] ~= nil or is_meta(key) and OFF[key] ~= nil then
+      if taken[key] ~= nil or is_meta(key) and DEFAULTS[key] ~= nil then
         add(build.warnings, root, key, "the machine has a field of this name, this one "
           .. "is ignored")
       else
@@ -2306,9 +2225,7 @@ do
 
   -- Check, clone, resolve: all that can be said of a model without running anything.
   function build_plan(model)
-    local build = new_build {
-      model = model, nodes = {}, transitions = {}, trail = false,
-    }
+    local build = new_build(new_plan(model))
     local root = new_node(build, "state", model, nil, "root")
     clone_below(build, 1)
     resolve(build, 1)
@@ -2338,24 +2255,23 @@ do
   end
 end
 
--- Printers become functions. Wrong ones are reported. Those that are off are absent, so
--- that an assignment is noticed.
-local function prepare_fields(fsm)
-  for i = 2, 4 do
+-- Gives a machine what it cannot share: functions for its printers, and the function
+-- that `xpcall` calls without arguments. Wrong printers are replaced.
+local function finish_machine(fsm)
+  for i = 1, 4 do
     local name = PRINTERS[i]
     local printer = printer_of(fsm, name)
     fsm[name] = is_callable(printer) and printer or DEFAULT_PRINTER[name]
   end
-  setmetatable(fsm, Machine)
-  for field in pairs(FLAG_OF) do -- any order: each stands alone
-    local value = rawget(fsm, field)
-    rawset(fsm, field, nil)
-    if value then fsm[field] = value end
+  for name in pairs(STEP_HOOKS) do -- any order: each stands alone
+    fsm._is_hooked = fsm._is_hooked or fsm[name] and true or false
+    fsm[name] = fsm[name] or nil
   end
-  return fsm
+  fsm._act = function() return (fsm._run(fsm)) end -- no tail call: see `is_stepping`
+  return setmetatable(fsm, Machine)
 end
 
-interpret(prepare_fields)
+interpret(finish_machine)
 
 -- Prints a line for each problem of a list.
 local function report_lines(fsm, name, list)
@@ -2442,96 +2358,116 @@ rfsm.preproc = {}
 local preprocess, use_plan
 
 do
-  -- Each transition gets what a preproc function may change or take away: what stands
-  -- in the model; after a merge, of which the functions see nothing else, what it has.
-  local function hand_out_events(fsm, merged)
+  -- Each transition gets what a preproc function may change: the events and priority
+  -- that stand in the model; after a merge, those that the machine has.
+  local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
-      local def = fsm._plan.transitions[i]
-      local from = not merged and def.written or def
-      tr.events = rawget(tr, "events") or append({}, from.events or {})
-      tr.pn = rawget(tr, "pn") or from.pn or def.pn and false
+      local def = plan.transitions[i]
+      tr.events = rawget(tr, "events") or append({}, def.events or NONE)
+      tr.pn = rawget(tr, "pn") or def.pn
     end
-  end
-
-  local function is_same_list(list, other)
-    if #list ~= #other then return false end
-    for i = 1, #list do
-      if not rawequal(list[i], other[i]) then return false end
-    end
-    return true
   end
 
   -- Returns the field that got a wrong value from a preproc function.
   local function wrong_field(fsm, tr)
-    local events, pn = rawget(tr, "events") or {}, rawget(tr, "pn") or 0
+    local events, pn = tr.events or NONE, rawget(tr, "pn") or 0
     if type(events) ~= "table" and type(events) ~= "string" then return "events" end
     if type(pn) ~= "number" then return "pn" end
     if not is_node_of(fsm, tr.src) then return "src" end
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  local function own_events(tr)
-    local events = rawget(tr, "events") or {}
-    return type(events) == "string" and { events } or events
-  end
-
-  -- Does a transition differ from its definition? "moved" if in one of its ends.
-  local function find_change(fsm, tr, def)
-    local nodes = fsm._nodes
-    if nodes[def.src.index] ~= tr.src or nodes[def.tgt.index] ~= tr.tgt then
-      return "moved"
+  -- Returns what the preproc functions have made of a transition; nil and a problem.
+  local function read_transition(fsm, tr)
+    local wrong = wrong_field(fsm, tr)
+    if wrong then
+      return nil, ("%s: %s: set by a preproc function, %s"):format(
+        rfsm.location_of(tr), wrong, got(tr[wrong]))
     end
-    return not is_same_list(own_events(tr), def.events or {})
-      or (rawget(tr, "pn") or nil) ~= def.pn
-  end
-
-  -- Makes a definition what a transition is; returns what is wrong.
-  local function change(def, tr, nodes)
-    def.written = def.written or { events = def.events, pn = def.pn }
-    local events = own_events(tr)
-    def.events, def.pn = events[1] ~= nil and events, rawget(tr, "pn") or nil
-    def.src, def.tgt = nodes[tr.src["_%def"].index], nodes[tr.tgt["_%def"].index]
-    def.is_internal = def.is_internal and def.src == def.tgt
-    if def.tgt.kind == "state" and not (def.tgt.is_leaf or def.is_internal) then
-      def.tgt = def.tgt.members.initial
-    end
-    return not def.tgt and "tgt: the composite has no initial transition"
-  end
-
-  -- Returns the numbers of the transitions that have been changed, and the plan to note
-  -- it in: that of the model when this is its first machine, since the others will be
-  -- like it, else a copy.
-  local function find_changes(fsm, problems)
-    local plan, changed, is_moved = fsm._plan, {}, false
-    for i, tr in ipairs(fsm._transitions) do
-      local wrong = wrong_field(fsm, tr)
-      local change_found = not wrong and find_change(fsm, tr, plan.transitions[i])
-      if wrong then
-        problems[#problems + 1] = ("%s: %s: set by a preproc function, %s"):format(
-          rfsm.location_of(tr), wrong, got(tr[wrong]))
+    local events = rawget(tr, "events")
+    if type(events) == "string" then events = { events } end
+    local result = {
+      src = tr.src["_%def"].index, tgt = tr.tgt["_%def"].index,
+      pn = rawget(tr, "pn") or false, events = events or NONE,
+    }
+    local tgt = fsm._plan.nodes[result.tgt]
+    local is_composite = tgt.kind == "state" and not tgt.is_leaf
+    if is_composite and not tr["_%def"].is_internal then
+      if not tgt.members.initial then
+        return nil, rfsm.location_of(tr)
+          .. ": tgt: the composite has no initial transition"
       end
-      changed[#changed + 1] = change_found and i or nil
-      is_moved = is_moved or change_found == "moved"
+      result.tgt = tgt.members.initial.index
     end
-    if problems[1] then return {} end
-    return changed, changed[1] and (is_moved or plan.first ~= fsm) and copy_plan(plan)
-      or plan
+    return result
   end
 
-  -- The definitions become what the preproc functions have made of the transitions.
-  local function take_changes(fsm, problems)
-    local changed, plan = find_changes(fsm, problems)
-    for _, i in ipairs(changed) do
-      local tr, def = fsm._transitions[i], plan.transitions[i]
-      local wrong = change(def, tr, plan.nodes)
-      tr.tgt = not wrong and fsm._nodes[def.tgt.index]
-      if wrong then problems[#problems + 1] = rfsm.location_of(tr) .. ": " .. wrong end
+  -- Returns the number that stands for a value in the keys of a plan.
+  local function id_of(plan, value)
+    local ids = plan.ids
+    if not ids[value] then
+      plan.last_id = plan.last_id + 1
+      ids[value] = plan.last_id
+    end
+    return ids[value]
+  end
+
+  -- Returns a text that is the same for the same results.
+  local function key_of(plan, results)
+    local parts = {}
+    for _, result in ipairs(results) do
+      append(parts, { result.src, result.tgt, id_of(plan, result.pn) })
+      for _, event in ipairs(result.events) do
+        parts[#parts + 1] = id_of(plan, event)
+      end
+      parts[#parts + 1] = 0
+    end
+    for i = 1, #parts do parts[i] = ("%d"):format(parts[i]) end
+    return concat(parts, " ")
+  end
+
+  -- What is to become of the transitions if no preproc function changes any.
+  local function unchanged(plan)
+    local results = {}
+    for i, def in ipairs(plan.transitions) do
+      results[i] = {
+        src = def.src.index, tgt = def.tgt.index, pn = def.pn or false,
+        events = def.events or NONE,
+      }
+    end
+    return results
+  end
+
+  -- Returns a plan whose transitions are what the preproc functions have made of them.
+  local function new_variant(plan, results)
+    local variant = copy_plan(plan)
+    for i, result in ipairs(results) do
+      local def = variant.transitions[i]
+      def.src, def.tgt = variant.nodes[result.src], variant.nodes[result.tgt]
+      def.pn, def.events = result.pn or nil, append({}, result.events)
+      if def.events[1] == nil then def.events = false end
+      def.is_internal = def.is_internal and def.src == def.tgt
+    end
+    variant.base = plan
+    return compile(variant)
+  end
+
+  -- The machine gets the plan of what the preproc functions have made of its
+  -- transitions. Machines with the same result share it.
+  local function take_results(fsm, plan, problems)
+    local results = {}
+    for i, tr in ipairs(fsm._transitions) do
+      local result, problem = read_transition(fsm, tr)
+      results[i], problems[#problems + 1] = result, problem
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
-    if changed[1] and not problems[1] then
-      plan.is_changed = true
-      use_plan(fsm, compile(plan))
-    end
+    if problems[1] then return end
+    local key = key_of(plan, results)
+    plan.variants[key_of(plan, unchanged(plan))] = plan
+    local variant = plan.variants[key] or new_variant(plan, results)
+    plan.variants[key] = variant
+    for i, tr in ipairs(fsm._transitions) do tr.tgt = fsm._nodes[results[i].tgt] end
+    use_plan(fsm, variant)
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2540,15 +2476,15 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
-    if last < 1 and not fsm._plan.is_changed then return problems end
-    hand_out_events(fsm, merged)
+    if last < 1 then return problems end
+    hand_out(fsm, fsm._plan)
     for i = 1, last do
       fsm._preparing = i
       local found = rfsm.preproc[i](fsm, merged)
       append(problems, type(found) == "table" and found or {})
     end
     fsm._preparing = outer
-    if not outer then take_changes(fsm, problems) end
+    if not outer then take_results(fsm, fsm._plan, problems) end
     sort(problems, function(a, b) return natural(a) < natural(b) end)
     return problems
   end
@@ -2583,13 +2519,11 @@ function rfsm.init(model)
   model = model_of(model)
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
-  local fsm = prepare_fields(new_machine(plan))
+  local fsm = finish_machine(new_machine(plan))
   fsm._initialized = true
   report_lines(fsm, "info", plan.created)
   list_otrs(fsm, plan)
-  plan.first = plan.first == nil and fsm
   problems = preprocess(fsm)
-  plan.first = false
   if problems[1] then
     fsm._initialized = false
     return refuse_model(model, fsm, problems)
@@ -2624,6 +2558,8 @@ function rfsm.check_no_otrs(fsm)
   return report_dead_ends(fsm, 1)
 end
 
+-- Use: what a program does with a machine --------------------------------------------
+
 local function queue_more(queue, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
@@ -2641,10 +2577,37 @@ end
 ---@param ... any more of them
 function rfsm.send_events(fsm, event, ...)
   if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
-  if fsm._is_traced then trace(fsm, "RAISED", event, ...) end
+  if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then return queue_more(queue, ...) end
+end
+
+local function is_on_stack(fsm)
+  local level, info, is_taking = 3, getinfo(3, "f"), engine.is_taking
+  while info do
+    local f = info.func
+    if f == fsm._act or is_taking and is_taking(f, level + 1, fsm) then return true end
+    level = level + 1
+    info = getinfo(level, "f")
+  end
+  return false
+end
+
+-- Is a step of this machine under way, rather than cut short? Then `_act` is on the
+-- stack, or a doo is running. Without `debug` the thread of the step has been noted.
+local function is_stepping(fsm)
+  if fsm._phase == "idle" then return false end
+  local co = fsm._act_leaf and fsm._act_leaf._doo_co or fsm._thread
+  local status = co and (co == true and "running" or coroutine.status(co))
+  if status == "running" or status == "normal" then return true end
+  return getinfo ~= nil and is_on_stack(fsm)
+end
+
+local function check_no_step(fsm, where, level)
+  fsm._is_usual = false
+  if not is_stepping(fsm) then return end
+  error(where .. ": the machine is in the middle of a step", level)
 end
 
 --- Raise an error that blames the caller's caller while a step is under way, for
@@ -2653,44 +2616,70 @@ end
 ---@param where string the public function
 function rfsm.check_between_steps(fsm, where)
   check_machine(fsm, where, 4)
-  if not fsm._segment or mend(fsm) then return end
-  error(where .. ": the machine is in the middle of a step", 3)
+  check_no_step(fsm, where, 4)
+  if fsm._phase ~= "idle" then iterate(fsm, false) end
 end
 
 local check_between_steps = rfsm.check_between_steps
+
+-- Iterates until `left` iterations counted or the machine is idle. Returns whether it
+-- is idle. `counted` and `idle` are the results of the last iteration.
+local function advance(fsm, left, counted, idle)
+  while counted ~= nil do
+    if counted then
+      left = left - 1
+      if left < 1 then return idle end
+    end
+    local idle_hook = idle and fsm.idle_hook
+    if idle and not idle_hook then break end
+    if idle_hook then
+      if not is_callable(idle_hook) then
+        error("rfsm.step: idle_hook: function expected, " .. got(idle_hook), 0)
+      end
+      idle_hook(fsm)
+    end
+    counted, idle = engine.iterate(fsm, not counted)
+  end
+  if idle and is_traced(fsm) then
+    report(fsm, "dbg", "HIBERNATING",
+      "no events, no idle_hook, no doos or doo idle, halting engines")
+    raise_failure(fsm)
+  end
+  return idle or false
+end
 
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
 -- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
 -- step hooks and getevents are raised at once, those of printers when the iteration is
--- over.
+-- over. A step that an interrupt has cut short is finished first.
 --
 ---@param fsm rfsm.Machine
 ---@param n? number at least 1, default 1
 ---@return boolean idle true if there is nothing left to do
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
-  if fsm._segment then check_between_steps(fsm, "rfsm.step") end
+  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
   if n == nil then
-    local counted, idle = iterate(fsm, false)
+    local counted, idle = engine.iterate(fsm, false)
     if counted then return idle end -- without a loop: LuaJIT makes one trace of it
     return advance(fsm, 1, counted, idle)
   elseif type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  return advance(fsm, n == n and n or 1, iterate(fsm, false)) -- NaN is 1
+  return advance(fsm, n == n and n or 1, engine.iterate(fsm, false)) -- NaN is 1
 end
 
---- Advance a machine until no event waits and no doo is busy.
+--- Advance a machine until no event is pending and no doo is busy.
 ---@param fsm rfsm.Machine
 ---@return boolean idle false when the machine could not be entered
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
-  if fsm._segment then check_between_steps(fsm, "rfsm.run") end
-  local counted, idle = iterate(fsm, false) -- the usual two without a loop: one trace
-  if counted and not idle then counted, idle = iterate(fsm, false) end
-  if idle and fsm._is_plain and not fsm.idle_hook then return true end
-  return advance(fsm, math.huge, counted, idle)
+  if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
+  local counted, idle = engine.iterate(fsm, false) -- the usual two without a loop
+  if counted and not idle then counted, idle = engine.iterate(fsm, false) end
+  if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
+  return advance(fsm, huge, counted, idle)
 end
 
 --- Make a machine as it was after `init`: inactive, no exit is called.
@@ -2701,12 +2690,10 @@ end
 ---@param fsm rfsm.Machine
 function rfsm.reset(fsm)
   check_machine(fsm, "rfsm.reset")
-  if is_stepping(fsm) then
-    fsm._reset_wanted, fsm._is_unsettled = true, true
-    return
-  end
+  fsm._reset_wanted, fsm._is_usual = true, false
+  if is_stepping(fsm) then return end
+  fsm._phase, fsm._curq, fsm._joined = "idle", {}, false
   reset_now(fsm)
-  fsm._is_kept, fsm._is_unsettled = false, fsm._has_failure
 end
 
 --- Move the events of getevents to the queue.
@@ -2714,7 +2701,9 @@ end
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
   check_machine(fsm, "rfsm.check_events")
-  if fsm._is_fed then collect(fsm, fsm._intq) end
+  local events, failure = ask_getevents(fsm, call_aside)
+  if not events then error(failure, 0) end
+  append(fsm._intq, events)
   return #fsm._intq
 end
 
@@ -2779,7 +2768,7 @@ function rfsm.mapfsm(f, fsm, pred, depth)
     end
   end
   if rfsm.is_root(fsm) and pred(fsm) then results[1] = f(fsm, fsm, "root") end
-  map_members(fsm, depth or math.huge)
+  map_members(fsm, depth or huge)
   return results
 end
 
@@ -2862,26 +2851,26 @@ function rfsm.machines(fsm)
   return places
 end
 
---- Load the modules now that would be loaded while a machine runs, and compile its
--- transitions.
+--- Load and compile now what would be loaded and compiled while a machine runs.
 --
--- The search for an event is still compiled when the event first comes in a leaf, and a
--- transition that leaves a composite when it is first taken from a depth.
+-- Without it a machine is compiled bit by bit, as its transitions are taken for the
+-- first time, and rfsm/fast.lua is loaded in one of the first iterations.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
-  while quick == nil do ask_quick() end
+  if patience >= 0 then
+    engine.iterate = iterate
+    load_fast()
+  end
   for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, def in ipairs(at.machine._plan.transitions) do
-      if def.connector == nil then compile_transition(def) end
-      if quick and def.run == run_warily then def.run = quick.segment(def, false) end
-      if quick and def.run_hooked == run_warily then
-        def.run_hooked = quick.segment(def, true)
-      end
-    end
+    local plan = at.machine._plan
+    for _, def in ipairs(plan.nodes) do if def.is_leaf then line_to(def) end end
+    for _, def in ipairs(plan.transitions) do compile_transition(def) end
+    if engine.prepare then engine.prepare(at.machine) end
   end
 end
+
 
 -- Tools: they look at a machine or move it; no part of a run ......................
 
@@ -2904,7 +2893,7 @@ function rfsm.map_from_to(fsm, f, from, to)
   local line, results = { node }, {}
   while node ~= last and node ~= fsm do
     node = node._parent
-    if is_upwards then line[#line + 1] = node else table.insert(line, 1, node) end
+    if is_upwards then line[#line + 1] = node else insert(line, 1, node) end
   end
   if node ~= last then
     error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
@@ -2931,9 +2920,8 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  -- a guard or effect may ask while another search or path goes on
-  local number, searched, ways = fsm._search, fsm._searched, fsm._ways
-  fsm._search, fsm._searched, fsm._ways = number + 1, {}, {}
+  local ways = fsm._ways -- a callback may ask while another path is searched or taken
+  fsm._ways = {}
   local def = find_transition(fsm, node["_%def"], events)
   local path = def and { node = node, nextl = false } or false
   local at = path
@@ -2942,7 +2930,7 @@ function rfsm.node_find_enabled(fsm, node, events)
     at.nextl = { { trans = fsm._transitions[def.index], next = tail } }
     at, def = tail, def.connector and fsm._ways[def.connector]
   end
-  fsm._search, fsm._searched, fsm._ways = number, searched, ways
+  fsm._ways = ways
   return path
 end
 
@@ -2956,10 +2944,7 @@ function rfsm.exit_state(fsm, state)
   end
   if state._mode == "inactive" then return end
   if state._actchild then rfsm.exit_state(fsm, state._actchild) end
-  fsm._is_plain, state._mode = false, "inactive"
-  rawset(state._parent, "_actchild", nil)
-  call_alone(fsm, state, "exit")
-  finish_exit(fsm, state, fsm._exit_hooks)
+  leave(call_aside, fsm, state)
 end
 
 -- Makes the states from the root to `state` the active ones, or those above it.
@@ -2979,7 +2964,7 @@ local function move_to(state, mode)
   if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
     local parent = state._parent
-    if state._mode ~= "inactive" then rawset(parent, "_actchild", state) end
+    if state._mode ~= "inactive" then parent._actchild = state end
     parent._mode, state = "active", parent
   end
 end
@@ -3008,10 +2993,27 @@ function rfsm.set_sta_mode(state, mode)
   return mode
 end
 
+--- Promise that a hook, effect or guard does not keep the list of events that it gets.
+--
+-- Otherwise the machine needs a new list for the next iteration. An event that calls
+-- only such functions costs no garbage.
+--
+-- @usage
+--    fsm.post_step_hook = rfsm.borrows(function(fsm, events) count(#events) end)
+--
+---@generic F : function
+---@param f F
+---@return F f
+function rfsm.borrows(f)
+  check_function(f, "rfsm.borrows")
+  borrowers[f] = true
+  return f
+end
+
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 -- Makes the function that adds a hook to the list `field` of a machine.
-local function hook_adder(where, field, flag)
+local function hook_adder(where, field)
   return function(fsm, hook, place)
     check_machine(fsm, where)
     check_function(hook, where)
@@ -3019,9 +3021,11 @@ local function hook_adder(where, field, flag)
       error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
     end
     local hooks = append({}, fsm[field])
-    table.insert(hooks, place == "before" and 1 or #hooks + 1, hook)
+    insert(hooks, place == "before" and 1 or #hooks + 1, hook)
     fsm[field] = hooks
-    if flag then set_flag(fsm, flag) end
+    if field == "_reset_hooks" then return end
+    fsm._is_hooked, fsm._is_usual = true, false
+    if not borrowers[hook] then fsm._lends_events = true end
   end
 end
 
@@ -3032,8 +3036,8 @@ local function hook_remover(where, field, slot)
     local hooks = append({}, fsm[field])
     for i = 1, #hooks do
       if rawequal(hooks[i], hook) then
-        table.remove(hooks, i)
-        fsm[field] = slot and not hooks[2] and hooks[1] == OWN and OWN_ONLY or hooks
+        remove(hooks, i)
+        fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
         return true
       end
     end
@@ -3053,7 +3057,7 @@ local function state_hook_adder(where, field)
     end
     fsm[field] = fsm[field] or {}
     fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-    fsm._run, fsm._is_plain = "run_hooked", false
+    fsm._is_hooked, fsm._is_usual = true, false
   end
 end
 
@@ -3076,8 +3080,7 @@ rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
 -- the other hooks.
 --
 ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks",
-  "_is_hooked")
+rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
 
 --- Remove a pre step hook. Return whether it was there.
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
@@ -3086,8 +3089,7 @@ rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
 
 --- Have `hook(fsm, events)` called at the end of each iteration.
 ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks",
-  "_is_hooked")
+rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
 
 --- Remove a post step hook. Return whether it was there.
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
@@ -3122,20 +3124,28 @@ end
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
-  if leaf then
-    move_to(leaf, mode)
-    run_hooks(fsm, fsm._reset_hooks)
-  else
-    reset_now(fsm)
-  end
-  fsm._intq, fsm._curq, fsm._reset_wanted = queue, {}, false
-  check_plain(fsm)
+  reset_now(fsm)
+  if leaf then move_to(leaf, mode) end
+  fsm._intq, fsm._curq = queue, {}
 end
 
 -- Merge: a new element of a live machine ------------------------------------------
 
+-- Drops the definitions of the old plan, but for those of the path that is being taken.
+local function forget_paths(fsm)
+  local old, ways, def = fsm._ways, {}, fsm._phase == "take" and fsm._path
+  while def do
+    local node = def.kind == "state" and def or def.connector
+    if node then ways[node] = old[node] end
+    def = node and old[node]
+  end
+  fsm._ways = ways
+  if fsm._phase == "idle" then fsm._path = false end
+end
+
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
+  forget_paths(fsm)
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
   for i, tr in ipairs(fsm._transitions) do
@@ -3155,7 +3165,7 @@ do
   local function leaf_obstacle(fsm, parent)
     if parent._mode ~= "inactive" then
       return ("'%s' is an active leaf state"):format(parent._fqn)
-    elseif type(fsm._segment) == "table" or fsm._segment and not fsm._act_leaf then
+    elseif fsm._phase == "take" or fsm._phase == "search" and not fsm._act_leaf then
       return ("'%s' is a leaf state, while a transition is taken"):format(parent._fqn)
     end
   end

@@ -87,7 +87,7 @@ end
 
 -- Nothing is collected before the first event comes: other extensions may add events.
 local function watch(fsm)
-  if not fsm._checks then rfsm.pre_step_hook_add(fsm, check_events) end
+  if not fsm._checks then rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_events)) end
   fsm._checks = { events = {}, predicates = false }
 end
 

@@ -497,7 +497,8 @@ local function prepare_timers(fsm, state)
   if not fsm._timeevent then
     fsm._timeevent = { [true] = huge, [false] = huge, count = 0, gettime = false,
       clocks = false }
-    rfsm.pre_step_hook_add(fsm, check_timers, "before") -- other hooks see the events
+    -- before other hooks, so that they see the events
+    rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_timers), "before")
     rfsm.snapshot_hook_add(fsm, "timers", save, load)
   end
   if not state._timers then

@@ -152,7 +152,7 @@ end
 local function add_await(fsm, state, await)
   if not fsm._awaits then
     fsm._awaits = {}
-    rfsm.pre_step_hook_add(fsm, check_awaits)
+    rfsm.pre_step_hook_add(fsm, rfsm.borrows(check_awaits))
     rfsm.reset_hook_add(fsm, reset)
     rfsm.snapshot_hook_add(fsm, "await", save, load)
   end

@@ -127,7 +127,7 @@ end
 
 local function prepare_machine(fsm)
   fsm._emem = { is_blocked = {}, others = {}, declared = false }
-  rfsm.pre_step_hook_add(fsm, count)
+  rfsm.pre_step_hook_add(fsm, rfsm.borrows(count))
   rfsm.reset_hook_add(fsm, reset)
   rfsm.snapshot_hook_add(fsm, "emem", save, load)
 end

@@ -221,14 +221,14 @@ function rfsm_rtt.gen_write_fqn(port)
     write_change(fsm)
   end
   write("<none>")
-  return function(fsm)
+  return rfsm.borrows(function(fsm)
     if not written[fsm or false] then
       rfsm.check_machine(fsm, "rfsm.rtt.write_fqn")
       written[fsm] = "<none>"
       rfsm.reset_hook_add(fsm, write_reset)
     end
     write_change(fsm)
-  end
+  end)
 end
 
 -- Launchers: loaded when they are used ---------------------------------------------

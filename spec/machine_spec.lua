@@ -444,14 +444,19 @@ describe("the parts of a machine", function()
     assert.equal(3, #lines)
   end)
 
-  it("refuse a hook or printer that cannot be called when it is set", function()
-    for key, case in pairs { -- any order: each stands alone
-      getevents = { {}, "function expected, got table" },
-      dbg = { "full", "function, true or false expected, got string 'full'" },
-    } do
-      local _, problem = pcall(function() fsm[key] = case[1] end)
-      assert.equal(key .. ": " .. case[2], (problem:gsub("^[^:]*:%d+: ", "")))
-    end
+  for _, key in ipairs { "getevents", "pre_step_hook", "post_step_hook" } do
+    it("refuse a " .. key .. " that cannot be called when it is set", function()
+      local _, problem = pcall(function() fsm[key] = {} end)
+      assert.equal(key .. ": function expected, got table",
+        (problem:gsub("^[^:]*:%d+: ", "")))
+    end)
+  end
+
+  it("refuse a printer that cannot be called when something is printed", function()
+    local machine = helper.started(helper.chart({ "e" }, { err = false }))
+    machine.dbg = "full"
+    assert.has_error(function() rfsm.send_events(machine, "e") rfsm.step(machine) end,
+      "rfsm: dbg: function, true or false expected, got string 'full'")
   end)
 end)
 

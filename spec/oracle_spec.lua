@@ -63,8 +63,7 @@ describe("the oracle", function()
   -- In processes of their own: modules stay loaded.
   local CASES = {
     { "agrees while all extensions are loaded", "RFSM_FUZZ_WITH=all" },
-    { "agrees where rfsm/straight.lua is missing", "RFSM_WITHOUT=rfsm.straight" },
-    { "agrees where rfsm/quick.lua is missing", "RFSM_WITHOUT=rfsm.quick" },
+    { "agrees where rfsm/fast.lua is missing", "RFSM_WITHOUT=rfsm.fast" },
     { "agrees with a machine whose twin was interrupted", "RFSM_INTERRUPTS=1" },
   }
   for _, case in ipairs(CASES) do

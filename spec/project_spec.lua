@@ -77,7 +77,7 @@ describe("a core alone in a folder", function()
   setup(function()
     os.remove(folder)
     assert(os.execute(("mkdir -p 'F/alone' && cp -r spec 'F' && cp -r spec rfsm.lua "
-      .. "'F/alone' && '%s' tools/dist.lua rfsm rfsm.quick rfsm.straight rfsm.advice "
+      .. "'F/alone' && '%s' tools/dist.lua rfsm rfsm.fast rfsm.advice "
       .. ">'F/rfsm.lua'"):gsub("F", folder):format(lua)))
   end)
 
@@ -197,8 +197,8 @@ end)
 
 -- Modules that nobody requires but the library and its tools, as those in folders.
 local IS_PRIVATE = {
-  ["rfsm.advice"] = true, ["rfsm.clock"] = true, ["rfsm.quick"] = true,
-  ["rfsm.sim"] = true, ["rfsm.straight"] = true,
+  ["rfsm.advice"] = true, ["rfsm.clock"] = true, ["rfsm.fast"] = true,
+  ["rfsm.sim"] = true,
 }
 
 describe("doc/config.ld", function()

@@ -174,12 +174,11 @@ describe("a step in a coroutine that is dropped", function()
     return { [2] = trans { src = "a", tgt = "m", events = { "e" }, [place] = f } }
   end
 
-  local PLACES = { "getevents", "pre_step_hook", "post_step_hook" }
-  for _, place in ipairs(is_5_1 and {} or { "exit", "entry", "effect", "guard" }) do
-    PLACES[#PLACES + 1] = place
-  end
+  local PLACES = {
+    "getevents", "pre_step_hook", "post_step_hook", "exit", "entry", "effect", "guard",
+  }
 
-  for _, place in ipairs(PLACES) do
+  for _, place in ipairs(is_5_1 and {} or PLACES) do
     local function dropped(uses)
       local is_armed = false
       local fsm = started(members_with(place, function()

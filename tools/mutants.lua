@@ -16,7 +16,7 @@ local ROOMS = {
   { name = "core", files = { "rfsm.lua" }, specs = { "transition", "doo", "check",
     "cheatsheet", "idioms", "contract", "live", "machine", "mistakes", "robust",
     "extensions", "alloc", "scale", "interrupt", "failing_programs", "oracle" } },
-  { name = "fast", files = { "rfsm/fast.lua", "rfsm/quick.lua", "rfsm/straight.lua" },
+  { name = "fast", files = { "rfsm/fast.lua" },
     specs = { "transition", "contract", "live", "machine", "robust", "extensions",
       "alloc", "scale", "interrupt", "failing_programs", "oracle" } },
   { name = "timeevent", files = { "rfsm_timeevent.lua", "rfsm/clock.lua" },

@@ -2,7 +2,7 @@
 --
 -- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first, "all" every
 -- one there is: they must not change a thing for charts that do not use them, but for
--- the warnings of rfsm.checkevents, which are left out. RFSM_WITHOUT="rfsm.straight"
+-- the warnings of rfsm.checkevents, which are left out. RFSM_WITHOUT="rfsm.fast"
 -- names optional modules that are to be missing. A difference prints the seed, both
 -- traces around it, and the chart shrunk to what is needed.
 --

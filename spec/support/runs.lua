@@ -518,7 +518,7 @@ function runs.interrupt(chart)
     local where = ("operation %d, instruction %d: "):format(i, after)
     if not has_ended then return where .. "the next step does not end" end
     if tostring(failure):find("rfsm.lua:", 1, true) then return where .. failure end
-    local wrong = not fsm._segment and defect(world, fsm)
+    local wrong = fsm._phase == "idle" and defect(world, fsm)
     if wrong then return where .. wrong end
   end
   world.trace, world.counts, world.versions = {}, {}, {}

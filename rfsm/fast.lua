@@ -1,0 +1,1033 @@
+--- Fast: the same iterations in fewer instructions.
+--
+-- The core does without this file. It is slower then, and that is all: the functions
+-- here replace those of the same names in the core, which are their specification, and
+-- leave to them whatever is unusual.
+--
+--   choose   notes per leaf and event which transitions come into question; guards and
+--            connectors are asked by generated text
+--   take     runs a segment by generated text, without a loop
+--   iterate  an event that leads straight to a leaf, an event that nothing waits for,
+--            and no event at all
+--
+-- Text is generated for a shape: how many states are left and entered. It is compiled
+-- once and bound to numbers of the plan; no name of a model is in it. Callbacks are
+-- read where they are called. After each of them the text looks whether dbg has been
+-- switched on: then the core goes on.
+--
+-- @module rfsm.fast
+-- @license BSD-3-Clause
+
+local error, ipairs, pairs, pcall, rawequal = error, ipairs, pairs, pcall, rawequal
+local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
+local type, xpcall = type, xpcall
+local concat, insert = table.concat, table.insert
+local coroutine, debug = rawget(_G, "coroutine"), rawget(_G, "debug")
+local jit = rawget(_G, "jit")
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local NONE = {}
+
+-- So many values are bound to one function: Lua 5.1 allows 60.
+local MAX_VALUES = 50
+
+-- So many connectors of a path are looked up without a loop.
+local MAX_LOOKUPS = 8
+
+-- So many paths through connectors are prepared for one transition.
+local MAX_PATHS = 100
+
+-- Text ---------------------------------------------------------------------------
+
+-- LuaJIT looks for a metamethod at each access that may find none. There, `rawget` and
+-- `rawset` are instructions.
+local function for_jit(line)
+  if type(jit) ~= "table" then return line end
+  line = line:gsub("= (s[01])%.(e%w+)$", '= rawget(%1, "%2")')
+  line = line:gsub("tr%.([eg]%w+)", 'rawget(tr, "%1")')
+  line = line:gsub("(s[01])%.(_?doo[_co]*) then", 'rawget(%1, "%2") then')
+  return (line:gsub("^([sf]%w+)%.(_[%w_]+) = (.+)$", 'rawset(%1, "%2", %3)'))
+end
+
+--- A text that is being written.
+---@class rfsm.fast.Text
+---@field names string[] of the values that are bound to it
+---@field values any[]
+---@field lines string[]
+---@field call_lines table<integer, true> the lines in which a callback is called
+
+local Text = {}
+Text.__index = Text
+
+local function new_text(values)
+  local text = setmetatable({
+    names = {}, values = {}, lines = {}, call_lines = {},
+  }, Text)
+  for i = 1, #values, 2 do text:bind(values[i], values[i + 1]) end
+  return text
+end
+
+function Text:bind(name, value)
+  self.names[#self.names + 1] = name
+  self.values[#self.names] = value
+end
+
+-- Writes the lines of a block, in which $x stands for places.x. The lines that call a
+-- callback begin with "callback(".
+function Text:write(block, places)
+  for line in block:gmatch("[^\n]+") do
+    line = line:gsub("^%s+", ""):gsub("$(%l+)", places or NONE)
+    self.lines[#self.lines + 1] = for_jit(line)
+    -- the first line has the names
+    if line:find("^callback%(") then self.call_lines[#self.lines + 1] = true end
+  end
+end
+
+-- What texts were compiled to, while anything that was made with it is in use.
+local makers = setmetatable({}, { __mode = "v" })
+
+-- The lines with calls in the functions that were compiled.
+local call_lines_of = setmetatable({}, { __mode = "k" })
+
+-- Compiles a text to a function that gets the values by name.
+function Text:compile(loadstring, chunkname)
+  local source = ("local %s = ...\n%s\n"):format(concat(self.names, ", "),
+    concat(self.lines, "\n"))
+  local maker = makers[source] or loadstring(source, "=rfsm " .. chunkname)
+  makers[source] = maker
+  local f = maker(unpack(self.values, 1, #self.names))
+  call_lines_of[f] = self.call_lines
+  return f
+end
+
+-- Take: a segment, and the unconditional ones behind it ------------------------------
+--
+-- The calls are numbered as in the core. The number is noted before each call, so that
+-- the core can go on behind it, whatever happens. A function that takes a path returns
+-- nil; LENT if a callback got the list of events and may keep it; SEARCH if nothing has
+-- been done, since it has to be searched anew; REST if no path was taken, and the core
+-- is to go on with the phase; QUIET if there is no event that anything waits for.
+
+-- As in the core.
+local ACTION, SEGMENT = 1e3, 1e9
+
+local LENT, SEARCH, REST, QUIET = 1, 2, 3, 4
+
+-- The numbers of locals in these functions; NEXT is where a called function is.
+local FSM, CALLBACK, NEXT = 1, 8, 9
+
+local BEGIN = [[
+  return function(fsm)
+  local nodes, calls, s0, tr, s1, lent, callback = fsm._nodes, fsm._calls, fsm._from]]
+
+-- A guard, or another target, wants a search.
+local CHECK = [[
+  tr = fsm._transitions[i$k]
+  if tr.guard or nodes[t$k] ~= tr.tgt then return SEARCH end]]
+
+local NOTE_WAY = [[
+  fsm._ways[c$k] = d$k]]
+
+local TAKE = [[
+  calls.begun = 0
+  fsm._phase = "take"]]
+
+local SEGMENT_BEGIN = [[
+  tr = fsm._transitions[i$k] ]]
+
+local LEAVE_HOOKED = [[
+  if fsm._exit_hooks and fsm._exit_hooks[$a] then
+  calls.count = $action
+  leave(call, fsm, $a)
+  $b = $a._parent
+  if fsm.dbg ~= silent then return resume(fsm) end
+  else]]
+
+-- The active child of the root stays a raw field, or its metatable were asked.
+local LEAVE = [[
+  $b = $a._parent
+  $a._mode = "inactive"
+  $b._actchild = $none
+  callback = $a.exit
+  if callback then
+  calls.begun = $number
+  callback(fsm, $a, "exit")
+  if fsm.dbg ~= silent then return resume(fsm) end
+  end]]
+
+local FORGET_LEAF = [[
+  fsm._act_leaf = false]]
+
+local FORGET_DOO = [[
+  if $a._doo_co then $a._doo_co = nil end]]
+
+local EFFECT = [[
+  callback = tr.effect
+  if callback then
+  calls.begun = $number
+  callback(fsm, tr, "effect", fsm._curq)
+  if fsm.dbg ~= silent then return resume(fsm) end
+  if not borrowers[callback] then lent = LENT end
+  end]]
+
+local ENTER_HOOKED = [[
+  $b = nodes[i$k]
+  if fsm._entry_hooks and fsm._entry_hooks[$b] then
+  calls.count = $action
+  enter(fsm, $b, d$k)
+  if fsm.dbg ~= silent then return resume(fsm) end
+  else]]
+
+local ENTER = [[
+  $b = nodes[i$k]
+  $b._mode = "active"
+  $a._actchild = $b
+  callback = $b.entry
+  if callback then
+  calls.begun = $number
+  callback(fsm, $b, "entry")
+  if fsm.dbg ~= silent then return resume(fsm) end
+  end]]
+
+local COMPLETE = [[
+  fsm._act_leaf = $b
+  if not $b.doo then
+  callback = fsm._intq
+  $b._mode = "done"
+  callback[#callback + 1] = done_event
+  end]]
+
+--- What the writer of a segment knows.
+---@class rfsm.fast.Path
+---@field text rfsm.fast.Text
+---@field number integer of the action
+---@field at integer how many states have been left or entered: s0 and s1 in turn
+---@field count integer how many values with a number have been bound
+---@field is_hooked boolean states may have hooks
+
+local Path = {}
+Path.__index = Path
+
+-- The next action begins.
+function Path:act() self.number = self.number + ACTION end
+
+-- Writes a block for the action: $a is the state at which the path is, $b the next one.
+function Path:write(block, k, none)
+  local at = self.at % 2
+  self.text:write(block, {
+    a = "s" .. at, b = "s" .. (1 - at), k = k, none = none,
+    action = ("%d"):format(self.number), number = ("%d"):format(self.number + 1),
+  })
+end
+
+-- Binds a value under a name with the number `k`.
+function Path:bind(name, k, value) self.text:bind(name .. k, value) end
+
+-- Writes how the states are left, from one `exits` levels below what stays active.
+function Path:leave(def, exits)
+  local src, top = def.src, def.lca.depth
+  for i = 1, exits do
+    local is_leaf = i == 1 and src.kind == "state"
+    self:act()
+    if self.is_hooked then self:write(LEAVE_HOOKED) end
+    self:write(LEAVE, nil, top + exits == i and "false" or "nil")
+    if self.is_hooked then self:write("end") end
+    if is_leaf then self:write(FORGET_LEAF) end
+    if is_leaf and (src.doo or not src.is_leaf) then self:write(FORGET_DOO) end
+    self.at = self.at + 1
+  end
+end
+
+-- Writes how the states are entered, the outermost first.
+function Path:enter(def)
+  local entries = def.entries
+  for i = 1, #entries do
+    self.count = self.count + 1
+    self:act()
+    self:bind("i", self.count, entries[i].index)
+    if self.is_hooked then
+      self:bind("d", self.count, entries[i])
+      self:write(ENTER_HOOKED, self.count)
+    end
+    self:write(ENTER, self.count)
+    if i == #entries and not def.connector then self:write(COMPLETE) end
+    if self.is_hooked then self:write("end") end
+    self.at = self.at + 1
+  end
+end
+
+-- Writes a segment. The actions are those of `take_segment` in the core.
+function Path:segment(def, exits)
+  self.number = self.number - self.number % SEGMENT + SEGMENT
+  if not def.is_internal then self:act() end -- a record
+  self:leave(def, exits)
+  self:act() -- a record
+  self:act()
+  self:write(EFFECT)
+  if not def.is_internal then self:act() end -- a record
+  self:enter(def)
+end
+
+-- Writes whether each segment is still the one that was compiled, and has no guard.
+function Path:check(path)
+  for k, def in ipairs(path) do
+    self:bind("tx", k, def.tgt.index)
+    self:write(CHECK, "x" .. k)
+    if k > 1 then
+      self:bind("cx", k, path[k - 1].connector)
+      self:bind("dx", k, def)
+    end
+  end
+  for k = 2, #path do self:write(NOTE_WAY, "x" .. k) end
+end
+
+-- Search: one guard after the other ------------------------------------------------
+
+local SEARCH_BEGIN = [[
+  return function(fsm)
+  fsm._calls.begun = 0
+  fsm._phase = "search"
+  local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
+  local events, s0, lent = fsm._curq, fsm._from, nil]]
+
+local SEARCH_END = [[
+  if fsm._plan ~= plan then return SEARCH end
+  return take_found(fsm, s0, nil, lent)
+  end]]
+
+local ASK = [[
+  local tr = transitions[i$n]
+  local guard, ok, answer = tr.guard, true, nil
+  if guard then
+  if not borrowers[guard] then lent = LENT end
+  ok, answer = pcall(guard, tr, events)
+  if not ok then refuse(fsm, tr, guard, answer) end
+  end
+  if ok and answer ~= false then
+  local def, tgt = d$n, tr.tgt
+  if nodes[t$n] ~= tgt then
+  ways, lent = renew(fsm, connectors), LENT
+  def = enabled_with(fsm, def, tgt, events, $level)
+  else]]
+
+-- A guard may have merged something, moved the machine or switched dbg on.
+local TAKE_FOUND = [[
+  if fsm._plan ~= plan then return SEARCH end
+  if fsm._act_leaf ~= s0 or fsm.dbg ~= silent or def ~= d$n then
+  return take_found(fsm, s0, def, lent)
+  end
+  fsm._path = def
+  return r$n(fsm) or lent]]
+
+local TAKE_WAY = [[
+  if fsm._plan ~= plan then return SEARCH end
+  return take_found(fsm, s0, def, lent)]]
+
+local NOTE_FOUND = [[
+  if w$level then
+  x$level = x$level or { w$level }
+  x$level[#x$level + 1] = def
+  else
+  w$level = def
+  end]]
+
+-- As in the core a connector counts as not enabled while it is being evaluated: a
+-- transition may have got it as its target.
+local EVALUATE = [[
+  ways[c$n] = false
+  local w$level, x$level = false, nil]]
+
+local EVALUATED = [[
+  if x$level then warn_of_conflict(fsm, c$n, x$level) end
+  ways[c$n] = w$level
+  def = w$level and def]]
+
+-- Returns the table of ways of a search that finds a changed target: only those that
+-- this search has found.
+local function renew(fsm, connectors)
+  local old, new = fsm._ways, {}
+  for i = 1, #connectors do new[connectors[i]] = old[connectors[i]] end
+  fsm._ways = new
+  return new
+end
+
+local Search = {}
+Search.__index = Search
+
+-- Writes what a transition asks for that leaves an active state (level 0) or a
+-- connector.
+function Search:transition(def, level)
+  local n = self.count + 1
+  self.count = n
+  local text, places = self.text, { n = n, level = level }
+  text:bind("d" .. n, def)
+  text:bind("i" .. n, def.index)
+  text:bind("t" .. n, def.tgt.index)
+  local is_asked = def.events and (level > 0 or self.is_predicate[def])
+  text:write(is_asked and "if matches(d$n, events) then" or "do", places)
+  text:write(ASK, places)
+  if def.connector then self:connector(def.connector, level + 1, n) end
+  text:write("end\nif def then")
+  if level == 0 and not def.connector then text:bind("r" .. n, self.run_of(def)) end
+  local found = def.connector and TAKE_WAY or TAKE_FOUND
+  text:write(level == 0 and "do\n" .. found .. "\nend" or NOTE_FOUND, places)
+  text:write("end\nend\nend")
+end
+
+-- Writes how the way out of a connector is found, in w<level>. One that is reached a
+-- second time, which is to be evaluated once, is not for straight text.
+function Search:connector(connector, level, n)
+  local otrs, text, pn = connector.otrs, self.text, nil
+  local places = { n = n, level = level }
+  if self.seen[connector] or #text.values > MAX_VALUES or level > 12 then
+    self.is_too_much = true
+    return
+  end
+  self.seen[connector] = true
+  self.connectors[#self.connectors + 1] = connector
+  text:bind("c" .. n, connector)
+  text:write(EVALUATE, places)
+  text:write("do")
+  for i = 1, #otrs do -- those of one priority are asked together, for conflicts
+    if (otrs[i].pn or 0) ~= pn then text:write("end\nif not w$level then", places) end
+    pn = otrs[i].pn or 0
+    self.prepare(otrs[i])
+    self:transition(otrs[i], level)
+  end
+  text:write("end")
+  text:write(EVALUATED, places)
+end
+
+-- The parts that replace those of the core -------------------------------------------
+
+local OTHER = {} -- stands for all events that the machine does not know
+
+local function has_predicate(def)
+  for i = 1, def.events and #def.events or 0 do
+    if type(def.events[i]) == "function" then return true end
+  end
+  return false
+end
+
+-- May one event alone trigger it?
+local function is_candidate(def, event)
+  local events = def.events
+  if not events or has_predicate(def) then return true end
+  for i = 1, #events do
+    if rawequal(events[i], event) then return true end
+  end
+  return false
+end
+
+--- Replace the functions of an engine.
+---@param engine table the functions that are replaced
+---@param core table the functions of the core
+return function(engine, core)
+  if not core.loadstring then return end -- no text can be compiled
+  local silent = core.silent
+  local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
+  local no_events, FIRST, OWN_ONLY = core.no_events, core.FIRST, core.OWN_ONLY
+  local append, borrowers, loadstring = core.append, core.borrowers, core.loadstring
+
+  local function prepare_transition(def)
+    if def.connector == nil then core.compile_transition(def) end
+    return def
+  end
+
+  -- In place of a function that is too large.
+  local function take_plainly(fsm)
+    fsm._calls.begun = 0
+    fsm._phase = "take"
+    core.take(fsm)
+    return LENT
+  end
+
+  local function resume(fsm)
+    core.take(fsm)
+    return LENT
+  end
+
+  -- In place of a function that is too large and searches.
+  local function give_up_quick() return SEARCH end
+
+  -- Returns the transition that a path through `def` always takes next: the only one
+  -- of its connector, without events. Its guard is looked at in the run.
+  local function behind(def)
+    local connector = def.connector
+    local otrs = connector and connector.otrs
+    if otrs and #otrs == 1 and not otrs[1].events then
+      return prepare_transition(otrs[1])
+    end
+  end
+
+  -- Lists the segments of a path that is taken whenever its first one is, if no guard
+  -- or other target has been set; nil where that is not so.
+  local function straight_path(def)
+    local path, seen = { prepare_transition(def) }, {}
+    while def.connector do
+      def = behind(def)
+      if not def or seen[def] or #path > 4 then return nil end
+      seen[def] = true
+      path[#path + 1] = def
+    end
+    return path
+  end
+
+  local VALUES = {
+    "silent", silent, "resume", resume, "leave", core.leave, "enter", core.enter,
+    "call", core.call, "LENT", LENT, "SEARCH", SEARCH, "rawget", rawget,
+    "rawset", rawset, "borrowers", core.borrowers,
+  }
+
+  -- Returns the function that takes the segments of `path` from a state `exits` levels
+  -- below what stays active; with a check if the path has not been searched. Nil if
+  -- that is too much for one function.
+  local function make_run(path, exits, is_hooked, is_checked)
+    local text = new_text(VALUES)
+    local own = setmetatable({
+      text = text, number = SEGMENT, at = 0, count = 0, is_hooked = is_hooked,
+    }, Path)
+    text:bind("done_event", path[#path].tgt.done_event)
+    text:write(BEGIN)
+    for k, def in ipairs(path) do own:bind("ix", k, def.index) end
+    if is_checked then own:check(path) end
+    own:write(TAKE)
+    for k, def in ipairs(path) do
+      if k > 1 then exits = path[k - 1].connector.parent.depth - def.lca.depth end
+      if path[2] or not is_checked then own:write(SEGMENT_BEGIN, "x" .. k) end
+      own:segment(def, exits)
+      if #text.values > MAX_VALUES then return nil end
+    end
+    text:write("return lent\nend")
+    return text:compile(loadstring, "path")
+  end
+
+  -- How many states a transition leaves, from a state of that depth.
+  local function exits_of(def, depth)
+    return def.is_internal and 0 or depth - def.lca.depth
+  end
+
+  -- Lists the segments of the path that a search has found: `ways` are those out of its
+  -- connectors.
+  local function path_of(def, ways)
+    local path = { def }
+    while def.connector do
+      def = ways[def.connector]
+      path[#path + 1] = def
+    end
+    return path
+  end
+
+  -- Makes the function for that path.
+  local function note_run(first, ways, exits, is_hooked)
+    local def, name = first, is_hooked and "hooked_runs" or "runs"
+    first[name] = first[name] or {}
+    first[name][exits] = first[name][exits] or { run = false }
+    local at = first[name][exits]
+    while def.connector do
+      def = ways[def.connector]
+      at[def] = at[def] or { run = false }
+      at = at[def]
+    end
+    at.run = at.run or make_run(path_of(first, ways), exits, is_hooked, false)
+      or take_plainly
+    return at.run
+  end
+
+  -- Returns the function for that path. They are kept in a tree: by the levels that are
+  -- left, then by the transitions behind the first one. A machine that was prepared
+  -- compiles no more. Without a loop up to MAX_LOOKUPS connectors, for LuaJIT.
+  local lookup = new_text { "note_run", note_run, "take_plainly", take_plainly }
+  lookup:write [[
+    return function(first, ways, exits, is_hooked, is_prepared)
+    local runs, connector, way = first.runs, first.connector, nil
+    if is_hooked then runs = first.hooked_runs end
+    local at = runs and runs[exits] ]]
+  for _ = 1, MAX_LOOKUPS do
+    lookup:write [[
+      if at and connector then
+      way = ways[connector]
+      at, connector = at[way], way.connector]]
+  end
+  lookup:write(("end\n"):rep(MAX_LOOKUPS))
+  lookup:write [[
+    if at and not connector and at.run then return at.run end
+    if is_prepared and not at then return take_plainly end
+    return note_run(first, ways, exits, is_hooked)
+    end]]
+  local run_of = lookup:compile(loadstring, "lookup")
+
+  -- Takes the path that the machine has noted; returns what its function returns.
+  local function take(fsm)
+    local def, state = fsm._path, fsm._from
+    if def.kind == "state" or fsm.dbg ~= silent or fsm._calls.begun > SEGMENT
+      or state._actchild or state._mode == "inactive" then
+      core.take(fsm)
+      return LENT
+    end
+    local run = run_of(def, fsm._ways, exits_of(def, state["_%def"].depth),
+      fsm._is_hooked, fsm._is_prepared)
+    return run(fsm)
+  end
+
+  -- Choose: candidates per leaf and event ..........................................
+  --
+  -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
+  -- order. leaf.quick[event] is false if that is nothing. Otherwise `run` searches and
+  -- takes the path, `hooked` does so in a machine with hooks.
+
+  -- Takes what a search has found in the leaf, which may be nothing.
+  local function take_found(fsm, leaf, def, lent)
+    core.decide(fsm, leaf, def)
+    if fsm._phase ~= "take" then return REST end
+    fsm._calls.count = FIRST.take
+    return take(fsm) or lent
+  end
+
+  local SEARCH_VALUES = {
+    "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches,
+    "renew", renew,
+    "warn_of_conflict", core.warn_of_conflict, "enabled_with", core.enabled_with,
+    "rawget", rawget, "rawset", rawset, "borrowers", borrowers, "LENT", LENT,
+    "SEARCH", SEARCH, "take_found", take_found, "silent", silent,
+  }
+
+  -- Returns a function that takes the path of the first of the candidates that is
+  -- enabled; nil if that is too much for one function.
+  local function make_search(plan, depth, candidates, is_hooked)
+    local text = new_text(SEARCH_VALUES)
+    local own = setmetatable({
+      text = text, count = 0, seen = {}, connectors = {}, is_predicate = {},
+      prepare = prepare_transition,
+      run_of = function(def)
+        return make_run({ def }, exits_of(def, depth), is_hooked, false) or take_plainly
+      end,
+    }, Search)
+    text:bind("plan", plan)
+    text:bind("connectors", own.connectors)
+    text:write(SEARCH_BEGIN)
+    local head = #text.lines
+    for _, def in ipairs(candidates) do
+      own.is_predicate[def] = has_predicate(def)
+      own:transition(def, 0)
+      if own.is_too_much or #text.values > MAX_VALUES then return nil end
+    end
+    for i, connector in ipairs(own.connectors) do
+      text:bind("C" .. i, connector)
+      insert(text.lines, head + i, ("ways[C%d] = nil"):format(i))
+    end
+    text:write(SEARCH_END)
+    return text:compile(loadstring, "search")
+  end
+
+  local function list_candidates(leaf, event)
+    local candidates, line = {}, leaf.line
+    for i = 1, #line do
+      for _, def in ipairs(line[i].otrs) do
+        if is_candidate(def, event) then
+          candidates[#candidates + 1] = prepare_transition(def)
+        end
+      end
+    end
+    return candidates
+  end
+
+  -- Makes the function of a path; nil if that is too much for one function.
+  local function make_quick(quick, is_hooked)
+    local candidates = quick.candidates
+    local def = candidates[1]
+    local is_alone = not (candidates[2] or def.guard or has_predicate(def))
+    local path = is_alone and straight_path(def)
+    return path and make_run(path, exits_of(def, quick.depth), is_hooked, true)
+      or make_search(quick.plan, quick.depth, candidates, is_hooked)
+  end
+
+  -- Returns the function of a path in a machine with hooks.
+  local function hooked_run(quick, is_prepared)
+    if quick.hooked == nil then
+      if is_prepared then return give_up_quick end
+      quick.hooked = make_quick(quick, true) or give_up_quick
+    end
+    return quick.hooked
+  end
+
+  -- Notes what an event may trigger. It may be interrupted anywhere.
+  local function note_choice(plan, leaf, event)
+    local candidates, quick = list_candidates(leaf, event), false
+    if candidates[1] then
+      quick = {
+        run = false, def = candidates[1], hooked = nil, plan = plan, depth = leaf.depth,
+        candidates = candidates,
+      }
+      quick.run = make_quick(quick, false) or give_up_quick
+    end
+    leaf.quick[event] = quick
+    leaf.choices[event] = candidates
+    return candidates
+  end
+
+  -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
+  -- mostly does; NaN is no event.
+  local function prepare_leaf(plan, leaf)
+    local new = {
+      choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf),
+    }
+    local leads_somewhere = note_choice(plan, new, leaf.done_event)[1] ~= nil
+    note_choice(plan, new, OTHER)
+    leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
+    leaf.choices = new.choices
+    leaf.quick = new.quick -- last: it is looked at first
+  end
+
+  -- Returns the candidates of an event.
+  local function choice_of(plan, leaf, event)
+    if not leaf.quick then prepare_leaf(plan, leaf) end
+    local choice = leaf.choices[event]
+    if choice then return choice end
+    if not plan.events[event] then return leaf.choices[OTHER] end
+    return note_choice(plan, leaf, event)
+  end
+
+  -- Returns the candidates of all events, nil if there are several lists of them.
+  local function common_choice(plan, leaf, events)
+    local common = NONE
+    for i = 1, #events do
+      local candidates = choice_of(plan, leaf, events[i])
+      if candidates[1] and candidates ~= common then
+        if common ~= NONE then return nil end
+        common = candidates
+      end
+    end
+    return common
+  end
+
+  -- Returns the first candidate of the events that is enabled.
+  local function choose(fsm, events)
+    local plan = fsm._plan
+    local common = common_choice(plan, fsm._act_leaf["_%def"], events)
+    if not common or fsm.dbg ~= silent then return core.choose(fsm, events) end
+    if common == NONE then return nil end
+    fsm._ways = {}
+    for i = 1, #common do
+      local def = common[i]
+      local found = (not has_predicate(def) or core.matches(def, events))
+        and core.enabled(fsm, def, events, 0)
+      if fsm._plan ~= plan then return choose(fsm, events) end
+      if found then return found end
+    end
+  end
+
+  -- Iterate ........................................................................
+
+  local resume_coroutine = coroutine and coroutine.resume
+  local status, DOO = coroutine and coroutine.status, "doo"
+
+  local has_arguments = xpcall(function(x) error(x) end, type, 1) == false
+    and select(2, xpcall(function(x) error(x, 0) end, type, 1)) == "number"
+
+  -- Calls f(fsm) in protected mode. Lua 5.1 passes no arguments.
+  local function protect_51(f, fsm)
+    fsm._run = f
+    return xpcall(fsm._act, handler)
+  end
+
+  local function protect(f, fsm) return xpcall(f, handler, fsm) end
+
+  if not has_arguments then protect = protect_51 end
+
+  -- Resumes a doo that has been started before. `note_cycle` reads the locals; `DOO` is
+  -- read where `ok` will be, which is therefore a boolean only after the call.
+  local function cycle(fsm)
+    local leaf = fsm._from
+    local co = leaf._doo_co
+    fsm._phase = DOO
+    local ok, idle = resume_coroutine(co, fsm, leaf, "doo")
+    if ok and status(co) ~= "dead" then return idle and "idle" or "counted" end
+    local calls = fsm._calls
+    calls.ok, calls.result, calls.more, calls.noted = true, ok, idle, FIRST.doo + 1
+    calls.begun = FIRST.doo + 1
+    return nil
+  end
+
+  -- A doo cycle, or none if the doo is over.
+  local function iterate_quietly(fsm, leaf, events)
+    if events[1] ~= nil then events[1] = nil end
+    local co = leaf._doo_co
+    if leaf._mode == "done" and not co then return true, true end
+    fsm._from = leaf
+    fsm._calls.begun = 0
+    if not co then
+      fsm._phase = "doo"
+      return plain(fsm, false)
+    end
+    local ok, outcome = protect(cycle, fsm)
+    if not ok then error(outcome, 0) end
+    if outcome and fsm._is_usual then
+      fsm._phase = "idle"
+      return true, outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
+    elseif outcome then
+      fsm._outcome = outcome
+      fsm._phase = "after"
+    end
+    return plain(fsm, false)
+  end
+
+  -- The events of the last iteration are used again for the next one, unless a callback
+  -- may have kept them.
+  local function end_iteration(fsm, is_lent)
+    local events = fsm._curq
+    if is_lent then
+      fsm._curq = {}
+    else
+      for i = #events, 1, -1 do events[i] = nil end
+    end
+    fsm._phase = "idle"
+  end
+
+  -- Goes on where a path was not just taken: a search is needed, a callback or the
+  -- engine failed, or there is more to do at the end.
+  local function iterate_rest(fsm, ok, result)
+    if not ok and result ~= GO_ON then error(result, 0) end
+    if not ok then return plain(fsm, false) end
+    if result == SEARCH then
+      fsm._phase = "begin"
+      return plain(fsm, false)
+    elseif result ~= REST then
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+    end
+    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm, false) end
+    end_iteration(fsm, true)
+    return fsm._outcome == "counted", false
+  end
+
+  -- The phase "collect" into lists that are used again. `_spare` is a third one: no
+  -- callback ever gets it.
+  local function collect(fsm)
+    local spare, events = fsm._curq, fsm._intq
+    fsm._phase = "collect"
+    fsm._curq = events
+    fsm._intq = spare
+    if fsm.getevents == no_events then return end
+    local more, failure = core.ask_getevents(fsm, core.call)
+    if not more then core.give_up(fsm, failure) end
+    if #more == 0 then return end
+    local list = fsm._spare
+    if not list or list == events or list == spare then list = {} end
+    for i = #list, 1, -1 do list[i] = nil end
+    fsm._joined = append(append(list, events), more)
+    fsm._spare = events
+  end
+
+  -- Takes the path that one event leads straight to, if there is such; returns what the
+  -- function of the path returns, SEARCH if there is none.
+  local function take_quick(fsm)
+    local leaf, events = fsm._act_leaf, fsm._curq
+    local leaf_def, event, next_event = leaf and leaf["_%def"], events[1], events[2]
+    local quick = leaf and leaf_def.quick
+    if not quick or fsm.dbg ~= silent then return SEARCH end
+    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
+    if event == nil then return QUIET end
+    local path = next_event == nil and quick[event]
+    if not path then return SEARCH end
+    fsm._path = path.def
+    fsm._from = leaf
+    return hooked_run(path, fsm._is_prepared)(fsm)
+  end
+
+  -- Does a hook of this iteration get the list of events, and may keep it?
+  local function lends(fsm, pre)
+    local post = fsm.post_step_hook
+    return fsm._lends_events or pre and not borrowers[pre]
+      or post and not borrowers[post]
+  end
+
+  -- Searches and takes the path, or the doo a cycle, up to the phase "after". Returns
+  -- whether a callback may keep the events.
+  local function search_and_take(fsm)
+    local result = take_quick(fsm)
+    if result == nil or result == LENT then
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+      return result
+    end
+    if result ~= REST then fsm._phase = "search" end
+    core.go_on(fsm, "after")
+    return result ~= QUIET and LENT
+  end
+
+  -- The phases of an iteration in a machine with getevents or hooks.
+  local function go_through(fsm)
+    local calls, pre = fsm._calls, fsm.pre_step_hook
+    if fsm._phase ~= "begin" or fsm._curq[1] ~= nil then return core.go_on(fsm) end
+    calls.begun = 0
+    calls.noted = 0
+    calls.count = 0
+    collect(fsm)
+    calls.count = FIRST.before
+    if pre or fsm._joined or fsm._pre_hooks ~= OWN_ONLY then core.before(fsm) end
+    local lent = search_and_take(fsm)
+    if fsm._phase == "idle" then return end -- it could not be entered
+    calls.count = FIRST.after
+    core.call_post_hooks(fsm)
+    end_iteration(fsm, lent or lends(fsm, pre))
+  end
+
+  -- An iteration of a machine that has hooks or a getevents, is being traced, entered
+  -- or reset, or whose iteration was cut short.
+  local function iterate_unusual(fsm, after_free)
+    fsm._is_usual = not fsm._is_hooked
+    if not fsm._is_hooked or fsm._phase ~= "idle" or fsm._reset_wanted then
+      return plain(fsm, after_free)
+    end
+    return plain(fsm, after_free, go_through)
+  end
+
+  -- One iteration. What is written out is one event, apart from an e_done that nothing
+  -- waits for, and nobody who traces or has hung in hooks.
+  local function iterate(fsm, after_free) -- luacheck: ignore 561 (so long for speed)
+    local leaf = fsm._act_leaf
+    if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
+      return iterate_unusual(fsm, after_free)
+    end
+    local events, leaf_def = fsm._intq, leaf["_%def"]
+    local event, next_event, quick = events[1], events[2], leaf_def.quick
+    if not quick then
+      prepare_leaf(fsm._plan, leaf_def)
+      quick = leaf_def.quick
+    end
+    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
+    if event == nil then
+      return iterate_quietly(fsm, leaf, events)
+    elseif next_event ~= nil or after_free then
+      return plain(fsm, after_free)
+    end
+    local path, spare = quick[event], fsm._curq
+    if path == nil then
+      choice_of(fsm._plan, leaf_def, event)
+      path = quick[event]
+      if path == nil then path = quick[OTHER] end
+    end
+    if not path then -- nothing waits for it
+      events[2] = nil
+      events[1] = nil
+      return false, false
+    end
+    fsm._after_free = false
+    fsm._phase = "begin"
+    fsm._curq = events
+    fsm._intq = spare
+    local run, ok, result = path.run
+    fsm._path = path.def
+    fsm._from = leaf
+    if has_arguments then
+      ok, result = xpcall(run, handler, fsm)
+    else
+      fsm._run = run
+      ok, result = xpcall(fsm._act, handler)
+    end
+    if not (ok and fsm._is_usual) then
+      return iterate_rest(fsm, ok, result)
+    elseif result == nil then
+      events[2] = nil
+      events[1] = nil
+    elseif result == LENT then
+      fsm._curq = {}
+    else
+      return iterate_rest(fsm, ok, result)
+    end
+    fsm._phase = "idle"
+    return true, false
+  end
+
+  -- What the core asks for .........................................................
+
+  local getinfo, getlocal = debug and debug.getinfo, debug and debug.getlocal
+
+  -- `cycle` was cut short. Has it resumed the doo? Then the results are noted.
+  local function note_cycle(level)
+    local values = {}
+    for i = 1, 5 do
+      local _, value = getlocal(level + 1, i)
+      values[i] = value
+    end
+    local fsm, ok = values[1], values[4]
+    if type(ok) ~= "boolean" then return false end
+    local calls = fsm._calls
+    calls.ok, calls.result, calls.more, calls.noted = true, ok, values[5], FIRST.doo + 1
+    calls.begun = FIRST.doo + 1
+    return false
+  end
+
+  -- An error comes from a function that takes a segment, or from a callback that it has
+  -- called. The latter is noted as the result of the call; returns true then.
+  local function note_failure(f, level, failure)
+    if f == cycle then return note_cycle(level) end
+    local call_lines = call_lines_of[f]
+    if not call_lines or not call_lines[getinfo(level, "l").currentline] then
+      return false
+    end
+    local _, fsm = getlocal(level, FSM)
+    local _, callback = getlocal(level, CALLBACK)
+    local is_called = getlocal(level, NEXT) == nil
+    local calls = fsm._calls
+    if not is_called and core.is_callable(callback) then
+      calls.begun = calls.begun - 1
+      return false
+    end
+    calls.ok, calls.result, calls.noted = false, failure, calls.begun
+    return true
+  end
+
+  local function is_taking(f, level, fsm)
+    if not (call_lines_of[f] or f == cycle) then
+      return false
+    end
+    local _, value = getlocal(level, FSM)
+    return rawequal(value, fsm)
+  end
+
+  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the
+  -- ways out of its connectors then. Returns how many are left.
+  local function each_path(def, ways, f, left)
+    local connector = prepare_transition(def).connector
+    if not connector or left < 1 then
+      if left > 0 then f() end
+      return left - 1
+    end
+    for _, out in ipairs(ways[connector] == nil and connector.otrs or NONE) do
+      ways[connector] = out
+      left = each_path(out, ways, f, left)
+      ways[connector] = nil
+    end
+    return left
+  end
+
+  -- Compiles what would be compiled while the machine runs. A path that has not been
+  -- foreseen is taken by the core then.
+  local function prepare(fsm)
+    local plan, is_hooked, ways = fsm._plan, fsm._is_hooked, {}
+    for _, leaf in ipairs(plan.nodes) do
+      if leaf.is_leaf then
+        for event in pairs(plan.events) do -- any order: each stands alone
+          choice_of(plan, leaf, event)
+        end
+        for _, quick in pairs(is_hooked and leaf.quick or NONE) do -- any order too
+          if quick then hooked_run(quick) end
+        end
+        for _, node in ipairs(core.line_to(leaf)) do
+          for _, def in ipairs(node.otrs) do
+            each_path(def, ways, function()
+              run_of(def, ways, exits_of(def, leaf.depth), is_hooked)
+            end, MAX_PATHS)
+          end
+        end
+      end
+    end
+    fsm._is_prepared = true
+  end
+
+  engine.choose, engine.iterate, engine.take = choose, iterate, take
+  engine.prepare, engine.note_failure, engine.is_taking = prepare, note_failure,
+    is_taking
+end
