@@ -1953,11 +1953,15 @@ local function set_inactive(fsm)
 end
 
 -- Makes a machine as it was after init, but for the events of the current iteration.
+local function run_reset_hooks(fsm)
+  fsm._reset_wanted = false
+  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
+end
+
 local function reset_now(fsm)
   set_inactive(fsm)
   fsm._intq = { "e_init_fsm" }
-  fsm._reset_wanted = false
-  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
+  run_reset_hooks(fsm)
 end
 
 -- The phase "collect". If one before was cut short, or a hook failed in it, its events
@@ -2959,7 +2963,7 @@ local function move_to(state, mode)
     if child then rawset(left, "_actchild", nil) end
     left = child
   end
-  fsm._act_leaf, fsm._is_plain = false, false
+  fsm._act_leaf = false
   state._mode = mode
   if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
@@ -3124,8 +3128,12 @@ end
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
-  reset_now(fsm)
-  if leaf then move_to(leaf, mode) end
+  if leaf then
+    move_to(leaf, mode)
+    run_reset_hooks(fsm)
+  else
+    reset_now(fsm)
+  end
   fsm._intq, fsm._curq = queue, {}
 end
 
