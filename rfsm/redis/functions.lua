@@ -111,8 +111,8 @@ local function watch(class)
   class.is_watched = true
   function class.__newindex(obj, key, value)
     set(obj, key, value)
-    local known = known_of[obj]
-    if known and not (known[key] or is_meta(key) or rfsm.is_fsmobj(value)) then
+    local known = not is_meta(key) and known_of[obj]
+    if known and not (known[key] or rfsm.is_fsmobj(value)) then
       added[#added + 1], added[#added + 2] = obj, key
     end
   end
