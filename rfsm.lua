@@ -2609,6 +2609,7 @@ local function is_stepping(fsm)
 end
 
 local function check_no_step(fsm, where, level)
+  if fsm._phase == "idle" then return end
   fsm._is_usual = false
   if not is_stepping(fsm) then return end
   error(where .. ": the machine is in the middle of a step", level)
