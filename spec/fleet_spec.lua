@@ -155,6 +155,8 @@ describe("an event with an id", function()
     assert.equal("ERR rfsm_send: ID: 1 to 64 bytes expected, got 65 ",
       call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(65)))
     assert.equal(0, count_of(1))
+    call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(64))
+    assert.equal(1, count_of(1))
   end)
 
   it("that the client sends again is applied once", function()
@@ -281,6 +283,22 @@ describe("consumer groups", function()
       .. "poison", dead)
     assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
     assert.equal(0, tonumber(server:cli("XPENDING rfsm:out:{0} g"):match("%d+")))
+  end)
+
+  it("try an entry five times", function()
+    emit(1)
+    local function fail() error("no", 0) end
+    for _ = 1, 5 do
+      assert.equal("0\n", server:cli("XLEN rfsm:dead:{0}"))
+      machines:work("g", "w", fail, { idle = 0 })
+    end
+    assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
+  end)
+
+  it("report a stream of another type", function()
+    server:cli("SET 'rfsm:out:{0}' x")
+    local _, problem = pcall(machines.work, machines, "g", "w", print)
+    assert.matches("^WRONGTYPE", problem)
   end)
 
   it("try an entry again after twice the time", function()
@@ -505,6 +523,17 @@ describe("the client", function()
     end)
   end
 
+  it("has ids of its own", function()
+    local one, other = connect(), connect()
+    assert.matches("^%x%x%x%x%x%x%x%x%x%x$", one.id)
+    assert.not_equal(one.id, other.id)
+  end)
+
+  it("uses TLS where the URL says so", function()
+    local _, problem = pcall(fleet.connect, (server:url():gsub("redis:", "rediss:")))
+    assert.matches(helper.package "ssl" and ": TLS: " or "lua%-sec is missing", problem)
+  end)
+
   it("refuses an option that is not known", function()
     local _, problem = pcall(fleet.connect, nil, { tag = 1 })
     assert.matches("rfsm.fleet.connect: unknown option 'tag', expected: name, "
@@ -528,6 +557,8 @@ describe("a chart that cannot run in Redis", function()
   for expected, text in pairs {
     ["FILE:2: 'os.time' does not exist in Redis"] =
       chart("-- os.time is not used\nlocal t = os.time()"),
+    ["FILE:1: 'os.date' does not exist in Redis"] =
+      chart("--[[ os.time ]] local a, t = [=[ ]] ]=], os.date()"),
     ["FILE:2: 'io.open' does not exist in Redis"] =
       chart("", "entry = function() io.open('x') end"),
     ["FILE:1: global 'posix' does not exist in Redis"] = chart("local t = posix"),
