@@ -156,6 +156,10 @@ end
 local charts = setmetatable({}, { __mode = "k" })
 local by_name = setmetatable({}, { __mode = "v" })
 
+-- The latest ones are known whether they are in use or not.
+local count, MAX_LATEST = 0, 64
+chart.latest = {}
+
 local function add_lines(self, fsm)
   for i, node in ipairs(nodes_of(fsm)) do self.index[node._fqn] = i end
   for i, tr in ipairs(chart.transitions(fsm)) do
@@ -207,6 +211,8 @@ local function chart_of(fsm)
     self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
   end
   charts[key], by_name[self.structure], by_name[self.name] = self, self, self
+  count = count % MAX_LATEST + 1
+  chart.latest[count] = self
   for _, at in ipairs(rfsm.machines(fsm)) do
     local known = at.machine == fsm and self or chart_of(at.machine)
     chart.append(self.all, at.prefix, known.lines)
