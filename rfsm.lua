@@ -101,9 +101,14 @@ local Machine = { rfsm = "state" }
 
 local KINDS = { state = "state", transition = "transition", connector = "connector" }
 
--- Returns the kind of a model element, nil for any other value. A table of another
--- library counts if its metatable has a true `rfsm` and its method `type` names a kind.
-local function kind_of(value)
+--- Return the kind of a model element, nil for any other value, for extensions.
+--
+-- A table of another library counts if its metatable has a true `rfsm` and its method
+-- `type` names a kind.
+--
+---@param value any
+---@return "state"|"transition"|"connector"|nil kind
+function rfsm.kind_of(value)
   local class = getmetatable(value)
   local mark = type(class) == "table" and rawget(class, "rfsm")
   if not mark then return nil end
@@ -111,6 +116,8 @@ local function kind_of(value)
   local ok, kind = pcall(function() return KINDS[value:type()] end)
   return ok and kind or nil
 end
+
+local kind_of = rfsm.kind_of
 
 ---@class rfsm.StateConstructor
 ---@field new fun(self: any, t: rfsm.State): rfsm.State
@@ -1283,6 +1290,7 @@ end
 --   collect  the pending events, then those of getevents, become the current ones
 --   before   the pre step hooks are called
 --   search   a path is chosen that the events enable
+--   refuse   there is none into the machine: the events are pending again
 --   take     the states of that path are left and entered
 --   doo      there is no path: a doo cycle is run
 --   after    the post step hooks are called
@@ -1374,8 +1382,8 @@ local PHASES = {}
 
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
-  begin = 0, collect = 0, before = 1e6, search = 2e6, take = SEGMENT, doo = 1e15,
-  after = 2e15,
+  begin = 0, collect = 0, before = 1e6, search = 2e6, refuse = 2e6, take = SEGMENT,
+  doo = 1e15, after = 2e15,
 }
 
 -- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
@@ -1510,10 +1518,14 @@ local function run_state_hooks(protect, fsm, state, hooks)
   end
 end
 
--- Events that come first in the queue again.
+-- The current events come first in the queue again. It may be cut short anywhere.
 local function put_back(fsm)
-  fsm._intq = append(append({}, fsm._curq), fsm._intq)
+  if not rawequal(fsm._joined, fsm._intq) then
+    fsm._joined = append(append({}, fsm._curq), fsm._intq)
+  end
+  fsm._intq = fsm._joined
   fsm._curq = {}
+  fsm._joined = false
 end
 
 -- Ends an iteration early: a hook or getevents has failed.
@@ -1705,11 +1717,15 @@ end
 
 -- No path leads into the machine.
 local function refuse_entry(fsm, events)
-  local text = list_text(events)
-  put_back(fsm)
-  fsm._outcome, fsm._phase = "refused", "idle"
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-    .. "events: " .. text)
+    .. "events: " .. list_text(events))
+  fsm._outcome = "refused"
+  fsm._phase = "refuse"
+end
+
+function PHASES.refuse(fsm)
+  put_back(fsm)
+  fsm._phase = "idle"
 end
 
 -- First entry: the path from `initial`. It begins with the definition of the root.
@@ -2697,7 +2713,7 @@ function rfsm.reset(fsm)
   check_machine(fsm, "rfsm.reset")
   fsm._reset_wanted, fsm._is_usual = true, false
   if is_stepping(fsm) then return end
-  fsm._phase, fsm._curq, fsm._joined = "idle", {}, false
+  fsm._phase, fsm._curq, fsm._joined, fsm._failure = "idle", {}, false, false
   reset_now(fsm)
 end
 

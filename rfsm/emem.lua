@@ -137,7 +137,8 @@ local function prepare_state(fsm, state)
   if rfsm.is_fsmobj(state.emem) then
     fsm._emem.is_blocked[state] = true
     return rfsm.report(fsm, "warn", ("WARNING: %s: 'emem' is a %s here, so that "
-      .. "rfsm.emem cannot count"):format(rfsm.location_of(state), state.emem:type()))
+      .. "rfsm.emem cannot count"):format(rfsm.location_of(state),
+      rfsm.kind_of(state.emem)))
   end
   state.emem = setmetatable({}, WEAK)
   rfsm.exit_hook_add(fsm, state, clear)

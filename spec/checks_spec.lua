@@ -28,6 +28,14 @@ local function also_on(...)
   return { [4] = go("a", "b", { ... }) }
 end
 
+it("a chart whose states and fields are named type is checked like others", function()
+  assert.same({}, rfsm_checks.check(state {
+    type = state { type = 5 }, b = state { type = "x" },
+    trans { src = "initial", tgt = "type" }, go("type", "b", { "e" }),
+    go("b", "type", { "e" }),
+  }))
+end)
+
 describe("watch", function()
   local object = {}
 

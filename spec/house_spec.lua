@@ -296,4 +296,36 @@ describe("the core", function()
       ]]):format(names)))
     end
   end)
+
+  it("works where another global than these is an error, in one file, too", function()
+    local folder = os.tmpname()
+    os.remove(folder)
+    os.execute(("make -s DIST='%s' LUA='%s' dist"):format(folder, arg[-1]))
+    for _, file in ipairs { "rfsm.lua", folder .. "/rfsm.lua" } do
+      assert.equal("root.b", output_of(([[
+        local sandbox, text = {}, io.open("%s"):read("*a")
+        for name in ("error getmetatable ipairs next pairs pcall rawequal rawget "
+          .. "rawset select setmetatable tostring type xpcall string table print "
+          .. "unpack load loadstring"):gmatch("%%S+") do sandbox[name] = _G[name] end
+        sandbox._G = sandbox
+        setmetatable(sandbox, {
+          __index = function(_, name) error("no global " .. tostring(name)) end,
+          __newindex = function(_, name) error("a new global " .. tostring(name)) end,
+        })
+        local chunk = not setfenv and load(text, "=core", "t", sandbox)
+          or setfenv(loadstring(text), sandbox)
+        local rfsm = chunk()
+        local fsm = rfsm.init(rfsm.state { a = rfsm.state {}, b = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "a" }, info = false, warn = false,
+          rfsm.trans { src = "a", tgt = "b", events = "e" },
+          rfsm.trans { src = "b", tgt = "a", events = "e" } })
+        for _ = 1, 22 do
+          rfsm.send_events(fsm, "e")
+          rfsm.run(fsm)
+        end
+        print(rfsm.get_actleaf_fqn(fsm))
+      ]]):format(file)))
+    end
+    os.execute("rm -r '" .. folder .. "'")
+  end)
 end)

@@ -221,6 +221,15 @@ describe("a call from inside", function()
       .. "step", errors[1])
   end)
 
+  it("to reset forgets an error that a printer raised between two steps", function()
+    local fsm = started()
+    fsm.dbg = function() error("on purpose", 0) end
+    rfsm.send_events(fsm, "e")
+    rfsm.reset(fsm)
+    fsm.dbg = false
+    assert.is_false(rfsm.step(fsm))
+  end)
+
   it("to reset takes effect when the iteration is over", function()
     local fsm, seen = started(), nil
     fsm.b.entry = function(machine)

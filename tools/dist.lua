@@ -15,9 +15,10 @@ local HEAD = [[
 ]]
 
 local FOOT = [[
-for name in pairs(bundled) do -- any order: each stands alone
-  if package and package.preload and name ~= %q and not package.preload[name] then
-    package.preload[name] = function() return require(name) end
+local _, preload = pcall(function() return package.preload end)
+for name in pairs(type(preload) == "table" and bundled or {}) do -- any order
+  if name ~= %q and not preload[name] then
+    preload[name] = function() return require(name) end
   end
 end
 

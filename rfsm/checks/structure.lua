@@ -66,7 +66,7 @@ local NEVER_CALLED = {
 }
 
 local function check_callbacks(obj, add)
-  local kind = obj:type()
+  local kind = rfsm.kind_of(obj)
   for _, field in ipairs(NEVER_CALLED[kind]) do
     if rfsm.is_callable(obj[field]) then
       add("never-called", obj, ("the %s of a %s is never called"):format(field, kind))

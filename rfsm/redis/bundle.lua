@@ -12,10 +12,10 @@ bundle.HEAD = [[
 local bundled, loaded = {}, {}
 
 -- Stands for the global of this name, which a sandbox may lack.
-local outer_require = require
+local _, outer_require = pcall(function() return require end)
 local function require(name)
   if not bundled[name] then
-    if outer_require then return outer_require(name) end
+    if type(outer_require) == "function" then return outer_require(name) end
     error("module '" .. name .. "' not found", 2)
   end
   if loaded[name] == nil then

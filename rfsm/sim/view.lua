@@ -45,7 +45,7 @@ local function show_node(node)
   if rfsm.is_root(node) then
     return "machine, active: " .. (rfsm.get_actleaf_fqn(node) or "<none>")
   end
-  local text = node:type() .. " " .. text_of(node._fqn or "without a name")
+  local text = rfsm.kind_of(node) .. " " .. text_of(node._fqn or "without a name")
   return node._mode and text .. " (" .. node._mode .. ")" or text
 end
 

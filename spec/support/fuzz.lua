@@ -6,7 +6,8 @@
 -- names optional modules that are to be missing. A difference prints the seed, both
 -- traces around it, and the chart shrunk to what is needed.
 --
--- RFSM_INTERRUPTS=1 interrupts each operation instead: see runs.interrupt.
+-- RFSM_INTERRUPTS=1 interrupts each operation instead: see runs.interrupt and
+-- runs.interrupt_exactly.
 
 package.path = "./?.lua;" .. package.path
 
@@ -76,7 +77,7 @@ local function pass(seed)
     if is_wrong then tell(seed, chart) end
     return not is_wrong
   end
-  local wrong = runs.interrupt(chart)
+  local wrong = runs.interrupt(chart) or runs.interrupt_exactly(chart)
   if wrong then print(("seed %d: %s"):format(seed, wrong)) end
   return not wrong
 end

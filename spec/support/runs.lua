@@ -533,4 +533,113 @@ function runs.interrupt(chart)
   end
 end
 
+-- A chart whose trace does not tell how often a step was begun: guards do nothing but
+-- answer, always the same; no hooks, no doos.
+local function without_repetition(chart)
+  local own = own_chart(chart)
+  own.programs, own.traced = copy_of(chart.programs), false
+  for id, actions in pairs(chart.programs) do -- any order: each stands alone
+    local first = actions[1]
+    if id:find("^guard ") then
+      own.programs[id] = { type(first) == "table" and first[1] == "return" and first }
+    elseif id:find("hook") or id == "getevents" or id == "dbg" then
+      own.programs[id] = nil
+    end
+  end
+  for fqn, node in pairs(own.nodes) do -- any order: each stands alone
+    own.nodes[fqn] = copy_of(node)
+    own.nodes[fqn].doo, own.nodes[fqn].hooks = nil, nil
+  end
+  return own
+end
+
+-- Does the engine run, which `f` has called, and none of the chart's functions?
+local function is_engine(f)
+  local level, info = 3, debug.getinfo(3, "fS")
+  while info and info.func ~= f do
+    if info.short_src:find("support/", 1, true) then return false end
+    level = level + 1
+    info = debug.getinfo(level, "fS")
+  end
+  return info ~= nil
+end
+
+-- Calls f(a), and raises `value` after so many VM instructions, not in a callback.
+local function interrupted_in_engine(instructions, value, f, a)
+  local is_hit = false
+  local function hook()
+    if not is_engine(f) then return debug.sethook(hook, "", 1) end
+    debug.sethook()
+    is_hit = true
+    error(value, 0)
+  end
+  debug.sethook(hook, "", instructions)
+  local ok, failure = pcall(f, a)
+  debug.sethook()
+  if is_hit and (ok or not rawequal(failure, value)) then
+    return "the interrupt did not reach the caller, but " .. tostring(failure)
+  end
+end
+
+local VALUES = { "interrupted!", "the limit of the host", {} }
+
+-- Steps a machine until it is idle; false if that takes too long.
+local function settle(fsm)
+  for _ = 1, 60 do
+    local ok, idle = pcall(rfsm.step, fsm) -- a printer may fail
+    if ok and idle then return true end
+    if not rfsm.get_actleaf_fqn(fsm) then return true end -- it cannot be entered
+  end
+  return false
+end
+
+-- The traces of what each operation calls. `disturb(i, fsm)` comes before its steps;
+-- nil if the machine is never idle.
+local function traces_of(chart, disturb)
+  local world = new_world(chart)
+  local model = model_of(world)
+  local engine = core_engine(world, model, model.warn)
+  local traces = {}
+  for i, op in ipairs(engine and chart.ops or {}) do
+    world.trace = {}
+    if op[1] == "send" then engine.send(op[2], op[3], op[4]) end
+    local wrong = disturb(i, engine.fsm)
+    if wrong then return nil, ("operation %d: %s"):format(i, wrong) end
+    if not settle(engine.fsm) then return nil end
+    local lines = {}
+    for _, line in ipairs(world.trace) do
+      if not (line:find "^guard" or line:find "^warn" or line:find "cannot enter") then
+        lines[#lines + 1] = line
+      end
+    end
+    traces[i] = table.concat(lines, "\n")
+  end
+  return traces
+end
+
+--- Interrupts the first step of each operation anywhere in the engine. What is called
+-- then must be what is called without an interrupt, in that order, and the interrupt
+-- reach the caller. Returns a text: what went wrong; nil when nothing did.
+function runs.interrupt_exactly(chart)
+  chart = without_repetition(chart)
+  local random = chart.seed
+  local expected = traces_of(chart, function() end)
+  if not expected then return nil end
+  for _ = 1, 20 do
+    local places = {}
+    local actual, wrong = traces_of(chart, function(i, fsm)
+      random = random * 16807 % 2147483647
+      places[i] = random % 700 + 1
+      return interrupted_in_engine(places[i], VALUES[random % 3 + 1], rfsm.step, fsm)
+    end)
+    if not actual then return wrong or "the machine is never idle" end
+    for i, trace in ipairs(expected) do
+      if trace ~= actual[i] then
+        return ("operation %d, instruction %d: expected\n%s\ngot\n%s"):format(i,
+          places[i], trace, actual[i])
+      end
+    end
+  end
+end
+
 return runs
