@@ -31,7 +31,7 @@ local ALIASES = { ["rfsm.ext"] = true, rfsm_emem = true, rfsm_await = true }
 local HEAD = [[
 #!lua name=rfsm
 local function globals() return _G end
-local _G, loadfile, print, io, os, debug, package, require
+local _G, loadfile, print, io, os, debug, package, require, outer_require
 local charts = {}
 ]] .. bundle.HEAD
 
