@@ -316,6 +316,20 @@ local function end_text(node)
   return is_node(node) and (node._fqn or kind_of(node)) or text_of(node)
 end
 
+-- state root.a (active)
+function State.__tostring(state)
+  local fqn, mode = state._fqn, state._mode
+  return "state" .. (fqn and " " .. fqn or "") .. (mode and " (" .. mode .. ")" or "")
+end
+
+function Connector.__tostring(connector)
+  return "connector" .. (connector._fqn and " " .. connector._fqn or "")
+end
+
+function Machine.__tostring(fsm)
+  return "machine, active: " .. (fsm._act_leaf and fsm._act_leaf._fqn or "<none>")
+end
+
 -- T={ src='a', tgt='b', pn=3, events='x, y' }, with FQNs after init.
 function Transition.__tostring(tr)
   local text = "T={ src='" .. end_text(tr.src) .. "', tgt='" .. end_text(tr.tgt) .. "'"
@@ -675,6 +689,10 @@ do
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
+      if key == "guard" and value == false then
+        add(build.warnings, def, nil, "its guard is false and counts as absent, it was "
+          .. "made while the chart was loaded")
+      end
       def[key] = value
       if value then add_datum(def, key, value) end
     elseif key == "initial" and def.kind == "state" then
@@ -1557,7 +1575,7 @@ local function run_hooks(fsm, hooks, slot)
     if hook == OWN then hook = fsm[slot] end
     if hook then
       local ok, failure = call(fsm, hook, fsm, fsm._curq)
-      if not is_callable(hook) then
+      if not (ok or is_callable(hook)) then
         failure = ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
       end
       if not ok then give_up(fsm, failure) end
@@ -1715,6 +1733,23 @@ local function choose(fsm, events)
   if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
 end
 
+-- Warns of events that were sent before the first entry, and that its path does not
+-- name: they are consumed by it.
+local function warn_of_lost_events(fsm, def, events)
+  local lost = {}
+  for i = 1, #events do
+    local at, is_named = def, rawequal(events[i], "e_init_fsm")
+    while at and not is_named do
+      is_named = at.events and matches(at, { events[i] })
+      at = at.connector and fsm._ways[at.connector]
+    end
+    if not is_named then lost[#lost + 1] = events[i] end
+  end
+  if lost[1] == nil then return end
+  report(fsm, "warn", "WARNING: sent before the machine was entered, which consumes "
+    .. "them: " .. list_text(lost))
+end
+
 -- No path leads into the machine.
 local function refuse_entry(fsm, events)
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
@@ -1732,10 +1767,11 @@ end
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
   fsm._ways = {}
-  if root.is_leaf then return root end
-  local def = find_transition(fsm, root.members.initial, events)
+  local def = not root.is_leaf and find_transition(fsm, root.members.initial, events)
   fsm._ways[root] = def
-  return def and root
+  if not (def or root.is_leaf) then return nil end
+  warn_of_lost_events(fsm, def, events)
+  return root
 end
 
 -- Returns the innermost active state.
@@ -2089,17 +2125,17 @@ engine.choose, engine.take, engine.iterate = choose, take, iterate
 local patience = 8
 
 local PARTS = {
-  FIRST = FIRST, OWN_ONLY = OWN_ONLY,
-  append = append, ask_getevents = ask_getevents, borrowers = borrowers,
-  call_post_hooks = call_post_hooks, give_up = give_up,
-  call = call, call_aside = call_aside, choose = choose, complete = complete,
-  before = PHASES.before, go_on = go_on,
-  compile_transition = compile_transition, decide = decide, enabled_with = enabled_with,
-  enabled = enabled, enter = enter, handler = getinfo and note_interrupt or same,
+  append = append, ask_getevents = ask_getevents, before = PHASES.before,
+  borrowers = borrowers, call = call,
+  call_post_hooks = call_post_hooks, choose = choose,
+  compile_transition = compile_transition, decide = decide,
+  enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
+  give_up = give_up, go_on = go_on, GO_ON = GO_ON,
+  handler = getinfo and note_interrupt or same, is_callable = is_callable,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
-  matches = matches, no_events = no_events, raise_failure = raise_failure,
-  is_callable = is_callable, refuse_guard = refuse_guard, silent = silent, take = take,
-  warn_of_conflict = warn_of_conflict, GO_ON = GO_ON,
+  matches = matches, no_events = no_events, OWN_ONLY = OWN_ONLY,
+  refuse_guard = refuse_guard, results_of = results_of,
+  silent = silent, take = take, warn_of_conflict = warn_of_conflict,
 }
 
 local function load_fast()

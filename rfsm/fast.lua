@@ -871,6 +871,7 @@ return function(engine, core)
     calls.count = FIRST.after
     core.call_post_hooks(fsm)
     end_iteration(fsm, lent or lends(fsm, pre))
+    return fsm._outcome == "counted" and not (fsm._failure or fsm._reset_wanted)
   end
 
   -- An iteration of a machine that has hooks or a getevents, is being traced, entered
@@ -880,7 +881,13 @@ return function(engine, core)
     if not fsm._is_hooked or fsm._phase ~= "idle" or fsm._reset_wanted then
       return plain(fsm, after_free)
     end
-    return plain(fsm, after_free, go_through)
+    fsm._after_free = after_free
+    fsm._phase = "begin"
+    local ok, is_counted = protect(go_through, fsm)
+    if ok and is_counted == true then return true, false end
+    if ok then return core.results_of(fsm, fsm._outcome) end
+    if is_counted ~= GO_ON then error(is_counted, 0) end
+    return plain(fsm, after_free)
   end
 
   -- One iteration. What is written out is one event, apart from an e_done that nothing
@@ -980,7 +987,7 @@ return function(engine, core)
   end
 
   local function is_taking(f, level, fsm)
-    if not (call_lines_of[f] or f == cycle) then
+    if not (call_lines_of[f] or f == cycle or f == go_through) then
       return false
     end
     local _, value = getlocal(level, FSM)

@@ -254,6 +254,7 @@ describe("rfsm_checks", function()
     helper.post_and_run(fsm, "e_enter")
     assert.same({ OTHER }, complaints_of(fsm))
     rfsm.reset(fsm)
+    rfsm.run(fsm)
     assert.same({ OTHER }, complaints_of(fsm))
   end)
 

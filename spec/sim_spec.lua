@@ -108,7 +108,7 @@ local SAID = {
   ["next({ 7 })"] = "1\t7\n",
   ["step\nstep\nback 2\nforward 9"] = AT_HELLO .. "hello\nworld\n" .. AT_WORLD
     .. "active: <none>\nqueue:  e_init_fsm\n" .. AT_WORLD,
-  ["step\nstep\nback\nses e_restart"] = AT_HELLO .. "hello\nworld\n"
+  ["step\nstep\nback\nstep"] = AT_HELLO .. "hello\nworld\n"
     .. AT_WORLD .. AT_HELLO .. "hello\nworld\n" .. AT_WORLD,
   ["step\nse e_done"] = AT_HELLO
     .. "queue:  e_done@root.hello, e_done@root.hello\n",

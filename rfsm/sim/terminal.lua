@@ -184,7 +184,7 @@ function terminal.is_caught() return counter ~= nil end
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)
-    return callback(...)
+    return (callback(...)) -- no tail call: `running_callback` looks for this function
   end
 end
 

@@ -41,18 +41,10 @@ local function show_table(t, depth)
   return texts[1] and "{ " .. concat(texts, ", ") .. " }" or "{}"
 end
 
-local function show_node(node)
-  if rfsm.is_root(node) then
-    return "machine, active: " .. (rfsm.get_actleaf_fqn(node) or "<none>")
-  end
-  local text = rfsm.kind_of(node) .. " " .. text_of(node._fqn or "without a name")
-  return node._mode and text .. " (" .. node._mode .. ")" or text
-end
-
 -- Returns a value as a person reads it; `depth` counts the tables around it.
 function show(value, depth)
   if type(value) == "string" and depth > 0 then return ("%q"):format(value) end
-  if rfsm.is_node(value) then return show_node(value) end
+  if rfsm.is_node(value) then return text_of(value) end
   if type(value) ~= "table" or getmetatable(value) or depth >= MAX_DEPTH then
     return text_of(value)
   end

@@ -310,13 +310,31 @@ local function take(machine, events)
 end
 
 -- Root's entry, then the path from root.initial.
+-- Events that no transition of the first path names are lost, but not without a word.
+local function warn_of_lost(machine, path, events)
+  local lost = {}
+  for _, event in ipairs(events) do
+    local is_named = rawequal(event, "e_init_fsm")
+    for _, segment in ipairs(path) do
+      local wanted = segment.tr.events
+      is_named = is_named or wanted and #wanted > 0 and matches(segment.tr, { event })
+    end
+    if not is_named then lost[#lost + 1] = event end
+  end
+  if #lost == 0 then return end
+  protected(machine, machine.calls.warn, "WARNING: sent before the machine was "
+    .. "entered, which consumes them: " .. text_of(lost))
+end
+
 local function first_entry(machine, events)
   if machine.chart.nodes.root.is_leaf then
+    warn_of_lost(machine, {}, events)
     enter(machine, "root")
     return true
   end
   local path = find_from(machine, "root.initial", events, {})
   if not path then return false end
+  warn_of_lost(machine, path, events)
   enter(machine, "root")
   trace_path(machine, path)
   take_path(machine, path, events)
