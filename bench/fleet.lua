@@ -1,9 +1,9 @@
 -- Machines in Redis:  LUA bench/fleet.lua [MACHINES [ROUNDS]]
 --
 -- Microseconds of the server's processor for a call, pipelined by 32, and calls in a
--- second of it: the least of some rounds in turn. Events for machines of 20 states, with
--- an id, with a timer in each state; next to them an EVAL that unpacks a value of the
--- same size and packs it again, and HSET. Then timers that are due at once, an idle
+-- second of it: the least of some rounds in turn. Events for machines of 20 states,
+-- with an id, with a timer in each state; next to them an EVAL that unpacks a value of
+-- the same size and packs it again, and HSET. Then timers that are due at once, an idle
 -- loop of a worker, and the memory that a machine takes.
 
 package.path = "./?.lua;" .. package.path
