@@ -2005,11 +2005,15 @@ local function set_inactive(fsm)
 end
 
 -- Makes a machine as it was after init, but for the events of the current iteration.
+local function run_reset_hooks(fsm)
+  fsm._reset_wanted = false
+  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
+end
+
 local function reset_now(fsm)
   set_inactive(fsm)
   fsm._intq = { "e_init_fsm" }
-  fsm._reset_wanted = false
-  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
+  run_reset_hooks(fsm)
 end
 
 -- The phase "collect". If one before was cut short, or a hook failed in it, its events
@@ -2657,6 +2661,7 @@ local function is_stepping(fsm)
 end
 
 local function check_no_step(fsm, where, level)
+  if fsm._phase == "idle" then return end
   fsm._is_usual = false
   if not is_stepping(fsm) then return end
   error(where .. ": the machine is in the middle of a step", level)
@@ -2824,6 +2829,28 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   return results
 end
 
+local function itself(element) return element end
+
+-- Lists the elements of a machine that is being prepared, all of its plan. The order is
+-- found once: positive numbers are nodes, negative ones transitions.
+local function planned_elements(fsm, pred)
+  local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
+  if not order then
+    order = rfsm.mapfsm(itself, fsm)
+    for i, obj in ipairs(order) do
+      local index = obj["_%def"].index
+      order[i] = rfsm.is_trans(obj) and -index or index
+    end
+    fsm._plan.order = order
+  end
+  local list = {}
+  for i = 1, #order do
+    local element = order[i] > 0 and nodes[order[i]] or transitions[-order[i]]
+    if not pred or pred(element) then list[#list + 1] = element end
+  end
+  return list
+end
+
 --- List an element and those below it that `pred` accepts, for extensions.
 --
 -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
@@ -2832,7 +2859,7 @@ end
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
-  local function itself(element) return element end
+  if rfsm.is_root(obj) and obj._preparing then return planned_elements(obj, pred) end
   if rfsm.is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
   local list = rfsm.mapfsm(itself, obj, pred)
   if not rfsm.is_root(obj) and (not pred or pred(obj)) then
@@ -2981,7 +3008,15 @@ end
 local function move_to(state, mode)
   local fsm = state
   while fsm._parent ~= fsm do fsm = fsm._parent end
-  set_inactive(fsm)
+  local left = fsm -- what is active is reached by _actchild
+  while left do
+    local child = left._actchild
+    left._mode = "inactive"
+    if left._doo_co then left._doo_co = nil end
+    if child then rawset(left, "_actchild", nil) end
+    left = child
+  end
+  fsm._act_leaf = false
   state._mode = mode
   if mode ~= "inactive" and state["_%def"].is_leaf then fsm._act_leaf = state end
   while state ~= fsm do
@@ -3145,8 +3180,12 @@ end
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
 function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
-  reset_now(fsm)
-  if leaf then move_to(leaf, mode) end
+  if leaf then
+    move_to(leaf, mode)
+    run_reset_hooks(fsm)
+  else
+    reset_now(fsm)
+  end
   fsm._intq, fsm._curq = queue, {}
 end
 

@@ -14,7 +14,7 @@
 
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local require, setmetatable, tonumber, type = require, setmetatable, tonumber, type
 local abs, floor, huge, max = math.abs, math.floor, math.huge, math.max
@@ -31,6 +31,9 @@ local BILLION = 1000000000
 -- remainder is taken off before the division, which then is exact.
 local function normalise(sec, nsec)
   local whole = floor(sec)
+  if whole == sec and nsec >= 0 and nsec < BILLION and nsec % 1 == 0 then
+    return whole, nsec
+  end
   nsec = floor(nsec) + floor((sec - whole) * BILLION + 0.5)
   local rest = nsec % BILLION
   if rest < 0 then rest = rest + BILLION end -- Lua 5.1 rounds large quotients up
@@ -329,7 +332,9 @@ local function list_timers(fsm)
   local list, state = {}, fsm._mode ~= "inactive" and fsm
   while state do
     local timers = state._timers
-    for i = 1, timers and #timers or 0 do list[#list + 1] = timers[i] end
+    if timers then
+      for i = 1, #timers do list[#list + 1] = timers[i] end
+    end
     state = state._actchild
   end
   return list
@@ -410,20 +415,33 @@ end
 
 -- Snapshots: timers are kept with the time that is left, by their names ----------
 
+local MAX_EXACT = 1000000 -- seconds, of which one number has the nanoseconds
+
+-- Returns a time as it is kept; true if it is not known yet.
+local function kept_time(sec, nsec)
+  if not sec then return true end
+  if abs(sec) >= MAX_EXACT then return { sec, nsec } end
+  return nsec == 0 and sec or sec + nsec / BILLION
+end
+
 local function save(fsm)
-  local left, now, now_nsec = {}, nil, nil
+  local left, now, now_nsec = nil, nil, nil
   for _, timer in ipairs(list_timers(fsm)) do
     local sec, nsec = deadline_of(timer)
     if sec and sec < huge and timer.is_relative then
       if not now then now, now_nsec = read_or_raise(fsm, true) end
       sec, nsec = normalise(sec - now, nsec - now_nsec)
     end
-    if sec ~= huge then left[timer.name] = sec and { sec, nsec } or true end
+    if sec ~= huge then
+      left = left or {}
+      left[timer.name] = kept_time(sec, nsec)
+    end
   end
-  return next(left) and left
+  return left
 end
 
--- Arms a timer of which `left` was kept: seconds and nanoseconds, or true.
+-- Arms a timer of which `left` was kept: seconds in one number or with nanoseconds, or
+-- true.
 local function load_timer(fsm, timer, left)
   local sec, nsec, now, now_nsec = left, 0, 0, 0
   if left == true then return set(fsm, timer, false, 0) end
@@ -618,11 +636,13 @@ local function earliest_deadline(fsm)
   local own = fsm._timeevent
   if own then
     if own[true] == -huge then arm_waiting(fsm, read_or_raise(fsm, true)) end
-    least = min(remaining(fsm, true), remaining(fsm, false))
+    if own[true] < huge then least = remaining(fsm, true) end
+    if own[false] < huge then least = min(least, remaining(fsm, false)) end
   end
   while state do
-    for _, region in ipairs(rfsm.regions(state)) do
-      least = min(least, earliest_deadline(region))
+    local regions = state._regions and rfsm.regions(state)
+    for i = 1, regions and #regions or 0 do
+      least = min(least, earliest_deadline(regions[i]))
     end
     state = state._actchild
   end

@@ -1,16 +1,19 @@
--- Machines in Redis:  LUA bench/fleet.lua [MACHINES ...]
+-- Machines in Redis:  LUA bench/fleet.lua [MACHINES [ROUNDS]]
 --
--- What a call costs the server, in microseconds of its processor, pipelined by 32:
--- events for machines of 20 states, with an id, with a timer in each state. Next to
--- them plain HSET, and an EVAL that unpacks a value of the same size and packs it
--- again. The memory that a machine takes.
+-- Microseconds of the server's processor for a call, pipelined by 32, and calls in a
+-- second of it: the least of some rounds in turn. Events for machines of 20 states,
+-- with an id, with a timer in each state; next to them an EVAL that unpacks a value of
+-- the same size and packs it again, and HSET. Then timers that are due at once, an idle
+-- loop of a worker, and the memory that a machine takes.
 
 package.path = "./?.lua;" .. package.path
 
+local fleet = require "rfsm.fleet"
 local redis = require "rfsm.redis"
 local servers = require "spec.support.redis"
 
-local CALLS = 20000
+local CALLS, TAGS = 10000, 64
+local machines, rounds = tonumber(arg[1]) or 1000, tonumber(arg[2]) or 5
 
 -- 20 states: four areas of four stations.
 local CHART = [[
@@ -30,6 +33,14 @@ end
 return rfsm.state(areas)
 ]]
 
+-- waiting --1 ms--> done
+local DUE = [[
+return rfsm.state {
+  waiting = rfsm.state {}, done = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "waiting" },
+  rfsm.trans { src = "waiting", tgt = "done", events = { "e_after(0.001)" } },
+}]]
+
 local function write_file(text)
   local name = os.tmpname()
   local file = assert(io.open(name, "w"))
@@ -41,10 +52,12 @@ end
 local chart = write_file(CHART)
 local timed = write_file((CHART:gsub('events = { "e_next" } }',
   'events = { "e_next", "e_after(1000)" } }')))
-local library = write_file((redis.bundle { "area=" .. chart, "timed=" .. timed }))
+local due = write_file(DUE)
+local library = write_file((redis.bundle { "area=" .. chart, "timed=" .. timed,
+  "due=" .. due }))
 local server = servers.start("--maxmemory 0")
 assert(server:cli("-x FUNCTION LOAD REPLACE <" .. library):find("rfsm"))
-for _, name in ipairs { chart, timed, library } do os.remove(name) end
+for _, name in ipairs { chart, timed, due, library } do os.remove(name) end
 
 local function info(section, field)
   return tonumber(server:cli("INFO " .. section):match(field .. ":([%d.]+)"))
@@ -54,25 +67,33 @@ local function cpu()
   return info("cpu", "used_cpu_user") + info("cpu", "used_cpu_sys")
 end
 
--- Microseconds of the server for each call of a command.
-local function cost(machines, command)
+-- Microseconds of the server while `f` runs, for each of so many calls.
+local function cost(calls, f)
   local before = cpu()
-  local answer = server:cli((" PING >/dev/null; redis-benchmark -p %d -q -c 20 -P 32 "
-    .. "-n %d -r %d %s"):format(server.port, CALLS, machines, command))
-  assert(not answer:find("rror"), answer)
-  return (cpu() - before) / CALLS * 1e6
+  f()
+  return (cpu() - before) / calls * 1e6
 end
 
--- Copies a machine until there are as many as wanted; redis-benchmark names the keys.
-local function populate(name, mark, machines)
-  server:cli(("FCALL rfsm_create 1 %s:000000000000 %s"):format(mark, name))
-  local lines = {}
-  for i = 1, machines - 1 do
-    lines[i] = ("COPY %s:000000000000 %s:%012d\n"):format(mark, mark, i)
-  end
+local function benchmark(keys, command)
+  local answer = server:cli((" PING >/dev/null; redis-benchmark -p %d -q -c 20 -P 32 "
+    .. "-n %d -r %d %s"):format(server.port, CALLS, keys, command))
+  assert(not answer:find("rror"), answer)
+end
+
+local function pipe(lines)
   local file = write_file(table.concat(lines))
   server:cli("--pipe <" .. file)
   os.remove(file)
+end
+
+-- Makes a machine, and copies of it; redis-benchmark names the keys.
+local function populate(name, mark, count)
+  server:cli(("FCALL rfsm_create 1 %s:000000000000 %s"):format(mark, name))
+  local lines = {}
+  for i = 1, count - 1 do
+    lines[i] = ("COPY %s:000000000000 %s:%012d\n"):format(mark, mark, i)
+  end
+  pipe(lines)
 end
 
 local VALUE = ("x"):rep(96)
@@ -82,31 +103,72 @@ local SCRIPT = [[local v = redis.call("GET", KEYS[1]) ]]
   .. [[chart = "844974cfc38-e0429e", leaf = "root.area1.station2", done = true, ]]
   .. [[data = { root = { order = "A-4711", count = 13 } } } })) return 1]]
 
-local function row(machines)
-  server:cli("FLUSHALL")
-  local empty = info("memory", "used_memory")
-  populate("area", "m", machines)
-  local size = tonumber(server:cli("STRLEN m:000000000000"):match("%d+"))
-  local used = (info("memory", "used_memory") - empty) / machines
-  populate("timed", "t", math.min(machines, 1000))
-  local costs = {}
-  for i, command in ipairs { "FCALL rfsm_send 1 m:__rand_int__ e_next",
-    "FCALL rfsm_send 1 m:__rand_int__ e_next ID i:__rand_int__",
-    "FCALL rfsm_send 1 t:__rand_int__ e_next",
-    ("EVAL '%s' 1 v:__rand_int__"):format(SCRIPT),
-    "HSET h:__rand_int__ value " .. VALUE } do
-    costs[i] = ("%.1f"):format(cost(i == 3 and math.min(machines, 1000) or machines,
-      command))
+local COMMANDS = {
+  { name = "EVAL", text = ("EVAL '%s' 1 v:__rand_int__"):format(SCRIPT) },
+  { name = "HSET", text = "HSET h:__rand_int__ value " .. VALUE },
+  { name = "rfsm_send", text = "FCALL rfsm_send 1 m:__rand_int__ e_next" },
+  { name = "with id", text = "FCALL rfsm_send 1 i:__rand_int__ e_next ID "
+    .. "i:__rand_int__" },
+  { name = "with timers", text = "FCALL rfsm_send 1 t:__rand_int__ e_next" },
+}
+
+local function print_rates()
+  for _ = 1, rounds do
+    for _, command in ipairs(COMMANDS) do
+      local us = cost(CALLS, function() benchmark(1000, command.text) end)
+      command.us = math.min(command.us or us, us)
+    end
   end
-  print(("| %d | %d | %.0f | %s |"):format(machines, size, used,
-    table.concat(costs, " | ")))
+  print("| call | us | a second | of an EVAL |\n|---|---|---|---|")
+  for _, command in ipairs(COMMANDS) do
+    print(("| %s | %.1f | %.0f | %.1f |"):format(command.name, command.us,
+      1e6 / command.us, command.us / COMMANDS[1].us))
+  end
 end
 
-print("| machines | value, bytes | memory, bytes | rfsm_send, us | with id "
-  .. "| with timers | EVAL | HSET |")
-print("|---|---|---|---|---|---|---|---|")
-local ok, problem = pcall(function()
-  for i = 1, #arg > 0 and #arg or 2 do row(tonumber(arg[i] or ({ 1, 1000 })[i])) end
-end)
+-- Machines whose timers are all due, woken by one worker; then it finds none.
+local function print_timers()
+  local worker = fleet.connect(server:url(), { name = "w", tags = TAGS })
+  local lines, woken = {}, 0
+  for i = 0, machines - 1 do
+    local tag = i % TAGS
+    local key = ("w:{%d}:%d"):format(tag, i)
+    if i < TAGS then
+      assert(worker:create(key, "due"))
+    else
+      lines[#lines + 1] = ("COPY w:{%d}:%d %s\n"):format(tag, tag, key)
+    end
+    lines[#lines + 1] = ("ZADD rfsm:due:{%d} 1 %s\n"):format(tag, key)
+  end
+  pipe(lines)
+  local us = cost(machines, function()
+    repeat
+      local count = worker:wake()
+      woken = woken + count
+    until count == 0
+  end)
+  print(("%d timers due at once: %d woken, %.1f us of the server each"):format(machines,
+    woken, us))
+  local own = os.clock()
+  us = cost(200, function()
+    for _ = 1, 200 do worker:wake() end
+  end)
+  print(("an idle loop over %d tags: %.2f ms of the server, %.2f ms of the worker")
+    :format(TAGS, us / 1000, (os.clock() - own) * 5))
+end
+
+local function main()
+  local empty = info("memory", "used_memory")
+  populate("area", "m", machines)
+  print(("%d machines of %d bytes: %.0f bytes of memory each"):format(machines,
+    tonumber(server:cli("STRLEN m:000000000000"):match("%d+")),
+    (info("memory", "used_memory") - empty) / machines))
+  populate("area", "i", 1000)
+  populate("timed", "t", 1000)
+  print_rates()
+  print_timers()
+end
+
+local ok, problem = pcall(main)
 servers.stop_all()
 if not ok then error(problem, 0) end

@@ -107,11 +107,15 @@ function Fleet:key_of(id)
   return self.name .. ":{" .. tag .. "}:" .. id, tag
 end
 
--- Calls a function; a cluster must know all keys that it writes.
+-- Calls a function; a cluster must know all keys that it writes. Returns the reply, or
+-- nil and the problem.
 local function call_function(self, name, id, ...)
   local key, tag = self:key_of(id)
-  return pcall(self.call, self, tag, "FCALL", name, 6, key, keys_of.due(key),
-    keys_of.out(key), keys_of.log(key), keys_of.index(key), keys_of.history(key), ...)
+  local ok, reply = pcall(self.call, self, tag, "FCALL", name, 6, key,
+    keys_of.due(key), keys_of.out(key), keys_of.log(key), keys_of.index(key),
+    keys_of.history(key), ...)
+  if ok then return reply or nil, not reply and "no machine" or nil end
+  return nil, reply
 end
 
 -- Returns a new id for an event.
@@ -126,9 +130,8 @@ end
 ---@field mode string
 ---@field errors string[] of its callbacks
 
-local function reply_of(ok, list)
-  if not ok then return nil, list end
-  if not list then return nil, "no machine" end
+local function reply_of(list, problem)
+  if not list then return nil, problem end
   local errors = {}
   for i = 3, #list do errors[i - 2] = list[i] end
   return { leaf = list[1], mode = list[2], errors = errors }
@@ -149,10 +152,12 @@ function Fleet:create(id, chart, data)
     next_id(self)))
 end
 
-local function texts_of(events)
+-- Returns the texts of events, then an id.
+local function texts_of(events, id)
   local texts = {}
   for i, event in ipairs(events) do texts[i] = rfsm.text_of(event) end
-  return texts
+  texts[#texts + 1], texts[#texts + 2] = "ID", id
+  return unpack(texts)
 end
 
 --- Send events to a machine, and run it. They are applied once, also if the connection
@@ -162,9 +167,8 @@ end
 ---@return rfsm.fleet.Reply? reply
 ---@return string? problem
 function Fleet:send(id, ...)
-  local texts = texts_of { ... }
-  texts[#texts + 1], texts[#texts + 2] = "ID", next_id(self)
-  return reply_of(call_function(self, "rfsm_send", id, unpack(texts)))
+  return reply_of(call_function(self, "rfsm_send", id,
+    texts_of({ ... }, next_id(self))))
 end
 
 --- Send events to a machine when a time has come, if a worker wakes it.
@@ -174,12 +178,10 @@ end
 ---@return string? ticket for `cancel`
 ---@return string? problem
 function Fleet:send_after(id, seconds, ...)
-  local texts, ticket = texts_of { ... }, next_id(self)
-  texts[#texts + 1], texts[#texts + 2] = "ID", ticket
-  local ok, problem = call_function(self, "rfsm_send_at", id,
-    "+" .. ("%.6f"):format(seconds), unpack(texts))
-  if ok then return ticket end
-  return nil, problem
+  local ticket = next_id(self)
+  local reply, problem = call_function(self, "rfsm_send_at", id,
+    "+" .. ("%.6f"):format(seconds), texts_of({ ... }, ticket))
+  return reply and ticket, problem
 end
 
 --- Take back what `send_after` has sent.
@@ -188,9 +190,8 @@ end
 ---@return boolean? was_there
 ---@return string? problem
 function Fleet:cancel(id, ticket)
-  local ok, reply = call_function(self, "rfsm_cancel", id, ticket)
-  if ok then return reply == 1 end
-  return nil, reply
+  local count, problem = call_function(self, "rfsm_cancel", id, ticket)
+  return count and count == 1, problem
 end
 
 --- Run a machine that is due.
@@ -204,8 +205,8 @@ function Fleet:tick(id) return reply_of(call_function(self, "rfsm_tick", id)) en
 ---@return table? view chart, version, leaf, mode, configuration, data, queue, due
 ---@return string? problem
 function Fleet:get(id)
-  local ok, list = call_function(self, "rfsm_get", id)
-  if not ok then return nil, list end
+  local list, problem = call_function(self, "rfsm_get", id)
+  if not list then return nil, problem end
   local view, decode = {}, need("dkjson").decode
   for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
   view.data, view.queue, view.due = decode(view.data), decode(view.queue),
@@ -219,9 +220,7 @@ end
 ---@return string[]? lines
 ---@return string? problem
 function Fleet:why(id, event)
-  local ok, lines = call_function(self, "rfsm_why", id, event)
-  if ok then return lines end
-  return nil, lines
+  return call_function(self, "rfsm_why", id, event)
 end
 
 --- Return the latest moves of a machine, the newest first. The library needs --history.
@@ -230,8 +229,8 @@ end
 ---@return { time: number, event: string, from: string, to: string }[]? moves
 ---@return string? problem
 function Fleet:history(id, count)
-  local ok, list = call_function(self, "rfsm_history", id, count or 10)
-  if not ok then return nil, list end
+  local list, problem = call_function(self, "rfsm_history", id, count or 10)
+  if not list then return nil, problem end
   local moves = {}
   for i = 1, #list, 4 do
     moves[#moves + 1] = { time = tonumber(list[i]), event = list[i + 1],
@@ -268,23 +267,15 @@ end
 
 -- Workers ------------------------------------------------------------------------
 
--- Calls `f(tag, key)` for each hash tag; the key has that tag.
-local function each_tag(self, f)
-  for number = 0, self.tags - 1 do
-    local tag = ("%d"):format(number)
-    f(tag, "{" .. tag .. "}")
-  end
-end
-
 -- Calls a function for each hash tag, all at once; returns the replies.
 local function call_tags(self, name, keys, ...)
-  local tags, calls, rest = {}, {}, { ... }
-  each_tag(self, function(tag, key)
-    local call = { "FCALL", name, #keys }
-    for i, of in ipairs(keys) do call[3 + i] = of(key) end
-    for _, value in ipairs(rest) do call[#call + 1] = value end
-    tags[#tags + 1], calls[#calls + 1] = tag, call
-  end)
+  local tags, calls = {}, {}
+  for i = 1, self.tags do
+    local tag, call = ("%d"):format(i - 1), { "FCALL", name, #keys }
+    for _, of in ipairs(keys) do call[#call + 1] = of("{" .. tag .. "}") end
+    for _, value in ipairs { ... } do call[#call + 1] = value end
+    tags[i], calls[i] = tag, call
+  end
   return self.connection:call_all(tags, calls)
 end
 
@@ -399,17 +390,16 @@ local function retry(work, f)
   end
 end
 
--- Returns the id behind one.
-local function next_entry(id)
+-- Splits the id of an entry: milliseconds, and a number.
+local function split(id)
   local ms, number = id:match("^(%d+)%-(%d+)$")
-  return ms .. "-" .. ("%d"):format(number + 1)
+  return tonumber(ms), tonumber(number)
 end
 
 local function is_before(a, b)
-  local ms, number = a:match("^(%d+)%-(%d+)$")
-  local other_ms, other_number = b:match("^(%d+)%-(%d+)$")
-  if ms ~= other_ms then return tonumber(ms) < tonumber(other_ms) end
-  return tonumber(number) < tonumber(other_number)
+  local ms, number = split(a)
+  local other_ms, other_number = split(b)
+  return ms < other_ms or ms == other_ms and number < other_number
 end
 
 -- Takes what all groups have done out of the stream.
@@ -418,10 +408,12 @@ local function trim(work)
   for _, info in ipairs(work.fleet:call(work.tag, "XINFO", "GROUPS", work.stream)) do
     local group = {}
     for i = 1, #info, 2 do group[info[i]] = info[i + 1] end
-    local id = next_entry(group["last-delivered-id"])
-    local first = group.pending > 0 and work.fleet:call(work.tag, "XPENDING",
-      work.stream, group.name)[2]
-    id = first or id
+    local id = group.pending > 0 and work.fleet:call(work.tag, "XPENDING", work.stream,
+      group.name)[2]
+    if not id then
+      local ms, number = split(group["last-delivered-id"])
+      id = ("%.0f-%.0f"):format(ms, number + 1) -- the next one
+    end
     if not least or is_before(id, least) then least = id end
   end
   if least then work.fleet:call(work.tag, "XTRIM", work.stream, "MINID", least) end
@@ -450,16 +442,18 @@ function Fleet:work(group, worker, f, options)
   local settings, problem = opts.read(WORK, options or {})
   if not settings then error("rfsm.fleet.work: " .. problem, 2) end
   local total, failures = 0, {}
-  each_tag(self, function(tag, key)
-    local work = { fleet = self, tag = tag, stream = keys_of.out(key), group = group,
-      worker = worker, options = settings, count = 0, failures = failures }
+  for number = 0, self.tags - 1 do
+    local tag = ("%d"):format(number)
+    local work = { fleet = self, tag = tag, stream = keys_of.out("{" .. tag .. "}"),
+      group = group, worker = worker, options = settings, count = 0,
+      failures = failures }
     retry(work, f)
     local new = self:call(tag, "XREADGROUP", "GROUP", group, worker, "COUNT",
       settings.count, "STREAMS", work.stream, ">")
     for _, raw in ipairs(new and new[1][2] or {}) do handle(work, f, raw, 1) end
     if work.count > 0 then trim(work) end
     total = total + work.count
-  end)
+  end
   return total, failures
 end
 

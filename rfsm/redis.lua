@@ -31,7 +31,7 @@ local ALIASES = { ["rfsm.ext"] = true, rfsm_emem = true, rfsm_await = true }
 local HEAD = [[
 #!lua name=rfsm
 local function globals() return _G end
-local _G, loadfile, print, io, os, debug, package, require
+local _G, loadfile, print, io, os, debug, package, require, outer_require
 local charts = {}
 ]] .. bundle.HEAD
 
@@ -181,9 +181,9 @@ function redis.bundle(arguments, options)
     end
     parts[#parts + 1] = CHART:format(name, text, file)
   end
-  parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s }"
-    ):format(options.index and "true" or "nil", options.history or "nil",
-    options.ids or "nil")
+  parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s, "
+    .. "ids_for = %s }"):format(options.index and "true" or "nil",
+    options.history or "nil", options.ids or "nil", options.ids_for or "nil")
   parts[#parts + 1] = FOOT
   return concat(parts), warnings
 end

@@ -61,45 +61,50 @@ local function pack_queue(queue, path)
   return list
 end
 
--- Returns the fields that a state keeps; nil if they are all nil as at first.
+-- Returns the fields that a state keeps; nil if there are none.
 local function pack_fields(state, keeper, path)
-  local fields = nil
-  for _, name in ipairs(keeper.names) do
+  local names, fields = keeper.names, nil
+  path.owner, path.keeper = false, keeper
+  for i = 1, #names do
+    local name = names[i]
     local value = state[name]
     if value == nil and keeper.first[name] ~= nil then value = plain.NIL end
+    path[1] = name
+    value = pack(value, path, 1)
     if value ~= nil then
       fields = fields or {}
       fields[name] = value
     end
   end
-  if not fields then return nil end
-  path.owner = path.prefix .. keeper.fqn:sub(5)
-  fields = pack(fields, path, 0)
-  return next(fields) ~= nil and fields or nil -- all of them null
+  return fields and plain.as_table(fields, path, 0)
 end
 
 -- Notes the data of the states that keep some.
-local function take_data(fsm, snap, path)
-  local data, saved, nodes = {}, {}, charts.nodes(fsm)
-  for _, keeper in ipairs(charts.of(fsm).keepers) do
-    local state, fqn = nodes[keeper.index], keeper.fqn
-    data[fqn] = pack_fields(state, keeper, path)
+local function take_data(fsm, own, snap, path)
+  for i, keeper in ipairs(own.chart.keepers) do
+    local state, fqn = own.states[i], keeper.fqn
+    local fields = pack_fields(state, keeper, path)
+    if fields then
+      snap.data = snap.data or {}
+      snap.data[fqn] = fields
+    end
     if keeper.has_load then
       path.owner = "save of " .. path.prefix .. fqn:sub(5)
       local value = plain.try(path.owner, state.save, fsm, state)
-      if value ~= nil then saved[fqn] = pack(value, path, 0) end
+      if value ~= nil then
+        snap.saved = snap.saved or {}
+        snap.saved[fqn] = pack(value, path, 0)
+      end
     end
   end
-  if next(data) ~= nil then snap.data = data end
-  if next(saved) ~= nil then snap.saved = saved end
 end
 
 -- Notes the targets that programs have set.
-local function take_targets(fsm, snap)
-  local first, nodes = charts.of(fsm).targets, charts.nodes(fsm)
-  local list = nil
-  for i, tr in ipairs(charts.transitions(fsm)) do
-    if tr.tgt ~= nodes[first[i]] then
+local function take_targets(own, snap)
+  local first, transitions, list = own.targets, own.transitions, nil
+  for i = 1, #transitions do
+    local tr = transitions[i]
+    if tr.tgt ~= first[i] then
       list = list or {}
       local n = #list
       list[n + 1], list[n + 2], list[n + 3] = tr._parent._fqn, tr._id, tr.tgt._fqn
@@ -109,10 +114,12 @@ local function take_targets(fsm, snap)
 end
 
 local function take_extensions(fsm, snap, path)
-  for _, hook in ipairs(charts.hooks(fsm)) do
+  local hooks = charts.hooks(fsm)
+  for i = 1, #hooks do
+    local hook = hooks[i]
     local value = hook.save(fsm)
-    path.owner = path.prefix .. " " .. hook.name
     if value ~= nil then
+      path.owner = path.prefix .. " " .. hook.name
       snap.ext = snap.ext or {}
       snap.ext[hook.name] = pack(value, path, 0)
     end
@@ -127,18 +134,25 @@ local function take_queue(fsm, snap, path)
   if not is_default then snap.queue = pack_queue(queue, path) end
 end
 
+-- Returns the path to what a machine holds; `base` tables are around data.
+local function path_of(own, prefix, base)
+  local path = own.path
+  path.prefix, path.base, path.seen = prefix, base, false
+  return path
+end
+
 -- Returns what a snapshot holds of a machine or region; `base` tables are around data.
-local function take_part(fsm, prefix, base)
-  local leaf = fsm._act_leaf
-  local path = { owner = "", prefix = prefix, base = base, seen = {} }
-  local part = { chart = charts.of(fsm).name }
-  if leaf then
-    part.leaf, part.done = leaf._fqn, leaf._mode == "done" or nil
-  elseif fsm._mode ~= "inactive" then
+local function take_part(fsm, prefix, base, version)
+  local leaf, own = fsm._act_leaf, charts.of(fsm)
+  local path = path_of(own, prefix, base)
+  local part = { version = version, chart = own.chart.name,
+    leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
+    data = nil, ext = nil } -- Lua makes room for six
+  if not leaf and fsm._mode ~= "inactive" then
     fail("no leaf of the machine is active, but '%s' is", prefix)
   end
-  take_data(fsm, part, path)
-  take_targets(fsm, part)
+  take_data(fsm, own, part, path)
+  take_targets(own, part)
   take_extensions(fsm, part, path)
   take_queue(fsm, part, path)
   return part
@@ -154,13 +168,13 @@ end
 local BASE, REGION_BASE = 4, 6
 
 local function take(fsm)
-  local snap = take_part(fsm, "root", BASE)
-  snap.version = move.VERSION
-  for _, at in ipairs(charts.regions(fsm) or NONE) do
-    local part = take_part(at.machine, at.prefix, REGION_BASE)
+  local snap = take_part(fsm, "root", BASE, move.VERSION)
+  local places = charts.of(fsm).places
+  for i = 2, #places do
+    local part = take_part(places[i].machine, places[i].prefix, REGION_BASE)
     if not is_blank(part) then
       snap.regions = snap.regions or {}
-      snap.regions[at.prefix] = part
+      snap.regions[places[i].prefix] = part
     end
   end
   return snap
@@ -168,13 +182,12 @@ end
 
 -- Put: checks everything before anything is changed ---------------------------------
 
-local function find_state(fsm, fqn) return charts.find_state(fsm, fqn) end
-
-local function find_leaf(fsm, fqn)
-  local leaf = fqn and find_state(fsm, fqn)
-  if fqn and not leaf then fail("leaf: no state is '%s'", fqn) end
-  if leaf and not rfsm.is_leaf(leaf) then fail("leaf: '%s' is a composite", fqn) end
-  return leaf or false
+local function find_leaf(fsm, own, fqn)
+  if fqn == nil then return false end
+  local index = own.chart.leaves[fqn]
+  if index then return own.nodes[index] end
+  fail(charts.find_state(fsm, fqn) and "leaf: '%s' is a composite"
+    or "leaf: no state is '%s'", fqn)
 end
 
 local function unpack_queue(part)
@@ -199,12 +212,13 @@ local function unpack_table(field, name, value)
 end
 
 -- Returns the fields of each state, checked: only what `keep` names may be set.
-local function unpack_data(fsm, part)
-  local data, keepers = {}, charts.of(fsm).keeper
-  for fqn, fields in pairs(part.data or NONE) do -- any order: each stands alone
-    data[fqn] = unpack_table("data", fqn, fields)
-    for name in pairs(data[fqn]) do -- any order: each stands alone
-      if not (keepers[fqn] and keepers[fqn].kept[name]) then
+local function unpack_data(own, packed)
+  local data, keepers = {}, own.chart.keeper
+  for fqn, fields in pairs(packed) do -- any order: each stands alone
+    local keeper = keepers[fqn]
+    data[fqn] = plain.is_flat(fields) and fields or unpack_table("data", fqn, fields)
+    for name in next, data[fqn] do -- any order: each stands alone
+      if not (keeper and keeper.kept[name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
       end
     end
@@ -212,10 +226,10 @@ local function unpack_data(fsm, part)
   return data
 end
 
-local function unpack_saved(fsm, part)
+local function unpack_saved(fsm, packed)
   local saved = {}
-  for fqn, value in pairs(part.saved or NONE) do -- any order: each stands alone
-    local state = find_state(fsm, fqn)
+  for fqn, value in pairs(packed) do -- any order: each stands alone
+    local state = charts.find_state(fsm, fqn)
     if not state or type(state.load) ~= "function" then
       fail("saved: no state '%s' has a function 'load'", text_of(fqn))
     end
@@ -226,11 +240,12 @@ end
 
 -- Returns what extensions kept, by their names. What those keep that follow the chart
 -- may be without a place there if the snapshot is of another one.
-local function unpack_extensions(fsm, part, is_migrated)
-  local values, is_known = {}, {}
-  for _, hook in ipairs(charts.hooks(fsm)) do is_known[hook.name] = true end
-  for name, value in pairs(part.ext or NONE) do -- any order: each stands alone
-    if not (is_known[name] or is_migrated) then
+local function unpack_extensions(fsm, packed, is_migrated)
+  local values, hooks = {}, charts.hooks(fsm)
+  for name, value in pairs(packed) do -- any order: each stands alone
+    local is_known = is_migrated
+    for i = 1, #hooks do is_known = is_known or hooks[i].name == name end
+    if not is_known then
       fail("ext: no extension of the machine is named '%s'", text_of(name))
     end
     values[name] = unpack_table("ext", name, value)
@@ -239,11 +254,11 @@ local function unpack_extensions(fsm, part, is_migrated)
 end
 
 -- Returns the nodes that are targets, by transition.
-local function unpack_targets(fsm, part)
-  local targets, list = {}, part.targets or NONE
+local function unpack_targets(fsm, list)
+  local targets = {}
   for i = 1, #list, 3 do
-    local state, node = find_state(fsm, list[i]), charts.find_node(fsm, list[i + 2])
-    local id = unpack(list[i + 1], 2)
+    local state = charts.find_state(fsm, list[i])
+    local node, id = charts.find_node(fsm, list[i + 2]), unpack(list[i + 1], 2)
     local tr = state and is_scalar(id) and rawget(state, id)
     if not (rfsm.is_trans(tr) and node) then
       fail("targets: a transition and a node expected, got '%s' in '%s', '%s'",
@@ -254,32 +269,34 @@ local function unpack_targets(fsm, part)
   return targets
 end
 
-local function set_targets(fsm, targets)
-  local first, nodes = charts.of(fsm).targets, charts.nodes(fsm)
-  for i, tr in ipairs(charts.transitions(fsm)) do
-    local node = nodes[first[i]]
-    if tr.tgt ~= node then tr.tgt = node end
+local function set_targets(own, targets)
+  local first, transitions = own.targets, own.transitions
+  for i = 1, #transitions do
+    if transitions[i].tgt ~= first[i] then transitions[i].tgt = first[i] end
   end
-  for tr, node in pairs(targets) do tr.tgt = node end -- any order
+  for tr, node in next, targets do tr.tgt = node end -- any order
 end
 
 local function set_fields(state, keeper, fields)
-  for _, name in ipairs(keeper.names) do
+  local names, first = keeper.names, keeper.first
+  for i = 1, #names do
+    local name = names[i]
     local value = fields[name]
-    if value == nil then value = copy_of(keeper.first[name]) end
+    if value == nil then value = copy_of(first[name]) end
     if rawequal(value, plain.NIL) then value = nil end
     state[name] = value
   end
 end
 
 -- Gives states what they kept, and the rest its first values.
-local function set_data(fsm, data, saved, is_migrated)
-  local nodes = charts.nodes(fsm)
-  for _, keeper in ipairs(charts.of(fsm).keepers) do
-    local state, value = nodes[keeper.index], saved[keeper.fqn]
-    set_fields(state, keeper, data[keeper.fqn] or NONE)
-    if keeper.has_load and (value or not is_migrated) then
-      plain.try("load of " .. keeper.fqn, state.load, fsm, state, value and value.value)
+local function set_data(part)
+  local own = part.own
+  for i, keeper in ipairs(own.chart.keepers) do
+    local state, value = own.states[i], (part.saved or NONE)[keeper.fqn]
+    set_fields(state, keeper, part.data[keeper.fqn] or NONE)
+    if keeper.has_load and (value or not part.how.has_changed) then
+      plain.try("load of " .. keeper.fqn, state.load, part.fsm, state,
+        value and value.value)
     end
   end
 end
@@ -287,40 +304,49 @@ end
 --- What is to be put into a machine or region, all of it checked.
 ---@class rfsm.snapshot.Part
 ---@field fsm rfsm.Machine
+---@field own rfsm.snapshot.Own
 ---@field leaf rfsm.State|false
 ---@field mode string
 ---@field queue any[]
 ---@field data table<string, table> by FQN
----@field saved table<string, table> by FQN
----@field targets table<rfsm.Transition, table>
 ---@field values table<string, table> of extensions
 ---@field how table for the hooks of extensions
----@field is_migrated boolean the chart is another one than that of the snapshot
+---@field saved? table<string, table> by FQN
+---@field targets? table<rfsm.Transition, table>
 
--- Returns the part for a machine. Timers follow the chart if its structure has changed.
-local function new_part(fsm, snap, how, change)
-  return { fsm = fsm, leaf = find_leaf(fsm, snap.leaf),
+local function new_part(fsm, snap, how)
+  local own = charts.of(fsm)
+  local part = { fsm = fsm, own = own, leaf = find_leaf(fsm, own, snap.leaf),
     mode = snap.done == true and "done" or "active", queue = unpack_queue(snap),
-    data = unpack_data(fsm, snap), saved = unpack_saved(fsm, snap),
-    targets = unpack_targets(fsm, snap),
-    values = unpack_extensions(fsm, snap, change == "structure"), how = how,
-    is_migrated = change ~= nil }
+    data = snap.data and unpack_data(own, snap.data) or NONE,
+    values = snap.ext and unpack_extensions(fsm, snap.ext, how.is_migrated) or NONE,
+    how = how }
+  if snap.saved then part.saved = unpack_saved(fsm, snap.saved) end
+  if snap.targets then part.targets = unpack_targets(fsm, snap.targets) end
+  return part
 end
 
--- Returns the parts for a machine and its regions.
+local function is_never_new() return false end
+
+-- How a snapshot of the same chart is put.
+local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
+  is_new = is_never_new }
+
+-- Returns the parts for a machine and its regions. Timers follow the chart if its
+-- structure has changed.
 local function new_parts(fsm, snap, options)
-  local parts, is_known = {}, {}
+  local parts, how = {}, UNCHANGED
   local moved, changes, is_new = move.to(fsm, move.check_shape(snap), options)
-  move.each_part(fsm, moved, function(machine, inner, prefix, i)
-    local change = changes and changes[prefix]
-    is_known[prefix] = true
-    parts[i] = new_part(machine, inner, { entries = options.entries,
-      is_migrated = change == "structure",
-      is_new = function(event) return is_new ~= nil and is_new(prefix, event) end },
-      change)
-  end)
-  for prefix in pairs(moved.regions or NONE) do -- any order: each stands alone
-    if not is_known[prefix] then fail("no region is '%s'", text_of(prefix)) end
+  for i, at in ipairs(charts.of(fsm).places) do
+    local prefix = at.prefix
+    if changes or options.entries then
+      local change = changes and changes[prefix]
+      how = { entries = options.entries, has_changed = change ~= nil,
+        is_migrated = change == "structure", is_new = is_new and function(event)
+          return is_new(prefix, event)
+        end or is_never_new }
+    end
+    parts[i] = new_part(at.machine, move.part_of(moved, prefix), how)
   end
   return parts
 end
@@ -336,17 +362,17 @@ end
 
 -- Functions of the chart and of extensions may fail from here on.
 local function load_part(part)
-  local fsm = part.fsm
-  set_data(fsm, part.data, part.saved, part.is_migrated)
-  for _, hook in ipairs(charts.hooks(fsm)) do
-    hook.load(fsm, part.values[hook.name], part.how)
+  set_data(part)
+  local hooks = charts.hooks(part.fsm)
+  for i = 1, #hooks do
+    hooks[i].load(part.fsm, part.values[hooks[i].name], part.how)
   end
 end
 
 local function set_parts(parts)
   for _, part in ipairs(parts) do
     rfsm.place(part.fsm, part.leaf, part.mode, part.queue)
-    set_targets(part.fsm, part.targets)
+    set_targets(part.own, part.targets or NONE)
   end
   for _, part in ipairs(parts) do load_part(part) end
 end
@@ -354,16 +380,46 @@ end
 -- May loading into a machine or its regions fail?
 local function can_fail(parts)
   for _, part in ipairs(parts) do
-    if charts.of(part.fsm).has_load or charts.hooks(part.fsm)[1] then return true end
+    if part.own.chart.has_load or charts.hooks(part.fsm)[1] then return true end
   end
   return false
 end
 
+-- Is a snapshot of the same chart, without what is rare?
+local function is_usual(own, snap)
+  return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
+    and snap.version == move.VERSION and not (snap.queue or snap.saved or snap.targets
+    or snap.regions) and not (own.chart.has_load or own.places[2])
+end
+
+-- The short way, for a host that puts one snapshot of `take` after another into a
+-- machine: nothing is made or looked for that is not there. Returns false, and has
+-- changed nothing, if it does not know the way.
+local function put_directly(fsm, snap, is_tidy)
+  local own, data, ext = charts.of(fsm), snap.data or NONE, snap.ext or NONE
+  local keepers, hooks = own.chart.keepers, charts.hooks(fsm)
+  if not is_usual(own, snap) then return false end
+  local leaf = own.nodes[own.chart.leaves[snap.leaf]]
+  rfsm.place(fsm, leaf, snap.done and "done" or "active", {})
+  if not is_tidy then set_targets(own, NONE) end
+  for i = 1, #keepers do
+    local fqn = keepers[i].fqn
+    local fields = data[fqn] or NONE
+    if not plain.is_flat(fields) then fields = unpack_table("data", fqn, fields) end
+    set_fields(own.states[i], keepers[i], fields)
+  end
+  for i = 1, #hooks do
+    local name = hooks[i].name
+    hooks[i].load(fsm, ext[name] and unpack_table("ext", name, ext[name]), UNCHANGED)
+  end
+  return true
+end
+
 -- Has a machine stand where the snapshot says. If a load fails it stands again where it
--- stood, unless it `is_new`.
-local function put(fsm, snap, options, is_new)
+-- stood, unless it may be reset.
+local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
-  if not is_new and can_fail(parts) then has_before, before = pcall(take, fsm) end
+  if not may_reset and can_fail(parts) then has_before, before = pcall(take, fsm) end
   local ok, failure = pcall(set_parts, parts)
   if not ok then
     rfsm.reset(fsm)
@@ -391,7 +447,7 @@ function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
-  if options and options.structure then snap.structure = charts.of(fsm).all end
+  if options and options.structure then snap.structure = charts.of(fsm).chart.all end
   return snap
 end
 
@@ -401,10 +457,18 @@ end
 ---@field rename? table<string, string> new FQN of states that moved, by the old one
 ---@field migrate? fun(snap: table, list: string[]): table|false? false refuses
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
+---@field trusted? boolean the snapshot is as `take` made it; if it is not, `put` may
+--- reset the machine, or set less. Faster, for one machine that stands for many.
+---@field is_tidy? boolean nothing has run since `take`, and then no target was set
 
-local function try_put(fsm, snap, options, is_new)
-  if type(options) ~= "table" then options = {} end -- dkjson.decode returns a position
-  local ok, failure = try(put, fsm, snap, options, is_new)
+local function try_put(fsm, snap, options, may_reset)
+  if type(options) ~= "table" then options = NONE end -- a position of dkjson.decode
+  local ok, failure = true, false
+  if options.trusted then
+    ok, failure = try(put_directly, fsm, snap, options.is_tidy)
+  end
+  if not ok then rfsm.reset(fsm) end
+  if ok and not failure then ok, failure = try(put, fsm, snap, options, may_reset) end
   if ok then return true end
   return false, "rfsm.snapshot: " .. reason(failure),
     type(failure) == "table" and failure.difference or nil
@@ -458,9 +522,9 @@ end
 ---@return { data: table?, saved: table?, targets: any[]? } kept
 ---@nodiscard
 function snapshot.take_data(fsm)
-  local kept = {}
-  take_data(fsm, kept, { owner = "", prefix = "root", base = BASE, seen = {} })
-  take_targets(fsm, kept)
+  local kept, own = {}, charts.of(fsm)
+  take_data(fsm, own, kept, path_of(own, "root", BASE))
+  take_targets(own, kept)
   return kept
 end
 
@@ -469,8 +533,9 @@ end
 ---@param fsm rfsm.Machine
 ---@param kept { data: table?, saved: table?, targets: any[]? }
 function snapshot.put_data(fsm, kept)
-  set_targets(fsm, unpack_targets(fsm, kept))
-  set_data(fsm, unpack_data(fsm, kept), unpack_saved(fsm, kept), false)
+  local part = new_part(fsm, kept, UNCHANGED)
+  set_targets(part.own, part.targets or NONE)
+  set_data(part)
 end
 
 --- Return the structure of a chart as lines, for `restore` of its snapshots elsewhere.

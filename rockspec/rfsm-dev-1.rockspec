@@ -100,7 +100,6 @@ build = {
     ["rfsm.redis.functions"] = "rfsm/redis/functions.lua",
     ["rfsm.redis.keys"] = "rfsm/redis/keys.lua",
     ["rfsm.redis.sandbox"] = "rfsm/redis/sandbox.lua",
-    ["rfsm.redis.short"] = "rfsm/redis/short.lua",
     ["rfsm.rfsm"] = "rfsm/rfsm.lua",
     ["rfsm.rfsm2json"] = "rfsm/rfsm2json.lua",
     ["rfsm.rtt"] = "rfsm/rtt.lua",

@@ -13,6 +13,9 @@ end
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
 local redis = require "rfsm.redis"
+local redis_host = require "spec.support.redis_host"
+local rfsm = require "rfsm"
+local timeevent = require "rfsm_timeevent"
 
 teardown(servers.stop_all)
 after_each(helper.remove_files)
@@ -55,6 +58,15 @@ return rfsm.state {
 }]]
 
 local server
+
+-- Loads a module once more; what is loaded stays.
+local function reloaded(name)
+  local loaded = package.loaded[name]
+  package.loaded[name] = nil
+  local module = require(name)
+  package.loaded[name] = loaded
+  return module
+end
 
 local function library(options, charts)
   local arguments = {}
@@ -118,11 +130,33 @@ describe("an event with an id", function()
     assert.equal(3, count_of("{0}"))
   end)
 
+  it("is known for a time, if the library says so", function()
+    local clock = { now = 1000 }
+    local functions = reloaded("rfsm.redis.functions")(redis_host.new({}, clock),
+      { { name = "c", make = function() return rfsm.load_str(COUNTER) end } },
+      { ids_for = 10, ids = 3 })
+    functions.rfsm_create({ "m" }, { "c" })
+    local function count_after(id)
+      functions.rfsm_send({ "m" }, { "e_tick", "ID", id })
+      return tonumber(functions.rfsm_get({ "m" })[12])
+    end
+    assert.same({ 1, 1, 2 }, { count_after("a"), count_after("a"), count_after("b") })
+    clock.now = 1010
+    assert.same({ 2, 3 }, { count_after("a"), count_after("c") }, "for 10 seconds")
+    clock.now = 1011
+    assert.same({ 4, 5 }, { count_after("d"), count_after("a") }, "no longer")
+    assert.same({ 5, 6, 7 }, { count_after("c"), count_after("e"), count_after("c") },
+      "three at most")
+    timeevent.set_gettime_hook(nil)
+  end)
+
   it("has an id of 1 to 64 bytes", function()
     machines:create(1, "counter")
     assert.equal("ERR rfsm_send: ID: 1 to 64 bytes expected, got 65 ",
       call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(65)))
     assert.equal(0, count_of(1))
+    call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(64))
+    assert.equal(1, count_of(1))
   end)
 
   it("that the client sends again is applied once", function()
@@ -157,14 +191,16 @@ describe("an error changes nothing:", function()
     { what = "a stream of another type", key = "rfsm:out:{0}", event = "e_emit",
       kind = "stream" },
     { what = "a due set of another type", key = "rfsm:due:{0}", event = "e_b",
-      kind = "zset" },
+      is_first = true },
     { what = "an index of another type", key = "rfsm:in:{0}", event = "e_b",
       kind = "zset" },
     { what = "a history of another type", key = "m:{0}:1:history", event = "e_b",
       kind = "stream" },
   } do
     it(case.what, function()
-      assert.equal(("ERR rfsm_send: %s expected at '%s', got string"):format(case.kind,
+      assert.equal(case.is_first and ("ERR rfsm_send: ZREM %s: WRONGTYPE Operation "
+        .. "against a key holding the wrong kind of value"):format(case.key)
+        or ("ERR rfsm_send: %s expected at '%s', got string"):format(case.kind,
         case.key), refusal(function()
           server:cli("DEL '" .. case.key .. "'")
           server:cli("SET '" .. case.key .. "' x")
@@ -175,8 +211,8 @@ describe("an error changes nothing:", function()
   for _, case in ipairs {
     { what = "no right to add to the stream", rule = "-xadd", event = "e_emit",
       text = "XADD rfsm:out:{0}" },
-    { what = "no right to publish", rule = "-spublish", event = "e_long",
-      text = "ZREM rfsm:due:{0}" , rule2 = "-zrem" },
+    { what = "no right to remove", rule = "-zrem", event = "e_long",
+      text = "ZREM rfsm:in:{0}" },
     { what = "no right to publish at all", rule = "-spublish", event = "e_long",
       text = "SPUBLISH rfsm:{0}:m:{0}:1" },
   } do
@@ -184,7 +220,7 @@ describe("an error changes nothing:", function()
       assert(machines:create(1, "timed"))
       local before = server:cli("DUMP " .. key_of(1))
       server:cli("ACL SETUSER worker reset on '>pass%word' +@all '~*' '&*' "
-        .. (case.rule2 or case.rule))
+        .. case.rule)
       local url = server:url():gsub("//", "//worker:pass%%25word@") .. "/0"
       local worker = fleet.connect(url, { name = "m", tags = 1 })
       assert.same({ nil, "ERR rfsm_send: no right to do " .. case.text },
@@ -247,6 +283,22 @@ describe("consumer groups", function()
       .. "poison", dead)
     assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
     assert.equal(0, tonumber(server:cli("XPENDING rfsm:out:{0} g"):match("%d+")))
+  end)
+
+  it("try an entry five times", function()
+    emit(1)
+    local function fail() error("no", 0) end
+    for _ = 1, 5 do
+      assert.equal("0\n", server:cli("XLEN rfsm:dead:{0}"))
+      machines:work("g", "w", fail, { idle = 0 })
+    end
+    assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
+  end)
+
+  it("report a stream of another type", function()
+    server:cli("SET 'rfsm:out:{0}' x")
+    local _, problem = pcall(machines.work, machines, "g", "w", print)
+    assert.matches("^WRONGTYPE", problem)
   end)
 
   it("try an entry again after twice the time", function()
@@ -471,6 +523,17 @@ describe("the client", function()
     end)
   end
 
+  it("has ids of its own", function()
+    local one, other = connect(), connect()
+    assert.matches("^%x%x%x%x%x%x%x%x%x%x$", one.id)
+    assert.not_equal(one.id, other.id)
+  end)
+
+  it("uses TLS where the URL says so", function()
+    local _, problem = pcall(fleet.connect, (server:url():gsub("redis:", "rediss:")))
+    assert.matches(helper.package "ssl" and ": TLS: " or "lua%-sec is missing", problem)
+  end)
+
   it("refuses an option that is not known", function()
     local _, problem = pcall(fleet.connect, nil, { tag = 1 })
     assert.matches("rfsm.fleet.connect: unknown option 'tag', expected: name, "
@@ -494,6 +557,8 @@ describe("a chart that cannot run in Redis", function()
   for expected, text in pairs {
     ["FILE:2: 'os.time' does not exist in Redis"] =
       chart("-- os.time is not used\nlocal t = os.time()"),
+    ["FILE:1: 'os.date' does not exist in Redis"] =
+      chart("--[[ os.time ]] local a, t = [=[ ]] ]=], os.date()"),
     ["FILE:2: 'io.open' does not exist in Redis"] =
       chart("", "entry = function() io.open('x') end"),
     ["FILE:1: global 'posix' does not exist in Redis"] = chart("local t = posix"),

@@ -356,6 +356,7 @@ describe("a cluster of three nodes", function()
       "counter=" .. helper.file_with(COUNTER), "lamp=" .. helper.file_with(LAMP))
     for i = 1, 40 do assert(machines:create(i, "counter")) end
     for i = 41, 60 do assert(machines:create(i, "lamp")) end
+    assert.equal(3, #machines.connection.seeds)
     local _, tag = machines:key_of(1)
     local slot = tonumber(nodes[1]:cli("CLUSTER KEYSLOT {" .. tag .. "}"))
     local before = machines:get(1)

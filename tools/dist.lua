@@ -12,6 +12,8 @@ local HEAD = [[
 -- %s in one file: %s.
 -- Made by tools/dist.lua; the sources and the license are in the repository.
 
+-- The global of this name, which a sandbox may lack.
+local _, outer_require = pcall(function() return require end)
 ]]
 
 local FOOT = [[

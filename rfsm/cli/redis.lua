@@ -19,8 +19,9 @@ function redis.add_arguments(command)
   command:option("-l --load", "load the library into this server"):argname("URL")
   command:flag("--index", "machines can be found by their state")
   command:option("--history", "keep so many moves of each machine"):argname("N")
-  command:option("--ids", "keep so many ids of events of each machine, default 16")
-    :argname("N")
+  command:option("--ids", "keep so many ids of events of each machine, default 16; "
+    .. "with --ids-for 1000"):argname("N")
+  command:option("--ids-for", "keep ids of events for so many seconds"):argname("S")
   command:flag("--diff", "report what a new version means for machines in each state: "
     .. "of charts with one name, the last and the one before")
   command:option("--stats", "print the numbers of machines in this server, as "
@@ -67,7 +68,8 @@ function redis.run(options, parser)
   local ok, text, warnings = common.with_streams(io.stderr,
     require("rfsm.redis").bundle, options.files, { index = options.index,
       history = number_of(parser, "history", options.history),
-      ids = number_of(parser, "ids", options.ids) })
+      ids = number_of(parser, "ids", options.ids),
+      ids_for = number_of(parser, "ids-for", options.ids_for) })
   if not ok then common.fail(chart.first_line(text)) end
   for _, line in ipairs(warnings) do io.stderr:write("rfsm redis: ", line, "\n") end
   if options.load then common.try(connect(options.load):load(text)) end

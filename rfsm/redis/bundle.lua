@@ -7,12 +7,11 @@ local io, package = io, package
 
 local bundle = {}
 
---- The text before the modules: a `require` that finds them.
+--- The text before the modules: a `require` that finds them. In front of it
+-- `outer_require` is declared, the one of the host if there is one.
 bundle.HEAD = [[
 local bundled, loaded = {}, {}
 
--- Stands for the global of this name, which a sandbox may lack.
-local _, outer_require = pcall(function() return require end)
 local function require(name)
   if not bundled[name] then
     if type(outer_require) == "function" then return outer_require(name) end

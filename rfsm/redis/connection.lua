@@ -131,6 +131,9 @@ end
 -- Learns the nodes of a cluster, if it is one.
 local function learn(self, client)
   local ok, slots = pcall(command, client, "CLUSTER", "SLOTS")
+  if not ok and is_lost(slots) then
+    error("rfsm.fleet: no server of Redis answers: " .. slots, 0)
+  end
   local is_known = {}
   for _, address in ipairs(self.seeds) do is_known[address] = true end
   for _, range in ipairs(ok and slots or {}) do

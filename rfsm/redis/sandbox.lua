@@ -99,8 +99,7 @@ local function find_missing(code)
 end
 
 local OPENS = { ["function"] = true, ["if"] = true, ["do"] = true, ["repeat"] = true }
-local LEAVES = { ["break"] = true, ["return"] = true, ["error"] = true, yield = true,
-  ["goto"] = true }
+local LEAVES = { ["break"] = true, ["return"] = true, error = true, yield = true }
 
 -- Does the block whose first word begins at a position never leave its loop?
 local function is_endless(code, at)

@@ -14,17 +14,15 @@ local floor = math.floor
 local concat, sort = table.concat, table.sort
 local fail, is_scalar, text_of = plain.fail, plain.is_scalar, rfsm.text_of
 
-local chart = {}
+local chart, NONE = {}, {}
 
 -- Seam: what the core does not offer by a public name yet --------------------------
 
 -- Stands for the structure, the same table for all machines of one model.
 local function structure_of(fsm) return fsm._plan end
 
---- Return the nodes of a machine, at the same positions in all machines of a structure.
----@param fsm rfsm.Machine
----@return table[] nodes
-function chart.nodes(fsm) return fsm._nodes end
+-- Returns the nodes of a machine, at the same positions in all machines of a structure.
+local function nodes_of(fsm) return fsm._nodes end
 
 --- Return the transitions of a machine, likewise.
 ---@param fsm rfsm.Machine
@@ -34,7 +32,7 @@ function chart.transitions(fsm) return fsm._transitions end
 --- Return the hooks of extensions that keep something of a machine.
 ---@param fsm rfsm.Machine
 ---@return { name: string, save: function, load: function }[] hooks
-function chart.hooks(fsm) return fsm._snapshot_hooks or {} end
+function chart.hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 -- Returns the FQN of the target that the model names.
 local function target_of(tr) return tr["_%def"].tgt.fqn end
@@ -149,24 +147,29 @@ end
 ---@field keepers rfsm.snapshot.Keeper[]
 ---@field keeper table<string, rfsm.snapshot.Keeper> by FQN
 ---@field has_load boolean a keeper has functions, which may fail
----@field owners integer[] the states that have regions
+---@field has_regions boolean
 ---@field index table<string, integer> numbers of the nodes, by FQN
+---@field leaves table<string, integer> those of the leaves
 ---@field targets integer[] number of the target of each transition
 
 -- What is known of structures that are in use, and by name.
 local charts = setmetatable({}, { __mode = "k" })
 local by_name = setmetatable({}, { __mode = "v" })
 
+-- The latest ones are known whether they are in use or not.
+local count, MAX_LATEST = 0, 64
+chart.latest = {}
+
 local function add_lines(self, fsm)
-  for i, node in ipairs(chart.nodes(fsm)) do self.index[node._fqn] = i end
+  for i, node in ipairs(nodes_of(fsm)) do self.index[node._fqn] = i end
   for i, tr in ipairs(chart.transitions(fsm)) do
     self.targets[i] = self.index[target_of(tr)]
   end
   for i, obj in ipairs(rfsm.elements(fsm)) do self.lines[i] = line_of(obj) end
 end
 
-local function add_keeper(self, state, index)
-  local keeper = keeper_of(state, index)
+local function add_keeper(self, state)
+  local keeper = keeper_of(state, self.index[state._fqn])
   if not keeper then return end
   self.keepers[#self.keepers + 1], self.keeper[keeper.fqn] = keeper, keeper
   self.has_load = self.has_load or keeper.has_load
@@ -178,46 +181,28 @@ local function add_keeper(self, state, index)
   end
 end
 
--- Notes that a state runs machines, and their names.
-local function add_regions(self, state, index)
-  local regions = rfsm.regions(state)
-  if not regions[1] then return end
-  self.owners[#self.owners + 1] = index
+-- Notes the names of the machines that a state runs.
+local function add_regions(self, state)
+  if not rfsm.regions(state)[1] then return end
+  self.has_regions = true
   for _, name in ipairs(state._regions.names) do
     self.fields[#self.fields + 1] = "region " .. state._fqn .. "." .. text_of(name)
   end
 end
 
-local function append(list, prefix, more)
-  for _, line in ipairs(more) do list[#list + 1] = prefix .. line end
-end
-
--- Lists the lines of a machine and of its regions.
-local function all_lines(self, fsm)
-  local all = {}
-  append(all, "", self.lines)
-  append(all, "", self.fields)
-  for _, at in ipairs(chart.regions(fsm) or {}) do
-    local inner = chart.of(at.machine)
-    append(all, at.prefix .. ": ", inner.lines)
-    append(all, at.prefix .. ": ", inner.fields)
-  end
-  return all
-end
-
---- Return what is known of the structure of a machine.
----@param fsm rfsm.Machine
----@return rfsm.snapshot.Chart
-function chart.of(fsm)
+-- Returns what is known of the structure of a machine.
+local function chart_of(fsm)
   local key = structure_of(fsm)
-  local self = charts[key]
-  if self then return self end
-  self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
-    keepers = {}, keeper = {}, has_load = false, owners = {}, index = {}, targets = {} }
+  if charts[key] then return charts[key] end
+  local self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
+    keepers = {}, keeper = {}, has_load = false, has_regions = false, index = {},
+    leaves = {}, targets = {} }
   add_lines(self, fsm)
-  for _, obj in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    add_keeper(self, obj, self.index[obj._fqn])
-    add_regions(self, obj, self.index[obj._fqn])
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local fqn = state._fqn
+    self.leaves[fqn] = rfsm.is_leaf(state) and self.index[fqn] or nil
+    add_keeper(self, state)
+    add_regions(self, state)
   end
   sort(self.fields)
   self.structure = fingerprint_of(self.lines)
@@ -226,7 +211,13 @@ function chart.of(fsm)
     self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
   end
   charts[key], by_name[self.structure], by_name[self.name] = self, self, self
-  self.all = all_lines(self, fsm)
+  count = count % MAX_LATEST + 1
+  chart.latest[count] = self
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    local known = at.machine == fsm and self or chart_of(at.machine)
+    chart.append(self.all, at.prefix, known.lines)
+    chart.append(self.all, at.prefix, known.fields)
+  end
   return self
 end
 
@@ -235,13 +226,62 @@ end
 ---@return rfsm.snapshot.Chart?
 function chart.named(name) return by_name[name] end
 
+--- Append lines of the machine at a place.
+---@param list string[]
+---@param prefix string
+---@param more string[]
+function chart.append(list, prefix, more)
+  local head = prefix == "root" and "" or prefix .. ": "
+  for _, line in ipairs(more) do list[#list + 1] = head .. line end
+end
+
+--- Return the structure of a chart as lines.
+---@param model rfsm.State|string[] a model, a machine, or such lines
+---@return string[] lines none if the model is wrong
+function chart.structure(model)
+  if not rfsm.is_state(model) then return model end
+  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
+  return fsm and chart_of(fsm).all or {}
+end
+
+-- Machines --------------------------------------------------------------------------
+
+--- What is known of a machine, in its field `_kept`, as long as its structure is the
+--- same.
+---@class rfsm.snapshot.Own
+---@field key table stands for the structure
+---@field chart rfsm.snapshot.Chart
+---@field places rfsm.Place[] the machine, and its regions at any depth
+---@field states rfsm.State[] that of each keeper
+---@field nodes table[]
+---@field transitions rfsm.Transition[]
+---@field targets table[] the target of each of them, as the model names it
+---@field path rfsm.snapshot.Path for `take`
+
+--- Return what is known of a machine.
+---@param fsm rfsm.Machine
+---@return rfsm.snapshot.Own
+function chart.of(fsm)
+  local own, key = fsm._kept, structure_of(fsm)
+  if own and own.key == key then return own end
+  local known, nodes = chart_of(fsm), nodes_of(fsm)
+  own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
+    states = {}, nodes = nodes, transitions = chart.transitions(fsm), targets = {},
+    path = { owner = "", keeper = false, prefix = "root", base = 0, seen = false } }
+  if known.has_regions then own.places = rfsm.machines(fsm) end
+  for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.index] end
+  for i, index in ipairs(known.targets) do own.targets[i] = nodes[index] end
+  fsm._kept = own
+  return own
+end
+
 --- Return the node that an FQN names; nil if there is none.
 ---@param fsm rfsm.Machine
 ---@param fqn any
 ---@return table? node
 function chart.find_node(fsm, fqn)
-  local index = chart.of(fsm).index[fqn]
-  return index and chart.nodes(fsm)[index]
+  local index = chart.of(fsm).chart.index[fqn]
+  return index and nodes_of(fsm)[index]
 end
 
 --- Return the state that an FQN names; nil if there is none.
@@ -251,31 +291,6 @@ end
 function chart.find_state(fsm, fqn)
   local node = chart.find_node(fsm, fqn)
   return node and rfsm.is_state(node) and node or nil
-end
-
--- Regions --------------------------------------------------------------------------
-
---- Return the regions in the states of a machine, at any depth; nil if it has none.
----@param fsm rfsm.Machine
----@return rfsm.Place[]? places those of `rfsm.machines`, without the machine itself
-function chart.regions(fsm)
-  local self = chart.of(fsm)
-  if not self.owners[1] then return nil end
-  local known = fsm._kept_regions
-  if known and known.chart == self then return known end
-  known = rfsm.machines(fsm)
-  table.remove(known, 1)
-  known.chart, fsm._kept_regions = self, known
-  return known
-end
-
---- Return the structure of a chart as lines.
----@param model rfsm.State|string[] a model, a machine, or such lines
----@return string[] lines none if the model is wrong
-function chart.structure(model)
-  if not rfsm.is_state(model) then return model end
-  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
-  return fsm and chart.of(fsm).all or {}
 end
 
 return chart

@@ -42,8 +42,9 @@ end
 
 -- Gives a value to all that a machine keeps.
 local function fill(fsm)
-  for _, keeper in ipairs(charts.of(fsm).keepers) do
-    local state = charts.find_state(fsm, keeper.fqn)
+  local own = charts.of(fsm)
+  for i, keeper in ipairs(own.chart.keepers) do
+    local state = own.states[i]
     for _, name in ipairs(keeper.names) do
       if state[name] == nil then state[name] = true end
     end
@@ -121,17 +122,14 @@ end
 function diff.compare(old, new)
   local before, after = new_machine(old), new_machine(new)
   local options = { rename = after.rename, migrate = after.migrate }
-  local difference = move.difference(charts.of(before).all, charts.of(after).all)
-  if concat(charts.of(before).all, "\n") == concat(charts.of(after).all, "\n") then
-    return {}, {}
-  end
-  fill(before)
-  for _, at in ipairs(charts.regions(before) or {}) do fill(at.machine) end
+  local was, is = charts.structure(before), charts.structure(after)
+  if concat(was, "\n") == concat(is, "\n") then return {}, {} end
+  for _, at in ipairs(charts.of(before).places) do fill(at.machine) end
   local fates = {}
   for i, leaf in ipairs(rfsm.elements(before, rfsm.is_leaf)) do
     fates[i] = fate_of(before, new, leaf, options)
   end
-  return difference, fates
+  return move.difference(was, is), fates
 end
 
 --- Return a report as text.

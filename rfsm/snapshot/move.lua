@@ -13,7 +13,7 @@ local select, type = select, type
 local concat = table.concat
 local fail, text_of = plain.fail, rfsm.text_of
 
-local move = { VERSION = 2 }
+local move, NONE = { VERSION = 2 }, {}
 
 -- Shape -----------------------------------------------------------------------------
 
@@ -27,18 +27,19 @@ local WHOLE = { version = "number", regions = "table", structure = "table" }
 for field, kind in pairs(PART) do WHOLE[field] = kind end -- any order: a copy
 
 local function check_fields(snap, fields, where)
-  local wrong = {}
+  local wrong = nil
   for field, value in pairs(snap) do -- any order: the least one is named
     if type(value) ~= fields[field] and not plain.is_null(value) then
+      wrong = wrong or {}
       wrong[field] = true
     end
   end
-  local field = next(wrong) ~= nil and rfsm.sorted_keys(wrong)[1]
-  if field and not fields[field] then
+  if not wrong then return end
+  local field = rfsm.sorted_keys(wrong)[1]
+  if not fields[field] then
     fail("%sno snapshot has a field '%s'", where, text_of(field))
-  elseif field then
-    fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
   end
+  fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
 end
 
 -- Returns what an extension kept under a name, and takes it away.
@@ -92,7 +93,7 @@ function move.check_shape(snap)
   end
   if not snap.chart then fail("chart: string expected, got nil") end
   check_fields(snap, WHOLE, "")
-  for prefix, part in pairs(snap.regions or {}) do -- any order: each stands alone
+  for prefix, part in pairs(snap.regions or NONE) do -- any order: each stands alone
     if type(part) ~= "table" then
       fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
     end
@@ -103,24 +104,19 @@ end
 
 -- Parts: a machine and its regions --------------------------------------------------
 
-local NONE = {}
-
---- Call `f(machine, part, prefix, index)` for a machine and each of its regions.
----@param fsm rfsm.Machine
+--- Return what a snapshot holds of the machine at a place.
 ---@param snap rfsm.snapshot.Snapshot
----@param f function `part` is what the snapshot holds of the machine
-function move.each_part(fsm, snap, f)
-  f(fsm, snap, "root", 1)
-  local regions = snap.regions or NONE
-  for i, at in ipairs(charts.regions(fsm) or NONE) do
-    f(at.machine, regions[at.prefix] or NONE, at.prefix, i + 1)
-  end
+---@param prefix string
+---@return table part
+function move.part_of(snap, prefix)
+  if prefix == "root" then return snap end
+  return (snap.regions or NONE)[prefix] or NONE
 end
 
 -- Returns what differs between a machine and the part of a snapshot: nil, "kept" or
 -- "structure".
 local function change_of(machine, part)
-  local chart = charts.of(machine)
+  local chart = charts.of(machine).chart
   if part.chart == nil or part.chart == chart.name then return nil end
   return part.chart:match("^[^-]*") == chart.structure and "kept" or "structure"
 end
@@ -148,15 +144,15 @@ end
 
 -- Notes where a machine was, and targets that were set, that are gone.
 local function note_places(list, machine, part, prefix)
-  local chart, targets = charts.of(machine), part.targets or NONE
+  local index, targets = charts.of(machine).chart.index, part.targets or NONE
   if part.leaf and not charts.find_state(machine, part.leaf) then
     list[#list + 1] = "state " .. prefix .. part.leaf:sub(5)
   end
   for i = 1, #targets, 3 do
-    local state = chart.index[targets[i]] and charts.find_state(machine, targets[i])
+    local state = charts.find_state(machine, targets[i])
     local id = plain.unpack(targets[i + 1], 2)
     if not (state and plain.is_scalar(id) and rfsm.is_trans(state[id])
-      and chart.index[targets[i + 2]]) then
+      and index[targets[i + 2]]) then
       list[#list + 1] = ("target %s of transition %s in %s"):format(
         text_of(targets[i + 2]), text_of(id), text_of(targets[i]))
     end
@@ -182,12 +178,14 @@ end
 ---@return string[] list
 function move.lost(fsm, snap)
   local list, is_known = {}, {}
-  move.each_part(fsm, snap, function(machine, part, prefix)
+  for _, at in ipairs(charts.of(fsm).places) do
+    local machine, prefix = at.machine, at.prefix
+    local part = move.part_of(snap, prefix)
     is_known[prefix] = true
     note_places(list, machine, part, prefix)
-    note_data(list, charts.of(machine), part, prefix)
+    note_data(list, charts.of(machine).chart, part, prefix)
     note_extensions(list, machine, part, prefix)
-  end)
+  end
   for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
     if not is_known[prefix] then list[#list + 1] = "region " .. text_of(prefix) end
   end
@@ -277,35 +275,27 @@ function move.difference(old, new)
   return list
 end
 
-local function append(list, prefix, more)
-  for _, line in ipairs(more) do list[#list + 1] = prefix .. line end
-end
-
 -- Returns the lines of the charts that the parts of a snapshot name, if all are known,
 -- and those of the machine and its regions. Without a name there is nothing to compare.
 local function known_lines(fsm, snap)
-  local old, new, is_known = {}, {}, true
-  move.each_part(fsm, snap, function(machine, part, prefix)
-    local chart = charts.of(machine)
-    local was = part.chart and charts.named(part.chart) or not part.chart and chart
-    if not was then
-      is_known = false
-      return
+  local old, new = {}, {}
+  for _, at in ipairs(charts.of(fsm).places) do
+    local chart, name = charts.of(at.machine).chart, move.part_of(snap, at.prefix).chart
+    local was = name and charts.named(name) or not name and chart
+    if not was then return nil end
+    charts.append(old, at.prefix, was.lines)
+    charts.append(new, at.prefix, chart.lines)
+    if name and name:find("-", 1, true) then
+      charts.append(old, at.prefix, was.fields)
+      charts.append(new, at.prefix, chart.fields)
     end
-    local head = prefix == "root" and "" or prefix .. ": "
-    append(old, head, was.lines)
-    append(new, head, chart.lines)
-    if part.chart and part.chart:find("-", 1, true) then
-      append(old, head, was.fields)
-      append(new, head, chart.fields)
-    end
-  end)
-  return is_known and old or nil, new
+  end
+  return old, new
 end
 
 -- Returns the lines of the chart of a snapshot, and those of the machine to compare.
 local function lines_of(fsm, snap, given)
-  local chart, has_fields = charts.of(fsm), false
+  local chart, has_fields = charts.of(fsm).chart, false
   if given then return charts.structure(given), chart.all end
   if not snap.structure then return known_lines(fsm, snap) end
   for _, line in ipairs(snap.structure) do
@@ -354,15 +344,16 @@ end
 -- Returns what differs for a machine and its regions: nil, "kept" or "structure"; and
 -- by prefix.
 local function changes(fsm, snap)
-  local most, by_prefix, count, known = nil, {}, 0, 0
-  move.each_part(fsm, snap, function(machine, part, prefix)
-    local change = change_of(machine, part)
-    by_prefix[prefix] = change
-    if change == "structure" or not most then most = change end
-    if part ~= NONE and prefix ~= "root" then known = known + 1 end
-  end)
+  local most, by_prefix, count = nil, {}, 0
   for _ in pairs(snap.regions or NONE) do count = count + 1 end -- any order: a number
-  return most or count > known and "kept" or nil, by_prefix
+  for _, at in ipairs(charts.of(fsm).places) do
+    local part = move.part_of(snap, at.prefix)
+    local change = change_of(at.machine, part)
+    by_prefix[at.prefix] = change
+    if change == "structure" or not most then most = change end
+    if part ~= NONE and part ~= snap then count = count - 1 end
+  end
+  return most or count > 0 and "kept" or nil, by_prefix
 end
 
 -- Returns the snapshot with new names, and as `migrate` returns it, in a copy.
@@ -371,6 +362,34 @@ local function change(snap, list, options)
   snap = plain.copy_of(snap)
   if options.rename then snap = rename_states(snap, options.rename) end
   return options.migrate and migrate(snap, list, options) or snap
+end
+
+-- A region that no machine has is refused.
+local function check_regions(places, snap)
+  local is_known = {}
+  for _, at in ipairs(places) do is_known[at.prefix] = at.machine end
+  for prefix in pairs(snap.regions) do -- any order: each stands alone
+    if not is_known[prefix] then fail("no region is '%s'", text_of(prefix)) end
+  end
+  return snap
+end
+
+-- Returns a snapshot of another chart as one for that of a machine, and as `to`.
+local function move_snapshot(fsm, snap, options, most)
+  local lost = move.lost(fsm, snap)
+  local is_format_1 = not snap.chart:find("-", 1, true)
+  if most == "kept" and is_format_1 and not lost[1] then
+    return snap, select(2, changes(fsm, snap))
+  end
+  local old, new = lines_of(fsm, snap, options.old)
+  local list = old and move.difference(old, new) or missing(lost)
+  if most == "structure" and not (options.rename or options.migrate) then
+    refuse("the snapshot is of another chart", list)
+  end
+  snap = change(snap, list, options)
+  lost = move.lost(fsm, snap)
+  if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
+  return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
 end
 
 --- Return a snapshot as one for the chart of a machine, a copy if it is of another one.
@@ -382,20 +401,12 @@ end
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new
 function move.to(fsm, snap, options)
-  local most, by_prefix = changes(fsm, snap)
-  if not most then return snap end
-  local lost = move.lost(fsm, snap)
-  local is_format_1 = not snap.chart:find("-", 1, true)
-  if most == "kept" and is_format_1 and not lost[1] then return snap, by_prefix end
-  local old, new = lines_of(fsm, snap, options.old)
-  local list = old and move.difference(old, new) or missing(lost)
-  if most == "structure" and not (options.rename or options.migrate) then
-    refuse("the snapshot is of another chart", list)
-  end
-  snap = change(snap, list, options)
-  lost = move.lost(fsm, snap)
-  if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
-  return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
+  local own = charts.of(fsm)
+  local is_alone = not (own.places[2] or snap.regions)
+  if is_alone and snap.chart == own.chart.name then return snap end
+  local most = changes(fsm, snap)
+  if most then return move_snapshot(fsm, snap, options, most) end
+  return snap.regions and check_regions(own.places, snap) or snap
 end
 
 return move

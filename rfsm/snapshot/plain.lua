@@ -5,7 +5,9 @@
 --
 --    { "%n", digits }            a number that JSON would spoil
 --    { "%t", key, value, ... }   any other table
---    { "%s", text }              a table that stands too deep for MessagePack in Redis
+--    { "%s", count, ... }        a table that is too deep for MessagePack in Redis: the
+--                                number of its keys, then for each the key, and the
+--                                value, after "t" if that is such a table, else "v"
 --    { "%p", table }             in format 1: the snapshot of a region
 --    { "%z" }                    nil in a field that is not nil at first
 --
@@ -15,11 +17,10 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
-local pcall, rawequal, rawget, tonumber = pcall, rawequal, rawget, tonumber
-local type = type
+local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
+local pairs, pcall, rawequal, rawget = pairs, pcall, rawequal, rawget
+local tonumber, type = tonumber, type
 local floor, huge, min = math.floor, math.huge, math.min
-local concat = table.concat
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
 
@@ -68,9 +69,11 @@ end
 
 --- The keys that lead to a value, for messages.
 ---@class rfsm.snapshot.Path
----@field owner string such as the FQN of a state
+---@field owner string|false what has the value, false: a state
+---@field keeper rfsm.snapshot.Keeper|false that state
+---@field prefix string location of the machine
 ---@field base integer how many tables there are around a value at depth 0
----@field seen table<table, true> tables that have come
+---@field seen table<table, true>|false tables that have come
 ---@field [integer] any keys
 
 --- Return the location of a value.
@@ -78,7 +81,7 @@ end
 ---@param depth integer how many of its keys count
 ---@return string text such as "root.a.list[2]"
 function plain.place_of(path, depth)
-  local place = path.owner
+  local place = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
     local key = path[i]
     place = place .. (type(key) == "number" and "[" .. text_of(key) .. "]"
@@ -154,17 +157,14 @@ end
 
 local pack
 
--- Returns { "%t", key, value, ... }, sorted by key.
-local function pack_pairs(t, path, depth)
+-- Returns { "%t", key, value, ... }, sorted by key, of values that are packed.
+local function to_pairs(packed, path, depth)
   local list = { "%t" }
-  for _, key in ipairs(rfsm.sorted_keys(t)) do
+  for _, key in ipairs(rfsm.sorted_keys(packed)) do
     if not is_scalar(key) then
-      fail("%s: a key that is a %s cannot be saved", place_of(path, depth - 1),
-        type(key))
+      fail("%s: a key that is a %s cannot be saved", place_of(path, depth), type(key))
     end
-    path[depth] = key
-    list[#list + 1] = pack(key, path, depth)
-    list[#list + 1] = pack(t[key], path, depth)
+    list[#list + 1], list[#list + 2] = pack(key, path, depth), packed[key]
   end
   return list
 end
@@ -183,8 +183,18 @@ local function is_plain(t)
   return count == #t and not (type(first) == "string" and first:byte() == 37)
 end
 
+--- Return a table of packed values as plain data.
+---@param packed table
+---@param path rfsm.snapshot.Path
+---@param depth integer
+---@return table
+function plain.as_table(packed, path, depth)
+  return is_plain(packed) and packed or to_pairs(packed, path, depth)
+end
+
 -- No table may come twice: the copies would no longer be one.
 local function check_table(t, path, depth)
+  path.seen = path.seen or {}
   if getmetatable(t) ~= nil then
     fail("%s: a table with a metatable cannot be saved", place_of(path, depth))
   elseif path.seen[t] then
@@ -197,66 +207,27 @@ local function check_table(t, path, depth)
   path.seen[t] = true
 end
 
--- Returns a table without the nulls of JSON in it.
-local function without_nulls(t)
-  local copy = nil
-  for key, value in pairs(t) do -- any order: a set
-    if is_null(value) then
-      copy = copy or {}
-      copy[key] = true
-    end
-  end
-  if not copy then return t end
-  local rest = {}
-  for key, value in pairs(t) do -- any order: a copy
-    if not copy[key] then rest[key] = value end
-  end
-  return rest
-end
-
---- Return data of JSON, in which null is nil.
----@param value any
----@return any value
-function plain.without_nulls(value)
-  if is_null(value) then return nil end
-  if type(value) ~= "table" then return value end
-  local copy = {}
-  for key, inner in pairs(value) do -- any order: a copy
-    copy[key] = plain.without_nulls(inner)
-  end
-  return copy
-end
-
---- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
--- that JSON has not as texts.
----@param value any
----@return any value
-function plain.to_json(value)
-  if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
-  if type(value) ~= "table" then return value end
-  local copy, count = {}, 0
-  for key, inner in pairs(value) do -- any order: a copy
-    count = count + 1
-    if not rawequal(inner, plain.NIL) then copy[key] = plain.to_json(inner) end
-  end
-  if count == #value then return copy end
-  local texts = {}
-  for key, inner in pairs(copy) do texts[text_of(key)] = inner end -- any order: a copy
-  return texts
-end
-
-local to_text
-
 local function pack_table(t, path, depth)
   check_table(t, path, depth)
-  t = without_nulls(t)
-  if not is_plain(t) then return pack_pairs(t, path, depth + 1) end
   local copy = {}
   for key, inner in pairs(t) do -- any order: each stands alone
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
-  return copy
+  return plain.as_table(copy, path, depth)
+end
+
+-- Appends a packed table to a flat list, see above.
+local function flatten(packed, list)
+  local keys = rfsm.sorted_keys(packed)
+  list[#list + 1] = #keys
+  for _, key in ipairs(keys) do
+    local value = packed[key]
+    list[#list + 1] = key
+    list[#list + 1] = type(value) == "table" and "t" or "v"
+    if type(value) == "table" then flatten(value, list) else list[#list + 1] = value end
+  end
+  return list
 end
 
 --- Return a value as plain data.
@@ -278,32 +249,35 @@ function plain.pack(value, path, depth)
     fail("%s: a %s cannot be saved", place_of(path, depth), kind)
   end
   if rawequal(value, plain.NIL) then return { "%z" } end
-  if path.base + depth <= MAX_DIRECT or path.is_text then
-    return pack_table(value, path, depth)
-  end
-  path.is_text = true -- the tables in it, too
+  if path.base + depth <= MAX_DIRECT then return pack_table(value, path, depth) end
+  local base = path.base
+  path.base = -MAX_DEPTH -- the tables in it are part of the list
   local packed = pack_table(value, path, depth)
-  path.is_text = nil
-  return { "%s", to_text(packed) }
+  path.base = base
+  return flatten(packed, { "%s" })
 end
 
 pack = plain.pack
 
--- Text ----------------------------------------------------------------------------
-
--- Returns packed data as a text: `5:hello`, `#1.5;`, `+`, `-`, `{` key value ... `}`.
-function to_text(packed)
-  local kind = type(packed)
-  if kind == "string" then return #packed .. ":" .. packed end
-  if kind == "number" then return "#" .. digits_of(packed) .. ";" end
-  if kind == "boolean" then return packed and "+" or "-" end
-  local parts = { "{" }
-  for _, key in ipairs(rfsm.sorted_keys(packed)) do
-    parts[#parts + 1] = to_text(key) .. to_text(packed[key])
+--- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
+-- that JSON has not as texts.
+---@param value any
+---@return any value
+function plain.to_json(value)
+  if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
+  if type(value) ~= "table" then return value end
+  local copy, count = {}, 0
+  for key, inner in pairs(value) do -- any order: a copy
+    count = count + 1
+    if not rawequal(inner, plain.NIL) then copy[key] = plain.to_json(inner) end
   end
-  parts[#parts + 1] = "}"
-  return concat(parts)
+  if count == #value then return copy end
+  local texts = {}
+  for key, inner in pairs(copy) do texts[text_of(key)] = inner end -- any order: a copy
+  return texts
 end
+
+-- Unpack ------------------------------------------------------------------------
 
 local NUMBERS = { nan = 0 / 0, inf = huge, ["-inf"] = -huge }
 
@@ -313,32 +287,25 @@ local function unpack_number(digits)
   return number
 end
 
--- Returns the packed data that begins at a position of a text, and where it ends.
-local function from_text(text, at, depth)
-  local mark = text:sub(at, at)
-  if mark == "+" or mark == "-" then return mark == "+", at + 1 end
-  if mark == "#" then
-    local digits, last = text:match("^([^;]*);()", at + 1)
-    return unpack_number(digits), last
-  elseif mark ~= "{" then
-    local size, first = text:match("^(%d+):()", at)
-    local last = size and first + size - 1
-    if not last or #text < last then fail("the text of a table expected") end
-    return text:sub(first, last), last + 1
-  elseif depth > MAX_PACKED_DEPTH then
-    fail("at most %d tables inside each other expected", MAX_PACKED_DEPTH)
+-- Returns the packed table that begins at a position of a flat list, and its end.
+local function from_flat(list, at, depth)
+  local count, t = list[at], {}
+  if type(count) ~= "number" or depth > MAX_PACKED_DEPTH then
+    fail("a table as a list expected, at most %d inside each other", MAX_PACKED_DEPTH)
   end
-  local t = {}
   at = at + 1
-  while text:sub(at, at) ~= "}" do
-    local key, behind = from_text(text, at, depth + 1)
-    if type(key) == "table" or key ~= key then fail("a key expected") end
-    t[key], at = from_text(text, behind, depth + 1)
+  for _ = 1, count do
+    local key, mark = list[at], list[at + 1]
+    if not is_scalar(key) or key ~= key then
+      fail("a key expected, got %s", text_of(key))
+    elseif mark == "t" then
+      t[key], at = from_flat(list, at + 2, depth + 1)
+    else
+      t[key], at = list[at + 2], at + 3
+    end
   end
-  return t, at + 1
+  return t, at
 end
-
--- Unpack ------------------------------------------------------------------------
 
 local unpack
 
@@ -362,8 +329,8 @@ local function unpack_table(packed, depth)
     return unpack_pairs(packed, depth + 1)
   elseif first == "%n" then
     return unpack_number(packed[2])
-  elseif first == "%s" and type(packed[2]) == "string" then
-    return unpack((from_text(packed[2], 1, depth)), depth + 1)
+  elseif first == "%s" and type(packed[2]) == "number" then
+    return unpack((from_flat(packed, 2, depth)), depth + 1)
   elseif first == "%p" then
     return packed[2]
   elseif first == "%z" then
@@ -375,6 +342,22 @@ local function unpack_table(packed, depth)
     t[key] = unpack(value, depth + 1)
   end
   return t
+end
+
+--- Does a table stand for itself, and hold no others?
+---@param packed any
+---@return boolean
+function plain.is_flat(packed)
+  if type(packed) ~= "table" or getmetatable(packed) ~= nil or packed[1] ~= nil then
+    return false
+  end
+  for _, value in next, packed do -- any order: all of them
+    local kind = type(value)
+    if kind ~= "string" and kind ~= "boolean" and (kind ~= "number" or to_integer) then
+      return false
+    end
+  end
+  return true
 end
 
 --- Return the value that plain data stands for, in new tables.

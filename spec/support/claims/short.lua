@@ -1,9 +1,12 @@
 -- The short way in and out of machines in Redis writes what the long way writes, in the
 -- same order, for random charts and calls. Redis is a table here.
 
+local host = require "spec.support.redis_host"
 local new_random = require "spec.support.random"
-local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
+local snapshot = require "rfsm.snapshot"
+
+local put = snapshot.put
 
 local EVENTS = { "e_next", "e_next", "e_same", "e_none" }
 
@@ -30,70 +33,26 @@ local function new_model(seed)
     model[name] = rfsm.state { keep = random:chance(70) and { "n" } or nil, n = i }
     model[#model + 1] = rfsm.trans { src = name, tgt = to, effect = new_effect(random,
       name), events = { "e_next", random:chance(40) and "e_after(2)" or nil } }
+    local is_moving = random:chance(20)
     model[#model + 1] = rfsm.trans { src = name, tgt = name, events = { "e_same",
-      random:chance(30) and "e_at(1005)" or nil } }
+      random:chance(30) and "e_at(1005)" or nil }, guard = function(tr)
+        if is_moving then tr.tgt = tr._fsm.s2 end
+      end }
   end
   return rfsm.state(model)
 end
 
--- Returns data as a text in which the order of keys is always the same.
-local function sorted(value)
-  if type(value) ~= "table" then
-    return type(value) == "number" and ("%.9g"):format(value) or tostring(value)
-  end
-  local parts = {}
-  for i, key in ipairs(rfsm.sorted_keys(value)) do
-    parts[i] = tostring(key) .. "=" .. sorted(value[key])
-  end
-  return "{" .. table.concat(parts, ",") .. "}"
-end
-
--- Returns a host that notes what is written in `trace`; `clock.now` is its time.
-local function new_host(trace, clock)
-  local values, packed = {}, nil
-  local commands = {
-    GET = function(key) return values[key] and key or false end,
-    EXISTS = function(key) return values[key] and 1 or 0 end,
-    TIME = function()
-      local seconds = math.floor(clock.now)
-      return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
-    end,
-    TYPE = function() return { ok = "none" } end,
-    SET = function(key)
-      values[key] = packed
-      trace[#trace + 1] = "SET " .. sorted(packed)
-    end,
-  }
-  return {
-    call = function(name, ...)
-      if commands[name] then return commands[name](...) end
-      trace[#trace + 1] = name .. " " .. sorted { ... }
-    end,
-    may = function() return true end,
-    error_reply = function(text) return { err = text } end,
-    json = { encode = function() return "json" end, decode = function() return {} end },
-    pack = {
-      pack = function(list)
-        packed = plain.copy_of(list)
-        return "packed"
-      end,
-      unpack = function(key) return plain.copy_of(values[key]) end,
-    },
-  }
+local function put_the_long_way(fsm, snap, options)
+  return put(fsm, snap, { migrate = options.migrate, rename = options.rename })
 end
 
 -- Makes the library anew, with the short way or without, and makes random calls.
 local function run_library(seed, is_short)
-  local real = package.loaded["rfsm.redis.short"]
   package.loaded["rfsm.redis.functions"] = nil
-  if not is_short then
-    package.loaded["rfsm.redis.short"] = { put = function() return false end,
-      take = function() return nil end }
-  end
+  snapshot.put = is_short and put or put_the_long_way
   local random, trace, clock = new_random(seed * 31), {}, { now = 1000 }
-  local functions = require "rfsm.redis.functions" (new_host(trace, clock),
+  local functions = require "rfsm.redis.functions" (host.new(trace, clock),
     { { name = "c", make = function() return new_model(seed) end } })
-  package.loaded["rfsm.redis.short"] = real
   for i = 1, 30 do
     local key = "m" .. random:below(2)
     clock.now = clock.now + random:below(8) / 4
@@ -103,10 +62,12 @@ local function run_library(seed, is_short)
       reply = functions.rfsm_create({ i <= 2 and "m" .. i or key }, { "c" })
     elseif what == 2 then
       reply = functions.rfsm_tick({ key }, {})
+    elseif what == 3 then
+      reply = functions.rfsm_why({ key }, { "e_same" }) -- guards run
     else
       reply = functions.rfsm_send({ key }, { random:pick(EVENTS), random:pick(EVENTS) })
     end
-    trace[#trace + 1] = sorted(reply)
+    trace[#trace + 1] = host.sorted(reply)
   end
   return trace
 end
@@ -114,7 +75,6 @@ end
 return { name = "the short way in Redis", run = function(n, seed)
   local loaded = package.loaded["rfsm.redis.functions"]
   local problem = nil
-  require "rfsm.redis.short"
   for i = 1, n do
     local with, without = run_library(seed * 1009 + i, true),
       run_library(seed * 1009 + i, false)
@@ -126,7 +86,7 @@ return { name = "the short way in Redis", run = function(n, seed)
     end
     if problem then break end
   end
-  package.loaded["rfsm.redis.functions"] = loaded
+  package.loaded["rfsm.redis.functions"], snapshot.put = loaded, put
   require("rfsm_timeevent").set_gettime_hook(nil)
   return n, problem
 end }

@@ -1,0 +1,57 @@
+-- A table in place of Redis, for the functions that run inside.
+
+local plain = require "rfsm.snapshot.plain"
+local rfsm = require "rfsm"
+
+local host = {}
+
+-- Returns data as a text in which the order of keys is always the same.
+function host.sorted(value)
+  if type(value) ~= "table" then
+    return type(value) == "number" and ("%.9g"):format(value) or tostring(value)
+  end
+  local parts = {}
+  for i, key in ipairs(rfsm.sorted_keys(value)) do
+    parts[i] = tostring(key) .. "=" .. host.sorted(value[key])
+  end
+  return "{" .. table.concat(parts, ",") .. "}"
+end
+
+-- Returns a host that notes what is written in `trace`; `clock.now` is its time.
+function host.new(trace, clock)
+  local values, packed = {}, nil
+  local commands = {
+    GET = function(key) return values[key] and key or false end,
+    EXISTS = function(key) return values[key] and 1 or 0 end,
+    TIME = function()
+      local seconds = math.floor(clock.now)
+      return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
+    end,
+    TYPE = function() return { ok = "none" } end,
+    SET = function(key)
+      values[key] = packed
+      trace[#trace + 1] = "SET " .. host.sorted(packed)
+    end,
+  }
+  return {
+    call = function(name, ...)
+      if commands[name] then return commands[name](...) end
+      trace[#trace + 1] = name .. " " .. host.sorted { ... }
+    end,
+    may = function() return true end,
+    error_reply = function(text) return { err = text } end,
+    json = {
+      encode = function(data) return data.root and data.root.n or "json" end,
+      decode = function() return {} end,
+    },
+    pack = {
+      pack = function(list)
+        packed = plain.copy_of(list)
+        return "packed"
+      end,
+      unpack = function(key) return plain.copy_of(values[key]) end,
+    },
+  }
+end
+
+return host
