@@ -152,6 +152,14 @@ do
     end
   end
 
+  --- Note the location of an element whose constructor is an extension's.
+  ---@param t table the element
+  ---@param level integer whose line it is: 2 for the caller of the constructor
+  function rfsm.note_location(t, level)
+    made_at[t] = nil
+    note_caller(t, level + 1)
+  end
+
   -- A metatable for elements that inherit from `base`, a state or transition.
   local function heir_class(base)
     local class = getmetatable(base)
@@ -2546,6 +2554,12 @@ do
   end
 end
 
+-- Are there to be more warnings? That may be asked for by the environment.
+local function is_strict(model)
+  local getenv = find_global("os", "getenv")
+  return model.strict or getenv and getenv("RFSM_STRICT") == "1"
+end
+
 -- Reports the problems of a model to `err`.
 local function refuse_model(model, fsm, problems)
   local err = model.err
@@ -2575,6 +2589,7 @@ function rfsm.init(model)
   model = model_of(model)
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
+  if is_strict(model) then find_module("rfsm.strict") end
   local fsm = finish_machine(new_machine(plan))
   fsm._initialized = true
   report_lines(fsm, "info", plan.created)

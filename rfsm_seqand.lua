@@ -370,6 +370,7 @@ function rfsm_seqand.new(fields, more)
   if fields == rfsm_seqand then fields = more end -- rfsm.seqand:new(fields)
   local state, text = new_state(fields)
   if not state then error("rfsm.seqand: " .. text, 2) end
+  rfsm.note_location(state, 2)
   return state
 end
 

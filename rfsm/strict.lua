@@ -1,8 +1,8 @@
 --- Strict: warnings of events that are odd, early or undeclared, and of fields that are
 --- not there, with the sender's file and line.
 --
--- Once this module is loaded it is on for machines whose root has `strict = true`, and
--- for all if the environment has RFSM_STRICT=1. Each warning comes once a machine.
+-- It is on for machines whose root has `strict = true`, and for all if the environment
+-- has RFSM_STRICT=1: the core loads it then. Each warning comes once a machine.
 --
 -- @module rfsm.strict
 -- @license BSD-3-Clause

@@ -70,6 +70,16 @@ local function leaves(par)
   return table.concat(names, " ")
 end
 
+it("a sequential AND state stands where its constructor was called", function()
+  local line = debug.getinfo(1, "l").currentline + 1
+  local par = rfsm.seqand { left = state { a = state {}, trans {
+    src = "initial", tgt = "a" } } }
+  local fsm = helper.init(state { warn = false, par = par,
+    trans { src = "initial", tgt = "par" } })
+  local at = rfsm.location_of(fsm.par):match("seqand_spec.lua:(%d+): root.par$")
+  assert.is_true(tonumber(at) == line or tonumber(at) == line + 1) -- of several lines
+end)
+
 describe("rfsm.seqand", function()
   it("is the module rfsm_seqand, and returns a leaf state", function()
     assert.equal(seqand, rawget(_G, "rfsm_seqand"))

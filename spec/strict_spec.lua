@@ -110,18 +110,22 @@ describe("a strict machine", function()
     assert.matches("initialised fsm expected", text)
   end)
 
-  it("is asked for by the environment", function()
-    local out = helper.output_of([[
-      package.path = "./?.lua;" .. package.path
-      os.getenv = function(name) return name == "RFSM_STRICT" and "1" or nil end
-      local rfsm = require "rfsm"
-      require "rfsm.strict"
-      local fsm = rfsm.init(rfsm.state { info = false, warn = print,
-        a = rfsm.state { final = true }, rfsm.trans { src = "initial", tgt = "a" } })
-      rfsm.run(fsm)
-      rfsm.send_events(fsm, "e_q")
-    ]])
-    helper.remove_files()
-    assert.matches(":8: no transition names the event 'e_q'$", out)
-  end)
+  for what, case in pairs { -- any order: each stands alone
+    ["the environment"] = { environment = "1", field = "nil" },
+    ["the model"] = { environment = "0", field = "true" },
+  } do
+    it(("is asked for by %s, and loads what it needs"):format(what), function()
+      local out = helper.output_of(([[
+        package.path = "./?.lua;" .. package.path
+        os.getenv = function(name) return name == "RFSM_STRICT" and "%s" or nil end
+        local rfsm = require "rfsm"
+        local fsm = rfsm.init(rfsm.state { info = false, warn = print, strict = %s,
+          a = rfsm.state { final = true }, rfsm.trans { src = "initial", tgt = "a" } })
+        rfsm.run(fsm)
+        rfsm.send_events(fsm, "e_q")
+      ]]):format(case.environment, case.field))
+      helper.remove_files()
+      assert.matches(":7: no transition names the event 'e_q'$", out)
+    end)
+  end
 end)
