@@ -300,7 +300,9 @@ describe("the host in nginx", function()
       wait_for(url, "root.lights.stop")
     end)
     local lines = {}
-    for line in log:gmatch("entry%(%): ([^,\n]*)") do lines[#lines + 1] = line end
+    for line in log:gmatch("%[lua%] [^\n]-%.lua:%d+: ([^,\n]*)") do
+      lines[#lines + 1] = line:gsub("^%w+%(%): ", "") -- the function, if it has a name
+    end
     assert.same({ "do not walk", "please wait", "walk", "do not walk" }, lines)
     assert.is_nil(log:match("writing a global"))
   end)
