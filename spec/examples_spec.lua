@@ -300,7 +300,7 @@ describe("the host in nginx", function()
       wait_for(url, "root.lights.stop")
     end)
     local lines = {}
-    for line in log:gmatch("%[lua%] [^\n]-%.lua:%d+: ([^,\n]*)") do
+    for line in log:gmatch("timeevent%.lua:%d+: ([^,\n]*)") do
       lines[#lines + 1] = line:gsub("^%w+%(%): ", "") -- the function, if it has a name
     end
     assert.same({ "do not walk", "please wait", "walk", "do not walk" }, lines)
