@@ -1864,44 +1864,51 @@ local function enter(fsm, state, def)
   if is_traced(fsm) then print_by(call, fsm, "dbg", "STATE_ENTER", state._fqn) end
 end
 
-local function exits_record(_, def)
-  local outermost = def.src
+-- What a path traces. Texts are kept with the definitions.
+local RECORDS = {}
+
+function RECORDS.exits(_, def)
+  local outermost = def.outermost or def.src
   while outermost.parent ~= def.lca and outermost.parent ~= outermost do
     outermost = outermost.parent
   end
+  def.outermost = outermost
   return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
     def.lca.fqn
 end
 
-local function effect_record(fsm, def)
+function RECORDS.effect(fsm, def)
   return "EFFECT", tostring(fsm._transitions[def.index])
 end
 
-local function entries_record(_, def)
+function RECORDS.entries(_, def)
   local names, node = {}, def.tgt
-  while node ~= def.lca do
+  while not def.down_path and node ~= def.lca do
     names[#names + 1], node = node.fqn, node.parent
   end
-  return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", concat(names, " > ")
+  def.down_path = def.down_path or concat(names, " > ")
+  return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", def.down_path
+end
+
+local function label_of(node)
+  if node.kind == "connector" then return node.fqn .. "[c]" end
+  return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
 end
 
 -- root.a[LS]->root.k[c]->root.b[LS]
-local function path_record(fsm, def)
-  local function text(node)
-    return ("%s[%s]"):format(node.fqn, rfsm.fsmobj_tochar(fsm._nodes[node.index]))
-  end
-  local texts = { text(def.src) }
+function RECORDS.path(fsm, def)
+  local text = label_of(def.src)
   while def do
-    texts[#texts + 1] = text(def.tgt)
+    text = text .. "->" .. label_of(def.tgt)
     def = def.connector and fsm._ways[def.connector]
   end
-  return "EXEC_PATH", concat(texts, "->")
+  return "EXEC_PATH", text
 end
 
 local function run_effect(fsm, def)
   local tr = fsm._transitions[def.index]
   local effect = tr.effect
-  record(fsm, effect_record, def)
+  record(fsm, RECORDS.effect, def)
   if not (begin_action(fsm) and effect) then return end
   local ok, failure = call(fsm, effect, fsm, tr, "effect", fsm._curq)
   if not ok then report_callback(call, fsm, "effect", tr, effect, failure) end
@@ -1917,13 +1924,13 @@ local function take_segment(fsm, def, state)
   local nodes, entries = fsm._nodes, def.entries
   begin_segment(fsm._calls)
   if def.is_internal then return run_effect(fsm, def) end
-  record(fsm, exits_record, def)
+  record(fsm, RECORDS.exits, def)
   while state ~= nodes[def.lca.index] do
     if begin_action(fsm) then leave(call, fsm, state) end
     state = state._parent
   end
   run_effect(fsm, def)
-  record(fsm, entries_record, def)
+  record(fsm, RECORDS.entries, def)
   for i = 1, #entries do
     if begin_action(fsm) then enter(fsm, nodes[entries[i].index], entries[i]) end
   end
@@ -1937,7 +1944,7 @@ local function take(fsm)
     if begin_action(fsm) then enter(fsm, fsm, def) end
     def = ways[def]
   end
-  if def then record(fsm, path_record, def) end
+  if def then record(fsm, RECORDS.path, def) end
   while def do
     take_segment(fsm, def, state)
     local connector = def.connector
