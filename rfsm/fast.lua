@@ -28,6 +28,9 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local NONE = {}
 
+-- What `pcall` returns for an error that is nil: nil, but for Lua 5.5.
+local NO_ERROR = select(2, pcall(error))
+
 -- So many values are bound to one function: Lua 5.1 allows 60.
 local MAX_VALUES = 50
 
@@ -982,6 +985,7 @@ return function(engine, core)
       calls.begun = calls.begun - 1
       return false
     end
+    if failure == nil then failure = NO_ERROR end
     calls.ok, calls.result, calls.noted = false, failure, calls.begun
     return true
   end

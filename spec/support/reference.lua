@@ -489,7 +489,12 @@ end
 
 --- Back to the start; from inside a callback when the iteration is over.
 function reference.reset(machine)
-  if machine.stepping then machine.reset_wanted = true else reset_now(machine) end
+  if machine.stepping then
+    machine.reset_wanted = true
+  else
+    reset_now(machine)
+    machine.failed, machine.failure = false, nil
+  end
 end
 
 --- Change the target of a transition, which counts from the next search on.
