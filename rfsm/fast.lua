@@ -990,10 +990,15 @@ return function(engine, core)
     return true
   end
 
+  -- Functions of this file whose first parameter is the machine, and that may be what
+  -- is left on the stack of one that takes a path: generated text ends in tail calls.
+  local HAS_MACHINE = {
+    [cycle] = true, [go_through] = true, [resume] = true, [take] = true,
+    [take_found] = true, [take_plainly] = true,
+  }
+
   local function is_taking(f, level, fsm)
-    if not (call_lines_of[f] or f == cycle or f == go_through) then
-      return false
-    end
+    if not (call_lines_of[f] or HAS_MACHINE[f]) then return false end
     local _, value = getlocal(level, FSM)
     return rawequal(value, fsm)
   end

@@ -221,6 +221,20 @@ describe("a call from inside", function()
       .. "step", errors[1])
   end)
 
+  it("to reset takes effect at the end, also when an exit has switched dbg", function()
+    for _, dbg in ipairs { false, function() end } do
+      local fsm = started()
+      for _ = 1, 10 do post_and_run(fsm, "e") end
+      fsm.a.exit = function() fsm.dbg = dbg end
+      fsm[2].effect = function() rfsm.reset(fsm) end
+      rfsm.reset(fsm)
+      rfsm.run(fsm)
+      post_and_run(fsm, "e")
+      assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+      assert.same({}, fsm._intq)
+    end
+  end)
+
   it("to reset forgets an error that a printer raised between two steps", function()
     local fsm = started()
     fsm.dbg = function() error("on purpose", 0) end
