@@ -64,7 +64,7 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 ---@field idle_hook? false|fun(fsm: rfsm.Machine) called instead of returning when idle
 ---@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
 ---@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
----@field gettime? false|fun(): number, number its clock: seconds, nanoseconds
+---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
 local State = { rfsm = "state" }
@@ -140,8 +140,8 @@ do
   local this_file = getinfo and getinfo(1, "S").short_src
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
 
-  -- Notes the line that called a constructor, `level` functions up. A tail call has
-  -- left no line; then the level is another's.
+  -- Notes the line that called a constructor, `level` functions up. After a tail call
+  -- the caller's frame is gone, and `level` names a different function.
   local function note_caller(t, level)
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
@@ -1031,7 +1031,7 @@ do
   end
 
   -- Returns the nearest ancestor of both ends that stays active. States in it are left
-  -- and entered. The root also stays active under a transition of its own.
+  -- and entered. The root also stays active under a transition from the root.
   local function find_lca(src, tgt)
     local a, b = src.parent, tgt.parent
     while a ~= b do
@@ -1316,7 +1316,7 @@ end
 --   collect  the pending events, then those of getevents, become the current ones
 --   before   the pre step hooks are called
 --   search   a path is chosen that the events enable
---   refuse   there is none into the machine: the events are pending again
+--   refuse   no path leads into the machine: the events are pending again
 --   take     the states of that path are left and entered
 --   doo      there is no path: a doo cycle is run
 --   after    the post step hooks are called
@@ -1403,8 +1403,8 @@ local PHASES = {}
 -- The calls of an iteration are numbered in the order in which they are made.
 -- `_calls.count` is the number of the last one that was reached, `begun` of the last
 -- one that was made, `noted` of the last one whose results are known. Each phase,
--- segment and action has numbers of its own, so that a hook that is added to one of
--- them does not change those of the next.
+-- segment and action begins at a number that does not depend on those before it, so
+-- that a hook that is added to one of them does not change those of the next.
 
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
@@ -1649,7 +1649,8 @@ end
 -- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
 local MAX_DEPTH = 500
 
--- The same on a stack of its own. A guard that yields there does not enable.
+-- The same in a new coroutine, which has an empty stack. A guard that yields there does
+-- not enable.
 local function choose_way_aside(fsm, connector, events)
   local co = coroutine.create(choose_way)
   local ok, way = coroutine.resume(co, fsm, connector, events, 1)
@@ -1671,7 +1672,7 @@ local function find_way(fsm, connector, events, depth)
 end
 
 -- A transition of the machine has got another target. Returns its definition with that
--- target; nil if it is none.
+-- target; nil if that is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -3187,7 +3188,7 @@ rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 --- Have snapshots hold what an extension keeps of a machine, under `name`.
 --
 -- `save(fsm, how)` returns plain data, nil if there is nothing to keep. `load(fsm,
--- data, how)` takes it back, also nil, and raises an error for what is none of its own.
+-- data, how)` takes it back, also nil, and raises an error if the data is not its own.
 --
 ---@type fun(fsm: rfsm.Machine, name: string, save: function, load: function)
 function rfsm.snapshot_hook_add(fsm, name, save, load)

@@ -669,8 +669,8 @@ return function(engine, core)
     return candidates
   end
 
-  -- What a run reads of a leaf. `ignored` is its e_done if that leads nowhere, as it
-  -- mostly does; NaN is no event.
+  -- Notes what a run reads of a leaf. `ignored`: the leaf's e_done if no transition
+  -- uses it, else NaN, which equals no event.
   local function prepare_leaf(plan, leaf)
     local new = {
       choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf),

@@ -113,8 +113,8 @@ function Puppet:choose(who, is_doo)
   return self.choices[n]
 end
 
--- A doo that ends when it is told to. Without events a step has a cycle of its own, so
--- that a cycle behind discarded ones need not ask.
+-- Makes a doo that ends when it is told to. Only its first cycle of a step asks whether
+-- it ends.
 local function new_doo(self, part, who)
   return function()
     while true do

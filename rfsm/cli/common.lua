@@ -49,7 +49,7 @@ function common.fail(problem, status)
   os.exit(status or 1)
 end
 
--- Returns a result, unless there is none, but a problem.
+-- Returns the result, or ends the program with the problem.
 function common.try(result, problem)
   return result or common.fail(problem)
 end

@@ -179,7 +179,7 @@ local function add_lost(view, events)
   end
 end
 
--- Notes an iteration; one without events that took no transition is none.
+-- Logs an iteration, unless nothing happened in it.
 local function note_step(view, watched, events)
   for i = 1, view.points[1] and #events or 0 do
     check_points(view, "event", events[i])
