@@ -1,0 +1,129 @@
+-- VM instructions an event:  lua5.1 bench/instructions.lua
+--
+-- A count hook counts them, so that the figures are the same on each machine. It needs
+-- an interpreter that calls the hook at each instruction: not LuaJIT.
+
+package.path = "./?.lua;" .. package.path
+
+local rfsm = require "rfsm"
+local rfsmpp = require "rfsmpp"
+local rfsm_timeevent = require "rfsm_timeevent"
+local workloads = require "bench.workloads"
+
+local state, trans = rfsm.state, rfsm.trans
+
+-- The instructions of f(n) that each further unit of n takes.
+local function per_unit(f, n)
+  local count = 0
+  local function measure(units)
+    count = 0
+    debug.sethook(function() count = count + 1 end, "", 1)
+    f(units)
+    debug.sethook()
+    return count
+  end
+  f(2000) -- compiles what is compiled as it runs
+  local first = measure(n)
+  return (measure(2 * n) - first) / n
+end
+
+-- Two events in turn.
+local function stepping(fsm, one, other)
+  local send_events, step = rfsm.send_events, rfsm.step
+  rfsm.run(fsm)
+  return function(n)
+    for _ = 1, n, 2 do
+      send_events(fsm, one or "e_b")
+      step(fsm)
+      send_events(fsm, other or "e_a")
+      step(fsm)
+    end
+  end
+end
+
+local function callback() end
+
+local function two_leaves(fields)
+  local model = {
+    info = false, warn = false,
+    a = state { entry = callback }, b = state { entry = callback }, c = state {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e_b" } },
+    trans { src = "b", tgt = "a", events = { "e_a" } },
+  }
+  for name, value in pairs(fields or {}) do model[name] = value end -- any order: a set
+  return rfsm.init(state(model))
+end
+
+-- Two composites, entered by `initial` or at the leaf.
+local function composites(below)
+  local function composite()
+    return state { entry = callback, x = state { entry = callback },
+      trans { src = "initial", tgt = "x" } }
+  end
+  return rfsm.init(state {
+    info = false, warn = false, a = composite(), b = composite(),
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "root.b" .. below, events = { "e_b" } },
+    trans { src = "b", tgt = "root.a" .. below, events = { "e_a" } },
+  })
+end
+
+local function with_state_hooks()
+  local fsm = two_leaves()
+  rfsm.entry_hook_add(fsm, fsm.a, callback)
+  rfsm.entry_hook_add(fsm, fsm.b, callback)
+  return fsm
+end
+
+-- Both leaves have two timers, which each event arms anew.
+local function with_timers()
+  local fields = { gettime = function() return 0, 0 end }
+  for i = 4, 7 do
+    fields[i] = trans { src = i < 6 and "a" or "b", tgt = "c",
+      events = { ("e_after(%d)"):format(i) } }
+  end
+  return two_leaves(fields)
+end
+
+-- A timer of the composite around both.
+local function with_pending()
+  return rfsm.init(state {
+    info = false, warn = false, gettime = function() return 0, 0 end, c = state {},
+    m = state {
+      a = state { entry = callback }, b = state { entry = callback },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_b" } },
+      trans { src = "b", tgt = "a", events = { "e_a" } },
+    },
+    trans { src = "initial", tgt = "m" },
+    trans { src = "m", tgt = "c", events = { "e_after(5)" } },
+  })
+end
+
+for _, workload in ipairs(workloads) do
+  if workload.name:find "^W[1-5]r?$" then
+    print(("%-32s %6.0f"):format(workload.name, per_unit(workload.make(rfsm), 1000)))
+  end
+end
+
+local base = per_unit(stepping(two_leaves()), 1000)
+
+local function row(name, fsm, one, other)
+  local count = per_unit(stepping(fsm, one, other), 1000)
+  print(("%-32s %6.0f  x %.2f"):format(name, count, count / base))
+end
+
+rfsm_timeevent.set_gettime_hook(function() return 0, 0 end)
+row("two leaves", two_leaves())
+row("an event that nothing waits for", two_leaves(), "x", "y")
+row("post step hook", two_leaves { post_step_hook = callback })
+row("pre step hook", two_leaves { pre_step_hook = callback })
+row("getevents", two_leaves { getevents = callback })
+row("hooks of states", with_state_hooks())
+row("a pending timer", with_pending())
+row("two timers armed anew", with_timers())
+row("dbg that does nothing", two_leaves { dbg = callback })
+row("rfsmpp", two_leaves { dbg = rfsmpp.gen_dbgcolor("x", {}, true, callback) })
+row("a composite, aimed at its leaf", composites ".x")
+row("a composite, by initial", composites "")
