@@ -135,7 +135,7 @@ end)
 
 -- A robot's chart: modules, globals, files and peers that are not here.
 local ROBOT = [[
-require "rttlib"
+require "robotlib"
 local tc = rtt.getTC()
 local rate = tc:getProperty("rate"):get()
 local has_colours, colours = pcall(require, "no_colours")
@@ -157,13 +157,13 @@ local FILES = { ["chart.lua"] = ROBOT, ["on.lua"] = "return rfsm.state {}" }
 describe("a chart of a robot", function()
   it("cannot be loaded without stubs", function()
     local _, problem = open(FILES)
-    assert.equal("chart.lua:1: module 'rttlib' not found", problem)
+    assert.equal("chart.lua:1: module 'robotlib' not found", problem)
   end)
 
   it("is loaded with stubs, which are named", function()
     local model, problem, names = open(FILES, true)
     assert.is_nil(problem)
-    assert.same({ "rttlib", "rtt", "rf", "grasp.lua" }, names)
+    assert.same({ "robotlib", "rtt", "rf", "grasp.lua" }, names)
     assert.equal("none", model.colours)
     assert.is_true(rfsm.is_state(model.grasp.done))
   end)
