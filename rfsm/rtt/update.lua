@@ -44,6 +44,14 @@ local function new_gauge()
   end
 end
 
+--- Is half of the pool in use? False if this Lua has none.
+---@return boolean is_short
+function update.is_short_of_memory()
+  collectgarbage()
+  local used, _, size = new_gauge()()
+  return used > size / 2
+end
+
 -- Returns a function that notes the memory in use. It is called first when all garbage
 -- was collected. It collects when nine tenths of the rest of the pool are in use.
 function update.new_meter(launch)
