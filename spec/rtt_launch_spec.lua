@@ -563,6 +563,38 @@ extra_in_ports = { port }]] }
     assert.equal("0", evaluate(exec_str, "n"))
   end)
 
+  it("has room for 20 states with timers in the pool of a TLSF component", function()
+    local _, exec_str = launched {
+      luatype = "OCL::LuaTLSFComponent", prestr = "require 'rfsm_timeevent'",
+      fsmfile = file_with [[
+local rfsm = require "rfsm"
+local root = { info = false, rfsm.trans { src = "initial", tgt = "s1" } }
+for i = 1, 20 do
+  root["s" .. i] = rfsm.state {}
+  root[#root + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. i % 20 + 1,
+    events = { "e_after(0.01)" } }
+end
+return rfsm.state(root)]] }
+    exec_str("trigger()")
+    assert.equal("s1", leaf_of(exec_str))
+    advance(0.1)
+    exec_str("trigger()")
+    assert.equal("s2", leaf_of(exec_str))
+  end)
+
+  it("does without rfsm.fast in a pool that is half full", function()
+    local FULL = "tlsf.stats = function() return 700000, 700000, 1048576 end"
+    for _, case in ipairs {
+      { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL,
+        fast = "boolean" },
+      { name = "leg", luatype = "OCL::LuaComponent", fast = "function" },
+    } do
+      local _, exec_str = launched { name = case.name, luatype = case.luatype,
+        prestr = case.prestr }
+      assert.equal(case.fast, evaluate(exec_str, "type(package.loaded['rfsm.fast'])"))
+    end
+  end)
+
   -- Updates that go from state to state, after `before` of them: what was opened, read
   -- or compiled, and the bytes by which the heap has grown; the least of three.
   local UPDATES = [=[
@@ -583,6 +615,8 @@ local function update(n)
 end
 local least = math.huge
 count("stop")
+local function grow_stack(n) return n > 0 and 1 + grow_stack(n - 1) or 0 end
+grow_stack(150) -- it grows once, too, but is Lua's
 update(before)
 opened = 0
 for i = 1, tries do
@@ -624,7 +658,7 @@ return rfsm.state { info = false, warn = false,
     assert.equal("0 0", updated(1000, 3))
   end)
 
-  -- Lua's stack and some lists grow once.
+  -- Some lists grow once.
   it("reads, loads and allocates nothing from the first update on #alloc", function()
     local files, grown = updated(0, 1):match("(%d+) (%d+)")
     assert.equal("0", files)
