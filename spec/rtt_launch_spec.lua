@@ -551,6 +551,22 @@ extra_in_ports = { port }]] }
       assert.is_true(arm:getAttribute("rfsm_peak"):get() > 900)
     end)
 
+  it("updates once more when failures begin, and when they end", function()
+    local send, _, arm, exec_str = started {
+      poststr = "local inner, n = updateHook, 0 "
+        .. "function updateHook() n = n + 1 inner() end function updates() return n end",
+    }
+    for _, case in ipairs { { fails = 0, updates = 1 }, { fails = 1, updates = 3 },
+      { fails = 2, updates = 2 }, { fails = 0, updates = 2 } } do
+      exec_str(("before, left = updates(), %d "):format(case.fails)
+        .. "fsm.pre_step_hook = function() "
+        .. "if left > 0 then left = left - 1 error('torn', 0) end end")
+      send("e_none")
+      assert.equal(tostring(case.updates), evaluate(exec_str, "updates() - before"))
+    end
+    assert.equal(3, arm:getAttribute("rfsm_failures"):get())
+  end)
+
   it("collects before a pool is full, and not at each update #standin", function()
     if not rtt_helper.is_standin then return end
     local send, _, arm, exec_str = started { luatype = "OCL::LuaTLSFComponent" }

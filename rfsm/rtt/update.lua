@@ -175,7 +175,8 @@ local function new_update(launch, fsm, again, make_ready)
 end
 
 -- Returns a function that advances the machine. It returns true whatever happens. The
--- next update finishes a step that was cut short.
+-- next update finishes a step that was cut short, and the one behind it reads what came
+-- meanwhile: so one is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm, make_ready)
   local again, report = new_again(launch), update.new_reporter(launch)
   local advance = new_update(launch, fsm, again, make_ready)
@@ -185,7 +186,7 @@ function update.new_trigger(launch, fsm, make_ready)
     if running_only and target:getState() ~= "Running" then return true end
     local ok, problem = pcall(advance)
     if not ok then report(problem) end
-    if not ok and not has_failed then pcall(again) end
+    if ok == has_failed then pcall(again) end
     has_failed = not ok
     meter()
     return true
