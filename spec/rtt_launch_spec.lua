@@ -554,7 +554,8 @@ extra_in_ports = { port }]] }
   it("updates once more when failures begin, and when they end", function()
     local send, _, arm, exec_str = started {
       poststr = "local inner, n = updateHook, 0 "
-        .. "function updateHook() n = n + 1 inner() end function updates() return n end",
+        .. "function updateHook() n = n + 1 inner() end "
+        .. "function updates() return n end",
     }
     for _, case in ipairs { { fails = 0, updates = 1 }, { fails = 1, updates = 3 },
       { fails = 2, updates = 2 }, { fails = 0, updates = 2 } } do
