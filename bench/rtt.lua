@@ -1,5 +1,5 @@
 -- How long an update takes: a machine of 20 states, each with a timer, in a component
--- of Orocos RTT at 1 kHz. Mean, slowest, and a histogram.
+-- of Orocos RTT at 1 kHz. Mean, slowest, a histogram, live and peak memory.
 --
 --   rttlua bench/rtt.lua
 --
@@ -74,6 +74,11 @@ function report()
   print("  us, up to " .. table.concat(cells))
   row("first 10,000:", first)
   row("later:", later)
+  if tlsf then
+    local used, most, size = tlsf.stats()
+    print(("pool: %.0f KiB in use, %.0f at most, of %.0f"):format(used / 1024,
+      most / 1024, size / 1024))
+  end
   collectgarbage()
   collectgarbage()
   print(("live: %.0f KiB, now in %s"):format(collectgarbage("count"),

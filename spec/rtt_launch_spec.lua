@@ -551,6 +551,23 @@ extra_in_ports = { port }]] }
       assert.is_true(arm:getAttribute("rfsm_peak"):get() > 900)
     end)
 
+  it("updates once more when failures begin, and when they end", function()
+    local send, _, arm, exec_str = started {
+      poststr = "local inner, n = updateHook, 0 "
+        .. "function updateHook() n = n + 1 inner() end "
+        .. "function updates() return n end",
+    }
+    for _, case in ipairs { { fails = 0, updates = 1 }, { fails = 1, updates = 3 },
+      { fails = 2, updates = 2 }, { fails = 0, updates = 2 } } do
+      exec_str(("before, left = updates(), %d "):format(case.fails)
+        .. "fsm.pre_step_hook = function() "
+        .. "if left > 0 then left = left - 1 error('torn', 0) end end")
+      send("e_none")
+      assert.equal(tostring(case.updates), evaluate(exec_str, "updates() - before"))
+    end
+    assert.equal(3, arm:getAttribute("rfsm_failures"):get())
+  end)
+
   it("collects before a pool is full, and not at each update #standin", function()
     if not rtt_helper.is_standin then return end
     local send, _, arm, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
@@ -561,6 +578,38 @@ extra_in_ports = { port }]] }
     exec_str("tlsf.fill(0.94)")
     send("e_none")
     assert.equal("0", evaluate(exec_str, "n"))
+  end)
+
+  it("has room for 20 states with timers in the pool of a TLSF component", function()
+    local _, exec_str = launched {
+      luatype = "OCL::LuaTLSFComponent", prestr = "require 'rfsm_timeevent'",
+      fsmfile = file_with [[
+local rfsm = require "rfsm"
+local root = { info = false, rfsm.trans { src = "initial", tgt = "s1" } }
+for i = 1, 20 do
+  root["s" .. i] = rfsm.state {}
+  root[#root + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. i % 20 + 1,
+    events = { "e_after(0.01)" } }
+end
+return rfsm.state(root)]] }
+    exec_str("trigger()")
+    assert.equal("s1", leaf_of(exec_str))
+    advance(0.1)
+    exec_str("trigger()")
+    assert.equal("s2", leaf_of(exec_str))
+  end)
+
+  it("does without rfsm.fast in a pool that is half full", function()
+    local FULL = "tlsf.stats = function() return 700000, 700000, 1048576 end"
+    for _, case in ipairs {
+      { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL,
+        fast = "boolean" },
+      { name = "leg", luatype = "OCL::LuaComponent", fast = "function" },
+    } do
+      local _, exec_str = launched { name = case.name, luatype = case.luatype,
+        prestr = case.prestr }
+      assert.equal(case.fast, evaluate(exec_str, "type(package.loaded['rfsm.fast'])"))
+    end
   end)
 
   -- Updates that go from state to state, after `before` of them: what was opened, read
@@ -583,6 +632,8 @@ local function update(n)
 end
 local least = math.huge
 count("stop")
+local function grow_stack(n) return n > 0 and 1 + grow_stack(n - 1) or 0 end
+grow_stack(150) -- it grows once, too, but is Lua's
 update(before)
 opened = 0
 for i = 1, tries do
@@ -624,7 +675,7 @@ return rfsm.state { info = false, warn = false,
     assert.equal("0 0", updated(1000, 3))
   end)
 
-  -- Lua's stack and some lists grow once.
+  -- Some lists grow once.
   it("reads, loads and allocates nothing from the first update on #alloc", function()
     local files, grown = updated(0, 1):match("(%d+) (%d+)")
     assert.equal("0", files)

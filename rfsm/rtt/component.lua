@@ -174,6 +174,16 @@ local function report_endless(launch, fsm)
   end
 end
 
+-- Has the machine compiled now. What rfsm/fast.lua compiles takes 72 KiB, and for each
+-- pair of a state and an event some more: a pool that is half full does without it.
+local function prepare(fsm)
+  local name = "rfsm.fast"
+  if update.is_short_of_memory() and not package.loaded[name] then
+    package.preload[name] = function() return false end
+  end
+  rfsm.prepare(fsm)
+end
+
 -- Hooks --------------------------------------------------------------------------
 
 local make_ready
@@ -328,7 +338,7 @@ local function set_up(launch)
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
   report_endless(launch, fsm)
-  rfsm.prepare(fsm)
+  prepare(fsm)
   return launch.eehook and new_hook(launch, trigger) or nil
 end
 

@@ -44,6 +44,14 @@ local function new_gauge()
   end
 end
 
+--- Is half of the pool in use? False if this Lua has none.
+---@return boolean is_short
+function update.is_short_of_memory()
+  collectgarbage()
+  local used, _, size = new_gauge()()
+  return used > size / 2
+end
+
 -- Returns a function that notes the memory in use. It is called first when all garbage
 -- was collected. It collects when nine tenths of the rest of the pool are in use.
 function update.new_meter(launch)
@@ -167,7 +175,8 @@ local function new_update(launch, fsm, again, make_ready)
 end
 
 -- Returns a function that advances the machine. It returns true whatever happens. The
--- next update finishes a step that was cut short.
+-- next update finishes a step that was cut short, and the one behind it reads what came
+-- meanwhile: so one is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm, make_ready)
   local again, report = new_again(launch), update.new_reporter(launch)
   local advance = new_update(launch, fsm, again, make_ready)
@@ -177,7 +186,7 @@ function update.new_trigger(launch, fsm, make_ready)
     if running_only and target:getState() ~= "Running" then return true end
     local ok, problem = pcall(advance)
     if not ok then report(problem) end
-    if not ok and not has_failed then pcall(again) end
+    if ok == has_failed then pcall(again) end
     has_failed = not ok
     meter()
     return true
