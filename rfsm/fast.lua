@@ -665,8 +665,8 @@ return function(engine, core)
       quick.run = make_quick(quick, false) or give_up_quick
     end
     leaf.quick[event] = quick
-    leaf.choices[event] = candidates
-    return candidates
+    leaf.choices[event] = quick and candidates or NONE
+    return leaf.choices[event]
   end
 
   -- Notes what a run reads of a leaf. `ignored`: the leaf's e_done if no transition
