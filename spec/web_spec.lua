@@ -19,7 +19,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local LAMP = [[
 local rfsm = require "rfsm"
-return rfsm.state {
+return rfsm.state { emem = false, checkevents = false,
   off = rfsm.state { entry = function() print("dark") end },
   on = rfsm.state {
     dim = rfsm.state {}, bright = rfsm.state {},
