@@ -336,13 +336,17 @@ local NOTE_FOUND = [[
 
 -- As in the core a connector counts as not enabled while it is being evaluated: a
 -- transition may have got it as its target.
+-- It may also have been evaluated already, through such a transition.
 local EVALUATE = [[
-  ways[c$n] = false
-  local w$level, x$level = false, nil]]
+  local w$level, x$level = ways[c$n], nil
+  if w$level == nil then
+  w$level = false
+  ways[c$n] = false]]
 
 local EVALUATED = [[
   if x$level then warn_of_conflict(fsm, c$n, x$level) end
   ways[c$n] = w$level
+  end
   def = w$level and def]]
 
 -- Returns the table of ways of a search that finds a changed target: only those that

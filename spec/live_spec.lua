@@ -210,6 +210,29 @@ describe("a state hook", function()
   end)
 end)
 
+it("a connector is evaluated once, also if a transition is aimed at it", function()
+  local asked = 0
+  local fsm = helper.started(state {
+    info = false, warn = false, k = conn {}, b = state {},
+    m = state { a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "root.k" } },
+    trans { src = "initial", tgt = "m" }, trans { src = "m", tgt = "b" },
+    trans { src = "k", tgt = "b", guard = function()
+      asked = asked + 1
+      return asked > 1
+    end },
+  })
+  fsm[2].tgt = fsm.k
+  for _ = 1, 20 do -- the first of them loads and compiles
+    rfsm.reset(fsm)
+    rfsm.step(fsm)
+    asked = 0
+    rfsm.step(fsm) -- on e_done
+    assert.equal(1, asked)
+    assert.equal("root.m.a", rfsm.get_actleaf_fqn(fsm))
+  end
+end)
+
 describe("a call from inside", function()
   it("to step is an error of the callback that made it", function()
     local fsm = started()
