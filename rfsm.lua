@@ -2141,8 +2141,8 @@ engine.choose, engine.take, engine.iterate = choose, take, iterate
 local patience = 8
 
 local PARTS = {
-  append = append, ask_getevents = ask_getevents, before = PHASES.before,
-  borrowers = borrowers, call = call,
+  ACTION = ACTION, SEGMENT = SEGMENT, append = append, ask_getevents = ask_getevents,
+  before = PHASES.before, borrowers = borrowers, call = call,
   call_post_hooks = call_post_hooks, choose = choose,
   compile_transition = compile_transition, decide = decide,
   enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
@@ -2156,6 +2156,7 @@ local PARTS = {
 
 local function load_fast()
   patience = -1
+  engine.iterate = iterate -- if there is no such file
   local make = find_module("rfsm.fast")
   if make then make(engine, PARTS) end
 end
@@ -2163,7 +2164,6 @@ end
 -- The first iterations of a program, and all of them if there is no rfsm/fast.lua.
 local function iterate_patiently(fsm, after_free)
   if patience == 0 then
-    engine.iterate = iterate
     load_fast()
     return engine.iterate(fsm, after_free)
   end
@@ -2939,10 +2939,7 @@ end
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
-  if patience >= 0 then
-    engine.iterate = iterate
-    load_fast()
-  end
+  if patience >= 0 then load_fast() end
   for _, at in ipairs(rfsm.machines(fsm)) do
     local plan = at.machine._plan
     for _, def in ipairs(plan.nodes) do if def.is_leaf then line_to(def) end end

@@ -111,9 +111,6 @@ end
 -- been done, since it has to be searched anew; REST if no path was taken, and the core
 -- is to go on with the phase; QUIET if there is no event that anything waits for.
 
--- As in the core.
-local ACTION, SEGMENT = 1e3, 1e9
-
 local LENT, SEARCH, REST, QUIET = 1, 2, 3, 4
 
 -- The numbers of locals in these functions; NEXT is where a called function is.
@@ -204,6 +201,8 @@ local COMPLETE = [[
 ---@class rfsm.fast.Path
 ---@field text rfsm.fast.Text
 ---@field number integer of the action
+---@field ACTION integer how far apart the numbers of actions are, as in the core
+---@field SEGMENT integer the same of segments
 ---@field at integer how many states have been left or entered: s0 and s1 in turn
 ---@field count integer how many values with a number have been bound
 ---@field is_hooked boolean states may have hooks
@@ -212,7 +211,7 @@ local Path = {}
 Path.__index = Path
 
 -- The next action begins.
-function Path:act() self.number = self.number + ACTION end
+function Path:act() self.number = self.number + self.ACTION end
 
 -- Writes a block for the action: $a is the state at which the path is, $b the next one.
 function Path:write(block, k, none)
@@ -261,6 +260,7 @@ end
 
 -- Writes a segment. The actions are those of `take_segment` in the core.
 function Path:segment(def, exits)
+  local SEGMENT = self.SEGMENT
   self.number = self.number - self.number % SEGMENT + SEGMENT
   if not def.is_internal then self:act() end -- a record
   self:leave(def, exits)
@@ -492,7 +492,8 @@ return function(engine, core)
   local function make_run(path, exits, is_hooked, is_checked)
     local text = new_text(VALUES)
     local own = setmetatable({
-      text = text, number = SEGMENT, at = 0, count = 0, is_hooked = is_hooked,
+      text = text, number = FIRST.take, at = 0, count = 0, is_hooked = is_hooked,
+      ACTION = core.ACTION, SEGMENT = core.SEGMENT,
     }, Path)
     text:bind("done_event", path[#path].tgt.done_event)
     text:write(BEGIN)
@@ -567,7 +568,7 @@ return function(engine, core)
   -- Takes the path that the machine has noted; returns what its function returns.
   local function take(fsm)
     local def, state = fsm._path, fsm._from
-    if def.kind == "state" or fsm.dbg ~= silent or fsm._calls.begun > SEGMENT
+    if def.kind == "state" or fsm.dbg ~= silent or fsm._calls.begun > FIRST.take
       or state._actchild or state._mode == "inactive" then
       core.take(fsm)
       return LENT
