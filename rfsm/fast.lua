@@ -52,9 +52,37 @@ local function for_jit(line)
   return (line:gsub("^([sf]%w+)%.(_[%w_]+) = (.+)$", 'rawset(%1, "%2", %3)'))
 end
 
+--- What texts of one kind have in common.
+---@class rfsm.fast.Kit
+---@field chunkname string
+---@field loadstring fun(text: string, chunkname: string): function?
+---@field names string[] of the values that all texts may use
+---@field values any[]
+---@field makers table<string, rfsm.fast.Maker> what texts were compiled to
+
+--- Makes a kit; `values` has names and values in turn.
+---@return rfsm.fast.Kit
+local function new_kit(chunkname, loadstring, values)
+  local kit = {
+    chunkname = "=rfsm " .. chunkname, loadstring = loadstring, names = {}, values = {},
+    makers = setmetatable({}, { __mode = "v" }),
+  }
+  for i = 1, #values, 2 do
+    kit.names[#kit.names + 1] = values[i]
+    kit.values[#kit.names] = values[i + 1]
+  end
+  return kit
+end
+
+--- What a text was compiled to.
+---@class rfsm.fast.Maker
+---@field make fun(...): function returns a function with these values bound to it
+---@field call_lines table<integer, true> the lines in which it calls callbacks
+
 --- A text that is being written.
 ---@class rfsm.fast.Text
----@field names string[] of the values that are bound to it
+---@field kit rfsm.fast.Kit
+---@field names string[] of the values that are bound to it alone
 ---@field values any[]
 ---@field lines string[]
 ---@field call_lines table<integer, true> the lines in which a callback is called
@@ -62,12 +90,10 @@ end
 local Text = {}
 Text.__index = Text
 
-local function new_text(values)
-  local text = setmetatable({
-    names = {}, values = {}, lines = {}, call_lines = {},
+local function new_text(kit)
+  return setmetatable({
+    kit = kit, names = {}, values = {}, lines = {}, call_lines = {},
   }, Text)
-  for i = 1, #values, 2 do text:bind(values[i], values[i + 1]) end
-  return text
 end
 
 function Text:bind(name, value)
@@ -75,31 +101,41 @@ function Text:bind(name, value)
   self.values[#self.names] = value
 end
 
+-- Has it more values than a function may have?
+function Text:is_full() return #self.kit.names + #self.names > MAX_VALUES end
+
 -- Writes the lines of a block, in which $x stands for places.x. The lines that call a
 -- callback begin with "callback(".
 function Text:write(block, places)
   for raw in block:gmatch("[^\n]+") do
     local line = raw:gsub("^%s+", ""):gsub("$(%l+)", places or NONE)
     self.lines[#self.lines + 1] = for_jit(line)
-    -- the first line has the names
-    if line:find("^callback%(") then self.call_lines[#self.lines + 1] = true end
+    -- two lines come before the first
+    if line:find("^callback%(") then self.call_lines[#self.lines + 2] = true end
   end
 end
 
--- What texts were compiled to, while anything that was made with it is in use.
-local makers = setmetatable({}, { __mode = "v" })
+-- Functions that were compiled, and their makers, which are known as long as one of
+-- their functions is in use.
+---@type table<function, rfsm.fast.Maker>
+local maker_of = setmetatable({}, { __mode = "k" })
 
--- The lines with calls in the functions that were compiled.
-local call_lines_of = setmetatable({}, { __mode = "k" })
-
--- Compiles a text to a function that gets the values by name.
-function Text:compile(loadstring, chunkname)
-  local source = ("local %s = ...\n%s\n"):format(concat(self.names, ", "),
-    concat(self.lines, "\n"))
-  local maker = makers[source] or loadstring(source, "=rfsm " .. chunkname)
-  makers[source] = maker
-  local f = maker(unpack(self.values, 1, #self.names))
-  call_lines_of[f] = self.call_lines
+-- Compiles a text to a function that gets the values by name. Texts with the same lines
+-- are compiled once.
+function Text:compile()
+  local kit = self.kit
+  local source = ("local %s = ...\nreturn function(%s)\n%s\nend"):format(
+    concat(kit.names, ", "), concat(self.names, ", "), concat(self.lines, "\n"))
+  local maker = kit.makers[source]
+  if not maker then
+    local chunk = kit.loadstring(source, kit.chunkname)
+    maker = {
+      make = chunk(unpack(kit.values, 1, #kit.names)), call_lines = self.call_lines,
+    }
+    kit.makers[source] = maker
+  end
+  local f = maker.make(unpack(self.values, 1, #self.names))
+  maker_of[f] = maker
   return f
 end
 
@@ -386,7 +422,7 @@ end
 function Search:connector(connector, level, n)
   local otrs, text, pn = connector.otrs, self.text, nil
   local places = { n = n, level = level }
-  if self.seen[connector] or #text.values > MAX_VALUES or level > 12 then
+  if self.seen[connector] or text:is_full() or level > 12 then
     self.is_too_much = true
     return
   end
@@ -405,7 +441,7 @@ function Search:connector(connector, level, n)
   text:write(EVALUATED, places)
 end
 
--- The parts that replace those of the core -------------------------------------------
+-- What may be triggered --------------------------------------------------------------
 
 local OTHER = {} -- stands for all events that the machine does not know
 
@@ -416,27 +452,18 @@ local function has_predicate(def)
   return false
 end
 
--- May one event alone trigger it?
-local function is_candidate(def, event)
-  local events = def.events
-  if not events or has_predicate(def) then return true end
-  for i = 1, #events do
-    if rawequal(events[i], event) then return true end
-  end
-  return false
+-- How many states a transition leaves, from a state of that depth.
+local function exits_of(def, depth)
+  return def.is_internal and 0 or depth - def.lca.depth
 end
 
---- Replace the functions of an engine.
----@param engine table the functions that are replaced
----@param core table the functions of the core
-return function(engine, core)
-  if not core.loadstring then return end -- no text can be compiled
-  local silent = core.silent
-  local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
-  local no_events, FIRST, OWN_ONLY = core.no_events, core.FIRST, core.OWN_ONLY
-  local append, borrowers, loadstring = core.append, core.borrowers, core.loadstring
+-- Take: functions of paths -----------------------------------------------------------
 
-  local function prepare_transition(def)
+-- Makes the part that takes paths; returns what the others use.
+local function new_takes(core)
+  local silent, FIRST = core.silent, core.FIRST
+
+  local function prepared(def)
     if def.connector == nil then core.compile_transition(def) end
     return def
   end
@@ -454,43 +481,17 @@ return function(engine, core)
     return LENT
   end
 
-  -- In place of a function that is too large and searches.
-  local function give_up_quick() return SEARCH end
-
-  -- Returns the transition that a path through `def` always takes next: the only one
-  -- of its connector, without events. Its guard is looked at in the run.
-  local function behind(def)
-    local connector = def.connector
-    local otrs = connector and connector.otrs
-    if otrs and #otrs == 1 and not otrs[1].events then
-      return prepare_transition(otrs[1])
-    end
-  end
-
-  -- Lists the segments of a path that is taken whenever its first one is, if no guard
-  -- or other target has been set; nil where that is not so.
-  local function straight_path(def)
-    local path, seen = { prepare_transition(def) }, {}
-    while def.connector do
-      def = behind(def)
-      if not def or seen[def] or #path > 4 then return nil end
-      seen[def] = true
-      path[#path + 1] = def
-    end
-    return path
-  end
-
-  local VALUES = {
+  local kit = new_kit("path", core.loadstring, {
     "silent", silent, "resume", resume, "leave", core.leave, "enter", core.enter,
     "call", core.call, "LENT", LENT, "SEARCH", SEARCH, "rawget", rawget,
     "rawset", rawset, "borrowers", core.borrowers,
-  }
+  })
 
   -- Returns the function that takes the segments of `path` from a state `exits` levels
   -- below what stays active; with a check if the path has not been searched. Nil if
   -- that is too much for one function.
   local function make_run(path, exits, is_hooked, is_checked)
-    local text = new_text(VALUES)
+    local text = new_text(kit)
     local own = setmetatable({
       text = text, number = FIRST.take, at = 0, count = 0, is_hooked = is_hooked,
       ACTION = core.ACTION, SEGMENT = core.SEGMENT,
@@ -504,15 +505,10 @@ return function(engine, core)
       if k > 1 then exits = path[k - 1].connector.parent.depth - def.lca.depth end
       if path[2] or not is_checked then own:write(SEGMENT_BEGIN, "x" .. k) end
       own:segment(def, exits)
-      if #text.values > MAX_VALUES then return nil end
+      if text:is_full() then return nil end
     end
     text:write("return lent\nend")
-    return text:compile(loadstring, "path")
-  end
-
-  -- How many states a transition leaves, from a state of that depth.
-  local function exits_of(def, depth)
-    return def.is_internal and 0 or depth - def.lca.depth
+    return text:compile()
   end
 
   -- Lists the segments of the path that a search has found: `ways` are those out of its
@@ -545,7 +541,9 @@ return function(engine, core)
   -- Returns the function for that path. They are kept in a tree: by the levels that are
   -- left, then by the transitions behind the first one. A machine that was prepared
   -- compiles no more. Without a loop up to MAX_LOOKUPS connectors, for LuaJIT.
-  local lookup = new_text { "note_run", note_run, "take_plainly", take_plainly }
+  local lookup = new_text(new_kit("lookup", core.loadstring, {
+    "note_run", note_run, "take_plainly", take_plainly,
+  }))
   lookup:write [[
     return function(first, ways, exits, is_hooked, is_prepared)
     local runs, connector, way = first.runs, first.connector, nil
@@ -563,7 +561,7 @@ return function(engine, core)
     if is_prepared and not at then return take_plainly end
     return note_run(first, ways, exits, is_hooked)
     end]]
-  local run_of = lookup:compile(loadstring, "lookup")
+  local run_of = lookup:compile()
 
   -- Takes the path that the machine has noted; returns what its function returns.
   local function take(fsm)
@@ -578,37 +576,72 @@ return function(engine, core)
     return run(fsm)
   end
 
-  -- Choose: candidates per leaf and event ..........................................
-  --
-  -- leaf.choices[event] lists what an event may trigger while the leaf is active, in
-  -- order. leaf.quick[event] is false if that is nothing. Otherwise `run` searches and
-  -- takes the path, `hooked` does so in a machine with hooks.
+  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the
+  -- ways out of its connectors then. Returns how many are left.
+  local function each_path(def, ways, f, left)
+    local connector = prepared(def).connector
+    if not connector or left < 1 then
+      if left > 0 then f() end
+      return left - 1
+    end
+    for _, out in ipairs(ways[connector] == nil and connector.otrs or NONE) do
+      ways[connector] = out
+      left = each_path(out, ways, f, left)
+      ways[connector] = nil
+    end
+    return left
+  end
+
+  -- Compiles the paths through a transition from a leaf.
+  local function prepare_paths(def, leaf, is_hooked)
+    local ways = {}
+    each_path(def, ways, function()
+      run_of(def, ways, exits_of(def, leaf.depth), is_hooked)
+    end, MAX_PATHS)
+  end
+
+  return {
+    make_run = make_run, prepare_paths = prepare_paths, prepared = prepared,
+    resume = resume, take = take, take_plainly = take_plainly,
+  }
+end
+
+-- Choose: candidates and functions for each leaf and event ---------------------------
+--
+-- leaf.choices[event] lists what an event may trigger while the leaf is active, in
+-- order. leaf.quick[event] is false if that is nothing; otherwise `run` searches and
+-- takes the path. leaf.hooked has the same for machines with hooks.
+
+local function new_choices(core, takes)
+  local matches, enabled, silent = core.matches, core.enabled, core.silent
+  local make_run, prepared, take = takes.make_run, takes.prepared, takes.take
+  local append = core.append
 
   -- Takes what a search has found in the leaf, which may be nothing.
   local function take_found(fsm, leaf, def, lent)
     core.decide(fsm, leaf, def)
     if fsm._phase ~= "take" then return REST end
-    fsm._calls.count = FIRST.take
+    fsm._calls.count = core.FIRST.take
     return take(fsm) or lent
   end
 
-  local SEARCH_VALUES = {
-    "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches,
-    "renew", renew,
+  local kit = new_kit("search", core.loadstring, {
+    "pcall", pcall, "refuse", core.refuse_guard, "matches", matches, "renew", renew,
     "warn_of_conflict", core.warn_of_conflict, "enabled_with", core.enabled_with,
-    "rawget", rawget, "rawset", rawset, "borrowers", borrowers, "LENT", LENT,
+    "rawget", rawget, "rawset", rawset, "borrowers", core.borrowers, "LENT", LENT,
     "SEARCH", SEARCH, "take_found", take_found, "silent", silent,
-  }
+  })
 
   -- Returns a function that takes the path of the first of the candidates that is
   -- enabled; nil if that is too much for one function.
   local function make_search(plan, depth, candidates, is_hooked)
-    local text = new_text(SEARCH_VALUES)
+    local text = new_text(kit)
     local own = setmetatable({
       text = text, count = 0, seen = {}, connectors = {}, is_predicate = {},
-      prepare = prepare_transition,
+      prepare = prepared,
       run_of = function(def)
-        return make_run({ def }, exits_of(def, depth), is_hooked, false) or take_plainly
+        return make_run({ def }, exits_of(def, depth), is_hooked, false)
+          or takes.take_plainly
       end,
     }, Search)
     text:bind("plan", plan)
@@ -618,89 +651,117 @@ return function(engine, core)
     for _, def in ipairs(candidates) do
       own.is_predicate[def] = has_predicate(def)
       own:transition(def, 0)
-      if own.is_too_much or #text.values > MAX_VALUES then return nil end
+      if own.is_too_much or text:is_full() then return nil end
     end
     for i, connector in ipairs(own.connectors) do
       text:bind("C" .. i, connector)
       insert(text.lines, head + i, ("ways[C%d] = nil"):format(i))
     end
     text:write(SEARCH_END)
-    return text:compile(loadstring, "search")
+    return text:compile()
   end
 
-  local function list_candidates(leaf, event)
-    local candidates, line = {}, leaf.line
-    for i = 1, #line do
-      for _, def in ipairs(line[i].otrs) do
-        if is_candidate(def, event) then
-          candidates[#candidates + 1] = prepare_transition(def)
+  -- Lists the transitions that each event may trigger while the leaf is active, in
+  -- order. OTHER stands for the events that none of them names.
+  local function list_choices(leaf)
+    local choices, lists = { [OTHER] = {} }, {}
+    lists[1] = choices[OTHER]
+    local function add(list, def)
+      if list[#list] ~= def then list[#list + 1] = def end
+    end
+    local function add_def(def)
+      if not def.events or has_predicate(def) then
+        for _, list in ipairs(lists) do add(list, def) end
+        return
+      end
+      for _, event in ipairs(def.events) do
+        if not choices[event] then
+          choices[event] = append({}, choices[OTHER])
+          lists[#lists + 1] = choices[event]
         end
+        add(choices[event], def)
       end
     end
-    return candidates
-  end
-
-  -- Makes the function of a path; nil if that is too much for one function.
-  local function make_quick(quick, is_hooked)
-    local candidates = quick.candidates
-    local def = candidates[1]
-    local is_alone = not (candidates[2] or def.guard or has_predicate(def))
-    local path = is_alone and straight_path(def)
-    return path and make_run(path, exits_of(def, quick.depth), is_hooked, true)
-      or make_search(quick.plan, quick.depth, candidates, is_hooked)
-  end
-
-  -- Returns the function of a path in a machine with hooks.
-  local function hooked_run(quick, is_prepared)
-    if quick.hooked == nil then
-      if is_prepared then return give_up_quick end
-      quick.hooked = make_quick(quick, true) or give_up_quick
+    for _, node in ipairs(core.line_to(leaf)) do
+      for _, def in ipairs(node.otrs) do add_def(prepared(def)) end
     end
-    return quick.hooked
-  end
-
-  -- Notes what an event may trigger. It may be interrupted anywhere.
-  local function note_choice(plan, leaf, event)
-    local candidates, quick = list_candidates(leaf, event), false
-    if candidates[1] then
-      quick = {
-        run = false, def = candidates[1], hooked = nil, plan = plan, depth = leaf.depth,
-        candidates = candidates,
-      }
-      quick.run = make_quick(quick, false) or give_up_quick
-    end
-    leaf.quick[event] = quick
-    leaf.choices[event] = quick and candidates or NONE
-    return leaf.choices[event]
+    return choices
   end
 
   -- Notes what a run reads of a leaf. `ignored`: the leaf's e_done if no transition
-  -- uses it, else NaN, which equals no event.
-  local function prepare_leaf(plan, leaf)
-    local new = {
-      choices = {}, quick = {}, depth = leaf.depth, line = core.line_to(leaf),
-    }
-    local leads_somewhere = note_choice(plan, new, leaf.done_event)[1] ~= nil
-    note_choice(plan, new, OTHER)
-    leaf.ignored = leads_somewhere and 0 / 0 or leaf.done_event
-    leaf.choices = new.choices
-    leaf.quick = new.quick -- last: it is looked at first
+  -- uses it, else NaN, which equals no event. It may be interrupted anywhere.
+  local function prepare_leaf(leaf)
+    local choices = list_choices(leaf)
+    local done = choices[leaf.done_event] or choices[OTHER]
+    leaf.choices = choices
+    leaf.ignored = done[1] and 0 / 0 or leaf.done_event
+    leaf.hooked = {}
+    leaf.quick = {} -- last: it is looked at first
   end
 
   -- Returns the candidates of an event.
-  local function choice_of(plan, leaf, event)
-    if not leaf.quick then prepare_leaf(plan, leaf) end
-    local choice = leaf.choices[event]
-    if choice then return choice end
-    if not plan.events[event] then return leaf.choices[OTHER] end
-    return note_choice(plan, leaf, event)
+  local function choice_of(leaf, event)
+    if not leaf.quick then prepare_leaf(leaf) end
+    return leaf.choices[event] or leaf.choices[OTHER]
+  end
+
+  -- Returns the transition that a path through `def` always takes next: the only one
+  -- of its connector, without events. Its guard is looked at in the run.
+  local function behind(def)
+    local connector = def.connector
+    local otrs = connector and connector.otrs
+    if otrs and #otrs == 1 and not otrs[1].events then return prepared(otrs[1]) end
+  end
+
+  -- Lists the segments of a path that is taken whenever its first one is, if no guard
+  -- or other target has been set; nil where that is not so.
+  local function straight_path(def)
+    local path, seen = { prepared(def) }, {}
+    while def.connector do
+      def = behind(def)
+      if not def or seen[def] or #path > 4 then return nil end
+      seen[def] = true
+      path[#path + 1] = def
+    end
+    return path
+  end
+
+  -- In place of a function that is too large, or that was not prepared.
+  local function give_up_quick() return SEARCH end
+
+  local GIVEN_UP = { run = give_up_quick, def = false }
+
+  -- Makes the function for an event.
+  local function make_quick(plan, leaf, event, is_hooked)
+    local candidates = choice_of(leaf, event)
+    local def = candidates[1]
+    if not def then return false end
+    local is_alone = not (candidates[2] or def.guard or has_predicate(def))
+    local path = is_alone and straight_path(def)
+    local run = path and make_run(path, exits_of(def, leaf.depth), is_hooked, true)
+      or make_search(plan, leaf.depth, candidates, is_hooked)
+    return run and { run = run, def = def } or GIVEN_UP
+  end
+
+  -- Returns what is known of that event; false if nothing waits for it.
+  local function quick_of(fsm, leaf, event, is_hooked)
+    if not leaf.quick then prepare_leaf(leaf) end
+    local known = is_hooked and leaf.hooked or leaf.quick
+    if not leaf.choices[event] then event = OTHER end
+    local quick = known[event]
+    if quick == nil then
+      if fsm._is_prepared then return GIVEN_UP end
+      quick = make_quick(fsm._plan, leaf, event, is_hooked)
+      known[event] = quick
+    end
+    return quick
   end
 
   -- Returns the candidates of all events, nil if there are several lists of them.
-  local function common_choice(plan, leaf, events)
+  local function common_choice(leaf, events)
     local common = NONE
     for i = 1, #events do
-      local candidates = choice_of(plan, leaf, events[i])
+      local candidates = choice_of(leaf, events[i])
       if candidates[1] and candidates ~= common then
         if common ~= NONE then return nil end
         common = candidates
@@ -712,36 +773,105 @@ return function(engine, core)
   -- Returns the first candidate of the events that is enabled.
   local function choose(fsm, events)
     local plan = fsm._plan
-    local common = common_choice(plan, fsm._act_leaf["_%def"], events)
+    local common = common_choice(fsm._act_leaf["_%def"], events)
     if not common or fsm.dbg ~= silent then return core.choose(fsm, events) end
     if common == NONE then return nil end
     fsm._ways = {}
     for i = 1, #common do
       local def = common[i]
-      local found = (not has_predicate(def) or core.matches(def, events))
-        and core.enabled(fsm, def, events, 0)
+      local found = (not has_predicate(def) or matches(def, events))
+        and enabled(fsm, def, events, 0)
       if fsm._plan ~= plan then return choose(fsm, events) end
       if found then return found end
     end
   end
 
-  -- Iterate ........................................................................
-
-  local resume_coroutine = coroutine and coroutine.resume
-  local status, DOO = coroutine and coroutine.status, "doo"
-
-  local has_arguments = xpcall(function(x) error(x) end, type, 1) == false
-    and select(2, xpcall(function(x) error(x, 0) end, type, 1)) == "number"
-
-  -- Calls f(fsm) in protected mode. Lua 5.1 passes no arguments.
-  local function protect_51(f, fsm)
-    fsm._run = f
-    return xpcall(fsm._act, handler)
+  -- Compiles what may be wanted while the leaf is active.
+  local function prepare_run(fsm, leaf)
+    local is_hooked = fsm._is_hooked
+    if not leaf.quick then prepare_leaf(leaf) end
+    for event, candidates in pairs(leaf.choices) do -- any order: each stands alone
+      quick_of(fsm, leaf, event, is_hooked)
+      for _, def in ipairs(candidates) do
+        if def.connector and not straight_path(def) then
+          takes.prepare_paths(def, leaf, is_hooked)
+        end
+      end
+    end
   end
 
-  local function protect(f, fsm) return xpcall(f, handler, fsm) end
+  core.interpret(prepare_run)
 
-  if not has_arguments then protect = protect_51 end
+  -- Compiles what would be compiled while the machine runs. A path that has not been
+  -- foreseen is taken by the core then.
+  local function prepare(fsm)
+    fsm._is_prepared = false
+    for _, leaf in ipairs(fsm._plan.nodes) do
+      if leaf.is_leaf then prepare_run(fsm, leaf) end
+    end
+    fsm._is_prepared = true
+  end
+
+  return {
+    choose = choose, prepare = prepare, quick_of = quick_of, take_found = take_found,
+  }
+end
+
+-- Iterate ----------------------------------------------------------------------------
+
+local resume_coroutine = coroutine and coroutine.resume
+local status, DOO = coroutine and coroutine.status, "doo"
+
+-- Does `xpcall` pass arguments?
+local has_arguments = xpcall(rawequal, type, 1, 1)
+
+-- Calls f(fsm) in protected mode. Lua 5.1 passes no arguments.
+local function protect_51(f, fsm, handler)
+  fsm._run = f
+  return xpcall(fsm._act, handler)
+end
+
+local function protect(f, fsm, handler) return xpcall(f, handler, fsm) end
+
+if not has_arguments then protect = protect_51 end
+
+-- Calls the hooks of a list, the first with the number `count` + 1. A hook is the
+-- eighth local, as in the function of a path.
+local CALL_HOOKS = [[
+  return function(fsm, hooks, slot, count)
+  local calls, i, size, callback = fsm._calls, 1, #hooks, nil
+  while i <= size do
+  callback = hooks[i]
+  if callback == OWN then callback = fsm[slot] end
+  if callback then
+  count = count + 1
+  calls.begun = count
+  callback(fsm, fsm._curq)
+  end
+  i = i + 1
+  end
+  end]]
+
+local function clear(list)
+  for i = #list, 1, -1 do list[i] = nil end
+end
+
+-- Makes the part that iterates.
+local function new_iterates(core, choices)
+  local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
+  local no_events, OWN_ONLY, borrowers = core.no_events, core.OWN_ONLY, core.borrowers
+  local append, FIRST, silent = core.append, core.FIRST, core.silent
+  local BEFORE, AFTER, quick_of = FIRST.before, FIRST.after, choices.quick_of
+
+  local hooks_text = new_text(new_kit("hooks", core.loadstring, { "OWN", OWN_ONLY[1] }))
+  hooks_text:write(CALL_HOOKS)
+  local call_hooks = hooks_text:compile()
+
+  -- Notes that the doo has been resumed, with these results.
+  local function note_resumed(calls, ok, idle)
+    calls.ok, calls.result, calls.more = true, ok, idle
+    calls.begun, calls.noted = FIRST.doo + 1, FIRST.doo + 1
+  end
 
   -- Resumes a doo that has been started before. `note_cycle` reads the locals; `DOO` is
   -- read where `ok` will be, which is therefore a boolean only after the call.
@@ -751,9 +881,7 @@ return function(engine, core)
     fsm._phase = DOO
     local ok, idle = resume_coroutine(co, fsm, leaf, "doo")
     if ok and status(co) ~= "dead" then return idle and "idle" or "counted" end
-    local calls = fsm._calls
-    calls.ok, calls.result, calls.more, calls.noted = true, ok, idle, FIRST.doo + 1
-    calls.begun = FIRST.doo + 1
+    note_resumed(fsm._calls, ok, idle)
     return nil
   end
 
@@ -768,7 +896,7 @@ return function(engine, core)
       fsm._phase = "doo"
       return plain(fsm, false)
     end
-    local ok, outcome = protect(cycle, fsm)
+    local ok, outcome = protect(cycle, fsm, handler)
     if not ok then error(outcome, 0) end
     if outcome and fsm._is_usual then
       fsm._phase = "idle"
@@ -783,12 +911,7 @@ return function(engine, core)
   -- The events of the last iteration are used again for the next one, unless a callback
   -- may have kept them.
   local function end_iteration(fsm, is_lent)
-    local events = fsm._curq
-    if is_lent then
-      fsm._curq = {}
-    else
-      for i = #events, 1, -1 do events[i] = nil end
-    end
+    if is_lent then fsm._curq = {} else clear(fsm._curq) end
     fsm._phase = "idle"
   end
 
@@ -809,45 +932,58 @@ return function(engine, core)
     return fsm._outcome == "counted", false
   end
 
-  -- The phase "collect" into lists that are used again. `_spare` is a third one: no
-  -- callback ever gets it.
-  local function collect(fsm)
-    local spare, events = fsm._curq, fsm._intq
-    fsm._phase = "collect"
-    fsm._curq = events
-    fsm._intq = spare
-    if fsm.getevents == no_events then return end
+  -- Joins the events of getevents to those of the iteration, in a list that is used
+  -- again. `_spare` is a third one: no callback ever gets it.
+  local function join_events(fsm, events, intq)
+    fsm._calls.count = FIRST.collect
     local more, failure = core.ask_getevents(fsm, core.call)
     if not more then core.give_up(fsm, failure) end
     if #more == 0 then return end
     local list = fsm._spare
-    if not list or list == events or list == spare then list = {} end
-    for i = #list, 1, -1 do list[i] = nil end
+    if not list or list == events or list == intq then list = {} end
+    clear(list)
     fsm._joined = append(append(list, events), more)
     fsm._spare = events
   end
 
-  -- Takes the path that one event leads straight to, if there is such; returns what the
-  -- function of the path returns, SEARCH if there is none.
-  local function take_quick(fsm)
-    local leaf, events = fsm._act_leaf, fsm._curq
-    local leaf_def, event, next_event = leaf and leaf["_%def"], events[1], events[2]
-    local quick = leaf and leaf_def.quick
-    if not quick or fsm.dbg ~= silent then return SEARCH end
-    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
-    if event == nil then return QUIET end
-    local path = next_event == nil and quick[event]
-    if not path then return SEARCH end
-    fsm._path = path.def
-    fsm._from = leaf
-    return hooked_run(path, fsm._is_prepared)(fsm)
+  -- The phases "collect" and "before".
+  local function collect(fsm, pre)
+    local intq, events = fsm._curq, fsm._intq
+    fsm._phase = "collect"
+    fsm._curq = events
+    fsm._intq = intq
+    if fsm.getevents ~= no_events then join_events(fsm, events, intq) end
+    if fsm._joined then fsm._curq = fsm._joined end
+    fsm._joined = false
+    if not pre and fsm._pre_hooks == OWN_ONLY then return end
+    fsm._phase = "before"
+    call_hooks(fsm, fsm._pre_hooks, "pre_step_hook", BEFORE)
   end
 
   -- Does a hook of this iteration get the list of events, and may keep it?
-  local function lends(fsm, pre)
-    local post = fsm.post_step_hook
+  local function lends(fsm, pre, post)
     return fsm._lends_events or pre and not borrowers[pre]
       or post and not borrowers[post]
+  end
+
+  -- Takes the path that one event leads straight to, if there is such; returns what the
+  -- function of the path returns, or what is to be done.
+  local function take_quick(fsm)
+    local leaf, events = fsm._act_leaf, fsm._curq
+    if not leaf or fsm.dbg ~= silent then return SEARCH end
+    local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
+    if event == leaf_def.ignored then event, next_event = next_event, events[3] end
+    if event == nil then return QUIET end
+    if next_event ~= nil then return SEARCH end
+    local path = leaf_def.hooked and leaf_def.hooked[event]
+    if path == nil then path = quick_of(fsm, leaf_def, event, true) end
+    if not path then
+      core.decide(fsm, leaf, nil)
+      return REST
+    end
+    fsm._path = path.def
+    fsm._from = leaf
+    return path.run(fsm)
   end
 
   -- Searches and takes the path, or the doo a cycle, up to the phase "after". Returns
@@ -860,25 +996,31 @@ return function(engine, core)
       return result
     end
     if result ~= REST then fsm._phase = "search" end
-    core.go_on(fsm, "after")
+    if fsm._phase ~= "after" then core.go_on(fsm, "after") end
     return result ~= QUIET and LENT
   end
 
-  -- The phases of an iteration in a machine with getevents or hooks.
+  -- The phases of an iteration in a machine with getevents or hooks. Returns whether it
+  -- counts, and nothing else is left to be done.
   local function go_through(fsm)
     local calls, pre = fsm._calls, fsm.pre_step_hook
-    if fsm._phase ~= "begin" or fsm._curq[1] ~= nil then return core.go_on(fsm) end
+    if fsm._phase ~= "begin" or fsm._curq[1] ~= nil then
+      core.go_on(fsm)
+      return false
+    end
     calls.begun = 0
     calls.noted = 0
-    calls.count = 0
-    collect(fsm)
-    calls.count = FIRST.before
-    if pre or fsm._joined or fsm._pre_hooks ~= OWN_ONLY then core.before(fsm) end
+    collect(fsm, pre)
     local lent = search_and_take(fsm)
-    if fsm._phase == "idle" then return end -- it could not be entered
-    calls.count = FIRST.after
-    core.call_post_hooks(fsm)
-    end_iteration(fsm, lent or lends(fsm, pre))
+    if fsm._phase == "idle" then return false end -- it could not be entered
+    local post = fsm.post_step_hook
+    if fsm._joined or fsm._reset_wanted then
+      calls.count = AFTER
+      core.call_post_hooks(fsm)
+    elseif post or fsm._post_hooks ~= OWN_ONLY then
+      call_hooks(fsm, fsm._post_hooks, "post_step_hook", AFTER)
+    end
+    end_iteration(fsm, lent or lends(fsm, pre, post))
     return fsm._outcome == "counted" and not (fsm._failure or fsm._reset_wanted)
   end
 
@@ -891,8 +1033,8 @@ return function(engine, core)
     end
     fsm._after_free = after_free
     fsm._phase = "begin"
-    local ok, is_counted = protect(go_through, fsm)
-    if ok and is_counted == true then return true, false end
+    local ok, is_counted = protect(go_through, fsm, handler)
+    if ok and is_counted then return true, false end
     if ok then return core.results_of(fsm, fsm._outcome) end
     if is_counted ~= GO_ON then error(is_counted, 0) end
     return plain(fsm, after_free)
@@ -907,22 +1049,14 @@ return function(engine, core)
     end
     local events, leaf_def = fsm._intq, leaf["_%def"]
     local event, next_event, quick = events[1], events[2], leaf_def.quick
-    if not quick then
-      prepare_leaf(fsm._plan, leaf_def)
-      quick = leaf_def.quick
-    end
     if event == leaf_def.ignored then event, next_event = next_event, events[3] end
     if event == nil then
       return iterate_quietly(fsm, leaf, events)
     elseif next_event ~= nil or after_free then
       return plain(fsm, after_free)
     end
-    local path, spare = quick[event], fsm._curq
-    if path == nil then
-      choice_of(fsm._plan, leaf_def, event)
-      path = quick[event]
-      if path == nil then path = quick[OTHER] end
-    end
+    local path, spare = quick and quick[event], fsm._curq
+    if path == nil then path = quick_of(fsm, leaf_def, event, false) end
     if not path then -- nothing waits for it
       events[2] = nil
       events[1] = nil
@@ -955,10 +1089,18 @@ return function(engine, core)
     return true, false
   end
 
-  -- What the core asks for .........................................................
+  return {
+    cycle = cycle, go_through = go_through, iterate = iterate,
+    note_resumed = note_resumed,
+  }
+end
 
-  local getinfo, getlocal = debug and debug.getinfo, debug and debug.getlocal
+-- What the core asks for -------------------------------------------------------------
 
+local getinfo, getlocal = debug and debug.getinfo, debug and debug.getlocal
+
+-- Makes the function that is told of an error while a function of this file ran.
+local function new_note_failure(core, iterates)
   -- `cycle` was cut short. Has it resumed the doo? Then the results are noted.
   local function note_cycle(level)
     local values = {}
@@ -966,20 +1108,18 @@ return function(engine, core)
       local _, value = getlocal(level + 1, i)
       values[i] = value
     end
-    local fsm, ok = values[1], values[4]
-    if type(ok) ~= "boolean" then return false end
-    local calls = fsm._calls
-    calls.ok, calls.result, calls.more, calls.noted = true, ok, values[5], FIRST.doo + 1
-    calls.begun = FIRST.doo + 1
+    if type(values[4]) == "boolean" then
+      iterates.note_resumed(values[1]._calls, values[4], values[5])
+    end
     return false
   end
 
   -- An error comes from a function that takes a segment, or from a callback that it has
   -- called. The latter is noted as the result of the call; returns true then.
-  local function note_failure(f, level, failure)
-    if f == cycle then return note_cycle(level) end
-    local call_lines = call_lines_of[f]
-    if not call_lines or not call_lines[getinfo(level, "l").currentline] then
+  return function(f, level, failure)
+    if f == iterates.cycle then return note_cycle(level) end
+    local maker = maker_of[f]
+    if not (maker and maker.call_lines[getinfo(level, "l").currentline]) then
       return false
     end
     local _, fsm = getlocal(level, FSM)
@@ -994,61 +1134,32 @@ return function(engine, core)
     calls.ok, calls.result, calls.noted = false, failure, calls.begun
     return true
   end
+end
 
-  -- Functions of this file whose first parameter is the machine, and that may be what
-  -- is left on the stack of one that takes a path: generated text ends in tail calls.
-  local HAS_MACHINE = {
-    [cycle] = true, [go_through] = true, [resume] = true, [take] = true,
-    [take_found] = true, [take_plainly] = true,
-  }
-
-  local function is_taking(f, level, fsm)
-    if not (call_lines_of[f] or HAS_MACHINE[f]) then return false end
+-- Makes the function that knows the functions which take a path of a machine: those of
+-- this file whose first parameter is the machine, and that may be what is left on the
+-- stack, since generated text ends in tail calls.
+local function new_is_taking(functions)
+  return function(f, level, fsm)
+    if not (maker_of[f] or functions[f]) then return false end
     local _, value = getlocal(level, FSM)
     return rawequal(value, fsm)
   end
+end
 
-  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the
-  -- ways out of its connectors then. Returns how many are left.
-  local function each_path(def, ways, f, left)
-    local connector = prepare_transition(def).connector
-    if not connector or left < 1 then
-      if left > 0 then f() end
-      return left - 1
-    end
-    for _, out in ipairs(ways[connector] == nil and connector.otrs or NONE) do
-      ways[connector] = out
-      left = each_path(out, ways, f, left)
-      ways[connector] = nil
-    end
-    return left
-  end
-
-  -- Compiles what would be compiled while the machine runs. A path that has not been
-  -- foreseen is taken by the core then.
-  local function prepare(fsm)
-    local plan, is_hooked, ways = fsm._plan, fsm._is_hooked, {}
-    for _, leaf in ipairs(plan.nodes) do
-      if leaf.is_leaf then
-        for event in pairs(plan.events) do -- any order: each stands alone
-          choice_of(plan, leaf, event)
-        end
-        for _, quick in pairs(is_hooked and leaf.quick or NONE) do -- any order too
-          if quick then hooked_run(quick) end
-        end
-        for _, node in ipairs(core.line_to(leaf)) do
-          for _, def in ipairs(node.otrs) do
-            each_path(def, ways, function()
-              run_of(def, ways, exits_of(def, leaf.depth), is_hooked)
-            end, MAX_PATHS)
-          end
-        end
-      end
-    end
-    fsm._is_prepared = true
-  end
-
-  engine.choose, engine.iterate, engine.take = choose, iterate, take
-  engine.prepare, engine.note_failure, engine.is_taking = prepare, note_failure,
-    is_taking
+--- Replace the functions of an engine.
+---@param engine table the functions that are replaced
+---@param core table the functions of the core
+return function(engine, core)
+  if not core.loadstring then return end -- no text can be compiled
+  local takes = new_takes(core)
+  local choices = new_choices(core, takes)
+  local iterates = new_iterates(core, choices)
+  engine.choose, engine.prepare = choices.choose, choices.prepare
+  engine.iterate, engine.take = iterates.iterate, takes.take
+  engine.note_failure = new_note_failure(core, iterates)
+  engine.is_taking = new_is_taking {
+    [iterates.cycle] = true, [iterates.go_through] = true, [takes.resume] = true,
+    [takes.take] = true, [choices.take_found] = true, [takes.take_plainly] = true,
+  }
 end
