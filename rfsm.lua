@@ -966,6 +966,7 @@ end
 ---@field events table<any, true> the events that transitions name
 ---@field trail table|false see `is_current`; only the plan of a model has one
 ---@field variants table<string, rfsm.Plan> those made by preproc functions
+---@field is_settled boolean? machines have been made of it
 ---@field ids table<any, integer> numbers of events and priorities in their keys
 
 local compile, compile_transition, line_to
@@ -2436,7 +2437,7 @@ do
   local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = plan.transitions[i]
-      tr.events = rawget(tr, "events") or append({}, def.events or NONE)
+      tr.events = rawget(tr, "events") or append({}, def.written or def.events or NONE)
       tr.pn = rawget(tr, "pn") or def.pn
     end
   end
@@ -2511,6 +2512,24 @@ do
     return results
   end
 
+  -- The first machine of a plan decides about the events in it: those of the model are
+  -- kept as `written`. A plan in which more was changed stays as it is.
+  local function settle(plan, results)
+    for i, result in ipairs(results) do
+      local def = plan.transitions[i]
+      if def.src.index ~= result.src or def.tgt.index ~= result.tgt
+        or (def.pn or false) ~= result.pn then
+        return
+      end
+    end
+    for i, result in ipairs(results) do
+      local def = plan.transitions[i]
+      def.written = def.events or NONE
+      def.events = result.events[1] ~= nil and append({}, result.events)
+    end
+    compile(plan)
+  end
+
   -- Returns a plan whose transitions are what the preproc functions have made of them.
   local function new_variant(plan, results)
     local variant = copy_plan(plan)
@@ -2535,8 +2554,13 @@ do
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
     if problems[1] then return end
-    local key = key_of(plan, results)
-    plan.variants[key_of(plan, unchanged(plan))] = plan
+    local key, current = key_of(plan, results), key_of(plan, unchanged(plan))
+    if not plan.is_settled and key ~= current then
+      settle(plan, results)
+      current = key_of(plan, unchanged(plan))
+    end
+    plan.is_settled = true
+    plan.variants[current] = plan
     local variant = plan.variants[key] or new_variant(plan, results)
     plan.variants[key] = variant
     for i, tr in ipairs(fsm._transitions) do tr.tgt = fsm._nodes[results[i].tgt] end
@@ -2549,7 +2573,10 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
-    if last < 1 then return problems end
+    if last < 1 then
+      fsm._plan.is_settled = true
+      return problems
+    end
     hand_out(fsm, fsm._plan)
     for i = 1, last do
       fsm._preparing = i

@@ -181,25 +181,31 @@ describe("machines of one model", function()
     assert.equal(infos[1], infos[2])
   end)
 
-  it("may each be changed by preproc functions", function()
-    local count, trace = 0, {}
-    local model = new_chart(trace)
-    local machines = with_preproc(function(fsm)
-      count = count + 1
-      if count ~= 2 then return end
-      fsm[2].events[1] = "e_other"
-      fsm[4].events = "e_back"
-      fsm.a.entry = false
-    end, function() return { rfsm.init(model), rfsm.init(model), rfsm.init(model) } end)
-    for _, fsm in ipairs(machines) do rfsm.run(fsm) end
-    assert.same(ROUND, round(machines[1], trace))
-    assert.same({}, round(machines[2], trace))
-    assert.same({ "e_other" }, machines[2][2].events)
-    helper.post_and_run(machines[2], "e_other")
-    helper.post_and_run(machines[2], "e_back")
-    assert.equal("exit c", trace[#trace])
-    assert.same(ROUND, round(machines[3], trace))
-  end)
+  for changed = 1, 3 do
+    it("may each be changed by preproc functions, number " .. changed, function()
+      local count, trace, seen = 0, {}, {}
+      local model = new_chart(trace)
+      local machines = with_preproc(function(fsm)
+        count = count + 1
+        seen[count] = fsm[2].events[1]
+        if count ~= changed then return end
+        fsm[2].events[1] = "e_other"
+        fsm[4].events = "e_back"
+        fsm.a.entry = false
+      end, function()
+        return { rfsm.init(model), rfsm.init(model), rfsm.init(model) }
+      end)
+      for _, fsm in ipairs(machines) do rfsm.run(fsm) end
+      for i, fsm in ipairs(machines) do
+        assert.same(i == changed and {} or ROUND, round(fsm, trace))
+        assert.same({ i == changed and "e_other" or seen[1] }, fsm[2].events)
+        assert.equal(seen[1], seen[i])
+      end
+      helper.post_and_run(machines[changed], "e_other")
+      helper.post_and_run(machines[changed], "e_back")
+      assert.equal("exit c", trace[#trace])
+    end)
+  end
 
   it("may be changed by a preproc function after the first has run", function()
     local one, _, trace, model = two_machines()
