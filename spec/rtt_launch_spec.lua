@@ -600,8 +600,8 @@ return rfsm.state(root)]] }
     assert.equal("s2", leaf_of(exec_str))
   end)
 
-  it("does without rfsm.fast in a pool that is half full", function()
-    local FULL = "tlsf.stats = function() return 700000, 700000, 1048576 end"
+  it("does without rfsm.fast in a pool that is three quarters full", function()
+    local FULL = "tlsf.stats = function() return 800000, 800000, 1048576 end"
     for _, case in ipairs {
       { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL,
         fast = "boolean" },

@@ -44,12 +44,12 @@ local function new_gauge()
   end
 end
 
---- Is half of the pool in use? False if this Lua has none.
+--- Are three quarters of the pool in use? False if this Lua has none.
 ---@return boolean is_short
 function update.is_short_of_memory()
   collectgarbage()
   local used, _, size = new_gauge()()
-  return used > size / 2
+  return used > 3 / 4 * size
 end
 
 -- Returns a function that notes the memory in use. It is called first when all garbage
