@@ -387,6 +387,7 @@ local function core_engine(world, model, warn)
   if not fsm then return nil, problems end
   fsm.warn = but_undeclared(warn)
   add_state_hooks(world, fsm)
+  if chart.seed % 5 == 0 then rfsm.prepare(fsm) end -- merges and hooks may come later
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
   world.replace = function(id) replace(world, fsm, id) end
@@ -534,7 +535,7 @@ function runs.interrupt(chart)
 end
 
 -- A chart whose trace does not tell how often a step was begun: guards do nothing but
--- answer, always the same; no hooks, no doos.
+-- answer, always the same; hooks do nothing; no getevents, no doos.
 local function without_repetition(chart)
   local own = own_chart(chart)
   own.programs, own.traced = copy_of(chart.programs), false
@@ -542,13 +543,15 @@ local function without_repetition(chart)
     local first = actions[1]
     if id:find("^guard ") then
       own.programs[id] = { type(first) == "table" and first[1] == "return" and first }
-    elseif id:find("hook") or id == "getevents" or id == "dbg" then
+    elseif id == "idle_hook" or id == "getevents" or id == "dbg" then
       own.programs[id] = nil
+    elseif id:find("hook") then
+      own.programs[id] = { false }
     end
   end
   for fqn, node in pairs(own.nodes) do -- any order: each stands alone
     own.nodes[fqn] = copy_of(node)
-    own.nodes[fqn].doo, own.nodes[fqn].hooks = nil, nil
+    own.nodes[fqn].doo = nil
   end
   return own
 end
@@ -593,6 +596,25 @@ local function settle(fsm)
   return false
 end
 
+-- Returns the lines without guards and warnings, and without iterations in which step
+-- hooks alone were called: an interrupt may come when the last one is over.
+local function exact_lines(lines)
+  local exact = {}
+  for _, line in ipairs(lines) do
+    local last = exact[#exact] or "post_hook"
+    if line:find "^post_hook" and last:find "^pre_hook" then
+      exact[#exact] = nil
+    elseif line:find "^pre_hook" and last:find "^pre_hook" then
+      exact[#exact] = line
+    elseif not (line:find "^guard" or line:find "^warn" or line:find "cannot enter"
+      or line:find "^post_hook" and last:find "^post_hook") then
+      exact[#exact + 1] = line
+    end
+  end
+  if (exact[#exact] or ""):find "^pre_hook" then exact[#exact] = nil end
+  return table.concat(exact, "\n")
+end
+
 -- The traces of what each operation calls. `disturb(i, fsm)` comes before its steps;
 -- nil if the machine is never idle.
 local function traces_of(chart, disturb)
@@ -606,13 +628,7 @@ local function traces_of(chart, disturb)
     local wrong = disturb(i, engine.fsm)
     if wrong then return nil, ("operation %d: %s"):format(i, wrong) end
     if not settle(engine.fsm) then return nil end
-    local lines = {}
-    for _, line in ipairs(world.trace) do
-      if not (line:find "^guard" or line:find "^warn" or line:find "cannot enter") then
-        lines[#lines + 1] = line
-      end
-    end
-    traces[i] = table.concat(lines, "\n")
+    traces[i] = exact_lines(world.trace)
   end
   return traces
 end
