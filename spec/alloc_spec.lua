@@ -7,9 +7,12 @@ local workloads = require "bench.workloads"
 
 local jit = rawget(_G, "jit")
 
+-- The least of three: LuaJIT may still be compiling something.
 local function bytes_grown(subject)
   subject(25000) -- W7: each of its machines has been in each of its states
-  return measure.bytes_grown(subject, 1000)
+  local least = math.huge
+  for _ = 1, 3 do least = math.min(least, measure.bytes_grown(subject, 1000)) end
+  return least
 end
 
 local function with_jit(mode, f)
