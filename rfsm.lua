@@ -1178,7 +1178,8 @@ local function silent() end
 
 local function no_events() return {} end
 
--- Its place in a list of hooks is that of the model's own hook, the field `slot`.
+-- Stands in a list of hooks for the one that the program has set, such as the field
+-- `pre_step_hook`.
 local function OWN() end
 
 local OWN_ONLY = { OWN }
@@ -1217,7 +1218,7 @@ local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index, Machine.__eq = DEFAULTS, rawequal
 
--- The fields of hooks are absent until one is set.
+-- These fields are absent until a hook is set: then `__newindex` is called.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
 
 function Machine.__newindex(fsm, key, value)
@@ -2962,7 +2963,8 @@ end
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
 -- Without it a machine is compiled bit by bit, as its transitions are taken for the
--- first time, and rfsm/fast.lua is loaded in one of the first iterations.
+-- first time, and rfsm/fast.lua is loaded in one of the first iterations. What comes
+-- later, by `fsm_merge` or as a first hook, is run uncompiled until the next `prepare`.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
@@ -2975,7 +2977,6 @@ function rfsm.prepare(fsm)
     if engine.prepare then engine.prepare(at.machine) end
   end
 end
-
 
 -- Tools: they look at a machine or move it; no part of a run ......................
 

@@ -223,7 +223,7 @@ describe("the core", function()
   end)
 
   it("loads nothing and compiles no transition in a run, if it was prepared", function()
-    assert.equal("true true 0 root.b", output_of([[
+    assert.equal("true true 0 root.b\n21\t0\ttrue", output_of([[
       local compile, count = loadstring or load, 0
       local name = loadstring and "loadstring" or "load"
       _G[name] = function(text, chunkname)
@@ -243,6 +243,14 @@ describe("the core", function()
       for _ = 1, 21 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
       print(("%s %s %d %s"):format(tostring(is_loaded), tostring(is_compiled),
         count - before, rfsm.get_actleaf_fqn(fsm)))
+      local hooked = 0
+      fsm.post_step_hook = function(_, events)
+        hooked = hooked + (events[1] == "e" and 1 or 0)
+      end
+      for _ = 1, 21 do rfsm.send_events(fsm, "e") rfsm.run(fsm) end
+      local more = count - before
+      rfsm.prepare(fsm)
+      print(hooked, more, count > before)
     ]]))
   end)
 
