@@ -911,7 +911,14 @@ local function new_iterates(core, choices)
   -- The events of the last iteration are used again for the next one, unless a callback
   -- may have kept them.
   local function end_iteration(fsm, is_lent)
-    if is_lent then fsm._curq = {} else clear(fsm._curq) end
+    local events = fsm._curq
+    if is_lent then
+      fsm._curq = {}
+    else
+      if events[3] ~= nil then clear(events) end
+      events[2] = nil
+      events[1] = nil
+    end
     fsm._phase = "idle"
   end
 
@@ -986,15 +993,9 @@ local function new_iterates(core, choices)
     return path.run(fsm)
   end
 
-  -- Searches and takes the path, or the doo a cycle, up to the phase "after". Returns
-  -- whether a callback may keep the events.
-  local function search_and_take(fsm)
-    local result = take_quick(fsm)
-    if result == nil or result == LENT then
-      fsm._outcome = "counted"
-      fsm._phase = "after"
-      return result
-    end
+  -- Does what is left after `take_quick`, up to the phase "after". Returns whether a
+  -- callback may keep the events.
+  local function take_rest(fsm, result)
     if result ~= REST then fsm._phase = "search" end
     if fsm._phase ~= "after" then core.go_on(fsm, "after") end
     return result ~= QUIET and LENT
@@ -1011,8 +1012,14 @@ local function new_iterates(core, choices)
     calls.begun = 0
     calls.noted = 0
     collect(fsm, pre)
-    local lent = search_and_take(fsm)
-    if fsm._phase == "idle" then return false end -- it could not be entered
+    local lent = take_quick(fsm)
+    if lent == nil or lent == LENT then
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+    else
+      lent = take_rest(fsm, lent)
+      if fsm._phase == "idle" then return false end -- it could not be entered
+    end
     local post = fsm.post_step_hook
     if fsm._joined or fsm._reset_wanted then
       calls.count = AFTER
