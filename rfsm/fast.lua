@@ -1001,6 +1001,16 @@ local function new_iterates(core, choices)
     return result ~= QUIET and LENT
   end
 
+  -- The phase "after".
+  local function finish(fsm, post)
+    if fsm._joined or fsm._reset_wanted then
+      fsm._calls.count = AFTER
+      core.call_post_hooks(fsm)
+    elseif post or fsm._post_hooks ~= OWN_ONLY then
+      call_hooks(fsm, fsm._post_hooks, "post_step_hook", AFTER)
+    end
+  end
+
   -- The phases of an iteration in a machine with getevents or hooks. Returns whether it
   -- counts, and nothing else is left to be done.
   local function go_through(fsm)
@@ -1021,12 +1031,7 @@ local function new_iterates(core, choices)
       if fsm._phase == "idle" then return false end -- it could not be entered
     end
     local post = fsm.post_step_hook
-    if fsm._joined or fsm._reset_wanted then
-      calls.count = AFTER
-      core.call_post_hooks(fsm)
-    elseif post or fsm._post_hooks ~= OWN_ONLY then
-      call_hooks(fsm, fsm._post_hooks, "post_step_hook", AFTER)
-    end
+    finish(fsm, post)
     end_iteration(fsm, lent or lends(fsm, pre, post))
     return fsm._outcome == "counted" and not (fsm._failure or fsm._reset_wanted)
   end

@@ -387,7 +387,7 @@ local function core_engine(world, model, warn)
   if not fsm then return nil, problems end
   fsm.warn = but_undeclared(warn)
   add_state_hooks(world, fsm)
-  if chart.seed % 5 == 0 then rfsm.prepare(fsm) end -- merges and hooks may come later
+  if (chart.seed or 1) % 5 == 0 then rfsm.prepare(fsm) end -- merges may come later
   world.send = function(...) rfsm.send_events(fsm, ...) end
   world.reset = function() rfsm.reset(fsm) end
   world.replace = function(id) replace(world, fsm, id) end
@@ -596,22 +596,30 @@ local function settle(fsm)
   return false
 end
 
+local LEFT_OUT = { "^guard", "^warn", "cannot enter" }
+
+local function is_left_out(line)
+  for _, pattern in ipairs(LEFT_OUT) do
+    if line:find(pattern) then return true end
+  end
+  return false
+end
+
+-- "pre" or "post" for the line of such a hook.
+local function step_hook(line) return line:match "^(p%l+)_hook" end
+
 -- Returns the lines without guards and warnings, and without iterations in which step
 -- hooks alone were called: an interrupt may come when the last one is over.
 local function exact_lines(lines)
   local exact = {}
   for _, line in ipairs(lines) do
-    local last = exact[#exact] or "post_hook"
-    if line:find "^post_hook" and last:find "^pre_hook" then
-      exact[#exact] = nil
-    elseif line:find "^pre_hook" and last:find "^pre_hook" then
-      exact[#exact] = line
-    elseif not (line:find "^guard" or line:find "^warn" or line:find "cannot enter"
-      or line:find "^post_hook" and last:find "^post_hook") then
+    local what, last = step_hook(line), step_hook(exact[#exact] or "post_hook")
+    if last == "pre" and what then exact[#exact] = nil end
+    if not is_left_out(line) and (what ~= "post" or not last) then
       exact[#exact + 1] = line
     end
   end
-  if (exact[#exact] or ""):find "^pre_hook" then exact[#exact] = nil end
+  if step_hook(exact[#exact] or "") == "pre" then exact[#exact] = nil end
   return table.concat(exact, "\n")
 end
 
