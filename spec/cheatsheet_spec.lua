@@ -560,7 +560,7 @@ describe("the cheatsheet says of time events that", function()
     assert.equal(timeevent, require "rfsm.timeevent")
   end)
 
-  it("rtp.clock.gettime, which wants a clock's id, and rtt.getTime are clocks", function()
+  it("rtp.clock.gettime, which wants an id, and rtt.getTime are clocks", function()
     local now
     local rtp = { clock = { gettime = function(id)
       if type(id) ~= "string" then error("string expected, got no value") end
