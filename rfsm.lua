@@ -67,6 +67,9 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 ---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
+--- The same as a constructor returns it, which is no machine.
+---@class rfsm.Model : rfsm.State
+
 local State = { rfsm = "state" }
 
 --- An edge from one state or connector to another, as the user writes it.
@@ -120,8 +123,8 @@ end
 local kind_of = rfsm.kind_of
 
 ---@class rfsm.StateConstructor
----@field new fun(self: any, t: rfsm.State): rfsm.State
----@overload fun(t: rfsm.State): rfsm.State
+---@field new fun(self: any, t: rfsm.State): rfsm.Model
+---@overload fun(t: rfsm.State): rfsm.Model
 
 ---@class rfsm.TransitionConstructor
 ---@field new fun(self: any, t: rfsm.Edge): rfsm.Transition
@@ -403,7 +406,7 @@ end
 -- @raise when there is no file name, the file cannot be read or fails, or it returns
 -- no state
 ---@param file string
----@return rfsm.State model
+---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file)
   if type(file) ~= "string" then
@@ -419,7 +422,7 @@ end
 -- @raise when the text does not compile or fails, or it returns no state
 ---@param text string Lua source
 ---@param chunkname? string its name in error messages
----@return rfsm.State model
+---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load_str(text, chunkname)
   if type(text) ~= "string" then

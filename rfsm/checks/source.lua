@@ -16,8 +16,8 @@ local getinfo = (rawget(_G, "debug") or {}).getinfo
 
 local source = {}
 
--- Returns a module of luacheck, or false. Debian installs luacheck for Lua 5.1 only, but
--- it runs on each Lua.
+-- Returns a module of luacheck, or false. Debian installs luacheck for Lua 5.1 only,
+-- but it runs on each Lua.
 local function find(name)
   local path = package.path
   package.path = path .. ";" .. path:gsub("/5%.%d/", "/5.1/")
