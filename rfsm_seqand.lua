@@ -37,6 +37,9 @@ local step, run = rfsm.step, rfsm.run
 -- core does not look into tables with a metatable, so it takes none for a substate.
 local Substates = {}
 
+-- The regions of states that were given transitions, which belong into a region.
+local has_transitions = setmetatable({}, { __mode = "k" })
+
 local function has_regions(state)
   return is_state(state) and getmetatable(state.substates) == Substates
 end
@@ -300,6 +303,10 @@ end
 
 local function prepare_state(fsm, state, problems)
   local count = #problems
+  if has_transitions[state.substates] then
+    rfsm.report(fsm, "warn", "WARNING: " .. rfsm.location_of(state)
+      .. ": a transition in a sequential AND state, it belongs into a region")
+  end
   state.substates = new_substates(fsm, state, problems)
   if #problems > count then return end
   local regions = new_regions(state)
@@ -345,7 +352,13 @@ local function new_state(fields)
   for key, value in pairs(fields) do -- any order: the least text counts
     local text = obstacle(key, value)
     if text and (not first or text < first) then first = text end
-    if is_state(value) then regions[key] = value else state[key] = value end
+    if rfsm.is_trans(value) then
+      has_transitions[regions] = true
+    elseif is_state(value) then
+      regions[key] = value
+    else
+      state[key] = value
+    end
   end
   if first then return nil, first end
   local field, text = check_order(state.order, regions)

@@ -165,11 +165,11 @@ local MODULE_OF = {
 
 --- Return the hint for an event that looks like a call: the module that knows it.
 ---@param word string the event up to its parenthesis
----@return string hint " (require \"rfsm_timeevent\")"
+---@return string? hint " (require \"rfsm_timeevent\")"; nil if that is loaded
 function advice.module_of(word)
   local module = MODULE_OF[word]
   local loaded = (rawget(_G, "package") or {}).loaded or {}
-  if module and loaded[module] then return "" end -- it has warned itself
+  if module and loaded[module] then return nil end
   if module then return (" (require %q)"):format(module) end
   for _, known in ipairs({ "await", "e_after", "e_at" }) do
     if advice.is_near(word, known) then
