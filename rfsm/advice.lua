@@ -163,6 +163,17 @@ local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
 
+--- Return the hint for an event with a blank, comma or bar in its name.
+---@param event string
+---@return string hint " (did you mean 'e_after(2)'?)"
+function advice.event_meant(event)
+  local meant = event:match("^%s*(.-)%s*$")
+  local word, rest = meant:match("^([%w_]+)%s+%(?(.-)%)?$")
+  if MODULE_OF[word] then meant = word .. "(" .. rest .. ")" end
+  local is_one = not meant:match("^[^(@]*"):find("[,|%s]")
+  return is_one and (" (did you mean '%s'?)"):format(meant) or ""
+end
+
 --- Return the hint for an event that looks like a call: the module that knows it.
 ---@param word string the event up to its parenthesis
 ---@return string? hint " (require \"rfsm_timeevent\")"; nil if that is loaded
