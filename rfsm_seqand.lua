@@ -223,14 +223,22 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
+local is_apart = false -- a machine for a tool is being made
+
+-- Returns who has the printers that the model of a region lacks; nobody for a tool.
+local function owner_of_printers(fsm, given)
+  if is_apart then return { info = false, warn = false, err = false } end
+  return rfsm.is_initialized_root(given) and given or fsm
+end
+
 -- Returns a fresh machine for a region; false and its problems if it is not valid.
--- While it is made its model has the printers of the parent machine for those it lacks.
+-- While it is made its model has the printers that it lacks.
 local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
   local model = is_machine and given._plan.model or given
   for _, name in ipairs(PRINTERS) do
     if rawget(model, name) == nil then
-      model[name] = rawget(is_machine and given or fsm, name)
+      model[name] = rawget(owner_of_printers(fsm, given), name)
       lacking[#lacking + 1] = name
     end
   end
@@ -242,8 +250,6 @@ local function fresh_region(fsm, given)
   end
   return region, problems
 end
-
-local is_apart = false -- a machine for a tool is being made
 
 -- Returns the machine for a region: the given one if it is a machine that no parent
 -- machine has, else a fresh one. Its field `_owner` is the parent machine.

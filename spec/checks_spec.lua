@@ -459,6 +459,13 @@ local CASES = {
     { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_c"), c = rfsm.seqand {
       x_in_c(), go("initial", "1"), go("1", "2", "e") } },
     "root.c: a transition in a sequential AND state, it belongs into a region" },
+  { "misplaced", "those in a region, once, with its path",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_c"), c = rfsm.seqand {
+      x = state { x = state { go("x", "x") }, y = rfsm.seqand { go("x", "x") },
+        go("initial", "x"), go("x", "y", "e") } } },
+    "root.c.x: root.y: a transition in a sequential AND state, it belongs into a "
+      .. "region",
+    "root.c.x: root.x: a transition inside a leaf state" },
   { "misplaced", "none around it", { [4] = go("b", "a", "e") } },
   { "silence", "a code that does not exist, and one without a reason",
     { b = state { checks = { ["dead-ent"] = "no", typo = "" } } },

@@ -221,24 +221,30 @@ local function add_lines(findings, lines, code, fsm, prefix)
   end
 end
 
+-- Returns a machine of a model, the problems, and the warnings; its regions are silent.
+local function init_and_listen(model)
+  local warnings = {}
+  local fsm, _, problems = static.init(model, function(text)
+    warnings[#warnings + 1] = rfsm.text_of(text):gsub("^WARNING: ", "")
+  end)
+  return fsm, problems, warnings
+end
+
 -- Appends all findings about a model: problems, warnings of init, those of the checks.
 -- Returns its machine; nil if there is none.
 local function check_model(findings, model)
-  local fsm, _, is_valid, problems, warnings
-  is_valid, problems, warnings = rfsm.verify_early(model)
+  local is_valid, problems, warnings = rfsm.verify_early(model)
+  local fsm, regions = nil, {}
   if is_valid then
-    warnings = {}
-    fsm, _, problems = static.init(model, function(text)
-      warnings[#warnings + 1] = rfsm.text_of(text):gsub("^WARNING: ", "")
-    end)
+    fsm, problems, warnings = init_and_listen(model)
+    regions = fsm and rfsm.machines(fsm) or {}
   end
   add_lines(findings, problems or {}, "invalid", nil, "root")
   add_lines(findings, warnings, nil, fsm, "root")
-  for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
-    if entry.owner then
-      local _, _, own = rfsm.verify_early(entry.machine)
-      add_lines(findings, own, nil, entry.machine, entry.prefix)
-    end
+  for i = 2, #regions do
+    local region = regions[i].machine
+    local _, _, own = init_and_listen(region._plan.model)
+    add_lines(findings, own, nil, region, regions[i].prefix)
   end
   return fsm
 end
