@@ -67,6 +67,9 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 ---@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
 ---@field [string|integer] any
 
+--- The same as a constructor returns it, which is no machine.
+---@class rfsm.Model : rfsm.State
+
 local State = { rfsm = "state" }
 
 --- An edge from one state or connector to another, as the user writes it.
@@ -120,8 +123,8 @@ end
 local kind_of = rfsm.kind_of
 
 ---@class rfsm.StateConstructor
----@field new fun(self: any, t: rfsm.State): rfsm.State
----@overload fun(t: rfsm.State): rfsm.State
+---@field new fun(self: any, t: rfsm.State): rfsm.Model
+---@overload fun(t: rfsm.State): rfsm.Model
 
 ---@class rfsm.TransitionConstructor
 ---@field new fun(self: any, t: rfsm.Edge): rfsm.Transition
@@ -383,16 +386,36 @@ end
 
 -- Load ------------------------------------------------------------------------
 
--- Runs a chunk of a chart and returns its state.
-local function run_chunk(chunk, file, where)
-  local model = chunk(file)
-  if is_state(model) then
-    made_at[model] = made_at[model] or file and file .. ":1"
-    return model
+local run_chunk
+
+do
+  local open = find_global("io", "open")
+
+  -- Returns the line at which a chart returns its root, since the call of a constructor
+  -- there is a tail call: the last of the least indented that begin with `return`.
+  local function line_of_root(file)
+    local handle, number, found, least = open and open(file), 0, 1, huge
+    if not handle then return found end
+    for line in handle:lines() do
+      number = number + 1
+      local indent = line:match("^(%s*)return%f[^%w_]")
+      if indent and #indent <= least then found, least = number, #indent end
+    end
+    handle:close()
+    return found
   end
-  local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
-    or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
-  error(where .. " found." .. hint, 0)
+
+  -- Runs a chunk of a chart and returns its state.
+  function run_chunk(chunk, file, where)
+    local model = chunk(file)
+    if is_state(model) then
+      made_at[model] = made_at[model] or file and file .. ":" .. line_of_root(file)
+      return model
+    end
+    local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
+      or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
+    error(where .. " found." .. hint, 0)
+  end
 end
 
 --- Load a model from a file that returns it.
@@ -403,7 +426,7 @@ end
 -- @raise when there is no file name, the file cannot be read or fails, or it returns
 -- no state
 ---@param file string
----@return rfsm.State model
+---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load(file)
   if type(file) ~= "string" then
@@ -419,7 +442,7 @@ end
 -- @raise when the text does not compile or fails, or it returns no state
 ---@param text string Lua source
 ---@param chunkname? string its name in error messages
----@return rfsm.State model
+---@return rfsm.Model model
 ---@nodiscard
 function rfsm.load_str(text, chunkname)
   if type(text) ~= "string" then
@@ -478,8 +501,10 @@ local advice
 
 local function advise(topic, ...)
   if advice == nil then advice = find_module("rfsm.advice") or false end
-  return advice and advice[topic](...) or ""
+  if not advice then return "" end
+  return advice[topic](...)
 end
+
 
 -- Where an element stands in the model: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
@@ -923,9 +948,10 @@ do
     local src, src_reason = find_end(build, def, "src")
     if src then src.is_left = true end
     local tgt, tgt_reason, is_internal = find_target(build, def, src)
-    local list = def.parent.is_leaf and build.warnings or build.problems
-    if src_reason then add(list, def, nil, src_reason) end
-    if tgt_reason then add(list, def, nil, tgt_reason) end
+    if not def.parent.is_leaf then -- there is a warning of those
+      if src_reason then add(build.problems, def, nil, src_reason) end
+      if tgt_reason then add(build.problems, def, nil, tgt_reason) end
+    end
     tgt = is_internal and src or tgt and find_entrance(build, def, tgt)
     if not (src and tgt) then
       def.is_void = true
@@ -2398,13 +2424,14 @@ do
       .. "be entered while none of them is enabled", def.parent.fqn)
   end
 
-  -- Warns of events such as e_after(1) that no extension has made its own.
+  -- Warns of events such as e_after(1) that no extension has made its own. An extension
+  -- that knows the word has warned itself.
   local function check_words(found, def)
     for _, event in ipairs(def.events or {}) do
       local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
-      if word then
-        add(found, def, "events", "no loaded extension knows '%s'%s", event,
-          advise("module_of", word))
+      local hint = word and advise("module_of", word)
+      if hint then
+        add(found, def, "events", "no loaded extension knows '%s'%s", event, hint)
       end
     end
   end

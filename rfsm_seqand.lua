@@ -37,6 +37,9 @@ local step, run = rfsm.step, rfsm.run
 -- core does not look into tables with a metatable, so it takes none for a substate.
 local Substates = {}
 
+-- The regions of states that were given transitions, which belong into a region.
+local has_transitions = setmetatable({}, { __mode = "k" })
+
 local function has_regions(state)
   return is_state(state) and getmetatable(state.substates) == Substates
 end
@@ -220,14 +223,22 @@ local HANDED_ON = {
 
 local PRINTERS = { "info", "warn", "err" }
 
+local is_apart = false -- a machine for a tool is being made
+
+-- Returns who has the printers that the model of a region lacks; nobody for a tool.
+local function owner_of_printers(fsm, given)
+  if is_apart then return { info = false, warn = false, err = false } end
+  return rfsm.is_initialized_root(given) and given or fsm
+end
+
 -- Returns a fresh machine for a region; false and its problems if it is not valid.
--- While it is made its model has the printers of the parent machine for those it lacks.
+-- While it is made its model has the printers that it lacks.
 local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
   local model = is_machine and given._plan.model or given
   for _, name in ipairs(PRINTERS) do
     if rawget(model, name) == nil then
-      model[name] = rawget(is_machine and given or fsm, name)
+      model[name] = rawget(owner_of_printers(fsm, given), name)
       lacking[#lacking + 1] = name
     end
   end
@@ -239,8 +250,6 @@ local function fresh_region(fsm, given)
   end
   return region, problems
 end
-
-local is_apart = false -- a machine for a tool is being made
 
 -- Returns the machine for a region: the given one if it is a machine that no parent
 -- machine has, else a fresh one. Its field `_owner` is the parent machine.
@@ -300,6 +309,10 @@ end
 
 local function prepare_state(fsm, state, problems)
   local count = #problems
+  if has_transitions[state.substates] then
+    rfsm.report(fsm, "warn", "WARNING: " .. rfsm.location_of(state)
+      .. ": a transition in a sequential AND state, it belongs into a region")
+  end
   state.substates = new_substates(fsm, state, problems)
   if #problems > count then return end
   local regions = new_regions(state)
@@ -345,7 +358,13 @@ local function new_state(fields)
   for key, value in pairs(fields) do -- any order: the least text counts
     local text = obstacle(key, value)
     if text and (not first or text < first) then first = text end
-    if is_state(value) then regions[key] = value else state[key] = value end
+    if rfsm.is_trans(value) then
+      has_transitions[regions] = true
+    elseif is_state(value) then
+      regions[key] = value
+    else
+      state[key] = value
+    end
   end
   if first then return nil, first end
   local field, text = check_order(state.order, regions)

@@ -163,13 +163,24 @@ local MODULE_OF = {
   e_after = "rfsm_timeevent", e_at = "rfsm_timeevent", await = "rfsm_await",
 }
 
+--- Return the hint for an event with a blank, comma or bar in its name.
+---@param event string
+---@return string hint " (did you mean 'e_after(2)'?)"
+function advice.event_meant(event)
+  local meant = event:match("^%s*(.-)%s*$")
+  local word, rest = meant:match("^([%w_]+)%s+%(?(.-)%)?$")
+  if MODULE_OF[word] then meant = word .. "(" .. rest .. ")" end
+  local is_one = not meant:match("^[^(@]*"):find("[,|%s]")
+  return is_one and (" (did you mean '%s'?)"):format(meant) or ""
+end
+
 --- Return the hint for an event that looks like a call: the module that knows it.
 ---@param word string the event up to its parenthesis
----@return string hint " (require \"rfsm_timeevent\")"
+---@return string? hint " (require \"rfsm_timeevent\")"; nil if that is loaded
 function advice.module_of(word)
   local module = MODULE_OF[word]
   local loaded = (rawget(_G, "package") or {}).loaded or {}
-  if module and loaded[module] then return "" end -- it has warned itself
+  if module and loaded[module] then return nil end
   if module then return (" (require %q)"):format(module) end
   for _, known in ipairs({ "await", "e_after", "e_at" }) do
     if advice.is_near(word, known) then

@@ -339,7 +339,7 @@ end
 ---@param model rfsm.State the chart that was recorded
 ---@param recording table[]|string records, or the name of a file
 ---@param options? rfsm.record.Options
----@return rfsm.Machine|false fsm where it stands then, on the clock of now; false if it
+---@return rfsm.Machine? fsm where it stands then, on the clock of now; false if it
 -- has departed from the recording
 ---@return string? problem the step, and what differs
 ---@return integer? step the last one that was the same

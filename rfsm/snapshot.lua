@@ -499,7 +499,7 @@ end
 ---@param model rfsm.State
 ---@param snap rfsm.snapshot.Snapshot
 ---@param options? rfsm.snapshot.Options
----@return rfsm.Machine|false fsm false if the snapshot or the model is wrong
+---@return rfsm.Machine? fsm false if the snapshot or the model is wrong
 ---@return string? problem
 ---@return string[]? difference if the snapshot is of another chart
 ---@nodiscard

@@ -68,7 +68,9 @@ local function oddness_of(fsm, known, event)
   elseif is_state_name(fsm, event) then
     return ("'%s' is the name of a state, no event"):format(event)
   elseif event:match("^[^(@]*"):find("[,|%s]") then
-    return ("'%s' is one event (write an argument for each)"):format(event)
+    local hint = advice.event_meant(event)
+    return ("'%s' is one event%s"):format(event,
+      hint ~= "" and hint or " (write an argument for each)")
   end
   return ("no transition names the event '%s'%s"):format(event,
     advice.nearest_name(event, names_of(known)))

@@ -302,7 +302,14 @@ describe("the cheatsheet says of models that", function()
     model.a.entry = function() error("no") end
     helper.started(model)
     assert.is_true(counts.dbg > 2)
-    assert.equal(3, counts.err)
+    assert.same({ 1, 3 }, { counts.info, counts.err })
+  end)
+
+  it("forgetting the commas is an error, which names the line", function()
+    local file = helper.file_with("return rfsm.state {\n  a = rfsm.state {}\n"
+      .. "  rfsm.trans { src = 'initial', tgt = 'a' } }")
+    local _, text = pcall(rfsm.load, file)
+    assert.matches(":3: '}' expected %(to close '{' at line 1%) near 'rfsm'", text)
   end)
 
   it("entry, exit and doo get the machine, the state and a word", function()
@@ -370,9 +377,9 @@ describe("the cheatsheet says of transitions that", function()
 
   for _, ref in ipairs { "root.c.q", "c.q", ".c.q", "..c.q" } do
     it("a reference is absolute or relative, and may cross borders: " .. ref, function()
-      local fsm = helper.started(nested(trans { src = "a", tgt = ref,
-        events = { "e" } }))
-      assert.equal("root.c.q", helper.leaf_after(fsm, "e"))
+      local model = nested(trans { src = "a", tgt = ref, events = { "e" } })
+      model[3] = trans { src = ref, tgt = "a", events = { "e_back" } }
+      assert.equal("e=q e_back=a", helper.story(helper.started(model), "e=q e_back=a"))
     end)
   end
 
@@ -394,8 +401,11 @@ describe("the cheatsheet says of transitions that", function()
       [4] = trans { src = "a", tgt = "k", events = { "e_k" } },
       [5] = trans { src = "k", tgt = "j" }, [6] = trans { src = "j", tgt = "b" },
       post_step_hook = function(fsm) seen[rfsm.get_actleaf_fqn(fsm)] = true end }
+    local trace = {}
+    for i = 4, 6 do model[i].effect = helper.noting(trace, model[i].tgt) end
     assert.equal("root.b", helper.leaf_after(helper.started(model), "e_k"))
     assert.same({ ["root.a"] = true, ["root.b"] = true }, seen)
+    assert.same({ "k", "j", "b" }, trace)
   end)
 
   it("connectors are entry and exit points of composite states", function()
@@ -408,6 +418,22 @@ describe("the cheatsheet says of transitions that", function()
     assert.equal(story, helper.story(helper.started(model), story))
   end)
 end)
+
+it("the packages that the cheatsheet's tools need come with a rock, rtp is named",
+  function()
+    local rock = {}
+    local text = helper.content("rockspec/rfsm-dev-1.rockspec")
+    run_block(text .. "\nrock.dependencies = dependencies\n"
+      .. "rock.test_dependencies = test_dependencies", { rock = rock })
+    local needed = table.concat(rock.dependencies, " ")
+    for _, name in ipairs { "argparse", "ansicolors" } do
+      assert.matches(name, needed)
+    end
+    assert.matches("luacheck", table.concat(rock.test_dependencies, " "))
+    for _, page in ipairs { "README.md", "doc/manual.md", "doc/timeevent.md" } do
+      assert.is_truthy(helper.content(page):find("%f[%w]rtp%f[%W]"), page)
+    end
+  end)
 
 describe("the cheatsheet says of advancing that", function()
   -- Notes the cycles of a doo that is idle at its end, and each transition.
@@ -491,6 +517,11 @@ describe("the cheatsheet says of advancing that", function()
     assert.same({}, fsm._intq)
   end)
 
+  it("the events of a step are discarded, whatever may use them later", function()
+    local fsm = helper.started(chart())
+    assert.equal("e_back=a e_x=b =b", helper.story(fsm, "e_back=a e_x=b =b"))
+  end)
+
   it("exactly one leaf is active after each step", function()
     local fsm = helper.init(nested(trans { src = "a", tgt = "c", events = { "e" } }))
     for _ = 1, 3 do
@@ -504,11 +535,51 @@ describe("the cheatsheet says of advancing that", function()
   end)
 end)
 
+describe("the cheatsheet says of tracing that", function()
+  it("there are nine ids, each of which is shown or not", function()
+    local ids = {}
+    for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED "
+      .. "TIMEEVENT"):gmatch("%S+") do ids[#ids + 1] = id end
+    for _, only in ipairs(ids) do
+      local shown = {}
+      local dbg = require("rfsmpp").gen_dbgcolor("fsmX", { [only] = true }, false,
+        function(...) shown[#shown + 1] = table.concat({ ... }) end)
+      for _, id in ipairs(ids) do dbg(id, "text") end
+      assert.equal(1, #shown)
+      assert.matches(only, shown[1])
+    end
+  end)
+end)
+
 describe("the cheatsheet says of time events that", function()
+  local timeevent = require "rfsm_timeevent"
+
+  after_each(function() timeevent.set_gettime_hook(nil) end)
+
+  it("rfsm.timeevent is the module", function()
+    assert.equal(timeevent, require "rfsm.timeevent")
+  end)
+
+  it("rtp.clock.gettime, which wants an id, and rtt.getTime are clocks", function()
+    local now
+    local rtp = { clock = { gettime = function(id)
+      if type(id) ~= "string" then error("string expected, got no value") end
+      return now, 0
+    end } }
+    local rtt = { getTime = function() return now, 0 end }
+    for _, clock in ipairs { rtp.clock.gettime, rtt.getTime } do
+      now = 1
+      timeevent.set_gettime_hook(clock)
+      local fsm = helper.started(helper.chart { "e_after(3)" })
+      assert.equal("+4=a +5=b",
+        helper.story(fsm, "+4=a +5=b", function(time) now = tonumber(time) end))
+    end
+  end)
+
   it("the clock returns seconds and nanoseconds, and is looked at by steps only",
     function()
       local now, reads = { 5, 999999999 }, 0
-      require("rfsm_timeevent").set_gettime_hook(function()
+      timeevent.set_gettime_hook(function()
         reads = reads + 1
         return now[1], now[2]
       end)
@@ -520,7 +591,6 @@ describe("the cheatsheet says of time events that", function()
       assert.equal(0, reads)
       assert.equal("root.b", helper.leaf_after(fsm))
       assert.same({ "TIMEEVENT e_after(3)@root.a" }, ids)
-      require("rfsm_timeevent").set_gettime_hook(nil)
     end)
 end)
 
@@ -582,13 +652,21 @@ return rfsm.state { info = false, warn = false, on = rfsm.state {
     end
   end)
 
-  it("andseqdbg prints debug info", function()
-    local lines = helper.printed(function()
-      rfsm.step((new { andseqdbg = true }))
-    end)
-    assert.same({ "SEQAND root.both: order sub1, sub2",
-      "SEQAND root.both: sub1 advanced to root.on",
-      "SEQAND root.both: sub2 advanced to root.on" }, lines)
+  it("andseqdbg prints debug info, also if info is off", function()
+    for _, info in ipairs { true, false } do
+      local function lines_with(flag)
+        local text = table.concat(helper.printed(function()
+          rfsm.step((new { andseqdbg = flag, info = info }))
+        end), "\n")
+        local lines = {}
+        for line in text:gmatch("SEQAND[^\n]*") do lines[#lines + 1] = line end
+        return lines
+      end
+      assert.same({ "SEQAND root.both: order sub1, sub2",
+        "SEQAND root.both: sub1 advanced to root.on",
+        "SEQAND root.both: sub2 advanced to root.on" }, lines_with(true))
+      assert.same({}, lines_with(false))
+    end
   end)
 
   it("the substates are the initialised machines themselves", function()

@@ -419,10 +419,13 @@ local CASES = {
     "root.trans[5] (b -> a): a list that holds 'e_a' is one event" },
   { "odd-event", "a blank or a bar in a name",
     { [4] = go("a", "b", "e_a e_b"), [5] = go("b", "a", "e_a|e_b"),
-      [6] = go("b", "a", "e_c ") },
+      [6] = go("b", "a", { "e_c ", "e_after 2" }) },
     "root.trans[4] (a -> b): 'e_a e_b' is one event with a blank in its name",
     "root.trans[5] (b -> a): 'e_a|e_b' is one event with a '|' in its name",
-    "root.trans[6] (b -> a): 'e_c ' is one event with a blank in its name" },
+    "root.trans[6] (b -> a): 'e_c ' is one event with a blank in its name (did you "
+      .. "mean 'e_c'?)",
+    "root.trans[6] (b -> a): 'e_after 2' is one event with a blank in its name (did "
+      .. "you mean 'e_after(2)'?)" },
   { "odd-event", "none in the name of a state, or in parentheses", {
     ["c d"] = state {}, [4] = go("c d", "b", { "e_done", "e_after( 2 )" }),
     [5] = go("b", "c d", "e_x") } },
@@ -456,6 +459,13 @@ local CASES = {
     { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_c"), c = rfsm.seqand {
       x_in_c(), go("initial", "1"), go("1", "2", "e") } },
     "root.c: a transition in a sequential AND state, it belongs into a region" },
+  { "misplaced", "those in a region, once, with its path",
+    { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_c"), c = rfsm.seqand {
+      x = state { x = state { go("x", "x") }, y = rfsm.seqand { go("x", "x") },
+        go("initial", "x"), go("x", "y", "e") } } },
+    "root.c.x: root.y: a transition in a sequential AND state, it belongs into a "
+      .. "region",
+    "root.c.x: root.x: a transition inside a leaf state" },
   { "misplaced", "none around it", { [4] = go("b", "a", "e") } },
   { "silence", "a code that does not exist, and one without a reason",
     { b = state { checks = { ["dead-ent"] = "no", typo = "" } } },
@@ -467,7 +477,8 @@ local CASES = {
 describe("the code", function()
   for _, case in ipairs(CASES) do
     it(case[1] .. " finds " .. case[2], function()
-      assert.same({ case[4], case[5], case[6] }, findings_of(chart(case[3]), case[1]))
+      assert.same({ case[4], case[5], case[6], case[7] },
+        findings_of(chart(case[3]), case[1]))
     end)
   end
 

@@ -401,8 +401,8 @@ describe("a merge into a live machine", function()
 
   it("that is refused leaves a leaf a leaf", function()
     local fsm = started { err = false }
-    assert.matches("the model has 3 problems\n.*no state or connector is named 'x' in "
-      .. "'root.b'", reason(fsm, fsm.b, trans { src = "initial", tgt = "x" }))
+    assert.matches("the model has 1 problem\n.*: root.b: a transition inside a leaf "
+      .. "state", reason(fsm, fsm.b, trans { src = "initial", tgt = "x" }))
     assert.is_nil(fsm.b.initial)
     assert.is_true(rfsm.is_leaf(fsm.b))
     rfsm.send_events(fsm, "e")

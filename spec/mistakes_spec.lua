@@ -179,15 +179,13 @@ local MISTAKES = [[
 --W 1: root.4: a plain table that has 'src' and 'tgt' is ignored (did you mean
     rfsm.trans{...}?)
   c = rfsm.state { rfsm.trans { src = "a", tgt = "b", events = { "e" } } },
---W 6: root.c.trans[1] (a -> b): src 'a': NONE 'a' in 'root.c' (did you mean 'root.a'?)
---W 6: root.c.trans[1] (a -> b): tgt 'b': NONE 'b' in 'root.c' (did you mean 'root.b'?)
 --W 6: root.c: a transition inside a leaf state
   c = rfsm.state { rfsm.trans { src = "root.a", tgt = "root.b", events = { "e" } } },
 --W 6: root.c: a transition inside a leaf state
   c = rfsm.state { rfsm.trans { src = "initial", tgt = "x" } },
---W 6: root.c.trans[1] (initial -> x): src 'initial': NONE 'initial' in 'root.c'
---W 6: root.c.trans[1] (initial -> x): tgt 'x': NONE 'x' in 'root.c'
 --W 6: root.c: a transition inside a leaf state
+  c = rfsm.seqand { x = a, rfsm.trans { src = "x", tgt = "x" } },
+--W 6: root.c: a transition in a sequential AND state, it belongs into a region
   k = rfsm.conn { x = rfsm.state {} }, rfsm.trans { src = "k", tgt = "a" },
 --W 6: root.k: a connector holds no state, 'x' is ignored
   c = rfsm.state { x = rfsm.state {}, rfsm.trans { src = "initial", tgt = "x" } },
@@ -224,6 +222,14 @@ local MISTAKES = [[
 --W no outgoing transitions from node 'root.c'
 return rfsm.state { a = rfsm.state {} }
 --> 1: root: the root needs an initial transition INITIAL
+local function f()
+  return rfsm.state
+end
+return rfsm.state { a = rfsm.state {
+  entry = function() -- its `return` is further in
+    return 1
+  end } }
+--> 4: root: the root needs an initial transition INITIAL
 return { a = {} }
 --> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (did you mean: return
     rfsm.state{...}?)
@@ -249,8 +255,6 @@ return rfsm.state { states = { a = rfsm.state {} },
   rfsm.trans { src = "initial", tgt = "a" } }
 --W 1: root.states: a plain table that contains states or transitions is ignored (did
     you mean rfsm.state{...}?)
---W 2: root.trans[1] (initial -> a): src 'initial': NONE 'initial' in 'root'
---W 2: root.trans[1] (initial -> a): tgt 'a': NONE 'a' in 'root'
 --W 1: root: a transition inside a leaf state
   c = rfsm.state { exits = "north" },
   rfsm.trans { src = "c", tgt = "a", events = { "e" }, speed = 3 },

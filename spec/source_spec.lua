@@ -89,12 +89,26 @@ local CASES = {
 }
 
 describe("the text of callbacks", function()
-  if not source.is_there then
-    it("is not read without luacheck", function()
+  it("is not read without luacheck, and rfsm check -a reports that", function()
+    helper.with(source, { is_there = false }, function()
       assert.same({}, found(CASES[1]))
+      local model = helper.chart({ "e" })
+      model.b.final = true
+      for _, all in ipairs { true, false } do
+        local lines = require("rfsm.checks.command").review("x.lua", model, {}, {},
+          { all = all, static = true })
+        assert.same({ "x.lua: ok", all and "x.lua: the text of callbacks was not read, "
+          .. "luacheck is not installed" or nil }, lines)
+      end
     end)
-    return
-  end
+  end)
+
+  local debian = io.open("/usr/share/lua/5.1/luacheck/parser.lua")
+  if debian then debian:close() end
+  it("is read by the luacheck of Lua 5.1 as well", function()
+    assert.is_true(not debian or source.is_there)
+  end)
+  if not source.is_there then return end
 
   for _, case in ipairs(CASES) do
     it("shows " .. case.name, function() assert.same(case.lines, found(case)) end)

@@ -39,11 +39,13 @@ describe("a strict machine", function()
     { events = { "root.b" }, text = "'root.b' is the name of a state, no event" },
     { events = { "e_x e_y" }, text = "'e_x e_y' is one event (write an argument for "
       .. "each)" },
-    { events = { "e_x " }, text = "'e_x ' is one event (write an argument for each)" },
+    { events = { "e_x " }, text = "'e_x ' is one event (did you mean 'e_x'?)" },
     { events = { "e_x|e_y" }, text = "'e_x|e_y' is one event (write an argument for "
       .. "each)" },
-    { events = { "e_after 2" }, text = "'e_after 2' is one event (write an argument "
-      .. "for each)" },
+    { events = { "e_after 2" }, text = "'e_after 2' is one event (did you mean "
+      .. "'e_after(2)'?)" },
+    { events = { "e_after (2)" }, text = "'e_after (2)' is one event (did you mean "
+      .. "'e_after(2)'?)" },
     { events = { "e_x" } },
     { events = { "e_p" } },
     { events = { "await_me", "and_me" } },

@@ -338,6 +338,7 @@ describe("a time event that is wrong", function()
       assert.equal("WARNING: root.trans[2].events (a -> b): '" .. text
         .. "': seconds expected, as in " .. text:match("^e_%a+") .. "(0.5)",
         helper.without_file(warnings[1]))
+      assert.is_nil(warnings[2])
       assert.equal("root.b", helper.leaf_after(fsm, text))
     end)
   end

@@ -6,11 +6,11 @@
 local rfsm = require "rfsm"
 local rfsm_timeevent = require "rfsm_timeevent"
 
-local ngx = ngx -- luacheck: ignore 113
+local ngx = rawget(_G, "ngx")
 
 local host = {}
 
-local fsm
+local fsm ---@type rfsm.Machine
 local alarm = math.huge -- when nginx wakes the machine
 
 rfsm_timeevent.set_gettime_hook(function()

@@ -40,7 +40,7 @@ udp:settimeout(0)
 
 local function send(message) udp:send(json.encode(message)) end
 
-local ON = {}
+local ON = {} ---@type table<string, fun(message: table)?>
 
 function ON.rfsm_model(message)
   local names = {}

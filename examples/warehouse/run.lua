@@ -42,7 +42,7 @@ end
 local function summary()
   local leaves, is_over = {}, true
   for i = 1, count do
-    local leaf = orders:get(i).leaf
+    local leaf = assert(orders:get(i)).leaf
     leaves[leaf] = (leaves[leaf] or 0) + 1
     is_over = is_over and (leaf == "root.shipped" or leaf == "root.cancelled")
   end

@@ -43,7 +43,7 @@ end
 local function summary()
   local versions, leaves = {}, {}
   for i = 1, count do
-    local view = orders:get(i)
+    local view = assert(orders:get(i))
     versions[view.version] = (versions[view.version] or 0) + 1
     leaves[view.leaf] = (leaves[view.leaf] or 0) + 1
   end
@@ -71,4 +71,4 @@ local leaves
 versions, leaves = summary()
 print(("%d are left; %d shipped, %d received"):format(versions[old] or 0,
   leaves["root.shipped"] or 0, leaves["root.received"] or 0))
-for i = 1, count do assert(orders:get(i).data.root.parcels == 1) end
+for i = 1, count do assert(assert(orders:get(i)).data.root.parcels == 1) end

@@ -114,6 +114,7 @@ local WARNINGS = {
   { "has no field '", "unknown-field" },
   { "a plain table that", "unmarked" },
   { "a transition inside a leaf state", "misplaced" },
+  { "a transition in a sequential AND state", "misplaced" },
   { "a connector holds no", "misplaced" },
   { "never fires here", "never-done" },
   { "no loaded extension knows", "unknown-word" },

@@ -9,6 +9,7 @@ local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local source = require "rfsm.checks.source"
 local static = require "rfsm.checks.static"
 local verdict = require "rfsm.checks.verdict"
 
@@ -237,6 +238,10 @@ function command.review(file, model, warnings, settings, options)
   if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
   for _, line in ipairs(result and verdict.summary(result, options.explore) or {}) do
     lines[#lines + 1] = chart.name_of(file) .. ": " .. line
+  end
+  if options.all and not source.is_there then
+    lines[#lines + 1] = chart.name_of(file) .. ": the text of callbacks was not read, "
+      .. "luacheck is not installed"
   end
   return lines, gravest
 end

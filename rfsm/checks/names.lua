@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local match = require "rfsm.checks.match"
 
 local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
@@ -34,8 +35,9 @@ local function check_odd_events(tr, add)
     local mark = type(event) == "string" and not match.maker_of(event)
       and event:match("^[^(@]*"):match("[,|%s]")
     if mark then
-      add("odd-event", tr, ("'%s' is one event with %s in its name"):format(event,
-        MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"))
+      local name = MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"
+      add("odd-event", tr, ("'%s' is one event with %s in its name%s"):format(event,
+        name, advice.event_meant(event)))
     elseif type(event) == "table" and not getmetatable(event)
       and type(event[1]) == "string" then
       add("odd-event", tr, "a list that holds '" .. event[1] .. "' is one event")

@@ -10,18 +10,27 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local match = require "rfsm.checks.match"
 
-local io, ipairs, pcall, rawget = io, ipairs, pcall, rawget
+local io, ipairs, package, pcall, rawget = io, ipairs, package, pcall, rawget
 local require, setmetatable, type = require, setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
 local source = {}
 
-local has_luacheck, luacheck = pcall(require, "luacheck")
-local has_parser, parser = pcall(require, "luacheck.parser")
-local has_decoder, decoder = pcall(require, "luacheck.decoder")
+-- Returns a module of luacheck, or false. Debian installs luacheck for Lua 5.1 only,
+-- but it runs on each Lua.
+local function find(name)
+  local path = package.path
+  package.path = path .. ";" .. path:gsub("/5%.%d/", "/5.1/")
+  local ok, module = pcall(require, name)
+  package.path = path
+  return ok and module
+end
+
+local luacheck, parser = find "luacheck", find "luacheck.parser"
+local decoder = find "luacheck.decoder"
 
 --- Can texts be read? Only where luacheck and Lua's debug library are.
-source.is_there = has_luacheck and has_parser and has_decoder and getinfo ~= nil
+source.is_there = luacheck and parser and decoder and getinfo ~= nil
 
 -- Files ...........................................................................
 

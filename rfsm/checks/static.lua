@@ -206,41 +206,14 @@ local function elements_by_place(fsm)
   return found
 end
 
-local INSIDE = "a transition inside a leaf state"
-
-local function has_regions(obj) return obj and rfsm.regions(obj)[1] ~= nil end
-
--- Is the text about a transition in a sequential AND state? One about that is enough.
-local function is_told(at, text, by_place)
-  return has_regions(by_place[at and at:match("^(root.*)%.trans%[")])
-    or is_detailed(text)
-end
-
--- Leaves out lines about words of extensions of which an extension has said more.
-local function without_doubles(lines)
-  local is_told_of, kept = {}, {}
-  for _, line in ipairs(lines) do
-    local word = line:match("'(%S+%b())': ")
-    if word then is_told_of[word] = true end
-  end
-  for _, line in ipairs(lines) do
-    local word = line:match("no loaded extension knows '(.-)'")
-    if not is_told_of[word] then kept[#kept + 1] = line end
-  end
-  return kept
-end
-
 -- Appends lines of init about a machine as findings; `code`: nil for warnings.
 local function add_lines(findings, lines, code, fsm, prefix)
   local by_place = elements_by_place(fsm)
-  for _, line in ipairs(without_doubles(lines)) do
+  for _, line in ipairs(lines) do
     local file, rest = place.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
     local obj = by_place[at]
-    if text == INSIDE and has_regions(obj) then
-      text = "a transition in a sequential AND state, it belongs into a region"
-    end
-    if code or not is_told(at, text or rest, by_place) then
+    if code or not is_detailed(text or rest) then
       findings:add(code or codes.of_warning(line), obj,
         obj and place.path(obj, prefix), text or rest,
         place.location_of(prefix) .. (at or "root"), file)
@@ -248,24 +221,30 @@ local function add_lines(findings, lines, code, fsm, prefix)
   end
 end
 
+-- Returns a machine of a model, the problems, and the warnings; its regions are silent.
+local function init_and_listen(model)
+  local warnings = {}
+  local fsm, _, problems = static.init(model, function(text)
+    warnings[#warnings + 1] = rfsm.text_of(text):gsub("^WARNING: ", "")
+  end)
+  return fsm, problems, warnings
+end
+
 -- Appends all findings about a model: problems, warnings of init, those of the checks.
 -- Returns its machine; nil if there is none.
 local function check_model(findings, model)
-  local fsm, _, is_valid, problems, warnings
-  is_valid, problems, warnings = rfsm.verify_early(model)
+  local is_valid, problems, warnings = rfsm.verify_early(model)
+  local fsm, regions = nil, {}
   if is_valid then
-    warnings = {}
-    fsm, _, problems = static.init(model, function(text)
-      warnings[#warnings + 1] = rfsm.text_of(text):gsub("^WARNING: ", "")
-    end)
+    fsm, problems, warnings = init_and_listen(model)
+    regions = fsm and rfsm.machines(fsm) or {}
   end
   add_lines(findings, problems or {}, "invalid", nil, "root")
   add_lines(findings, warnings, nil, fsm, "root")
-  for _, entry in ipairs(fsm and rfsm.machines(fsm) or {}) do
-    if entry.owner then
-      local _, _, own = rfsm.verify_early(entry.machine)
-      add_lines(findings, own, nil, entry.machine, entry.prefix)
-    end
+  for i = 2, #regions do
+    local region = regions[i].machine
+    local _, _, own = init_and_listen(region._plan.model)
+    add_lines(findings, own, nil, region, regions[i].prefix)
   end
   return fsm
 end

@@ -464,10 +464,11 @@ function diagram.write(file, text)
   return false, file .. ": " .. (why or why_not)
 end
 
---- The module of a language. Both functions take an initialised fsm, or a description.
+--- The module of a language. Both functions take an initialised fsm, or a description;
+-- options that are a string are the title.
 ---@class rfsm.pictures.Exporter
----@field encode fun(fsm: rfsm.Machine, options?: rfsm.pictures.Options): string
----@field save fun(fsm: rfsm.Machine, file: string, options?: rfsm.pictures.Options)
+---@field encode fun(fsm: rfsm.Machine, opts?: rfsm.pictures.Options|string): string
+---@field save fun(fsm: rfsm.Machine, file: string, opts?: rfsm.pictures.Options|string)
 
 --- Make the module of a language.
 ---@param name string of the module
