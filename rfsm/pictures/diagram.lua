@@ -60,6 +60,7 @@ local diagram = {}
 ---@field is_region? true
 ---@field is_on_border? true a connector, used by arrows across the frame around it
 ---@field is_cut? true there are nodes in it that are not drawn
+---@field least? string least width or height of its box, for Graphviz
 
 --- A transition.
 ---@class rfsm.pictures.Arrow
