@@ -128,13 +128,18 @@ local function check_members(composite, fqn, shapes)
   end
 end
 
--- Regions are from left to right, in the order in which they are stepped.
+-- Regions are from left to right, in the order in which they are stepped; those with
+-- states in them have one height.
 local function check_regions(state, fqn, shapes)
-  local right = -1 / 0
+  local right, frame = -1 / 0, nil
   for _, region in ipairs(state.regions or {}) do
     local box = shapes[id_of(fqn .. "." .. region.id)].box
     assert.is_true(box.left > right, region.id .. " is beside another region")
     right = box.right
+    if is_composite(region) then
+      frame = frame or box
+      assert.same({ frame.top, frame.bottom }, { box.top, box.bottom })
+    end
   end
 end
 

@@ -262,6 +262,27 @@ end
 
 -- Layout ----------------------------------------------------------------------
 
+-- Gives the regions in a composite one height; one width if the direction is LR.
+local function align_regions(composite)
+  local height, width = 0, 0
+  local function each_region(f)
+    for _, node in ipairs(composite.nodes) do
+      if node.is_region and node.level then f(node.level) end
+    end
+  end
+  each_region(function(level)
+    height, width = max(height, level.height), max(width, level.width)
+  end)
+  each_region(function(level)
+    if level.direction == "TB" then
+      level.y, level.height = level.y + height - level.height, height
+    else
+      level.header.x = level.header.x + (width - level.width) / 2
+      level.width = width
+    end
+  end)
+end
+
 -- The levels by height: those in front have none of those behind in them.
 local function levels_by_height(chart)
   local list = {}
@@ -286,6 +307,7 @@ function levels.lay_out(chart, run)
   links.prepare(chart)
   local problem = find_loops(chart, run)
   for _, list in ipairs(levels_by_height(chart)) do
+    for _, level in ipairs(list) do align_regions(level.composite) end
     problem = problem or lay_out(list, run) or mend(chart, list, run)
   end
   return problem
