@@ -92,11 +92,13 @@ local function members_of(fsm)
 end
 
 -- Returns a function that lists the nodes of a composite: breadth first from `initial`,
--- then from those that are entered from outside, then from the others by name; the
--- transitions in each composite; and their names.
+-- then from those that are entered from outside, then from the others by name; nil for
+-- a leaf. Returns the transitions in each composite and their names, too.
 local function new_walk(fsm)
   local transitions, nodes_in, names, links, entries = members_of(fsm)
   return function(composite)
+    local nodes = nodes_in[composite]
+    if not nodes then return nil end
     local order, is_listed, done, count = {}, {}, 0, 0
     local function add(node)
       if is_listed[node] then return end
@@ -110,7 +112,6 @@ local function new_walk(fsm)
         for _, tgt in ipairs(links[order[done]] or {}) do add(tgt) end
       end
     end
-    local nodes = nodes_in[composite] or {}
     for _, node in ipairs(nodes) do if node._id == "initial" then start(node) end end
     for _, node in ipairs(entries[composite] or {}) do start(node) end
     for _, node in ipairs(nodes) do start(node) end
@@ -200,9 +201,11 @@ end
 
 -- Returns the text of a value; nil if it is an address, which no two runs share.
 local function text_without_address(value)
-  local kind, text = type(value), rfsm.text_of(value)
+  local kind = type(value)
+  if kind == "string" then return value end
+  local text = rfsm.text_of(value)
   if kind == "number" then return (text:gsub("^%-0$", "0")) end
-  if kind == "string" or kind == "boolean" then return text end
+  if kind == "boolean" then return text end
   local is_address = text == kind or text:find("^" .. kind .. ": ")
     or text:find("^builtin: ") or text:find("0x%x")
   return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
@@ -212,7 +215,7 @@ end
 -- The file of the first callback is not named.
 local function new_callback_text()
   local sources, first = {}, nil
-  return function(f)
+  local function new_text(f)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
     if not info or info.what == "C" then return text_without_address(f) or type(f) end
     local source = info.source
@@ -221,6 +224,11 @@ local function new_callback_text()
     if text then return text end
     local file = source ~= first and source:match("^[@=].-([^/\\]*)$") or ""
     return file .. ":" .. info.linedefined
+  end
+  local texts = {}
+  return function(f)
+    texts[f] = texts[f] or new_text(f)
+    return texts[f]
   end
 end
 
@@ -262,7 +270,7 @@ end
 
 --- How the tables of a machine are made.
 ---@class rfsm.marsh.Writer
----@field walk fun(composite: rfsm.State): rfsm.Node[]
+---@field walk fun(composite: rfsm.State): rfsm.Node[]?
 ---@field transitions table<rfsm.State, rfsm.Transition[]> those in each composite
 ---@field names table<rfsm.Transition, string|number>
 ---@field prefix string the FQN of the root
@@ -353,12 +361,13 @@ local function node_table(writer, node)
   if rfsm.is_conn(node) then return { id = node._id, type = "connector" } end
   local tab = { id = node._id, type = "state" }
   if writer.callback_text then add_details(writer, tab, node) end
-  if rfsm.is_leaf(node) then return tab end
+  local nodes = writer.walk(node)
+  if not nodes then return tab end
   tab.transitions, tab.subnodes = {}, {}
   for i, tr in ipairs(writer.transitions[node] or {}) do
     tab.transitions[i] = transition_table(writer, tr, node)
   end
-  for i, subnode in ipairs(writer.walk(node)) do
+  for i, subnode in ipairs(nodes) do
     tab.subnodes[i] = node_table(writer, subnode)
   end
   return tab

@@ -86,10 +86,9 @@ local diagram = {}
 
 --- Return an identifier that nothing else in the drawing has.
 ---@param chart rfsm.pictures.Chart
----@param text string
+---@param plain string letters, digits and underscores
 ---@return string id
-function diagram.new_id(chart, text)
-  local plain = text:gsub("%W", "_")
+function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
     count = count + 1
@@ -191,9 +190,9 @@ local MODES = { active = "active", done = "done" }
 
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
-  local kind = kind_of(tab)
+  local kind, id = kind_of(tab), fqn:gsub("%W", "_")
   local node = {
-    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
+    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
     nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
     depth = parent and parent.depth + 1 or 0, is_final = tab.final,
