@@ -12,7 +12,9 @@
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local select, setmetatable = select, setmetatable
+local tonumber, type = tonumber, type
+local compile = rawget(_G, "loadstring") or rawget(_G, "load")
 local math_type, debug = rawget(math, "type"), rawget(_G, "debug")
 
 local marsh = {}
@@ -160,18 +162,29 @@ local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
   name = name or line:match("([%a_][%w_]*)%s*=%s*function%f[^%w_]")
-  return not IS_FIELD[name or "entry"] and name or nil
+  return name and not IS_FIELD[name] and name or nil
 end
 
 local LONGEST = 40 -- bytes of a body
 
+-- Returns the body of the only function in a line that is assigned to a field. What is
+-- in front of the first "end" must be a program, or that is another end.
+local function body_in_field(line, field)
+  local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
+  local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
+  local is_only = body and select(2, line:gsub(head, "")) == 1
+  return is_only and compile and compile(body) and body or nil
+end
+
 -- Returns the body of a function that has one line: in its first line, or between the
 -- first and the last one.
-local function body_of(info, lines, count)
+local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
   if first == last and count == 1 then
     body = lines[first]:match("function%s*%b()%s*(.*)%f[%w_]end%f[^%w_]")
+  elseif first == last and field then
+    body = body_in_field(lines[first], field)
   elseif last == first + 2 and lines[first]:find("function%s*%b()%s*$") then
     body = lines[first + 1]:gsub("%s+%-%-.*$", ""):match("^%s*(.*)$")
   end
@@ -190,12 +203,12 @@ local function comment_of(info, lines)
   return #text <= LONGEST_COMMENT and text or nil
 end
 
--- Returns the text of a function in its source.
-local function text_in_source(f, info, lines)
+-- Returns the text of a function, the value of a field, in its source.
+local function text_in_source(f, info, lines, field)
   local line = lines[info.linedefined]
   if not line then return nil end
   local _, count = line:gsub("%f[%w_]function%f[^%w_]", "")
-  return name_in_line(f, line, count) or body_of(info, lines, count)
+  return name_in_line(f, line, count) or body_of(info, lines, count, field)
     or comment_of(info, lines)
 end
 
@@ -205,7 +218,6 @@ local function text_without_address(value)
   if kind == "string" then return value end
   local text = rfsm.text_of(value)
   if kind == "number" then return (text:gsub("^%-0$", "0")) end
-  if kind == "boolean" then return text end
   local is_address = text == kind or text:find("^" .. kind .. ": ")
     or text:find("^builtin: ") or text:find("0x%x")
   return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
@@ -215,19 +227,19 @@ end
 -- The file of the first callback is not named.
 local function new_callback_text()
   local sources, first = {}, nil
-  local function new_text(f)
+  local function new_text(f, field)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
     if not info or info.what == "C" then return text_without_address(f) or type(f) end
     local source = info.source
     first, sources[source] = first or source, sources[source] or lines_of(source)
-    local text = text_in_source(f, info, sources[source])
+    local text = text_in_source(f, info, sources[source], field)
     if text then return text end
     local file = source ~= first and source:match("^[@=].-([^/\\]*)$") or ""
     return file .. ":" .. info.linedefined
   end
   local texts = {}
-  return function(f)
-    texts[f] = texts[f] or new_text(f)
+  return function(f, field)
+    texts[f] = texts[f] or new_text(f, field)
     return texts[f]
   end
 end
@@ -274,7 +286,7 @@ end
 ---@field transitions table<rfsm.State, rfsm.Transition[]> those in each composite
 ---@field names table<rfsm.Transition, string|number>
 ---@field prefix string the FQN of the root
----@field callback_text? fun(f: function): string only of a full description
+---@field callback_text? fun(f: function, field?: string): string only of a full one
 ---@field event_text fun(event: any): string
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
 
@@ -309,7 +321,7 @@ local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) en
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
     local f = element[field]
-    tab[field] = f and writer.callback_text(f) or nil
+    tab[field] = f and writer.callback_text(f, field) or nil
   end
   tab.doc = type(element.doc) == "string" and element.doc or nil
 end
