@@ -123,7 +123,7 @@ end
 
 -- Callbacks: their name, text or comment in the source, or their line ---------
 
---- Read a source file. A host without `io` may put a function of its own here.
+--- Read a source file. A host without `io` may replace this function.
 ---@param name string of the chunk, without its first character: "chart.lua"
 ---@return string? text nil if it cannot be read
 function marsh.read_source(name)
@@ -454,7 +454,7 @@ local function mend(first, others)
   return first .. others:sub(1, count) .. REPLACEMENT:rep(#others - count)
 end
 
---- Return a text as UTF-8: U+FFFD replaces each byte that is none.
+--- Return a text as UTF-8: each byte outside of a character becomes U+FFFD.
 ---@param text string
 ---@return string
 ---@nodiscard
@@ -489,7 +489,7 @@ local function plain_event(event, text_of)
   return marsh.utf8(text_of(event))
 end
 
--- Marks a list, so that an empty one is no object.
+-- Marks a list, so that dkjson does not write an empty one as an object.
 local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
 
 local TEXTS = { "id", "src", "tgt", "key", "doc", "guard", "effect", "entry", "exit",

@@ -1,4 +1,4 @@
---- Columns: a level that is too tall or too wide, in parts that stand side by side.
+--- Columns: a level that is too tall or too wide is divided into parts side by side.
 --
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
 -- composite without a frame, which Graphviz lays out. An arrow from a column to a later

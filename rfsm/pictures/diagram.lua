@@ -34,7 +34,7 @@ local diagram = {}
 ---@field taken? string[] keys of transitions
 ---@field leaf? string FQN of the active leaf then
 ---@field m? integer number of a machine in a sequential AND state: not drawn
----@field record? integer it is the first record, which is no step
+---@field record? integer set in the first record of a file, which is not drawn
 
 --- How often a run came to states, by FQN, and to transitions, by key.
 ---@class rfsm.pictures.Coverage
@@ -332,7 +332,7 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns the FQNs and keys that a step came to; nil if it is none of this machine.
+-- Returns the FQNs and keys that a step came to; nil for a step of another machine.
 local function places_of(step, leaf)
   if type(step) == "string" then return { step } end
   if type(step) ~= "table" or step.m or step.record then return nil end

@@ -95,7 +95,7 @@ function add_node(texts, depth, node)
     point_text(node.x, node.y), looks.leaf_text(node)))
 end
 
--- Returns a node to stand for the end of an arrow: of a composite, one in it.
+-- Returns the identifier for an end of an arrow: at a composite, that of a leaf in it.
 local function anchor_of(node)
   while node.level do node = node.nodes[1] end
   return node.id

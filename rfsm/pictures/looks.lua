@@ -63,7 +63,7 @@ local function table_of(rows, attributes)
     attributes or "", rows)
 end
 
--- A line as a cell: Graphviz leaves out some of its own, <HR/>, in a PNG.
+-- A cell draws the line, because Graphviz leaves out some <HR/> in a PNG.
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
 --- Return the name of a state over the rows of what it does.
