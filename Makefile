@@ -114,6 +114,9 @@ gallery:                ## doc/gallery/: pictures of the examples and of larger 
 	sed -n '/^-- lamp.lua/,/^```$$/p' README.md | sed '$$d' > lamp.lua; \
 	for f in lamp.lua $(EXAMPLES) doc/gallery/*.lua; do \
 	  $(LUA) tools/rfsm viz $$f -o doc/gallery/$$(basename $$f .lua).svg; \
+	done; \
+	for n in loops recipe; do \
+	  $(LUA) tools/rfsm viz --direction LR doc/gallery/$$n.lua -o doc/gallery/$${n}_lr.svg; \
 	done
 
 deps:                   ## install the packages for sim, test and doc

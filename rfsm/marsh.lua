@@ -12,7 +12,9 @@
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local select, setmetatable = select, setmetatable
+local tonumber, type = tonumber, type
+local compile = rawget(_G, "loadstring") or rawget(_G, "load")
 local math_type, debug = rawget(math, "type"), rawget(_G, "debug")
 
 local marsh = {}
@@ -92,11 +94,13 @@ local function members_of(fsm)
 end
 
 -- Returns a function that lists the nodes of a composite: breadth first from `initial`,
--- then from those that are entered from outside, then from the others by name; the
--- transitions in each composite; and their names.
+-- then from those that are entered from outside, then from the others by name; nil for
+-- a leaf. Returns the transitions in each composite and their names, too.
 local function new_walk(fsm)
   local transitions, nodes_in, names, links, entries = members_of(fsm)
   return function(composite)
+    local nodes = nodes_in[composite]
+    if not nodes then return nil end
     local order, is_listed, done, count = {}, {}, 0, 0
     local function add(node)
       if is_listed[node] then return end
@@ -110,7 +114,6 @@ local function new_walk(fsm)
         for _, tgt in ipairs(links[order[done]] or {}) do add(tgt) end
       end
     end
-    local nodes = nodes_in[composite] or {}
     for _, node in ipairs(nodes) do if node._id == "initial" then start(node) end end
     for _, node in ipairs(entries[composite] or {}) do start(node) end
     for _, node in ipairs(nodes) do start(node) end
@@ -120,7 +123,7 @@ end
 
 -- Callbacks: their name, text or comment in the source, or their line ---------
 
---- Read a source file. A host without `io` may put a function of its own here.
+--- Read a source file. A host without `io` may replace this function.
 ---@param name string of the chunk, without its first character: "chart.lua"
 ---@return string? text nil if it cannot be read
 function marsh.read_source(name)
@@ -159,18 +162,29 @@ local function name_in_line(f, line, count)
   local name, parameters = line:match("function%s+([%a_][%w_.:]*)%s*(%b())")
   if name and count > 1 then return name .. arguments_of(f, parameters) end
   name = name or line:match("([%a_][%w_]*)%s*=%s*function%f[^%w_]")
-  return not IS_FIELD[name or "entry"] and name or nil
+  return name and not IS_FIELD[name] and name or nil
 end
 
 local LONGEST = 40 -- bytes of a body
 
+-- Returns the body of the only function in a line that is assigned to a field. What is
+-- in front of the first "end" must be a program, or that is another end.
+local function body_in_field(line, field)
+  local head = "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*"
+  local body = line:match(head .. "(.-)%f[%w_]end%f[^%w_]")
+  local is_only = body and select(2, line:gsub(head, "")) == 1
+  return is_only and compile and compile(body) and body or nil
+end
+
 -- Returns the body of a function that has one line: in its first line, or between the
 -- first and the last one.
-local function body_of(info, lines, count)
+local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
   if first == last and count == 1 then
     body = lines[first]:match("function%s*%b()%s*(.*)%f[%w_]end%f[^%w_]")
+  elseif first == last and field then
+    body = body_in_field(lines[first], field)
   elseif last == first + 2 and lines[first]:find("function%s*%b()%s*$") then
     body = lines[first + 1]:gsub("%s+%-%-.*$", ""):match("^%s*(.*)$")
   end
@@ -189,20 +203,21 @@ local function comment_of(info, lines)
   return #text <= LONGEST_COMMENT and text or nil
 end
 
--- Returns the text of a function in its source.
-local function text_in_source(f, info, lines)
+-- Returns the text of a function, the value of a field, in its source.
+local function text_in_source(f, info, lines, field)
   local line = lines[info.linedefined]
   if not line then return nil end
   local _, count = line:gsub("%f[%w_]function%f[^%w_]", "")
-  return name_in_line(f, line, count) or body_of(info, lines, count)
+  return name_in_line(f, line, count) or body_of(info, lines, count, field)
     or comment_of(info, lines)
 end
 
 -- Returns the text of a value; nil if it is an address, which no two runs share.
 local function text_without_address(value)
-  local kind, text = type(value), rfsm.text_of(value)
+  local kind = type(value)
+  if kind == "string" then return value end
+  local text = rfsm.text_of(value)
   if kind == "number" then return (text:gsub("^%-0$", "0")) end
-  if kind == "string" or kind == "boolean" then return text end
   local is_address = text == kind or text:find("^" .. kind .. ": ")
     or text:find("^builtin: ") or text:find("0x%x")
   return not is_address and kind ~= "function" and kind ~= "thread" and text or nil
@@ -212,15 +227,20 @@ end
 -- The file of the first callback is not named.
 local function new_callback_text()
   local sources, first = {}, nil
-  return function(f)
+  local function new_text(f, field)
     local info = debug and type(f) == "function" and debug.getinfo(f, "S")
     if not info or info.what == "C" then return text_without_address(f) or type(f) end
     local source = info.source
     first, sources[source] = first or source, sources[source] or lines_of(source)
-    local text = text_in_source(f, info, sources[source])
+    local text = text_in_source(f, info, sources[source], field)
     if text then return text end
     local file = source ~= first and source:match("^[@=].-([^/\\]*)$") or ""
     return file .. ":" .. info.linedefined
+  end
+  local texts = {}
+  return function(f, field)
+    texts[f] = texts[f] or new_text(f, field)
+    return texts[f]
   end
 end
 
@@ -262,11 +282,11 @@ end
 
 --- How the tables of a machine are made.
 ---@class rfsm.marsh.Writer
----@field walk fun(composite: rfsm.State): rfsm.Node[]
+---@field walk fun(composite: rfsm.State): rfsm.Node[]?
 ---@field transitions table<rfsm.State, rfsm.Transition[]> those in each composite
 ---@field names table<rfsm.Transition, string|number>
 ---@field prefix string the FQN of the root
----@field callback_text? fun(f: function): string only of a full description
+---@field callback_text? fun(f: function, field?: string): string only of a full one
 ---@field event_text fun(event: any): string
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
 
@@ -301,7 +321,7 @@ local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) en
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
     local f = element[field]
-    tab[field] = f and writer.callback_text(f) or nil
+    tab[field] = f and writer.callback_text(f, field) or nil
   end
   tab.doc = type(element.doc) == "string" and element.doc or nil
 end
@@ -353,12 +373,13 @@ local function node_table(writer, node)
   if rfsm.is_conn(node) then return { id = node._id, type = "connector" } end
   local tab = { id = node._id, type = "state" }
   if writer.callback_text then add_details(writer, tab, node) end
-  if rfsm.is_leaf(node) then return tab end
+  local nodes = writer.walk(node)
+  if not nodes then return tab end
   tab.transitions, tab.subnodes = {}, {}
   for i, tr in ipairs(writer.transitions[node] or {}) do
     tab.transitions[i] = transition_table(writer, tr, node)
   end
-  for i, subnode in ipairs(writer.walk(node)) do
+  for i, subnode in ipairs(nodes) do
     tab.subnodes[i] = node_table(writer, subnode)
   end
   return tab
@@ -433,7 +454,7 @@ local function mend(first, others)
   return first .. others:sub(1, count) .. REPLACEMENT:rep(#others - count)
 end
 
---- Return a text as UTF-8: U+FFFD replaces each byte that is none.
+--- Return a text as UTF-8: each byte outside of a character becomes U+FFFD.
 ---@param text string
 ---@return string
 ---@nodiscard
@@ -468,7 +489,7 @@ local function plain_event(event, text_of)
   return marsh.utf8(text_of(event))
 end
 
--- Marks a list, so that an empty one is no object.
+-- Marks a list, so that dkjson does not write an empty one as an object.
 local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
 
 local TEXTS = { "id", "src", "tgt", "key", "doc", "guard", "effect", "entry", "exit",

@@ -21,7 +21,7 @@ end
 
 -- Lines -----------------------------------------------------------------------
 
--- An initial is [*] where its composite begins; everywhere else that stands for it.
+-- Returns [*] for the initial where its composite begins, elsewhere the composite.
 local function end_of(node, is_start)
   if node.kind ~= "initial" then return node.id end
   return is_start and "[*]" or node.parent.id

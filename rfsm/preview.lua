@@ -22,7 +22,7 @@ local function try(fsm, owner, what)
     owner._fqn or tostring(owner)), result)
 end
 
--- A composite is entered at its `initial` connector: then `prepare` is that of both.
+-- Calls `prepare` of a target; of the composite if its `initial` has none.
 local function prepare_target(fsm, target)
   if not target.prepare and rfsm.is_conn(target) and target._id == "initial" then
     target = target._parent

@@ -79,6 +79,7 @@ build = {
     ["rfsm.monitor"] = "rfsm/monitor.lua",
     ["rfsm.pictures.columns"] = "rfsm/pictures/columns.lua",
     ["rfsm.pictures.diagram"] = "rfsm/pictures/diagram.lua",
+    ["rfsm.pictures.ends"] = "rfsm/pictures/ends.lua",
     ["rfsm.pictures.graphs"] = "rfsm/pictures/graphs.lua",
     ["rfsm.pictures.layout"] = "rfsm/pictures/layout.lua",
     ["rfsm.pictures.levels"] = "rfsm/pictures/levels.lua",

@@ -145,6 +145,32 @@ describe("the text of a callback", function()
     assert.equal(":1", text_in("return function() return function() end end"))
   end)
 
+  it("is the body of its field in a line with several functions", function()
+    local load = rawget(_G, "loadstring") or load
+    for entry, text in pairs { -- any order: each stands alone
+      ["function() a() end"] = "a()", ["function(fsm) return weekend end"] = "weekend",
+      ["function() if a then b() end end"] = ":2", ["function() end"] = ":2",
+      ["function() f(function() end) end"] = ":2",
+      ["function() say('the end') end"] = ":2",
+      ["function() a() end, x = { entry = function() b() end }"] = ":2",
+    } do
+      local chunk = "local state = ...\nreturn state { entry = " .. entry
+        .. ", exit = function() last() end }"
+      local tab = marsh.model2tab(helper.init(load(chunk)(state)), true)
+      assert.same({ text, "last()" }, { tab.entry, tab.exit })
+    end
+  end)
+
+  it("is shown of charts in other files, too", function()
+    local sub = helper.file_with("return require 'rfsm'.state {\n entry = function() "
+      .. "sub() end,\n exit = function()\n  one()\n  two()\n end }")
+    local fsm = helper.init(state { a = rfsm.load(sub), entry = near,
+      trans { src = "initial", tgt = "a" } })
+    local a = marsh.model2tab(fsm, true).subnodes[2]
+    helper.remove_files()
+    assert.same({ "sub()", sub:match("[^/]*$") .. ":3" }, { a.entry, a.exit })
+  end)
+
   it("is the comment behind its head, or the line of it in front", function()
     local two = "\n  near()\n  near()\nend"
     for text, chunk in pairs { -- any order: each stands alone

@@ -68,6 +68,18 @@ describe("a line", function()
     assert.same({ 28, 0 }, lines.rounded { { 0, 0 }, { 30, 0 }, { 30, 4 } }[4])
   end)
 
+  it("is divided where its points are outside of the picture and it is not", function()
+    local line = { { 0, 0 }, { -4, 10 }, { -4, 20 }, { 3, 30 } }
+    local frame = { left = 0, bottom = 0, width = 10, height = 30 }
+    local inside = lines.inside(line, frame)
+    assert.same({ { 0, 0 }, { 3, 30 } }, { inside[1], inside[#inside] })
+    assert.is_true(#inside > 4 and #inside <= 1 + 3 * 16)
+    assert.is_true(pictures.sharpest_bend(inside) < 0.001)
+    local plain = { { 0, 0 }, { 0, 10 }, { 10, 10 }, { 10, 0 } }
+    assert.same(plain, lines.inside(plain, frame))
+    assert.equal(7, #lines.inside({ { 5, 0 }, { 5, 31 }, { 6, 31 }, { 6, 0 } }, frame))
+  end)
+
   it("is joined to another by a straight part, or moved to it if it is near", function()
     local line = { { 0, 0 }, { 0, 1 }, { 0, 2 }, { 0, 3 } }
     lines.join(line, { { 2.9, 9 }, { 2.9, 10 }, { 5, 11 }, { 6, 12 } }, 1)
@@ -130,6 +142,30 @@ describe("the shape of a picture", function()
       before = before + (middle(shapes["root.leaf" .. i].box) < hub and 1 or 0)
     end
     assert.equal(7, before)
+  end)
+
+  it("has a hub so long that arrows end beside each other", function()
+    for direction, axis in pairs { TB = 2, LR = 1 } do -- any order
+      local model = star(14)
+      model.hub.entry = nil
+      local shapes, tips = draw(model, { direction = direction }), {}
+      local box = shapes["root.hub"].box
+      local length = axis == 2 and box.bottom - box.top or box.right - box.left
+      assert.is_true(length > 100 and length < 200, length)
+      for i = 1, 14 do
+        local tip = shapes["root.trans[" .. 2 * i + 1 .. "]"].tip
+        local key = ("%d %d"):format(tip[1] / 3, tip[2] / 3)
+        tips[key] = (tips[key] or 0) + 1
+        assert.is_true(tips[key] < (axis == 2 and 2 or 4), key)
+      end
+    end
+  end)
+
+  it("has no margin around the root", function()
+    local shapes, width, height = draw(tangle())
+    local box = shapes.root.box
+    assert.is_true(width - (box.right - box.left) < 10)
+    assert.is_true(height - (box.bottom - box.top) < 10)
   end)
 
   it("stays as it is if too many arrows would lead from column to column", function()
@@ -201,23 +237,58 @@ describe("columns", function()
 
   it("are dealt by length, and not at all if too many arrows would cross", function()
     local function level(count, links)
-      local boxes = {}
-      for i = 1, count do boxes[i] = { width = 50, height = 30 } end
+      local boxes, nodes = {}, {}
+      for i = 1, count do
+        boxes[i], nodes[i] = { width = 50, height = 30 }, { kind = "leaf" }
+      end
       for _, link in ipairs(links) do link.arrow = { parts = {} } end
-      return { direction = "TB", boxes = boxes, links = links }
+      return { direction = "TB", boxes = boxes, links = links, width = 50,
+        height = 65 * count, composite = { nodes = nodes } }
     end
     local function link(i, j)
       return { upper = { node = { index = i } }, lower = { node = { index = j } } }
     end
     assert.same({ 1, 1, 2, 2, 3, 3, 4, 4 }, columns.plan(level(8, {})))
+    assert.same({ 1, 1, 1, 2, 2, 2, 3, 3 }, columns.plan(level(8, { link(4, 5) })))
     local crossing = {}
-    for i = 1, 18 do crossing[i] = link(1, 8) end
+    for i = 1, 6 do crossing[i] = link(1, 8) end
+    assert.same({ 1, 1, 1, 1, 2, 2, 2, 2 }, columns.plan(level(8, crossing)))
+    crossing[7] = link(3, 4)
     assert.is_table(columns.plan(level(8, crossing)))
-    crossing[19] = link(3, 4)
-    assert.is_table(columns.plan(level(8, crossing)))
-    crossing[20] = link(4, 5)
+    crossing[8] = link(1, 8)
     assert.is_nil(columns.plan(level(8, crossing)))
     assert.is_nil(columns.plan(level(1, {})))
+  end)
+
+  it("are as long as each other; an initial takes little room", function()
+    local found, counts, last = draw(chain(30)), {}, nil
+    for i = 1, 30 do
+      local x = middle(found["root.s" .. i].box)
+      if x ~= last then counts[#counts + 1], last = 0, x end
+      counts[#counts] = counts[#counts] + 1
+    end
+    assert.same({ 5, 5, 5, 5, 5, 5 }, counts)
+  end)
+
+  it("have composites in one line", function()
+    local model = state { hub = state {}, trans { src = "initial", tgt = "hub" } }
+    for i = 1, 7 do
+      local src = i > 1 and "m" .. i - 1 or "hub"
+      model["m" .. i] = state { x = state {}, y = state {},
+        trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "y" } }
+      model[#model + 1] = trans { src = src, tgt = "m" .. i }
+      model[#model + 1] = trans { src = ".m" .. i .. ".y", tgt = "hub", events = "e" }
+    end
+    local found, count, last = draw(model), 0, nil
+    for i = 1, 7 do
+      local box = found["root.m" .. i].box
+      if last and box.top > last.bottom then
+        assert.is_true(math.abs(middle(box) - middle(last)) < 1, i)
+        count = count + 1
+      end
+      last = box
+    end
+    assert.is_true(count >= 4, count)
   end)
 end)
 
@@ -322,6 +393,27 @@ describe("an arrow across frames", function()
         end
       end
       assert.is_true(count > 0)
+    end
+  end)
+
+  it("keeps its place among those that end at the frame", function()
+    local shapes, list = draw(rfsm.load "doc/gallery/loops.lua"), {}
+    local top = shapes["root.work"].box.top
+    for _, i in ipairs { 4, 5, 8, 9 } do -- between idle, and work or a state in it
+      local shape = shapes["root.trans[" .. i .. "]"]
+      for j = 1, #shape.path, 3 do
+        local point = shape.path[j]
+        if math.abs(point[2] - top) < 6 then
+          list[#list + 1] = { key = i, x = point[1], label = shape.label[1] }
+          break
+        end
+      end
+    end
+    assert.equal(4, #list)
+    table.sort(list, function(a, b) return a.x < b.x end)
+    for i = 2, 4 do
+      assert.is_true(list[i].label > list[i - 1].label, list[i].key)
+      assert.is_true(list[i].x > list[i - 1].x + 8, list[i].key)
     end
   end)
 

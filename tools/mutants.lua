@@ -33,7 +33,7 @@ local ROOMS = {
     specs = { "record" } },
   { name = "pictures", files = { "rfsm/dot.lua", "rfsm/mermaid.lua",
     "rfsm/plantuml.lua", "rfsm/json.lua", "rfsm/marsh.lua", "rfsm/pictures/*.lua" },
-    specs = { "export", "pictures", "layout", "diagram" } },
+    specs = { "export", "diagram", "layout", "pictures" } },
   { name = "sim", files = { "rfsm/sim.lua", "rfsm/sim/*.lua" }, specs = { "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua", "rfsm/watch.lua" },
     specs = { "view", "web" } },

@@ -6,7 +6,10 @@ local rfsm = require "rfsm"
 
 local STEPS = 30
 
-local recipe = rfsm.state { rfsm.trans { src = "initial", tgt = "step 1" } }
+local recipe = rfsm.state {
+  doc = "thirty steps, one after the other",
+  rfsm.trans { src = "initial", tgt = "step 1" },
+}
 
 for i = 1, STEPS do recipe["step " .. i] = rfsm.state { final = i == STEPS or nil } end
 for i = 2, STEPS do

@@ -1,4 +1,4 @@
---- Columns: a level that is too tall or too wide, in parts that stand side by side.
+--- Columns: a level that is too tall or too wide is divided into parts side by side.
 --
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
 -- composite without a frame, which Graphviz lays out. An arrow from a column to a later
@@ -16,8 +16,7 @@ local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
 
-local abs, floor, ipairs, log = math.abs, math.floor, ipairs, math.log
-local max, min, select, sort = math.max, math.min, select, table.sort
+local abs, ipairs, log, max, sort = math.abs, ipairs, math.log, math.max, table.sort
 
 local columns = {}
 
@@ -40,7 +39,10 @@ local function size_of(box, direction)
   return box.height, box.width
 end
 
-local GAP, CHANNEL, TRACKS, CHARACTER = 35, 28, 60, 5.5 -- points, about
+-- Points, about: behind a node, behind an initial, beside a column, beside a line that
+-- passes a node, above and below all columns; the size of a character of a label.
+local GAP, START, CHANNEL, PASS, TRACKS, CHARACTER, LINE = 35, 18, 20, 30, 60, 5.5, 14
+local PITCH = 8 -- between tracks
 
 -- Returns the width of the widest label in a level, about.
 local function label_width(level)
@@ -54,48 +56,62 @@ local function label_width(level)
 end
 
 -- Returns the space between nodes in a column, and that beside them: labels are beside
--- the lines, which run through the middle of columns and between them.
-local function gaps_of(level, across)
-  local label = label_width(level)
+-- the lines, which run through the middle of columns.
+local function gaps_of(level, across, label)
   if level.direction == "LR" then return GAP + label, CHANNEL end
-  return GAP, max(0, label - across / 2) + CHANNEL + label
+  return GAP, max(0, label - across / 2) + CHANNEL
 end
 
--- Returns into how many columns a level goes best.
-local function count_for(level)
-  local across, along, direction = 0, 0, level.direction
-  for _, box in ipairs(level.boxes) do
-    local u, v = size_of(box, direction)
-    across, along = max(across, u), along + v
-  end
-  local gap, channel = gaps_of(level, across)
-  along = along + gap * #level.boxes
-  local best, least = 1, 1 / 0
-  for count = 1, #level.boxes do
-    local width, height = (across + channel) * count, along / count + TRACKS
-    if direction == "LR" then width, height = height, width end
-    local misfit = misfit_of(width, height)
-    if misfit < least then best, least = count, misfit end
-  end
-  return best
-end
-
--- Returns the numbers of the columns that nodes go to, so that these are of about the
--- same length.
-local function deal(level, count)
-  local total, sum, numbers, last = 0, 0, {}, 0
-  local gap = gaps_of(level, 0)
-  local function length_of(box)
-    return select(2, size_of(box, level.direction)) + gap
-  end
-  for _, box in ipairs(level.boxes) do total = total + length_of(box) end
+-- Returns how long each node of a level is in its column, with the space behind it.
+local function lengths_of(level, gap)
+  local lengths = {}
   for i, box in ipairs(level.boxes) do
-    local length = length_of(box)
-    local share = floor((sum + length / 2) / total * count) + 1
-    last, sum = min(share, last + 1), sum + length
-    numbers[i] = last
+    local node, _, length = level.composite.nodes[i], size_of(box, level.direction)
+    lengths[i] = length + (node.kind == "initial" and START or gap)
+  end
+  return lengths
+end
+
+-- Fills columns up to a length. Returns the number of the column of each node.
+local function fill(lengths, most)
+  local numbers, number, sum = {}, 1, 0
+  for i, length in ipairs(lengths) do
+    sum = sum + length
+    if sum > most and i > 1 then number, sum = number + 1, length end
+    numbers[i] = number
   end
   return numbers
+end
+
+-- Deals nodes into columns, of which the longest is as short as it can be. Returns the
+-- number of the column of each node, and the length of the longest column.
+local function deal(lengths, count)
+  local least, most = 0, 1
+  for _, length in ipairs(lengths) do
+    least, most = max(least, length), most + length
+  end
+  while most - least > 1 do
+    local middle = (least + most) / 2
+    local numbers = fill(lengths, middle)
+    if numbers[#numbers] > count then least = middle else most = middle end
+  end
+  return fill(lengths, most), most
+end
+
+-- Returns how many arrows lead from column to column, and how many times these run
+-- beside other nodes in a column.
+local function crossing_of(level, numbers)
+  local crossing, passing = 0, 0
+  for _, link in ipairs(level.links) do
+    local upper, lower = link.upper and link.upper.node, link.lower.node
+    local i, j = upper and upper.index, lower and lower.index
+    if upper and lower and numbers[i] ~= numbers[j] then
+      crossing = crossing + 1
+      if numbers[i + 1] == numbers[i] then passing = passing + 1 end
+      if numbers[j - 1] == numbers[j] then passing = passing + 1 end
+    end
+  end
+  return crossing, passing
 end
 
 local MOST = 6 -- arrows between columns, for each channel
@@ -105,15 +121,24 @@ local MOST = 6 -- arrows between columns, for each channel
 ---@param level rfsm.pictures.Level
 ---@return integer[]? numbers
 function columns.plan(level)
-  local numbers, crossing = deal(level, count_for(level)), 0
-  for _, link in ipairs(level.links) do
-    local upper, lower = link.upper and link.upper.node, link.lower.node
-    if upper and lower and numbers[upper.index] ~= numbers[lower.index] then
-      crossing = crossing + 1
-    end
+  local across, direction, label = 0, level.direction, label_width(level)
+  for _, box in ipairs(level.boxes) do
+    across = max(across, (size_of(box, direction)))
   end
-  local count = numbers[#numbers]
-  return count > 1 and crossing <= MOST * (count - 1) and numbers or nil
+  local gap, room = gaps_of(level, across, label)
+  local lengths, best, least = lengths_of(level, gap), nil, columns.misfit(level)
+  for count = 2, #level.boxes do
+    local numbers, length = deal(lengths, count)
+    local crossing, passing = crossing_of(level, numbers)
+    local width, height = (across + room) * count
+      + crossing * (PITCH + (direction == "TB" and label or LINE)) + passing * PASS,
+      length + TRACKS
+    if direction == "LR" then width, height = height, width end
+    local cost = misfit_of(width, height) + crossing / max(1, #level.links)
+    if cost > least then break end
+    best, least = crossing <= MOST * (count - 1) and numbers or nil, cost
+  end
+  return best
 end
 
 --- Put the nodes of a level into columns.
@@ -141,8 +166,6 @@ function columns.split(chart, level, numbers)
 end
 
 -- Tracks: where the arrows between columns run --------------------------------
-
-local PITCH = 8 -- points between tracks
 
 -- Gives each link a track from one column to another; links that do not meet may share
 -- one. Returns the size of the tracks.

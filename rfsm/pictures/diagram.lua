@@ -34,7 +34,7 @@ local diagram = {}
 ---@field taken? string[] keys of transitions
 ---@field leaf? string FQN of the active leaf then
 ---@field m? integer number of a machine in a sequential AND state: not drawn
----@field record? integer it is the first record, which is no step
+---@field record? integer set in the first record of a file, which is not drawn
 
 --- How often a run came to states, by FQN, and to transitions, by key.
 ---@class rfsm.pictures.Coverage
@@ -60,6 +60,7 @@ local diagram = {}
 ---@field is_region? true
 ---@field is_on_border? true a connector, used by arrows across the frame around it
 ---@field is_cut? true there are nodes in it that are not drawn
+---@field least? string least width or height of its box, for Graphviz
 
 --- A transition.
 ---@class rfsm.pictures.Arrow
@@ -85,10 +86,9 @@ local diagram = {}
 
 --- Return an identifier that nothing else in the drawing has.
 ---@param chart rfsm.pictures.Chart
----@param text string
+---@param plain string letters, digits and underscores
 ---@return string id
-function diagram.new_id(chart, text)
-  local plain = text:gsub("%W", "_")
+function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
     count = count + 1
@@ -190,9 +190,9 @@ local MODES = { active = "active", done = "done" }
 
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
-  local kind = kind_of(tab)
+  local kind, id = kind_of(tab), fqn:gsub("%W", "_")
   local node = {
-    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
+    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
     kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
     nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
     depth = parent and parent.depth + 1 or 0, is_final = tab.final,
@@ -332,7 +332,7 @@ local function mark_active(chart, active, where)
   end
 end
 
--- Returns the FQNs and keys that a step came to; nil if it is none of this machine.
+-- Returns the FQNs and keys that a step came to; nil for a step of another machine.
 local function places_of(step, leaf)
   if type(step) == "string" then return { step } end
   if type(step) ~= "table" or step.m or step.record then return nil end

@@ -10,8 +10,8 @@
 local diagram = require "rfsm.pictures.diagram"
 local looks = require "rfsm.pictures.looks"
 
-local ceil, floor, ipairs, max, tonumber = math.ceil, math.floor, ipairs, math.max,
-  tonumber
+local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
+local ipairs, tonumber = ipairs, tonumber
 local concat, sort = table.concat, table.sort
 local add = diagram.add
 
@@ -44,8 +44,9 @@ local function side_text(level, list, length)
   local function add_cell(size, port)
     if size > 0 then cells[#cells + 1] = cell_of(direction, size, 1, port) end
   end
-  for _, gate in ipairs(list) do
-    local position = max(from, floor(gate.offset - 0.5))
+  for i, gate in ipairs(list) do
+    local last = length - 2 * (#list - i + 1)
+    local position = max(from, min(last, floor(gate.offset - 0.5)))
     add_cell(position - from)
     add_cell(2, gate.id)
     from = position + 2
@@ -54,11 +55,13 @@ local function side_text(level, list, length)
   return cell_of(direction, length, 1, nil, table_of(direction, cells))
 end
 
--- The gates at a side, in the order of their positions.
+-- The gates and feet at a side, in the order of their positions.
 local function gates_at(level, is_upper)
   local list = {}
-  for _, gate in ipairs(level.gates) do
-    if gate.is_upper == is_upper then list[#list + 1] = gate end
+  for _, gates in ipairs { level.gates, level.feet } do
+    for _, gate in ipairs(gates) do
+      if gate.is_upper == is_upper then list[#list + 1] = gate end
+    end
   end
   sort(list, function(a, b)
     if a.offset ~= b.offset then return a.offset < b.offset end
@@ -73,7 +76,8 @@ local function box_text(level)
   local rows = { side_text(level, gates_at(level, true), across),
     cell_of(level.direction, across, along - 2),
     side_text(level, gates_at(level, false), across) }
-  return 'shape=plain, style="", label=<'
+  return (level.ordering and "ordering=" .. level.ordering .. ", " or "")
+    .. 'shape=plain, style="", label=<'
     .. table_of(level.direction == "LR" and "TB" or "LR", rows) .. ">"
 end
 
@@ -110,8 +114,8 @@ local HIDDEN = '  n%d -> n%d [style=invis, label=<<TABLE BORDER="0" CELLPADDING=
 local function add_nodes(lines, level)
   for i, node in ipairs(level.composite.nodes) do
     local room = node.loops
-    add(lines, 1, ("n%d [%s%s]"):format(i, node.level and box_text(node.level)
-      or looks.leaf_text(node), room and not node.level and ", " .. room.text or ""))
+    add(lines, 1, ("n%d [%s]"):format(i, node.level and box_text(node.level)
+      or looks.leaf_text(node)))
     if room then
       lines[#lines + 1] = HIDDEN:format(i, i, ceil(room.width), ceil(room.height))
     end
@@ -141,17 +145,28 @@ local function add_regions(lines, composite)
   add(lines, 1, ("{ rank=same; %s [style=invis] }"):format(concat(ids, " -> ")))
 end
 
--- Puts a composite in a column, and what no arrow there leads to, below what is before.
-local function add_stack(lines, level)
-  local is_led_to = {}
+local ALIGN = 100 -- more than the weight of the arrows at a composite
+
+-- Returns the nodes to which an arrow leads from another node of a level.
+local function targets_in(level)
+  local is_target = {}
   for _, link in ipairs(level.links) do
     local upper, lower = link.upper and link.upper.node, link.lower.node
-    if upper and lower and upper ~= lower then is_led_to[lower] = true end
+    if upper and lower and upper ~= lower then is_target[lower] = true end
   end
+  return is_target
+end
+
+-- Puts a composite in a column, and what no arrow there leads to, below what is before;
+-- composites in one line.
+local function add_stack(lines, level)
+  local is_target, before = targets_in(level), nil
   for i, node in ipairs(level.composite.nodes) do
-    if i > 1 and (node.level or not is_led_to[node]) then
-      add(lines, 1, ("n%d -> n%d [style=invis, weight=0]"):format(i - 1, i))
+    if before and (node.level or not is_target[node]) then
+      add(lines, 1, ("n%d -> n%d [style=invis, weight=%d]"):format(i - 1, i,
+        before.level and node.level and ALIGN or 0))
     end
+    before = node
   end
 end
 
@@ -162,7 +177,8 @@ local function end_text(level, finish, is_tail)
   local compass = COMPASS[level.direction][is_tail and 1 or 2]
   if not finish.node then return finish.gate.id .. ":" .. compass end
   local id = "n" .. finish.node.index
-  if finish.gate then return ("%s:%s:%s"):format(id, finish.gate.id, compass) end
+  local gate = finish.gate or finish.foot
+  if gate then return ("%s:%s:%s"):format(id, gate.id, compass) end
   if finish.is_pinned then return id .. ":" .. compass end
   return finish.node.kind == "connector" and id .. ":p" or id
 end
@@ -180,6 +196,28 @@ local function add_link(lines, level, link)
     has_label and ", label=" .. looks.roomy_label(link.arrow) or ""))
 end
 
+-- Returns the links of a level: those at a box with an order come in that order.
+local function links_in_order(level)
+  local list, offsets = {}, {}
+  local function note(link, finish, ordering)
+    local node = finish and finish.node
+    if not node or not node.level or node.level.ordering ~= ordering then return end
+    local gate = finish.gate or finish.foot
+    offsets[link] = gate and gate.offset
+  end
+  for i, link in ipairs(level.links) do
+    list[i] = link
+    note(link, link.upper, "out")
+    note(link, link.lower, "in")
+  end
+  sort(list, function(a, b)
+    local x, y = offsets[a] or 0, offsets[b] or 0
+    if x ~= y then return x < y end
+    return a.id < b.id
+  end)
+  return list
+end
+
 local LARGE = 100 -- links
 
 local function graph_of(level)
@@ -194,8 +232,11 @@ local function graph_of(level)
   add_nodes(lines, level)
   add_arches(lines, level)
   add_regions(lines, composite)
-  if composite.is_column then add_stack(lines, level) end
-  for _, link in ipairs(level.links) do
+  if composite.is_column then
+    add(lines, 1, "graph [nodesep=0.2]")
+    add_stack(lines, level)
+  end
+  for _, link in ipairs(links_in_order(level)) do
     if not link.is_loop then add_link(lines, level, link) end
     local twin = link.upper and link.upper.gate and link.upper.gate.twin
     if twin and not link.upper.node then -- it stays beside the other gate

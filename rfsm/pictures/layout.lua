@@ -91,12 +91,11 @@ end
 function add_node(texts, depth, node)
   if node.is_column then return add_nodes(texts, depth, node) end
   if node.level then return add_frame(texts, depth, node) end
-  add(texts, depth, ('%s [%s, pos="%s", %s%s]'):format(node.id, looks.id_of(node.fqn),
-    point_text(node.x, node.y), looks.leaf_text(node),
-    node.loops and ", " .. node.loops.text or ""))
+  add(texts, depth, ('%s [%s, pos="%s", %s]'):format(node.id, looks.id_of(node.fqn),
+    point_text(node.x, node.y), looks.leaf_text(node)))
 end
 
--- Returns a node to stand for the end of an arrow: of a composite, one in it.
+-- Returns the identifier for an end of an arrow: at a composite, that of a leaf in it.
 local function anchor_of(node)
   while node.level do node = node.nodes[1] end
   return node.id
@@ -106,10 +105,12 @@ local function end_text(name, node)
   return node.level and (", %s=cluster_%s"):format(name, node.id) or ""
 end
 
-local function add_arrow(texts, arrow, direction)
-  local line, tip, label = line_of(arrow, direction)
+local function add_arrow(texts, arrow, chart)
+  local line, tip, label = line_of(arrow, chart.direction)
   local points = {}
-  for i, point in ipairs(line) do points[i] = point_text(point[1], point[2]) end
+  for i, point in ipairs(lines.inside(line, chart.root.level or chart.top.level)) do
+    points[i] = point_text(point[1], point[2])
+  end
   add(texts, 1, ('%s -> %s [%s, %s%s%s, pos="e,%s %s"%s]'):format(
     anchor_of(arrow.src), anchor_of(arrow.tgt), looks.id_of(arrow.key),
     looks.arrow_text(arrow), end_text("ltail", arrow.src), end_text("lhead", arrow.tgt),
@@ -134,7 +135,7 @@ function layout.draw(chart, run)
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
     .. 'bb="0,0,%s"]'):format(point_text(top.level.width, top.level.height)) }
   add_nodes(texts, 1, top)
-  for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow, chart.direction) end
+  for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow, chart) end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"
 end

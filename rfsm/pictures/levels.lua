@@ -7,11 +7,12 @@
 -- @license BSD-3-Clause
 
 local columns = require "rfsm.pictures.columns"
+local ends = require "rfsm.pictures.ends"
 local graphs = require "rfsm.pictures.graphs"
 local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
-local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
+local ipairs, log, max = ipairs, math.log, math.max
 
 local levels = {}
 
@@ -27,8 +28,8 @@ local function add_loop(link, box)
   room.length = room.length + max(LEAST, is_down and box.height + 4 or box.width + 10)
   local field = is_down and "width" or "height"
   room[field] = max(room[field], box[field] + DEPTH - 8)
-  room.text = is_down and ("height=%.2f"):format(max(0.4, room.length / 72))
-    or ("width=%.2f"):format(max(0.75, room.length / 72))
+  node.least = is_down and (", height=%.2f"):format(max(0.4, room.length / 72))
+    or (", width=%.2f"):format(max(0.75, room.length / 72))
 end
 
 -- Has Graphviz measure the labels of all loops.
@@ -82,44 +83,19 @@ local function draw_loops(level)
   end
 end
 
--- Does a line end at the side of a box where the loops are?
-local function meets_loops(level, box, point)
-  if level.direction == "TB" then
-    return point[1] > box.x + box.width / 2 - 3
-      and abs(point[2] - box.y) < box.height / 2 - 3
-  end
-  return point[2] > box.y + box.height / 2 - 3
-    and abs(point[1] - box.x) < box.width / 2 - 3
-end
-
--- Keeps lines of a level away from loops. Returns whether there was one to pin.
-local function pin_lines(level)
-  local has_pinned = false
-  local function pin(finish, point)
-    local node = finish and finish.node
-    if not (node and node.loops) or node.level or finish.is_pinned then return end
-    if not meets_loops(level, level.boxes[node.index], point) then return end
-    finish.is_pinned, has_pinned = true, true
-  end
-  for _, link in ipairs(level.links) do
-    if not link.is_loop then
-      local points, tip = link.points, link.tip
-      pin(link.upper, link.head == "upper" and tip or points[1])
-      pin(link.lower, link.head == "lower" and tip or points[#points])
-    end
-  end
-  return has_pinned
-end
-
--- Has Graphviz lay out levels, once more if lines run through loops, and draws these.
+-- Has Graphviz lay out levels, and again while ends of lines must be elsewhere.
 local function lay_out(list, run)
-  local problem, again = graphs.lay_out(list, run), {}
-  for _, level in ipairs(problem and {} or list) do
-    if pin_lines(level) then again[#again + 1] = level end
+  local again = list
+  while again[1] do
+    local problem = graphs.lay_out(again, run)
+    if problem then return problem end
+    local mended = {}
+    for _, level in ipairs(again) do
+      if ends.mend(level) then mended[#mended + 1] = level end
+    end
+    again = mended
   end
-  problem = problem or again[1] and graphs.lay_out(again, run)
-  for _, level in ipairs(problem and {} or list) do draw_loops(level) end
-  return problem or nil
+  for _, level in ipairs(list) do draw_loops(level) end
 end
 
 -- Levels that do not fit ------------------------------------------------------
@@ -197,8 +173,8 @@ end
 local function rays_of(level)
   local hub_of, links_of, rays, hubs = {}, {}, {}, {}
   for _, link in ipairs(level.links) do
-    for _, ends in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
-      local node, other = ends[1].node, ends[2].node
+    for _, pair in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
+      local node, other = pair[1].node, pair[2].node
       links_of[node] = links_of[node] or {}
       links_of[node][#links_of[node] + 1] = link
       hub_of[node] = (hub_of[node] == nil or hub_of[node] == other) and other
@@ -216,14 +192,21 @@ end
 
 local FEW = 6 -- leaves around a node that stay at one side of it
 
--- Puts every second leaf around a node before it.
-local function spread(level)
+local BESIDE = 0.12 -- inches between arrows at a hub
+
+-- Puts every second leaf around a node before it, and makes that as long as the arrows
+-- at each side of it need; or takes this back.
+local function spread(level, is_back)
   local hubs, rays = rays_of(level)
+  level.is_spread = false
   for _, hub in ipairs(hubs) do
-    level.is_spread = level.is_spread or #rays[hub] > FEW
-    for i = 2, #rays[hub] > FEW and #rays[hub] or 0, 2 do
-      for _, link in ipairs(rays[hub][i]) do swap(link) end
+    local count = 0
+    for i, links_there in ipairs(#rays[hub] > FEW and rays[hub] or {}) do
+      count, level.is_spread = count + #links_there, not is_back
+      for _, link in ipairs(i % 2 == 0 and links_there or {}) do swap(link) end
     end
+    hub.least = level.is_spread and (", %s=%.2f"):format(level.direction == "TB"
+      and "width" or "height", max(0.75, count / 2 * BESIDE)) or nil
   end
 end
 
@@ -242,8 +225,7 @@ local function turn(list, run)
   for i, level in ipairs(list) do
     if columns.misfit(level) > before[i] then
       level.direction, worse[#worse + 1] = OTHER[level.direction], level
-      spread(level)
-      level.is_spread = false
+      spread(level, true)
     end
   end
   return worse[1] and lay_out(worse, run)
@@ -280,6 +262,27 @@ end
 
 -- Layout ----------------------------------------------------------------------
 
+-- Gives the regions in a composite one height; one width if the direction is LR.
+local function align_regions(composite)
+  local height, width = 0, 0
+  local function each_region(f)
+    for _, node in ipairs(composite.nodes) do
+      if node.is_region and node.level then f(node.level) end
+    end
+  end
+  each_region(function(level)
+    height, width = max(height, level.height), max(width, level.width)
+  end)
+  each_region(function(level)
+    if level.direction == "TB" then
+      level.y, level.height = level.y + height - level.height, height
+    else
+      level.header.x = level.header.x + (width - level.width) / 2
+      level.width = width
+    end
+  end)
+end
+
 -- The levels by height: those in front have none of those behind in them.
 local function levels_by_height(chart)
   local list = {}
@@ -304,6 +307,7 @@ function levels.lay_out(chart, run)
   links.prepare(chart)
   local problem = find_loops(chart, run)
   for _, list in ipairs(levels_by_height(chart)) do
+    for _, level in ipairs(list) do align_regions(level.composite) end
     problem = problem or lay_out(list, run) or mend(chart, list, run)
   end
   return problem

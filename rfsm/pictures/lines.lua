@@ -65,6 +65,39 @@ function lines.rounded(points)
   return line
 end
 
+local HALVINGS = 4 -- of a curve, at most
+
+-- Adds a curve from a to d, in halves while a point of it does not pass a test.
+local function add_curve(line, a, b, c, d, is_good, halvings)
+  if halvings == 0 or is_good(b) and is_good(c) then
+    line[#line + 1], line[#line + 2], line[#line + 3] = b, c, d
+    return
+  end
+  local ab, bc, cd = between(a, b, 0.5), between(b, c, 0.5), between(c, d, 0.5)
+  local abc, bcd = between(ab, bc, 0.5), between(bc, cd, 0.5)
+  local middle = between(abc, bcd, 0.5)
+  add_curve(line, a, ab, abc, middle, is_good, halvings - 1)
+  add_curve(line, middle, bcd, cd, d, is_good, halvings - 1)
+end
+
+--- Return a line in more curves, so that its control points are in a frame if the line
+-- is: Graphviz makes room for all points.
+---@param line number[][]
+---@param frame rfsm.pictures.Level
+---@return number[][] line
+function lines.inside(line, frame)
+  local result, left, bottom = { line[1] }, frame.left, frame.bottom
+  local function is_inside(point)
+    return point[1] >= left and point[1] <= left + frame.width
+      and point[2] >= bottom and point[2] <= bottom + frame.height
+  end
+  for i = 1, #line - 3, 3 do
+    local a, b, c, d = line[i], line[i + 1], line[i + 2], line[i + 3]
+    add_curve(result, a, b, c, d, is_inside, HALVINGS)
+  end
+  return result
+end
+
 --- Return a line, moved, and in its other direction if it is turned.
 ---@param line number[][]
 ---@param x number

@@ -63,6 +63,9 @@ local function table_of(rows, attributes)
     attributes or "", rows)
 end
 
+-- A cell draws the line, because Graphviz leaves out some <HR/> in a PNG.
+local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
+
 --- Return the name of a state over the rows of what it does.
 ---@param node rfsm.pictures.Node
 ---@return string label
@@ -71,8 +74,8 @@ function looks.state_label(node)
   if not node.rows[1] then return quoted(name) end
   local rows = {}
   for i, row in ipairs(node.rows) do rows[i] = lines_of(row, 40) end
-  return table_of("<TR><TD>" .. centred(name)
-    .. '</TD></TR><HR/><TR><TD ALIGN="LEFT" BALIGN="LEFT"><FONT POINT-SIZE="10">'
+  return table_of("<TR><TD>" .. centred(name) .. "</TD></TR>" .. RULE
+    .. '<TR><TD ALIGN="LEFT" BALIGN="LEFT"><FONT POINT-SIZE="10">'
     .. html(concat(rows, "\n")) .. '<BR ALIGN="LEFT"/></FONT></TD></TR>')
 end
 
@@ -121,7 +124,8 @@ function looks.leaf_text(node)
     return CONNECTOR:format(node.is_on_border and "white" or "#555555", html(node.name))
       .. ', class="connector"'
   end
-  return ("label=%s, %s%s%s%s"):format(looks.state_label(node), look_of(node, "state"),
+  return ("label=%s, %s%s%s%s%s"):format(looks.state_label(node),
+    look_of(node, "state"), node.least or "",
     node.is_final and ", peripheries=2" or "",
     node.is_region and ', style="filled,dashed"' or "",
     node.mode and ', fillcolor="#D6EAF8"' or "")

@@ -94,7 +94,7 @@ end
 local function statements_of(text)
   local list, position = {}, 1
   while true do
-    local from, stop, head, mark = text:find("^%s*([^\n%[{}]-)%s*([%[{}])", position)
+    local from, stop, head, mark = text:find("^[;%s]*([^\n%[{}]-)%s*([%[{}])", position)
     if not from then return list end
     position = stop + 1
     local attributes = ""
@@ -102,6 +102,7 @@ local function statements_of(text)
       local last = bracket_end(text, stop)
       attributes, position = text:sub(stop, last), last + 1
     end
+    head = head:gsub('"', "") -- Graphviz quotes long identifiers
     list[#list + 1] = { head = head, mark = mark, attributes = attributes }
   end
 end
@@ -145,7 +146,7 @@ local function read_dot(text)
       stack[#stack] = nil
     elseif head:find("->", 1, true) then
       read_edge(statement, edges, order, labels)
-    elseif attributes:find('class="transition', 1, true) then
+    elseif (value_of(attributes, "class") or ""):find("^transition") then
       labels[head] = true
     elseif attributes:find("class=", 1, true) and head ~= "graph" then
       add_node(graph, head, stack[#stack])
@@ -250,11 +251,13 @@ end
 
 -- Comparison ------------------------------------------------------------------------
 
+-- Names without blanks behind them, which Mermaid cuts off.
 local function text_of(graph, has_names)
   local lines = {}
   for id, parent in pairs(graph.parents) do -- any order: sorted below
+    local name = has_names and graph.names[id]
     lines[#lines + 1] = ("%s in '%s'%s"):format(id, parent,
-      has_names and graph.names[id] and " is " .. graph.names[id] or "")
+      name and " is " .. name:gsub(" +$", "") or "")
   end
   for _, arrow in ipairs(graph.arrows) do lines[#lines + 1] = arrow end
   table.sort(lines)
@@ -278,7 +281,68 @@ local function difference(expected, found)
   return table.concat(list, ", ", 1, math.min(#list, 5))
 end
 
--- Returns what is wrong with the pictures of a machine; nil if nothing is.
+-- The real parsers: each prints again what it has parsed -----------------------------
+
+local function write(name, text)
+  local file = assert(io.open(name, "wb"))
+  file:write(text)
+  file:close()
+  return name
+end
+
+local function printed_by(command)
+  local pipe = io.popen(command)
+  local text = pipe:read("*a")
+  pipe:close()
+  return text
+end
+
+-- Returns a graph as Graphviz has parsed it.
+local function parsed_by_graphviz(text)
+  local name = write(os.tmpname(), text)
+  local output = printed_by("nop '" .. name .. "'")
+  os.remove(name)
+  return (output:gsub("\\\n", ""):gsub("%s+", " "))
+end
+
+-- Returns diagrams as Mermaid has parsed them, which npm has installed in a folder.
+local function parsed_by_mermaid(texts, folder)
+  local names, outputs = {}, {}
+  for i, text in ipairs(texts) do names[i] = write(os.tmpname(), text) end
+  local script = folder .. "/print.mjs"
+  os.execute(("cp spec/support/mermaid.mjs '%s'"):format(script))
+  local output = printed_by(("node '%s' --print %s"):format(script,
+    table.concat(names, " ")))
+  os.remove(script)
+  for i, name in ipairs(names) do
+    os.remove(name)
+    local _, from = output:find("file " .. name .. "\n", 1, true)
+    local to = from and output:find("file /", from, true)
+    outputs[i] = from and output:sub(from, to and to - 1) or output
+  end
+  return outputs
+end
+
+-- The claim -------------------------------------------------------------------------
+
+local function compare(language, expected, found, has_names)
+  local problem = difference(text_of(expected, has_names), text_of(found, has_names))
+  return problem and language .. " " .. problem
+end
+
+-- Returns what is wrong with the graphs of a description; nil if nothing is.
+local function problem_of_dot(tab, graph, has_graphviz)
+  local text = dot.encode(tab)
+  local problem = compare("dot", graph, read_dot(text))
+  if problem or not has_graphviz then return problem end
+  local laid_out = assert(dot.layout(tab))
+  return compare("layout", graph, read_dot(laid_out))
+    or compare("parsed dot", graph, read_dot(parsed_by_graphviz(text)))
+    or compare("parsed layout", graph, read_dot(parsed_by_graphviz(laid_out)))
+end
+
+-- Returns what is wrong with the pictures of a machine, nil if nothing is; the text for
+-- Mermaid, and the graph that it should have.
 local function problem_of(fsm, has_graphviz)
   local tab = marsh.model2tab(fsm, true)
   local graph, ids = graph_of(tab)
@@ -286,19 +350,14 @@ local function problem_of(fsm, has_graphviz)
   for fqn, id in pairs(ids) do -- any order: a set
     is_initial[id] = fqn:find("%.initial$") and true or nil
   end
-  local function compare(language, expected, found, has_names)
-    local problem = difference(text_of(expected, has_names), text_of(found, has_names))
-    return problem and language .. " " .. problem
-  end
   local mermaid = as_mermaid(graph, is_initial)
-  local drawn = read_lines(require("rfsm.mermaid").encode(tab), mermaid_name)
+  local text = require("rfsm.mermaid").encode(tab)
+  local drawn = read_lines(text, mermaid_name)
   if drawn.parents.root_ then add_node(mermaid, "root_", "", "root") end
-  local laid_out = has_graphviz and assert(dot.layout(tab))
-  return compare("dot", graph, read_dot(dot.encode(tab)))
-    or laid_out and compare("layout", graph, read_dot(laid_out))
+  return problem_of_dot(tab, graph, has_graphviz)
     or compare("PlantUML", as_plantuml(graph, is_initial),
       read_lines(require("rfsm.plantuml").encode(tab), plantuml_name), true)
-    or compare("Mermaid", mermaid, drawn, true)
+    or compare("Mermaid", mermaid, drawn, true), text, mermaid
 end
 
 return {
@@ -308,12 +367,20 @@ return {
   -- what is wrong, if anything is.
   run = function(n, seed)
     local has_graphviz = dot.render("digraph { }", "dot") ~= nil
-    for number = seed, seed + n - 1 do
-      local fsm = assert(rfsm.init(pictures.model(number, 6)))
-      local ok, problem = pcall(problem_of, fsm, has_graphviz)
-      if problem then
-        return number - seed + 1, ("chart %d: %s"):format(number, problem)
-      end
+    local texts, graphs, folder = {}, {}, os.getenv("MERMAID")
+    for i = 1, n do
+      local fsm = assert(rfsm.init(pictures.model(seed + i - 1, 6)))
+      local ok, problem, text, graph = pcall(problem_of, fsm, has_graphviz)
+      if problem then return i, ("chart %d: %s"):format(seed + i - 1, problem) end
+      assert(ok)
+      texts[i], graphs[i] = text, graph
+    end
+    for i, output in ipairs(folder and parsed_by_mermaid(texts, folder) or {}) do
+      local ok, problem = pcall(function()
+        local found = read_lines(output, mermaid_name)
+        return compare("parsed Mermaid", graphs[i], found, true)
+      end)
+      if problem then return i, ("chart %d: %s"):format(seed + i - 1, problem) end
       assert(ok)
     end
     return n
