@@ -13,6 +13,7 @@
 local try = require("rfsm.shared.calls").try
 local charts = require "rfsm.snapshot.chart"
 local move = require "rfsm.snapshot.move"
+local opts = require "rfsm.shared.options"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
@@ -204,10 +205,10 @@ local function unpack_queue(part)
   return queue
 end
 
--- Returns a table of a field of the snapshot.
+-- Returns a table of a field of the snapshot, nil if null is there.
 local function unpack_table(field, name, value)
   local t = unpack(value, 2)
-  if type(t) == "table" then return t end
+  if t == nil or type(t) == "table" then return t end
   fail("%s: table expected for '%s', got %s", field, text_of(name), type(t))
 end
 
@@ -217,6 +218,7 @@ local function unpack_data(own, packed)
   for fqn, fields in pairs(packed) do -- any order: each stands alone
     local keeper = keepers[fqn]
     data[fqn] = plain.is_flat(fields) and fields or unpack_table("data", fqn, fields)
+      or NONE
     for name in next, data[fqn] do -- any order: each stands alone
       if not (keeper and keeper.kept[name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
@@ -336,7 +338,7 @@ local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
 -- structure has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
-  local moved, changes, is_new = move.to(fsm, move.check_shape(snap), options)
+  local moved, changes, is_new = move.to(fsm, snap, options)
   for i, at in ipairs(charts.of(fsm).places) do
     local prefix = at.prefix
     if changes or options.entries then
@@ -461,8 +463,38 @@ end
 --- reset the machine, or set less. Faster, for one machine that stands for many.
 ---@field is_tidy? boolean nothing has run since `take`, and then no target was set
 
+local function is_boolean(x) return type(x) == "boolean" end
+
+local function is_table(x) return type(x) == "table" end
+
+local function is_renaming(x)
+  if not is_table(x) then return false end
+  for old, new in pairs(x) do -- any order: all of them
+    if type(old) ~= "string" or type(new) ~= "string" then return false end
+  end
+  return true
+end
+
+local OPTIONS = {
+  entries = { "boolean", is_boolean },
+  is_tidy = { "boolean", is_boolean },
+  migrate = { "function", rfsm.is_callable },
+  old = { "model or list of lines", is_table },
+  rename = { "table of old and new FQN", is_renaming },
+  trusted = { "boolean", is_boolean },
+}
+
+-- Returns the options of a public function; those of a trusted snapshot are trusted.
+local function read_options(options, where)
+  if options == nil or type(options) == "number" then return NONE end -- of a decoder
+  if type(options) ~= "table" or not options.trusted then
+    local settings, problem = opts.read(OPTIONS, options)
+    if not settings then error(where .. ": " .. problem, 3) end
+  end
+  return options
+end
+
 local function try_put(fsm, snap, options, may_reset)
-  if type(options) ~= "table" then options = NONE end -- a position of dkjson.decode
   local ok, failure = true, false
   if options.trusted then
     ok, failure = try(put_directly, fsm, snap, options.is_tidy)
@@ -487,7 +519,7 @@ end
 ---@return string[]? difference if the snapshot is of another chart
 function snapshot.put(fsm, snap, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.put")
-  return try_put(fsm, snap, options, false)
+  return try_put(fsm, snap, read_options(options, "rfsm.snapshot.put"), false)
 end
 
 --- Make a machine that stands where a snapshot says; no callback has run.
@@ -507,6 +539,7 @@ function snapshot.restore(model, snap, options)
   if not rfsm.is_state(model) then
     error("rfsm.snapshot.restore: state expected, got " .. type(model), 2)
   end
+  options = read_options(options, "rfsm.snapshot.restore")
   local fsm, _, problems = rfsm.init(model)
   if not fsm then
     return false, "rfsm.snapshot: the model is wrong:\n  " .. concat(problems, "\n  ")
