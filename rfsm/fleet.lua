@@ -18,7 +18,8 @@ local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall = error, io, ipairs, try
-local rawget, rawset, setmetatable = rawget, rawset, setmetatable
+local next, pairs, rawget, rawset = next, pairs, rawget, rawset
+local select, setmetatable = select, setmetatable
 local tonumber, tostring, type = tonumber, tostring, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -99,6 +100,9 @@ function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) 
 ---@return string key
 ---@return string tag
 function Fleet:key_of(id)
+  if id == nil or type(id) == "table" then
+    error("rfsm.fleet: id of a machine expected, got " .. type(id), 2)
+  end
   id = rfsm.text_of(id)
   local tag, hash = id:match("{([^}]+)}"), 7
   if tag then return id, tag end
@@ -139,6 +143,20 @@ end
 
 -- Machines -----------------------------------------------------------------------
 
+-- Returns a copy of data. A number `n` is in a table: for dkjson it is the length of a
+-- list.
+local function for_json(value)
+  if type(value) ~= "table" then return value end
+  local copy, n = {}, value.n
+  for key, inner in pairs(value) do copy[key] = for_json(inner) end -- any order: a copy
+  if type(n) == "number" then
+    copy.n = setmetatable({}, { __tojson = function()
+      return need("dkjson").encode(n)
+    end })
+  end
+  return copy
+end
+
 --- Make a machine.
 ---@param id any
 ---@param chart string its name in the library
@@ -146,16 +164,22 @@ end
 ---@return rfsm.fleet.Reply? reply
 ---@return string? problem
 function Fleet:create(id, chart, data)
-  local text = data and rfsm.sorted_keys(data)[1] ~= nil and need("dkjson").encode(data)
-    or "{}"
+  local ok, text = true, "{}"
+  if data and next(data) ~= nil then
+    ok, text = pcall(need("dkjson").encode, for_json(data))
+  end
+  if not ok then return nil, "rfsm.fleet.create: data: " .. text end
   return reply_of(call_function(self, "rfsm_create", id, chart, text, "ID",
     next_id(self)))
 end
 
 -- Returns the texts of events, then an id.
-local function texts_of(events, id)
+local function texts_of(id, ...)
   local texts = {}
-  for i, event in ipairs(events) do texts[i] = rfsm.text_of(event) end
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    texts[#texts + 1] = event ~= nil and rfsm.text_of(event) or nil
+  end
   texts[#texts + 1], texts[#texts + 2] = "ID", id
   return unpack(texts)
 end
@@ -168,7 +192,7 @@ end
 ---@return string? problem
 function Fleet:send(id, ...)
   return reply_of(call_function(self, "rfsm_send", id,
-    texts_of({ ... }, next_id(self))))
+    texts_of(next_id(self), ...)))
 end
 
 --- Send events to a machine when a time has come, if a worker wakes it.
@@ -178,9 +202,12 @@ end
 ---@return string? ticket for `cancel`
 ---@return string? problem
 function Fleet:send_after(id, seconds, ...)
+  if not opts.is_seconds(seconds) then
+    error("rfsm.fleet.send_after: seconds expected, " .. opts.got(seconds), 2)
+  end
   local ticket = next_id(self)
   local reply, problem = call_function(self, "rfsm_send_at", id,
-    "+" .. ("%.6f"):format(seconds), texts_of({ ... }, ticket))
+    "+" .. ("%.6f"):format(seconds), texts_of(ticket, ...))
   return reply and ticket, problem
 end
 

@@ -436,6 +436,18 @@ describe("an operator", function()
     assert.equal(2, #machines:find("timed", "root", 2))
   end)
 
+  it("gives data to a machine, also a field n", function()
+    local data = { n = 5, list = { n = 2, { n = 1.5, "x" } } }
+    assert(machines:create(1, "counter", data))
+    assert.same({ n = 5, list = { n = 2, ["1"] = { n = 1.5, ["1"] = "x" } } },
+      machines:get(1).data.root)
+    assert.equal("root.odd", machines:send(1, "e_tick").leaf)
+    assert(machines:create(2, "counter", {}))
+    assert.matches("^rfsm.fleet.create: data: .*function",
+      (select(2, machines:create(3, "counter", { n = print }))))
+    assert.is_nil((machines:get(3)))
+  end)
+
   it("sees the latest moves of a machine", function()
     assert(machines:create(1, "counter"))
     for _ = 1, 4 do machines:send(1, "e_tick") end
@@ -523,6 +535,29 @@ describe("the client", function()
     end)
   end
 
+  it("skips nil among events, as the core does", function()
+    assert(machines:create(1, "counter"))
+    assert.equal("root.odd", machines:send(1, nil, "e_tick", nil).leaf)
+    assert(machines:send_after(1, 0, nil, "e_tick"))
+    assert.equal(2, count_of(1))
+  end)
+
+  for what, case in pairs {
+    ["no id"] = { call = function() machines:send(nil, "e_tick") end,
+      text = "rfsm.fleet: id of a machine expected, got nil" },
+    ["a table as id"] = { call = function() machines:get {} end,
+      text = "rfsm.fleet: id of a machine expected, got table" },
+    ["a text as time"] = { call = function() machines:send_after(1, "5", "e_tick") end,
+      text = "rfsm.fleet.send_after: seconds expected, got string '5'" },
+    ["a time before now"] = { call = function() machines:send_after(1, -1, "x") end,
+      text = "rfsm.fleet.send_after: seconds expected, got -1" },
+  } do
+    it("refuses " .. what, function()
+      local _, problem = pcall(case.call)
+      assert.equal(case.text, (problem:gsub("^%S+:%d+: ", "")))
+    end)
+  end
+
   it("has ids of its own", function()
     local one, other = connect(), connect()
     assert.matches("^%x%x%x%x%x%x%x%x%x%x$", one.id)
@@ -565,6 +600,9 @@ describe("a chart that cannot run in Redis", function()
     ["FILE:1: global 'x' cannot be set in Redis"] = chart("x = 1"),
     ["FILE:2: module 'socket.core' is not there as plain Lua, so it cannot run in "
       .. "Redis"] = chart("\nlocal s = require 'socket.core'"),
+    ["FILE:1: 'socket': module 'socket.core' is not there as plain Lua, so it cannot "
+      .. "run in Redis"] = chart("", "entry = function() require 'socket' end")
+        :gsub("^\n", ""),
   } do
     it("is refused: " .. expected, function()
       assert.equal(expected, refusal(text))
@@ -598,6 +636,21 @@ describe("a chart that cannot run in Redis", function()
     assert.matches("a name", server:cli("XRANGE rfsm:out:{0} - +"))
   end)
 
+  it("is not one that requires libraries of Lua, or of rFSM by any name", function()
+    for _, name in ipairs { "string", "math", "rfsm.rfsm", "rfsm_timeevent", "rfsm.ext",
+      "rfsm.await", "rfsm_seqand", "rfsm.emem" } do
+      assert(machines:load((redis.bundle { "c=" .. helper.file_with(chart("local m = "
+        .. "require '" .. name .. "'")) })))
+      server:cli("FLUSHALL")
+      assert(machines:create(1, "c"))
+    end
+    for _, name in ipairs { "rfsm_ext", "rfsm_emem", "rfsm_preview", "rfsm_await" } do
+      local file = helper.file_with(chart("local m = require '" .. name .. "'"))
+      assert.matches("^#!lua name=rfsm\n", table.concat(helper.lines_of(
+        "tools/rfsm redis c=" .. file), "\n"))
+    end
+  end)
+
   it("is reported if a loop in it has no end", function()
     local file = helper.file_with(chart("", [[
       entry = function()
@@ -606,14 +659,16 @@ describe("a chart that cannot run in Redis", function()
         end
       end,
       exit = function() repeat until false end,
+      more = function() while(true)do end for i = 1, math.huge do end end,
       doo = function() while true do rfsm.yield() end end,
       other = function()
         while true do if a then break end end
-        repeat until a
+        repeat until (falsehood) repeat until a
       end]]))
     local lines = { select(2, redis.bundle { "c=" .. file }) }
     local text = ": warning: this loop has no end: in Redis it would hold up all others"
-    assert.same({ file .. ":3" .. text, file .. ":7" .. text }, lines[1])
+    assert.same({ file .. ":3" .. text, file .. ":7" .. text, file .. ":8" .. text,
+      file .. ":8" .. text }, lines[1])
   end)
 end)
 
