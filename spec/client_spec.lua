@@ -154,7 +154,7 @@ describe("the client of a fleet", function()
 
   it("takes all tags that a cluster has slots for, and little time", function()
     local _, client = with_client(always(true), function(client) return client end,
-      { tags = 16384, timeout = 0.001, patience = 0 })
+      { tags = 16384, timeout = 0.001, patience = 0, tls = {} })
     assert.same({ 16384, 0.001, 0 }, { client.tags, client.connection.options.timeout,
       client.connection.options.patience })
     _, client = with_client(always(true), function(other) return other end, {})
@@ -175,6 +175,14 @@ describe("the client of a fleet", function()
     forget()
     assert.equal("rfsm.fleet: cannot connect to h:6379: rfsm.fleet: the package redis "
       .. "is missing (on Debian: apt-get install lua-redis)", problem)
+  end)
+
+  it("is also a global", function()
+    forget()
+    helper.with(_G, { rfsm_fleet = false }, function()
+      assert.equal(require "rfsm.fleet", rawget(_G, "rfsm_fleet"))
+    end)
+    forget()
   end)
 
   it("watches a machine until it is told enough", function()

@@ -1,4 +1,4 @@
--- The functions that run inside Redis, with tables in place of Redis: arguments, what is
+-- The functions that run inside Redis, with tables in place of it: arguments, what is
 -- written, what is refused.
 
 local host_of = require "spec.support.redis_host"
@@ -11,7 +11,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 teardown(function() timeevent.set_gettime_hook(nil) end)
 
--- a --e_b or after 5 s--> b --e_a--> a; c { d }, never idle; any event leads from e to a
+-- a --e_b, 7, after 5 s, or e_x and e_y--> b --e_a--> a; a --e_c--> c { d }, never idle
 local function chart()
   return state {
     keep = { "n" }, n = 0, a = state {}, b = state { entry = function(fsm)
@@ -301,7 +301,9 @@ describe("machines that are due", function()
     local outer = host.call
     function host.call(name, key, ...)
       if name == "ZRANGEBYSCORE" then return keys end
-      if name == "EXISTS" and key:find("^rfsm:aside") then return has_aside and 1 or 0 end
+      if name == "EXISTS" and key:find("^rfsm:aside") then
+        return has_aside and 1 or 0
+      end
       return outer(name, key, ...)
     end
   end
@@ -393,7 +395,9 @@ describe("versions of a chart", function()
     library(function() error("no chart", 0) end)
     assert.equal("ERR rfsm_create: chart 'v': no chart",
       f.rfsm_create({ "w" }, { "v" }).err)
-    library(function() return state { a = state {}, trans { src = "a", tgt = "x" } } end)
+    library(function()
+      return state { a = state {}, trans { src = "a", tgt = "x" } }
+    end)
     assert.matches("^ERR rfsm_create: chart 'v': .*tgt 'x'",
       f.rfsm_create({ "w" }, { "v" }).err)
   end)

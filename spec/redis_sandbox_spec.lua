@@ -123,7 +123,8 @@ end)
 
 describe("a bundle", function()
   for argument, expected in pairs {
-    ["lamp.lua"] = { "lamp", "lamp.lua" }, ["a/b/lamp.lua"] = { "lamp", "a/b/lamp.lua" },
+    ["lamp.lua"] = { "lamp", "lamp.lua" },
+    ["a/b/lamp.lua"] = { "lamp", "a/b/lamp.lua" },
     ["x=a/lamp.lua"] = { "x", "a/lamp.lua" }, ["lamp"] = { "lamp", "lamp" },
     ["a.b-c=d"] = { "a.b-c", "d" }, ["a/b=c.lua"] = { "b=c", "a/b=c.lua" },
   } do
@@ -133,14 +134,14 @@ describe("a bundle", function()
   end
 
   it("is a library with the charts in order, and the options", function()
-    local file = helper.file_with("#!/usr/bin/lua\nreturn rfsm.state { a = rfsm.state {},"
-      .. " rfsm.trans { src = 'initial', tgt = 'a' } }")
+    local file = helper.file_with("#!/usr/bin/lua\nreturn rfsm.state { "
+      .. "a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }")
     local text, warnings = redis.bundle({ "one=" .. file, "two=" .. file },
       { index = true, history = 7, ids = 8, ids_for = 9 })
     assert.same({}, warnings)
     assert.matches("^#!lua name=rfsm\n", text)
-    assert.matches("options = { index = true, history = 7, ids = 8, ids_for = 9 }", text,
-      1, true)
+    assert.matches("options = { index = true, history = 7, ids = 8, ids_for = 9 }",
+      text, 1, true)
     assert.is_true(text:find('name = "one"', 1, true) < text:find('name = "two"', 1,
       true))
     assert.matches("options = { index = nil, history = nil, ids = nil, ids_for = nil }",
@@ -151,12 +152,13 @@ describe("a bundle", function()
 
   for what, case in pairs {
     ["no model"] = { text = "return rfsm.state { a = rfsm.state {}, rfsm.trans { src = "
-      .. "'a', tgt = 'b' } }", problem = "^FILE:1: root.trans%[1%]: tgt 'b': no state" },
+      .. "'a', tgt = 'b' } }",
+      problem = "^FILE:1: root.trans%[1%] .*: tgt 'b': no state" },
     ["data that cannot be saved"] = { text = "return rfsm.state { keep = { 'f' }, f = "
       .. "print, a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }",
       problem = "^FILE: rfsm.snapshot.take: root.f: a function cannot be saved$" },
-    ["a wrong name"] = { text = "return rfsm.state { keep = { 'entry' }, a = rfsm.state "
-      .. "{}, rfsm.trans { src = 'initial', tgt = 'a' } }", problem = "^FILE: "
+    ["a wrong name"] = { text = "return rfsm.state { keep = { 'entry' }, "
+      .. "a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }", problem = "^FILE: "
       .. "rfsm.snapshot.take: .*root.keep%[1%]: name of a field with data expected" },
     ["an error"] = { text = "error('no', 0)", problem = "^FILE: no$" },
   } do

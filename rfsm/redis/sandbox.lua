@@ -86,12 +86,12 @@ local function find_missing(code)
   local first, found = nil, nil
   for _, name in ipairs(MISSING) do
     local is_own = code:find("local[%w_, ]-%f[%w_]" .. name .. "%f[^%w_]")
-    for from, field, behind in code:gmatch("%f[%w_]()" .. name
-      .. "%f[^%w_]%s*%.?%s*([%w_]*)()") do
+    for from, behind in code:gmatch("%f[%w_]()" .. name .. "%f[^%w_]()") do
+      local field, after = code:match("^%s*%.%s*([%w_]+)()", behind)
       local is_there = is_own or name == "os" and field == "clock"
-      if not is_there and not is_key(code, from, behind)
+      if not is_there and not is_key(code, from, after or behind)
         and (not first or from < first) then
-        first, found = from, name .. (field ~= "" and "." .. field or "")
+        first, found = from, name .. (field and "." .. field or "")
       end
     end
   end
