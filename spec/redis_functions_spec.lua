@@ -87,6 +87,47 @@ describe("a call", function()
     assert.matches("SPUBLISH {1=rfsm:{m}:m,2=root.b}", lines, 1, true)
   end)
 
+  it("names what has moved a machine: events, those for later, or the time", function()
+    open { history = 5 }
+    local function moved_by(...)
+      written()
+      call(...)
+      return table.concat(trace, "\n"):match("history.-event,6=(.-),7=")
+    end
+    assert.equal("e_b", moved_by("send", "e_b"))
+    call("send", "e_a")
+    clock.now = 1006
+    assert.equal("(time)", moved_by("tick"))
+    call("send_at", "+1", "e_a", "ID", "x")
+    clock.now = 1008
+    assert.equal("e_a e_x e_b", moved_by("send", "e_x", "e_b"))
+  end)
+
+  it("knows the latest 16 ids, and forgets the oldest", function()
+    for i = 1, 17 do call("send", i % 2 == 1 and "e_b" or "e_a", "ID", "i" .. i) end
+    written()
+    call("send", "e_a", "ID", "i2")
+    assert.equal("", written())
+    call("send", "e_a", "ID", "i1")
+    assert.equal("ZADD SET SPUBLISH", written())
+  end)
+
+  it("keeps ids for a time, at most so many", function()
+    open { ids_for = 10, ids = 20 }
+    for i = 1, 21 do call("send", "e_x", "ID", "i" .. i) end
+    written()
+    call("send", "e_x", "ID", "i2")
+    assert.equal("", written())
+    call("send", "e_x", "ID", "i1")
+    assert.equal("ZADD SET", written())
+    clock.now = 1004
+    call("send", "e_x", "ID", "now")
+    assert.equal(40, #host.pack.unpack("m")[7])
+    clock.now = 1014
+    call("send", "e_x", "ID", "later")
+    assert.same({ "now", 1004, "later", 1014 }, host.pack.unpack("m")[7])
+  end)
+
   it("has a clock that stands still, and goes on with the next one", function()
     assert.equal("1005.000000", call("get")[16])
     clock.now = 1002.5
@@ -353,6 +394,79 @@ describe("machines that are due", function()
   it("are none", function()
     with_due {}
     assert.same({ 0, 0 }, call("wake"))
+  end)
+end)
+
+describe("what an operator asks", function()
+  -- Has Redis give these answers, by command; returns what was asked.
+  local function answering(answers)
+    local asked, outer = {}, host.call
+    function host.call(name, ...)
+      if answers[name] == nil then return outer(name, ...) end
+      asked[#asked + 1] = name .. " " .. table.concat({ ... }, " ")
+      local answer = answers[name]
+      return type(answer) == "table" and answer.each and table.remove(answer.each, 1)
+        or answer
+    end
+    return asked
+  end
+
+  it("is the index: the state itself, then those in it", function()
+    open { index = true }
+    local asked = answering { ZRANGEBYLEX = { each = { { "c\troot.a\tk1" },
+      { "c\troot.a.b\tk2", "c\troot.a.c\tk3" } } } }
+    assert.same({ "k1", "k2", "k3" }, call("find", "c", "root.a"))
+    assert.same({ "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\t (c\troot.a\t\255 LIMIT 0 100",
+      "ZRANGEBYLEX rfsm:in:{m} [c\troot.a. (c\troot.a.\255 LIMIT 0 99" }, asked)
+    asked = answering { ZRANGEBYLEX = { each = { { "c\troot.a\tk1" }, {} } } }
+    assert.same({ "k1" }, call("find", "c", "root.a", "1"))
+    assert.matches("LIMIT 0 1$", asked[1])
+    assert.equal("ERR rfsm_find: a chart and a state expected", call("find", "c"))
+    assert.equal("ERR rfsm_find: a whole number from 1 to 100000 expected, got "
+      .. "'100001'", call("find", "c", "root", "100001"))
+    assert.is_table(call("find", "c", "root", "100000"))
+  end)
+
+  it("is how many machines there are in each state", function()
+    open { index = true }
+    local asked = answering { ZRANGEBYLEX = { each = { { "c\troot.a\tk1" },
+      { "c\troot.b\tk2" }, {} } }, ZLEXCOUNT = 3, ZCARD = 4, XLEN = 5 }
+    assert.same({ { "c", "root.a", 3, "c", "root.b", 3 }, 4, 4, 5 }, call("stats"))
+    assert.same({ "ZRANGEBYLEX rfsm:in:{m} [ (\255 LIMIT 0 1",
+      "ZLEXCOUNT rfsm:in:{m} [c\troot.a\t (c\troot.a\t\255",
+      "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\t\255 (\255 LIMIT 0 1" },
+      { asked[1], asked[2], asked[3] })
+    assert.same({ "ZCARD rfsm:due:{m}", "ZCARD rfsm:aside:{m}", "XLEN rfsm:out:{m}" },
+      { asked[6], asked[7], asked[8] })
+    open()
+    answering { ZCARD = 4, XLEN = 5 }
+    assert.same({ {}, 4, 4, 5 }, call("stats"))
+  end)
+
+  it("is the history, the newest first", function()
+    open { history = 3 }
+    local asked = answering { XREVRANGE = { { "1500-0", { "event", "e", "from", "f",
+      "to", "t" } }, { "2-1", { "event", "", "from", "", "to", "x" } } } }
+    assert.same({ "1.500", "e", "f", "t", "0.002", "", "", "x" }, call("history"))
+    call("history", "10000")
+    assert.same({ "XREVRANGE {m}:history + - COUNT 10",
+      "XREVRANGE {m}:history + - COUNT 10000" }, asked)
+    assert.equal("ERR rfsm_history: a whole number from 1 to 10000 expected, got "
+      .. "'10001'", call("history", "10001"))
+  end)
+
+  it("is which machines are due", function()
+    local asked = answering { ZRANGEBYSCORE = { "k" } }
+    assert.same({ "k" }, call("due"))
+    call("due", "7", "12.5")
+    assert.same({ "ZRANGEBYSCORE rfsm:due:{m} -inf 1000.000000 LIMIT 0 100",
+      "ZRANGEBYSCORE rfsm:due:{m} -inf 12.500000 LIMIT 0 7" }, asked)
+  end)
+
+  it("is why an event does nothing", function()
+    assert.same("root.trans[2] (a -> b) would be taken on e_b in root.a",
+      call("why", "e_b")[1])
+    assert.equal("", written())
   end)
 end)
 

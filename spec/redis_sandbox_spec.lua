@@ -159,7 +159,7 @@ describe("a bundle", function()
       problem = "^FILE: rfsm.snapshot.take: root.f: a function cannot be saved$" },
     ["a wrong name"] = { text = "return rfsm.state { keep = { 'entry' }, "
       .. "a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }",
-      problem = "^FILE: rfsm.snapshot.take: .*root.keep%[1%]: name of a field with data expected" },
+      problem = "^FILE: rfsm.snapshot.take: .*root.keep%[1%]: name" },
     ["an error"] = { text = "error('no', 0)", problem = "^FILE: no$" },
   } do
     it("is refused if a chart has " .. what, function()
