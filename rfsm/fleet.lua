@@ -128,7 +128,7 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
---- Where a machine stands after a call.
+--- What a machine replies to a call.
 ---@class rfsm.fleet.Reply
 ---@field leaf string FQN
 ---@field mode string
@@ -341,7 +341,7 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
--- An entry of a stream as a table.
+-- Returns an entry of a stream as a table.
 local function entry_of(raw)
   local entry, decode = { id = raw[1] }, need("dkjson").decode
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
@@ -372,7 +372,7 @@ local function bury(work, raw, deliveries, problem)
   work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
 end
 
--- Hands an entry to f. One that fails stays with the group, until it has failed often.
+-- Calls f with an entry. One that fails stays with the group until it fails too often.
 local function handle(work, f, raw, deliveries)
   if type(raw) ~= "table" or type(raw[2]) ~= "table" then return end
   local ok, problem = pcall(f, entry_of(raw))
@@ -452,7 +452,7 @@ local WORK = {
   tries = { "a whole number", opts.is_whole(1, 1000), 5 },
 }
 
---- Hand what machines have emitted to `f(entry)`, at least once each, for each group.
+--- Call `f(entry)` with what machines have emitted, at least once each, for each group.
 --
 -- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
 -- worker of the group gets the entry once more: after `idle` milliseconds, then after
@@ -460,7 +460,7 @@ local WORK = {
 -- An entry that all groups have done is taken out of the stream.
 --
 ---@param group string
----@param worker string its name, of its own
+---@param worker string a name that no other worker of the group has
 ---@param f fun(entry: table)
 ---@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
 ---@return integer count entries that were handled

@@ -17,7 +17,7 @@ local move, NONE = { VERSION = 2 }, {}
 
 -- Shape -----------------------------------------------------------------------------
 
--- The fields of a snapshot, and of that of a region in it.
+-- The types of the fields of a region's snapshot, and of a whole one.
 local PART = {
   chart = "string", leaf = "string", done = "boolean", queue = "table", data = "table",
   saved = "table", targets = "table", ext = "table",
@@ -167,7 +167,7 @@ local function note_places(list, machine, part, prefix)
   end
 end
 
--- These follow the states of the chart: timers, counts and events that were received.
+-- Extensions that follow the states of a chart: what they keep is never lost.
 local FOLLOWERS = { timers = true, emem = true, await = true }
 
 local function note_extensions(list, machine, part, prefix)
@@ -232,7 +232,7 @@ local function renamed(value, rename, depth)
   return copy
 end
 
--- How deep names of states stand in the fields of a snapshot.
+-- How many tables deep a field of a snapshot has names of states.
 local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
 
 local function rename_part(part, rename)
