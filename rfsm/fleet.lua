@@ -374,7 +374,6 @@ end
 
 -- Calls f with an entry. One that fails stays with the group until it fails too often.
 local function handle(work, f, raw, deliveries)
-  if type(raw) ~= "table" or type(raw[2]) ~= "table" then return end
   local ok, problem = pcall(f, entry_of(raw))
   if ok then
     work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])

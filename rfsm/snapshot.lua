@@ -1,8 +1,8 @@
 --- Snapshots: a machine between two steps as a plain table, and back.
 --
 -- A snapshot holds the active leaf of the machine, its queue, the data that the chart
--- names (`keep`, or `save` and `load`, in a state), what extensions keep. It consists of
--- texts, numbers, booleans and tables that any encoder takes: JSON, MessagePack.
+-- names (`keep`, or `save` and `load`, in a state), what extensions keep. It consists
+-- of texts, numbers, booleans and tables that any encoder takes: JSON, MessagePack.
 --
 -- The file reads in this order: take, put, public functions. `rfsm.snapshot.chart` has
 -- what is known of a chart, `rfsm.snapshot.move` the way from another one.

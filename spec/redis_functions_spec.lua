@@ -25,6 +25,8 @@ local function chart()
     trans { src = "b", tgt = "a", events = { "e_a" } },
     trans { src = "a", tgt = "c", events = { "e_c" } },
     trans { src = "a", tgt = "b", events = { "await(e_x, e_y)" } },
+    trans { src = "b", tgt = "b", events = { "e_bad" },
+      effect = function(_, tr) tr._fsm.emit(5) end },
   }
 end
 
@@ -155,6 +157,31 @@ describe("a call", function()
     assert.same({ "root.b", "done" }, call("send", "e_y"))
     call("send", "e_a")
     assert.same({ "root.b", "done" }, call("send", "7"))
+  end)
+end)
+
+describe("a machine that cannot be entered", function()
+  it("is inactive, also when its id is known", function()
+    local function locked()
+      return state { a = state {}, trans { src = "initial", tgt = "a",
+        guard = function() return false end } }
+    end
+    package.loaded["rfsm.redis.functions"] = nil
+    f = require "rfsm.redis.functions" (host, { { name = "l", make = locked } })
+    package.loaded["rfsm.redis.functions"] = nil
+    local reply = f.rfsm_create({ "l" }, { "l", "ID", "1" })
+    assert.same({ "", "inactive" }, { reply[1], reply[2] })
+    assert.same({ "", "inactive" }, f.rfsm_create({ "l" }, { "l", "ID", "1" }))
+    local view = f.rfsm_get({ "l" })
+    assert.same({ "", "inactive", "" }, { view[6], view[8], view[10] })
+  end)
+end)
+
+describe("a name that is emitted", function()
+  it("is a text", function()
+    call("send", "e_b")
+    local reply = call("send", "e_bad")
+    assert.matches("EFFECT.*emit: name expected, got number$", reply[3])
   end)
 end)
 

@@ -52,7 +52,11 @@ describe("a loop without an end", function()
     "while true do rfsm.yield() end", "while true do error('x') end",
     "for i = 1, 10 do end", "for i = 1, math.hugely do end", "xrepeat() y = false",
     "while true do if a then break end end", "awhile = true do end",
-    "local t = { ['repeat'] = 1 } x = false", "while true do" } do
+    "local t = { ['repeat'] = 1 } x = false", "while true do",
+    "while true do local f = function() end break end",
+    "while true do if a then b() end break end",
+    "while true do do x() end break end", "while true do repeat x() until y break end",
+    "while true do for i = 1, 2 do x() end return end" } do
     it("is none: " .. text, function() assert.same({}, lines(text)) end)
   end
 

@@ -499,6 +499,19 @@ describe("what a state keeps", function()
     end)
   end
 
+  it("may contain itself in the model, and is named when it is saved", function()
+    local cycle = { 1 }
+    cycle[2] = cycle
+    local fsm = helper.started(chart({ "e_x" }, { keep = { "list" }, list = cycle }))
+    local _, problem = pcall(snapshot.take, fsm)
+    assert.matches("root.list%[2%]: this table stands elsewhere in the data, too, and "
+      .. "can only be saved once", problem)
+    fsm.list = { 7 }
+    local again = restored(chart({ "e_x" }, { keep = { "list" }, list = cycle }),
+      snapshot.take(fsm))
+    assert.same({ 7 }, again.list)
+  end)
+
   it("is given to load, also nil, but not if the chart is another one", function()
     local seen = {}
     local function model(events)

@@ -118,11 +118,17 @@ local is_null = plain.is_null
 
 --- Return a value; a plain table as a copy, and those in it.
 ---@param value any
+---@param copies? table<table, table> those that were made
 ---@return any copy
-function plain.copy_of(value)
+function plain.copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+  copies = copies or {}
+  if copies[value] then return copies[value] end
   local copy = {}
-  for key, inner in pairs(value) do copy[key] = plain.copy_of(inner) end -- any order
+  copies[value] = copy
+  for key, inner in pairs(value) do -- any order: a copy
+    copy[key] = plain.copy_of(inner, copies)
+  end
   return copy
 end
 
