@@ -283,6 +283,11 @@ describe("a call is refused, and nothing is written:", function()
     assert.equal("ERR rfsm_create: data: at most 65536 bytes expected, got 65537",
       create(("x"):rep(65537)))
     assert.is_nil(create(("x"):rep(65536)))
+    local deep = 5
+    for _ = 1, 14 do deep = { x = deep } end
+    function host.json.decode() return { n = deep } end
+    assert.equal("ERR rfsm_create: data.n: at most 13 tables inside each other "
+      .. "expected", f.rfsm_create({ "o" }, { "c", "deep" }).err)
     function host.json.decode() return 5 end
     assert.equal("ERR rfsm_create: data: a JSON object expected",
       f.rfsm_create({ "o" }, { "c", "5" }).err)
