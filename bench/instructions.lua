@@ -8,6 +8,7 @@ package.path = "./?.lua;" .. package.path
 local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
 local rfsm_timeevent = require "rfsm_timeevent"
+local snapshot = require "rfsm.snapshot"
 local workloads = require "bench.workloads"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -101,6 +102,24 @@ local function with_pending()
   })
 end
 
+-- 20 states, four areas of four stations; two fields are kept.
+local function warehouse()
+  local model = { info = false, warn = false, keep = { "order", "count" },
+    order = "A-4711", count = 0 }
+  for i = 1, 4 do
+    local area = state { trans { src = "initial", tgt = "station1" } }
+    for j = 1, 4 do
+      area["station" .. j] = state { entry = callback }
+      area[j + 1] = trans { src = "station" .. j, tgt = "station" .. j % 4 + 1,
+        events = { "e_next" } }
+    end
+    model["area" .. i] = area
+    model[i] = trans { src = i == 1 and "initial" or "area" .. i - 1, tgt = "area" .. i,
+      events = i > 1 and { "e_area" } or nil }
+  end
+  return state(model)
+end
+
 for _, workload in ipairs(workloads) do
   if workload.name:find "^W[1-5]r?$" then
     print(("%-32s %6.0f"):format(workload.name, per_unit(workload.make(rfsm), 1000)))
@@ -127,3 +146,20 @@ row("dbg that does nothing", two_leaves { dbg = callback })
 row("rfsmpp", two_leaves { dbg = rfsmpp.gen_dbgcolor("x", {}, true, callback) })
 row("a composite, aimed at its leaf", composites ".x")
 row("a composite, by initial", composites "")
+
+local model = warehouse()
+local fsm = rfsm.init(model)
+base = per_unit(stepping(fsm, "e_next", "e_next"), 1000)
+local snap = snapshot.take(fsm)
+print(("%-32s %6.0f"):format("event of a machine of 20 states", base))
+for _, case in ipairs {
+  { name = "snapshot.take", call = function() return snapshot.take(fsm) end },
+  { name = "snapshot.put", call = function() return snapshot.put(fsm, snap) end },
+  { name = "rfsm.init", call = function() return rfsm.init(model) end },
+  { name = "snapshot.restore", call = function()
+    return snapshot.restore(model, snap)
+  end },
+} do
+  local count = per_unit(function(n) for _ = 1, n do case.call() end end, 20)
+  print(("%-32s %6.0f  x %.1f"):format(case.name, count, count / base))
+end

@@ -18,7 +18,8 @@ local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
 local error, io, ipairs, pcall = error, io, ipairs, try
-local rawget, rawset, setmetatable = rawget, rawset, setmetatable
+local next, pairs, rawget, rawset = next, pairs, rawget, rawset
+local select, setmetatable = select, setmetatable
 local tonumber, tostring, type = tonumber, tostring, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -99,6 +100,9 @@ function Fleet:call(tag, name, ...) return self.connection:call(tag, name, ...) 
 ---@return string key
 ---@return string tag
 function Fleet:key_of(id)
+  if id == nil or type(id) == "table" then
+    error("rfsm.fleet: id of a machine expected, got " .. type(id), 2)
+  end
   id = rfsm.text_of(id)
   local tag, hash = id:match("{([^}]+)}"), 7
   if tag then return id, tag end
@@ -124,7 +128,7 @@ local function next_id(self)
   return self.id .. "-" .. ("%d"):format(self.count)
 end
 
---- Where a machine stands after a call.
+--- What a machine replies to a call.
 ---@class rfsm.fleet.Reply
 ---@field leaf string FQN
 ---@field mode string
@@ -139,6 +143,20 @@ end
 
 -- Machines -----------------------------------------------------------------------
 
+-- Returns a copy of data. A number `n` is in a table: for dkjson it is the length of a
+-- list.
+local function for_json(value)
+  if type(value) ~= "table" then return value end
+  local copy, n = {}, value.n
+  for key, inner in pairs(value) do copy[key] = for_json(inner) end -- any order: a copy
+  if type(n) == "number" then
+    copy.n = setmetatable({}, { __tojson = function()
+      return need("dkjson").encode(n)
+    end })
+  end
+  return copy
+end
+
 --- Make a machine.
 ---@param id any
 ---@param chart string its name in the library
@@ -146,16 +164,22 @@ end
 ---@return rfsm.fleet.Reply? reply
 ---@return string? problem
 function Fleet:create(id, chart, data)
-  local text = data and rfsm.sorted_keys(data)[1] ~= nil and need("dkjson").encode(data)
-    or "{}"
+  local ok, text = true, "{}"
+  if data and next(data) ~= nil then
+    ok, text = pcall(need("dkjson").encode, for_json(data))
+  end
+  if not ok then return nil, "rfsm.fleet.create: data: " .. text end
   return reply_of(call_function(self, "rfsm_create", id, chart, text, "ID",
     next_id(self)))
 end
 
 -- Returns the texts of events, then an id.
-local function texts_of(events, id)
+local function texts_of(id, ...)
   local texts = {}
-  for i, event in ipairs(events) do texts[i] = rfsm.text_of(event) end
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    texts[#texts + 1] = event ~= nil and rfsm.text_of(event) or nil
+  end
   texts[#texts + 1], texts[#texts + 2] = "ID", id
   return unpack(texts)
 end
@@ -168,7 +192,7 @@ end
 ---@return string? problem
 function Fleet:send(id, ...)
   return reply_of(call_function(self, "rfsm_send", id,
-    texts_of({ ... }, next_id(self))))
+    texts_of(next_id(self), ...)))
 end
 
 --- Send events to a machine when a time has come, if a worker wakes it.
@@ -178,9 +202,12 @@ end
 ---@return string? ticket for `cancel`
 ---@return string? problem
 function Fleet:send_after(id, seconds, ...)
+  if not opts.is_seconds(seconds) then
+    error("rfsm.fleet.send_after: seconds expected, " .. opts.got(seconds), 2)
+  end
   local ticket = next_id(self)
   local reply, problem = call_function(self, "rfsm_send_at", id,
-    "+" .. ("%.6f"):format(seconds), texts_of({ ... }, ticket))
+    "+" .. ("%.6f"):format(seconds), texts_of(ticket, ...))
   return reply and ticket, problem
 end
 
@@ -314,7 +341,7 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
--- An entry of a stream as a table.
+-- Returns an entry of a stream as a table.
 local function entry_of(raw)
   local entry, decode = { id = raw[1] }, need("dkjson").decode
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
@@ -345,9 +372,8 @@ local function bury(work, raw, deliveries, problem)
   work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
 end
 
--- Hands an entry to f. One that fails stays with the group, until it has failed often.
+-- Calls f with an entry. One that fails stays with the group until it fails too often.
 local function handle(work, f, raw, deliveries)
-  if type(raw) ~= "table" or type(raw[2]) ~= "table" then return end
   local ok, problem = pcall(f, entry_of(raw))
   if ok then
     work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
@@ -425,7 +451,7 @@ local WORK = {
   tries = { "a whole number", opts.is_whole(1, 1000), 5 },
 }
 
---- Hand what machines have emitted to `f(entry)`, at least once each, for each group.
+--- Call `f(entry)` with what machines have emitted, at least once each, for each group.
 --
 -- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
 -- worker of the group gets the entry once more: after `idle` milliseconds, then after
@@ -433,7 +459,7 @@ local WORK = {
 -- An entry that all groups have done is taken out of the stream.
 --
 ---@param group string
----@param worker string its name, of its own
+---@param worker string a name that no other worker of the group has
 ---@param f fun(entry: table)
 ---@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
 ---@return integer count entries that were handled

@@ -435,10 +435,10 @@ end
 
 local REPLACEMENT = "\239\191\189" -- U+FFFD
 
--- The second bytes that may follow some first ones.
+-- Bounds of the second byte, where a first byte has other ones than 128 and 191.
 local LOWEST, HIGHEST = { [224] = 160, [240] = 144 }, { [237] = 159, [244] = 143 }
 
--- How many bytes follow a first one.
+-- Returns how many bytes follow a first one.
 local function count_of(byte)
   return not byte and 0 or byte < 224 and 1 or byte < 240 and 2 or 3
 end
@@ -464,8 +464,8 @@ function marsh.utf8(text)
   return (text:gsub("([\194-\244]?)([\128-\191]*)", mend))
 end
 
--- Digits that give back the number, and look alike on every Lua (5.3 shows 5.0) and in
--- every locale (some have a comma).
+-- Returns digits that give back the number, the same on every Lua (5.3 shows 5.0) and
+-- in every locale (some have a comma).
 local function digits_of(number)
   if math_type and math_type(number) == "integer" then return ("%d"):format(number) end
   if number == 0 then return "0" end -- not -0
@@ -474,14 +474,14 @@ local function digits_of(number)
   return (digits:gsub(",", "."))
 end
 
--- A number that dkjson writes with these digits; JSON has no infinite ones.
+-- Returns what dkjson writes with these digits; infinite numbers as text.
 local function plain_number(number)
   if number - number ~= 0 then return number > 0 and "inf" or "-inf" end
   local digits = digits_of(number)
   return setmetatable({}, { __tojson = function() return digits end })
 end
 
--- JSON knows strings, finite numbers and booleans; other events become their text.
+-- Returns an event as JSON knows it: text, finite number or boolean, else its text.
 local function plain_event(event, text_of)
   local kind = type(event)
   if kind == "boolean" then return event end

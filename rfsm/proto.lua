@@ -76,7 +76,7 @@ function Server:close()
   self.udp:close()
 end
 
--- The settings become fields of the server.
+-- Opens the port; `server` is the table of settings.
 local function open_server(server)
   local socket, json, udp, problem
   socket, problem = opts.find_package("socket", "lua-socket")
@@ -108,7 +108,8 @@ local function drop(server, ip, port)
   if i then remove(server.subscribers, i) end
 end
 
--- A full buffer loses a text, as UDP may. An unreachable subscriber is dropped.
+-- Sends a text. A full buffer loses it, as UDP may. An unreachable subscriber is
+-- dropped.
 local function send(server, ip, port, text)
   local sent, problem = server.udp:sendto(text, ip, port)
   if not sent and problem ~= "timeout" then drop(server, ip, port) end
@@ -241,7 +242,7 @@ local function decode(server, data)
   end
 end
 
--- A datagram without a message of a known type is not answered, so that two services,
+-- Handles a datagram. One of no known type is not answered, so that two services,
 -- or an echo, never keep each other busy.
 local function handle(server, data, ip, port)
   local message = decode(server, data)
@@ -251,7 +252,7 @@ local function handle(server, data, ip, port)
   if refusal then send(server, ip, port, error_text(server, refusal)) end
 end
 
--- One byte more than is taken shows that a datagram is too long.
+-- Reads a datagram. One byte more than is taken shows that it is too long.
 local function read(server)
   return server.udp:receivefrom(server.max_received + 1)
 end
@@ -278,7 +279,7 @@ local function read_all(server, data, ip, port)
   return false
 end
 
--- Sets the server's time; returns why not, and the time stands still.
+-- Sets the server's time; returns the problem if the clock fails, and changes nothing.
 local function read_clock(server)
   local ok, now = pcall(server.clock)
   if not ok then return tostring(now) end
@@ -418,7 +419,7 @@ function proto.uninstall()
   open, servers = {}, setmetatable({}, { __mode = "k" })
 end
 
--- The graph of a machine has changed: it is made and sent anew.
+-- Forgets the graph of a machine that has changed: it is made and sent anew.
 local function forget_graph(fsm)
   for server in pairs(servers) do -- any order: each stands alone
     for i = 1, server.count do

@@ -22,23 +22,24 @@ local ROOTS = {
   "rfsm.redis.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
 
--- Names that the library knows, see FOOT.
-local ALIASES = { ["rfsm.ext"] = true, rfsm_emem = true, rfsm_await = true }
-
 -- While Redis loads a library hardly any global is there; later none can be set, and
 -- reading one that is absent is an error. So the modules see locals in their place, and
 -- are made at the first call.
 local HEAD = [[
 #!lua name=rfsm
 local function globals() return _G end
-local _G, loadfile, print, io, os, debug, package, require, outer_require
+local _G, loadfile, print, io, os, debug, package, require
 local charts = {}
+
+local function outer_require(name)
+  local libraries = { string = string, table = table, math = math,
+    coroutine = coroutine }
+  return libraries[name] or error("module '" .. name .. "' not found", 3)
+end
+
 ]] .. bundle.HEAD
 
 local FOOT = [[
-
-bundled["rfsm.ext"], bundled.rfsm_emem = bundled["rfsm.monitor"], bundled["rfsm.emem"]
-bundled.rfsm_await = bundled["rfsm.await"]
 
 local library
 
@@ -95,28 +96,39 @@ end)(%q)
 end }
 ]]
 
--- Appends modules, and those that they require. A chart's own are plain Lua.
-local function add_modules(parts, names, is_there, where)
-  for _, name in ipairs(names) do
-    if not is_there[name] then
-      is_there[name] = true
-      local text = bundle.add(parts, name)
-      if not text then
-        error(("%s: module '%s' is not there as plain Lua, so it cannot run in Redis")
-          :format(where, name), 0)
-      end
-      local needed = {}
-      for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
-        local is_needed = called == "require" or called == "find_module"
-        needed[#needed + 1] = is_needed and other or nil
-      end
-      if not name:find("^rfsm") then
-        for _, module in ipairs(sandbox.required(text)) do
-          needed[#needed + 1] = module.name
-        end
-      end
-      add_modules(parts, needed, is_there, name)
+-- Appends a module under its name; returns its text, nil if it is not plain Lua. The
+-- flat names of rFSM may be in no folder of this process.
+local function add_text(parts, name)
+  local dotted = name:match("^rfsm_(%a+)$")
+  return bundle.add(parts, name)
+    or dotted and bundle.add(parts, "rfsm." .. dotted, name)
+end
+
+-- Lists the modules that a text requires. Those of rfsm are also required by the core.
+local function required(name, text)
+  local names = {}
+  if name:find("^rfsm") then
+    for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
+      local is_needed = called == "require" or called == "find_module"
+      names[#names + 1] = is_needed and other or nil
     end
+  else
+    for i, module in ipairs(sandbox.required(text)) do names[i] = module.name end
+  end
+  return names
+end
+
+-- Appends a module, and those that it requires. A chart's own are plain Lua.
+local function add_module(parts, name, is_there, where)
+  if is_there[name] then return end
+  is_there[name] = true
+  local text = add_text(parts, name)
+  if not text then
+    error(("%s: module '%s' is not there as plain Lua, so it cannot run in Redis")
+      :format(where, name), 0)
+  end
+  for _, other in ipairs(required(name, text)) do
+    add_module(parts, other, is_there, where .. ": '" .. name .. "'")
   end
 end
 
@@ -164,15 +176,14 @@ function redis.bundle(arguments, options)
   options = options or {}
   require "rfsm_timeevent"
   require "rfsm.await"
-  local parts, is_there, warnings = { HEAD }, {}, {}
-  add_modules(parts, ROOTS, is_there, "rfsm.redis")
+  local parts, warnings = { HEAD }, {}
+  local is_there = { string = true, table = true, math = true, coroutine = true }
+  for _, name in ipairs(ROOTS) do add_module(parts, name, is_there, "rfsm.redis") end
   for _, argument in ipairs(arguments) do
     local name, file = redis.name_of(argument)
     local text = read_chart(file)
     for _, module in ipairs(sandbox.required(text)) do
-      if not ALIASES[module.name] then
-        add_modules(parts, { module.name }, is_there, file .. ":" .. module.line)
-      end
+      add_module(parts, module.name, is_there, file .. ":" .. module.line)
     end
     check_chart(file, text)
     for _, line in ipairs(sandbox.endless(sandbox.code_of(text))) do

@@ -1,8 +1,8 @@
 --- Snapshots: a machine between two steps as a plain table, and back.
 --
--- A snapshot holds where the machine stands, its queue, the data that the chart names
--- (`keep`, or `save` and `load`, in a state), and what extensions keep. It consists of
--- texts, numbers, booleans and tables that any encoder takes: JSON, MessagePack.
+-- A snapshot holds the active leaf of the machine, its queue, the data that the chart
+-- names (`keep`, or `save` and `load`, in a state), what extensions keep. It consists
+-- of texts, numbers, booleans and tables that any encoder takes: JSON, MessagePack.
 --
 -- The file reads in this order: take, put, public functions. `rfsm.snapshot.chart` has
 -- what is known of a chart, `rfsm.snapshot.move` the way from another one.
@@ -13,6 +13,7 @@
 local try = require("rfsm.shared.calls").try
 local charts = require "rfsm.snapshot.chart"
 local move = require "rfsm.snapshot.move"
+local opts = require "rfsm.shared.options"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
@@ -38,7 +39,7 @@ local snapshot = { VERSION = move.VERSION }
 ---@field data? table<string, table> what `keep` names, by FQN of the state
 ---@field saved? table<string, any> what `save` returned, by FQN of the state
 ---@field targets? any[] targets that were changed: FQN of the composite in which the
--- transition stands, its position or name there, FQN of the target, and so on
+-- transition is, its position or name there, FQN of the target, and so on
 ---@field ext? table<string, any> what extensions keep, by their names
 ---@field regions? table<string, table> likewise of the machines in states, by location
 ---@field structure? string[] a line for each element of the chart
@@ -126,7 +127,7 @@ local function take_extensions(fsm, snap, path)
   end
 end
 
--- The queue, unless it is that of a machine in which nothing has happened.
+-- Notes the queue, unless it is that of a machine in which nothing has happened.
 local function take_queue(fsm, snap, path)
   local queue = fsm._intq
   local is_default = queue[1] == nil
@@ -163,8 +164,8 @@ local function is_blank(part)
     or part.queue)
 end
 
--- Around data in Redis stand the value of the key, the snapshot, the data and its
--- state; in a region its snapshot and the table of regions, too.
+-- The number of tables around a field in Redis: the value of the key, the snapshot, its
+-- data, the state; for a region also its snapshot and the table of regions.
 local BASE, REGION_BASE = 4, 6
 
 local function take(fsm)
@@ -204,10 +205,10 @@ local function unpack_queue(part)
   return queue
 end
 
--- Returns a table of a field of the snapshot.
+-- Returns a table of a field of the snapshot, nil if null is there.
 local function unpack_table(field, name, value)
   local t = unpack(value, 2)
-  if type(t) == "table" then return t end
+  if t == nil or type(t) == "table" then return t end
   fail("%s: table expected for '%s', got %s", field, text_of(name), type(t))
 end
 
@@ -217,6 +218,7 @@ local function unpack_data(own, packed)
   for fqn, fields in pairs(packed) do -- any order: each stands alone
     local keeper = keepers[fqn]
     data[fqn] = plain.is_flat(fields) and fields or unpack_table("data", fqn, fields)
+      or NONE
     for name in next, data[fqn] do -- any order: each stands alone
       if not (keeper and keeper.kept[name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
@@ -328,7 +330,7 @@ end
 
 local function is_never_new() return false end
 
--- How a snapshot of the same chart is put.
+-- What hooks get for a snapshot of the same chart.
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
@@ -336,7 +338,7 @@ local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
 -- structure has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
-  local moved, changes, is_new = move.to(fsm, move.check_shape(snap), options)
+  local moved, changes, is_new = move.to(fsm, snap, options)
   for i, at in ipairs(charts.of(fsm).places) do
     local prefix = at.prefix
     if changes or options.entries then
@@ -360,7 +362,8 @@ local function run_entry(fsm, state)
   end
 end
 
--- Functions of the chart and of extensions may fail from here on.
+-- Gives a machine its data. From here on functions of the chart and of extensions are
+-- called, which may fail.
 local function load_part(part)
   set_data(part)
   local hooks = charts.hooks(part.fsm)
@@ -415,8 +418,8 @@ local function put_directly(fsm, snap, is_tidy)
   return true
 end
 
--- Has a machine stand where the snapshot says. If a load fails it stands again where it
--- stood, unless it may be reset.
+-- Moves a machine to a snapshot; back to where it was if a load fails, unless it may be
+-- reset.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
   if not may_reset and can_fail(parts) then has_before, before = pcall(take, fsm) end
@@ -458,11 +461,41 @@ end
 ---@field migrate? fun(snap: table, list: string[]): table|false? false refuses
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 ---@field trusted? boolean the snapshot is as `take` made it; if it is not, `put` may
---- reset the machine, or set less. Faster, for one machine that stands for many.
+--- reset the machine, or set less. Faster, for one machine that serves many.
 ---@field is_tidy? boolean nothing has run since `take`, and then no target was set
 
+local function is_boolean(x) return type(x) == "boolean" end
+
+local function is_table(x) return type(x) == "table" end
+
+local function is_renaming(x)
+  if not is_table(x) then return false end
+  for old, new in pairs(x) do -- any order: all of them
+    if type(old) ~= "string" or type(new) ~= "string" then return false end
+  end
+  return true
+end
+
+local OPTIONS = {
+  entries = { "boolean", is_boolean },
+  is_tidy = { "boolean", is_boolean },
+  migrate = { "function", rfsm.is_callable },
+  old = { "model or list of lines", is_table },
+  rename = { "table of old and new FQN", is_renaming },
+  trusted = { "boolean", is_boolean },
+}
+
+-- Returns the options of a public function; those of a trusted snapshot are trusted.
+local function read_options(options, where)
+  if options == nil or type(options) == "number" then return NONE end -- of a decoder
+  if type(options) ~= "table" or not options.trusted then
+    local settings, problem = opts.read(OPTIONS, options)
+    if not settings then error(where .. ": " .. problem, 3) end
+  end
+  return options
+end
+
 local function try_put(fsm, snap, options, may_reset)
-  if type(options) ~= "table" then options = NONE end -- a position of dkjson.decode
   local ok, failure = true, false
   if options.trusted then
     ok, failure = try(put_directly, fsm, snap, options.is_tidy)
@@ -474,7 +507,7 @@ local function try_put(fsm, snap, options, may_reset)
     type(failure) == "table" and failure.difference or nil
 end
 
---- Have a machine stand where a snapshot says; no callback runs.
+--- Move a machine to a snapshot; no callback runs.
 --
 -- A snapshot that is wrong changes nothing. If a `load` fails after others have run,
 -- they get what they had; a machine that could not be saved is reset then.
@@ -487,10 +520,10 @@ end
 ---@return string[]? difference if the snapshot is of another chart
 function snapshot.put(fsm, snap, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.put")
-  return try_put(fsm, snap, options, false)
+  return try_put(fsm, snap, read_options(options, "rfsm.snapshot.put"), false)
 end
 
---- Make a machine that stands where a snapshot says; no callback has run.
+--- Make a machine from a snapshot; no callback runs.
 --
 -- @usage
 --    local fsm = assert(snapshot.restore(rfsm.load("lamp.lua"), json.decode(text)))
@@ -507,6 +540,7 @@ function snapshot.restore(model, snap, options)
   if not rfsm.is_state(model) then
     error("rfsm.snapshot.restore: state expected, got " .. type(model), 2)
   end
+  options = read_options(options, "rfsm.snapshot.restore")
   local fsm, _, problems = rfsm.init(model)
   if not fsm then
     return false, "rfsm.snapshot: the model is wrong:\n  " .. concat(problems, "\n  ")
@@ -529,7 +563,7 @@ function snapshot.take_data(fsm)
 end
 
 --- Give that to a machine.
--- @raise if it is none of its chart
+-- @raise if it is not of its chart
 ---@param fsm rfsm.Machine
 ---@param kept { data: table?, saved: table?, targets: any[]? }
 function snapshot.put_data(fsm, kept)

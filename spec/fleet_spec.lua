@@ -13,9 +13,6 @@ end
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
 local redis = require "rfsm.redis"
-local redis_host = require "spec.support.redis_host"
-local rfsm = require "rfsm"
-local timeevent = require "rfsm_timeevent"
 
 teardown(servers.stop_all)
 after_each(helper.remove_files)
@@ -58,15 +55,6 @@ return rfsm.state {
 }]]
 
 local server
-
--- Loads a module once more; what is loaded stays.
-local function reloaded(name)
-  local loaded = package.loaded[name]
-  package.loaded[name] = nil
-  local module = require(name)
-  package.loaded[name] = loaded
-  return module
-end
 
 local function library(options, charts)
   local arguments = {}
@@ -128,35 +116,6 @@ describe("an event with an id", function()
       call("rfsm_send 1 {0} e_tick ID " .. id)
     end
     assert.equal(3, count_of("{0}"))
-  end)
-
-  it("is known for a time, if the library says so", function()
-    local clock = { now = 1000 }
-    local functions = reloaded("rfsm.redis.functions")(redis_host.new({}, clock),
-      { { name = "c", make = function() return rfsm.load_str(COUNTER) end } },
-      { ids_for = 10, ids = 3 })
-    functions.rfsm_create({ "m" }, { "c" })
-    local function count_after(id)
-      functions.rfsm_send({ "m" }, { "e_tick", "ID", id })
-      return tonumber(functions.rfsm_get({ "m" })[12])
-    end
-    assert.same({ 1, 1, 2 }, { count_after("a"), count_after("a"), count_after("b") })
-    clock.now = 1010
-    assert.same({ 2, 3 }, { count_after("a"), count_after("c") }, "for 10 seconds")
-    clock.now = 1011
-    assert.same({ 4, 5 }, { count_after("d"), count_after("a") }, "no longer")
-    assert.same({ 5, 6, 7 }, { count_after("c"), count_after("e"), count_after("c") },
-      "three at most")
-    timeevent.set_gettime_hook(nil)
-  end)
-
-  it("has an id of 1 to 64 bytes", function()
-    machines:create(1, "counter")
-    assert.equal("ERR rfsm_send: ID: 1 to 64 bytes expected, got 65 ",
-      call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(65)))
-    assert.equal(0, count_of(1))
-    call("rfsm_send 1", key_of(1), "e_tick ID " .. ("x"):rep(64))
-    assert.equal(1, count_of(1))
   end)
 
   it("that the client sends again is applied once", function()
@@ -321,11 +280,6 @@ describe("consumer groups", function()
     assert.equal(2, tries)
   end)
 
-  it("refuse an option that is not known", function()
-    assert.matches("rfsm.fleet.work: unknown option 'retries', expected: count, idle, "
-      .. "tries", (select(2, pcall(machines.work, machines, "g", "w", print,
-        { retries = 1 }))))
-  end)
 end)
 
 describe("machines that are due", function()
@@ -397,17 +351,6 @@ describe("an event of a time", function()
     for _ = 1, 3 do call("rfsm_send_at 1", key_of(1), "+0 e_tick ID x") end
     assert.equal(1, count_of(1))
   end)
-
-  it("is refused if it is none", function()
-    assert(machines:create(1, "counter"))
-    assert.same({ "ERR rfsm_send_at: a time, events and ID id expected ",
-      "ERR rfsm_send_at: seconds, or +seconds expected, got 'soon' ",
-      "ERR rfsm_send_at: no transition of chart 'counter' has the event 'e_tock' "
-        .. "(did you mean 'e_tick'?) " },
-      { call("rfsm_send_at 1", key_of(1), "+1 e_tick"),
-        call("rfsm_send_at 1", key_of(1), "soon e_tick ID 1"),
-        call("rfsm_send_at 1", key_of(1), "+1 e_tock ID 1") })
-  end)
 end)
 
 describe("an operator", function()
@@ -436,6 +379,18 @@ describe("an operator", function()
     assert.equal(2, #machines:find("timed", "root", 2))
   end)
 
+  it("gives data to a machine, also a field n", function()
+    local data = { n = 5, list = { n = 2, { n = 1.5, "x" } } }
+    assert(machines:create(1, "counter", data))
+    assert.same({ n = 5, list = { n = 2, ["1"] = { n = 1.5, ["1"] = "x" } } },
+      machines:get(1).data.root)
+    assert.equal("root.odd", machines:send(1, "e_tick").leaf)
+    assert(machines:create(2, "counter", {}))
+    assert.matches("^rfsm.fleet.create: data: .*function",
+      (select(2, machines:create(3, "counter", { n = print }))))
+    assert.is_nil((machines:get(3)))
+  end)
+
   it("sees the latest moves of a machine", function()
     assert(machines:create(1, "counter"))
     for _ = 1, 4 do machines:send(1, "e_tick") end
@@ -445,14 +400,6 @@ describe("an operator", function()
     moves[1].time = nil
     assert.same({ event = "e_tick", from = "root.odd", to = "root.even" }, moves[1])
     assert.equal(1, #machines:history(1, 1))
-  end)
-
-  it("is told what the library was made without", function()
-    assert(machines:load(library()))
-    assert(machines:create(1, "counter"))
-    assert.same({ "ERR rfsm_find: the library was made without --index",
-      "ERR rfsm_history: the library was made without --history" },
-      { select(2, machines:find("counter", "root")), select(2, machines:history(1)) })
   end)
 
   it("counts machines by state", function()
@@ -495,8 +442,7 @@ describe("the client", function()
     second:cli("REPLICAOF 127.0.0.1 " .. first.port)
     either:call("0", "FUNCTION", "LOAD", "REPLACE", library())
     assert(either:create(1, "counter"))
-    first:cli("WAIT 1 5000")
-    assert.equal("1\n", first:cli("WAIT 1 5000"))
+    assert.equal(1, either:call("0", "WAIT", 1, 5000)) -- for what it has written
     first:kill()
     second:cli("REPLICAOF NO ONE")
     assert.equal("root.odd", either:send(1, "e_tick").leaf)
@@ -520,6 +466,29 @@ describe("the client", function()
       local ok, problem = pcall(fleet.connect, url)
       assert.is_false(ok)
       assert.is_truthy(problem:find("rfsm.fleet.connect: " .. text, 1, true))
+    end)
+  end
+
+  it("skips nil among events, as the core does", function()
+    assert(machines:create(1, "counter"))
+    assert.equal("root.odd", machines:send(1, nil, "e_tick", nil).leaf)
+    assert(machines:send_after(1, 0, nil, "e_tick"))
+    assert.equal(2, count_of(1))
+  end)
+
+  for what, case in pairs {
+    ["no id"] = { call = function() machines:send(nil, "e_tick") end,
+      text = "rfsm.fleet: id of a machine expected, got nil" },
+    ["a table as id"] = { call = function() machines:get {} end,
+      text = "rfsm.fleet: id of a machine expected, got table" },
+    ["a text as time"] = { call = function() machines:send_after(1, "5", "e_tick") end,
+      text = "rfsm.fleet.send_after: seconds expected, got string '5'" },
+    ["a time before now"] = { call = function() machines:send_after(1, -1, "x") end,
+      text = "rfsm.fleet.send_after: seconds expected, got -1" },
+  } do
+    it("refuses " .. what, function()
+      local _, problem = pcall(case.call)
+      assert.equal(case.text, (problem:gsub("^%S+:%d+: ", "")))
     end)
   end
 
@@ -555,27 +524,16 @@ describe("a chart that cannot run in Redis", function()
   end
 
   for expected, text in pairs {
-    ["FILE:2: 'os.time' does not exist in Redis"] =
-      chart("-- os.time is not used\nlocal t = os.time()"),
-    ["FILE:1: 'os.date' does not exist in Redis"] =
-      chart("--[[ os.time ]] local a, t = [=[ ]] ]=], os.date()"),
-    ["FILE:2: 'io.open' does not exist in Redis"] =
-      chart("", "entry = function() io.open('x') end"),
-    ["FILE:1: global 'posix' does not exist in Redis"] = chart("local t = posix"),
-    ["FILE:1: global 'x' cannot be set in Redis"] = chart("x = 1"),
     ["FILE:2: module 'socket.core' is not there as plain Lua, so it cannot run in "
       .. "Redis"] = chart("\nlocal s = require 'socket.core'"),
+    ["FILE:1: 'socket': module 'socket.core' is not there as plain Lua, so it cannot "
+      .. "run in Redis"] = chart("", "entry = function() require 'socket' end")
+        :gsub("^\n", ""),
   } do
     it("is refused: " .. expected, function()
       assert.equal(expected, refusal(text))
     end)
   end
-
-  it("is not one that only says so, or has fields of that name", function()
-    assert(redis.bundle { "c=" .. helper.file_with(chart("local io = {}\n"
-      .. [[local text, t = "os.time()", { debug = 1, [ [=[io]=] ] = 1 } -- io.x]]
-      .. "\n" .. "local _ = { text, t, io, os.clock() }")) })
-  end)
 
   it("brings its own modules along if they are plain Lua", function()
     local folder = helper.lines_of("mktemp -d")[1]
@@ -596,6 +554,21 @@ describe("a chart that cannot run in Redis", function()
     package.loaded.mine, package.loaded.yours = nil, nil
     assert(machines:create(1, "c"))
     assert.matches("a name", server:cli("XRANGE rfsm:out:{0} - +"))
+  end)
+
+  it("is not one that requires libraries of Lua, or of rFSM by any name", function()
+    for _, name in ipairs { "string", "math", "rfsm.rfsm", "rfsm_timeevent", "rfsm.ext",
+      "rfsm.await", "rfsm_seqand", "rfsm.emem" } do
+      assert(machines:load((redis.bundle { "c=" .. helper.file_with(chart("local m = "
+        .. "require '" .. name .. "'")) })))
+      server:cli("FLUSHALL")
+      assert(machines:create(1, "c"))
+    end
+    for _, name in ipairs { "rfsm_ext", "rfsm_emem", "rfsm_preview", "rfsm_await" } do
+      local file = helper.file_with(chart("local m = require '" .. name .. "'"))
+      assert.matches("^#!lua name=rfsm\n", table.concat(helper.lines_of(
+        "tools/rfsm redis c=" .. file), "\n"))
+    end
   end)
 
   it("is reported if a loop in it has no end", function()

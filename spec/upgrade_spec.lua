@@ -280,12 +280,104 @@ end)
 
 describe("migrate", function()
   it("gets a copy, so that one that refuses has changed nothing", function()
-    local snap = snapshot.take(helper.started(chart { "e_x" }))
-    assert.is_false((snapshot.restore(chart { "e_y" }, snap, { migrate = function(old)
-      old.leaf, old.regions = "root.b", {}
-      return false
-    end })))
-    assert.same({ "root.a" }, { snap.leaf, snap.regions })
+    local whole = snapshot.take(helper.started(regions { a = region(1) }))
+    for _, snap in ipairs { whole, (json.decode((json.encode(whole)))) } do
+      local before = json.encode(snap)
+      assert.is_false((snapshot.restore(chart { "e_y" }, snap, { migrate = function(old)
+        old.leaf, old.regions["root.w.a"].data.root.m = "root.b", 7
+        old.regions["root.w.b"] = {}
+        return false
+      end })))
+      assert.equal(before, json.encode(snap))
+    end
+  end)
+end)
+
+describe("migrate", function()
+  local function keeper(keep, fields)
+    fields.keep = keep
+    return chart({ "e_x" }, fields)
+  end
+
+  it("gets values as callbacks know them, also of a region", function()
+    local function robot(more)
+      local model = regions { r = region({ [7] = 0.1 + 0.2 }, { y = more,
+        save = function() return { n = 2 } end, load = function() end }) }
+      model.keep, model.n = { "n" }, 1
+      return model
+    end
+    local snap, seen = snapshot.take(helper.started(robot())), nil
+    local fsm = restored(robot(state {}), snap, { migrate = function(old)
+      seen = { old.data.root.n, old.regions["root.w.r"].data.root.m[7],
+        old.regions["root.w.r"].saved.root.n }
+      old.data.root.n = { n = old.data.root.n + 1 / 3 }
+    end })
+    assert.same({ 1, 0.1 + 0.2, 2 }, seen)
+    assert.same({ n = 1 + 1 / 3 }, fsm.n)
+    assert.equal(0.1 + 0.2, fsm.w.substates.r.m[7])
+  end)
+
+  it("leaves a field nil that a callback has set to nil", function()
+    local fsm = helper.started(keeper({ "n", "more" }, { n = 1, more = 2 }))
+    fsm.n, fsm.more = nil, nil
+    local again = restored(keeper({ "n", "more", "new" }, { n = 1, more = 2, new = 3 }),
+      snapshot.take(fsm), { migrate = function(old)
+        assert.is_nil(old.data.root.n)
+        old.data.root.more = 7
+      end })
+    assert.same({ more = 7, new = 3 }, { n = again.n, more = again.more,
+      new = again.new })
+  end)
+
+  for what, case in pairs {
+    ["a function"] = { value = print, text = "data of root.n: a function cannot be "
+      .. "saved" },
+    ["a table with a metatable"] = { value = { x = setmetatable({}, {}) }, text =
+      "data of root.n.x: a table with a metatable cannot be saved" },
+  } do
+    it("can add no field with " .. what, function()
+      local snap = snapshot.take(helper.started(keeper({}, {})))
+      assert.same({ false, "rfsm.snapshot: " .. case.text }, { snapshot.restore(
+        keeper({ "n" }, {}), snap, { migrate = function(old)
+          old.data = { root = { n = case.value } }
+        end }) })
+    end)
+  end
+end)
+
+describe("an option", function()
+  local snap
+
+  before_each(function() snap = snapshot.take(helper.started(chart { "e_x" })) end)
+
+  for _, case in ipairs {
+    { what = "that is not known", options = { migrat = itself },
+      text = "unknown option 'migrat', "
+      .. "expected: entries, is_tidy, migrate, old, rename, trusted" },
+    { what = "of another type", options = { rename = 7 },
+      text = "rename: table of old and new FQN expected, got 7" },
+    { what = "with other names", options = { rename = { ["root.a"] = 7 } },
+      text = "rename: table of old and new FQN expected, got table" },
+    { what = "that cannot be called", options = { migrate = "f" },
+      text = "migrate: function expected, got string 'f'" },
+  } do
+    it(case.what .. " is refused where it is given", function()
+      local function problem_of(call)
+        local _, problem = pcall(call)
+        assert.matches("^[^:]*upgrade_spec.lua:%d+: ", problem)
+        return (problem:gsub("^.-:.-: ", ""))
+      end
+      assert.same({ "rfsm.snapshot.restore: " .. case.text, "rfsm.snapshot.put: "
+        .. case.text }, { problem_of(function()
+          local _ = snapshot.restore(chart { "e_x" }, snap, case.options)
+        end), problem_of(function()
+          snapshot.put(helper.started(chart { "e_x" }), snap, case.options)
+        end) })
+    end)
+  end
+
+  it("is no position that a decoder returns behind the snapshot", function()
+    assert(snapshot.restore(chart { "e_x" }, json.decode((json.encode(snap)))))
   end)
 end)
 
@@ -407,6 +499,19 @@ describe("what a state keeps", function()
     end)
   end
 
+  it("may contain itself in the model, and is named when it is saved", function()
+    local cycle = { 1 }
+    cycle[2] = cycle
+    local fsm = helper.started(chart({ "e_x" }, { keep = { "list" }, list = cycle }))
+    local _, problem = pcall(snapshot.take, fsm)
+    assert.matches("root.list%[2%]: this table stands elsewhere in the data, too, and "
+      .. "can only be saved once", problem)
+    fsm.list = { 7 }
+    local again = restored(chart({ "e_x" }, { keep = { "list" }, list = cycle }),
+      snapshot.take(fsm))
+    assert.same({ 7 }, again.list)
+  end)
+
   it("is given to load, also nil, but not if the chart is another one", function()
     local seen = {}
     local function model(events)
@@ -469,6 +574,26 @@ describe("null of JSON", function()
       local again = restored(chart({ "e_x" }, { keep = { "list", "x" } }),
         snapshot.take(fsm))
       assert.same({ { [1] = 1, [3] = {} }, nil }, { again.list, again.x })
+    end)
+
+    it("in place of a field of a snapshot is what is absent: " .. name, function()
+      local model = regions { a = region(1) }
+      local whole = snapshot.take(helper.started(model))
+      for _, field in ipairs { "leaf", "done", "queue", "data", "saved", "targets",
+        "ext", "regions", "structure" } do
+        local snap, without = {}, {}
+        for key, value in pairs(whole) do snap[key], without[key] = value, value end
+        snap[field], without[field] = null, nil
+        assert.same(snapshot.take(restored(model, without)),
+          snapshot.take(restored(model, snap)))
+      end
+      whole.regions["root.w.a"] = null
+      assert.is_false(rfsm.get_actleaf_fqn(restored(model, whole).w.substates.a))
+      whole.data = { root = null }
+      assert(restored(model, whole))
+      whole.chart = null
+      assert.equal("rfsm.snapshot: chart: string expected, got nil",
+        (select(2, snapshot.restore(model, whole))))
     end)
 
     it("in a snapshot is what is absent: " .. name, function()
@@ -600,12 +725,12 @@ describe("rfsm snapshot diff", function()
     rfsm.trans { src = "a", tgt = "b", events = { "e_after(3)" } } }]]
 
   -- Returns what the command prints on two charts, and the status.
-  local function compare(new)
+  local function compare(new, old)
     local lines = helper.lines_of(("tools/rfsm snapshot diff %s %s 2>&1; echo $?")
-      :format(helper.file_with(OLD), helper.file_with(new)))
+      :format(helper.file_with(old or OLD), helper.file_with(new)))
     local status = tonumber(table.remove(lines))
-    if lines[#lines]:find("^  targets") then -- the premises
-      lines[#lines], lines[#lines - 1] = nil, nil
+    if lines[#lines]:find("^  states of several") then -- the premises
+      for _ = 1, 3 do table.remove(lines) end
     end
     return lines, status
   end
@@ -636,6 +761,47 @@ describe("rfsm snapshot diff", function()
       "  field old of root", "in root.b: stays a machine of the old version",
       "  the snapshot holds what the chart lacks", "  field old of root" }, lines)
     assert.equal(1, status)
+  end)
+
+  it("looks at each state of each region", function()
+    local function robot(last, timer, more)
+      return (([[
+        local function region(inner, time)
+          return rfsm.state { x = rfsm.state {}, LAST = inner,
+            rfsm.trans { src = "initial", tgt = "x" },
+            rfsm.trans { src = "x", tgt = "LAST", events = { time } } }
+        end
+        return rfsm.state { MORE idle = rfsm.state {}, w = rfsm.seqand {
+          r = region(rfsm.seqand { q = region(rfsm.state {}, "e_after(5)") }, "TIMER")
+        },
+          rfsm.trans { src = "initial", tgt = "idle" },
+          rfsm.trans { src = "idle", tgt = "w", events = { "e_w" } } }]])
+        :gsub("LAST", last):gsub("TIMER", timer):gsub("MORE", more or ""))
+    end
+    -- Returns what happens, without what differs.
+    local function fates(old, new)
+      local lines, status = compare(new, old)
+      while not lines[1]:find("^in ") do table.remove(lines, 1) end
+      return lines, status
+    end
+    local old = robot("y", "e_after(5)")
+    assert.same({ "in root.idle: moves to root.idle", "in root.w: moves to root.w",
+      "in root.w.r.x: moves to root.w.r.x", "  timer e_after(5)@root.x is dropped",
+      "in root.w.r.y: stays a machine of the old version",
+      "  the snapshot holds what the chart lacks", "  state root.w.r.y",
+      "  region root.w.r.y.q", "in root.w.r.y.q.x: stays a machine of the old version",
+      "  the snapshot holds what the chart lacks", "  state root.w.r.y",
+      "  region root.w.r.y.q", "in root.w.r.y.q.y: stays a machine of the old version",
+      "  the snapshot holds what the chart lacks", "  state root.w.r.y",
+      "  region root.w.r.y.q" }, (fates(old, robot("z", "e_x",
+        "migrate = function() end,"))))
+    local lines, status = fates(old, robot("z", "e_after(5)",
+      "rename = { ['root.w.r.y'] = 'root.w.r.z', "
+      .. "['root.w.r.y.q.y'] = 'root.w.r.z.q.z' },"))
+    assert.same({ { "in root.idle: moves to root.idle", "in root.w: moves to root.w",
+      "in root.w.r.x: moves to root.w.r.x", "in root.w.r.y: moves to root.w.r.z",
+      "in root.w.r.y.q.x: moves to root.w.r.z.q.x",
+      "in root.w.r.y.q.y: moves to root.w.r.z.q.z" }, 0 }, { lines, status })
   end)
 
   it("says that there is no difference", function()

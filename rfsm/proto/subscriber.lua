@@ -6,8 +6,8 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local opts = require "rfsm.shared.options"
 
-local pcall, require = pcall, require
 local setmetatable, type = setmetatable, type
 
 local subscriber = {}
@@ -26,7 +26,7 @@ Client.__index = Client
 ---@param message table
 function Client:send(message) self.udp:send(self.json.encode(message)) end
 
--- Subscribes, or says that somebody is still here.
+-- Subscribes, or sends a heartbeat, if it is time.
 local function beat(client)
   if client.clock() < client.due then return end
   client:send(client.is_heard and { type = "heartbeat" }
@@ -72,15 +72,13 @@ end
 ---@param options? { path: boolean?, only: integer? } ask for the paths that are taken;
 -- for one machine only
 function subscriber.connect(host, port, options)
-  local has_socket, socket = pcall(require, "socket")
-  local has_json, json = pcall(require, "dkjson")
-  if not (has_socket and has_json) then
-    return nil, "the packages luasocket and dkjson are needed (on Debian: apt-get "
-      .. "install lua-socket lua-dkjson)"
-  end
+  local socket, problem = opts.find_package("socket", "lua-socket")
+  if not socket then return nil, problem end
+  local json, missing = opts.find_package("dkjson", "lua-dkjson")
+  if not json then return nil, missing end
   local udp = (socket.udp4 or socket.udp)()
-  local is_set, problem = udp:setpeername(host, port)
-  if not is_set then return nil, ("%s: %s"):format(host, problem) end
+  local is_set, why = udp:setpeername(host, port)
+  if not is_set then return nil, ("%s: %s"):format(host, why) end
   return setmetatable({
     udp = udp, json = json, clock = socket.gettime, due = 0, is_heard = false,
     address = ("%s:%d"):format(host, port), has_path = options and options.path,

@@ -29,15 +29,17 @@ end
 --- Append a module to the parts of a text.
 ---@param parts string[]
 ---@param name string
+---@param as? string the name in the bundle, default `name`
 ---@return string? source nil if it is not found
-function bundle.add(parts, name)
+function bundle.add(parts, name, as)
   local file = name:gsub("%.", "/")
   for template in package.path:gmatch("[^;]+") do
     local handle = io.open((template:gsub("%?", file)))
     local text = handle and handle:read("*a")
     if handle then handle:close() end
     if text and text:byte() ~= 27 then -- no bytecode
-      parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(name, text)
+      parts[#parts + 1] = ("bundled[%q] = function(...)\n%s\nend\n"):format(as or name,
+        text)
       return text
     end
   end

@@ -240,7 +240,7 @@ function Connection:call(tag, name, ...)
   until false
 end
 
--- Texts of a command, as the server reads them.
+-- Returns a command as the server reads it.
 local function request(...)
   local list = { ... }
   local parts = { "*" .. #list .. "\r\n" }

@@ -54,10 +54,10 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
 
--- One library runs in a server: its host, charts by name, and options.
+-- What the library was made with. One library runs in a server, so it is kept here.
 local host, charts, options
 
--- Charts: a machine of each version, which stands where a call wants it ------------
+-- Charts: one machine of each version, into which each call puts a snapshot --------
 
 --- One version of a chart.
 ---@class rfsm.redis.Chart
@@ -82,7 +82,7 @@ local function note_events(chart, fsm)
   chart.takes_all = known.takes_any or known.predicates[1] ~= nil
 end
 
--- What callbacks do goes here, as long as the call lasts.
+-- Entries for the stream, and errors, that callbacks of this call have caused.
 local emitted, printed = {}, {}
 
 local function emit(what, data)
@@ -96,12 +96,11 @@ local function collect_print(...)
   printed[#printed + 1] = calls.text(" ", ...)
 end
 
--- One machine of a chart serves all: what callbacks have left in its fields, and the
--- chart does not keep, is taken away before the next one stands there. Fields that are
--- added are noted, others are compared.
+-- One machine of a chart serves all. Callbacks may have changed fields that the chart
+-- does not keep: `clean` undoes that before each call. New fields are noted when they
+-- are set, the others are compared.
 
--- Elements, and the fields that were added to them, one after the other; and what each
--- element has had at first.
+-- Pairs of element and new field, in a flat list; the first fields of each element.
 local added, known_of = {}, setmetatable({}, { __mode = "k" })
 
 -- Has a metatable note the fields that are added.
@@ -242,7 +241,7 @@ local function whole_of(text, default, most)
   return number
 end
 
--- Load: the value of a key becomes a machine that stands there ----------------------
+-- Load: the value of a key becomes a machine ----------------------------------------
 
 -- Positions in the value of a machine: the name of its chart, the snapshot, when that
 -- was taken and when the machine is due, if it is; the ids of the latest events, the
@@ -250,8 +249,7 @@ end
 -- later: { time, id, event, ... }.
 local NAME, SNAP, SEC, NSEC, DUE, IDS, LATER = 2, 3, 4, 5, 6, 7, 8
 
--- The clock of the machines. It stands still during a call, and is read when it is
--- first needed: until then `sec` is false.
+-- The clock of the machines, read once a call: `sec` is false until it is needed.
 local sec, nsec, time = false, 0, nil
 
 local function gettime()
@@ -385,7 +383,7 @@ end
 
 -- Save: first all that may fail, then the writes -----------------------------------
 
--- When a machine is to be woken; nil: not before an event comes.
+-- Returns when a machine is to be woken; nil: not before an event comes.
 local function due_of(machine, is_idle)
   if not is_idle and machine.fsm._act_leaf then return now() end
   local snap, later = machine.list[SNAP], machine.list[LATER]
@@ -417,7 +415,8 @@ local function pack_machine(list, due)
   return value
 end
 
--- The writes of a machine, and what was asked in this call: one may wake many machines.
+-- The writes of a machine, and the keys whose type and right were checked: they are
+-- checked once for all machines that a call wakes.
 local writes, asked = {}, {}
 
 -- Adds a write. If it fails others would have been made before, so it is asked first
@@ -444,7 +443,7 @@ local function add_due(machine, due)
   end
 end
 
--- Streams: what is to be done outside, and what has failed.
+-- Adds what callbacks emitted to the stream of the tag, their errors to the log.
 local function add_streams(machine)
   for _, entry in ipairs(emitted) do
     add_write("stream", "XADD", keys_of.out(machine.key), "*", "machine", machine.key,
@@ -456,7 +455,7 @@ local function add_streams(machine)
   end
 end
 
--- What is to be noted when the machine has got another active leaf.
+-- Adds what index, history and channel say of a new active leaf.
 local function add_move(machine, leaf)
   local key, name = machine.key, machine.chart.name
   if options.index then
@@ -522,7 +521,7 @@ local function set_data(fsm, text)
   end
 end
 
--- The reply for an event that was applied before.
+-- Returns the reply for an event that was applied before.
 local function reply_of(list)
   local snap = list[SNAP]
   return { snap.leaf or "", snap.leaf and (snap.done and "done" or "active")

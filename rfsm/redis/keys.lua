@@ -20,7 +20,7 @@ local shown = keys.shown
 
 local last_key, last_tag
 
---- Return the hash tag of a key: what stands in braces, or the whole key.
+--- Return the hash tag of a key: the text in braces, or the whole key.
 ---@param key string?
 ---@return string tag
 function keys.tag(key)

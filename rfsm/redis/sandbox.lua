@@ -86,12 +86,12 @@ local function find_missing(code)
   local first, found = nil, nil
   for _, name in ipairs(MISSING) do
     local is_own = code:find("local[%w_, ]-%f[%w_]" .. name .. "%f[^%w_]")
-    for from, field, behind in code:gmatch("%f[%w_]()" .. name
-      .. "%f[^%w_]%s*%.?%s*([%w_]*)()") do
+    for from, behind in code:gmatch("%f[%w_]()" .. name .. "%f[^%w_]()") do
+      local field, after = code:match("^%s*%.%s*([%w_]+)()", behind)
       local is_there = is_own or name == "os" and field == "clock"
-      if not is_there and not is_key(code, from, behind)
+      if not is_there and not is_key(code, from, after or behind)
         and (not first or from < first) then
-        first, found = from, name .. (field ~= "" and "." .. field or "")
+        first, found = from, name .. (field and "." .. field or "")
       end
     end
   end
@@ -109,7 +109,8 @@ local function is_endless(code, at)
     if OPENS[word] then depth = depth + 1 end
     if word == "end" or word == "until" then depth = depth - 1 end
     if depth == 0 then
-      return word == "end" or code:find("^%s*false", at + behind - 1) ~= nil
+      return word == "end" or code:find("^[%s(]*false%f[^%w_]", at + behind - 1)
+        ~= nil
     end
   end
   return false
@@ -120,8 +121,9 @@ end
 ---@return integer[] lines
 function sandbox.endless(code)
   local lines = {}
-  for _, pattern in ipairs { "%f[%w_]while%s+true%s+()do%f[^%w_]",
-    "%f[%w_]while%s+1%s+()do%f[^%w_]", "%f[%w_]()repeat%f[^%w_]" } do
+  for _, pattern in ipairs { "%f[%w_]while[%s(]+true[%s)]+()do%f[^%w_]",
+    "%f[%w_]while[%s(]+1[%s)]+()do%f[^%w_]", "%f[%w_]()repeat%f[^%w_]",
+    "%f[%w_]for[^\n,]+,%s*math%.huge%s+()do%f[^%w_]" } do
     for at in code:gmatch(pattern) do
       if is_endless(code, at) then lines[#lines + 1] = line_at(code, at) end
     end

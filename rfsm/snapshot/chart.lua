@@ -18,7 +18,7 @@ local chart, NONE = {}, {}
 
 -- Seam: what the core does not offer by a public name yet --------------------------
 
--- Stands for the structure, the same table for all machines of one model.
+-- Returns a key for the structure, the same table for all machines of one model.
 local function structure_of(fsm) return fsm._plan end
 
 -- Returns the nodes of a machine, at the same positions in all machines of a structure.
@@ -249,7 +249,7 @@ end
 --- What is known of a machine, in its field `_kept`, as long as its structure is the
 --- same.
 ---@class rfsm.snapshot.Own
----@field key table stands for the structure
+---@field key table of the structure
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
 ---@field states rfsm.State[] that of each keeper

@@ -1,8 +1,9 @@
 --- What a new version of a chart means for machines of the old one, state by state.
 --
--- For each leaf of the old chart a snapshot is made there. All fields that are kept
--- have a value, the first one or `true`. Regions are in their first leaf. The root of
--- the new chart may have `rename` and `migrate`, as in Redis.
+-- For each leaf of the old chart, and of its regions, a snapshot is made there. All
+-- fields that are kept have a value, the first one or `true`. Regions that are not
+-- looked at are in their first leaf. The root of the new chart may have `rename` and
+-- `migrate`, as in Redis.
 --
 -- @module rfsm.snapshot.diff
 -- @license BSD-3-Clause
@@ -19,8 +20,9 @@ local concat = table.concat
 local diff = {}
 
 --- What is not looked at; the report ends with it.
-diff.PREMISES = "not looked at: values of fields (migrate had the first ones), what "
-  .. "save returns,\n  targets that programs set, events in queues"
+diff.PREMISES = "not looked at: values of fields (migrate had the first ones, or true),"
+  .. "\n  what save returns, targets that programs set, events in queues,"
+  .. "\n  states of several regions at once"
 
 local PRINTERS = { "info", "warn", "err" }
 
@@ -51,13 +53,20 @@ local function fill(fsm)
   end
 end
 
--- Returns the snapshot of a machine in a leaf.
-local function snapshot_in(fsm, leaf)
-  rfsm.place(fsm, leaf, "done", {})
+-- Has a machine be in a leaf, and the regions there in their first ones.
+local function enter(machine, leaf)
+  rfsm.place(machine, leaf, "done", {})
   for _, region in ipairs(rfsm.regions(leaf)) do
-    rfsm.place(region, rfsm.elements(region, rfsm.is_leaf)[1] or false, "done", {})
+    enter(region, rfsm.elements(region, rfsm.is_leaf)[1])
   end
-  return snapshot.take(fsm)
+end
+
+-- Has a machine or region be in a leaf, and the machines around it where it runs.
+local function enter_at(places, at, leaf)
+  for _, outer in ipairs(places) do
+    if outer.machine == at.owner then enter_at(places, outer, at.state) end
+  end
+  enter(at.machine, leaf)
 end
 
 -- Returns the timers of a leaf and the states around it, as a list and a set.
@@ -87,30 +96,53 @@ end
 
 --- What happens to the machines in a leaf.
 ---@class rfsm.snapshot.Fate
----@field leaf string FQN in the old chart
----@field to string|false FQN in the new chart; false: it is not moved
+---@field leaf string location in the old chart
+---@field to string|false location in the new chart; false: it is not moved
 ---@field notes string[] timers that change; or why it is not moved
 
----@return rfsm.snapshot.Fate fate
-local function fate_of(old, model, leaf, options)
-  local snap, notes = snapshot_in(old, leaf), {}
-  local fsm, problem, list = quietly(model, snapshot.restore, snap, options)
-  if not fsm then
-    notes[1] = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
-    if not (options.rename or options.migrate) and notes[1]:find("another chart") then
-      notes[1], list = "the root of the new chart has neither 'rename' nor 'migrate'",
-        nil
-    end
-    for i, text in ipairs(list or {}) do notes[i + 1] = text end
-    return { leaf = leaf._fqn, to = false, notes = notes }
+-- Returns why a snapshot was refused.
+local function reasons(problem, list, options)
+  local reason = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
+  if not (options.rename or options.migrate) and reason:find("another chart") then
+    return { "the root of the new chart has neither 'rename' nor 'migrate'" }
   end
-  local to = fsm._act_leaf
+  local notes = { reason }
+  for i, text in ipairs(list or {}) do notes[i + 1] = text end
+  return notes
+end
+
+-- Returns the machine or region that has come from one at a prefix, else the machine.
+local function place_from(fsm, prefix, rename)
+  prefix = move.renamed(prefix, rename or {})
+  local places = charts.of(fsm).places
+  for _, at in ipairs(places) do
+    if at.prefix == prefix then return at end
+  end
+  return places[1]
+end
+
+local function location_of(at, leaf) return at.prefix .. leaf._fqn:sub(5) end
+
+-- Returns the fate of the machines that are in a leaf of the machine or region `at`.
+local function fate_of(places, at, leaf, model, options)
+  enter_at(places, at, leaf)
+  local fsm, problem, list = quietly(model, snapshot.restore,
+    snapshot.take(places[1].machine), options)
+  local fate = { leaf = location_of(at, leaf), to = false, notes = {} }
+  if not fsm then
+    fate.notes = reasons(problem, list, options)
+    return fate
+  end
+  local new = place_from(fsm, at.prefix, options.rename)
+  local to = new.machine._act_leaf
+  fate.to = to and location_of(new, to) or "no state"
   if to then
-    note_timers(notes, old, leaf, { fsm = fsm, leaf = to }, " is dropped")
-    note_timers(notes, fsm, to, { fsm = old, leaf = leaf },
+    note_timers(fate.notes, at.machine, leaf, { fsm = new.machine, leaf = to },
+      " is dropped")
+    note_timers(fate.notes, new.machine, to, { fsm = at.machine, leaf = leaf },
       " begins, with its whole time")
   end
-  return { leaf = leaf._fqn, to = to and to._fqn or "no state", notes = notes }
+  return fate
 end
 
 --- Compare two versions of a chart.
@@ -118,16 +150,18 @@ end
 ---@param old rfsm.State model
 ---@param new rfsm.State model; its root may have `rename` and `migrate`
 ---@return string[] difference empty if the structure and what is kept are the same
----@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart
+---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
   local before, after = new_machine(old), new_machine(new)
   local options = { rename = after.rename, migrate = after.migrate }
   local was, is = charts.structure(before), charts.structure(after)
   if concat(was, "\n") == concat(is, "\n") then return {}, {} end
-  for _, at in ipairs(charts.of(before).places) do fill(at.machine) end
-  local fates = {}
-  for i, leaf in ipairs(rfsm.elements(before, rfsm.is_leaf)) do
-    fates[i] = fate_of(before, new, leaf, options)
+  local places, fates = charts.of(before).places, {}
+  for _, at in ipairs(places) do fill(at.machine) end
+  for _, at in ipairs(places) do
+    for _, leaf in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
+      fates[#fates + 1] = fate_of(places, at, leaf, new, options)
+    end
   end
   return move.difference(was, is), fates
 end

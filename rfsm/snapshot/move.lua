@@ -9,7 +9,7 @@ local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
 local error, ipairs, next, pairs = error, ipairs, next, pairs
-local select, type = select, type
+local rawequal, select, type = rawequal, select, type
 local concat = table.concat
 local fail, text_of = plain.fail, rfsm.text_of
 
@@ -17,7 +17,7 @@ local move, NONE = { VERSION = 2 }, {}
 
 -- Shape -----------------------------------------------------------------------------
 
--- The fields of a snapshot, and of that of a region in it.
+-- The types of the fields of a region's snapshot, and of a whole one.
 local PART = {
   chart = "string", leaf = "string", done = "boolean", queue = "table", data = "table",
   saved = "table", targets = "table", ext = "table",
@@ -26,10 +26,19 @@ local PART = {
 local WHOLE = { version = "number", regions = "table", structure = "table" }
 for field, kind in pairs(PART) do WHOLE[field] = kind end -- any order: a copy
 
+-- Returns a copy without the fields that are null.
+local function copy_fields(t)
+  local copy = {}
+  for key, value in pairs(t) do -- any order: a copy
+    if not plain.is_null(value) then copy[key] = value end
+  end
+  return copy
+end
+
 local function check_fields(snap, fields, where)
   local wrong = nil
   for field, value in pairs(snap) do -- any order: the least one is named
-    if type(value) ~= fields[field] and not plain.is_null(value) then
+    if type(value) ~= fields[field] then
       wrong = wrong or {}
       wrong[field] = true
     end
@@ -59,8 +68,7 @@ local function add_regions(regions, snap, prefix, depth)
     if type(list) ~= "table" then fail("ext: table of snapshots expected") end
     for name, inner in pairs(list) do -- any order: likewise
       if type(inner) ~= "table" then fail("ext: table of snapshots expected") end
-      local part = {}
-      for field, value in pairs(inner) do part[field] = value end -- any order: a copy
+      local part = copy_fields(inner)
       local place = prefix .. text_of(fqn):sub(5) .. "." .. text_of(name)
       add_regions(regions, part, place, depth + 1)
       part.version, regions[place] = nil, part
@@ -68,38 +76,38 @@ local function add_regions(regions, snap, prefix, depth)
   end
 end
 
--- Returns a snapshot of format 1 as one of today's.
-local function from_format_1(snap)
-  local copy, regions = {}, {}
-  for field, value in pairs(snap) do copy[field] = value end -- any order: a copy
-  copy.version = move.VERSION
-  add_regions(regions, copy, "root", 0)
-  copy.regions = next(regions) ~= nil and regions or nil
-  return copy
+-- Makes a snapshot of format 1 one of today's.
+local function convert_format_1(snap)
+  local regions = {}
+  snap.version = move.VERSION
+  add_regions(regions, snap, "root", 0)
+  snap.regions = next(regions) ~= nil and regions or nil
 end
 
---- Return a snapshot in today's format.
--- @raise what is wrong with its fields
----@param snap any
----@return rfsm.snapshot.Snapshot snap
-function move.check_shape(snap)
+-- Returns a snapshot in today's format, a copy without nulls of JSON, and whether it
+-- was of format 1. Raises what is wrong with its fields.
+local function check_shape(snap)
   if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
+  snap = copy_fields(snap)
   local version = snap.version
   if version == 1 then
-    snap = from_format_1(snap)
+    convert_format_1(snap)
   elseif version ~= move.VERSION then
     fail("snapshot of format 1 or %d expected, got %s", move.VERSION,
       version == nil and "none" or "format " .. text_of(version))
   end
   if not snap.chart then fail("chart: string expected, got nil") end
   check_fields(snap, WHOLE, "")
+  snap.regions = snap.regions and copy_fields(snap.regions)
   for prefix, part in pairs(snap.regions or NONE) do -- any order: each stands alone
     if type(part) ~= "table" then
       fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
     end
+    part = copy_fields(part)
+    snap.regions[prefix] = part
     check_fields(part, PART, text_of(prefix) .. ": ")
   end
-  return snap
+  return snap, version == 1
 end
 
 -- Parts: a machine and its regions --------------------------------------------------
@@ -159,7 +167,7 @@ local function note_places(list, machine, part, prefix)
   end
 end
 
--- These follow the states of the chart: timers, counts and events that were received.
+-- Extensions that follow the states of a chart: what they keep is never lost.
 local FOLLOWERS = { timers = true, emem = true, await = true }
 
 local function note_extensions(list, machine, part, prefix)
@@ -194,9 +202,12 @@ end
 
 -- New names -------------------------------------------------------------------------
 
--- Returns the new name for the FQN of a state that has moved, or of one in it; also in
+--- Return the new name for the FQN of a state that has moved, or of one in it; also in
 -- an event such as e_done@root.a.
-local function renamed_text(text, rename)
+---@param text string
+---@param rename table<string, string>
+---@return string text
+function move.renamed(text, rename)
   local event, fqn = text:match("^(.*@)(root.*)$")
   local head, tail = fqn or text, ""
   while head do
@@ -206,6 +217,8 @@ local function renamed_text(text, rename)
   end
   return text
 end
+
+local renamed_text = move.renamed
 
 -- Returns a copy in which texts are changed, so many tables deep: keys and values.
 local function renamed(value, rename, depth)
@@ -219,7 +232,7 @@ local function renamed(value, rename, depth)
   return copy
 end
 
--- How deep names of states stand in the fields of a snapshot.
+-- How many tables deep a field of a snapshot has names of states.
 local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
 
 local function rename_part(part, rename)
@@ -333,12 +346,78 @@ local function refuse(text, list)
   error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
 end
 
-local function migrate(snap, list, options)
+-- Returns a copy of a snapshot for `migrate`, who changes it.
+local function copy_all(value)
+  if type(value) ~= "table" or plain.is_null(value) then return value end
+  local copy = {}
+  for key, inner in pairs(value) do copy[key] = copy_all(inner) end -- any order: a copy
+  return copy
+end
+
+-- Calls f(part, prefix) for what a snapshot holds of the machine and each region.
+local function each_part(snap, f)
+  f(snap, "root")
+  for prefix, part in pairs(snap.regions or NONE) do f(part, prefix) end -- any order
+end
+
+-- Unpacks what states keep: `migrate` gets the values that callbacks know. Returns the
+-- fields that are nil, but not at first: prefix, FQN, name.
+local function unpack_kept(snap)
+  local nils = {}
+  each_part(snap, function(part, prefix)
+    for fqn, packed in pairs(part.data or NONE) do -- any order: each stands alone
+      local fields = plain.unpack(packed, 2)
+      part.data[fqn] = fields
+      for name, value in pairs(type(fields) == "table" and fields or NONE) do
+        if rawequal(value, plain.NIL) then
+          nils[#nils + 1], fields[name] = { prefix, fqn, name }, nil
+        end
+      end
+    end
+    for fqn, packed in pairs(part.saved or NONE) do -- likewise
+      part.saved[fqn] = plain.unpack(packed, 2)
+    end
+  end)
+  return nils
+end
+
+local function pack_all(values, owner)
+  for fqn, value in pairs(values or NONE) do -- any order: each stands alone
+    values[fqn] = plain.pack(value, { owner = owner .. text_of(fqn):sub(5), base = 0,
+      seen = false }, 0)
+  end
+end
+
+-- Packs what states keep again. A field that was nil is nil in the new chart, too.
+local function pack_kept(fsm, snap, nils)
+  local chart_at = {}
+  for _, at in ipairs(charts.of(fsm).places) do
+    chart_at[at.prefix] = charts.of(at.machine).chart
+  end
+  for _, field in ipairs(nils) do
+    local prefix, fqn, name = field[1], field[2], field[3]
+    local fields = (move.part_of(snap, prefix).data or NONE)[fqn]
+    local keeper = chart_at[prefix] and chart_at[prefix].keeper[fqn]
+    if fields and fields[name] == nil and keeper and keeper.kept[name] then
+      fields[name] = plain.NIL
+    end
+  end
+  each_part(snap, function(part, prefix)
+    pack_all(part.data, "data of " .. prefix)
+    pack_all(part.saved, "what save returned of " .. prefix)
+  end)
+end
+
+local function migrate(fsm, snap, list, options)
+  local nils = unpack_kept(snap)
   local moved = options.migrate(snap, list)
   if moved == false then
     refuse("migrate refused the snapshot of another chart", list)
   end
-  return move.check_shape(moved or snap)
+  local is_same = moved == nil or rawequal(moved, snap)
+  moved = check_shape(is_same and snap or moved)
+  if is_same then pack_kept(fsm, moved, nils) end
+  return moved
 end
 
 -- Returns what differs for a machine and its regions: nil, "kept" or "structure"; and
@@ -357,11 +436,9 @@ local function changes(fsm, snap)
 end
 
 -- Returns the snapshot with new names, and as `migrate` returns it, in a copy.
-local function change(snap, list, options)
-  if not (options.rename or options.migrate) then return snap end
-  snap = plain.copy_of(snap)
+local function change(fsm, snap, list, options)
   if options.rename then snap = rename_states(snap, options.rename) end
-  return options.migrate and migrate(snap, list, options) or snap
+  return options.migrate and migrate(fsm, copy_all(snap), list, options) or snap
 end
 
 -- A region that no machine has is refused.
@@ -375,9 +452,8 @@ local function check_regions(places, snap)
 end
 
 -- Returns a snapshot of another chart as one for that of a machine, and as `to`.
-local function move_snapshot(fsm, snap, options, most)
+local function move_snapshot(fsm, snap, options, most, is_format_1)
   local lost = move.lost(fsm, snap)
-  local is_format_1 = not snap.chart:find("-", 1, true)
   if most == "kept" and is_format_1 and not lost[1] then
     return snap, select(2, changes(fsm, snap))
   end
@@ -386,27 +462,28 @@ local function move_snapshot(fsm, snap, options, most)
   if most == "structure" and not (options.rename or options.migrate) then
     refuse("the snapshot is of another chart", list)
   end
-  snap = change(snap, list, options)
+  snap = change(fsm, snap, list, options)
   lost = move.lost(fsm, snap)
   if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
   return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
 end
 
---- Return a snapshot as one for the chart of a machine, a copy if it is of another one.
--- @raise the list of what differs, or would be lost
+--- Return a snapshot as one for the chart of a machine, a copy in today's format.
+-- @raise what is wrong with its fields; the list of what differs, or would be lost
 ---@param fsm rfsm.Machine
----@param snap rfsm.snapshot.Snapshot
+---@param snap any
 ---@param options rfsm.snapshot.Options
 ---@return rfsm.snapshot.Snapshot snap
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new
 function move.to(fsm, snap, options)
   local own = charts.of(fsm)
-  local is_alone = not (own.places[2] or snap.regions)
-  if is_alone and snap.chart == own.chart.name then return snap end
-  local most = changes(fsm, snap)
-  if most then return move_snapshot(fsm, snap, options, most) end
-  return snap.regions and check_regions(own.places, snap) or snap
+  local given, is_format_1 = check_shape(snap)
+  local is_alone = not (own.places[2] or given.regions)
+  if is_alone and given.chart == own.chart.name then return given end
+  local most = changes(fsm, given)
+  if most then return move_snapshot(fsm, given, options, most, is_format_1) end
+  return given.regions and check_regions(own.places, given) or given
 end
 
 return move

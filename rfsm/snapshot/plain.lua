@@ -31,8 +31,7 @@ if jit then jit.off(true, true) end
 
 local plain = {}
 
--- So many tables stand inside each other at most, in the value of a field; so many in
--- packed data.
+-- How many tables may be inside each other: in the value of a field; in packed data.
 local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
 
 -- A table that has more than that around it becomes a text: cmsgpack leaves out what is
@@ -119,11 +118,17 @@ local is_null = plain.is_null
 
 --- Return a value; a plain table as a copy, and those in it.
 ---@param value any
+---@param copies? table<table, table> those that were made
 ---@return any copy
-function plain.copy_of(value)
+function plain.copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+  copies = copies or {}
+  if copies[value] then return copies[value] end
   local copy = {}
-  for key, inner in pairs(value) do copy[key] = plain.copy_of(inner) end -- any order
+  copies[value] = copy
+  for key, inner in pairs(value) do -- any order: a copy
+    copy[key] = plain.copy_of(inner, copies)
+  end
   return copy
 end
 
@@ -146,7 +151,7 @@ end
 
 local is_safe = plain.is_safe
 
--- Digits from which any Lua reads the number; a whole float has a point.
+-- Returns digits from which any Lua reads the number; a whole float has a point.
 local function digits_of(n)
   if n ~= n then return "nan" end
   if n - n ~= 0 then return n > 0 and "inf" or "-inf" end
@@ -192,7 +197,7 @@ function plain.as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
--- No table may come twice: the copies would no longer be one.
+-- Refuses a table that comes twice, as its copies would be two; or is too deep.
 local function check_table(t, path, depth)
   path.seen = path.seen or {}
   if getmetatable(t) ~= nil then

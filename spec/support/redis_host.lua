@@ -41,7 +41,9 @@ function host.new(trace, clock)
     may = function() return true end,
     error_reply = function(text) return { err = text } end,
     json = {
-      encode = function(data) return data.root and data.root.n or "json" end,
+      encode = function(data)
+        return type(data) == "table" and data.root and data.root.n or "json"
+      end,
       decode = function() return {} end,
     },
     pack = {

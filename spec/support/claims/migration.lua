@@ -1,11 +1,12 @@
 -- A snapshot that goes through a random change of its chart keeps what both charts
 -- have, gets first values for the rest, and is refused with the list of what would be
--- lost.
+-- lost. `diff` has told before whether machines in its state move.
 --
 -- The expectation comes from descriptions of the charts, not from the library.
 
 local clock = { now = 100 }
 
+local diff = require "rfsm.snapshot.diff"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -133,7 +134,8 @@ local CHANGES = {
   end,
   function(random, chart)
     local state = random:pick(chart)
-    state.was, state.name = state.was or state.name, "renamed" .. random:below(99)
+    state.was = state.was or state.name
+    state.name = state.was .. "renamed" .. random:below(99)
   end,
   function(random, chart)
     chart[#chart + 1] = { name = "added" .. #chart, fields = new_fields(random),
@@ -317,6 +319,20 @@ local function move_without(new, snap, options)
   return snapshot.restore(build(new), snap, options)
 end
 
+-- Returns what is wrong with the fate of machines in a leaf. They move if nothing is
+-- lost; those in the other states of a region do so, too.
+local function wrong_fate(old, new, leaf, is_lost, rename)
+  local model = build(new)
+  model.rename, model.migrate = rename, function() end
+  local _, fates = diff.compare(build(old), model)
+  for _, fate in ipairs(fates) do
+    local at = fate.leaf:match("^root%.(%w+)")
+    if at == leaf and (fate.to == false) ~= is_lost then
+      return fate.leaf .. " was told to " .. (fate.to and "move" or "stay")
+    end
+  end
+end
+
 local function run_case(random)
   local old = new_description(random)
   local snap, leaf, passed = take_somewhere(random, old)
@@ -330,6 +346,8 @@ local function run_case(random)
     end
     if not options.rename then options.migrate = function() end end
   end
+  local wrong = wrong_fate(old, new, leaf, lost[1] ~= nil, options.rename)
+  if wrong then return wrong end
   local before, move = copy(snap), lost[1] and move_with_losses or move_without
   local moved, text = move(new, snap, options, lost)
   if not moved then return text end

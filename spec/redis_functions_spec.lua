@@ -1,0 +1,550 @@
+-- The functions that run inside Redis, with tables in place of it: arguments, what is
+-- written, what is refused.
+
+local host_of = require "spec.support.redis_host"
+local plain = require "rfsm.snapshot.plain"
+local rfsm = require "rfsm"
+local timeevent = require "rfsm_timeevent"
+
+local state, trans = rfsm.state, rfsm.trans
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+teardown(function() timeevent.set_gettime_hook(nil) end)
+
+-- a --e_b, 7, after 5 s, or e_x and e_y--> b --e_a--> a; a --e_c--> c { d }, never idle
+local function chart()
+  return state {
+    keep = { "n" }, n = 0, a = state {}, b = state { entry = function(fsm)
+      fsm.n = fsm.n + 1
+      fsm.emit("b", fsm.n)
+    end },
+    c = state { d = state { doo = function() while true do rfsm.yield() end end },
+      trans { src = "initial", tgt = "d" } },
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e_b", "e_after(5)", 7 } },
+    trans { src = "b", tgt = "a", events = { "e_a" } },
+    trans { src = "a", tgt = "c", events = { "e_c" } },
+    trans { src = "a", tgt = "b", events = { "await(e_x, e_y)" } },
+    trans { src = "b", tgt = "b", events = { "e_bad" },
+      effect = function(_, tr) tr._fsm.emit(5) end },
+  }
+end
+
+local function any()
+  return state { a = state {}, trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "a" } }
+end
+
+local clock, trace, f, host
+
+-- Loads the library with these options, and a machine m of the chart c.
+local function open(options)
+  clock, trace = { now = 1000 }, {}
+  host = host_of.new(trace, clock)
+  package.loaded["rfsm.redis.functions"] = nil
+  f = require "rfsm.redis.functions" (host, { { name = "c", make = chart },
+    { name = "any", make = any } }, options)
+  package.loaded["rfsm.redis.functions"] = nil
+  assert.same({ "root.a", "done" }, f.rfsm_create({ "m" }, { "c" }))
+  for i = #trace, 1, -1 do trace[i] = nil end
+end
+
+-- Calls a function on m; returns the reply or the error.
+local function call(name, ...)
+  local reply = f["rfsm_" .. name]({ "m" }, { ... })
+  return type(reply) == "table" and reply.err or reply
+end
+
+-- The names of what was written since the last time, in order.
+local function written()
+  local names = {}
+  for i, line in ipairs(trace) do names[i] = line:match("^%S+") end
+  for i = #trace, 1, -1 do trace[i] = nil end
+  return table.concat(names, " ")
+end
+
+before_each(function() open() end)
+
+describe("a call", function()
+  it("writes what has changed, the machine after what may fail", function()
+    call("send", "e_b")
+    assert.equal("ZREM XADD SET SPUBLISH", written())
+    call("send", "e_b") -- nothing happens
+    assert.equal("SET", written())
+    call("send", "e_a")
+    assert.equal("ZADD SET SPUBLISH", written())
+  end)
+
+  it("notes the move in index and history, if the library has them", function()
+    open { index = true, history = 5 }
+    call("send", "e_b")
+    local lines = table.concat(trace, "\n")
+    assert.equal("ZREM XADD SET ZREM ZADD XADD SPUBLISH", written())
+    assert.matches("ZREM {1=rfsm:in:{m},2=c\troot.a\tm}", lines, 1, true)
+    assert.matches("ZADD {1=rfsm:in:{m},2=0,3=c\troot.b\tm}", lines, 1, true)
+    assert.matches("XADD {1={m}:history,2=MAXLEN,3=5,4=*,5=event,6=e_b,7=from,8=root.a,"
+      .. "9=to,10=root.b}", lines, 1, true)
+    assert.matches("XADD {1=rfsm:out:{m},2=*,3=machine,4=m,5=what,6=b,7=data,8=",
+      lines, 1, true)
+    assert.matches("SPUBLISH {1=rfsm:{m}:m,2=root.b}", lines, 1, true)
+  end)
+
+  it("names what has moved a machine: events, those for later, or the time", function()
+    open { history = 5 }
+    local function moved_by(...)
+      written()
+      call(...)
+      return table.concat(trace, "\n"):match("history.-event,6=(.-),7=")
+    end
+    assert.equal("e_b", moved_by("send", "e_b"))
+    call("send", "e_a")
+    clock.now = 1006
+    assert.equal("(time)", moved_by("tick"))
+    call("send_at", "+1", "e_a", "ID", "x")
+    clock.now = 1008
+    assert.equal("e_a e_x e_b", moved_by("send", "e_x", "e_b"))
+  end)
+
+  it("knows the latest 16 ids, and forgets the oldest", function()
+    for i = 1, 17 do call("send", i % 2 == 1 and "e_b" or "e_a", "ID", "i" .. i) end
+    written()
+    call("send", "e_a", "ID", "i2")
+    assert.equal("", written())
+    call("send", "e_a", "ID", "i1")
+    assert.equal("ZADD SET SPUBLISH", written())
+  end)
+
+  it("keeps ids for a time, at most so many", function()
+    open { ids_for = 10, ids = 20 }
+    for i = 1, 21 do call("send", "e_x", "ID", "i" .. i) end
+    written()
+    call("send", "e_x", "ID", "i2")
+    assert.equal("", written())
+    call("send", "e_x", "ID", "i1")
+    assert.equal("ZADD SET", written())
+    clock.now = 1004
+    call("send", "e_x", "ID", "now")
+    assert.equal(40, #host.pack.unpack("m")[7])
+    clock.now = 1014
+    call("send", "e_x", "ID", "later")
+    assert.same({ "now", 1004, "later", 1014 }, host.pack.unpack("m")[7])
+  end)
+
+  it("has a clock that stands still, and goes on with the next one", function()
+    assert.equal("1005.000000", call("get")[16])
+    clock.now = 1002.5
+    call("send", "e_b", "ID", "1")
+    call("send", "e_a")
+    assert.equal("1007.500000", call("get")[16])
+  end)
+
+  it("goes on at once with a machine that is never idle", function()
+    assert.same({ "root.c.d", "active" }, call("send", "e_c"))
+    local view = call("get")
+    assert.same({ "leaf", "root.c.d", "mode", "active", "configuration",
+      "root root.c root.c.d", "queue", "[]", "due", "1000.000000" },
+      { view[5], view[6], view[7], view[8], view[9], view[10], view[13], view[14],
+        view[15], view[16] })
+  end)
+
+  it("takes any event if a transition has none", function()
+    f.rfsm_create({ "x" }, { "any" })
+    assert.same({ "root.a", "done" }, f.rfsm_send({ "x" }, { "whatever" }))
+  end)
+
+  it("knows the events that an await waits for, and numbers by their text", function()
+    call("send", "e_x")
+    assert.same({ "root.b", "done" }, call("send", "e_y"))
+    call("send", "e_a")
+    assert.same({ "root.b", "done" }, call("send", "7"))
+  end)
+end)
+
+describe("a machine that cannot be entered", function()
+  it("is inactive, also when its id is known", function()
+    local function locked()
+      return state { a = state {}, trans { src = "initial", tgt = "a",
+        guard = function() return false end } }
+    end
+    package.loaded["rfsm.redis.functions"] = nil
+    f = require "rfsm.redis.functions" (host, { { name = "l", make = locked } })
+    package.loaded["rfsm.redis.functions"] = nil
+    local reply = f.rfsm_create({ "l" }, { "l", "ID", "1" })
+    assert.same({ "", "inactive" }, { reply[1], reply[2] })
+    assert.same({ "", "inactive" }, f.rfsm_create({ "l" }, { "l", "ID", "1" }))
+    local view = f.rfsm_get({ "l" })
+    assert.same({ "", "inactive", "" }, { view[6], view[8], view[10] })
+  end)
+end)
+
+describe("a name that is emitted", function()
+  it("is a text", function()
+    call("send", "e_b")
+    local reply = call("send", "e_bad")
+    assert.matches("EFFECT.*emit: name expected, got number$", reply[3])
+  end)
+end)
+
+describe("a call is refused, and nothing is written:", function()
+  for _, case in ipairs {
+    { name = "send", args = {},
+      text = "an event expected, got none" },
+    { name = "send", args = { ("x"):rep(257) },
+      text = "event 1: at most 256 bytes expected, got 257" },
+    { name = "send", args = { "e_b", ("x"):rep(257) },
+      text = "event 2: at most 256 bytes expected, got 257" },
+    { name = "send", args = { "e_b", "ID", "" },
+      text = "ID: 1 to 64 bytes expected, got 0" },
+    { name = "send", args = { "e_b", "ID", ("x"):rep(65) },
+      text = "ID: 1 to 64 bytes expected, got 65" },
+    { name = "send_at", args = { "1", "e_b" },
+      text = "a time, events and ID id expected" },
+    { name = "send_at", args = { "1", "ID", "x" },
+      text = "a time, events and ID id expected" },
+    { name = "send_at", args = { "+x", "e_b", "ID", "x" },
+      text = "seconds, or +seconds expected, got '+x'" },
+    { name = "send_at", args = { "1e3", "e_b", "ID", "x" },
+      text = "seconds, or +seconds expected, got '1e3'" },
+    { name = "why", args = {},
+      text = "one event expected, got 0" },
+    { name = "why", args = { "e_a", "e_b" },
+      text = "one event expected, got 2" },
+    { name = "wake", args = { "0" },
+      text = "a whole number from 1 to 10000 expected, got '0'" },
+    { name = "wake", args = { "10001" },
+      text = "a whole number from 1 to 10000 expected, got '10001'" },
+    { name = "wake", args = { "1.5" },
+      text = "a whole number from 1 to 10000 expected, got '1.5'" },
+    { name = "wake", args = { "x" },
+      text = "a whole number from 1 to 10000 expected, got 'x'" },
+    { name = "due", args = { "x" },
+      text = "a number expected" },
+    { name = "due", args = { "1", "x" },
+      text = "a number expected" },
+    { name = "create", args = { "c" },
+      text = "something is at 'm'" },
+    { name = "create", args = {},
+      text = "no chart is named '' (there are 'any', 'c')" },
+    { name = "create", args = { "d" },
+      text = "no chart is named 'd' (there are 'any', 'c')" },
+    { name = "find", args = { "c", "root" },
+      text = "the library was made without --index" },
+    { name = "history", args = {},
+      text = "the library was made without --history" },
+  } do
+    it(case.name .. ": " .. case.text:sub(1, 60), function()
+      assert.equal("ERR rfsm_" .. case.name .. ": " .. case.text,
+        call(case.name, unpack(case.args)))
+      assert.equal("", written())
+    end)
+  end
+
+  it("an event that no transition has", function()
+    assert.matches("^ERR rfsm_send: no transition of chart 'c' has the event 'e_z'",
+      call("send", "e_z"))
+  end)
+
+  for _, case in ipairs {
+    { keys = {}, text = "the key of a machine expected, got none" },
+    { keys = { "a}b" }, text = "key 'a}b': a key without braces, or with a hash tag "
+      .. "expected" },
+    { keys = { "{}b" }, text = "key '{}b': a key without braces, or with a hash tag "
+      .. "expected" },
+    { keys = { "rfsm:x" }, text = "key 'rfsm:x': rfsm:*, *:log and *:history are no "
+      .. "keys of machines" },
+    { keys = { "nobody" }, text = "no machine is at 'nobody' (rfsm_create makes one)" },
+  } do
+    it(case.text, function()
+      assert.equal("ERR rfsm_send: " .. case.text,
+        f.rfsm_send(case.keys, { "e_b" }).err)
+    end)
+  end
+
+  it("names are cut after 80 bytes", function()
+    assert.equal("ERR rfsm_send: no machine is at '" .. ("k"):rep(80)
+      .. "' (rfsm_create makes one)", f.rfsm_send({ ("k"):rep(200) }, { "e_b" }).err)
+  end)
+
+  it("takes as much as may be", function()
+    assert.same({ "root.b", "done" }, call("send", "e_b", "ID", ("x"):rep(64)))
+  end)
+
+  it("a machine that is too large", function()
+    function host.pack.pack() return ("x"):rep(1048577) end
+    assert.equal("ERR rfsm_send: a machine takes at most 1048576 bytes, this one "
+      .. "1048577", call("send", "e_b"))
+    assert.equal("", written())
+    function host.pack.pack() return ("x"):rep(1048576) end
+    assert.same({ "root.b", "done" }, call("send", "e_b"))
+  end)
+
+  it("data that is too large, or no object", function()
+    local function create(data) return f.rfsm_create({ "n" }, { "c", data }).err end
+    assert.equal("ERR rfsm_create: data: at most 65536 bytes expected, got 65537",
+      create(("x"):rep(65537)))
+    assert.is_nil(create(("x"):rep(65536)))
+    local deep = 5
+    for _ = 1, 14 do deep = { x = deep } end
+    function host.json.decode() return { n = deep } end
+    assert.equal("ERR rfsm_create: data.n: at most 13 tables inside each other "
+      .. "expected", f.rfsm_create({ "o" }, { "c", "deep" }).err)
+    function host.json.decode() return 5 end
+    assert.equal("ERR rfsm_create: data: a JSON object expected",
+      f.rfsm_create({ "o" }, { "c", "5" }).err)
+  end)
+
+  it("an event for later, if 100 are waiting", function()
+    for i = 1, 100 do
+      assert.same({ "root.a", "done" }, call("send_at", "2000", "e_b", "ID", "i" .. i))
+    end
+    written()
+    assert.equal("ERR rfsm_send_at: at most 100 events may wait",
+      call("send_at", "2000", "e_b", "ID", "more"))
+    assert.equal("", written())
+  end)
+
+  it("a write that the user has no right for, before any", function()
+    function host.may(name) return name ~= "SPUBLISH" end
+    assert.equal("ERR rfsm_send: no right to do SPUBLISH rfsm:{m}:m",
+      call("send", "e_b"))
+    assert.equal("", written())
+  end)
+
+  it("a callback that raises does not undo the call", function()
+    function host.json.encode() error("no JSON", 0) end
+    assert.same({ "root.b", "done", "ENTRY error executing entry of root.b:  no JSON" },
+      call("send", "e_b"))
+    assert.equal("ZREM XADD SET SPUBLISH", written())
+  end)
+end)
+
+describe("an event for later", function()
+  it("comes at its time, in the order of times, then of ids", function()
+    call("send_at", "+3", "e_a", "ID", "z")
+    call("send_at", "1003", "e_b", "ID", "y")
+    call("send_at", "1001.5", "e_b", "ID", "x")
+    assert.equal("1001.500000", call("get")[16])
+    clock.now = 1001.5
+    assert.same({ "root.b", "done" }, call("tick"))
+    clock.now = 1003
+    call("tick")
+    assert.same({ "root.a", "done" }, call("tick"))
+  end)
+
+  it("is known by its id before and after", function()
+    call("send_at", "+3", "e_b", "ID", "x")
+    written()
+    assert.same({ "root.a", "done" }, call("send_at", "+9", "e_b", "ID", "x"))
+    assert.same({ "root.a", "done" }, call("send", "e_b", "ID", "x"))
+    assert.equal("", written())
+    clock.now = 1003
+    assert.same({ "root.b", "done" }, call("tick"))
+    written()
+    assert.same({ "root.b", "done" }, call("send_at", "+9", "e_a", "ID", "x"))
+    assert.equal("", written())
+  end)
+
+  it("is taken back by its id alone", function()
+    call("send_at", "+3", "e_b", "ID", "x")
+    call("send_at", "+4", "e_b", "ID", "y")
+    assert.same({ 0, 1, 0 }, { call("cancel", "z"), call("cancel", "x"),
+      call("cancel", "x") })
+    assert.equal("1004.000000", call("get")[16])
+    assert.equal(0, call("cancel"))
+  end)
+
+  it("is noted in the log if the chart does not know it any more", function()
+    call("send_at", "+1", "e_b", "ID", "x")
+    local values = host.pack.unpack("m")
+    values[8][1][3] = "e_gone"
+    function host.pack.unpack() return plain.copy_of(values) end
+    clock.now = 1001
+    local reply = call("tick")
+    assert.matches("^rfsm_send_at: no transition of chart 'c' has the event 'e_gone'",
+      reply[3])
+    assert.same({ "root.a", "done" }, { reply[1], reply[2] })
+    assert.matches("XADD {1={m}:log,2=MAXLEN,3=~,4=1000,5=*,6=error,7=rfsm_send_at: ",
+      table.concat(trace, "\n"), 1, true)
+  end)
+end)
+
+describe("machines that are due", function()
+  -- Has Redis find these keys due, and machines that were put aside.
+  local function with_due(keys, has_aside)
+    local outer = host.call
+    function host.call(name, key, ...)
+      if name == "ZRANGEBYSCORE" then return keys end
+      if name == "EXISTS" and key:find("^rfsm:aside") then
+        return has_aside and 1 or 0
+      end
+      return outer(name, key, ...)
+    end
+  end
+
+  it("are run, each with the time of the call", function()
+    f.rfsm_create({ "k" }, { "c" })
+    clock.now = 1006
+    with_due({ "m", "k", "gone" })
+    written()
+    assert.same({ 3, 0 }, call("wake"))
+    assert.equal("ZREM XADD SET SPUBLISH ZREM XADD SET SPUBLISH ZREM", written())
+  end)
+
+  it("are taken off the list of those put aside, if there are some", function()
+    clock.now = 1006
+    with_due({ "m" }, true)
+    call("wake")
+    assert.equal("ZREM XADD SET SPUBLISH ZREM", written())
+  end)
+
+  it("wait a minute if they cannot be run, with the reason in their log", function()
+    with_due({ "bad", "m" })
+    local outer = host.call
+    function host.call(name, key, ...)
+      if name == "GET" and key == "bad" then error({ err = "ERR spoiled" }, 0) end
+      return outer(name, key, ...)
+    end
+    assert.same({ 1, 1 }, call("wake"))
+    local lines = table.concat(trace, "\n")
+    assert.matches("ZADD {1=rfsm:due:{m},2=1060.000000,3=bad}", lines, 1, true)
+    assert.matches("ZINCRBY {1=rfsm:aside:{m},2=1,3=bad}", lines, 1, true)
+    assert.matches("XADD {1={bad}:log,2=MAXLEN,3=~,4=1000,5=*,6=error,"
+      .. "7=rfsm_wake: ERR spoiled}", lines, 1, true)
+  end)
+
+  it("are left if another node of the cluster has them", function()
+    with_due { "bad" }
+    local outer = host.call
+    function host.call(name, key, ...)
+      if name == "GET" then error({ err = "ERR access to a non local key" }, 0) end
+      return outer(name, key, ...)
+    end
+    assert.same({ 0, 0 }, call("wake"))
+    assert.equal("", written())
+  end)
+
+  it("are none", function()
+    with_due {}
+    assert.same({ 0, 0 }, call("wake"))
+  end)
+end)
+
+describe("what an operator asks", function()
+  -- Has Redis give these answers, by command; returns what was asked.
+  local function answering(answers)
+    local asked, outer = {}, host.call
+    function host.call(name, ...)
+      if answers[name] == nil then return outer(name, ...) end
+      asked[#asked + 1] = name .. " " .. table.concat({ ... }, " ")
+      local answer = answers[name]
+      return type(answer) == "table" and answer.each and table.remove(answer.each, 1)
+        or answer
+    end
+    return asked
+  end
+
+  it("is the index: the state itself, then those in it", function()
+    open { index = true }
+    local asked = answering { ZRANGEBYLEX = { each = { { "c\troot.a\tk1" },
+      { "c\troot.a.b\tk2", "c\troot.a.c\tk3" } } } }
+    assert.same({ "k1", "k2", "k3" }, call("find", "c", "root.a"))
+    assert.same({ "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\t (c\troot.a\t\255 LIMIT 0 100",
+      "ZRANGEBYLEX rfsm:in:{m} [c\troot.a. (c\troot.a.\255 LIMIT 0 99" }, asked)
+    asked = answering { ZRANGEBYLEX = { each = { { "c\troot.a\tk1" }, {} } } }
+    assert.same({ "k1" }, call("find", "c", "root.a", "1"))
+    assert.matches("LIMIT 0 1$", asked[1])
+    assert.equal("ERR rfsm_find: a chart and a state expected", call("find", "c"))
+    assert.equal("ERR rfsm_find: a whole number from 1 to 100000 expected, got "
+      .. "'100001'", call("find", "c", "root", "100001"))
+    assert.is_table(call("find", "c", "root", "100000"))
+  end)
+
+  it("is how many machines there are in each state", function()
+    open { index = true }
+    local asked = answering { ZRANGEBYLEX = { each = { { "c\troot.a\tk1" },
+      { "c\troot.b\tk2" }, {} } }, ZLEXCOUNT = 3, ZCARD = 4, XLEN = 5 }
+    assert.same({ { "c", "root.a", 3, "c", "root.b", 3 }, 4, 4, 5 }, call("stats"))
+    assert.same({ "ZRANGEBYLEX rfsm:in:{m} [ (\255 LIMIT 0 1",
+      "ZLEXCOUNT rfsm:in:{m} [c\troot.a\t (c\troot.a\t\255",
+      "ZRANGEBYLEX rfsm:in:{m} [c\troot.a\t\255 (\255 LIMIT 0 1" },
+      { asked[1], asked[2], asked[3] })
+    assert.same({ "ZCARD rfsm:due:{m}", "ZCARD rfsm:aside:{m}", "XLEN rfsm:out:{m}" },
+      { asked[6], asked[7], asked[8] })
+    open()
+    answering { ZCARD = 4, XLEN = 5 }
+    assert.same({ {}, 4, 4, 5 }, call("stats"))
+  end)
+
+  it("is the history, the newest first", function()
+    open { history = 3 }
+    local asked = answering { XREVRANGE = { { "1500-0", { "event", "e", "from", "f",
+      "to", "t" } }, { "2-1", { "event", "", "from", "", "to", "x" } } } }
+    assert.same({ "1.500", "e", "f", "t", "0.002", "", "", "x" }, call("history"))
+    call("history", "10000")
+    assert.same({ "XREVRANGE {m}:history + - COUNT 10",
+      "XREVRANGE {m}:history + - COUNT 10000" }, asked)
+    assert.equal("ERR rfsm_history: a whole number from 1 to 10000 expected, got "
+      .. "'10001'", call("history", "10001"))
+  end)
+
+  it("is which machines are due", function()
+    local asked = answering { ZRANGEBYSCORE = { "k" } }
+    assert.same({ "k" }, call("due"))
+    call("due", "7", "12.5")
+    assert.same({ "ZRANGEBYSCORE rfsm:due:{m} -inf 1000.000000 LIMIT 0 100",
+      "ZRANGEBYSCORE rfsm:due:{m} -inf 12.500000 LIMIT 0 7" }, asked)
+  end)
+
+  it("is why an event does nothing", function()
+    assert.same("root.trans[2] (a -> b) would be taken on e_b in root.a",
+      call("why", "e_b")[1])
+    assert.equal("", written())
+  end)
+end)
+
+describe("versions of a chart", function()
+  local function version(by, more)
+    return function()
+      return state { keep = { "n" }, n = 0, a = state {}, b = more,
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "a", events = { "e" },
+          effect = function(fsm) fsm.n = fsm.n + by end } }
+    end
+  end
+
+  local function library(...)
+    local list = {}
+    for i, make in ipairs { ... } do list[i] = { name = "v", make = make } end
+    package.loaded["rfsm.redis.functions"] = nil
+    f = require "rfsm.redis.functions" (host, list)
+    package.loaded["rfsm.redis.functions"] = nil
+  end
+
+  it("take the machines that they can take, the newest first", function()
+    local function n_after(event)
+      f.rfsm_send({ "w" }, { event })
+      return f.rfsm_get({ "w" })[12]
+    end
+    library(version(1))
+    f.rfsm_create({ "w" }, { "v" })
+    assert.equal(1, n_after("e"))
+    library(version(1), version(10))
+    assert.equal(11, n_after("e"), "the same structure moves")
+    library(version(100), version(1, state {}))
+    assert.equal(111, n_after("e"), "another one does not")
+    library(version(1, state {}))
+    assert.matches("^ERR rfsm_send: the machine at 'w': rfsm.snapshot: the snapshot is "
+      .. "of another chart: ", f.rfsm_send({ "w" }, { "e" }).err)
+  end)
+
+  it("that fail are reported with their name", function()
+    library(function() error("no chart", 0) end)
+    assert.equal("ERR rfsm_create: chart 'v': no chart",
+      f.rfsm_create({ "w" }, { "v" }).err)
+    library(function()
+      return state { a = state {}, trans { src = "a", tgt = "x" } }
+    end)
+    assert.matches("^ERR rfsm_create: chart 'v': .*tgt 'x'",
+      f.rfsm_create({ "w" }, { "v" }).err)
+  end)
+end)

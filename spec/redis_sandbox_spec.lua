@@ -1,0 +1,176 @@
+-- What of a chart cannot run in Redis, found while it is bundled.
+
+local helper = require "spec.helper"
+local redis = require "rfsm.redis"
+local sandbox = require "rfsm.redis.sandbox"
+
+after_each(helper.remove_files)
+
+describe("the code of a text", function()
+  for _, case in ipairs {
+    { text = "a = 'x' b", code = "a =     b" },
+    { text = 'a = "x\'y" b', code = "a =       b" },
+    { text = [[a = "x\"y" b]], code = "a =        b" },
+    { text = [[a = "x\\" b]], code = "a =       b" },
+    { text = [[a = "" b]], code = "a =    b" },
+    { text = "a = 'x\nb", code = "a =   \nb" },
+    { text = "a -- x 'y'\nb", code = "a         \nb" },
+    { text = "a -- x", code = "a     " },
+    { text = "a --[[ x\n]] b", code = "a       \n   b" },
+    { text = "a --[==[ x ]] ]=] ]==] b", code = "a" .. (" "):rep(22) .. "b" },
+    { text = "a [[ x ' ]] b", code = "a           b" },
+    { text = "a [=[ x ]] ]=] b", code = "a              b" },
+    { text = "a [[ x", code = "a     " },
+    { text = "a 'x", code = "a   " },
+    { text = "a[b[1]] -- c", code = "a[b[1]]     " },
+    { text = "a['b'] 'c'", code = "a[   ]    " },
+    { text = "a - b 'c' -- d\ne", code = "a - b         \ne" },
+  } do
+    it("has blanks for strings and comments: " .. case.text:gsub("\n", " "), function()
+      assert.equal(case.code, sandbox.code_of(case.text))
+    end)
+  end
+end)
+
+describe("a loop without an end", function()
+  -- The lines of the loops in a text.
+  local function lines(text) return sandbox.endless(sandbox.code_of(text)) end
+
+  for _, text in ipairs { "while true do end", "while 1 do x = x + 1 end",
+    "while (true) do if a then b() end end", "repeat x() until false",
+    "repeat x() until (false)", "for i = 1, math.huge do x() end",
+    "while true do for i = 1, 3 do x() end end",
+    "while true do repeat x() until y end", "while true do function f() end end",
+    "while true do x = 'break' end", "repeat while a do b() end until false",
+    "while true do if a then b() elseif c then d() end end" } do
+    it("is found: " .. text, function() assert.same({ 2 }, lines("\n" .. text)) end)
+  end
+
+  for _, text in ipairs { "while true do break end", "while x do end",
+    "while truely do end", "while 10 do end", "repeat x() until y",
+    "repeat x() until falsely", "while true do return x end",
+    "while true do rfsm.yield() end", "while true do error('x') end",
+    "for i = 1, 10 do end", "for i = 1, math.hugely do end", "xrepeat() y = false",
+    "while true do if a then break end end", "awhile = true do end",
+    "local t = { ['repeat'] = 1 } x = false", "while true do",
+    "while true do local f = function() end break end",
+    "while true do if a then b() end break end",
+    "while true do do x() end break end", "while true do repeat x() until y break end",
+    "while true do for i = 1, 2 do x() end return end" } do
+    it("is none: " .. text, function() assert.same({}, lines(text)) end)
+  end
+
+  it("is named by its line, in order", function()
+    assert.same({ 1, 2, 4 }, lines("repeat until false\nwhile true do end\n\n"
+      .. "for i = 1, math.huge do end"))
+  end)
+end)
+
+describe("a module that a text requires", function()
+  it("is found with its line, if it is named in a call", function()
+    assert.same({ { name = "a", line = 1 }, { name = "b.c-d_1", line = 2 },
+      { name = "e", line = 3 } }, sandbox.required("require 'a' -- require 'x'\n"
+      .. "local b = require(\"b.c-d_1\")\nrequire( 'e' ) arequire 'y' require(z)\n"
+      .. "s = \"require 'w'\""))
+  end)
+end)
+
+describe("a chart in the sandbox", function()
+  local CHART = "return rfsm.state { a = rfsm.state {}, rfsm.trans { src = 'initial', "
+    .. "tgt = 'a' } }"
+
+  for _, text in ipairs { "local t = os.clock()", "local t = { os = 1 } t.io = 2",
+    "local t = {} function t:debug() end t:debug()", "local io = {} io.open = 1",
+    "local x, os = 1, {} os.time = 1", "-- os.time", "local t = 'os.time'",
+    "local aos, osa, o = 1", "local t = { package = 1 }",
+    "local b = bit.band(1, 2) cjson.encode {} cmsgpack.pack {} struct.pack() "
+      .. "redis.log(1)", "rfsm_timeevent.e_after(1)", "local t = _G.rfsm",
+    "assert(_VERSION and getmetatable and setmetatable and rawget and rawset)",
+    "local f = function() os.clock() end", "local rfsm = rfsm" } do
+    it("is loaded: " .. text, function()
+      assert.same({ true }, { (sandbox.load(text .. "\n" .. CHART, "f.lua")) ~= nil })
+    end)
+  end
+
+  for text, problem in pairs {
+    ["local t = os.time()"] = "f.lua:1: 'os.time' does not exist in Redis",
+    ["local t = os"] = "f.lua:1: 'os' does not exist in Redis",
+    ["local t = os . getenv 'x'"] = "f.lua:1: 'os.getenv' does not exist in Redis",
+    ["\n\nio.write(os.time())"] = "f.lua:3: 'io.write' does not exist in Redis",
+    ["os.time() io.write()"] = "f.lua:1: 'os.time' does not exist in Redis",
+    ["local f = function() debug.getinfo(1) end"] =
+      "f.lua:1: 'debug.getinfo' does not exist in Redis",
+    ["local p = package.path"] = "f.lua:1: 'package.path' does not exist in Redis",
+    ["dofile 'x'"] = "f.lua:1: 'dofile' does not exist in Redis",
+    ["loadfile(x)"] = "f.lua:1: 'loadfile' does not exist in Redis",
+    ["if os.time() == 1 then end"] = "f.lua:1: 'os.time' does not exist in Redis",
+    ["if io == nil then end"] = "f.lua:1: 'io' does not exist in Redis",
+    ["\nlocal x = nothing"] = "f.lua:2: global 'nothing' does not exist in Redis",
+    ["x = 1"] = "f.lua:1: global 'x' cannot be set in Redis",
+    ["x ="] = "f.lua:2: unexpected symbol near 'return'",
+    ["do return 5 end"] = "f.lua: a state expected, got number",
+    ["error({}, 0)"] = "a table",
+  } do
+    it("is refused: " .. text:gsub("\n", " "), function()
+      local model, found = sandbox.load(text .. "\n" .. CHART, "f.lua")
+      assert.is_nil(model)
+      if problem == "a table" then
+        assert.matches("^table: ", found)
+      elseif problem:find("unexpected") then
+        assert.matches("^f.lua:%d: unexpected symbol near '?<?return", found)
+      else
+        assert.equal(problem, found)
+      end
+    end)
+  end
+end)
+
+describe("a bundle", function()
+  for argument, expected in pairs {
+    ["lamp.lua"] = { "lamp", "lamp.lua" },
+    ["a/b/lamp.lua"] = { "lamp", "a/b/lamp.lua" },
+    ["x=a/lamp.lua"] = { "x", "a/lamp.lua" }, ["lamp"] = { "lamp", "lamp" },
+    ["a.b-c=d"] = { "a.b-c", "d" }, ["a/b=c.lua"] = { "b=c", "a/b=c.lua" },
+  } do
+    it("names a chart: " .. argument, function()
+      assert.same(expected, { redis.name_of(argument) })
+    end)
+  end
+
+  it("is a library with the charts in order, and the options", function()
+    local file = helper.file_with("#!/usr/bin/lua\nreturn rfsm.state { "
+      .. "a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }")
+    local text, warnings = redis.bundle({ "one=" .. file, "two=" .. file },
+      { index = true, history = 7, ids = 8, ids_for = 9 })
+    assert.same({}, warnings)
+    assert.matches("^#!lua name=rfsm\n", text)
+    assert.matches("options = { index = true, history = 7, ids = 8, ids_for = 9 }",
+      text, 1, true)
+    assert.is_true(text:find('name = "one"', 1, true) < text:find('name = "two"', 1,
+      true))
+    assert.matches("options = { index = nil, history = nil, ids = nil, ids_for = nil }",
+      (redis.bundle { "one=" .. file }), 1, true)
+    local _, count = text:gsub('bundled%["rfsm"%] =', "")
+    assert.equal(1, count)
+  end)
+
+  for what, case in pairs {
+    ["no model"] = { text = "return rfsm.state { a = rfsm.state {}, rfsm.trans { src = "
+      .. "'a', tgt = 'b' } }",
+      problem = "^FILE:1: root.trans%[1%] .*: tgt 'b': no state" },
+    ["data that cannot be saved"] = { text = "return rfsm.state { keep = { 'f' }, f = "
+      .. "print, a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }",
+      problem = "^FILE: rfsm.snapshot.take: root.f: a function cannot be saved$" },
+    ["a wrong name"] = { text = "return rfsm.state { keep = { 'entry' }, "
+      .. "a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' } }",
+      problem = "^FILE: rfsm.snapshot.take: .*root.keep%[1%]: name" },
+    ["an error"] = { text = "error('no', 0)", problem = "^FILE: no$" },
+  } do
+    it("is refused if a chart has " .. what, function()
+      local file = helper.file_with(case.text)
+      local ok, problem = pcall(redis.bundle, { file })
+      assert.is_false(ok)
+      assert.matches(case.problem, (problem:gsub(file:gsub("%p", "%%%0"), "FILE")))
+    end)
+  end
+end)
