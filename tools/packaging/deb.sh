@@ -8,12 +8,11 @@ tree=$folder/rfsm-$version
 
 mkdir -p "$folder"
 rm -rf "$tree"
-git archive --prefix="rfsm-$version/" -o "$folder/rfsm_$version.orig.tar.gz" HEAD
-tar -xzf "$folder/rfsm_$version.orig.tar.gz" -C "$folder"
+git archive --prefix="rfsm-$version/" HEAD | tar -x -C "$folder"
 cp -r "$tree/tools/packaging/debian" "$tree/debian"
 sed '1,2d; s/^$/./; s/^/ /' LICENSE >>"$tree/debian/copyright"
 cat >"$tree/debian/changelog" <<END
-rfsm ($version-1) unstable; urgency=medium
+rfsm ($version) unstable; urgency=medium
 
   * Release $version; see CHANGELOG.md.
 
@@ -22,4 +21,4 @@ END
 
 cd "$tree"
 dpkg-buildpackage --no-sign
-lintian --fail-on error,warning "../rfsm_$version-1_$(dpkg --print-architecture).changes"
+lintian --fail-on error,warning "../rfsm_$version_$(dpkg --print-architecture).changes"
