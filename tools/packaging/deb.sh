@@ -21,4 +21,4 @@ END
 
 cd "$tree"
 dpkg-buildpackage --no-sign
-lintian --fail-on error,warning "../rfsm_$version_$(dpkg --print-architecture).changes"
+lintian --fail-on error,warning "../rfsm_${version}_$(dpkg --print-architecture).changes"
