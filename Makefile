@@ -2,7 +2,7 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, test, test-web and doc install missing Debian packages if you are root or have
+# sim, fleet, test, test-web, test-hosts and doc install missing Debian packages if you are root or have
 # password-free sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web test-hosts lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -58,6 +58,10 @@ test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
 	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
 	  --pattern=page spec/browser
+
+test-hosts:             ## the hosts in Neovim, LÖVE, on MQTT and luv, with LUA
+	@tools/deps.sh hosts
+	@$(BUSTED) --lua=$$(command -v $(LUA)) --pattern=hosts spec/hosts
 
 test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)

@@ -14,9 +14,9 @@ local error, rawget, rawset = error, rawget, rawset
 local json = {}
 
 local KEY_ORDER = {
-  "version", "type", "id", "doc", "mode", "final", "entry", "doo", "exit", "key", "src",
-  "tgt", "pn", "events", "words", "guard", "effect", "internal", "transitions",
-  "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
+  "version", "type", "id", "doc", "mode", "final", "history", "entry", "doo", "exit",
+  "key", "src", "tgt", "pn", "events", "words", "guard", "effect", "internal",
+  "transitions", "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
 }
 
 local function find_dkjson()

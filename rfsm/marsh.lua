@@ -45,6 +45,7 @@ local marsh = {}
 ---@field doo? string likewise
 ---@field doc? string that field of the model, for a reader
 ---@field final? true that field of the model
+---@field history? "shallow"|"deep" likewise, see rfsm/history.lua
 ---@field mode? "active"|"done" of a live machine
 ---@field regions? rfsm.marsh.Node[] the machines of a sequential AND state; their FQNs
 -- begin with that of the state and the region's name: "root.arms.left.open"
@@ -57,10 +58,14 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
+-- Returns the target that a transition has in the model, as far as rfsm/history.lua has
+-- changed it.
+local function target_of(tr) return tr._initial or tr.tgt end
+
 -- Notes which child of a composite a transition leads to, and from which one; a child
 -- that is entered from outside is noted for the composite.
 local function note_links(tr, links, entries)
-  local on_the_way, child = {}, tr.tgt
+  local on_the_way, child = {}, target_of(tr)
   while not rfsm.is_root(child) do
     on_the_way[child._parent], child = child, child._parent
   end
@@ -70,7 +75,7 @@ local function note_links(tr, links, entries)
     if tgt and tgt ~= child then append(links, child, tgt) end
     on_the_way[child._parent], child = nil, child._parent
   end
-  child = tr.tgt
+  child = target_of(tr)
   while not rfsm.is_root(child) do
     if on_the_way[child._parent] then append(entries, child._parent, child) end
     child = child._parent
@@ -289,6 +294,7 @@ end
 ---@field callback_text? fun(f: function, field?: string): string only of a full one
 ---@field event_text fun(event: any): string
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
+---@field has_history? boolean rfsm.history is at work in the machine
 
 -- Returns the regions in each state of a machine, at any depth.
 local function regions_by_state(fsm)
@@ -341,8 +347,9 @@ local function transition_table(writer, tr, composite)
   local events = {}
   for i = 1, tr.events and #tr.events or 0 do events[i] = tr.events[i] end
   local tab = {
-    type = "transition", src = path_of(writer, tr.src), tgt = path_of(writer, tr.tgt),
-    pn = tr.pn, events = events, internal = tr._is_internal,
+    type = "transition", src = path_of(writer, tr.src),
+    tgt = path_of(writer, target_of(tr)), pn = tr.pn, events = events,
+    internal = tr._is_internal,
   }
   if not writer.callback_text then return tab end
   local name = writer.names[tr]
@@ -360,6 +367,8 @@ local function add_details(writer, tab, state)
   local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
   add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
   tab.final = state.final and true or nil
+  tab.history = writer.has_history and type(state.history) == "string"
+    and state.history or nil
   tab.mode = mode ~= "inactive" and mode or nil
   if not regions then return end
   tab.regions = {}
@@ -390,7 +399,7 @@ function machine_table(fsm, id, prefix, texts)
   local walk, transitions, names = new_walk(fsm)
   local tab = node_table({ walk = walk, transitions = transitions, names = names,
     prefix = prefix, callback_text = texts.callback_text, event_text = texts.event_text,
-    regions_of = texts.regions_of }, fsm)
+    regions_of = texts.regions_of, has_history = fsm._history ~= nil }, fsm)
   tab.id = id
   return tab
 end

@@ -73,6 +73,7 @@ build = {
     ["rfsm.ext"] = "rfsm/ext.lua",
     ["rfsm.fast"] = "rfsm/fast.lua",
     ["rfsm.fleet"] = "rfsm/fleet.lua",
+    ["rfsm.history"] = "rfsm/history.lua",
     ["rfsm.json"] = "rfsm/json.lua",
     ["rfsm.marsh"] = "rfsm/marsh.lua",
     ["rfsm.mermaid"] = "rfsm/mermaid.lua",

@@ -235,8 +235,8 @@ describe("the host in C", function()
           flags, program)))
         local output = output_of(program)
         os.remove(program)
-        assert.equal("3 states, 2 transitions\ntransition 2 leaves root.off\n"
-          .. "entered root.on\nactive: root.on.bright", output)
+        assert.equal("3 states\nentered root.on\n"
+          .. "active: root.on.bright after 4 turns", output)
       end)
     end
   end

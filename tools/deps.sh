@@ -4,6 +4,7 @@
 #   tools/deps.sh sim           for the simulator
 #   tools/deps.sh test LUA ...  for the tests, on these interpreters
 #   tools/deps.sh web           for the tests of the page in a browser
+#   tools/deps.sh hosts         for the tests of the hosts in examples/hosts/
 #   tools/deps.sh doc           for the pages of the API
 #   tools/deps.sh fleet         for machines in Redis, with lua5.3
 #   tools/deps.sh axe           prints the file of axe-core, which npm fetches once
@@ -74,6 +75,19 @@ missing_for_web() {
   command -v chromedriver >/dev/null 2>&1 || echo chromium-driver
 }
 
+missing_for_hosts() {
+  command -v busted >/dev/null 2>&1 || echo lua-busted
+  has_module lua5.1 luv || echo lua-luv
+  has_module lua5.1 socket || echo lua-socket
+  command -v dot >/dev/null 2>&1 || echo graphviz
+  command -v git >/dev/null 2>&1 || echo git
+  command -v love >/dev/null 2>&1 || echo love libgl1-mesa-dri
+  command -v Xvfb >/dev/null 2>&1 || echo xvfb
+  command -v mosquitto >/dev/null 2>&1 || echo mosquitto
+  command -v mosquitto_sub >/dev/null 2>&1 || echo mosquitto-clients
+  command -v nvim >/dev/null 2>&1 || echo neovim
+}
+
 missing_for_doc() {
   command -v ldoc >/dev/null 2>&1 || echo lua-ldoc
   has_module lua5.2 discount || has_module lua5.1 discount || echo lua-discount
@@ -123,7 +137,7 @@ find_axe() {
 
 case "${1:-}" in
   axe) find_axe ;;
-  sim | test | web | doc | fleet)
+  sim | test | web | hosts | doc | fleet)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -132,5 +146,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|web|axe|doc|fleet|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|hosts|axe|doc|fleet|test LUA ..." >&2; exit 2 ;;
 esac

@@ -96,6 +96,7 @@ Puppet.__index = Puppet
 ---@field mode string
 ---@field waiting any[] events
 ---@field received string a digit for each event of each await
+---@field targets table[] see `read_history`
 
 --- Where all of them stand: a stand for each, and `flags`, a text.
 ---@alias rfsm_checks.Configuration rfsm_checks.Stand[]
@@ -336,6 +337,16 @@ local function put_awaits(fsm, digits)
   end
 end
 
+-- Returns the targets of the transitions that enter a composite with a history, and a
+-- text of them. See rfsm/history.lua.
+local function read_history(fsm)
+  local targets, names = {}, {}
+  for i, tr in ipairs(fsm._history or NOTHING) do
+    targets[i], names[i] = tr.tgt, tr.tgt._fqn
+  end
+  return targets, concat(names, ",")
+end
+
 -- Returns where a machine stands, with the events that wait: always the same table.
 local function read_stand(self, part)
   local leaf, numbers = part.fsm._act_leaf, {}
@@ -344,12 +355,13 @@ local function read_stand(self, part)
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   sort(numbers)
   local known, received = part.known[leaf], read_awaits(part.fsm)
-  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. received
+  local targets, names = read_history(part.fsm)
+  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. received .. names
   local id = part.ids[key] or #part.stands + 1
   part.ids[key] = id
   part.stands[id] = part.stands[id]
     or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
-      received = received }
+      received = received, targets = targets }
   return part.stands[id]
 end
 
@@ -385,6 +397,7 @@ local function put_stand(part, stand)
     rfsm.place(fsm, leaf, stand.mode, { unpack(waiting) })
     if fsm._awaits then put_awaits(fsm, stand.received) end
   end
+  for i, tr in ipairs(fsm._history or NOTHING) do tr.tgt = stand.targets[i] end
 end
 
 --- Have the machines stand in a configuration.

@@ -55,16 +55,22 @@ function add_regions(found, leaf)
   end
 end
 
+-- Lists the nodes to which a transition may lead. Of a composite with a history it may
+-- be any: see rfsm/history.lua.
+local function targets_of(tr)
+  if not tr._initial then return { tr.tgt } end
+  return rfsm.elements(tr._initial._parent, rfsm.is_node)
+end
+
 -- Collects the events of the transitions from a node, and of those behind connectors.
 function add_reactions(found, node, seen)
   if seen[node] then return end
   seen[node] = true
   for _, tr in ipairs(node._otrs) do
     add_events(found, tr)
-    if is_conn(tr.tgt) then
-      add_reactions(found, tr.tgt, seen)
-    else
-      add_regions(found, tr.tgt)
+    for _, tgt in ipairs(targets_of(tr)) do
+      local add = is_conn(tgt) and add_reactions or add_regions
+      add(found, tgt, seen)
     end
   end
 end
@@ -109,9 +115,14 @@ local function add_sets(found, tr, set, seen)
   if seen[tr] or found.is_cut then return end
   seen[tr] = true
   for _, longer in ipairs(extend(set, tr)) do
-    if is_conn(tr.tgt) then
-      for _, way in ipairs(tr.tgt._otrs) do add_sets(found, way, longer, seen) end
-    elseif longer[2] ~= nil then
+    local is_end = false
+    for _, tgt in ipairs(targets_of(tr)) do
+      is_end = is_end or not is_conn(tgt)
+      for _, way in ipairs(is_conn(tgt) and tgt._otrs or {}) do
+        add_sets(found, way, longer, seen)
+      end
+    end
+    if is_end and longer[2] ~= nil then
       found.is_cut = #found.sets >= MANY_SETS
       if found.is_cut then break end
       found.sets[#found.sets + 1] = longer

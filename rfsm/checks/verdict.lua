@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
+local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
@@ -231,8 +232,8 @@ local function find_traps(walk, findings)
     for _, state in ipairs(states) do
       is_fault = is_fault or codes.means(state, "a fault")
     end
-    if outside then
-      local _, name = leaves_of(walk, outside)
+    local _, name = leaves_of(walk, outside or 1)
+    if outside and not match.has(paths, name) then -- elsewhere with another memory
       local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
         numbers[1])

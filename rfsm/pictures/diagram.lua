@@ -177,9 +177,14 @@ local function kind_of(tab)
   return (tab.subnodes or tab.regions or {})[1] and "composite" or "leaf"
 end
 
+local HISTORY = { shallow = "(H)", deep = "(H*)" }
+
 local function rows_of(tab)
-  local rows = {}
-  if tab.doc then return { clean(tab.doc) } end
+  local rows = { HISTORY[tab.history] }
+  if tab.doc then
+    rows[#rows + 1] = clean(tab.doc)
+    return rows
+  end
   for _, field in ipairs { "entry", "doo", "exit" } do
     if tab[field] then rows[#rows + 1] = field .. " / " .. clean(tab[field]) end
   end

@@ -377,6 +377,30 @@ function charts.generate(seed)
   return chart
 end
 
+-- Histories --------------------------------------------------------------------
+
+-- Could 'shallow' be wrong, because a composite in this one has no initial?
+local function has_closed_child(chart, composite)
+  for fqn, node in pairs(chart.nodes) do -- any order: one is enough
+    if node.parent == composite and not entrance(chart, fqn) then return true end
+  end
+  return false
+end
+
+--- Gives composites a history, for rfsm.history, and makes some leaves final.
+function charts.add_histories(chart)
+  local random = new_random(chart.seed + 11)
+  for _, fqn in ipairs(chart.names) do
+    local node = chart.nodes[fqn]
+    if node.kind == "state" and node.is_leaf then
+      node.final = random:chance(15) or nil
+    elseif node.kind == "state" and random:chance(70) then
+      node.history = (random:chance(40) or has_closed_child(chart, fqn)) and "deep"
+        or "shallow"
+    end
+  end
+end
+
 --- The root of a model, of what the functions return: new_node(fqn, node),
 -- new_transition(tr, i).
 function charts.assemble(chart, new_node, new_transition)

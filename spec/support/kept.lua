@@ -13,6 +13,7 @@ local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 require "rfsm.emem"
+require "rfsm.history"
 local monitor = require "rfsm.monitor"
 local new_random = require "spec.support.random"
 local snapshot = require "rfsm.snapshot"
@@ -164,6 +165,7 @@ local function fill_composite(random, state, id, depth, level)
     names[#names + 1] = "k"
   end
   add_transitions(random, state, names, id)
+  state.history = level > 0 and (id:find("a", 1, true) and "deep" or "shallow")
   return state
 end
 

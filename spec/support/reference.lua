@@ -6,6 +6,7 @@
 --
 --   chart     nodes by F, transitions in a list (declaration data only)
 --   calls     what the chart's programs do: calls.entry(F), calls.guard(tr, events) ...
+--             calls.entered(F) and calls.was_reset() are for the models of extensions
 --   mode      F -> "active" | "done" | "inactive"
 --   leaf      F of the active leaf, or nil
 --   queue     events that wait
@@ -228,6 +229,7 @@ end
 
 local function enter(machine, fqn)
   machine.mode[fqn] = "active"
+  if machine.calls.entered then machine.calls.entered(fqn) end
   run_state_hooks(machine, "entry_hook", fqn)
   run_program(machine, "ENTRY", "entry", fqn)
   local node = machine.chart.nodes[fqn]
@@ -379,6 +381,7 @@ local function reset_now(machine)
   machine.coroutine = {}
   machine.leaf, machine.reset_wanted = nil, false
   machine.queue = { "e_init_fsm" }
+  if machine.calls.was_reset then machine.calls.was_reset() end
 end
 
 -- Appends what getevents returns to `list`. An error of it reaches the caller at once.

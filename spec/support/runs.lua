@@ -204,6 +204,7 @@ local function model_node(world, fqn, node)
     entry = node.entry and program_of(world, "entry", fqn) or nil,
     exit = node.exit and program_of(world, "exit", fqn) or nil,
     doo = node.doo and function() return run_doo(world, fqn) end or nil,
+    history = node.history, final = node.final,
   }
 end
 
@@ -424,10 +425,11 @@ function runs.on_core(chart)
   return drive(world, engine)
 end
 
---- The trace of the oracle.
-function runs.on_oracle(chart)
+--- The trace of the oracle. `extend(calls, chart)` may add the model of an extension.
+function runs.on_oracle(chart, extend)
   local world = new_world(chart)
   local calls = oracle_calls(world)
+  if extend then extend(calls, world.chart) end
   local machine = reference.new(world.chart, calls)
   world.send = function(...) reference.send(machine, ...) end
   world.reset = function() reference.reset(machine) end
@@ -455,8 +457,8 @@ function runs.on_oracle(chart)
 end
 
 --- The first line in which both differ; nil when they agree.
-function runs.compare(chart)
-  local expected = runs.on_oracle(chart)
+function runs.compare(chart, extend)
+  local expected = runs.on_oracle(chart, extend)
   local actual, problems = runs.on_core(chart)
   if not actual then
     return 0, expected, { [0] = "init: " .. table.concat(problems, "; ") }

@@ -1,7 +1,7 @@
 -- Exploration against brute force: random charts with timers, awaits, predicates and
--- sequential AND states, with random options. Whatever random runs reach was reached,
--- also of several machines and flags at once, and each witness leads to its end on a
--- machine of its own.
+-- sequential AND states, a third of them with histories, with random options. Whatever
+-- random runs reach was reached, also of several machines and flags at once, and each
+-- witness leads to its end on a machine of its own.
 
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
@@ -12,6 +12,7 @@ local puppet = require "rfsm.checks.puppet"
 local rfsm = require "rfsm"
 local rfsm_timeevent = require "rfsm_timeevent"
 require "rfsm.await"
+require "rfsm.history"
 
 local claim = { name = "exploration and random runs", runs = 300 }
 
@@ -55,6 +56,7 @@ end
 function claim.chart(seed, depth)
   local chart, random = charts.generate(seed), new_random(seed + 7)
   add_events(chart, random)
+  if seed % 3 == 0 then charts.add_histories(chart) end
   add_regions(chart, random, depth or 0)
   return chart
 end

@@ -1,0 +1,80 @@
+--- History: a composite with `history = "shallow"` or `"deep"` is entered where it was
+-- left: at the substate, or the leaf, that was active last. The memory is the targets
+-- of the transitions that enter it, which are set whenever a leaf is entered. So
+-- snapshots hold it, and whatever asks where a transition leads knows it.
+--
+-- @module rfsm.history
+-- @license BSD-3-Clause
+
+local nearest_name = require("rfsm.advice").nearest_name
+local rfsm = require "rfsm"
+
+local function has_history(obj)
+  return rfsm.is_state(obj) and obj.history and not rfsm.is_fsmobj(obj.history)
+end
+
+local function is_inside(node, composite)
+  local fqn = composite._fqn .. "."
+  return rfsm.is_node(node) and node._fqn:sub(1, #fqn) == fqn
+end
+
+-- Has the transitions into a composite, or all of them, lead to a node of it, or to its
+-- initial. Those that a program has made to lead elsewhere stay.
+local function lead_to(fsm, composite, node)
+  for _, tr in ipairs(fsm._history) do
+    local own = tr._initial._parent
+    local is_meant = own == (composite or own) and is_inside(tr.tgt, own)
+    if is_meant then tr.tgt = node or tr._initial end
+  end
+end
+
+-- The entry hook of a leaf: notes where each composite around it is entered next.
+local function remember(fsm, leaf)
+  local deep = leaf.final and leaf._parent.initial and leaf._parent or leaf -- as in UML
+  local node, way = leaf, deep
+  while node ~= fsm do
+    node = node._parent
+    way = node.history == "deep" and deep or node.history == "shallow" and way or node
+    lead_to(fsm, node, way.initial or way)
+  end
+end
+
+-- Returns what is wrong with the history of a state.
+local function check(state)
+  local value, where = state.history, rfsm.location_of(state, "history") .. ": "
+  if value ~= "shallow" and value ~= "deep" then
+    return where .. "'shallow' or 'deep' expected, " .. rfsm.got(value)
+      .. nearest_name(rfsm.text_of(value), { "shallow", "deep" })
+  elseif rfsm.is_leaf(state) then
+    return where .. "only a composite can have a history"
+  end
+  return value == "shallow" and rfsm.mapfsm(function(child)
+    if child.initial or has_history(child) then return nil end
+    return where .. "'shallow' enters '" .. child._fqn .. "' by its initial transition,"
+      .. " there is none (did you mean 'deep'?)"
+  end, state, rfsm.is_composite, 1)[1] or nil
+end
+
+-- Notes what concerns a history: a leaf, or a transition that enters a composite.
+local function note(fsm, obj)
+  local composite = rfsm.is_trans(obj) and obj.tgt._id == "initial" and obj.tgt._parent
+  if rfsm.is_leaf(obj) then
+    rfsm.entry_hook_add(fsm, obj, remember)
+  elseif composite and has_history(composite) and not is_inside(obj.src, composite) then
+    obj._initial, fsm._history[#fsm._history + 1] = obj.tgt, obj
+  end
+end
+
+rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
+  local problems = {}
+  for _, state in ipairs(rfsm.elements(merged or fsm, has_history)) do
+    problems[#problems + 1] = check(state)
+    if not fsm._history then rfsm.reset_hook_add(fsm, lead_to) end
+    fsm._history = fsm._history or {} -- transitions
+  end
+  local elements = fsm._history and rfsm.elements(merged or fsm) or {}
+  for _, obj in ipairs(elements) do note(fsm, obj) end
+  return problems
+end
+
+return {}
