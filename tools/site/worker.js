@@ -48,8 +48,10 @@ function call(name, ...args) {
   try { return host[name](...args); } finally { deadline = Infinity; }
 }
 
-function draw([graph, format]) {
-  try { return viz.renderString(graph, { format, engine: "dot" }); } catch { return ""; }
+// A text may hold several graphs; viz.js draws the first of a text.
+function draw([text, format]) {
+  const graphs = text.split(/(?<=^}\n)(?=digraph )/m);
+  try { return graphs.map(graph => viz.renderString(graph, { format, engine: "dot" })).join(""); } catch { return ""; }
 }
 
 // Does what is due, and comes back when more is.
