@@ -93,6 +93,12 @@ async function openFile(file) {
   keepInAddress();
 }
 
+// Graphviz in wasm knows the widths of Helvetica: a font that is wider gets smaller.
+const pen = document.createElement("canvas").getContext("2d");
+pen.font = "100px Helvetica,Arial,sans-serif";
+document.documentElement.style.setProperty("--narrow",
+  Math.min(1, 461.3 / pen.measureText("entry / exit").width));
+
 // Marks: what is wrong, at its line -------------------------------------------------------
 
 function tell(text) { find("#verdict").textContent = text; }

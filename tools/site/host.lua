@@ -7,9 +7,9 @@
 local now = 0 -- seconds
 local outbox = {} -- messages for the page
 
--- What a chart must not have: it could switch off the limit of its time.
-debug.sethook, debug.gethook, debug.debug = nil, nil, nil
-os.exit = function() error("os.exit is called", 2) end
+-- What a chart must not have: it could switch off the limit of its time, or end Lua.
+for _, name in ipairs { "sethook", "gethook", "debug" } do rawset(debug, name, nil) end
+rawset(os, "exit", function() error("os.exit is called", 2) end)
 
 package.path = "/lib/?.lua;/lib/compat/?.lua;/?.lua"
 package.cpath = ""
@@ -101,13 +101,13 @@ function host.draw(text) drawn = text end
 -- Returns what `rfsm check --static` reports.
 function host.check()
   local real = print
-  print = function() end
+  rawset(_G, "print", function() end)
   local ok, lines = pcall(function()
     local required, model, warnings = command.noting_extensions(chart.load, file)
     return model and command.review(file, model, warnings, {},
       { static = true, required = required }) or { warnings }
   end)
-  print = real
+  rawset(_G, "print", real)
   return table.concat(ok and lines or { chart.reason(file, lines) }, "\n")
 end
 
