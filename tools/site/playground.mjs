@@ -22,14 +22,14 @@ function libraryFiles() {
   return { ...library, "dkjson.lua": read(dkjson), "host.lua": read(here + "host.lua"), "rfsm/web/page.html": "" };
 }
 
-// The chart of the README, then the examples; the first sentence says what each is.
+// The chart of the README, the examples, those of the gallery; the first sentence says what each is.
 function exampleFiles() {
   const lamp = read("README.md").match(/^-- lamp\.lua\n[^]*?(?=^```$)/m)?.[0] ?? die("README.md has no lamp.lua");
-  const others = readdirSync("examples").filter(name => name.endsWith(".lua")).sort();
+  const others = ["examples/", "doc/gallery/"].flatMap(folder =>
+    readdirSync(folder).filter(name => name.endsWith(".lua")).sort().map(name => ({ name, text: read(folder + name) })));
   const briefOf = text => text.match(/^-- ([^:]*):/)?.[1] ?? text.match(/^-- ([^.(]*)/)[1].replace(/\n--/g, "").trim();
   return [{ name: "lamp.lua", brief: "the chart of the introduction", text: lamp },
-    ...others.map(name => ({ name, text: read("examples/" + name) }))
-      .map(file => ({ ...file, brief: briefOf(file.text) }))];
+    ...others.map(file => ({ ...file, brief: briefOf(file.text) }))];
 }
 
 // Returns a script for a browser. `modules`: the contents of those that are no files.
