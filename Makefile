@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
+.PHONY: all help sim fleet test test-web test-site lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -58,6 +58,11 @@ test-web:               ## the page in headless Chromium, with LUA
 	@tools/deps.sh web
 	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
 	  --pattern=page spec/browser
+
+test-site: site         ## the site in headless Chromium, with LUA
+	@tools/deps.sh web
+	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
+	  --pattern=site spec/browser
 
 test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)

@@ -106,10 +106,12 @@ function Window:click(selector)
   until false
 end
 
+webdriver.BACKSPACE = "\238\128\131"
+
 --- Type keys at what has the focus.
 function Window:type(keys)
   local actions = {}
-  for key in keys:gmatch(".") do
+  for key in keys:gmatch("[%z\1-\127\194-\244][\128-\191]*") do
     actions[#actions + 1] = { type = "keyDown", value = key }
     actions[#actions + 1] = { type = "keyUp", value = key }
   end

@@ -38,10 +38,11 @@ end
 
 local has_playground = read(out .. "/playground.html") ~= nil
 
--- Returns a link that opens a chart in the playground; "" if it is not in it.
-local function link_to(name, up, words)
+-- Returns a link that opens a chart in the playground; "" without one.
+local function link_to(name, up)
   if not has_playground then return "" end
-  return ('<p><a href="%splayground.html#example=%s">%s</a></p>\n'):format(up, name, words)
+  return ('<p><a href="%splayground.html#example=%s">Open in the playground</a></p>\n')
+    :format(up, name)
 end
 
 -- The picture of each chart, below the text of doc/gallery/README.md about it.
@@ -50,11 +51,11 @@ local function gallery(shell)
     .. "to draw, as <code>rfsm viz</code> draws them.</p>\n" }
   for _, file in ipairs(arg) do
     local name = file:match("([%w_]+)%.svg$")
-    local text = read("examples/" .. name .. ".lua") or read("doc/gallery/" .. name .. ".lua")
-    parts[#parts + 1] = ('<h2 id="%s">%s</h2>\n<p>%s</p>\n%s<p><a href="gallery/%s.svg">'
-      .. '<img src="gallery/%s.svg" alt="the chart %s" loading="lazy"></a></p>\n'):format(
-      name, name, brief(text or "-- The chart of the introduction."),
-      link_to(name .. ".lua", "", "Open in the playground"), name, name, name)
+    local text = read("examples/" .. name .. ".lua")
+      or read("doc/gallery/" .. name .. ".lua") or "-- The chart of the introduction."
+    parts[#parts + 1] = ('<h2 id="NAME">NAME</h2>\n<p>%s</p>\n%s<p><a href="gallery/NAME.svg">'
+      .. '<img src="gallery/NAME.svg" alt="the chart NAME" loading="lazy"></a></p>\n')
+      :gsub("NAME", name):format(brief(text), link_to(name .. ".lua", ""))
     write(out .. "/gallery/" .. name .. ".svg", read(file))
   end
   write(out .. "/gallery.html", put(shell, "<main>.*</main>",
@@ -64,7 +65,7 @@ end
 -- Completes a page: `up` leads to the folder of the index.
 local function complete(page, up)
   page = page:gsub("<!%-%-example (%S+)%-%->", function(name)
-    return read("examples/" .. name) and link_to(name, up, "Open in the playground") or ""
+    return read("examples/" .. name) and link_to(name, up) or ""
   end)
   page = page:gsub("<!%-%-brief (%S+)%-%->", function(name)
     local text = read("examples/" .. name) or read("examples/hosts/" .. name)

@@ -81,6 +81,7 @@ export async function ask(place, body) {
   const [path, query] = place.split("?");
   const reply = await post({ does: "ask", path, query, body });
   if (path == "chart" && reply.ok) seen(JSON.parse(reply.text));
+  if (path == "picture.svg") requestAnimationFrame(() => performance.mark("drawn"));
   return reply;
 }
 

@@ -33,10 +33,14 @@ async function start(name, text, files) {
   const drawer = instance(), factory = new LuaFactory("glue.wasm");
   for (const file in library) await factory.mountFile("/lib/" + file, library[file]);
   for (const file in files) await factory.mountFile("/" + file, files[file]);
+  const lua = await factory.getLuaModule(), newState = lua.luaL_newstate;
+  const hook = lua.module.addFunction(L => limit(lua, L), "vii");
+  lua.luaL_newstate = () => { // coroutines inherit the hook
+    const L = newState();
+    lua.lua_sethook(L, hook, MASK_COUNT, COUNT);
+    return L;
+  };
   const engine = await factory.createEngine({ injectObjects: false, enableProxy: false });
-  const lua = await factory.getLuaModule();
-  lua.lua_sethook(engine.global.address, lua.module.addFunction(L => limit(lua, L), "vii"),
-    MASK_COUNT, COUNT);
   host = engine.doStringSync(library["host.lua"]);
   viz = await drawer;
   call("open", name, text);
