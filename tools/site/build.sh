@@ -25,7 +25,7 @@ if [ ! -d "$packages" ]; then
   cp tools/site/package.json tools/site/package-lock.json tools/site/.npmrc "$new"
   (cd "$new" && timeout 300 npm ci --ignore-scripts --no-audit --no-fund) >"$new/log" 2>&1 </dev/null ||
     fail "npm cannot fetch the packages of tools/site/package-lock.json: $(
-      sed -n 's/^npm \(error\|ERR!\) //p' "$new/log" | grep -v '^code' | head -1)"
+      sed -n 's/^npm \(error\|ERR!\) //p' "$new/log" | grep -m1 ' .* ')"
   mv "$new" "$packages"
 fi
 

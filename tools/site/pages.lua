@@ -47,13 +47,14 @@ end
 
 -- The picture of each chart, below the text of doc/gallery/README.md about it.
 local function gallery(shell)
-  local parts = { "<h1>Gallery</h1>\n<p>The charts of the examples, and some that are hard "
-    .. "to draw, as <code>rfsm viz</code> draws them.</p>\n" }
+  local parts = { "<h1>Gallery</h1>\n<p>The charts of the examples, and some that are "
+    .. "hard to draw, as <code>rfsm viz</code> draws them.</p>\n" }
   for _, file in ipairs(arg) do
     local name = file:match("([%w_]+)%.svg$")
     local text = read("examples/" .. name .. ".lua")
       or read("doc/gallery/" .. name .. ".lua") or "-- The chart of the introduction."
-    parts[#parts + 1] = ('<h2 id="NAME">NAME</h2>\n<p>%s</p>\n%s<p><a href="gallery/NAME.svg">'
+    parts[#parts + 1] = ('<h2 id="NAME">NAME</h2>\n<p>%s</p>\n%s'
+      .. '<p><a href="gallery/NAME.svg">'
       .. '<img src="gallery/NAME.svg" alt="the chart NAME" loading="lazy"></a></p>\n')
       :gsub("NAME", name):format(brief(text), link_to(name .. ".lua", ""))
     write(out .. "/gallery/" .. name .. ".svg", read(file))
