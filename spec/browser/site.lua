@@ -155,6 +155,17 @@ describe("the playground", function()
     assert.equal("root.on.idle", window:run "return now.leaf")
   end)
 
+  it("opens a chart whose robot is not here, and says what is missing", function()
+    visit(nil, [[
+      local rfsm = require "rfsm"
+      local camera = require "camera"
+      return rfsm.state { a = rfsm.state { entry = function() camera.start() end },
+        rfsm.trans { src = "initial", tgt = "a" } }
+    ]])
+    window:wait "now.leaf == 'root.a' && $('verdict').textContent == '2 warnings'"
+    assert.matches("stubbed: camera", window:run "return $('log').innerText")
+  end)
+
   it("lets time go on", function()
     visit(nil, [[
       local rfsm = require "rfsm"
@@ -251,7 +262,7 @@ describe("a chart of somebody else", function()
   it("may take much memory, and is stopped", function()
     visit(nil, chart_with 'local t = {} while true do t[#t + 1] = ("x"):rep(1e6) end')
     send_go()
-    window:wait "/memory|stopped/.test(document.querySelector('main').innerText)"
+    window:wait "/512 MiB/.test($('problems').innerText)"
   end)
 
   it("sees nothing of the browser, has no processes, and cannot lift its limits",

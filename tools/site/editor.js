@@ -104,7 +104,7 @@ document.documentElement.style.setProperty("--narrow",
 function tell(text) { find("#verdict").textContent = text; }
 
 function diagnosticOf(line, usual) {
-  const [, at, kind, message] = line.match(/^[^:\s]+(?::(\d+))?: (?:(warning|note): )?([^]*)$/) || [null, null, null, line];
+  const [, at, kind, message] = line.match(/^[^:\s]+(?::(\d+))?: (?:(warning|note|stubbed): )?([^]*)$/) || [null, null, null, line];
   const { from, to } = view.state.doc.line(Math.min(+at || 1, view.state.doc.lines));
   return { from, to, severity: kind ? "warning" : usual, message };
 }
@@ -119,7 +119,7 @@ function mark(lines) {
 
 transport.observe(async chart => {
   if (chart.problems.length) return mark(chart.problems);
-  const text = await transport.check();
+  const text = String(await transport.check());
   mark(text.split("\n").filter(line => line && !line.startsWith("  ") && line != name + ": ok"));
 });
 

@@ -103,9 +103,17 @@ function host.check()
   local real = print
   rawset(_G, "print", function() end)
   local ok, lines = pcall(function()
-    local required, model, warnings = command.noting_extensions(chart.load, file)
-    return model and command.review(file, model, warnings, {},
-      { static = true, required = required }) or { warnings }
+    local required, model, warnings, world =
+      command.noting_extensions(chart.load, file)
+    if not model then -- of a robot that is not here
+      required, model, warnings, world =
+        command.noting_extensions(chart.load, file, true)
+    end
+    if not model then return { warnings } end
+    local found = command.review(file, model, warnings, {},
+      { static = true, required = required })
+    found[#found + 1] = chart.stub_line(file, world)
+    return found
   end)
   rawset(_G, "print", real)
   return table.concat(ok and lines or { chart.reason(file, lines) }, "\n")

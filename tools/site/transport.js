@@ -25,7 +25,7 @@ export async function pack(text) {
 const address = unpack(source).then(text =>
   URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
 
-// Ends the worker if it does not answer for some seconds.
+// Ends the worker if it does not answer for some seconds from now on.
 function guard(seconds) {
   clearTimeout(watch);
   watch = replies.size ? setTimeout(() => stop(`no answer for ${seconds} s`), seconds * 1000) : null;
@@ -51,17 +51,19 @@ function post(message) {
   return new Promise(resolve => {
     replies.set(++last, resolve);
     worker.postMessage({ ...message, id: last });
-    guard(PATIENCE);
+    if (!watch) guard(PATIENCE);
   });
 }
 
 // Opens a chart in a worker of its own. `files`: what stands beside it.
 export async function open(name, text, files, isStopped = false) {
+  const url = await address;
   worker?.terminate();
   for (const reply of replies.values()) reply({ ok: false, text: "stopped" });
   replies.clear();
+  guard(0);
   opened = { name, files, isStopped };
-  worker = new Worker(await address);
+  worker = new Worker(url);
   worker.onmessage = receive;
   worker.onerror = event => stop(event.message);
   const isOpen = post({ does: "open", name, text, files });

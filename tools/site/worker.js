@@ -7,24 +7,25 @@ import library from "library"; // { name: text } of the Lua files
 const SECONDS = 3;         // of a call of Lua, then the chart is interrupted
 const MORE = 0.5;          // for what handles that
 const BYTES = 512 * 2 ** 20;
+const TOO_LARGE = "the chart takes more than 512 MiB";
 const COUNT = 10000;       // instructions between two looks at the clock
 const MASK_COUNT = 8;
 
 // wasmoon fetches its file; nothing else can be fetched.
 self.fetch = async () => new Response(wasm, { headers: { "Content-Type": "application/wasm" } });
 
-let host, viz, deadline = Infinity, isFollowed = false, timer = null;
+let lua, host, viz, deadline = Infinity, isFollowed = false, timer = null;
 
 const time = () => performance.now() / 1000;
 
+const isLarge = () => lua.module.HEAPU8.length > BYTES;
+
 // Interrupts what goes on for too long, with the line at which it is.
-function limit(lua, L) {
-  const isLarge = lua.module.HEAPU8.length > BYTES;
-  if (time() < deadline && !isLarge) return;
+function limit(L) {
+  if (time() < deadline && !isLarge()) return;
   deadline = time() + MORE;
   lua.luaL_where(L, 0);
-  lua.lua_pushstring(L, isLarge ? "the chart takes too much memory"
-    : `stopped after ${SECONDS} s, is there a loop without end?`);
+  lua.lua_pushstring(L, isLarge() ? TOO_LARGE : `stopped after ${SECONDS} s, is there a loop without end?`);
   lua.lua_concat(L, 2);
   lua.lua_error(L);
 }
@@ -33,8 +34,8 @@ async function start(name, text, files) {
   const drawer = instance(), factory = new LuaFactory("glue.wasm");
   for (const file in library) await factory.mountFile("/lib/" + file, library[file]);
   for (const file in files) await factory.mountFile("/" + file, files[file]);
-  const lua = await factory.getLuaModule(), newState = lua.luaL_newstate;
-  const hook = lua.module.addFunction(L => limit(lua, L), "vii");
+  lua = await factory.getLuaModule();
+  const newState = lua.luaL_newstate, hook = lua.module.addFunction(limit, "vii");
   lua.luaL_newstate = () => { // coroutines inherit the hook
     const L = newState();
     lua.lua_sethook(L, hook, MASK_COUNT, COUNT);
@@ -46,10 +47,14 @@ async function start(name, text, files) {
   call("open", name, text);
 }
 
-// Calls a function of host.lua; the clock of the limit runs meanwhile.
+// Calls a function of host.lua; the clock of the limit runs meanwhile. Memory that was
+// taken is never given back: the page has to begin anew.
 function call(name, ...args) {
   deadline = time() + SECONDS;
-  try { return host[name](...args); } finally { deadline = Infinity; }
+  const result = host[name](...args);
+  deadline = Infinity;
+  if (isLarge()) throw TOO_LARGE;
+  return result;
 }
 
 // A text may hold several graphs; viz.js draws the first of a text.
