@@ -8,7 +8,7 @@ const SECONDS = 3;         // of a call of Lua, then the chart is interrupted
 const MORE = 0.5;          // for what handles that
 const BYTES = 512 * 2 ** 20;
 const TOO_LARGE = "the chart takes more than 512 MiB";
-const COUNT = 10000;       // instructions between two looks at the clock
+const COUNT = 1000;        // instructions between two looks at the clock
 const MASK_COUNT = 8;
 
 // wasmoon fetches its file; nothing else can be fetched.
