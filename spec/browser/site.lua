@@ -38,10 +38,7 @@ local function visit(fragment, chart)
   window:wait(DRAWN)
   if not chart then return end
   local file = helper.file_with(chart)
-  local found = window:call("POST", "/element",
-    { using = "css selector", value = "#file" })
-  local _, id = next(found)
-  window:call("POST", "/element/" .. id .. "/value", { text = file })
+  window:call("POST", "/element/" .. window:find "#file" .. "/value", { text = file })
 end
 
 local function texts(selector)

@@ -91,18 +91,25 @@ function Window:wait(expression)
     .. self:run("return document.body.innerText"), 2)
 end
 
+--- Return the id of the first element that a CSS selector finds.
+function Window:find(selector)
+  local _, id = next(self:call("POST", "/element",
+    { using = "css selector", value = selector }))
+  return id -- its only field
+end
+
 --- Click the first element that a CSS selector finds. One that is drawn anew meanwhile
 -- is found again.
 function Window:click(selector)
   local deadline = socket.gettime() + PATIENCE
   repeat
-    local element = self:call("POST", "/element", { using = "css selector",
-      value = selector })
-    local _, id = next(element) -- its only field
-    local ok, problem = pcall(self.call, self, "POST", "/element/" .. id .. "/click")
+    local ok, problem = pcall(function()
+      self:call("POST", "/element/" .. self:find(selector) .. "/click")
+    end)
     if ok then return end
-    local is_stale = problem:find("stale element", 1, true)
-    if not is_stale or socket.gettime() > deadline then error(problem, 2) end
+    local is_soon = problem:find("stale element", 1, true)
+      or problem:find("no such element", 1, true)
+    if not is_soon or socket.gettime() > deadline then error(problem, 2) end
   until false
 end
 
