@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web test-hosts lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -62,6 +62,11 @@ test-web:               ## the page in headless Chromium, with LUA
 test-hosts:             ## the hosts in Neovim, LÖVE, on MQTT and luv, with LUA
 	@tools/deps.sh hosts
 	@$(BUSTED) --lua=$$(command -v $(LUA)) --pattern=hosts spec/hosts
+
+test-site: site         ## the site in headless Chromium, with LUA
+	@tools/deps.sh web
+	@AXE=$${AXE:-$$(tools/deps.sh axe)} $(BUSTED) --lua=$$(command -v $(LUA)) \
+	  --pattern=site spec/browser
 
 test-with-%:            ## test-with-luajit, ...: the specs on one interpreter
 	@$(BUSTED) --lua=$$(command -v $*)
@@ -108,9 +113,18 @@ examples-all: $(LUAS:%=examples-with-%)  ## the same on each of LUAS
 transcript:             ## run the sessions in doc/sim.md again, with LUA
 	@$(LUA) tools/transcript.lua doc/sim.md > doc/sim.md.new && mv doc/sim.md.new doc/sim.md
 
-doc:                    ## HTML pages of the API in out/; warnings are errors
+doc:                    ## out/: HTML pages of documents and API; warnings are errors
 	@tools/deps.sh doc
 	ldoc -c doc/config.ld --fatalwarnings -q .
+	@mkdir -p out/gallery && cp -R doc/web out
+	@cd out && ls */*.html > pages
+	@$(LUA) tools/site/pages.lua out $(sort $(wildcard doc/gallery/*.svg))
+
+# From npm's packages, in a cache; files of a site that is there are replaced.
+site:                   ## out/: those pages and the playground, for file: or any server
+	@tools/site/build.sh out/playground.html $(LUA)
+	@$(MAKE) --no-print-directory doc
+	@du -sk out | sed 's/\([0-9]*\).*/out: \1 KiB/'
 
 # lamp.lua is the chart of the README
 gallery:                ## doc/gallery/: pictures of the examples and of larger charts

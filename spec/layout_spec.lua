@@ -475,6 +475,17 @@ describe("dot.layout", function()
     end
   end)
 
+  it("reads answers that leave out the usual height, as version 16 does", function()
+    local render = dot.render
+    local function layout_with(height) -- in place of 0.4 or 0.40278
+      return helper.with(dot, { render = function(text, format)
+        local BOX = "(\n\tn%d[^]]-\n\t\t)height=0%.4%d*,\n\t\t"
+        return (render(text, format):gsub(BOX, height))
+      end }, function() return assert(dot.layout(helper.init(chain(3)))) end)
+    end
+    assert.equal(layout_with "%1height=0.4,\n\t\t", layout_with "%1")
+  end)
+
   it("is what a server draws while it goes on", function()
     local tab = marsh.model2tab(helper.init(chain(12)), true)
     local picture = Picture.start(dot.encode(tab), tab)

@@ -291,10 +291,12 @@ local function read_link(link, attributes)
   link.label_at = attributes.lp and numbers_in(attributes.lp)
 end
 
+-- Graphviz may leave out what is as in the line "node [...]": version 16 does.
 local function read_node(level, id, attributes)
   local point, kind, number = numbers_in(attributes.pos), id:sub(1, 1), id:sub(2)
-  local box = { x = point[1], y = point[2], width = attributes.width * 72,
-    height = attributes.height * 72 }
+  local box = { x = point[1], y = point[2],
+    width = (attributes.width or level.usual.width) * 72,
+    height = (attributes.height or level.usual.height) * 72 }
   number = tonumber(number)
   if kind == "h" then
     level.header = box
@@ -319,6 +321,8 @@ end
 local function read_element(level, id, attributes)
   if id == "graph" then
     if attributes.bb then read_size(level, attributes) end
+  elseif id == "node" then
+    level.usual = level.usual or attributes
   elseif id:find("->", 1, true) then
     local link = level.links[tonumber(attributes.id)]
     if link then read_link(link, attributes) end
@@ -329,7 +333,7 @@ end
 
 -- Reads a graph of an answer. Returns where it ends.
 local function read_level(level, text, position)
-  level.boxes, level.arches, level.header = {}, {}, nil
+  level.boxes, level.arches, level.header, level.usual = {}, {}, nil, nil
   while true do
     local _, stop, id, mark = text:find("\n%s*([^\n{}]-)%s*([%[{}])", position)
     position = stop + 1

@@ -38,11 +38,14 @@ local function begin(picture, graph, format)
   pipe:close()
 end
 
--- Has Graphviz run, and yields until it is done. Returns nil if it is missing or fails.
-local function run(picture, graph, format)
-  begin(picture, graph, format)
-  while picture.pid do
-    local handle = io.open(picture.output, "rb")
+--- Have Graphviz run, and yield until it is done. The playground has its own.
+---@param graph string
+---@param format string "dot" or "svg"
+---@return string? output nil if Graphviz is missing or fails
+function Picture:run(graph, format)
+  begin(self, graph, format)
+  while self.pid do
+    local handle = io.open(self.output, "rb")
     if handle then
       local text = handle:read("*a")
       handle:close()
@@ -56,10 +59,10 @@ local function draw(picture, graph, description)
   if description then
     local chart = diagram.read(description, "rfsm.web.picture")
     graph = layout.draw(chart, function(graphs)
-      return run(picture, graphs, "dot"), "no Graphviz"
+      return picture:run(graphs, "dot"), "no Graphviz"
     end) or graph
   end
-  return run(picture, graph, "svg")
+  return picture:run(graph, "svg")
 end
 
 --- Begin a picture of a graph; without Graphviz none will come.

@@ -91,25 +91,34 @@ function Window:wait(expression)
     .. self:run("return document.body.innerText"), 2)
 end
 
+--- Return the id of the first element that a CSS selector finds.
+function Window:find(selector)
+  local _, id = next(self:call("POST", "/element",
+    { using = "css selector", value = selector }))
+  return id -- its only field
+end
+
 --- Click the first element that a CSS selector finds. One that is drawn anew meanwhile
 -- is found again.
 function Window:click(selector)
   local deadline = socket.gettime() + PATIENCE
   repeat
-    local element = self:call("POST", "/element", { using = "css selector",
-      value = selector })
-    local _, id = next(element) -- its only field
-    local ok, problem = pcall(self.call, self, "POST", "/element/" .. id .. "/click")
+    local ok, problem = pcall(function()
+      self:call("POST", "/element/" .. self:find(selector) .. "/click")
+    end)
     if ok then return end
-    local is_stale = problem:find("stale element", 1, true)
-    if not is_stale or socket.gettime() > deadline then error(problem, 2) end
+    local is_soon = problem:find("stale element", 1, true)
+      or problem:find("no such element", 1, true)
+    if not is_soon or socket.gettime() > deadline then error(problem, 2) end
   until false
 end
+
+webdriver.BACKSPACE = "\238\128\131"
 
 --- Type keys at what has the focus.
 function Window:type(keys)
   local actions = {}
-  for key in keys:gmatch(".") do
+  for key in keys:gmatch("[%z\1-\127\194-\244][\128-\191]*") do
     actions[#actions + 1] = { type = "keyDown", value = key }
     actions[#actions + 1] = { type = "keyUp", value = key }
   end

@@ -1,0 +1,122 @@
+-- The server of `rfsm web` in a page: requests and messages are texts that worker.js
+-- passes, Graphviz is that of viz.js, the time is what the page says. All else is the
+-- library as it is.
+--
+-- Returns the functions that worker.js calls. The chart sees nothing of the browser.
+
+local now = 0 -- seconds
+local outbox = {} -- messages for the page
+
+-- What a chart must not have: it could switch off the limit of its time, or end Lua.
+for _, name in ipairs { "sethook", "gethook", "debug" } do rawset(debug, name, nil) end
+rawset(os, "exit", function() error("os.exit is called", 2) end)
+
+package.path = "/lib/?.lua;/lib/compat/?.lua;/?.lua"
+package.cpath = ""
+package.preload.socket = function() return { gettime = function() return now end } end
+
+-- A server without a port, and with one page: as rfsm.web.http.
+package.preload["rfsm.web.http"] = function()
+  local Server = {}
+  Server.__index = Server
+
+  function Server:step(timeout) self.wait = timeout end
+
+  function Server:feed(next_message)
+    local text = next_message(self.connections[1])
+    if text then outbox[#outbox + 1] = text:match("data: (.*)\n\n$") end
+  end
+
+  return { listen = function(_, _, handle)
+    return setmetatable({ host = "localhost", port = 0, handle = handle, wait = 0,
+      connections = {}, streams = 0 }, Server)
+  end }
+end
+
+local chart = require "rfsm.shared.chart"
+local command = require "rfsm.checks.command"
+local Picture = require "rfsm.web.picture"
+local web = require "rfsm.web"
+require("rfsm_timeevent") -- so that their events are known, as to `rfsm check`
+require("rfsm.await")
+
+local graph, drawn = nil, nil -- what is to be drawn, as { text, format }; the result
+
+function Picture:run(text, format)
+  graph, drawn = { text, format }, nil
+  while self.is_pending and not drawn do coroutine.yield() end
+  return drawn ~= "" and drawn or nil
+end
+
+local host, file, server = {}, nil, nil
+
+function host.open(name, text)
+  file = name
+  host.write(text)
+  server = assert(web.open(name, { port = 0, stub = true }))
+end
+
+function host.write(text)
+  local handle = assert(io.open(file, "wb"))
+  handle:write(text)
+  handle:close()
+  if server then server.sources[1].look_at = 0 end -- at once
+end
+
+-- Does what is due. Returns the seconds until more is.
+function host.step(time)
+  now = time
+  server:step(math.huge)
+  return server.http.wait
+end
+
+-- Answers a request of the page: { status, text }.
+function host.ask(path, query, body)
+  local reply = server.http.handle {
+    method = body and "POST" or "GET", path = "/" .. path, query = query,
+    body = body, headers = { host = "localhost", ["x-rfsm-token"] = server.token },
+  }
+  return { reply.status or 200, reply.body or "" }
+end
+
+-- Follows the machine from now on.
+function host.follow()
+  local shown = server.shown[1]
+  server.http.connections[1] = { stream = shown, pending = "" }
+  server.http.streams, shown.streams = 1, 1
+end
+
+-- Returns the next message to the page.
+function host.message() return table.remove(outbox, 1) end
+
+-- Returns what Graphviz has to draw, as { text, format }; nil if there is nothing.
+function host.graph()
+  local wanted = graph
+  graph = nil
+  return wanted
+end
+
+function host.draw(text) drawn = text end
+
+-- Returns what `rfsm check --static` reports.
+function host.check()
+  local real = print
+  rawset(_G, "print", function() end)
+  local ok, lines = pcall(function()
+    local required, model, warnings, world =
+      command.noting_extensions(chart.load, file)
+    if not model then -- of a robot that is not here
+      required, model, warnings, world =
+        command.noting_extensions(chart.load, file, true)
+    end
+    if not model then return { warnings } end
+    local found = command.review(file, model, warnings, {},
+      { static = true, required = required })
+    found[#found + 1] = chart.stub_line(file, world)
+    return found
+  end)
+  rawset(_G, "print", real)
+  return table.concat(ok and lines or { chart.reason(file, lines) }, "\n")
+end
+
+return host
