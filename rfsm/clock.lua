@@ -146,6 +146,16 @@ function clock.read(is_monotonic)
   return sec, nsec
 end
 
+--- Return the seconds until the next timer of a machine can fire.
+---@param fsm rfsm.Machine
+---@return number? seconds nil if none is armed, or if the clock fails
+function clock.until_timer(fsm)
+  local timeevent = rawget(_G, "package").loaded.rfsm_timeevent
+  if not timeevent then return nil end
+  local ok, seconds = pcall(timeevent.next_deadline, fsm)
+  return ok and seconds or nil
+end
+
 --- Return a clock of seconds that begins now.
 ---@return fun(): number seconds
 function clock.from_now()

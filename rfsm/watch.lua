@@ -48,7 +48,7 @@ end
 local TAKE = {}
 
 function TAKE.rfsm_model(self, message)
-  dot.encode(message.graph) -- raises an error for a graph that is none
+  dot.encode(message.graph) -- raises an error if the graph is wrong
   self.graph = message.graph
 end
 

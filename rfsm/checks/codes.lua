@@ -98,7 +98,6 @@ local MEANINGS = {
 }
 
 --- Is there a word in the name of a leaf that means an end, or a fault?
----@param state rfsm.State
 ---@param meaning "an end"|"a fault"
 ---@return boolean
 function codes.means(state, meaning)

@@ -138,8 +138,6 @@ local EXTENSIONS = {
 local MODULES = { timer = "rfsm_timeevent", await = "rfsm_await" }
 
 --- Call a function that loads a chart, and note which extensions that requires.
----@param f function
----@param ... any
 ---@return table<string, true> required "timer", "await"
 ---@return any ... results of `f`
 function command.noting_extensions(f, ...)
@@ -222,9 +220,7 @@ end
 --- Return the findings about a chart in lines, those of each severity in the order of
 --- the tree, and what was explored.
 ---@param file string of the chart
----@param model rfsm.State
 ---@param warnings string[] about its file
----@param settings table<string, string>
 ---@param options table of the command: all, static, together ...; `required`: what
 -- `command.noting_extensions` has noted
 ---@return string[] lines "chart.lua: ok" if there is nothing to report

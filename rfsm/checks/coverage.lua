@@ -93,7 +93,6 @@ function Coverage:__tostring()
 end
 
 --- Return the record as JSON, for other runs and for pictures.
----@return string text
 function Coverage:json()
   local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
   if not dkjson then error("rfsm_checks.coverage: " .. problem, 2) end

@@ -9,8 +9,6 @@ local abs, min = math.abs, math.min
 local graph = {}
 
 --- Call `f(tgt, is_internal)` for each step from a configuration.
----@param walk rfsm_checks.Walk
----@param number integer
 ---@param f fun(tgt: integer, is_internal: boolean)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
@@ -52,7 +50,6 @@ local function spread(walk, set, lists, joins)
 end
 
 --- Return the set of configurations from which one of `goals` can be reached.
----@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
 ---@return table<integer, boolean> set
@@ -73,7 +70,6 @@ end
 
 --- Return the set of configurations from which steps without events from outside always
 --- lead to one of `goals`. A doo that does not end is left out: it ends some time.
----@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
@@ -140,7 +136,6 @@ local function leads_out(walk, component)
 end
 
 --- List the sets of configurations that lead to each other.
----@param walk rfsm_checks.Walk
 ---@return integer[][] bottoms those that lead nowhere else, each sorted
 ---@return integer[][] others
 function graph.components(walk)

@@ -30,7 +30,6 @@ end
 --- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
 ---@param prefix? string of its machine, see `rfsm.machines`
----@return string path
 function place.path(obj, prefix)
   local path = obj._fqn or place.of(obj):gsub(" %(.* %-> .*%)$", "")
   return prefix and prefix .. path:sub(5) or path
@@ -50,7 +49,6 @@ function place.tried(fsm, leaf)
 end
 
 --- List the regions of a state with their names, sorted by name.
----@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function place.regions_of(state)
   local regions, machines = {}, {}
@@ -79,7 +77,6 @@ end
 ---@param node rfsm.State|rfsm.Connector
 ---@param prefix string of its machine
 ---@param is_target? boolean
----@return string name
 function place.name_of(node, prefix, is_target)
   if is_target and rfsm.is_conn(node) and node._id == "initial" then
     node = node._parent

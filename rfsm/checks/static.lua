@@ -74,7 +74,6 @@ end
 ---@param code string
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector|nil
 ---@param path string of the element, see `place.path`
----@param text string
 ---@param at? string its place in words
 ---@param file? string
 ---@return rfsm_checks.Finding? finding
@@ -114,7 +113,6 @@ function Findings:join(others)
 end
 
 --- Append findings about silences that silence nothing.
----@param model rfsm.State
 function Findings:add_idle_silences(model)
   for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -285,7 +283,6 @@ end
 
 --- Give findings the severity that a project has set, and drop those that are off.
 ---@param findings rfsm_checks.Finding[]
----@param settings table<string, string>
 ---@return rfsm_checks.Finding[] kept
 function static.apply(findings, settings)
   local kept = {}

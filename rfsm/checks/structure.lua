@@ -26,7 +26,6 @@ local function mark(reached, pending, node)
 end
 
 --- Return the set of nodes that some path of transitions leads to.
----@param fsm rfsm.Machine
 ---@return table<table, boolean> reached
 function structure.reached(fsm)
   local reached, pending = {}, {}

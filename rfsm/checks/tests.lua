@@ -229,7 +229,6 @@ end
 -- Public functions ..................................................................
 
 --- Plan runs that take every transition of a model that can be taken.
----@param model rfsm.State
 ---@param callbacks? boolean run entries, exits and effects
 ---@return rfsm_checks.Tests
 function tests.plan(model, callbacks)
@@ -374,7 +373,6 @@ end
 
 --- Write the runs of a chart as a spec for busted.
 ---@param file string of the chart
----@param model rfsm.State
 ---@param callbacks? boolean the runs run entries, exits and effects, too
 ---@param output? string the file of the spec; the chart is loaded relative to it
 ---@param old? string what stands in that file: only the marked lines are written anew

@@ -73,7 +73,6 @@ local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") en
 
 --- Return a record as a line of JSON.
 ---@param rec table
----@return string line
 function lines.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
 
 local MAX_QUOTED = 1000 -- texts that are remembered
@@ -153,7 +152,6 @@ function lines.writer(stream)
 end
 
 --- Open a file for one run more. What an earlier run has left of a line gets an end.
----@param name string
 ---@return file*? file
 ---@return string? problem
 function lines.open(name)
@@ -221,7 +219,6 @@ end
 
 --- Return the records of a run in a file.
 -- @raise if the file cannot be read, a line is no record, or there is no such run
----@param name string
 ---@param number? integer of the run; the last one if it is absent
 ---@return table[] recording
 ---@return { runs: integer, is_cut: boolean } about

@@ -8,7 +8,6 @@
 local order = require "rfsm.shared.order"
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
-local dry = require "rfsm.shared.dry"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -227,7 +226,7 @@ local function add_player(track, session, options)
   track.at, track.guard_at = 0, 0
   track.records = track.m and (session.inner[track.m] or {}) or session.records
   if session.is_dry then
-    for _, state in ipairs(dry(track.swaps, fsm)) do
+    for _, state in ipairs(swap.take_functions(track.swaps, fsm)) do
       swap.put(track.swaps, state, "doo", doo_again(session, track))
     end
   end

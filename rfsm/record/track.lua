@@ -86,8 +86,6 @@ end
 -- What may have changed: the data that the chart keeps, and targets -----------------
 
 --- Return what tells cheaply that the data of a machine is as it was.
----@param fsm rfsm.Machine
----@return table watched
 function track.watch_data(fsm)
   local watched = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
     states = {}, names = {}, values = {}, is_deep = false }
@@ -168,7 +166,6 @@ end
 
 --- Return the numbers and texts of the guards of a machine and of those in its states;
 -- nil if it has none.
----@param fsm rfsm.Machine
 ---@return any[]? texts a list for each machine: number, text, number, text ...
 function track.guard_texts(fsm)
   local lists, has_some = {}, false

@@ -45,7 +45,6 @@ local function new_gauge()
 end
 
 --- Is half of the pool in use? False if this Lua has none.
----@return boolean is_short
 function update.is_short_of_memory()
   collectgarbage()
   local used, _, size = new_gauge()()

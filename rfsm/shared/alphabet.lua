@@ -44,7 +44,6 @@ local function new_alphabet()
 end
 
 --- Collect the events that the transitions of a machine name.
----@param fsm rfsm.Machine
 ---@return rfsm.Alphabet
 function alphabet.of(fsm)
   local known = new_alphabet()
@@ -53,7 +52,6 @@ function alphabet.of(fsm)
 end
 
 --- Collect the events that the transitions of a machine and its regions name.
----@param fsm rfsm.Machine
 ---@return rfsm.Alphabet
 function alphabet.of_all(fsm)
   local known = new_alphabet()

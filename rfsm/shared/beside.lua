@@ -35,9 +35,6 @@ local found_for = nil -- folder of that chart
 -- Stubs -----------------------------------------------------------------------
 
 --- Return the stub of a name, the same each time.
----@param world rfsm.shared.World
----@param name string
----@return table stub
 function beside.stub(world, name)
   if not world.stubs[name] then
     world.names[#world.names + 1] = name
@@ -159,7 +156,6 @@ end
 -- Public functions ----------------------------------------------------------------
 
 --- Make a chart the one that is loaded now, up to `beside.leave`.
----@param file string
 ---@param source string of its code
 ---@param has_stubs? boolean
 ---@return rfsm.shared.World world

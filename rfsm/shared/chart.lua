@@ -21,15 +21,10 @@ local getinfo = debug and debug.getinfo
 local chart = {}
 
 --- Return the name of a chart's file in messages; `-` is stdin.
----@param file string
----@return string name
 function chart.name_of(file) return file == "-" and "stdin" or file end
 
 --- Return a problem with its file in front, unless it begins with a location.
----@param file string
----@param text string
 ---@param kind? string such as "warning: ", to stand behind the location
----@return string line
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
   local location, rest = text:match("^(%S+:%d+: )(.*)$")
@@ -44,17 +39,12 @@ end
 local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
 
 --- Return the first line of a failure; a traceback or a list of paths may follow it.
----@param failure any
----@return string line
 function chart.first_line(failure)
   local text = rfsm.text_of(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
 end
 
 --- Return why a chart cannot be used, in one line with its file.
----@param file string
----@param failure any
----@return string line
 function chart.reason(file, failure)
   local text = chart.first_line(failure)
   if failure == nil or text == "" or text == NO_ERROR then
@@ -205,7 +195,6 @@ end
 --
 -- A chart that reads the global `rfsm_timeevent` switches time events on.
 --
----@param file string
 ---@param has_stubs? boolean modules and globals that are not here are stubs
 ---@return rfsm.State? model nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
@@ -224,15 +213,12 @@ function chart.load(file, has_stubs)
 end
 
 --- Return the line that names the stubs of a chart; nil if it has none.
----@param file string
----@param world rfsm.shared.World
 ---@return string? line
 function chart.stub_line(file, world)
   return world.names[1] and chart.line(file, "stubbed: " .. concat(world.names, ", "))
 end
 
 --- Make the machine of the chart in a file.
----@param file string
 ---@param init fun(model: rfsm.State): rfsm.Machine|false, string?, string[]?
 ---@param warn fun(line: string) called for each undefined global, and for the stubs
 ---@param has_stubs? boolean

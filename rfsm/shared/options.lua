@@ -12,8 +12,6 @@ local concat = table.concat
 local options = {}
 
 --- Is it a text with a character in it?
----@param x any
----@return boolean
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
 --- Return a test: is it a whole number in these bounds?
@@ -27,12 +25,9 @@ function options.is_whole(least, most)
 end
 
 --- Is it a finite number of seconds, not below 0?
----@param x any
----@return boolean
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
 --- Return the end of a message: "got string 'x'".
----@param value any
 ---@return string
 function options.got(value)
   if type(value) == "string" then return ("got string '%s'"):format(value) end
@@ -70,7 +65,6 @@ function options.read(known, given)
 end
 
 --- Load a module that an extension needs.
----@param name string
 ---@param package string that of Debian which has it
 ---@return table? module nil if it is missing
 ---@return string? problem in one line
@@ -83,9 +77,7 @@ end
 
 --- The same; raises an error if it is missing.
 ---@param where string the module that needs it
----@param name string
 ---@param package string
----@return table module
 function options.need(where, name, package)
   local module, problem = options.find_package(name, package)
   return module or error(where .. ": " .. problem, 0)

@@ -21,8 +21,6 @@ local names = setmetatable({}, { __mode = "k" })
 local fields = setmetatable({}, { __mode = "k" })
 
 --- Return a stub.
----@param name string
----@return table stub
 function stubs.new(name)
   local stub = setmetatable({}, Stub)
   names[stub], fields[stub] = name, {}
@@ -30,7 +28,6 @@ function stubs.new(name)
 end
 
 --- Return the name of a stub; nil for all other values.
----@param value any
 ---@return string? name
 function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
@@ -79,7 +76,6 @@ Stub.__lt, Stub.__le = no, no
 local is_stubbed = setmetatable({}, { __mode = "k" }) -- states
 
 --- Return a state in place of one that is not here.
----@param name string
 ---@return rfsm.State state
 function stubs.new_state(name)
   local state = rfsm.state { doc = name .. " is a stub" }
@@ -108,7 +104,6 @@ local function complete_path(root, state, path)
 end
 
 --- Make states of the stubs in a model that are sources or targets of transitions.
----@param model rfsm.State
 function stubs.complete(model)
   rfsm.mapfsm(function(tr, state)
     for _, path in ipairs { tr.src, tr.tgt } do

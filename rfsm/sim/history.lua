@@ -118,7 +118,6 @@ local function continue(sim)
 end
 
 --- Begin a history.
----@param sim rfsm.sim.Session
 function history.start(sim)
   if sim.history then stop(sim.history) end
   sim.history = { chunks = {}, fresh = false, count = 0, last = 0, marks = {}, at = 0 }
@@ -126,7 +125,6 @@ function history.start(sim)
 end
 
 --- Call a function while nothing is recorded, and the guards are those of the chart.
----@param sim rfsm.sim.Session
 ---@param f fun()
 function history.pause(sim, f)
   stop(sim.history)
@@ -136,7 +134,6 @@ function history.pause(sim, f)
 end
 
 --- Begin a new chunk if the last one is long enough; between two steps.
----@param sim rfsm.sim.Session
 function history.cut(sim)
   local own = sim.history
   local chunk = own.chunks[#own.chunks]
@@ -157,7 +154,6 @@ local function new_mark(sim)
 end
 
 --- Note that an advance begins.
----@param sim rfsm.sim.Session
 function history.mark(sim)
   local problem = sim.history.problem
   if not sim.history.recorder then -- what is missing cannot be replayed
@@ -236,8 +232,6 @@ local function move(sim, n, mark)
 end
 
 --- Have the machine stand where it stood after iteration n.
----@param sim rfsm.sim.Session
----@param n integer
 function history.go_to(sim, n)
   local own = sim.history
   local first = first_of(own)
@@ -261,8 +255,6 @@ local function check_count(name, n)
 end
 
 --- Undo the last advances.
----@param sim rfsm.sim.Session
----@param n integer
 function history.back(sim, n)
   local own = sim.history
   check_count("back", n)
@@ -275,8 +267,6 @@ function history.back(sim, n)
 end
 
 --- Do again what `back` has undone.
----@param sim rfsm.sim.Session
----@param n integer
 function history.forward(sim, n)
   local own = sim.history
   check_count("forward", n)
@@ -313,7 +303,6 @@ local function each_record(own, f)
 end
 
 --- Write the history to a file, and all that follows; nil ends that.
----@param sim rfsm.sim.Session
 ---@param name? string
 function history.save(sim, name)
   local own = sim.history
@@ -335,7 +324,6 @@ local function count_iterations(list)
 end
 
 --- Run the chart through a recording. Where it departs, it stops, and that is raised.
----@param sim rfsm.sim.Session
 ---@param name string of the file
 function history.replay(sim, name)
   local list, about = record.read(name)
@@ -365,7 +353,6 @@ local function add_texts(texts, events)
 end
 
 --- Print the last iterations.
----@param sim rfsm.sim.Session
 ---@param last integer how many
 function history.show(sim, last)
   local own = sim.history

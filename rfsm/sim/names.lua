@@ -16,13 +16,9 @@ local names = {}
 
 --- Return the name of a node of a machine.
 ---@param prefix string the name of that machine
----@param fqn string
----@return string name
 function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 
 --- List the events that are texts and come from outside.
----@param fsm rfsm.Machine
----@return string[] events
 function names.events(fsm)
   local texts = {}
   for _, event in ipairs(rfsm.sorted_keys(alphabet.of_all(fsm).set)) do
@@ -34,9 +30,6 @@ function names.events(fsm)
 end
 
 --- Does a transition of a machine name an event? A predicate may stand for any.
----@param fsm rfsm.Machine
----@param event any
----@return boolean
 function names.is_event(fsm, event)
   local known = alphabet.of_all(fsm)
   if known.set[event] or event == "e_init_fsm" then return true end
@@ -45,7 +38,6 @@ function names.is_event(fsm, event)
 end
 
 --- List the states and connectors.
----@param fsm rfsm.Machine
 ---@return string[] list names
 ---@return table<string, table> by_name the nodes
 function names.nodes(fsm)
@@ -60,9 +52,6 @@ function names.nodes(fsm)
 end
 
 --- Return the hint " (did you mean 'e_go'?)", if there is one.
----@param name string
----@param list any[]
----@return string hint
 function names.hint(name, list)
   return (advice.nearest_name(name, list))
 end

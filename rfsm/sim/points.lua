@@ -64,9 +64,7 @@ local function of_text(fsm, text)
 end
 
 --- Add a breakpoint.
----@param sim rfsm.sim.Session
 ---@param what any a state, a transition, an event, or the name of one
----@return integer number
 function points.add(sim, what)
   local point
   if rfsm.is_trans(what) then
@@ -92,9 +90,6 @@ function points.each_reached(list, kind, value, f)
 end
 
 --- Watch an expression: its value is shown after each advance.
----@param sim rfsm.sim.Session
----@param text string
----@return integer number
 function points.add_watch(sim, text)
   local ok, value = sim.value_of(text)
   if not ok then error(value, 0) end
@@ -103,7 +98,6 @@ function points.add_watch(sim, text)
 end
 
 --- Print the values that are watched.
----@param sim rfsm.sim.Session
 function points.show_watched(sim)
   for _, point in ipairs(sim.points) do
     if point.kind == "watch" then
@@ -118,7 +112,6 @@ function points.show_watched(sim)
 end
 
 --- Print a list with the numbers.
----@param sim rfsm.sim.Session
 function points.list(sim)
   for i, point in ipairs(sim.points) do
     print(("%d  %s %s"):format(i, point.kind, point.name))
@@ -127,7 +120,6 @@ function points.list(sim)
 end
 
 --- Remove one, or all.
----@param sim rfsm.sim.Session
 ---@param n? integer
 function points.delete(sim, n)
   if n ~= nil and not sim.points[n] then
@@ -137,7 +129,6 @@ function points.delete(sim, n)
 end
 
 --- Find the states and transitions in another machine of the chart, by their names.
----@param sim rfsm.sim.Session
 ---@param complain fun(line: string) called for each that is gone
 function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do

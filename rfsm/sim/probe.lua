@@ -158,9 +158,7 @@ end
 local probe = {}
 
 --- Watch the machine of a session and the regions in it.
----@param sim rfsm.sim.Session
 ---@param is_shown boolean print the transitions taken
----@return table probe
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
     is_seen = {}, seen = {}, is_used = {}, machines = {}, swaps = {} }, Probe)

@@ -119,9 +119,6 @@ local function call(sim, chunk)
 end
 
 --- Run a text.
----@param sim rfsm.sim.Session
----@param text string
----@param chunkname string
 ---@return boolean ok
 ---@return string? problem in one line
 ---@return boolean? is_incomplete may more text mend it?
@@ -142,8 +139,6 @@ function prompt.evaluate(sim, text, chunkname)
 end
 
 --- Return the value of an expression.
----@param sim rfsm.sim.Session
----@param text string
 ---@return boolean ok
 ---@return any value the problem, in one line, if it is not ok
 function prompt.value_of(sim, text)
@@ -154,7 +149,6 @@ function prompt.value_of(sim, text)
 end
 
 --- Give a session what typed code sees: the commands, then the globals of the chart.
----@param sim rfsm.sim.Session
 function prompt.install(sim)
   local env = { fsm = sim.fsm, rfsm = rfsm }
   for _, command in ipairs(commands.list) do
@@ -209,7 +203,6 @@ local function digest(sim, text)
 end
 
 --- Read and evaluate until the end of the input.
----@param sim rfsm.sim.Session
 function prompt.converse(sim)
   local read = terminal.new_reader(function(...) return complete(sim, ...) end)
   local text, problem = "", nil

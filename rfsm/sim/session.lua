@@ -10,7 +10,7 @@ local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local dry = require "rfsm.shared.dry"
+local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"
 local points = require "rfsm.sim.points"
@@ -78,7 +78,7 @@ function Session:print_queue()
 end
 
 function Session:print_timer()
-  local seconds = time.until_timer(self.fsm)
+  local seconds = clock.until_timer(self.fsm)
   if not seconds then return end
   print("timer:  in " .. time.text(seconds) .. ", next() goes there")
 end
@@ -178,7 +178,6 @@ function Session:check_event(event, i)
 end
 
 --- Send events; `e_done` is that of the active leaf.
----@param ... any
 function Session:send(...)
   local leaf, events, n = self.fsm._act_leaf, { ... }, select("#", ...)
   for i = 1, n do
@@ -248,7 +247,7 @@ local function take_functions(fsm)
   local swaps = {}
   for _, place in ipairs(rfsm.machines(fsm)) do
     local machine = place.machine
-    for _, state in ipairs(dry(swaps, machine)) do
+    for _, state in ipairs(swap.take_functions(swaps, machine)) do
       swap.put(swaps, state, "doo", idle)
     end
     if machine.getevents then swap.put(swaps, machine, "getevents", nil) end
@@ -291,7 +290,6 @@ end
 local session = {}
 
 --- Open a chart.
----@param file string
 ---@param follows boolean
 ---@param has_stubs? boolean
 ---@return rfsm.sim.Session? sim

@@ -77,7 +77,6 @@ local function luv_counter()
 end
 
 --- Has Control-C been typed since the last look?
----@return boolean
 function terminal.is_interrupted()
   if counter then
     is_busy = true
@@ -158,8 +157,6 @@ end
 
 --- Call a function that no Control-C may leave; one that is typed meanwhile is raised
 -- afterwards.
----@param f function
----@param ... any
 function terminal.uninterrupted(f, ...)
   local was_busy = is_busy
   is_busy = true
@@ -175,11 +172,9 @@ function terminal.settle()
 end
 
 --- Is Control-C caught?
----@return boolean
 function terminal.is_caught() return counter ~= nil end
 
 --- Return a callback that Control-C ends, though it runs in a coroutine of its own.
----@param callback function
 ---@return function callback
 function terminal.interruptible(callback)
   return function(...)
@@ -282,7 +277,6 @@ end
 -- this one.
 --
 ---@param read fun(prompt: string): string|false|nil
----@param prompt string
 ---@return string|false|nil line
 ---@return boolean is_interrupted
 function terminal.read(read, prompt)
