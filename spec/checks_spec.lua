@@ -577,7 +577,8 @@ describe("rfsm.checkevents", function()
         return fsm
       end
       local before = started "before"
-      rfsm.fsm_merge(before, before, rfsm.trans { src = "a", tgt = "a", events = "e_new" })
+      rfsm.fsm_merge(before, before,
+        rfsm.trans { src = "a", tgt = "a", events = "e_new" })
       assert(require "rfsm.checkevents" == checks)
       for _, fsm in ipairs { before, started "after" } do
         rfsm.send_events(fsm, "e_y")

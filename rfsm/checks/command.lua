@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local chart = require "rfsm.shared.chart"
+local exists = require("rfsm.shared.beside").exists
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
@@ -21,12 +22,6 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local command = {}
 
 local SETTINGS = ".rfsmcheck.lua"
-
--- Does a file exist?
-local function exists(name)
-  local handle = io.open(name)
-  return handle ~= nil and handle:close() ~= nil
-end
 
 -- Returns the nearest file of settings, from the folder of a file up to the working
 -- directory, or to /; nil if there is none.

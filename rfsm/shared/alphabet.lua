@@ -39,24 +39,19 @@ local function add_machine(known, fsm)
   end
 end
 
-local function new_alphabet()
-  return { list = {}, awaited = {}, predicates = {}, set = {}, takes_any = false }
+local function collect(machines)
+  local known = { list = {}, awaited = {}, predicates = {}, set = {},
+    takes_any = false }
+  for _, at in ipairs(machines) do add_machine(known, at.machine) end
+  return known
 end
 
 --- Collect the events that the transitions of a machine name.
 ---@return rfsm.Alphabet
-function alphabet.of(fsm)
-  local known = new_alphabet()
-  add_machine(known, fsm)
-  return known
-end
+function alphabet.of(fsm) return collect { { machine = fsm } } end
 
 --- Collect the events that the transitions of a machine and its regions name.
 ---@return rfsm.Alphabet
-function alphabet.of_all(fsm)
-  local known = new_alphabet()
-  for _, place in ipairs(rfsm.machines(fsm)) do add_machine(known, place.machine) end
-  return known
-end
+function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
 
 return alphabet

@@ -15,7 +15,7 @@ local function pass(ok, ...)
   return ok, ...
 end
 
---- Call a function as `pcall` does; an interrupt such as Control-C reaches the caller.
+--- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
 ---@return boolean ok
 ---@return any ... results, or the failure
 function calls.try(f, ...) return pass(pcall(f, ...)) end

@@ -1,13 +1,13 @@
 --- Chart files for the tools: loaded with a watch on globals, failures in one line.
 --
 -- Charts written for rFSM use the globals `rfsmpp`, `rfsm_ext` and `rfsm_timeevent`
--- without requiring them, because its tools loaded them. Here they find them, too.
+-- without requiring them, because its tools loaded them. So the globals are there.
 --
 -- @module rfsm.shared.chart
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local load_file = rfsm.load -- itself: that of charts looks beside them
+local load_file = rfsm.load -- before `beside` replaces it
 local beside = require "rfsm.shared.beside"
 local stubs = require "rfsm.shared.stubs"
 
@@ -24,7 +24,7 @@ local chart = {}
 function chart.name_of(file) return file == "-" and "stdin" or file end
 
 --- Return a problem with its file in front, unless it begins with a location.
----@param kind? string such as "warning: ", to stand behind the location
+---@param kind? string such as "warning: ", for behind the location
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
   local location, rest = text:match("^(%S+:%d+: )(.*)$")
@@ -58,13 +58,13 @@ function chart.reason(file, failure)
   return chart.name_of(file) .. ": " .. text
 end
 
--- What stands around a global whose existence is asked for.
+-- Patterns of tests for the existence of a global.
 local QUESTIONS = {
   "not%s+NAME%s*%f[^%w_%s:.%[(]", "not%s+NAME%s+%w", "NAME%s*[~=]=%s*nil",
   "NAME%s+and%f[%W]", "NAME%s+or%f[%W]", "NAME%s+then%f[%W]",
 }
 
--- Does a line of a file ask whether a global exists? Then the host may define it.
+-- Does a line of a file test if a global exists? Then the host may define it.
 local function is_asked(file, line, name)
   local handle, number = io.open(file), 0
   for text in handle and handle:lines() or function() end do
@@ -88,7 +88,7 @@ end
 
 -- Globals: those that do not exist ----------------------------------------------
 
--- Returns the warning about a global; nil if the code asks whether it exists.
+-- Returns the warning about a global; nil if the code tests if it exists.
 local function warning_of(name, reader)
   local file, line = reader.source:match("^@(.*)"), reader.currentline
   if file and is_asked(file, line, name) then return nil end
@@ -96,14 +96,14 @@ local function warning_of(name, reader)
     name:find("^e_") and " (an event is a string, in quotes)" or "")
 end
 
--- Returns a stub for a global; nil if the code asks whether it exists.
+-- Returns a stub for a global; nil if the code tests if it exists.
 local function stub_for(world, name, reader)
   local is_wanted = world.insists or warning_of(name, reader)
   return is_wanted and beside.stub(world, name) or nil
 end
 
--- Returns what code of a chart finds in place of a global that does not exist. A global
--- that looks like an event is one without its quotes, and no stub.
+-- Returns the __index for globals that do not exist, of code of a chart. A name such as
+-- e_go is an event whose quotes were forgotten, not a stub.
 local function new_watch(world, warnings)
   local is_known = {}
   local function note(name, reader)
@@ -173,8 +173,7 @@ local function within_bounds(f, ...)
   return ok, model
 end
 
--- A first line for the shell (#!) is none of Lua's business.
-local function load_stdin()
+local function load_stdin() -- without a first line for the shell (#!)
   local text = io.read("*a"):gsub("^#[^\n]*", "")
   return rfsm.load_str(text, "=stdin")
 end

@@ -1,20 +1,21 @@
---- Options of a function: checked by a table of tests, with defaults; packages.
+--- Options of functions: tests and defaults; packages that an extension needs.
 --
 -- @module rfsm.shared.options
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local error, pairs, pcall, require, type = error, pairs, pcall, require, type
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local require, type = require, type
 local floor, huge = math.floor, math.huge
 local concat = table.concat
 
 local options = {}
 
---- Is it a text with a character in it?
+--- Is it a text that is not empty?
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
---- Return a test: is it a whole number in these bounds?
+--- Return a test for whole numbers within bounds.
 ---@param least number
 ---@param most number
 ---@return fun(x: any): boolean
@@ -35,8 +36,8 @@ function options.got(value)
 end
 
 --- Return the options with their defaults.
----@param known table<string, any[]> description, test, default of each. A test may
----   return the problem behind false or nil
+---@param known table<string, any[]> description, test, default of each; a test may
+-- return false and the problem
 ---@param given table
 ---@return table? settings nil if one is wrong
 ---@return string? problem in one line
@@ -45,7 +46,7 @@ function options.read(known, given)
     return nil, "table of options expected, " .. options.got(given)
   end
   local settings = {}
-  for _, name in pairs(rfsm.sorted_keys(given)) do
+  for _, name in ipairs(rfsm.sorted_keys(given)) do
     local option, value = known[name], given[name]
     if not option then
       return nil, ("unknown option '%s', expected: %s"):format(rfsm.text_of(name),
@@ -75,8 +76,9 @@ function options.find_package(name, package)
     name == "socket" and "luasocket" or name, package)
 end
 
---- The same; raises an error if it is missing.
----@param where string the module that needs it
+--- Load a module that an extension needs.
+-- @raise if it is missing
+---@param where string the name of the extension
 ---@param package string
 function options.need(where, name, package)
   local module, problem = options.find_package(name, package)

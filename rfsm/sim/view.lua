@@ -1,4 +1,4 @@
---- What the simulator shows: values, the tree of states, the picture.
+--- Values, the tree of states, and the picture in the simulator.
 --
 -- @module rfsm.sim.view
 -- @license BSD-3-Clause
@@ -66,7 +66,7 @@ local MAX_SIBLINGS = 12
 
 local add_state
 
--- Adds the states of a list, all active ones and some of the others.
+-- Adds the active states of a list, and some inactive ones.
 local function add_children(lines, children, indent)
   local hidden = 0
   for i, child in ipairs(children) do
