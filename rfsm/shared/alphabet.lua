@@ -12,10 +12,10 @@ local alphabet = {}
 --- The events that a machine knows.
 ---@class rfsm.Alphabet
 ---@field list any[] those that transitions name, in the order of the tree
----@field awaited string[] those that an await waits for
+---@field awaited string[] the events in await(...)
 ---@field predicates function[]
 ---@field set table<any, boolean> all of these
----@field takes_any boolean a transition from a state has no events: any event will do
+---@field takes_any boolean a transition from a state has no events, so it takes any
 
 local function add(known, list, event)
   if known.set[event] or event ~= event then return end -- NaN is no event
