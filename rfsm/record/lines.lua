@@ -1,8 +1,8 @@
 --- A recording in a file: runs, each a header and a line of JSON for each record.
 --
--- A line leaves out fields that follow from the lines before: queued events, a leaf that
--- has not changed, the completion of a leaf. So a file is a third as long as its
--- records. The last line of a run may be incomplete.
+-- A line leaves out what follows from the lines before: queued events, a leaf that has
+-- not changed, the completion of a leaf. So a file is a third as long as its records.
+-- The last line of a run may be incomplete.
 --
 -- @module rfsm.record.lines
 -- @license BSD-3-Clause
