@@ -638,7 +638,9 @@ describe("data that changes between iterations", function()
     local found = {}
     for i = 2, #sink do
       local regions = sink[i].regions or {}
-      if regions[1] then found[#found + 1] = { regions[1], regions[2].data.root.count } end
+      if regions[1] then
+        found[#found + 1] = { regions[1], regions[2].data.root.count }
+      end
     end
     assert.same({ { 2, 6 } }, found)
     local regions = assert(record.replay(model(), sink, { dry = true })).a.substates
