@@ -18,7 +18,7 @@ local tostring, type = tostring, type
 local max, min, remove = math.max, math.min, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
-local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
+local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
@@ -131,10 +131,10 @@ end
 
 local function compare(session, track)
   local fsm, rec, leaf = track.fsm, track.rec, track.fsm._act_leaf
-  local place = place_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
-  local recorded = place_text(rec.leaf, rec.done)
-  if place ~= recorded then
-    return depart(session, "active leaf %s expected, got %s", recorded, place)
+  local present = leaf_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
+  local recorded = leaf_text(rec.leaf, rec.done)
+  if present ~= recorded then
+    return depart(session, "active leaf %s expected, got %s", recorded, present)
   elseif session.is_dry then
     return
   end

@@ -51,7 +51,7 @@ function track.list_text(list)
 end
 
 --- Return the active leaf of a record as text.
-function track.place_text(leaf, is_done)
+function track.leaf_text(leaf, is_done)
   return leaf and leaf .. (is_done and "(done)" or "(active)") or "none"
 end
 

@@ -363,7 +363,7 @@ function history.show(sim, last)
     if n > own.count - last then
       local events = add_texts(add_texts({}, rec.events), rec.added)
       print(("%4d  %-30s  %s"):format(n, concat(events, ", "),
-        rec.leaf and tracks.place_text(rec.leaf, rec.done) or "<none>"))
+        rec.leaf and tracks.leaf_text(rec.leaf, rec.done) or "<none>"))
     end
   end)
   if own.problem then print(own.problem) end

@@ -158,8 +158,8 @@ local probe = {}
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
     is_seen = {}, seen = {}, is_used = {}, machines = {}, swaps = {} }, Probe)
-  for i, place in ipairs(rfsm.machines(sim.fsm)) do
-    self.machines[i] = { fsm = place.machine, prefix = place.prefix }
+  for i, at in ipairs(rfsm.machines(sim.fsm)) do
+    self.machines[i] = { fsm = at.machine, prefix = at.prefix }
     self:attach(self.machines[i])
   end
   return self

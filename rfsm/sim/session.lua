@@ -188,8 +188,8 @@ end
 ---@return fun() release
 function Session:guard_doos()
   local swaps = {}
-  for _, place in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
-    for _, state in ipairs(rfsm.elements(place.machine, rfsm.is_leaf)) do
+  for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
+    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
       local doo = state.doo
       if doo then swap.put(swaps, state, "doo", terminal.interruptible(doo)) end
     end
@@ -243,8 +243,8 @@ local function let_pass() return true end
 -- Takes the functions of a chart away; returns the swaps.
 local function take_functions(fsm)
   local swaps = {}
-  for _, place in ipairs(rfsm.machines(fsm)) do
-    local machine = place.machine
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    local machine = at.machine
     for _, state in ipairs(swap.take_functions(swaps, machine)) do
       swap.put(swaps, state, "doo", idle)
     end
