@@ -1,9 +1,9 @@
---- Checks: events that nobody declared, and what is dead or suspicious in a model.
+--- Checks: undeclared events, and dead or suspicious parts of a model.
 --
--- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` lets a
--- machine warn of each event that none of its transitions names. So does
--- `checkevents = true` in the root of a model. `rfsm_checks.watch_all` does it for all
--- machines initialised afterwards, and so does `require "rfsm.checkevents"`.
+-- `rfsm_checks.check` looks at the structure of a model. `rfsm_checks.watch` has a
+-- machine warn of each event that no transition names, as `checkevents = true` in the
+-- root of its model does. `rfsm_checks.watch_all` and `require "rfsm.checkevents"` have
+-- all machines initialised afterwards do so.
 --
 -- @module rfsm_checks
 -- @license BSD-3-Clause
@@ -15,7 +15,7 @@ local rawset, require, setmetatable, type = rawset, require, setmetatable, type
 local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
 
---- Functions in files of their own, loaded when they are first used.
+--- The functions in rfsm/checks, loaded when they are first used.
 ---@class rfsm_checks
 ---@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[]
 ---@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration
@@ -31,7 +31,7 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field from fun(condition: any): table from(condition).can_reach(condition)
 local rfsm_checks = {}
 
--- Watch: events that nobody declared -------------------------------------------
+-- Watch: undeclared events ------------------------------------------------------
 
 --- The events that a machine knows, in its field `_checks`.
 ---@class rfsm_checks.Known
@@ -100,7 +100,7 @@ end
 
 -- Public functions ------------------------------------------------------------
 
--- Functions in files of their own, which are loaded when they are first asked for.
+-- The modules of functions that are loaded when they are first used.
 local ELSEWHERE = {
   why = "rfsm.checks.why", enabled = "rfsm.checks.why",
   findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
@@ -137,12 +137,12 @@ local function check_early(model)
   return problems
 end
 
---- Find what is wrong, dead or risky in a model, as lines of text.
+--- Find mistakes, dead parts and risks in a model, as lines of text.
 --
--- Notes are left out; `rfsm_checks.findings` returns them, too. A leaf that nothing
--- leaves is no finding if it is declared `final = true`, and no finding is one that the
--- field `checks` of its element expects. Without the folder rfsm/checks beside this
--- file the lines are those of `rfsm.init`, without codes.
+-- Notes are left out; `rfsm_checks.findings` returns them, too. A field `final = true`
+-- declares a leaf without a way out; a field `checks` silences findings of its element.
+-- Without the folder rfsm/checks beside this file the lines are those of `rfsm.init`,
+-- without codes.
 --
 -- @raise if `model` is no state
 ---@param model rfsm.State a model, or a machine
@@ -181,7 +181,7 @@ end
 -- `checkevents = false` in the root of a model excludes its machines. Requiring
 -- `rfsm.checkevents` or `rfsm_checkevents` calls this function.
 --
----@return table rfsm_checks this module, which is what these names give
+---@return table rfsm_checks this module, for `require` of these names
 function rfsm_checks.watch_all()
   watches_all = true
   set_global("rfsm_checkevents")

@@ -5,8 +5,8 @@
 -- The events of each iteration of the parent machine go to all regions, unless the
 -- state was left in that iteration.
 --
--- Each instance of a model has regions of its own, in the field `substates` of the
--- state. A machine that is given as a region is that region in the first instance.
+-- Each instance of a model has its regions in the field `substates` of the state. A
+-- machine that is given as a region is that region in the first instance.
 --
 -- @module rfsm_seqand
 -- @license BSD-3-Clause
@@ -89,14 +89,14 @@ end
 
 --- The regions of a state in the order in which they are stepped; its field `_regions`.
 ---@class rfsm_seqand.Regions
----@field names any[] likewise
----@field entry? function the user's own
----@field exit? function
+---@field names any[] their names, in that order
+---@field entry? function the user's
+---@field exit? function the user's
 ---@field is_shown boolean their order has been printed
 ---@field is_forwarded boolean the regions have got the events of this iteration
----@field is_standing boolean they come from a snapshot, and the entry is run again
+---@field is_restored boolean a snapshot was restored, and the entry is called again
 
--- Calls f(region, ...); the parent machine raises an error when its iteration is over.
+-- Calls f(region, ...). Its error is raised after the iteration of the parent machine.
 local function try(fsm, f, region, ...)
   local ok, result = pcall(f, region, ...)
   if ok then return result end
@@ -157,12 +157,12 @@ local function advance_all(fsm, state)
   end
 end
 
--- The entry: the user's own, then each region is advanced as in the doo.
+-- The entry: the user's, then each region is advanced as in the doo.
 local function enter_all(fsm, state, what)
   local regions, ok, failure = state._regions, true, nil
   if regions.entry then ok, failure = pcall(regions.entry, fsm, state, what) end
-  for i = 1, regions.is_standing and 0 or #regions do advance(fsm, state, i) end
-  regions.is_standing = false
+  for i = 1, regions.is_restored and 0 or #regions do advance(fsm, state, i) end
+  regions.is_restored = false
   if not ok then error(failure, 0) end
 end
 
@@ -172,7 +172,7 @@ local function leave_and_reset(region)
   if not ok then error(failure, 0) end
 end
 
--- The exit: the regions are left and reset, then the user's own.
+-- The exit: the regions are left and reset, then the user's.
 local function leave_all(fsm, state, what)
   local regions = state._regions
   for i = 1, #regions do try(fsm, leave_and_reset, regions[i]) end
@@ -209,11 +209,11 @@ local function save() return nil end
 -- A state whose entry is run again after a restore does not step its regions.
 local function load(fsm, _, how)
   for _, state in ipairs(rfsm.elements(fsm, has_regions)) do
-    state._regions.is_standing = how.entries and state == fsm._act_leaf or false
+    state._regions.is_restored = how.entries and state == fsm._act_leaf or false
   end
 end
 
--- Prepare: each instance gets regions of its own ---------------------------------
+-- Prepare: each instance gets its regions ----------------------------------------
 
 -- Fields that tools set on a machine, and that its fresh instance gets.
 local HANDED_ON = {
@@ -303,7 +303,7 @@ local function new_regions(state)
   add(rfsm.sorted_keys(state.substates))
   for i = 1, #names do regions[i] = state.substates[names[i]] end
   regions.names, regions.is_shown = names, false
-  regions.is_forwarded, regions.is_standing = false, false
+  regions.is_forwarded, regions.is_restored = false, false
   return regions
 end
 
@@ -341,7 +341,7 @@ local RESERVED = {
   entry = true, exit = true, andseqdbg = true, seqanddbg = true,
 }
 
--- Why the constructor cannot take a member; nil if it can.
+-- Returns the problem of a member; nil if there is none.
 local function obstacle(key, value)
   if key == "doo" or key == "substates" then
     return key .. ": is the state's own, and cannot be set"

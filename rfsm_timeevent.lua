@@ -5,9 +5,8 @@
 -- source of its transition is entered. The event `e_after(T)@FQN` comes in the first
 -- iteration that finds the timer expired, once per entry.
 --
--- An entry notes the time for all timers of the state. Most iterations find no timer
--- expired: they read the clock and compare it with one number. Single timers are looked
--- at only when that number is past.
+-- An entry notes the time for all timers of the state. Most iterations only compare the
+-- clock with one number, before which no timer expires.
 --
 -- @module rfsm_timeevent
 -- @license BSD-3-Clause
@@ -28,7 +27,7 @@ local rfsm_timeevent = {}
 local BILLION = 1000000000
 
 -- Carries whole seconds from nanoseconds to seconds. Both may have a fraction. The
--- remainder is taken off before the division, which then is exact.
+-- remainder is subtracted before the division, which then is exact.
 local function normalise(sec, nsec)
   local whole = floor(sec)
   if whole == sec and nsec >= 0 and nsec < BILLION and nsec % 1 == 0 then
@@ -62,8 +61,8 @@ end
 
 -- Clocks: the machine's, its parent machine's, or the process's ---------------------
 --
--- Each is a pair of functions, by whether a timer is relative: e_after wants a clock
--- that nobody sets, e_at the time of day.
+-- Each is a pair of functions: `true` for e_after, which wants a clock that is never
+-- set, `false` for e_at, which wants the time of day.
 
 -- Reads the clock that the standard library has.
 local function read_standard()
@@ -72,7 +71,7 @@ local function read_standard()
   return os.time(), 0
 end
 
--- What rfsm.clock offers, for a folder without that file.
+-- Replaces rfsm.clock in a folder without that file.
 local function new_standard_clock()
   local function find() return read_standard end
   local in_use = setmetatable({}, { __index = find })
@@ -133,8 +132,8 @@ local suspects = setmetatable({}, { __mode = "k" })
 
 local DAY = 86400
 
--- Warns of a clock that returns one number, nanoseconds, which must be seconds: it is
--- less than a millisecond since any start, or the time of day in seconds.
+-- Warns of a clock that returns one number, nanoseconds, which can only be seconds: it
+-- is below a million, or the time of day in seconds.
 local function check_unit(fsm, number)
   local os, gettime = rawget(_G, "os"), clock_of(fsm, true)
   local is_small = number > 0 and number < 1e6
@@ -161,7 +160,7 @@ Timeevent.__index = Timeevent
 
 function Timeevent.__tostring(event) return event.name end
 
--- Makes an object. Blames the caller of e_after or e_at for a value that is no time.
+-- Makes an object. Blames the caller of e_after or e_at for a wrong value.
 local function new_event(kind, x, id)
   local event = setmetatable({ is_relative = kind == "e_after" }, Timeevent)
   if is_callable(x) then
@@ -178,8 +177,8 @@ local function new_event(kind, x, id)
   return event
 end
 
--- Returns the event that a text such as "e_after(3)" stands for; nil for any other
--- text, and a second result if it was meant to be one.
+-- Returns the event of a text such as "e_after(3)"; nil for any other text, and the
+-- problem if it looks like a time event.
 local function parse(text)
   local kind = text:match("^(e_after)%s*%(") or text:match("^(e_at)%s*%(")
   if not kind or text:find("@", 1, true) then return nil end
@@ -193,13 +192,13 @@ end
 
 -- Run: arm, raise ----------------------------------------------------------------
 
---- What time events keep in a machine, in its field `_timeevent`. At `true` and `false`
--- it has a time as one number, seconds, for e_after and e_at: before that none of them
--- expires. huge: none is armed, -huge: some wait for the clock to work again.
+--- The field `_timeevent` of a machine. Its fields `true` and `false` are times in
+-- seconds before which no e_after or e_at expires. huge: none is armed, -huge: some
+-- wait for the clock to work again.
 ---@class rfsm_timeevent.Own
 ---@field count integer number of timers
----@field gettime any the clock of the machine, and
----@field clocks table<boolean, function> what it means
+---@field gettime any the clock of the machine
+---@field clocks table<boolean, function> the two functions of that clock
 
 --- The timers of a state, as a list and by name; its field `_timers`.
 ---@class rfsm_timeevent.Timers
@@ -207,23 +206,23 @@ end
 ---@field sec number|false the time of the latest entry; false: the clock failed
 ---@field nsec number
 ---@field delay number|false the shortest e_after; huge: functions only, false: none
----@field time number|false likewise of e_at
+---@field time number|false the earliest e_at
 
 --- A timer. It is armed with all timers of its state when that is entered, unless it
 -- has been set alone since.
 ---@class rfsm_timeevent.Timer
 ---@field name string of the event that it raises
 ---@field event rfsm_timeevent.Timeevent
----@field is_relative boolean that of the event
+---@field is_relative boolean
 ---@field rank integer its position among the timers of the machine
 ---@field timers rfsm_timeevent.Timers the list that it is in
 ---@field entry integer the entry of the state for which it was set alone
----@field sec number|false its deadline then; huge: not armed, false: it waits
+---@field sec number|false the deadline set; huge: not armed, false: it waits
 ---@field nsec number
 
 local MARGIN = 0.001 -- seconds; more than the error of a time as one number
 
--- Returns the deadline of a timer, also in whole nanoseconds; as the field `sec`.
+-- Returns the deadline of a timer: values of its fields `sec` and `nsec`.
 local function deadline_of(timer)
   local timers, event = timer.timers, timer.event
   if timer.entry == timers.entry then return timer.sec, timer.nsec end
@@ -281,8 +280,8 @@ local function arm_now(fsm, timer)
   arm(fsm, timer, sec, nsec)
 end
 
--- Returns the time as one number, then as the clock returned it: nil and nanoseconds if
--- those are one number, too. Raises an error or returns false for what is no time.
+-- Returns the time as one number, then seconds and nanoseconds; seconds are nil if the
+-- clock returned one number. Raises an error or returns false for a wrong time.
 local function time_of(gettime)
   local sec, nsec = gettime()
   if not nsec then return sec < huge and sec * 1e-9, nil, sec end
@@ -290,8 +289,8 @@ local function time_of(gettime)
   return sec < huge and time - time == 0 and time, sec, nsec
 end
 
--- Returns the time as above from a clock that is unusual: one that returns one number,
--- or one that fails, which is read once more and reported.
+-- Returns the time of a clock that returns one number, or that fails: it is read once
+-- more and reported.
 local function read_unusual(fsm, time, nsec)
   if time then
     check_unit(fsm, nsec)
@@ -360,8 +359,7 @@ local function expires_before(a, b)
   return a.timer.rank < b.timer.rank
 end
 
--- Disarms and lists the timers of one kind that have expired. Notes the deadlines of
--- the others.
+-- Disarms and lists the expired timers of one kind. Notes the deadlines of the others.
 local function take_expired(fsm, is_relative, sec, nsec)
   local expired = {}
   fsm._timeevent[is_relative] = huge
@@ -417,7 +415,7 @@ end
 
 local MAX_EXACT = 1000000 -- seconds, of which one number has the nanoseconds
 
--- Returns a time as it is kept; true if it is not known yet.
+-- Returns a time for a snapshot; true if it is not known yet.
 local function kept_time(sec, nsec)
   if not sec then return true end
   if abs(sec) >= MAX_EXACT then return { sec, nsec } end
@@ -440,8 +438,7 @@ local function save(fsm)
   return left
 end
 
--- Arms a timer of which `left` was kept: seconds in one number or with nanoseconds, or
--- true.
+-- Arms a timer with the time of a snapshot: a number, seconds and nanoseconds, or true.
 local function load_timer(fsm, timer, left)
   local sec, nsec, now, now_nsec = left, 0, 0, 0
   if left == true then return set(fsm, timer, false, 0) end
@@ -453,8 +450,8 @@ local function load_timer(fsm, timer, left)
   set(fsm, timer, normalise(sec + now, nsec + now_nsec))
 end
 
--- Timers follow the chart: one that the chart of a snapshot did not have is armed from
--- now on, and one that this chart does not have is dropped.
+-- Timers follow the chart: in a migration a new timer is armed from now on, and a timer
+-- that the chart does not have is dropped.
 local function load(fsm, left, how)
   local own, is_known = fsm._timeevent, {}
   left = left or {}
@@ -477,7 +474,7 @@ end
 
 -- Prepare: the events of a model become timers ---------------------------------
 
--- Makes a machine look for expired timers, and a state arm its own.
+-- Adds the hook for expired timers to a machine, and that for entries to a state.
 local function prepare_timers(fsm, state)
   if not fsm._timeevent then
     fsm._timeevent = { [true] = huge, [false] = huge, count = 0, gettime = false,
@@ -507,8 +504,8 @@ local function is_same(a, b)
   return a.is_relative == b.is_relative and a.sec == b.sec and a.nsec == b.nsec
 end
 
--- Returns the name of an event at its source: one of its own, or that of a timer that
--- expires together with it, which is the second result.
+-- Returns the name of an event at its source. If a timer always expires together with
+-- it, it is that of the timer, which is the second result.
 local function find_name(timers, event, fqn)
   local name, n = event.name .. "@" .. fqn, 1
   while timers[name] and not is_same(timers[name].event, event) do
@@ -598,10 +595,10 @@ end
 
 --- Set the clock of the process: that of each machine without a field `gettime`.
 --
--- Set it before machines run: armed timers keep the times of the clock before. A clock
--- returns seconds and nanoseconds, or nanoseconds in one number. It is for e_after and
--- e_at, but one that wants a clock id is given "CLOCK_MONOTONIC" for e_after and
--- "CLOCK_REALTIME" for e_at, and that of RTT is for e_after alone.
+-- Set it before machines run: armed timers keep their times. A clock returns seconds
+-- and nanoseconds, or nanoseconds in one number. It is for e_after and e_at. One that
+-- wants a clock id is given "CLOCK_MONOTONIC" or "CLOCK_REALTIME"; that of RTT is for
+-- e_after alone.
 --
 ---@param gettime? fun(id?: string): number, number? nil for the best clock installed
 function rfsm_timeevent.set_gettime_hook(gettime)
@@ -629,8 +626,8 @@ local function remaining(fsm, is_relative)
   return max(sec + nsec / 1e9, 0)
 end
 
--- Returns the seconds until the first timer of a machine can fire, also of machines in
--- its active states; huge: there is none.
+-- Returns the seconds until the first timer of a machine or its active regions can
+-- fire; huge: there is none.
 local function earliest_deadline(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   local own = fsm._timeevent

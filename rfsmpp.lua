@@ -56,7 +56,7 @@ local function paint(is_coloured, colour, text)
   return is_coloured and colour and colour .. text .. RESET or text
 end
 
---- Return a text in a colour; as it is if colour is not wanted.
+--- Return a text in a colour, or unchanged if colour is not wanted.
 ---@param colour string as ansicolors names it: "green bright"
 ---@param text string
 ---@return string text
@@ -140,7 +140,7 @@ end
 
 --- Make a `dbg` function for a machine.
 --
--- It prints in colour or not as it is when the function is made.
+-- If it prints in colour is decided when the function is made.
 --
 -- @usage
 --    fsm.dbg = rfsmpp.gen_dbgcolor("arm", { STATE_ENTER = true }, false)

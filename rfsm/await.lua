@@ -25,19 +25,16 @@ local rfsm_await = {}
 ---@field received table<string, boolean> did it come? of each of them
 ---@field missing integer how many did not
 
-local function note_events(await, events, n)
-  for i = 1, n do
-    if await.received[events[i]] == false then
-      await.received[events[i]] = true
-      await.missing = await.missing - 1
-    end
-  end
+local function note_event(await, event)
+  if await.received[event] ~= false then return end
+  await.received[event] = true
+  await.missing = await.missing - 1
 end
 
 -- Appends the event of an await that is complete.
 local function raise_complete(fsm, await, events, n)
   local was_missing = await.missing
-  if was_missing > 0 then note_events(await, events, n) end
+  for i = 1, was_missing > 0 and n or 0 do note_event(await, events[i]) end
   if await.missing > 0 then return end
   events[#events + 1] = await.name
   if was_missing > 0 then rfsm.report(fsm, "dbg", "AWAIT", await.name) end
@@ -85,15 +82,15 @@ local function load(fsm, kept)
     if type(received) ~= "table" then error("set of events expected", 0) end
     forget(await)
     for _, event in ipairs(await.wanted) do
-      if received[event] then note_events(await, { event }, 1) end
+      if received[event] then note_event(await, event) end
     end
   end
 end
 
--- Prepare: await(...) becomes an event of its own -----------------------------------
+-- Prepare: await(...) becomes an event ----------------------------------------------
 
--- Stands for the FQN of the source, which may have a comma or parenthesis in it, while
--- a text is read.
+-- Replaces the FQN of the source, which may have a comma or parenthesis in it, while a
+-- text is read.
 local SOURCE = "\1"
 
 local function hide_source(text, fqn)

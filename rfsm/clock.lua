@@ -1,7 +1,7 @@
---- Clocks: the one that the process uses, or the best one that is installed.
+--- Clocks: the clock of the process, or the best one that is installed.
 --
 -- The best one is that of a running RTT, then those of rtp, luaposix and luasocket,
--- then `os.time`. RTT, rtp and luaposix have a clock that nobody sets.
+-- then `os.time`. RTT, rtp and luaposix have a clock that is never set.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
@@ -100,7 +100,7 @@ function clock.set_hook(gettime, time_of_day)
   clock.in_use[true], clock.in_use[false] = nil, nil
 end
 
--- A clock that is two, as `twofold` makes it.
+-- A clock of two functions.
 local Twofold = {}
 
 function Twofold:__call(id) return self[id ~= "CLOCK_REALTIME"]() end
@@ -113,13 +113,13 @@ function clock.twofold(relative, time_of_day)
   return setmetatable({ [true] = relative, [false] = time_of_day }, Twofold)
 end
 
---- Return the two functions that a clock of the user means.
+--- Return the functions of a clock of the user, for e_after and for e_at.
 --
--- If it wants a clock id, it is given one. The time of RTT is not that of the day. Any
--- other one is for both, for nobody knows what it counts.
+-- If it wants a clock id, it is given one. The time of RTT is not the time of day. Any
+-- other clock is for both.
 --
 ---@param gettime function
----@return table<boolean, function> clocks by whether the clock is for relative times
+---@return table<boolean, function> clocks true: for e_after
 function clock.split(gettime)
   local rtt = rawget(_G, "rtt")
   if getmetatable(gettime) == Twofold then
@@ -144,6 +144,16 @@ function clock.read(is_monotonic)
   if not ok then return nil, sec end
   if nsec == nil then return 0, sec end -- nanoseconds
   return sec, nsec
+end
+
+--- Return the seconds until the next timer of a machine can fire.
+---@param fsm rfsm.Machine
+---@return number? seconds nil if none is armed, or if the clock fails
+function clock.until_timer(fsm)
+  local timeevent = rawget(_G, "package").loaded.rfsm_timeevent
+  if not timeevent then return nil end
+  local ok, seconds = pcall(timeevent.next_deadline, fsm)
+  return ok and seconds or nil
 end
 
 --- Return a clock of seconds that begins now.

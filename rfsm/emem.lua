@@ -13,10 +13,11 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local alphabet = require "rfsm.shared.alphabet"
+local order = require "rfsm.shared.order"
 
-local error, ipairs, next, pairs = error, ipairs, next, pairs
+local error, ipairs, next = error, ipairs, next
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
-local jit = rawget(_G, "jit")
 
 local rfsm_emem = {}
 
@@ -24,44 +25,31 @@ local rfsm_emem = {}
 ---@class rfsm.emem.Own
 ---@field is_blocked table<rfsm.State, boolean> states with a state of the name `emem`
 ---@field others table<rfsm.State, integer> how many of its events no transition names
----@field declared table<any, boolean>|false the events of transitions; false: not known
+---@field declared table<any, boolean>|false the events that transitions name; false
+-- until they are collected
 
 -- The counts forget an event with its object.
 local WEAK = { __mode = "k" }
 
--- So many events that no transition names are counted in a state. Events with data in
--- their names would take ever more memory.
+-- Events that no transition names and a state counts. Events with data in their names
+-- would take ever more memory.
 local MOST_OTHERS = 1000
 
 local function clear(_, state)
   local emem = state.emem
-  if not emem then return end
-  for event in pairs(emem) do emem[event] = 0 end -- any order: all of them
+  for event in order.each(emem or {}) do emem[event] = 0 end
 end
 
 local function forget_others(emem, declared)
-  for event in pairs(emem) do -- any order: likewise
+  for event in order.each(emem) do
     if not declared[event] then emem[event] = nil end
   end
-end
-
-if jit then -- compiled traversals of LuaJIT 2.1 may skip keys
-  jit.off(clear)
-  jit.off(forget_others)
-end
-
-local function declared_events(fsm)
-  local declared = {}
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    for _, event in ipairs(tr.events) do declared[event] = true end
-  end
-  return declared
 end
 
 -- Counts an event that has not come before.
 local function count_new(fsm, state, event)
   local own, emem = fsm._emem, state.emem
-  own.declared = own.declared or declared_events(fsm)
+  own.declared = own.declared or alphabet.of(fsm).set
   if not own.declared[event] then
     own.others[state] = (own.others[state] or 0) + 1
     if own.others[state] > MOST_OTHERS then
@@ -92,9 +80,9 @@ local function count(fsm)
   end
 end
 
-local function has_emem(obj)
-  return rfsm.is_state(obj) and obj.emem ~= false and not rfsm.is_fsmobj(obj.emem)
-end
+local function wants_emem(obj) return rfsm.is_state(obj) and obj.emem ~= false end
+
+local function has_emem(obj) return wants_emem(obj) and not rfsm.is_fsmobj(obj.emem) end
 
 local function reset(fsm)
   for _, state in ipairs(rfsm.elements(fsm, has_emem)) do clear(fsm, state) end
@@ -143,8 +131,6 @@ local function prepare_state(fsm, state)
   state.emem = setmetatable({}, WEAK)
   rfsm.exit_hook_add(fsm, state, clear)
 end
-
-local function wants_emem(obj) return rfsm.is_state(obj) and obj.emem ~= false end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
   if fsm.emem == false then return end

@@ -1,15 +1,12 @@
---- Recordings: what came to a machine from outside, and the same run again.
+--- Recordings: the inputs of a machine, and the same run again.
 --
--- `record` notes for each iteration the events, the readings of the clock and the
--- results of guards, and what followed: the events that the machine sent itself, its
--- leaf, the data that its chart keeps. `replay` runs a machine through that, with the
--- user's callbacks or, `dry`, without them. A recording is a list of records, in a file
--- one line of JSON each; only files and specs need the package dkjson.
+-- `record` notes the events, the readings of the clock and the results of guards of
+-- each iteration, and its results: the events that the machine sent itself, its leaf,
+-- the data that its chart keeps. `replay` runs a machine through them, with the user's
+-- callbacks or, `dry`, without. A recording is a list of records, in a file one line of
+-- JSON each; only files and specs need the package dkjson.
 --
--- A machine in a sequential AND state has records of its own, before that of the
--- iteration around them.
---
--- The file reads in this order: records, record, public functions.
+-- The records of a region come before the record of the iteration around them.
 --
 -- @module rfsm.record
 -- @license BSD-3-Clause
@@ -39,25 +36,25 @@ local record = { VERSION = 1 }
 ---@field file? string the chart, if it is known
 ---@field clock? any[] readings while the snapshot was taken
 ---@field guards? any[] for each machine that has guards: their numbers and texts
----@field snapshot rfsm.snapshot.Snapshot where the machine stood
+---@field snapshot rfsm.snapshot.Snapshot of the machine
 
---- One iteration of one machine. What is absent is empty or false.
+--- One iteration of one machine. An absent field is empty or false.
 ---@class rfsm.record.Record
----@field m? integer number of a machine in a sequential AND state
+---@field m? integer number of a region
 ---@field fresh? true the machine was reset before
 ---@field events? any[] of the iteration, before hooks have changed them
----@field added? any[] events that hooks have added: those of timers, for a reader
----@field had? table the user's data, if it has changed since the iteration before
----@field got? any[] those that getevents returned since the iteration before
+---@field added? any[] events that hooks have added, such as time events, for a reader
+---@field had? table the user's data, if it has changed since the last iteration
+---@field got? any[] events that getevents returned since the last iteration
 ---@field clock? any[] readings: { seconds, nanoseconds } or { failure }
 ---@field guards? any[] number of a transition, result, number ...: a text is a failure
 ---@field reset? true a callback has reset the machine
----@field sent? any[] events that wait then, sent by the machine itself
----@field leaf? string FQN of the active leaf then
+---@field sent? any[] events in the queue at the end, sent by the machine itself
+---@field leaf? string FQN of the active leaf at the end
 ---@field done? true the leaf is done
 ---@field kept? table the user's data, if it has changed
----@field regions? any[] data of machines in states, if it has changed outside of their
--- own iterations: number, data, number, data ...
+---@field regions? any[] data of regions, if it has changed outside of their iterations:
+-- number, data, number, data ...
 
 -- Record -------------------------------------------------------------------------
 
@@ -77,8 +74,7 @@ local function writer_to(sink)
   return lines.writer(sink)
 end
 
--- Returns a function that reads a clock, and notes the reading in the record that is
--- under way.
+-- Returns a function that reads a clock, and notes the reading in the present record.
 local function noting(recorder, clocks, is_relative)
   return function()
     local ok, sec, nsec = calls.try(clocks[is_relative])
@@ -137,7 +133,7 @@ end
 -- Is a doo resumed in the iteration that begins?
 local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" end
 
--- Begins the record of an iteration. One that a hook has cut short has none.
+-- Begins the record of an iteration.
 local function begin(recorder, track, events)
   track.rec = { m = track.m, fresh = track.is_fresh or nil, got = track.got,
     events = tracks.pack_events(events) }
@@ -150,23 +146,23 @@ local function begin(recorder, track, events)
   recorder.timed = track.rec
 end
 
--- Fields of a record of an iteration that has done something.
-local DEEDS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset",
+-- The fields of a record that show that its iteration had an effect.
+local EFFECTS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset",
   "regions" }
 
--- Has an iteration of the outermost machine without events, also of timers, done
--- nothing: was no doo resumed? Such an iteration is not written.
+-- Had an iteration without events of the outermost machine no effect, and was no doo
+-- resumed? Such an iteration is not written.
 local function is_empty(track, rec)
   local leaf = track.fsm._act_leaf
   if track.m ~= nil or track.has_doo or leaf ~= track.leaf then return false end
   if leaf and leaf._mode ~= track.mode then return false end
-  for _, field in ipairs(DEEDS) do
+  for _, field in ipairs(EFFECTS) do
     if rec[field] then return false end
   end
   return true
 end
 
--- Notes the events that wait now, sent by the machine, and those that hooks have added.
+-- Notes the events that the machine has sent, and those that hooks have added.
 local function note_events(track, rec, events)
   local queue = track.fsm._intq
   for i = 1, #queue do
@@ -178,7 +174,7 @@ local function note_events(track, rec, events)
   end
 end
 
--- Notes what followed, and writes the record. An interrupt has to wait for that.
+-- Notes the results and writes the record; an interrupt meanwhile is raised afterwards.
 local function finish(recorder, track, events)
   local rec, leaf = track.rec, track.fsm._act_leaf
   if not rec then return end
@@ -217,7 +213,7 @@ local function add_recorder(track, recorder)
   function track.getevents(own) return noting_getevents(track, own) end
 end
 
--- Takes the snapshot of the header, and notes the readings of the clock meanwhile.
+-- Takes the snapshot of the header, and notes readings of the clock.
 local function take_first(recorder, fsm)
   local swaps = {}
   swap.put(swaps, fsm, "gettime", noting_clock(recorder, rawget(fsm, "gettime")))
@@ -228,7 +224,7 @@ local function take_first(recorder, fsm)
   return ok, snap
 end
 
---- Record no more.
+--- End the recording.
 function Recorder:stop()
   tracks.detach(self.tracks)
   if self.file then self.file:close() end
@@ -239,9 +235,9 @@ end
 
 --- Record a machine from now on.
 --
--- The sink is a list, which gets the records; a function, called with each; or a file
--- or its name, which gets a line of JSON for each: a run more, if the file is there.
--- Iterations in which no event came and no doo was resumed are left out.
+-- The sink is a list of the records; a function that is called with each; or a file or
+-- its name. The file gets a line of JSON for each record; a new run is appended to it.
+-- Iterations without an event and without a doo are left out.
 --
 -- @usage
 --    local recorder = record.record(fsm, "run.jsonl")
@@ -270,8 +266,8 @@ function record.record(fsm, sink)
   return recorder
 end
 
---- Have the machine stand where it stood `n` (1) iterations ago, and forget the records
--- since. No callback runs; what the chart does not keep stays as it is.
+--- Put the machine into its state `n` (1) iterations ago, and forget the records since.
+-- No callback runs. Variables that the chart does not keep stay as they are.
 --
 -- @raise if the sink is no list
 ---@param n? integer
@@ -297,7 +293,7 @@ function Recorder:back(n)
   return true
 end
 
--- Returns the header of a recording; a text if it is none.
+-- Returns the header of a recording, or the text of its problem.
 local function check_recording(recording)
   local header = type(recording) == "table" and recording[1]
   local version = type(header) == "table" and header.record
@@ -313,8 +309,8 @@ local function check_recording(recording)
   return header
 end
 
--- Returns the machine of a replay as it stands, on the clock of now.
-local function now(session, model)
+-- Returns the machine at the end of a replay, with its own clock.
+local function result_of(session, model)
   if session.is_dry then
     if session.unsaved then return false, session.unsaved end
     return snapshot.restore(model, session.snap)
@@ -326,7 +322,7 @@ end
 --- How a recording is replayed.
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
----@field dry? boolean call no callback
+---@field dry? boolean call no callbacks
 ---@field migrate? boolean replay also if the chart has changed, up to a difference
 ---@field guards? boolean call guards, too, and compare their results
 ---@field watch? fun(fsm: rfsm.Machine) called before the first step, to set a `dbg`
@@ -339,9 +335,9 @@ end
 ---@param model rfsm.State the chart that was recorded
 ---@param recording table[]|string records, or the name of a file
 ---@param options? rfsm.record.Options
----@return rfsm.Machine? fsm where it stands then, on the clock of now; false if it
--- has departed from the recording
----@return string? problem the step, and what differs
+---@return rfsm.Machine|false fsm with its own clock; false if it has departed from the
+-- recording
+---@return string? problem the step and the difference
 ---@return integer? step the last one that was the same
 function record.replay(model, recording, options)
   if not rfsm.is_state(model) then
@@ -355,10 +351,10 @@ function record.replay(model, recording, options)
   if session.problem then
     return false, session.problem, session.fsm and session.at
   end
-  return now(session, model)
+  return result_of(session, model)
 end
 
---- Read the records of a run in a file. A last line that was cut off is left out.
+--- Read the records of a run in a file. An incomplete last line is left out.
 -- @raise if the file cannot be read, a line is no record, or there is no such run
 ---@param file string
 ---@param run? integer the last one if it is absent
@@ -395,7 +391,7 @@ end)
 ]]
 
 --- Return a busted spec: the chart takes the steps that were recorded.
--- @raise if the recording is none, or its chart is not known
+-- @raise if it is no recording, or its chart is not known
 ---@param recording table[]|string records, or the name of a file
 ---@param options? { chart: string?, dry: boolean? } `chart`: its file, if not the one
 -- in the recording; `dry`: call no callbacks

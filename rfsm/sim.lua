@@ -20,8 +20,7 @@ local complain = view.complain
 
 local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
 
--- Runs the texts of -e up to the first that fails, or quits; returns whether all went
--- well.
+-- Runs the texts of -e up to the first that fails or quits. Returns false if one fails.
 local function run_code(sim, texts)
   for _, text in ipairs(texts) do
     if sim.is_over then break end
@@ -34,8 +33,8 @@ local function run_code(sim, texts)
   return true
 end
 
--- Runs the machine through a recording, up to where it departs; returns whether the
--- recording could be read.
+-- Runs the machine through a recording, up to where it departs. Returns false if the
+-- recording cannot be read.
 local function replay(sim, file)
   local ok, problem = pcall(history.replay, sim, file)
   if not ok then complain("rfsm sim: " .. rfsm.text_of(problem)) end
@@ -60,12 +59,12 @@ end
 ---@field file string the chart
 ---@field execute? string[] Lua to run first
 ---@field replay? string file to replay first
----@field stub? boolean modules and globals that are not here do nothing
+---@field stub? boolean modules and globals that are missing do nothing
 ---@field dry? boolean without the functions of the chart
 ---@field quiet? boolean no banner
 ---@field interactive? boolean read commands, also after `execute`
 
--- Brings a session to where the first command is read; returns a status if it ends.
+-- Does all that comes before the first command. Returns a status if that is the end.
 local function prepare(sim, options)
   prompt.install(sim)
   if options.dry then sim:set_dry(true) end
@@ -82,8 +81,7 @@ function rfsm_sim.main(options)
   local is_terminal = terminal.is_terminal(0)
   io.stdout:setvbuf("line")
   if is_terminal then terminal.catch_interrupts() end
-  local sim, problems = session.open(options.file, is_terminal,
-    options.stub)
+  local sim, problems = session.open(options.file, is_terminal, options.stub)
   if not sim then
     for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
     return 1
@@ -92,7 +90,7 @@ function rfsm_sim.main(options)
   if status then return status end
   if not options.quiet then greet(is_terminal) end
   prompt.converse(sim)
-  if is_terminal then print() end -- the shell's prompt has a line of its own
+  if is_terminal then print() end -- the shell's prompt begins a new line
   return 0
 end
 

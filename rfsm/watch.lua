@@ -1,5 +1,5 @@
---- A machine that runs elsewhere, seen through `rfsm.proto`: at a terminal the tree of
--- states and a log, in a pipe a line for each change.
+--- A machine that answers by `rfsm.proto`: at a terminal the tree of its states and a
+-- log, in a pipe a line for each change.
 --
 -- @module rfsm.watch
 -- @license BSD-3-Clause
@@ -27,7 +27,7 @@ local function add_tree(lines, node, fqn, leaf)
   return lines
 end
 
---- What was received so far.
+--- A machine as it was received.
 ---@class rfsm.watch.Watch
 ---@field graph table? of the machine
 ---@field leaf string|false|nil FQN of the active state
@@ -36,7 +36,7 @@ end
 local Watch = {}
 Watch.__index = Watch
 
--- Adds a line, unless it says what the last one said.
+-- Adds a line, unless it equals the last one.
 local function add(self, text)
   if text == self.last then return end
   self.last, self.count = text, self.count + 1
@@ -48,7 +48,7 @@ end
 local TAKE = {}
 
 function TAKE.rfsm_model(self, message)
-  dot.encode(message.graph) -- raises an error for a graph that is none
+  dot.encode(message.graph) -- raises an error if the graph is wrong
   self.graph = message.graph
 end
 
@@ -70,7 +70,7 @@ end
 
 local SILENCE = 3 -- seconds without a message
 
--- Says when nothing was heard: at a terminal in each drawing, in a pipe once.
+-- Reports silence: at a terminal in each drawing, in a pipe once.
 local function note_silence(self, client)
   local seconds = client.clock() - (self.heard_at or self.began_at)
   self.status = ""

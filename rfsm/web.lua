@@ -1,11 +1,11 @@
 --- A machine in the browser: a server for one page, which shows it and takes events.
 --
--- `serve` hosts the page of a machine from a program of your own, which calls
--- `server:step` in its loop. `open` serves a chart, which the page drives; `rfsm web`
--- does that. Needs the packages luasocket and dkjson; pictures need Graphviz.
+-- `serve` serves the page of a machine from your program, which calls `server:step` in
+-- its loop. `open` serves a chart, which the page drives; `rfsm web` calls it. This
+-- needs the packages luasocket and dkjson; pictures need Graphviz.
 --
--- The server listens on loopback. It takes requests that name it by an address, and
--- commands that have the token which its page holds.
+-- The server listens on loopback. It answers requests that name it by an address, and
+-- commands with the token of its page.
 --
 -- The file reads in this order: the page, messages, commands, pictures, routes, public
 -- functions.
@@ -46,7 +46,7 @@ local OPTIONS = {
 
 local MAX_DRAWN = 2000 -- nodes
 local FRAME = 1 / 30 -- seconds between two messages to a page
-local LINGER = 5 -- seconds that a machine is watched when no page reads any more
+local LINGER = 5 -- seconds that a machine is watched after the last page has gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -54,7 +54,7 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 
 -- The page ---------------------------------------------------------------------
 
--- Returns the text of a file that stands beside the modules.
+-- Returns the text of the page, whose file is beside the modules.
 local function find_page()
   for template in package.path:gmatch("[^;]+") do
     local name = template:gsub("%?", "rfsm/web/page"):gsub("%.lua$", ".html")
@@ -90,17 +90,17 @@ Server.__index = Server
 
 --- A machine of a page, and its picture.
 ---@class rfsm.web.Shown
----@field source table where it runs: its view, its title, its commands
+---@field source table its view, its title, its commands
 ---@field number integer
 ---@field streams integer pages that show it
----@field graph string of which the picture is, or is to be
----@field drawing rfsm.web.Picture|false the picture in the making
+---@field graph string the drawing, in Graphviz's language
+---@field drawing rfsm.web.Picture|false the picture while Graphviz runs
 ---@field picture string|false
 ---@field picture_count integer
 ---@field drawn integer the generation of the chart that is drawn
 ---@field seen_at number|false when the last page has read; false while one does
 
--- Adds the machines that are known by now.
+-- Adds machines that have become known.
 local function update_shown(server)
   for i = #server.shown + 1, #server.sources do
     server.shown[i] = { source = server.sources[i], number = i, streams = 0, graph = "",
@@ -108,18 +108,19 @@ local function update_shown(server)
   end
 end
 
--- Returns the machine that a request is about: the first one if it names none.
+-- Returns the machine that a request names, else the first one.
 local function shown_in(server, request)
   return server.shown[tonumber(request.query:match("machine=(%d+)") or 1)]
 end
 
--- Returns the name of the chart that is drawn; a page with another one fetches it.
+-- Returns a name for the chart and its picture; a page that has another one fetches
+-- them.
 local function version_of(server, shown)
   return ("%s-%d-%d-%d-%d"):format(server.id, shown.number, #server.shown,
     shown.source.generation, shown.picture_count)
 end
 
--- Returns the message for a page that knows what a cursor says, and its next cursor.
+-- Returns the message for a page with a cursor, and its next cursor.
 local function state_message(server, shown, cursor, version)
   local source, message = shown.source, {}
   local view, next_cursor = source.view, { version = version, rewrites = -1 }
@@ -170,7 +171,7 @@ end
 
 -- Pictures ------------------------------------------------------------------------
 
--- Has a new chart drawn, unless Graphviz would take too long.
+-- Begins the picture of a new chart, unless Graphviz would take too long.
 local function start_picture(shown)
   local view = shown.source.view
   local is_drawn = view and #view.outline.nodes <= MAX_DRAWN
@@ -211,15 +212,15 @@ local ROUTES = {
   ["/command"] = { POST = command_reply },
 }
 
--- Does the request name the server as this machine does? A page of somebody else whose
--- name was made to lead here does not.
+-- Does the request name the server by an address or its own name? The page of another
+-- server, whose name was made to lead here, uses that name.
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
     or name:find("^%[[%x:]+%]$") ~= nil
 end
 
--- Does a page of somebody else ask? Following a link to the page is no harm.
+-- Does the page of another server ask? It may have a link to our page.
 local function is_foreign(request)
   local site = request.headers["sec-fetch-site"]
   return request.path ~= "/" and (site == "cross-site" or site == "same-site")
@@ -235,7 +236,7 @@ local function handle(server, request)
   return answer and answer(server, request, shown) or { status = 405 }
 end
 
--- A mistake of ours, or of a chart, is no reason to end; Control-C is.
+-- A mistake in a chart, or here, does not end the server; Control-C does.
 local function handle_safely(server, request)
   local ok, reply = calls.try(handle, server, request)
   if ok then return reply end
@@ -280,7 +281,7 @@ local function has_reader(server, shown)
   return false
 end
 
--- Has the machine of a program noted no more when no page reads.
+-- Stops watching the machine of a program when no page reads.
 local function rest(server, shown)
   if not shown.source.is_watched then return end
   local now = server.http.clock

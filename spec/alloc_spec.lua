@@ -24,8 +24,13 @@ local function with_jit(mode, f)
   return result
 end
 
--- The module, but guards and effects promise not to keep the list of events.
+-- The module, but guards and effects promise not to keep the list of events. The hooks
+-- of extensions, which another spec may have loaded, are left out.
 local borrowing = setmetatable({
+  state = function(t)
+    t.emem, t.checkevents = false, false
+    return rfsm.state(t)
+  end,
   trans = function(t)
     if t.guard then rfsm.borrows(t.guard) end
     if t.effect then rfsm.borrows(t.effect) end

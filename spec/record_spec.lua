@@ -566,6 +566,181 @@ describe("the clock", function()
   end)
 end)
 
+-- a --e_go--> b --e_back--> a, and fields of the root.
+local function chart(fields)
+  local model = helper.chart({ "e_go" }, { emem = false, checkevents = false })
+  for key, value in pairs(fields or {}) do model[key] = value end -- any order: a set
+  return model
+end
+
+describe("the events of getevents", function()
+  local function polled(answers)
+    return chart { getevents = function() return table.remove(answers, 1) end }
+  end
+
+  it("are those from outside, unlike what the machine has sent", function()
+    local sink, fsm = {}, helper.init(polled { {}, { "e_x", "e_go" }, { "e_y" } })
+    local recorder = record.record(fsm, sink)
+    rfsm.run(fsm)
+    rfsm.run(fsm)
+    assert.same({ "e_x", "e_go" }, sink[3].got)
+    assert.same({ "e_done@root.a", "e_x", "e_go" }, sink[3].events)
+    assert.same({ "e_done@root.a" }, sink[2].sent)
+    assert.same({ "e_done@root.b" }, sink[3].sent)
+    assert.same({ "e_y" }, sink[4].got)
+    recorder:stop()
+    local again = assert(record.replay(polled {}, sink))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(again))
+  end)
+
+  it("may be none at all", function()
+    local sink = {}
+    record.record(helper.started(polled {}), sink)
+    local fsm = helper.init(polled { nil })
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+  end)
+end)
+
+describe("data that changes between iterations", function()
+  it("makes a record of one in which nothing else happens", function()
+    local sink, model = {}, chart { keep = { "count" }, count = 1 }
+    local fsm = helper.init(model)
+    local recorder = record.record(fsm, sink)
+    rfsm.run(fsm)
+    local count = recorder.count
+    rfsm.step(fsm)
+    assert.equal(count, recorder.count)
+    fsm.count = 2
+    rfsm.step(fsm)
+    assert.equal(count + 1, recorder.count)
+    local last = sink[#sink]
+    assert.same({ 2, nil, nil, "root.a", true },
+      { last.had.data.root.count, last.events, last.kept, last.leaf, last.done })
+    assert.equal(2, assert(record.replay(model, sink, { dry = true })).count)
+  end)
+
+  it("of a region that is left is in the record of the parent machine", function()
+    local function region(n, exit)
+      return helper.init(state { info = false, warn = false, emem = false,
+        keep = { "count" }, count = n, x = state { exit = exit },
+        trans { src = "initial", tgt = "x" } })
+    end
+    local function model()
+      return chart { a = rfsm.seqand { l = region(1),
+        r = region(5, function(fsm) fsm.count = fsm.count + 1 end) } }
+    end
+    local sink, fsm = {}, helper.init(model())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_go")
+    local found = {}
+    for i = 2, #sink do
+      local regions = sink[i].regions or {}
+      if regions[1] then
+        found[#found + 1] = { regions[1], regions[2].data.root.count }
+      end
+    end
+    assert.same({ { 2, 6 } }, found)
+    local regions = assert(record.replay(model(), sink, { dry = true })).a.substates
+    assert.same({ 1, 6 }, { regions.l.count, regions.r.count })
+  end)
+
+  it("is named if it differs, also that of a function `save`", function()
+    local function saver(n)
+      local value = 0
+      return chart { b = state { entry = function() value = value + n end,
+        save = function() return { value = value } end,
+        load = function(_, _, data) value = data.value end } }
+    end
+    local sink, fsm = {}, helper.init(saver(1))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_go")
+    assert(record.replay(saver(1), sink))
+    assert.same({ false, "step 3: save of root.b.value: 1 expected, got 2", 2 },
+      { record.replay(saver(2), sink) })
+  end)
+end)
+
+describe("a doo in a dry replay", function()
+  -- Returns what follows when the doo of a ends, or fails, in its third cycle.
+  local function replayed(ending)
+    local function model(doo)
+      return chart { err = false, a = state { doo = doo } }
+    end
+    local sink, fsm = {}, helper.init(model(function()
+      rfsm.yield()
+      rfsm.yield(true)
+      ending()
+    end))
+    record.record(fsm, sink)
+    for _ = 1, 4 do rfsm.step(fsm) end
+    local again = assert(record.replay(model(error), sink, { dry = true }))
+    assert.same(snapshot.take(fsm), snapshot.take(again))
+    return again._act_leaf._mode, again._intq
+  end
+
+  it("ends when it did, and fails when it did", function()
+    assert.same({ "done", { "e_done@root.a" } }, { replayed(function() end) })
+    assert.same({ "done", {} }, { replayed(error) })
+  end)
+end)
+
+describe("a guard in a replay", function()
+  it("that was not called is named, and is not enabled", function()
+    local sink, fsm = {}, helper.init(chart())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_go")
+    local model = chart()
+    model[2].guard = error
+    assert.same({ false, "step 3: the guard of T={ src='root.a', tgt='root.b', "
+      .. "events='e_go' } was not called then", 2 },
+      { record.replay(model, sink, { migrate = true }) })
+  end)
+
+  it("is found by its text among others that have changed places", function()
+    local function model(is_swapped)
+      local first = trans { src = "a", tgt = "b", events = { "e_1" }, guard = yes }
+      local second = trans { src = "a", tgt = "c", events = { "e_2" }, guard = yes }
+      local fields = { c = state {} }
+      fields[is_swapped and 5 or 4], fields[is_swapped and 4 or 5] = first, second
+      return chart(fields)
+    end
+    local sink, fsm = {}, helper.init(model())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_2")
+    local again = assert(record.replay(model(true), sink, { migrate = true,
+      guards = true }))
+    assert.equal("root.c", rfsm.get_actleaf_fqn(again))
+  end)
+end)
+
+describe("a recording that begins with a timer armed", function()
+  it("has the readings of the clock for its first snapshot", function()
+    local now = 10
+    local function timed()
+      return chart { [2] = trans { src = "a", tgt = "b", events = { "e_after(5)" } } }
+    end
+    timeevent.set_gettime_hook(function() return now, 0 end)
+    finally(function() timeevent.set_gettime_hook(nil) end)
+    local sink, fsm = {}, helper.started(timed())
+    now = 12
+    local recorder = record.record(fsm, sink)
+    now = 16
+    rfsm.run(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    assert.same({ { 12, 0 } }, sink[1].clock)
+    recorder:stop()
+    now = 500
+    local again = assert(record.replay(timed(), sink))
+    assert.equal("root.b", rfsm.get_actleaf_fqn(again))
+  end)
+end)
+
 describe("an interrupt while it is recorded", function()
   -- Returns the error of a step in which `f` of the model raises what Control-C raises.
   local function interrupted(name, f)

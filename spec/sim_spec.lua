@@ -990,3 +990,51 @@ describe("the tool", function()
       .. "install lua-argparse)\n", 1 }, { complaints, status })
   end)
 end)
+
+describe("an advance", function()
+  it("may be asked for with texts and other words", function()
+    local out = sim("-q " .. HELLO, "se 'e_a' 5\n")
+    assert.matches("queue:  e_init_fsm, e_a, 5\n", out, 1, true)
+  end)
+
+  it("discards no event that is pending again", function()
+    local chart = file_with([[
+      return rfsm.state { info = false, warn = false, a = rfsm.state {},
+        b = rfsm.state { entry = function(fsm) rfsm.send_events(fsm, "e_x") end },
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_go" } } }]])
+    local out = sim("-q " .. chart, "run\nfollow()\nses e_y e_x e_go\n")
+    assert.matches("discarded: e_y (", out, 1, true)
+  end)
+
+  it("has the simulated time of its end, also after back", function()
+    local out = sim("-q examples/timeevent.lua",
+      "clock 0\nclock 0.5\nback\nclock\nforward\nclock\nback\ngoto 2\nclock\n")
+    local times = {}
+    for time in out:gmatch("clock:  ([%d.]+) s") do times[#times + 1] = time end
+    assert.same({ "0", "0.5", "0", "0.5", "0.5" }, times)
+  end)
+
+  it("is kept in chunks, each with a snapshot", function()
+    local chart = file_with([[
+      return rfsm.state { info = false, warn = false, a = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_a" } } }]])
+    assert.equal("3 2\n1", helper.output_of(([[
+      package.path = "./?.lua;" .. package.path
+      local say = print
+      function print() end
+      local rfsm, history = require "rfsm", require "rfsm.sim.history"
+      history.CHUNK = 3
+      local sim = require("rfsm.sim.session").open(%q, false)
+      for _ = 1, 5 do
+        rfsm.send_events(sim.fsm, "e_a")
+        history.mark(sim)
+        sim:advance(rfsm.step, 1)
+      end
+      say(sim.history.chunks[1].count .. " " .. sim.history.chunks[2].count)
+      history.back(sim, 4)
+      say(sim.history.count)
+    ]]):format(chart)))
+  end)
+end)

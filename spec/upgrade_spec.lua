@@ -11,9 +11,11 @@ require "rfsm.seqand"
 local state, trans = rfsm.state, rfsm.trans
 local now = 0
 
-setup(function() timeevent.set_gettime_hook(function() return now, 0 end) end)
-teardown(function() timeevent.set_gettime_hook(nil) end)
-before_each(function() now = 0 end)
+before_each(function()
+  now = 0
+  timeevent.set_gettime_hook(function() return now, 0 end)
+end)
+after_each(function() timeevent.set_gettime_hook(nil) end)
 
 local function itself(snap) return snap end
 

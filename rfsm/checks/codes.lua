@@ -1,4 +1,4 @@
---- The codes of findings: severity, meaning, and the way to mend each.
+--- The codes of findings: severity, meaning, and a remedy.
 --
 -- @module rfsm.checks.codes
 -- @license BSD-3-Clause
@@ -10,7 +10,7 @@ local ipairs, type = ipairs, type
 
 local codes = {}
 
---- What is known of a code.
+--- A code.
 ---@class rfsm_checks.Code
 ---@field code string
 ---@field severity "error"|"warning"|"note"
@@ -91,14 +91,13 @@ for severity, code, meaning, hint in TEXT:gmatch("(%l+) (%S+): (.-)\n  (.-)\n") 
   codes.list[#codes.list + 1], codes.of[code] = entry, entry
 end
 
--- Words in the names of leaves that mean something.
+-- Words in the names of leaves, by their meaning.
 local MEANINGS = {
   ["an end"] = { "OK", "FAILED", "FINI", "FATAL", "FINISHED", "FINAL", "END" },
   ["a fault"] = { "FAULT", "ERROR", "FAILURE", "FAILED", "ALARM", "EMERGENCY" },
 }
 
---- Is there a word in the name of a leaf that means an end, or a fault?
----@param state rfsm.State
+--- Does the name of a leaf mean an end, or a fault?
 ---@param meaning "an end"|"a fault"
 ---@return boolean
 function codes.means(state, meaning)
@@ -137,7 +136,7 @@ end
 
 local SEVERITIES = { error = true, warning = true, note = true, off = true }
 
---- Return what is wrong with the settings of a project; nil if nothing is.
+--- Return the problem of a project's settings; nil if there is none.
 ---@param settings any code -> "error"|"warning"|"note"|"off"
 ---@return string? problem
 function codes.check_settings(settings)

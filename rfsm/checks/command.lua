@@ -1,9 +1,10 @@
---- What the command `rfsm check` does with findings: settings in, lines out.
+--- The work of the command `rfsm check`: from settings and findings to lines.
 --
 -- @module rfsm.checks.command
 -- @license BSD-3-Clause
 
 local chart = require "rfsm.shared.chart"
+local exists = require("rfsm.shared.beside").exists
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
@@ -23,12 +24,6 @@ local command = {}
 
 local SETTINGS = ".rfsmcheck.lua"
 
--- Does a file exist?
-local function exists(name)
-  local handle = io.open(name)
-  return handle ~= nil and handle:close() ~= nil
-end
-
 -- Returns the nearest file of settings, from the folder of a file up to the working
 -- directory, or to /; nil if there is none.
 local function find_settings(file)
@@ -40,7 +35,7 @@ local function find_settings(file)
   return folder .. SETTINGS
 end
 
---- Load the settings that hold for a chart: those in the nearest `.rfsmcheck.lua`.
+--- Load the settings for a chart, from the nearest `.rfsmcheck.lua`.
 ---@param file string of the chart
 ---@return table<string, string>? settings code -> severity; nil if they are wrong
 ---@return string? problem
@@ -68,7 +63,7 @@ local function line_of(file, finding)
   return chart.line(file, line, kind)
 end
 
--- Returns the gravest severity of findings, but for notes.
+-- Returns the gravest severity of findings; nil if there are only notes.
 local function gravest_of(findings)
   local found = {}
   for _, finding in ipairs(findings) do found[finding.severity] = true end
@@ -77,7 +72,7 @@ end
 
 -- Explore .........................................................................
 
--- Returns what the file beside a chart declares: a.lua has a_properties.lua.
+-- Returns the declarations in the file beside a chart: a.lua has a_properties.lua.
 local function declared_for(file)
   local name = file:gsub("%.lua$", "") .. "_properties.lua"
   if file == "-" or not exists(name) then return {} end
@@ -116,7 +111,7 @@ local function write_witnesses(model, findings, name)
   end
 end
 
--- Explores a chart, with what the file beside it declares.
+-- Explores a chart, with the declarations in the file beside it.
 local function explore(file, model, options)
   local own = declared_for(file)
   for _, name in ipairs { "together", "seconds", "configurations" } do
@@ -129,18 +124,16 @@ local function explore(file, model, options)
   return result
 end
 
--- Modules of extensions that rfsm check loads, by name: who makes their events.
+-- The makers of events, by the modules that `rfsm check` loads for them.
 local EXTENSIONS = {
   rfsm_timeevent = "timer", ["rfsm.timeevent"] = "timer",
   rfsm_await = "await", ["rfsm.await"] = "await",
 }
 
--- What to require for them.
+-- The modules that charts require for them.
 local MODULES = { timer = "rfsm_timeevent", await = "rfsm_await" }
 
---- Call a function that loads a chart, and note which extensions that requires.
----@param f function
----@param ... any
+--- Call a function that loads a chart, and note the extensions that it requires.
 ---@return table<string, true> required "timer", "await"
 ---@return any ... results of `f`
 function command.noting_extensions(f, ...)
@@ -167,7 +160,7 @@ function command.noting_extensions(f, ...)
   return required, unpack(results, 2, 4)
 end
 
--- Finds events of extensions that the chart does not require: its host may do so.
+-- Finds events of extensions that the chart does not require.
 local function add_missing_extensions(findings, model, required)
   for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
@@ -184,7 +177,7 @@ local function add_missing_extensions(findings, model, required)
   end
 end
 
--- Returns all findings about a chart, and what was explored; nil: nothing was.
+-- Returns all findings about a chart, and the exploration, if there was one.
 local function find_all(file, model, settings, options)
   local findings, result = static.collect(model, static.OF_FILES), nil
   if gravest_of(findings) ~= "error" then
@@ -198,7 +191,7 @@ local function find_all(file, model, settings, options)
   return static.apply(findings, settings), result
 end
 
--- Appends the lines of a finding: itself, and the run that shows it.
+-- Appends the lines of a finding, with the run that shows it.
 local function add_finding(lines, file, finding)
   lines[#lines + 1] = line_of(file, finding)
   for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
@@ -221,13 +214,10 @@ local function lines_of_all(file, findings, warnings, has_notes)
 end
 
 --- Return the findings about a chart in lines, those of each severity in the order of
---- the tree, and what was explored.
----@param file string of the chart
----@param model rfsm.State
+--- the tree, then the summary of the exploration.
 ---@param warnings string[] about its file
----@param settings table<string, string>
----@param options table of the command: all, static, together ...; `required`: what
--- `command.noting_extensions` has noted
+---@param options table of the command: all, static, together ...; `required` is the
+-- result of `command.noting_extensions`
 ---@return string[] lines "chart.lua: ok" if there is nothing to report
 ---@return "error"|"warning"|nil gravest severity, but for notes
 function command.review(file, model, warnings, settings, options)

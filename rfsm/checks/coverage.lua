@@ -13,7 +13,7 @@ local concat = table.concat
 
 local coverage = {}
 
---- How often a run came by, 0 for what it has not seen; `tostring` of it is a report.
+--- Counts of a run; `tostring` of it is a report.
 ---@class rfsm_checks.Coverage
 ---@field states table<string, integer> by path
 ---@field transitions table<string, integer> by path, such as "root.trans[2]"
@@ -32,7 +32,7 @@ local function count_state(own, fsm, state, path)
   end)
 end
 
--- A guard that raises an error has failed until it returns.
+-- A call counts as failed until it returns: an error is not caught here.
 local function counting_guard(guard, counts)
   return function(tr, events)
     counts.failed = counts.failed + 1
@@ -67,7 +67,7 @@ end
 
 -- Report ............................................................................
 
--- Appends what was never seen; returns a text such as "states 3 of 4".
+-- Appends a line for each count of 0; returns a text such as "states 3 of 4".
 local function add_missing(lines, kind, counts)
   local keys, seen = rfsm.sorted_keys(counts), 0
   for _, key in ipairs(keys) do
@@ -93,7 +93,6 @@ function Coverage:__tostring()
 end
 
 --- Return the record as JSON, for other runs and for pictures.
----@return string text
 function Coverage:json()
   local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
   if not dkjson then error("rfsm_checks.coverage: " .. problem, 2) end

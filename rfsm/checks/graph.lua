@@ -1,4 +1,4 @@
---- Graph: questions to the steps of a walk.
+--- Graph: reachability and cycles in the steps of a walk.
 --
 -- @module rfsm.checks.graph
 -- @license BSD-3-Clause
@@ -9,8 +9,6 @@ local abs, min = math.abs, math.min
 local graph = {}
 
 --- Call `f(tgt, is_internal)` for each step from a configuration.
----@param walk rfsm_checks.Walk
----@param number integer
 ---@param f fun(tgt: integer, is_internal: boolean)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
@@ -19,7 +17,7 @@ function graph.each_step(walk, number, f)
   end
 end
 
--- Lists for each configuration those from which a step leads there.
+-- Lists the predecessors of each configuration.
 local function reverse(walk, is_internal)
   local lists = {}
   for from = 1, walk.expanded do
@@ -33,8 +31,8 @@ local function reverse(walk, is_internal)
   return lists
 end
 
--- Adds to a set, again and again, those from which a step leads into it and for which
--- `joins(from, tgt)` is true. Returns the set.
+-- Adds predecessors to a set while there are some for which `joins(from, tgt)` is true.
+-- Returns the set.
 local function spread(walk, set, lists, joins)
   local pending = {}
   for number = 1, #walk.keys do
@@ -52,7 +50,6 @@ local function spread(walk, set, lists, joins)
 end
 
 --- Return the set of configurations from which one of `goals` can be reached.
----@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
 ---@return table<integer, boolean> set
@@ -62,7 +59,7 @@ function graph.can_reach(walk, goals, is_internal)
   return spread(walk, set, reverse(walk, is_internal), function() return true end)
 end
 
--- Counts the steps without events from outside; a doo that goes on is none.
+-- Counts the steps without events from outside, but not those of a doo that goes on.
 local function count_internal(walk, number)
   local count = 0
   graph.each_step(walk, number, function(tgt, is_own)
@@ -72,13 +69,12 @@ local function count_internal(walk, number)
 end
 
 --- Return the set of configurations from which steps without events from outside always
---- lead to one of `goals`. A doo that does not end is left out: it ends some time.
----@param walk rfsm_checks.Walk
+--- lead to one of `goals`. Each doo is taken to end some time.
 ---@param goals table<integer, boolean>
 ---@return table<integer, boolean> set
 function graph.must_reach(walk, goals)
   local set, left = {}, {}
-  for number = 1, #walk.keys do -- what is not known is no fault
+  for number = 1, #walk.keys do -- an unknown step is no fault
     set[number] = goals[number] or number > walk.expanded
   end
   return spread(walk, set, reverse(walk, true), function(from, tgt)
@@ -88,7 +84,7 @@ function graph.must_reach(walk, goals)
   end)
 end
 
--- A visit of Tarjan's search for strongly connected components: where it has come to.
+-- Begins a visit of Tarjan's search for strongly connected components.
 local function new_visit(walk, search, number)
   search.count = search.count + 1
   search.order[number], search.low[number] = search.count, search.count
@@ -97,7 +93,7 @@ local function new_visit(walk, search, number)
     last = (walk.first[number + 1] or 1) - 1 }
 end
 
--- Takes the component of a configuration from the open ones.
+-- Takes the component of a configuration from the open configurations.
 local function take_component(search, root)
   local component = {}
   repeat
@@ -140,7 +136,6 @@ local function leads_out(walk, component)
 end
 
 --- List the sets of configurations that lead to each other.
----@param walk rfsm_checks.Walk
 ---@return integer[][] bottoms those that lead nowhere else, each sorted
 ---@return integer[][] others
 function graph.components(walk)

@@ -14,7 +14,7 @@ local is_conn = rfsm.is_conn
 
 local loops = {}
 
--- Returns the first of the transitions that the event takes; nil if a guard decides.
+-- Returns the first transition that the event takes; nil if a guard decides.
 local function find_taken(transitions, event)
   for _, tr in ipairs(transitions) do
     local is_wanted = match.triggers(tr, event)
@@ -40,8 +40,7 @@ local function follow(fsm, leaf)
   end
 end
 
--- Could a callback send an event that leads out of the cycle? One that a transition
--- names which is no part of it.
+-- Could a callback send an event of a transition that is not part of the cycle?
 local function may_be_left(fsm, leaves, taken)
   local has_callback, has_exit = false, false
   for _, leaf in ipairs(leaves) do

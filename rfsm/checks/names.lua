@@ -13,7 +13,7 @@ local names = {}
 
 -- e_done@F of no leaf ............................................................
 
--- That of the source itself is left to the warning of `init`.
+-- `init` warns of an e_done of the source itself.
 local function check_e_done(tr, leaves, add)
   for _, event in ipairs(tr.events or {}) do
     local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
@@ -28,7 +28,7 @@ end
 
 local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
 
--- A name with a comma, bar or blank, but for word(a, b) and what follows @; and a list,
+-- Finds names with a comma, bar or blank, except in word(a, b) and behind @; and lists,
 -- which no other table equals.
 local function check_odd_events(tr, add)
   for _, event in ipairs(tr.events or {}) do
@@ -47,12 +47,11 @@ end
 
 -- Misspelt events ................................................................
 
--- Calls f(key) for the shapes of an event: two events that have one in common look
--- alike. A shape is the event with a word of five letters or more without one inside of
--- it: a letter too many, or another one in its place, gives the same; or with two
--- letters of a word in alphabetical order; or without underscores and capitals. Letters
--- at the ends make too many words that are meant: close, closed; lock, block. So do
--- letters in short words, load, lead, and numbers.
+-- Calls f(shape) for the shapes of an event. Two events with a shape in common look
+-- alike. The shapes are the event without underscores and capitals; with two letters of
+-- a word in alphabetical order; and without one letter inside a word of five or more.
+-- Letters at the ends (close, closed; lock, block), in short words (load, lead) and at
+-- numbers distinguish events that are meant.
 local function each_shape(event, f)
   f((event:lower():gsub("_", "")))
   for at, word in event:gmatch("()(%a+)") do
@@ -112,7 +111,7 @@ local function find_similar(list, users, index, i)
   return least and list[least]
 end
 
--- An event that one transition uses, and a similar one.
+-- Finds events that one transition uses, and that look like another event.
 local function check_typos(fsm, add)
   local list, users = usage_of(fsm)
   local index = index_of(list)

@@ -1,5 +1,5 @@
---- Order: transitions that are never taken because others are tried earlier, and those
---- that only their position decides between.
+--- Order: transitions that are never taken because others are tried earlier, and pairs
+--- whose position alone decides.
 --
 -- @module rfsm.checks.order
 -- @license BSD-3-Clause
@@ -32,19 +32,18 @@ function is_always_enabled(tr, seen)
   return not is_conn(tr.tgt) or has_path(tr.tgt, seen)
 end
 
-local ANY = {} -- stands for each event of a transition that has none
+local ANY = {} -- any event
 
--- Does the event enable `tr`, as far as names tell? Predicates may accept anything, but
--- nobody can rely on it.
+-- Does the event enable `tr` for certain? A predicate may refuse it.
 local function is_enabled_by(tr, event)
   return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
 end
 
--- A path to a connector may have passed any other one, and passes none twice.
+-- The path to a connector may have passed any other connector.
 local ALL = setmetatable({}, { __index = function() return true end })
 
--- Returns a transition that is tried before `tr`, from its source or a composite that
--- the source is in, and always taken on the event.
+-- Returns a transition that is tried before `tr`, from its source or a composite around
+-- that, and always taken on the event.
 local function find_shadow(fsm, tr, event)
   for _, node in ipairs(is_conn(tr.src) and { tr.src } or place.line(fsm, tr.src)) do
     for _, other in ipairs(node._otrs) do
@@ -57,8 +56,8 @@ local function find_shadow(fsm, tr, event)
   end
 end
 
--- Lists the transitions one of which is taken before `tr` on each of its events; nil if
--- an event is left to it.
+-- Lists the transitions that are taken in place of `tr` on its events; nil if `tr` is
+-- taken on one of them.
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
   for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
@@ -80,8 +79,8 @@ local function check_shadows(fsm, tr, add)
   return true
 end
 
--- Does only its position keep `tr` from being taken before `other`? A guard in front of
--- a transition without one reads as if and else, but the engine warns in connectors.
+-- Does its position alone keep `tr` from being taken before `other`? A guard before a
+-- transition without one reads as if and else; in connectors the engine warns.
 local function may_clash(tr, other)
   return (other.pn or 0) == (tr.pn or 0)
     and (tr.guard or not other.guard or is_conn(tr.src))

@@ -1,5 +1,4 @@
---- Places: location, path and name of an element, the line of nodes above, regions; for
---- the other checks.
+--- Places: location, path and name of an element, its ancestors, its regions.
 --
 -- @module rfsm.checks.place
 -- @license BSD-3-Clause
@@ -21,7 +20,7 @@ function place.split(text)
   return file or "", rest or text
 end
 
---- Return where an element stands in the model, without file and line.
+--- Return the location of an element without file and line.
 function place.of(obj)
   local _, rest = place.split(rfsm.location_of(obj))
   return rest
@@ -30,7 +29,6 @@ end
 --- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
 ---@param prefix? string of its machine, see `rfsm.machines`
----@return string path
 function place.path(obj, prefix)
   local path = obj._fqn or place.of(obj):gsub(" %(.* %-> .*%)$", "")
   return prefix and prefix .. path:sub(5) or path
@@ -43,14 +41,14 @@ function place.line(fsm, node)
   return line
 end
 
---- List the nodes whose transitions are tried in a leaf, in order; false: the way in.
+--- List the nodes whose transitions are tried in a leaf, in order. If `leaf` is false,
+--- the machine was not entered.
 function place.tried(fsm, leaf)
   if leaf then return place.line(fsm, leaf) end
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
 --- List the regions of a state with their names, sorted by name.
----@param state rfsm.State
 ---@return { name: string, machine: rfsm.Machine }[] regions
 function place.regions_of(state)
   local regions, machines = {}, {}
@@ -67,19 +65,18 @@ end
 --- for the machine itself.
 function place.location_of(prefix) return prefix ~= "root" and prefix .. ": " or "" end
 
---- Return where an element of a machine stands: "root.par.left: root.a".
+--- Return the location of an element of a machine: "root.par.left: root.a".
 function place.in_words(obj, prefix)
   return place.location_of(prefix) .. place.of(obj)
 end
 
 -- Names without positions, so that tests stay right if a chart is reordered ...........
 
---- Return the name of a node: its FQN without "root.". A composite stands for its
---- `initial` as a target.
+--- Return the name of a node: its FQN without "root.". As a target, `initial` has the
+--- name of its composite.
 ---@param node rfsm.State|rfsm.Connector
 ---@param prefix string of its machine
 ---@param is_target? boolean
----@return string name
 function place.name_of(node, prefix, is_target)
   if is_target and rfsm.is_conn(node) and node._id == "initial" then
     node = node._parent
@@ -103,8 +100,8 @@ local function transition_name(tr, prefix)
     .. (tr._is_internal and "internal" or place.name_of(tr.tgt, prefix, true))
 end
 
---- Give each transition of a puppet its name, in the field `name`. Of several between
---- the same states on the same events, the second in order has " #2" behind it.
+--- Set the field `name` of transitions. The second of those between the same states on
+--- the same events has " #2" behind it.
 ---@param entries { tr: rfsm.Transition, prefix: string, name: string }[]
 function place.add_names(entries)
   for _, entry in ipairs(entries) do

@@ -1,7 +1,7 @@
---- Source: what the text of a chart's callbacks shows, if luacheck is installed, whose
---- parser reads it.
+--- Source: mistakes in the text of a chart's callbacks, read by the parser of luacheck.
 --
--- Only what is certain is a warning: a call of a function that is not known may yield.
+-- Without luacheck there are none. Nothing uncertain is a warning: a call of an unknown
+-- function may yield.
 --
 -- @module rfsm.checks.source
 -- @license BSD-3-Clause
@@ -34,14 +34,13 @@ source.is_there = luacheck and parser and decoder and getinfo ~= nil
 
 -- Files ...........................................................................
 
---- What is known of a file.
+--- A file that was read.
 ---@class rfsm_checks.File
 ---@field functions table<integer, table|false> by line; false: several begin there
 ---@field undefined { name: string, line: integer }[] globals that are read
----@field tested table<string, true> names whose existence is asked for
+---@field tested table<string, true> names whose existence is tested
 
--- Calls f(node) for a node and those in it, but not in functions that f(node) is false
--- for.
+-- Calls f(node) for a node and the nodes in it, unless f(node) returns false.
 local function walk(node, f)
   if type(node) ~= "table" or node.tag and f(node) == false then return end
   for _, child in ipairs(node) do walk(child, f) end
@@ -83,7 +82,7 @@ end
 
 -- Checks ..........................................................................
 
--- Returns the name that was probably meant.
+-- Returns a name that looks like an undefined one.
 local function meant(name)
   if rfsm[name] ~= nil then return "rfsm." .. name end
   for _, other in ipairs(rfsm.sorted_keys(_G)) do
@@ -91,8 +90,8 @@ local function meant(name)
   end
 end
 
--- Globals that nobody has defined when the chart was loaded. The host may do that
--- later, so that only what looks like another name is a warning.
+-- Finds globals that are not defined after the chart was loaded. The host may define
+-- them later, so only a name that looks like another one is a warning.
 local function check_globals(file, info, add)
   for _, global in ipairs(file.undefined) do
     local line = global.line
@@ -106,7 +105,7 @@ local function check_globals(file, info, add)
   end
 end
 
--- Calls f(node) for the nodes of a function, but for those of functions inside of it.
+-- Calls f(node) for the nodes of a function, but not in inner functions.
 local function each_node(func, f)
   walk(func[2], function(node)
     f(node)
@@ -114,7 +113,7 @@ local function each_node(func, f)
   end)
 end
 
--- Returns the last name of what is called: "yield" for rfsm.yield.
+-- Returns the last name of a called function: "yield" for rfsm.yield.
 local function called_name(node)
   local callee = node[1]
   return callee.tag == "Index" and callee[2].tag == "String" and callee[2][1]
@@ -133,7 +132,7 @@ local function check_guard(func, add)
   end
 end
 
--- Is it a call of a function that cannot yield: one of Lua's, or of the library?
+-- Is it a call of a function of Lua or of the library, which cannot yield?
 local function is_plain_call(node)
   local callee = node[1]
   local name = callee.tag == "Index" and callee[1].tag == "Id" and callee[1][1]
@@ -141,11 +140,13 @@ local function is_plain_call(node)
   return node.tag == "Call" and (name == "rfsm" or rawget(_G, name) ~= nil)
 end
 
--- What nodes of a loop may do.
-local DEEDS = { Return = "leaves", Break = "leaves", Goto = "leaves", Invoke = "idles" }
+-- The effects of nodes in a loop.
+local EFFECTS = {
+  Return = "leaves", Break = "leaves", Goto = "leaves", Invoke = "idles",
+}
 
--- Returns what a call may do: "yields" nothing, or "idles"; nil for neither.
-local function deed_of_call(node)
+-- Returns "yields" for a yield of nothing, "idles" if the call may yield a true value.
+local function effect_of_call(node)
   if not called_name(node):find("yield") then
     return not is_plain_call(node) and "idles" or nil
   end
@@ -153,16 +154,16 @@ local function deed_of_call(node)
   return tag ~= "Nil" and tag ~= "False" and "idles" or "yields"
 end
 
--- Notes what there is inside of a loop that has no condition.
+-- Notes the effects in a loop without a condition.
 local function look_into(loop, seen)
-  local deeds = {}
+  local has = {}
   walk(loop, function(node)
-    local deed = DEEDS[node.tag] or node.tag == "Call" and deed_of_call(node)
-    if deed then deeds[deed] = true end
+    local what = EFFECTS[node.tag] or node.tag == "Call" and effect_of_call(node)
+    if what then has[what] = true end
   end)
   seen.has_loop = true
-  seen.is_idle = seen.is_idle or deeds.idles or deeds.leaves
-  seen.yields = seen.yields and (deeds.yields or deeds.idles or deeds.leaves)
+  seen.is_idle = seen.is_idle or has.idles or has.leaves
+  seen.yields = seen.yields and (has.yields or has.idles or has.leaves)
 end
 
 local function check_doo(func, state, add)

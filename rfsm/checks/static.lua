@@ -1,8 +1,7 @@
---- Static checks: what is wrong, dead or risky in a chart, as far as its structure
---- tells.
+--- Static checks: mistakes, dead parts and risks that the structure of a chart shows.
 --
--- Each check is a file of its own. It calls `add(code, obj, text)`. Findings are in the
--- order of the tree. A field `checks` of an element silences those of its own.
+-- Each check has a file. It calls `add(code, obj, text)`. Findings are in the order of
+-- the tree. A field `checks` of an element silences its findings.
 --
 -- @module rfsm.checks.static
 -- @license BSD-3-Clause
@@ -26,7 +25,7 @@ local static = {}
 ---@field file string "chart.lua:7: "; empty if it is not known
 ---@field place string "root.trans[2] (off -> on)", in a region "root.par.left: root.a"
 ---@field text string one sentence
----@field hint string how to mend it
+---@field hint string a remedy
 ---@field witness? rfsm_checks.WitnessStep[] of an exploration: the run that shows it
 
 --- A check: calls `add` for each finding about a machine.
@@ -38,13 +37,10 @@ local CHECKS = {
   "rfsm.checks.names",
 }
 
---- The checks of files: those, and that of the text of callbacks.
-static.OF_FILES = {
-  "rfsm.checks.structure", "rfsm.checks.order", "rfsm.checks.loops",
-  "rfsm.checks.names", "rfsm.checks.source",
-}
+--- The checks of files, which read the text of callbacks, too.
+static.OF_FILES = { CHECKS[1], CHECKS[2], CHECKS[3], CHECKS[4], "rfsm.checks.source" }
 
--- Findings, but for those that an element expects .....................................
+-- Findings, except those that an element expects ......................................
 
 local function silences_of(obj)
   local silences = obj.checks
@@ -59,8 +55,8 @@ end
 --- A list of findings.
 ---@class rfsm_checks.Findings
 ---@field [integer] rfsm_checks.Finding
----@field silenced table<string, true> what elements expect: "root.a dead-end"
----@field told table<string, true> so that none is there twice
+---@field silenced table<string, true> findings that elements expect: "root.a dead-end"
+---@field told table<string, true> the findings in the list, as keys
 local Findings = {}
 Findings.__index = Findings
 
@@ -74,8 +70,7 @@ end
 ---@param code string
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector|nil
 ---@param path string of the element, see `place.path`
----@param text string
----@param at? string its place in words
+---@param at? string its location
 ---@param file? string
 ---@return rfsm_checks.Finding? finding
 function Findings:add(code, obj, path, text, at, file)
@@ -93,7 +88,7 @@ function Findings:add(code, obj, path, text, at, file)
   return finding
 end
 
--- Returns the finding of a code about the same element.
+-- Returns the finding of the same code about the same element.
 function Findings:find_same(finding)
   for _, other in ipairs(self) do
     local path = other.place:gsub(" %(.* %-> .*%)$", ""):gsub(": root", "")
@@ -101,7 +96,7 @@ function Findings:find_same(finding)
   end
 end
 
---- Append the findings of an exploration. What is there already gets the run.
+--- Append the findings of an exploration. A finding that is there already gets the run.
 ---@param others rfsm_checks.Findings
 function Findings:join(others)
   local more = {}
@@ -114,7 +109,6 @@ function Findings:join(others)
 end
 
 --- Append findings about silences that silence nothing.
----@param model rfsm.State
 function Findings:add_idle_silences(model)
   for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
@@ -149,7 +143,7 @@ end
 -- Appends the findings about a machine, in the order of its elements.
 local function check_machine(entry, findings, checks)
   local fsm, by_element, elements = entry.machine, {}, rfsm.elements(entry.machine)
-  if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- a part of a machine
+  if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- fsm is a state
   for _, obj in ipairs(elements) do by_element[obj] = {} end
   local function add(code, obj, text, severity)
     table.insert(by_element[obj], { code = code, text = text, severity = severity })
@@ -183,7 +177,7 @@ function static.init(model, warn)
   return fsm, text, problems
 end
 
--- What the checks find in more detail.
+-- Warnings of `init` whose subject the checks report in more detail.
 local DETAILED = { "^no outgoing transitions from node", "'e_done' never fires here",
   "each transition from here has events or a guard" }
 
@@ -194,7 +188,7 @@ local function is_detailed(text)
   return false
 end
 
--- Returns the elements of a machine by what stands before a warning about them.
+-- Returns the elements of a machine by the location in a warning about them.
 local function elements_by_place(fsm)
   local found = {}
   for _, obj in ipairs(fsm and rfsm.elements(fsm) or {}) do
@@ -249,7 +243,7 @@ local function check_model(findings, model)
   return fsm
 end
 
---- Find all there is, whatever its severity.
+--- Return all findings, of any severity.
 ---@param model rfsm.State a model, or a machine
 ---@param checks? string[] names of modules
 ---@return rfsm_checks.Findings
@@ -264,7 +258,6 @@ end
 
 --- Give findings the severity that a project has set, and drop those that are off.
 ---@param findings rfsm_checks.Finding[]
----@param settings table<string, string>
 ---@return rfsm_checks.Finding[] kept
 function static.apply(findings, settings)
   local kept = {}
@@ -275,7 +268,7 @@ function static.apply(findings, settings)
   return kept
 end
 
---- Find what is wrong, dead or risky in a model.
+--- Find mistakes, dead parts and risks in a model.
 --
 -- A finding of an element is left out if its field `checks` has the code, with a
 -- reason. The fields of a project's settings are codes, their values severities or

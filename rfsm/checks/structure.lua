@@ -1,5 +1,5 @@
---- Structure: nodes that nothing reaches or leaves, callbacks that nobody calls,
---- connectors that lead nowhere at times, or back to themselves.
+--- Structure: nodes that are never reached or left, callbacks that are never called,
+--- connectors that are dead ends at times, or lead back to themselves.
 --
 -- @module rfsm.checks.structure
 -- @license BSD-3-Clause
@@ -16,7 +16,7 @@ local is_conn, is_leaf = rfsm.is_conn, rfsm.is_leaf
 
 local structure = {}
 
--- Marks a node that a transition leads to, and the composites that it is in.
+-- Marks a node to which a transition leads, and the composites around it.
 local function mark(reached, pending, node)
   while not reached[node] do
     reached[node] = true
@@ -26,7 +26,6 @@ local function mark(reached, pending, node)
 end
 
 --- Return the set of nodes that some path of transitions leads to.
----@param fsm rfsm.Machine
 ---@return table<table, boolean> reached
 function structure.reached(fsm)
   local reached, pending = {}, {}
@@ -47,8 +46,8 @@ local function has_way_out(fsm, state)
   return false
 end
 
--- Finds nodes that nothing leads to, and those that nothing leads away from, but not
--- in an unreachable composite. One that is entered elsewhere may have an `initial`.
+-- Finds nodes without a way in or out, but not in an unreachable composite. A composite
+-- that is entered elsewhere may have an `initial`.
 local function check_node(fsm, node, reached, add)
   if not reached[node] then
     if reached[node._parent] and node._id ~= "initial" then
@@ -82,7 +81,7 @@ end
 local FLAGS = { "final" }
 local ROOT_FLAGS = { "dbg", "err", "info", "strict", "warn" }
 
--- Finds true and false in fields that are not there, but nearly.
+-- Finds true and false in fields whose names look like those of the library.
 local function check_flags(state, flags, add)
   for _, key in ipairs(rfsm.sorted_keys(state)) do
     for _, flag in ipairs(type(state[key]) == "boolean" and flags or {}) do
@@ -105,14 +104,14 @@ end
 
 local ANY = setmetatable({}, { __tostring = function() return "any event" end })
 
--- Returns what a transition lets pass of an event, or of any.
+-- Lists the events that can pass a transition if an event comes, or any.
 local function passing(tr, event)
   if match.triggers(tr, event) then return { event } end
   return event == ANY and tr.events or {}
 end
 
--- Notes the connectors to which a transition leads an event that comes to its source; a
--- predicate says nothing of what comes.
+-- Notes the connectors to which a transition leads an event at its source. The events
+-- that a predicate accepts are not known.
 local function arrive(arrivals, tr, event)
   for _, own in ipairs(is_conn(tr.tgt) and passing(tr, event) or {}) do
     local list = arrivals[tr.tgt] or {}
@@ -123,7 +122,7 @@ local function arrive(arrivals, tr, event)
   end
 end
 
--- Returns for each connector the events that can lead to it, one at a time.
+-- Returns the events that can lead to each connector, one at a time.
 local function arrivals_of(fsm)
   local arrivals = {}
   arrive(arrivals, { tgt = fsm.initial }, "e_init_fsm")
@@ -177,7 +176,7 @@ local function find_cycle(start, node, seen)
   end
 end
 
--- Finds what is wrong with connectors.
+-- Finds mistakes of connectors.
 local function check_connectors(fsm, add)
   local arrivals, is_told = arrivals_of(fsm), {}
   for _, connector in ipairs(rfsm.elements(fsm, is_conn)) do

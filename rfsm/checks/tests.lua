@@ -1,10 +1,10 @@
 --- Tests: runs that together take every transition of a chart that can be taken, on
 --- each of its events, and show which of two is taken if both are enabled.
 --
--- The steps come from an exploration with two events a step. From where a run stands it
--- goes on to the nearest thing that is still to be shown; a new run begins if that is
--- nearer. Where a run comes to a leaf first, steps follow that it ignores: without an
--- event, with one that nothing names, and with one that other leaves react to.
+-- The steps come from an exploration with two events a step. A run goes on to the
+-- nearest step that shows something new; a new run begins if that is shorter. The first
+-- visit of a leaf is followed by steps that it ignores: without an event, with an event
+-- that no transition names, and with one to which only other leaves react.
 --
 -- @module rfsm.checks.tests
 -- @license BSD-3-Clause
@@ -28,14 +28,14 @@ local tests = {}
 ---@class rfsm_checks.Tests
 ---@field runs { steps: rfsm_checks.TestStep[] }[]
 ---@field steps integer of all runs
----@field least integer no tests can do with fewer steps
+---@field least integer a lower bound for the steps of any tests
 ---@field taken integer how many transitions they take
 ---@field transitions integer of the chart
 ---@field skipped integer runs that a rehearsal cannot repeat
 
---- A step: what the rehearsal is told, and what it returns.
+--- A step of a rehearsal, and its result.
 ---@class rfsm_checks.TestStep
----@field what table see `Rehearsal:step`
+---@field what table the argument of `Rehearsal:step`
 ---@field result string
 
 -- Returns the transition from the same node that is tried next.
@@ -47,7 +47,7 @@ end
 
 -- Steps of the exploration ..........................................................
 
--- A step with an event that is no text cannot be written.
+-- Can the events of a step be written?
 local function is_plain(events)
   for i = 1, #events do
     local kind = type(events[i].event)
@@ -59,8 +59,8 @@ local function is_plain(events)
   return true
 end
 
--- Returns what a step shows: each transition with each of its events that came, and
--- those behind a transition that is tried earlier and was taken.
+-- Lists the facts that a step shows, as keys: each transition taken, with each of its
+-- events that came, and with the next one in order if that was enabled, too.
 local function shown_by(own)
   local keys, events = {}, own.last_events
   for _, number in ipairs(own.taken) do
@@ -79,7 +79,7 @@ local function shown_by(own)
   return keys
 end
 
--- Notes every step that leads on, once for each target and what it shows.
+-- Notes the steps, once for each target and list of facts.
 local function watch_steps(walk)
   local edges, is_noted, own = {}, {}, walk.puppet
   own.notes_events = true
@@ -106,7 +106,7 @@ local function is_wanted(edge, left)
   return false
 end
 
--- Returns the steps that lead to the last one.
+-- Returns the steps up to the last one.
 local function way_to(edge, came)
   local way = { edge }
   while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
@@ -126,9 +126,9 @@ local function find_way(walk, start, left)
   end
 end
 
-local LONG = 12 -- steps after which a run is rather ended
+local LONG = 12 -- steps after which a run may end
 
--- Returns runs, lists of steps, that take all there is in `left`.
+-- Returns runs, lists of steps, that show all facts in `left`.
 local function plan(walk, left)
   local runs, run, at = {}, nil, 1
   while true do
@@ -154,9 +154,9 @@ local function seconds_of(event)
   return type(event) == "string" and tonumber(event:match("^e_after%(([%d.]+)%)@"))
 end
 
-local MARGIN = 0.001 -- a timer fires when its time is over
+local MARGIN = 0.001 -- seconds; a timer fires after its time
 
--- Returns what to tell the rehearsal for a step.
+-- Returns the argument of the rehearsal for a step.
 local function told_of(walk, own, edge, waits)
   local what, events = own:what_of(walk:rerun(edge.from, edge.label)), {}
   for i = #what, 1, -1 do events[i], what[i] = what[i], nil end
@@ -171,7 +171,7 @@ local function told_of(walk, own, edge, waits)
   return what
 end
 
--- Is some transition taken on any event in a leaf?
+-- Is a transition taken on any event in a leaf?
 local function takes_any(part, leaf)
   for _, node in ipairs(leaf and place.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
@@ -181,8 +181,8 @@ local function takes_any(part, leaf)
   return false
 end
 
--- Lists steps in which a machine stays where it is: without an event; with one that
--- nothing names; with one that other leaves react to.
+-- Lists steps that a leaf ignores: without an event; with an event that no transition
+-- names; with one to which other leaves react.
 local function steps_at_rest(walk, number)
   local own, conf = walk.puppet, walk:configuration(number)
   local leaf = conf[1].leaf
@@ -200,7 +200,7 @@ local function steps_at_rest(walk, number)
   return list
 end
 
--- Does the rehearsal what the exploration did in a step?
+-- Is the last step of the rehearsal that of the exploration?
 local function is_as_explored(walk, own, edge)
   local step = walk:rerun(edge.from, edge.label)
   local paths = own.puppet:paths_of()
@@ -208,8 +208,8 @@ local function is_as_explored(walk, own, edge)
     and step.leaf == rfsm.get_actleaf_fqn(own.puppet.parts[1].fsm)
 end
 
--- Rehearses a run as planned; with `waits` timers fire because time goes by. Returns
--- its steps, nil if something else happens. Leaves that it comes to first are noted.
+-- Rehearses a planned run; with `waits` time goes by for its timers. Returns the steps;
+-- nil if the rehearsal departs from the plan. Notes the leaves that are visited.
 local function rehearse(walk, model, run, waits, is_seen, callbacks)
   local steps, own = {}, rehearsal.rehearsal(model, { callbacks = callbacks })
   local function add(what)
@@ -229,7 +229,6 @@ end
 -- Public functions ..................................................................
 
 --- Plan runs that take every transition of a model that can be taken.
----@param model rfsm.State
 ---@param callbacks? boolean run entries, exits and effects
 ---@return rfsm_checks.Tests
 function tests.plan(model, callbacks)
@@ -319,8 +318,7 @@ local RUNS = {
 local BEGIN = "-- rfsm check --tests: what stands from here ...\n"
 local END = "-- rfsm check --tests: ... to here is written anew.\n"
 
--- The longest piece of a line that may stand before it is broken.
-local WIDTH = 88
+local WIDTH = 88 -- of a line
 
 local function add_step(lines, step)
   local call, result = step_text(step.what), quoted(step.result)
@@ -331,7 +329,7 @@ local function add_step(lines, step)
   lines[#lines + 1] = line
 end
 
--- A run is named by where it leads, as far as a line has room.
+-- Names a run by its leaves, as far as a line has room.
 local function name_of(run)
   local names, last = {}, nil
   for _, step in ipairs(run.steps) do
@@ -348,7 +346,7 @@ local function name_of(run)
   return "goes to " .. text
 end
 
--- Returns the expression for the chart's file as seen from the folder of the spec.
+-- Returns the expression for the chart's file, relative to the folder of the spec.
 local function file_text(file, output)
   local folder = output and output ~= "-" and output:match("^(.*/)") or ""
   if file:sub(1, 1) == "/" or not output or output == "-"
@@ -374,10 +372,9 @@ end
 
 --- Write the runs of a chart as a spec for busted.
 ---@param file string of the chart
----@param model rfsm.State
 ---@param callbacks? boolean the runs run entries, exits and effects, too
 ---@param output? string the file of the spec; the chart is loaded relative to it
----@param old? string what stands in that file: only the marked lines are written anew
+---@param old? string the text of that file, in which the marked lines are replaced
 ---@return string text
 ---@return rfsm_checks.Tests
 function tests.busted(file, model, callbacks, output, old)

@@ -1,7 +1,7 @@
 --- Why: the answer of each transition to some events, and the events that count now.
 --
--- Guards and predicates are called, as in a search of the engine; nothing else is, and
--- nothing is changed.
+-- Guards and predicates are called, as in a search of the engine. No other callback is,
+-- and nothing is changed.
 --
 -- @module rfsm.checks.why
 -- @license BSD-3-Clause
@@ -46,7 +46,7 @@ local function texts_of(values)
   return texts
 end
 
--- Search: as the engine's, but each transition is asked ----------------------------
+-- Search: that of the engine, but with an answer of each transition ----------------
 
 local function is_accepted(tr, event)
   for _, wanted in ipairs(tr.events) do
@@ -57,7 +57,7 @@ local function is_accepted(tr, event)
   return match.names(tr, event)
 end
 
--- Without any event no transition is taken, but the first way in.
+-- Without an event only the first entry takes a transition.
 local function matches(search, tr)
   if match.is_any(tr) then return not search.is_mute end
   for _, event in ipairs(search.events) do
@@ -66,7 +66,7 @@ local function matches(search, tr)
   return false
 end
 
--- Returns where a transition ends: a target of the moment may be a composite.
+-- Returns the target of a transition, which a program may have set to a composite.
 local function target_of(tr)
   local tgt = tr.tgt
   if tr._is_internal and rawequal(tr.src, tgt) then return tgt end
@@ -78,7 +78,7 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 
 local ask_connector
 
--- Returns the verdict on a transition, the same in words, and of a closed one the
+-- Returns the verdict on a transition, the same in words, and for a closed one the
 -- connector where the path ends and the answers there.
 local function judge(search, tr)
   if not matches(search, tr) then
@@ -106,10 +106,9 @@ local function ask(search, tr)
     src = tr.src._fqn, tgt = name_of(tr.tgt), connector = connector, ways = ways }
 end
 
--- Asks the transitions from a connector, once a search; while that goes on it counts as
--- closed. `way` is true if one is enabled. The second result comes once. The engine
--- stops at the first enabled one, and asks none of smaller priority; here those are
--- asked afterwards.
+-- Asks the transitions from a connector, once a search; meanwhile it counts as closed.
+-- The field `way` is true if one is enabled. The answers are returned at the first call
+-- only. Where the engine stops, at the first enabled one, the rest is asked here, too.
 function ask_connector(search, connector)
   local found = search.found[connector]
   if found then return found end
@@ -204,11 +203,11 @@ function why.why(fsm, ...)
   return result, concat(lines, "\n")
 end
 
--- Stands for an event that no transition names.
+-- An event that no transition names.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
--- Appends the events that enable a transition of the machine, or of one in its leaf.
--- Those that count only as any event are tried, too: guards may tell them apart.
+-- Appends the events that enable a transition of the machine or of regions of its leaf.
+-- An event that counts only as any event is tried, too: a guard may refuse it.
 local function add_enabled(list, is_listed, fsm)
   local takes_any = select(2, answers_of(fsm, { OTHER })) and true
   for _, event in ipairs(alphabet.of(fsm).list) do

@@ -1,11 +1,8 @@
 --- A recording in a file: runs, each a header and a line of JSON for each record.
 --
--- A line holds what the lines before do not tell: events that waited already, a leaf
--- that has not changed and the completion of a leaf are left out. So a file is a third
--- as long as its records. A run that was cut off harms no other: the last line of a run
--- may be a part of one.
---
--- The file reads in this order: short records, write, read.
+-- A line leaves out what follows from the lines before: queued events, a leaf that has
+-- not changed, the completion of a leaf. So a file is a third as long as its records.
+-- The last line of a run may be incomplete.
 --
 -- @module rfsm.record.lines
 -- @license BSD-3-Clause
@@ -25,12 +22,12 @@ local lines = { VERSION = 2 } -- of files; 1 is a file of whole records
 
 local NONE, SHORT = {}, { events = true, leaf = true, done = true, sent = true }
 
--- Returns what a machine has sent, unless a record tells otherwise.
+-- Returns the events that a machine has sent, if a record has no others.
 local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end
 
--- Returns a record without what follows from the one before of its machine.
+-- Returns a record without the fields that follow from the last one of its machine.
 local function shorten(rec, before)
   local short, events = {}, rec.events
   for key, value in pairs(rec) do -- any order: each stands alone
@@ -49,7 +46,7 @@ end
 
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
 
--- Returns the record that a short one stands for.
+-- Returns the whole record of a short one.
 local function lengthen(short, before)
   local rec = {}
   for key, value in pairs(short) do rec[key] = value end -- any order: a copy
@@ -73,7 +70,6 @@ local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") en
 
 --- Return a record as a line of JSON.
 ---@param rec table
----@return string line
 function lines.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
 
 local MAX_QUOTED = 1000 -- texts that are remembered
@@ -152,8 +148,7 @@ function lines.writer(stream)
   end
 end
 
---- Open a file for one run more. What an earlier run has left of a line gets an end.
----@param name string
+--- Open a file for one run more. An incomplete last line gets an end.
 ---@return file*? file
 ---@return string? problem
 function lines.open(name)
@@ -170,9 +165,9 @@ end
 --- A run in a file.
 ---@class rfsm.record.Run
 ---@field [integer] table its lines, decoded
----@field is_cut boolean its last line is a part of one
+---@field is_cut boolean its last line is incomplete
 
--- Adds a line to the runs. Behind one that is no JSON only a header may come.
+-- Adds a line to the runs. After a line that is no JSON only a header may come.
 local function add_line(runs, line, number)
   local value, _, problem = json().decode(line, 1, nil)
   local run = runs[#runs]
@@ -201,7 +196,7 @@ local function split(text)
   return runs
 end
 
--- Returns the records of a run as they were when they were written.
+-- Returns the whole records of a run.
 local function expand(run)
   local header, before, list = run[1], {}, {}
   for i, rec in ipairs(run) do
@@ -221,7 +216,6 @@ end
 
 --- Return the records of a run in a file.
 -- @raise if the file cannot be read, a line is no record, or there is no such run
----@param name string
 ---@param number? integer of the run; the last one if it is absent
 ---@return table[] recording
 ---@return { runs: integer, is_cut: boolean } about

@@ -1,14 +1,11 @@
 --- Replay: a machine runs through a recording.
 --
--- The file reads in this order: the session, one iteration again, callbacks again, run.
---
 -- @module rfsm.record.replay
 -- @license BSD-3-Clause
 
 local order = require "rfsm.shared.order"
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
-local dry = require "rfsm.shared.dry"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -21,23 +18,23 @@ local tostring, type = tostring, type
 local max, min, remove = math.max, math.min, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
-local list_text, place_text, same = tracks.list_text, tracks.place_text, tracks.same
+local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
 --- A machine that is being replayed.
 ---@class rfsm.record.Session
----@field records rfsm.record.Record[] of the machine around the others
----@field inner table<integer, rfsm.record.Record[]> of the others
+---@field records rfsm.record.Record[] of the outermost machine
+---@field inner table<integer, rfsm.record.Record[]> of its regions
 ---@field step_of table<rfsm.record.Record, integer> the iteration around each of those
 ---@field at integer how many records have been replayed
----@field last integer how many are to be
+---@field last integer how many are to be replayed
 ---@field is_dry boolean
----@field fsm rfsm.Machine|nil nil if it cannot stand where the recording begins
----@field problem string|nil the reason, or where the run departs from the recording
+---@field fsm rfsm.Machine|nil nil if the snapshot of the header cannot be put
+---@field problem string|nil the reason, or the departure from the recording
 ---@field snap rfsm.snapshot.Snapshot|nil of the end, unless there is a problem
----@field unsaved string|nil why there is none else
----@field clock function in place of those of the machines
----@field readings any[]|nil of the clock, that are to come in this iteration
----@field latest any[]|nil the reading before
+---@field unsaved string|nil why the machine cannot be saved then
+---@field clock function in place of the clocks of the machines
+---@field readings any[]|nil the next ones of the clock in this iteration
+---@field latest any[]|nil the last one
 
 -- Raised by a pre step hook, to end a step that would go further than the recording.
 local STOP = {}
@@ -47,7 +44,7 @@ local function depart(session, form, ...)
     or ("step %d: "):format(session.at + 1) .. form:format(...)
 end
 
--- Makes a list hold these events; departs from events that are no plain data.
+-- Fills a list with packed events; departs if one cannot be replayed.
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
@@ -60,8 +57,7 @@ local function fill(session, list, events)
   end
 end
 
--- Returns the next of the recorded readings of the clock; behind the last one, the
--- latest.
+-- Returns the next recorded reading of the clock; the last one again at the end.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then error(now[1], 0) end
@@ -135,10 +131,10 @@ end
 
 local function compare(session, track)
   local fsm, rec, leaf = track.fsm, track.rec, track.fsm._act_leaf
-  local place = place_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
-  local recorded = place_text(rec.leaf, rec.done)
-  if place ~= recorded then
-    return depart(session, "active leaf %s expected, got %s", recorded, place)
+  local present = leaf_text(leaf and leaf._fqn, leaf and leaf._mode == "done")
+  local recorded = leaf_text(rec.leaf, rec.done)
+  if present ~= recorded then
+    return depart(session, "active leaf %s expected, got %s", recorded, present)
   elseif session.is_dry then
     return
   end
@@ -168,7 +164,8 @@ local function finish_again(session, track)
   if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
--- Returns what was recorded of a guard; with `is_called` it is called, and compared.
+-- Returns the recorded result of a guard; with `is_called` the guard is called, and its
+-- result compared.
 local function answer_again(session, track, is_called, number, guard, tr, events)
   if not track.rec then return guard(tr, events) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
@@ -187,24 +184,19 @@ local function answer_again(session, track, is_called, number, guard, tr, events
   return answer
 end
 
--- A doo that ends when the recorded one did.
+-- A doo that ends when the recorded one ended or failed. Its e_done is in the record.
 local function doo_again(session, track)
   return function(_, state)
     while true do
       local rec, following = track.rec, track.records[track.at + 1]
-      if rec and rec.done and rec.leaf == state._fqn then
-        for _, event in ipairs(rec.sent or {}) do
-          if event == "e_done@" .. state._fqn then return end
-        end
-        error("the doo failed when it was recorded", 0)
-      end
+      if rec and rec.done and rec.leaf == state._fqn then return end
       rfsm.yield(not (track.m and session.step_of[following] == session.at + 1))
     end
   end
 end
 
--- Returns the numbers that guards have now, by those they had when they were recorded,
--- for a chart that has changed.
+-- Returns the present numbers of guards by their numbers in the recording, for a chart
+-- that has changed.
 local function numbers_of(track, session)
   local now, numbers = {}, {}
   local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
@@ -227,7 +219,7 @@ local function add_player(track, session, options)
   track.at, track.guard_at = 0, 0
   track.records = track.m and (session.inner[track.m] or {}) or session.records
   if session.is_dry then
-    for _, state in ipairs(dry(track.swaps, fsm)) do
+    for _, state in ipairs(swap.take_functions(track.swaps, fsm)) do
       swap.put(track.swaps, state, "doo", doo_again(session, track))
     end
   end
@@ -254,15 +246,15 @@ local function run(session, track)
   end
 end
 
--- A model that says nothing, and is otherwise the same.
+-- Returns a copy of a model that prints nothing.
 local function quiet(model)
   local copy = {}
-  for key, value in order.each(model) do copy[key] = value end -- any order: a copy
+  for key, value in order.each(model) do copy[key] = value end
   copy.dbg, copy.info, copy.warn, copy.err = false, false, false, false
   return setmetatable(copy, getmetatable(model))
 end
 
--- Splits a recording: the records of the machine, and those of others by number.
+-- Splits a recording: the records of the machine, and those of its regions by number.
 local function new_session(recording, options)
   local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
     is_dry = options.dry and true or false, guards = recording[1].guards,
@@ -281,7 +273,7 @@ end
 
 local function itself(snap) return snap end
 
--- Makes a machine that stands where the recording begins.
+-- Makes a machine in the state of the header.
 local function begin(session, model, header, options)
   local fsm, problem = rfsm.init(session.is_dry and quiet(model) or model)
   if not fsm then
@@ -300,7 +292,7 @@ local function begin(session, model, header, options)
   session.fsm, session.problem = ok and fsm or nil, problem
 end
 
--- Advances the machine, and takes a snapshot where the recording ends.
+-- Advances the machine, and takes a snapshot at the end of the recording.
 local function go_through(session)
   run(session, session.tracks[1])
   if session.problem then return end
@@ -308,7 +300,7 @@ local function go_through(session)
   if ok then session.snap = snap else session.unsaved = text_of(snap) end
 end
 
---- Run a machine through a recording, which is one.
+--- Run a machine through a recording, which was checked.
 ---@param model rfsm.State
 ---@param recording table[]
 ---@param options rfsm.record.Options

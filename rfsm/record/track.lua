@@ -1,7 +1,7 @@
---- Tracks: what recording and replay have in common.
+--- Tracks: common parts of recording and replay.
 --
--- Events as plain data, data that may have changed, and the hooks, guards and clocks of
--- a machine and of those in its states.
+-- They are events as plain data, a quick test for changed data, and the hooks, guards
+-- and clocks of a machine and its regions.
 --
 -- @module rfsm.record.track
 -- @license BSD-3-Clause
@@ -26,7 +26,8 @@ local PATH = { owner = "", base = 0, seen = {}, packed = {} }
 --- Return plain data for a text, number or boolean.
 function track.pack(value) return plain.pack(value, PATH, 0) end
 
---- Return an event as plain data; one that is none by its type, which is not replayed.
+--- Return an event as plain data. Of tables and other objects it has the type only, and
+-- they cannot be replayed.
 function track.pack_event(event)
   if plain.is_scalar(event) then return track.pack(event) end
   return { "%x", type(event) }
@@ -49,18 +50,18 @@ function track.list_text(list)
   return texts[1] and concat(texts, ", ") or "none"
 end
 
---- Return a place that was recorded as text.
-function track.place_text(leaf, is_done)
+--- Return the active leaf of a record as text.
+function track.leaf_text(leaf, is_done)
   return leaf and leaf .. (is_done and "(done)" or "(active)") or "none"
 end
 
 --- Are plain data the same?
 function track.same(a, b)
   if type(a) ~= "table" or type(b) ~= "table" then return rawequal(a, b) end
-  for key, value in order.each(a) do -- any order: all have to be the same
+  for key, value in order.each(a) do
     if not track.same(value, b[key]) then return false end
   end
-  for key in order.each(b) do -- likewise
+  for key in order.each(b) do
     if a[key] == nil then return false end
   end
   return true
@@ -83,11 +84,9 @@ function track.truncate(records, count)
   for i = #records, kept + 1, -1 do records[i] = nil end
 end
 
--- What may have changed: the data that the chart keeps, and targets -----------------
+-- Changes of data that the chart keeps, and of targets -------------------------------
 
---- Return what tells cheaply that the data of a machine is as it was.
----@param fsm rfsm.Machine
----@return table watched
+--- Return the values of a machine that `may_have_changed` compares.
 function track.watch_data(fsm)
   local watched = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
     states = {}, names = {}, values = {}, is_deep = false }
@@ -122,22 +121,21 @@ end
 
 -- Machines -----------------------------------------------------------------------
 
---- A machine that is recorded or replayed, and what it calls.
+--- A machine that is recorded or replayed, and the functions that it calls.
 ---@class rfsm.record.Track
 ---@field fsm rfsm.Machine
----@field m integer|nil its number; nil for the machine around the others
----@field rec rfsm.record.Record|false of the iteration that is under way
+---@field m integer|nil its number, if it is a region
+---@field rec rfsm.record.Record|false of the present iteration
 ---@field begin function the pre step hook
 ---@field finish function the post step hook
 ---@field reset function the reset hook
 ---@field guard function called in place of each guard: number, guard, arguments
 ---@field clock fun(own: function?): function returns the clock in place of its own
----@field getevents fun(own: function): function|nil returns that in place of its own
----@field swaps table[] what was replaced
----@field wrapped table<string, table> the latest of these, for a field of the machine
+---@field getevents fun(own: function): function|nil likewise getevents
+---@field swaps table[]
+---@field wrapped table<string, table> the last swap of a field of the machine
 
--- Has a function in place of that in a field of the machine; again if somebody has set
--- another one meanwhile.
+-- Replaces a function of the machine, again if a program has set another one meanwhile.
 local function wrap(own, field, make)
   local wrapped, value = own.wrapped[field], rawget(own.fsm, field)
   if not (wrapped and rawequal(wrapped.new, value)) then
@@ -145,8 +143,8 @@ local function wrap(own, field, make)
   end
 end
 
---- Have a machine call getevents and the clock by its track. A region without a clock
--- has that of the machine around it.
+--- Replace getevents and the clock of a machine. A region without a clock reads that of
+-- its parent machine.
 ---@param own rfsm.record.Track
 function track.wrap(own)
   local fsm = own.fsm
@@ -154,7 +152,7 @@ function track.wrap(own)
   if rawget(fsm, "getevents") then wrap(own, "getevents", own.getevents) end
 end
 
--- Has the guards of a machine asked by its track.
+-- Replaces the guards of a machine.
 local function replace_guards(own)
   for number, tr in ipairs(rfsm.elements(own.fsm, rfsm.is_trans)) do
     local guard = tr.guard
@@ -166,9 +164,8 @@ local function replace_guards(own)
   end
 end
 
---- Return the numbers and texts of the guards of a machine and of those in its states;
--- nil if it has none.
----@param fsm rfsm.Machine
+--- Return the numbers and texts of the guards of a machine and its regions, nil if it
+-- has none.
 ---@return any[]? texts a list for each machine: number, text, number, text ...
 function track.guard_texts(fsm)
   local lists, has_some = {}, false
@@ -184,7 +181,7 @@ function track.guard_texts(fsm)
   return has_some and lists or nil
 end
 
---- Make the tracks of a machine and of those in its states, by add(track, ...).
+--- Make the tracks of a machine and its regions, by add(track, ...).
 function track.attach(fsm, add, ...)
   local tracks = {}
   for i, at in ipairs(rfsm.machines(fsm)) do

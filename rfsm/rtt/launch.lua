@@ -72,8 +72,8 @@ local function to_text(value, path)
   end
   local texts = {}
   for i, key in ipairs(rfsm.sorted_keys(value)) do
-    local place = path .. "." .. rfsm.text_of(key)
-    texts[i] = ("[%s] = %s"):format(to_text(key, place), to_text(value[key], place))
+    local inner = path .. "." .. rfsm.text_of(key)
+    texts[i] = ("[%s] = %s"):format(to_text(key, inner), to_text(value[key], inner))
   end
   return "{ " .. concat(texts, ", ") .. " }"
 end

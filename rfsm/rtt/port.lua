@@ -42,7 +42,6 @@ end
 function Port:info() return self.facts end
 
 --- Look the port up in its component.
----@return boolean is_there
 function Port:find()
   if not self.component then return self.real and true end
   local found = port.of(self.component, self.name)
@@ -53,7 +52,6 @@ end
 
 --- Return the port of a component, nil if it has none of that name.
 ---@param component any
----@param name string
 ---@return any? port
 function port.of(component, name)
   local ok, found = pcall(function() return component:getPort(name) end)

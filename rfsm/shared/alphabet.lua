@@ -12,10 +12,10 @@ local alphabet = {}
 --- The events that a machine knows.
 ---@class rfsm.Alphabet
 ---@field list any[] those that transitions name, in the order of the tree
----@field awaited string[] those that an await waits for
+---@field awaited string[] the events in await(...)
 ---@field predicates function[]
 ---@field set table<any, boolean> all of these
----@field takes_any boolean a transition from a state has no events: any event will do
+---@field takes_any boolean a transition from a state has no events, so it takes any
 
 local function add(known, list, event)
   if known.set[event] or event ~= event then return end -- NaN is no event
@@ -39,26 +39,19 @@ local function add_machine(known, fsm)
   end
 end
 
-local function new_alphabet()
-  return { list = {}, awaited = {}, predicates = {}, set = {}, takes_any = false }
+local function collect(machines)
+  local known = { list = {}, awaited = {}, predicates = {}, set = {},
+    takes_any = false }
+  for _, at in ipairs(machines) do add_machine(known, at.machine) end
+  return known
 end
 
 --- Collect the events that the transitions of a machine name.
----@param fsm rfsm.Machine
 ---@return rfsm.Alphabet
-function alphabet.of(fsm)
-  local known = new_alphabet()
-  add_machine(known, fsm)
-  return known
-end
+function alphabet.of(fsm) return collect { { machine = fsm } } end
 
 --- Collect the events that the transitions of a machine and its regions name.
----@param fsm rfsm.Machine
 ---@return rfsm.Alphabet
-function alphabet.of_all(fsm)
-  local known = new_alphabet()
-  for _, place in ipairs(rfsm.machines(fsm)) do add_machine(known, place.machine) end
-  return known
-end
+function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
 
 return alphabet

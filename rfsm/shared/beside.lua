@@ -1,9 +1,9 @@
---- What a chart loads: looked for beside its file, whatever folder one is in.
+--- Files and modules of a chart: found beside it, from any working directory.
 --
 -- In the code of a chart, `require`, `rfsm.load`, `dofile` and `loadfile` look in the
--- folder of the chart, then in the one above it, then where they always do. The code of
--- a chart is its file, and each file that was found so. If the chart is to have stubs,
--- a module or file that is nowhere is one.
+-- folder of the chart, then in its parent, then where they always do. The code of a
+-- chart is its file and each file that was found so. A module or file that is not found
+-- becomes a stub if the chart has stubs.
 --
 -- @module rfsm.shared.beside
 -- @license BSD-3-Clause
@@ -18,7 +18,7 @@ local insert = table.insert
 
 local beside = {}
 
---- Where a chart comes from, and what it has stubs for.
+--- The folders and stubs of a chart.
 ---@class rfsm.shared.World
 ---@field source string of its file
 ---@field folders string[] that are searched
@@ -26,18 +26,15 @@ local beside = {}
 ---@field insists boolean a global is a stub also where the code asks if it exists
 ---@field names string[] of the stubs, in the order in which they were needed
 ---@field stubs table<string, table> by name
-local current = nil ---@type rfsm.shared.World? of the chart that is loaded now
+local current = nil ---@type rfsm.shared.World? of the chart that is being loaded
 
 local world_of_source = {} -- by the source of its code
-local found = {} -- names of modules beside a chart, or of stubs: is it a stub?
+local found = {} -- modules beside the chart (false) and stubs (true), by name
 local found_for = nil -- folder of that chart
 
 -- Stubs -----------------------------------------------------------------------
 
 --- Return the stub of a name, the same each time.
----@param world rfsm.shared.World
----@param name string
----@return table stub
 function beside.stub(world, name)
   if not world.stubs[name] then
     world.names[#world.names + 1] = name
@@ -48,19 +45,22 @@ end
 
 -- Files -----------------------------------------------------------------------
 
-local function exists(name)
+--- Does a file exist?
+function beside.exists(name)
   local handle = io.open(name)
   return handle ~= nil and handle:close() ~= nil
 end
 
--- Returns the folder above a folder; both end with a slash, or are "".
-local function above(folder)
+local exists = beside.exists
+
+-- Returns the parent of a folder; both end with a slash, or are "".
+local function parent_of(folder)
   local parent, last = folder:match("^(.-)([^/]+)/$")
   if parent and last ~= "." and last ~= ".." then return parent end
   return folder .. "../"
 end
 
--- Returns the file that a chart means by a name; nil if it is not beside the chart.
+-- Returns the file of a name beside a chart; nil if there is none.
 local function find(world, name)
   if name:find("^/") then return exists(name) and name or nil end
   for _, folder in ipairs(world.folders) do
@@ -68,7 +68,7 @@ local function find(world, name)
   end
 end
 
--- The same. If there are stubs, folders in the name may be those of a robot.
+-- Returns the same. With stubs, the folders in the name may exist on a robot only.
 local function find_file(world, name)
   local file = find(world, name)
   if file or not world.has_stubs or exists(name) then return file end
@@ -80,8 +80,8 @@ local function adopt(world, file)
   return file
 end
 
--- Returns the chart whose code has called a function, which is at this level of the
--- stack; that which is loaded if the call was the last of its caller.
+-- Returns the chart whose code is at a level of the stack. After a tail call that level
+-- is gone: then it is the chart that is being loaded.
 local function world_at(level)
   local info = getinfo and getinfo(level + 1, "S")
   return info and world_of_source[info.source] or current
@@ -116,13 +116,13 @@ local function load_beside(world, name)
   return chunk or error(problem, 0)
 end
 
--- Modules called rfsm... are those of this library, if it has them.
+-- Modules named rfsm... are looked for in this library first.
 local function search_first(name)
   local world = not name:find("^rfsm") and world_at(3)
   return world and load_beside(world, name) or nil
 end
 
--- A chart that calls `pcall(require, ...)` can do without: it gets no stub.
+-- A chart that calls `pcall(require, ...)` can do without the module: it gets no stub.
 local function search_last(name)
   local world = world_at(3)
   local loader = world and load_beside(world, name)
@@ -158,8 +158,7 @@ end
 
 -- Public functions ----------------------------------------------------------------
 
---- Make a chart the one that is loaded now, up to `beside.leave`.
----@param file string
+--- Begin to load a chart; `beside.leave` ends that.
 ---@param source string of its code
 ---@param has_stubs? boolean
 ---@return rfsm.shared.World world
@@ -168,17 +167,17 @@ function beside.enter(file, source, has_stubs)
   local folder = file:match("^.*/") or ""
   forget(folder)
   current = {
-    source = source, folders = { folder, above(folder) },
+    source = source, folders = { folder, parent_of(folder) },
     has_stubs = has_stubs or false, insists = false, names = {}, stubs = {},
   }
   world_of_source[source] = current
   return current
 end
 
---- The chart is loaded.
+--- End the loading of a chart.
 function beside.leave() current = nil end
 
---- Return the chart that code belongs to; nil if it is none of a chart.
+--- Return the chart to which code belongs; nil if there is none.
 ---@param source string of the code
 ---@return rfsm.shared.World? world
 function beside.world_of(source) return world_of_source[source] end

@@ -15,15 +15,12 @@ local function pass(ok, ...)
   return ok, ...
 end
 
---- Call a function as `pcall` does; an interrupt such as Control-C reaches the caller.
----@param f function
----@param ... any
+--- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
 ---@return boolean ok
 ---@return any ... results, or the failure
 function calls.try(f, ...) return pass(pcall(f, ...)) end
 
 --- Make a machine of a model for a tool; machines given as regions stay as they are.
----@param model rfsm.State
 ---@return rfsm.Machine? fsm as `rfsm.init`
 ---@return string? text
 ---@return string[]? problems
@@ -33,8 +30,6 @@ end
 
 --- Return the texts of any values in one, as a printer shows them.
 ---@param separator string
----@param ... any
----@return string text
 function calls.text(separator, ...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end

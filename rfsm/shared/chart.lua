@@ -1,13 +1,13 @@
 --- Chart files for the tools: loaded with a watch on globals, failures in one line.
 --
 -- Charts written for rFSM use the globals `rfsmpp`, `rfsm_ext` and `rfsm_timeevent`
--- without requiring them, because its tools loaded them. Here they find them, too.
+-- without requiring them, because its tools loaded them. So the globals are there.
 --
 -- @module rfsm.shared.chart
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local load_file = rfsm.load -- itself: that of charts looks beside them
+local load_file = rfsm.load -- before `beside` replaces it
 local beside = require "rfsm.shared.beside"
 local stubs = require "rfsm.shared.stubs"
 
@@ -21,15 +21,10 @@ local getinfo = debug and debug.getinfo
 local chart = {}
 
 --- Return the name of a chart's file in messages; `-` is stdin.
----@param file string
----@return string name
 function chart.name_of(file) return file == "-" and "stdin" or file end
 
 --- Return a problem with its file in front, unless it begins with a location.
----@param file string
----@param text string
----@param kind? string such as "warning: ", to stand behind the location
----@return string line
+---@param kind? string such as "warning: ", for behind the location
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
   local location, rest = text:match("^(%S+:%d+: )(.*)$")
@@ -44,17 +39,12 @@ end
 local NO_ERROR = "<no error object>" -- in place of nil, since 5.5
 
 --- Return the first line of a failure; a traceback or a list of paths may follow it.
----@param failure any
----@return string line
 function chart.first_line(failure)
   local text = rfsm.text_of(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
 end
 
 --- Return why a chart cannot be used, in one line with its file.
----@param file string
----@param failure any
----@return string line
 function chart.reason(file, failure)
   local text = chart.first_line(failure)
   if failure == nil or text == "" or text == NO_ERROR then
@@ -68,13 +58,13 @@ function chart.reason(file, failure)
   return chart.name_of(file) .. ": " .. text
 end
 
--- What stands around a global whose existence is asked for.
+-- Patterns of tests for the existence of a global.
 local QUESTIONS = {
   "not%s+NAME%s*%f[^%w_%s:.%[(]", "not%s+NAME%s+%w", "NAME%s*[~=]=%s*nil",
   "NAME%s+and%f[%W]", "NAME%s+or%f[%W]", "NAME%s+then%f[%W]",
 }
 
--- Does a line of a file ask whether a global exists? Then the host may define it.
+-- Does a line of a file test if a global exists? Then the host may define it.
 local function is_asked(file, line, name)
   local handle, number = io.open(file), 0
   for text in handle and handle:lines() or function() end do
@@ -98,7 +88,7 @@ end
 
 -- Globals: those that do not exist ----------------------------------------------
 
--- Returns the warning about a global; nil if the code asks whether it exists.
+-- Returns the warning about a global; nil if the code tests if it exists.
 local function warning_of(name, reader)
   local file, line = reader.source:match("^@(.*)"), reader.currentline
   if file and is_asked(file, line, name) then return nil end
@@ -106,14 +96,14 @@ local function warning_of(name, reader)
     name:find("^e_") and " (an event is a string, in quotes)" or "")
 end
 
--- Returns a stub for a global; nil if the code asks whether it exists.
+-- Returns a stub for a global; nil if the code tests if it exists.
 local function stub_for(world, name, reader)
   local is_wanted = world.insists or warning_of(name, reader)
   return is_wanted and beside.stub(world, name) or nil
 end
 
--- Returns what code of a chart finds in place of a global that does not exist. A global
--- that looks like an event is one without its quotes, and no stub.
+-- Returns the __index for globals that do not exist, of code of a chart. A name such as
+-- e_go is an event whose quotes were forgotten, not a stub.
 local function new_watch(world, warnings)
   local is_known = {}
   local function note(name, reader)
@@ -183,8 +173,7 @@ local function within_bounds(f, ...)
   return ok, model
 end
 
--- A first line for the shell (#!) is none of Lua's business.
-local function load_stdin()
+local function load_stdin() -- without a first line for the shell (#!)
   local text = io.read("*a"):gsub("^#[^\n]*", "")
   return rfsm.load_str(text, "=stdin")
 end
@@ -205,7 +194,6 @@ end
 --
 -- A chart that reads the global `rfsm_timeevent` switches time events on.
 --
----@param file string
 ---@param has_stubs? boolean modules and globals that are not here are stubs
 ---@return rfsm.State? model nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
@@ -224,15 +212,12 @@ function chart.load(file, has_stubs)
 end
 
 --- Return the line that names the stubs of a chart; nil if it has none.
----@param file string
----@param world rfsm.shared.World
 ---@return string? line
 function chart.stub_line(file, world)
   return world.names[1] and chart.line(file, "stubbed: " .. concat(world.names, ", "))
 end
 
 --- Make the machine of the chart in a file.
----@param file string
 ---@param init fun(model: rfsm.State): rfsm.Machine|false, string?, string[]?
 ---@param warn fun(line: string) called for each undefined global, and for the stubs
 ---@param has_stubs? boolean

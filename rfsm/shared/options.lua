@@ -1,22 +1,21 @@
---- Options of a function: checked by a table of tests, with defaults; packages.
+--- Options of functions: tests and defaults; packages that an extension needs.
 --
 -- @module rfsm.shared.options
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
 
-local error, pairs, pcall, require, type = error, pairs, pcall, require, type
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local require, type = require, type
 local floor, huge = math.floor, math.huge
 local concat = table.concat
 
 local options = {}
 
---- Is it a text with a character in it?
----@param x any
----@return boolean
+--- Is it a text that is not empty?
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
---- Return a test: is it a whole number in these bounds?
+--- Return a test for whole numbers within bounds.
 ---@param least number
 ---@param most number
 ---@return fun(x: any): boolean
@@ -27,12 +26,9 @@ function options.is_whole(least, most)
 end
 
 --- Is it a finite number of seconds, not below 0?
----@param x any
----@return boolean
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
 --- Return the end of a message: "got string 'x'".
----@param value any
 ---@return string
 function options.got(value)
   if type(value) == "string" then return ("got string '%s'"):format(value) end
@@ -40,8 +36,8 @@ function options.got(value)
 end
 
 --- Return the options with their defaults.
----@param known table<string, any[]> description, test, default of each. A test may
----   return the problem behind false or nil
+---@param known table<string, any[]> description, test, default of each; a test may
+-- return false and the problem
 ---@param given table
 ---@return table? settings nil if one is wrong
 ---@return string? problem in one line
@@ -50,7 +46,7 @@ function options.read(known, given)
     return nil, "table of options expected, " .. options.got(given)
   end
   local settings = {}
-  for _, name in pairs(rfsm.sorted_keys(given)) do
+  for _, name in ipairs(rfsm.sorted_keys(given)) do
     local option, value = known[name], given[name]
     if not option then
       return nil, ("unknown option '%s', expected: %s"):format(rfsm.text_of(name),
@@ -70,7 +66,6 @@ function options.read(known, given)
 end
 
 --- Load a module that an extension needs.
----@param name string
 ---@param package string that of Debian which has it
 ---@return table? module nil if it is missing
 ---@return string? problem in one line
@@ -81,11 +76,10 @@ function options.find_package(name, package)
     name == "socket" and "luasocket" or name, package)
 end
 
---- The same; raises an error if it is missing.
----@param where string the module that needs it
----@param name string
+--- Load a module that an extension needs.
+-- @raise if it is missing
+---@param where string the name of the extension
 ---@param package string
----@return table module
 function options.need(where, name, package)
   local module, problem = options.find_package(name, package)
   return module or error(where .. ": " .. problem, 0)

@@ -1,8 +1,7 @@
---- Stubs: inert values in place of what is not here, such as the modules of a robot.
+--- Stubs: inert values in place of missing ones, such as the modules of a robot.
 --
--- A stub may be indexed and called, which returns a stub; nothing happens. Joined to a
--- text it is its name: 'rf.findFile("arm.lua")'. In arithmetic it is 0. A loop over it
--- ends.
+-- To index or call a stub returns a stub. In a concatenation a stub is its name, such
+-- as 'rf.findFile("arm.lua")'; in arithmetic it is 0. A loop over it ends.
 --
 -- @module rfsm.shared.stubs
 -- @license BSD-3-Clause
@@ -16,13 +15,11 @@ local concat = table.concat
 local stubs = {}
 
 local Stub = {}
--- What each stub is called, and its fields: not in the stub, so that it is empty.
+-- The names and fields of stubs, which themselves are empty.
 local names = setmetatable({}, { __mode = "k" })
 local fields = setmetatable({}, { __mode = "k" })
 
 --- Return a stub.
----@param name string
----@return table stub
 function stubs.new(name)
   local stub = setmetatable({}, Stub)
   names[stub], fields[stub] = name, {}
@@ -30,7 +27,6 @@ function stubs.new(name)
 end
 
 --- Return the name of a stub; nil for all other values.
----@param value any
 ---@return string? name
 function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
@@ -74,12 +70,11 @@ for _, operator in ipairs { "add", "sub", "mul", "div", "mod", "pow", "unm", "le
 end
 Stub.__lt, Stub.__le = no, no
 
--- States: stubs with the parts that transitions name ------------------------------
+-- States: stubs with the substates that transitions name --------------------------
 
 local is_stubbed = setmetatable({}, { __mode = "k" }) -- states
 
---- Return a state in place of one that is not here.
----@param name string
+--- Return a state in place of a missing one.
 ---@return rfsm.State state
 function stubs.new_state(name)
   local state = rfsm.state { doc = name .. " is a stub" }
@@ -87,28 +82,27 @@ function stubs.new_state(name)
   return state
 end
 
--- Gives a state that is a stub a part, which it begins with if it is the first.
-local function add_part(state, name)
+-- Gives a stub a substate; the first one is its initial state.
+local function add_substate(state, name)
   state[name] = name == "initial" and rfsm.conn {} or stubs.new_state(name)
   if not state.initial and not state[1] then
     state[1] = rfsm.trans { src = "initial", tgt = name }
   end
 end
 
--- Makes states of the stubs in the path to the source or target of a transition.
+-- Makes states of the stubs on the path to the source or target of a transition.
 local function complete_path(root, state, path)
   if path:find("^root%.") then state, path = root, path:sub(6) end
   for name in path:gmatch("[^.]+") do
-    local part = rawget(state, name)
-    if stubs.name_of(part) then state[name] = stubs.new_state(stubs.name_of(part)) end
-    if part == nil and is_stubbed[state] then add_part(state, name) end
+    local stub = stubs.name_of(rawget(state, name))
+    if stub then state[name] = stubs.new_state(stub) end
+    if is_stubbed[state] and not rawget(state, name) then add_substate(state, name) end
     state = rawget(state, name)
     if not rfsm.is_state(state) then return end
   end
 end
 
---- Make states of the stubs in a model that are sources or targets of transitions.
----@param model rfsm.State
+--- Make states of the stubs that are sources or targets of transitions.
 function stubs.complete(model)
   rfsm.mapfsm(function(tr, state)
     for _, path in ipairs { tr.src, tr.tgt } do

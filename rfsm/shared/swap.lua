@@ -1,20 +1,20 @@
 --- Swaps: fields of machines and their elements that a tool replaces for a while.
 --
+-- Each function takes a list, in which it notes what `give_back` needs.
+--
 -- @module rfsm.shared.swap
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local rawequal, rawget = rawequal, rawget
+local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 
 local swap = {}
 
---- Replace a field, and note that in a list.
----@param swaps table[]
+--- Replace a field.
 ---@param obj table
 ---@param field string
----@param value any
 ---@return { own: any, new: any } done the value before, and that of now
 function swap.put(swaps, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
@@ -24,8 +24,6 @@ function swap.put(swaps, obj, field, value)
 end
 
 --- Have a printer of a machine call a function first.
----@param swaps table[]
----@param fsm rfsm.Machine
 ---@param name "dbg"|"info"|"warn"|"err"
 ---@param note fun(...)
 function swap.listen(swaps, fsm, name, note)
@@ -37,8 +35,35 @@ function swap.listen(swaps, fsm, name, note)
   end)
 end
 
---- Give the fields in a list back, unless somebody has set others meanwhile.
----@param swaps table[]
+local ROOT_FIELDS = { "idle_hook", "pre_step_hook", "post_step_hook" }
+local STATE_FIELDS, TRANSITION_FIELDS = { "entry", "exit" }, { "effect", "likely" }
+
+local function take_away(swaps, obj, fields)
+  for _, field in ipairs(fields) do
+    if rawget(obj, field) then swap.put(swaps, obj, field, nil) end
+  end
+end
+
+--- Take the functions of a chart away from its machine, except guards, doos and
+-- getevents.
+---@return rfsm.State[] doers the states that have a doo
+function swap.take_functions(swaps, fsm)
+  local doers = {}
+  take_away(swaps, fsm, ROOT_FIELDS)
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local regions = rawget(state, "_regions")
+    -- the entry, exit and doo of a sequential AND state advance its regions; the
+    -- functions of the chart are fields of `_regions`
+    take_away(swaps, regions or state, STATE_FIELDS)
+    if state.doo and not regions then doers[#doers + 1] = state end
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    take_away(swaps, tr, TRANSITION_FIELDS)
+  end
+  return doers
+end
+
+--- Restore the fields, unless a program has set them meanwhile.
 function swap.give_back(swaps)
   for i = #swaps, 1, -1 do
     local done = swaps[i]

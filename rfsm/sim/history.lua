@@ -1,10 +1,9 @@
---- The history of a session: each iteration is recorded, to go back to it, and forward
--- again.
+--- The history of a session: each iteration is recorded, to go back and forward to it.
 --
--- It consists of chunks, each a recording of its own: where the machine stood, and what
--- came then. To go somewhere, one chunk is replayed without the functions of the chart,
--- and the machine of the session is put where the replayed one stands. So the time does
--- not depend on the length of the history, and the oldest chunk may be forgotten.
+-- It consists of chunks, each a recording that begins with a snapshot. To go to an
+-- iteration, one chunk is replayed without the functions of the chart, and the machine
+-- of the session gets a snapshot of the replayed one. So the time does not depend on
+-- the length of the history, and the oldest chunk may be forgotten.
 --
 -- @module rfsm.sim.history
 -- @license BSD-3-Clause
@@ -22,7 +21,7 @@ local pcall, print, type = pcall, print, type
 local concat, remove = table.concat, table.remove
 local text_of = rfsm.text_of
 
-local history = { CHUNK = 500, LIMIT = 40000 } -- iterations: of a chunk, that are kept
+local history = { CHUNK = 500, LIMIT = 40000 } -- iterations: in a chunk, in all
 
 --- A recording of some iterations.
 ---@class rfsm.sim.Chunk
@@ -30,24 +29,24 @@ local history = { CHUNK = 500, LIMIT = 40000 } -- iterations: of a chunk, that a
 ---@field count integer iterations in it
 ---@field list table[] the records, as of `rfsm.record`
 
---- Where an advance began.
+--- The beginning of an advance.
 ---@class rfsm.sim.Mark
 ---@field count integer
 ---@field sec? number simulated time
 ---@field nsec? number
 ---@field is_fresh boolean the machine was not entered
 
---- What was recorded.
+--- The chunks and advances of a session.
 ---@class rfsm.sim.History
----@field chunks rfsm.sim.Chunk[] the oldest first, and those undone by `back`
+---@field chunks rfsm.sim.Chunk[] the oldest first; at the end those undone by `back`
 ---@field fresh rfsm.sim.Chunk|false the next chunk, which has no iteration yet
 ---@field count integer iterations up to now
----@field last integer iterations, with those undone
----@field marks rfsm.sim.Mark[] where each advance began
----@field at integer how many of them are done
----@field tip? rfsm.sim.Mark where the last advance ended, once `back` has left it
+---@field last integer the same, and the iterations that were undone
+---@field marks rfsm.sim.Mark[] of the advances, also of those undone
+---@field at integer how many advances are not undone
+---@field tip? rfsm.sim.Mark the end of the last advance, once `back` has left it
 ---@field recorder? rfsm.record.Recorder nil while nothing is recorded
----@field problem? string the reason then
+---@field problem? string the reason why nothing is recorded
 ---@field write? fun(rec: table) writes to a file, too
 ---@field file? file*
 ---@field name? string
@@ -73,7 +72,7 @@ local function forget(own)
   end
 end
 
--- Drops what was undone: from now on there is another future.
+-- Drops the iterations that were undone.
 local function drop_future(own)
   for i = #own.marks, own.at + 1, -1 do own.marks[i] = nil end
   own.tip = nil
@@ -118,7 +117,6 @@ local function continue(sim)
 end
 
 --- Begin a history.
----@param sim rfsm.sim.Session
 function history.start(sim)
   if sim.history then stop(sim.history) end
   sim.history = { chunks = {}, fresh = false, count = 0, last = 0, marks = {}, at = 0 }
@@ -126,7 +124,6 @@ function history.start(sim)
 end
 
 --- Call a function while nothing is recorded, and the guards are those of the chart.
----@param sim rfsm.sim.Session
 ---@param f fun()
 function history.pause(sim, f)
   stop(sim.history)
@@ -136,7 +133,6 @@ function history.pause(sim, f)
 end
 
 --- Begin a new chunk if the last one is long enough; between two steps.
----@param sim rfsm.sim.Session
 function history.cut(sim)
   local own = sim.history
   local chunk = own.chunks[#own.chunks]
@@ -157,10 +153,9 @@ local function new_mark(sim)
 end
 
 --- Note that an advance begins.
----@param sim rfsm.sim.Session
 function history.mark(sim)
   local problem = sim.history.problem
-  if not sim.history.recorder then -- what is missing cannot be replayed
+  if not sim.history.recorder then -- a gap cannot be replayed
     history.start(sim)
     sim.history.problem = problem
   end
@@ -188,7 +183,7 @@ end
 
 -- Go to ---------------------------------------------------------------------------
 
--- Replays records with a model that says nothing of itself.
+-- Replays records with a model that prints nothing.
 local function replay_list(sim, list, options)
   local model = sim.model
   local info, warn = model.info, model.warn
@@ -199,7 +194,7 @@ local function replay_list(sim, list, options)
   return session.snap, session.problem or session.unsaved, session.fsm and session.at
 end
 
--- Puts the machine of a session where a snapshot says.
+-- Puts a snapshot into the machine of a session.
 local function put(sim, snap)
   local ok, problem, difference = snapshot.put(sim.fsm, snap)
   if ok then return end
@@ -216,7 +211,7 @@ local function find_chunk(own, n)
   return own.chunks[i]
 end
 
--- Has the machine stand where it stood after iteration n, at the time of a mark.
+-- Puts the machine into its state after iteration n, at the time of a mark.
 local function move(sim, n, mark)
   local own, chunk = sim.history, find_chunk(sim.history, n)
   if own.count == own.last then own.tip = own.tip or new_mark(sim) end
@@ -235,9 +230,7 @@ local function move(sim, n, mark)
   if own.file then history.save(sim, own.name) end
 end
 
---- Have the machine stand where it stood after iteration n.
----@param sim rfsm.sim.Session
----@param n integer
+--- Put the machine into its state after iteration n.
 function history.go_to(sim, n)
   local own = sim.history
   local first = first_of(own)
@@ -261,8 +254,6 @@ local function check_count(name, n)
 end
 
 --- Undo the last advances.
----@param sim rfsm.sim.Session
----@param n integer
 function history.back(sim, n)
   local own = sim.history
   check_count("back", n)
@@ -275,8 +266,6 @@ function history.back(sim, n)
 end
 
 --- Do again what `back` has undone.
----@param sim rfsm.sim.Session
----@param n integer
 function history.forward(sim, n)
   local own = sim.history
   check_count("forward", n)
@@ -289,7 +278,7 @@ end
 
 -- Files ---------------------------------------------------------------------------
 
--- Returns the first record of a chunk as one behind another chunk.
+-- Returns the first record of a chunk in a file with one header for all chunks.
 local function continued(rec, header)
   if header.snapshot.leaf or rec.m then return rec end
   local copy = { fresh = true }
@@ -313,7 +302,6 @@ local function each_record(own, f)
 end
 
 --- Write the history to a file, and all that follows; nil ends that.
----@param sim rfsm.sim.Session
 ---@param name? string
 function history.save(sim, name)
   local own = sim.history
@@ -334,8 +322,8 @@ local function count_iterations(list)
   return count
 end
 
---- Run the chart through a recording. Where it departs, it stops, and that is raised.
----@param sim rfsm.sim.Session
+--- Run the chart through a recording.
+-- @raise where it departs from the recording; the machine stays there
 ---@param name string of the file
 function history.replay(sim, name)
   local list, about = record.read(name)
@@ -365,7 +353,6 @@ local function add_texts(texts, events)
 end
 
 --- Print the last iterations.
----@param sim rfsm.sim.Session
 ---@param last integer how many
 function history.show(sim, last)
   local own = sim.history
@@ -376,7 +363,7 @@ function history.show(sim, last)
     if n > own.count - last then
       local events = add_texts(add_texts({}, rec.events), rec.added)
       print(("%4d  %-30s  %s"):format(n, concat(events, ", "),
-        rec.leaf and tracks.place_text(rec.leaf, rec.done) or "<none>"))
+        rec.leaf and tracks.leaf_text(rec.leaf, rec.done) or "<none>"))
     end
   end)
   if own.problem then print(own.problem) end

@@ -1,7 +1,7 @@
---- Names in the simulator: machines, states and events, and the nearest to a mistake.
+--- Names in the simulator: states and events, and the nearest to a mistake.
 --
--- A machine inside a state, a region, has a name behind that of the state. The state
--- `root.open` of the region `left` in `root.arms` is called `root.arms.left.open`.
+-- The state `root.open` of the region `left` in `root.arms` is called
+-- `root.arms.left.open`.
 --
 -- @module rfsm.sim.names
 -- @license BSD-3-Clause
@@ -9,20 +9,17 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
+local place = require "rfsm.checks.place"
 
 local ipairs, type = ipairs, type
 
 local names = {}
 
---- Return the name of a node of a machine.
----@param prefix string the name of that machine
----@param fqn string
----@return string name
+--- Return the name of a node.
+---@param prefix string the name of its machine
 function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 
 --- List the events that are texts and come from outside.
----@param fsm rfsm.Machine
----@return string[] events
 function names.events(fsm)
   local texts = {}
   for _, event in ipairs(rfsm.sorted_keys(alphabet.of_all(fsm).set)) do
@@ -33,10 +30,7 @@ function names.events(fsm)
   return texts
 end
 
---- Does a transition of a machine name an event? A predicate may stand for any.
----@param fsm rfsm.Machine
----@param event any
----@return boolean
+--- Does a transition of a machine name an event? A predicate may accept any event.
 function names.is_event(fsm, event)
   local known = alphabet.of_all(fsm)
   if known.set[event] or event == "e_init_fsm" then return true end
@@ -45,26 +39,20 @@ function names.is_event(fsm, event)
 end
 
 --- List the states and connectors.
----@param fsm rfsm.Machine
 ---@return string[] list names
 ---@return table<string, table> by_name the nodes
 function names.nodes(fsm)
   local list, by_name = {}, {}
-  for _, place in ipairs(rfsm.machines(fsm)) do
-    for _, node in ipairs(rfsm.elements(place.machine, rfsm.is_nr_node)) do
-      local name = names.full(place.prefix, node._fqn)
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, node in ipairs(rfsm.elements(at.machine, rfsm.is_nr_node)) do
+      local name = place.path(node, at.prefix)
       list[#list + 1], by_name[name] = name, node
     end
   end
   return list, by_name
 end
 
---- Return the hint " (did you mean 'e_go'?)", if there is one.
----@param name string
----@param list any[]
----@return string hint
-function names.hint(name, list)
-  return (advice.nearest_name(name, list))
-end
+--- Return the hint " (did you mean 'e_go'?)", or "".
+function names.hint(name, list) return (advice.nearest_name(name, list)) end
 
 return names

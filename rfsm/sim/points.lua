@@ -17,7 +17,7 @@ local points = {}
 ---@class rfsm.sim.Point
 ---@field kind "state"|"transition"|"event"|"watch"
 ---@field name string for a reader; the expression
----@field value any the name, the transition or the event; the last value shown
+---@field value any name, transition or event; of an expression the last value
 
 local function is_called(node, name)
   local fqn = rfsm.is_node(node) and node._fqn:gsub("%.initial$", "")
@@ -48,7 +48,7 @@ local function fail(fsm, text)
     :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
 end
 
--- Returns the breakpoint that a text means.
+-- Returns the breakpoint for a text.
 local function of_text(fsm, text)
   local by_name = select(2, names.nodes(fsm))
   local name = by_name[text] and text or "root." .. text
@@ -64,9 +64,7 @@ local function of_text(fsm, text)
 end
 
 --- Add a breakpoint.
----@param sim rfsm.sim.Session
----@param what any a state, a transition, an event, or the name of one
----@return integer number
+---@param what any state, transition, event, or a name
 function points.add(sim, what)
   local point
   if rfsm.is_trans(what) then
@@ -92,9 +90,6 @@ function points.each_reached(list, kind, value, f)
 end
 
 --- Watch an expression: its value is shown after each advance.
----@param sim rfsm.sim.Session
----@param text string
----@return integer number
 function points.add_watch(sim, text)
   local ok, value = sim.value_of(text)
   if not ok then error(value, 0) end
@@ -102,8 +97,7 @@ function points.add_watch(sim, text)
   return #sim.points
 end
 
---- Print the values that are watched.
----@param sim rfsm.sim.Session
+--- Print the values of watched expressions.
 function points.show_watched(sim)
   for _, point in ipairs(sim.points) do
     if point.kind == "watch" then
@@ -117,8 +111,7 @@ function points.show_watched(sim)
   end
 end
 
---- Print a list with the numbers.
----@param sim rfsm.sim.Session
+--- Print the breakpoints and expressions with their numbers.
 function points.list(sim)
   for i, point in ipairs(sim.points) do
     print(("%d  %s %s"):format(i, point.kind, point.name))
@@ -126,8 +119,7 @@ function points.list(sim)
   if not sim.points[1] then print("there is none") end
 end
 
---- Remove one, or all.
----@param sim rfsm.sim.Session
+--- Remove a breakpoint or expression, or all.
 ---@param n? integer
 function points.delete(sim, n)
   if n ~= nil and not sim.points[n] then
@@ -136,9 +128,8 @@ function points.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Find the states and transitions in another machine of the chart, by their names.
----@param sim rfsm.sim.Session
----@param complain fun(line: string) called for each that is gone
+--- Find states and transitions by their names in another machine of the chart.
+---@param complain fun(line: string) called for each breakpoint that is gone
 function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

@@ -9,18 +9,18 @@
 
 local rfsm = require "rfsm"
 local names = require "rfsm.sim.names"
+local outline = require "rfsm.web.outline"
 local points = require "rfsm.sim.points"
 local swap = require "rfsm.shared.swap"
 local terminal = require "rfsm.sim.terminal"
 
 local ipairs, print, rawequal, setmetatable = ipairs, print, rawequal, setmetatable
-local type = type
 local concat, insert = table.concat, table.insert
 
 local Probe = {}
 Probe.__index = Probe
 
--- Paths: the transitions of which they consist ----------------------------------------
+-- Paths and their transitions ---------------------------------------------------------
 
 local function mark(node) return node._fqn .. "[" .. rfsm.fsmobj_tochar(node) .. "]" end
 
@@ -55,8 +55,8 @@ local function transitions_on(machine, marks)
   return found
 end
 
--- May the transition have fired on this event? A predicate is not asked again. Without
--- events it fires on any, but a connector is left whatever the event.
+-- May the transition have been taken on this event? A predicate is not called again. A
+-- transition without events counts if it leads away from a state.
 local function takes(tr, event)
   local events = tr.events
   for i = 1, #events do
@@ -66,11 +66,6 @@ local function takes(tr, event)
 end
 
 -- Records ---------------------------------------------------------------------------
-
--- Is an event one of those that the machine sends itself, and mostly in vain?
-local function is_own(event)
-  return event == "e_init_fsm" or type(event) == "string" and event:find("^e_done@")
-end
 
 function Probe:check_points(kind, value)
   points.each_reached(self.sim.points, kind, value, function(i)
@@ -119,7 +114,8 @@ function Probe:note_events(machine, events)
   for i = 1, #events do
     local event = events[i]
     machine.events[i] = event
-    if rawequal(event, event) and not (self.is_seen[event] or is_own(event)) then
+    local is_noted = event ~= event or self.is_seen[event] or outline.is_own(event)
+    if not is_noted then
       self.is_seen[event], self.seen[#self.seen + 1] = true, event
     end
     self:check_points("event", event)
@@ -134,7 +130,7 @@ function Probe:attach(machine)
   rfsm.pre_step_hook_add(machine.fsm, rfsm.borrows(machine.hook), "after")
 end
 
---- Stop watching. What somebody has put into `dbg` meanwhile stays.
+--- Stop watching. A `dbg` that was set meanwhile stays.
 function Probe:detach()
   swap.give_back(self.swaps)
   for _, machine in ipairs(self.machines) do
@@ -158,14 +154,12 @@ end
 local probe = {}
 
 --- Watch the machine of a session and the regions in it.
----@param sim rfsm.sim.Session
 ---@param is_shown boolean print the transitions taken
----@return table probe
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
     is_seen = {}, seen = {}, is_used = {}, machines = {}, swaps = {} }, Probe)
-  for i, place in ipairs(rfsm.machines(sim.fsm)) do
-    self.machines[i] = { fsm = place.machine, prefix = place.prefix }
+  for i, at in ipairs(rfsm.machines(sim.fsm)) do
+    self.machines[i] = { fsm = at.machine, prefix = at.prefix }
     self:attach(self.machines[i])
   end
   return self

@@ -33,8 +33,8 @@ local function load_in(env, text, chunkname)
   return chunk, problem
 end
 
--- Compiles an expression to a chunk that calls a function with its values: a mere
--- `return` would be a tail call, after which an error has lost its place.
+-- Compiles an expression to a chunk that calls a function with its values: after a tail
+-- call, as in `return f()`, an error has no line.
 local function compile_expression(env, text, chunkname)
   local chunk, problem = load_in(env, "return " .. text, chunkname)
   return chunk and load_in(env, "(...)(" .. text .. "\n)", chunkname) or chunk, problem
@@ -69,7 +69,7 @@ local function split(text)
   return words
 end
 
--- Returns the command that a line of words means, as a function; nil if there is none.
+-- Returns a function that calls the command in a line of words; nil if there is none.
 local function call_of(sim, text)
   local name, rest = text:match("^%s*([%a_][%w_]*)%f[%s%z]%s*(.-)%s*$")
   if not name then name, rest = text:match("^%s*(goto)%((.-)%)%s*$") end -- a Lua word
@@ -86,7 +86,8 @@ local function command_names(list)
   return list
 end
 
--- A name alone that does not exist: an event, or a mistake. Returns the complaint.
+-- Returns the complaint about a line with one name that does not exist: an event, or a
+-- mistake.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end
@@ -99,7 +100,7 @@ end
 
 -- Evaluate --------------------------------------------------------------------------
 
--- Has a call failed because its function does not exist? Names the nearest command.
+-- Adds the nearest command to the problem of a call whose function does not exist.
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
   if not name then return problem end
@@ -107,7 +108,7 @@ local function explain(sim, problem)
     names.hint(name, command_names {}))
 end
 
--- Calls a chunk; returns whether it worked, or false and one line.
+-- Calls a chunk. Returns true, or false and the problem in one line.
 local function call(sim, chunk)
   local release = sim:guard_doos()
   terminal.settle()
@@ -119,9 +120,6 @@ local function call(sim, chunk)
 end
 
 --- Run a text.
----@param sim rfsm.sim.Session
----@param text string
----@param chunkname string
 ---@return boolean ok
 ---@return string? problem in one line
 ---@return boolean? is_incomplete may more text mend it?
@@ -142,8 +140,6 @@ function prompt.evaluate(sim, text, chunkname)
 end
 
 --- Return the value of an expression.
----@param sim rfsm.sim.Session
----@param text string
 ---@return boolean ok
 ---@return any value the problem, in one line, if it is not ok
 function prompt.value_of(sim, text)
@@ -153,8 +149,7 @@ function prompt.value_of(sim, text)
   return ok, ok and value or not ok and first_line(value) or value
 end
 
---- Give a session what typed code sees: the commands, then the globals of the chart.
----@param sim rfsm.sim.Session
+--- Make the environment of typed code: the commands, then the globals of the chart.
 function prompt.install(sim)
   local env = { fsm = sim.fsm, rfsm = rfsm }
   for _, command in ipairs(commands.list) do
@@ -189,7 +184,7 @@ local function words_after(sim, before)
   return words
 end
 
--- What the Tab key can make of the word behind `before`.
+-- Lists the completions of a word behind `before`.
 local function complete(sim, word, before)
   local set = {}
   for _, name in ipairs(words_after(sim, before)) do
@@ -198,9 +193,8 @@ local function complete(sim, word, before)
   return rfsm.sorted_keys(set)
 end
 
--- Evaluates what is typed so far. If more must follow, returns the text and what is
--- wrong with it as it is, otherwise "".
-local function digest(sim, text)
+-- Evaluates a text. Returns "", or the text and its problem if more lines must follow.
+local function evaluate(sim, text)
   local ok, problem, is_open = prompt.evaluate(sim, text, "=stdin")
   if ok then return "" end
   if is_open then return text, problem end
@@ -209,7 +203,6 @@ local function digest(sim, text)
 end
 
 --- Read and evaluate until the end of the input.
----@param sim rfsm.sim.Session
 function prompt.converse(sim)
   local read = terminal.new_reader(function(...) return complete(sim, ...) end)
   local text, problem = "", nil
@@ -217,7 +210,7 @@ function prompt.converse(sim)
     local line, is_dropped = terminal.read(read, text == "" and "> " or ">> ")
     if line == nil then break end
     if is_dropped or not line then text = "" end
-    if line then text, problem = digest(sim, text .. line .. "\n") end
+    if line then text, problem = evaluate(sim, text .. line .. "\n") end
   end
   if text ~= "" then complain(problem) end
 end

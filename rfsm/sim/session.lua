@@ -1,7 +1,7 @@
---- A session of the simulator: a chart, its machine, and how it is advanced.
+--- A session of the simulator: a chart, its machine, and the ways to advance it.
 --
--- The file reads in the order in which a session goes: open the chart, advance, send,
--- other functions, other records, another machine.
+-- The file reads in the order of a session: open the chart, advance, send, other
+-- functions, other records, another machine.
 --
 -- @module rfsm.sim.session
 -- @license BSD-3-Clause
@@ -10,7 +10,7 @@ local rfsm = require "rfsm"
 local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local dry = require "rfsm.shared.dry"
+local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
 local names = require "rfsm.sim.names"
 local points = require "rfsm.sim.points"
@@ -31,21 +31,21 @@ local complain, text_of = view.complain, rfsm.text_of
 --- One chart and its prompt.
 ---@class rfsm.sim.Session
 ---@field fsm rfsm.Machine
----@field model rfsm.State that of the machine
+---@field model rfsm.State
 ---@field file string of the chart
 ---@field has_stubs boolean
 ---@field follows boolean an advance prints what was taken, and the tree
----@field tree? string|false the tree that was shown last
+---@field tree? string|false the last tree shown
 ---@field level boolean|"full" which trace records are shown
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
 ---@field points rfsm.sim.Point[] breakpoints and expressions that are watched
 ---@field picture? string|false file that is kept up to date
 ---@field history rfsm.sim.History
 ---@field time? rfsm.sim.Time the simulated clock
----@field saved? table[] the functions that `dry` has taken away
+---@field saved? table[] swaps of `dry`
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
----@field is_over boolean no more lines, please
+---@field is_over boolean ends after this line
 local Session = {}
 Session.__index = Session
 
@@ -54,7 +54,7 @@ Session.__index = Session
 -- The errors of the chart's own callbacks.
 local function print_err(...) complain(calls.text("\t", ...)) end
 
--- Initialises `model`, silent about its problems: they are returned.
+-- Initialises a model. Its problems are returned, not printed.
 local function init_quietly(model)
   local own_err = model.err
   if own_err == nil then model.err = false end
@@ -77,20 +77,17 @@ function Session:print_queue()
   print("queue:  " .. concat(texts, ", "))
 end
 
-function Session:print_timer()
-  local seconds = time.until_timer(self.fsm)
-  if not seconds then return end
-  print("timer:  in " .. time.text(seconds) .. ", next() goes there")
-end
-
---- Show where the machine stands.
+--- Show the active states and the queue.
 function Session:show()
   local tree = self.follows and view.tree(self.fsm)
+  local seconds = self.follows and clock.until_timer(self.fsm)
   if tree and tree ~= self.tree then print(tree) end
   self.tree = tree
   self:print_active()
   self:print_queue()
-  if self.follows then self:print_timer() end
+  if seconds then
+    print("timer:  in " .. time.text(seconds) .. ", next() goes there")
+  end
   points.show_watched(self)
   if self.picture then self:draw(self.picture) end
 end
@@ -114,19 +111,19 @@ local function advance_to_point(watcher, sim, n)
   until idle or left < 1 or watcher.is_hit or not fsm._act_leaf
 end
 
--- Advances in parts, so that a long run is more than one chunk of the history.
+-- Advances in parts, so that a long run gets several chunks of the history.
 local function advance_in_parts(sim, n)
   local fsm, left = sim.fsm, n
   repeat
     local idle = rfsm.step(fsm, min(left, history.CHUNK))
     left = left - history.CHUNK
     history.cut(sim)
-    -- not entered: it was reset, or there is no way in, and that ends the rest at once
+    -- not entered: it was reset, or cannot be entered; then the rest ends at once
     if not (idle or left < 1 or fsm._act_leaf) then return rfsm.step(fsm, left) end
   until idle or left < 1
 end
 
--- Advances by `how`. Whoever traces, or keeps the machine busy, sees one call.
+-- Advances by `how`, with one call if records are shown or the chart has an idle hook.
 local function advance(sim, watcher, how, n)
   local steps = how == rfsm.run and huge or n
   if type(steps) ~= "number" then return how(sim.fsm, n) end
@@ -135,7 +132,7 @@ local function advance(sim, watcher, how, n)
   advance_in_parts(sim, steps)
 end
 
---- Advance by rfsm.step or rfsm.run, and show where that led, also if it failed.
+--- Advance by rfsm.step or rfsm.run, and show the result, also if it failed.
 ---@param how function
 ---@param n? number
 function Session:advance(how, n)
@@ -178,7 +175,6 @@ function Session:check_event(event, i)
 end
 
 --- Send events; `e_done` is that of the active leaf.
----@param ... any
 function Session:send(...)
   local leaf, events, n = self.fsm._act_leaf, { ... }, select("#", ...)
   for i = 1, n do
@@ -192,8 +188,8 @@ end
 ---@return fun() release
 function Session:guard_doos()
   local swaps = {}
-  for _, place in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
-    for _, state in ipairs(rfsm.elements(place.machine, rfsm.is_leaf)) do
+  for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
+    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
       local doo = state.doo
       if doo then swap.put(swaps, state, "doo", terminal.interruptible(doo)) end
     end
@@ -224,7 +220,8 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Puts a machine where one of an older chart stands. Returns the problem if it cannot.
+-- Puts a machine into the state of one of an older chart. Returns the problem if that
+-- fails.
 local function put_in_place(fsm, old)
   local ok, snap = pcall(snapshot.take, old)
   if not ok then return snap end
@@ -236,19 +233,19 @@ local function put_in_place(fsm, old)
   return (select(2, snapshot.put(fsm, snap, options)))
 end
 
--- The doo in place of another: it goes on until its state is left.
+-- The doo in dry mode: it goes on until its state is left.
 local function idle()
   while true do rfsm.yield(true) end
 end
 
 local function let_pass() return true end
 
--- Takes the functions of a chart away; returns what gives them back.
+-- Takes the functions of a chart away; returns the swaps.
 local function take_functions(fsm)
   local swaps = {}
-  for _, place in ipairs(rfsm.machines(fsm)) do
-    local machine = place.machine
-    for _, state in ipairs(dry(swaps, machine)) do
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    local machine = at.machine
+    for _, state in ipairs(swap.take_functions(swaps, machine)) do
       swap.put(swaps, state, "doo", idle)
     end
     if machine.getevents then swap.put(swaps, machine, "getevents", nil) end
@@ -268,7 +265,7 @@ function Session:set_dry(is_dry)
   end)
 end
 
---- Read the chart anew. If it has a problem the machine stays.
+--- Read the chart anew. If that fails the machine stays.
 function Session:reload()
   local fsm, result = chart.open(self.file, init_quietly, complain, self.has_stubs)
   if not fsm then
@@ -291,7 +288,6 @@ end
 local session = {}
 
 --- Open a chart.
----@param file string
 ---@param follows boolean
 ---@param has_stubs? boolean
 ---@return rfsm.sim.Session? sim

@@ -1,8 +1,8 @@
 --- The terminal of the simulator: Control-C, and lines typed or piped in.
 --
 -- A reader takes a prompt and returns a line; nil at the end of the input; false if
--- Control-C dropped the line. Everything here works without luaposix and lua-readline,
--- only with less comfort.
+-- Control-C dropped the line. There is no editing without lua-readline. A second
+-- Control-C ends the program without luaposix and luv.
 --
 -- @module rfsm.sim.terminal
 -- @license BSD-3-Clause
@@ -29,7 +29,7 @@ local counter -- luaposix or luv, once interrupts are caught
 local count, seen = 0, 0 -- Control-Cs typed, and raised as errors
 local is_pending = false -- an error was raised, and may have been caught by a callback
 local caught = false -- false, or the callback that may catch it: thread and depth
-local is_busy = false -- C code runs that calls back, and that no error may leave
+local is_busy = false -- C code runs that calls back; an error must not leave it
 
 --- The source of the count.
 ---@class rfsm.sim.Counter
@@ -38,9 +38,9 @@ local is_busy = false -- C code runs that calls back, and that no error may leav
 
 local poll
 
--- luaposix calls the handler from a debug hook of the coroutine that has loaded it:
--- this one, which is woken to look. LuaJIT has one debug hook for all, and that is gone
--- then.
+-- luaposix calls the handler from a debug hook of the coroutine that has loaded it. So
+-- this coroutine loads it, and is resumed to look. LuaJIT has one debug hook for all
+-- coroutines, which the handler sets again.
 local function posix_counter()
   local listener = coroutine.create(function()
     local signal = require "posix.signal"
@@ -77,7 +77,6 @@ local function luv_counter()
 end
 
 --- Has Control-C been typed since the last look?
----@return boolean
 function terminal.is_interrupted()
   if counter then
     is_busy = true
@@ -103,9 +102,9 @@ local function origin_of(source)
   return is_ours and "library" or "chart"
 end
 
--- Returns the callback that runs: its coroutine, its depth on the stack, and whether
--- the function that runs is one of the chart. Level 3 is that function. A callback
--- begins behind a function of the library.
+-- Returns the callback that runs: `thread`, its `depth` on the stack, that of the
+-- function that runs (`now`, level 3), and if that is of the chart (`is_foreign`). A
+-- callback is called by a function of the library.
 local function running_callback()
   local level, last, is_complete = 3, nil, false
   local info = getinfo(level, "S")
@@ -121,7 +120,7 @@ local function running_callback()
     now = level - 3, is_foreign = is_foreign, is_there = is_complete }
 end
 
--- Is the callback that may have caught the error left?
+-- Has the callback ended that may have caught the error?
 local function is_left(here)
   return here.thread ~= caught.thread or here.now < caught.depth
 end
@@ -156,10 +155,7 @@ function terminal.insist()
   if is_pending then error("interrupted!", 0) end
 end
 
---- Call a function that no Control-C may leave; one that is typed meanwhile is raised
--- afterwards.
----@param f function
----@param ... any
+--- Call a function that Control-C must not end; it is raised afterwards.
 function terminal.uninterrupted(f, ...)
   local was_busy = is_busy
   is_busy = true
@@ -175,11 +171,9 @@ function terminal.settle()
 end
 
 --- Is Control-C caught?
----@return boolean
 function terminal.is_caught() return counter ~= nil end
 
---- Return a callback that Control-C ends, though it runs in a coroutine of its own.
----@param callback function
+--- Return a callback that Control-C ends, also in a coroutine.
 ---@return function callback
 function terminal.interruptible(callback)
   return function(...)
@@ -278,11 +272,9 @@ end
 
 --- Read a line.
 --
--- Control-C drops the lines before, and a terminal has dropped what stood before it in
--- this one.
+-- Control-C drops the lines before. A terminal drops the text before it in this line.
 --
 ---@param read fun(prompt: string): string|false|nil
----@param prompt string
 ---@return string|false|nil line
 ---@return boolean is_interrupted
 function terminal.read(read, prompt)
@@ -293,7 +285,7 @@ function terminal.read(read, prompt)
   return false, true
 end
 
---- Return the line that names the packages which a terminal misses; nil if none.
+--- Return a line that names missing packages; nil if there are all.
 ---@return string? advice
 function terminal.advice()
   local packages, gains = {}, {}

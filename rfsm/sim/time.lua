@@ -1,6 +1,6 @@
 --- The simulated clock of a session.
 --
--- It goes on from the time of the clock before, so that armed timers keep their
+-- It goes on from the time of the real clock, so that armed timers keep their
 -- deadlines. Time passes only by `pass` and `go_to_timer`.
 --
 -- @module rfsm.sim.time
@@ -14,7 +14,7 @@ local swap = require "rfsm.shared.swap"
 local error, pcall = error, pcall
 local floor, min = math.floor, math.min
 local print, rawget = print, rawget
-local text_of, loaded = rfsm.text_of, rawget(_G, "package").loaded
+local text_of = rfsm.text_of
 
 local time = {}
 
@@ -22,12 +22,10 @@ local time = {}
 ---@class rfsm.sim.Time
 ---@field sec number
 ---@field nsec number
----@field starts table<boolean, { sec: number, nsec: number }> by whether nobody sets it
----@field swaps table[] the clock of the machine before
+---@field starts table<boolean, { sec: number, nsec: number }> true: for e_after
+---@field swaps table[] the real clock of the machine
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
----@param sim rfsm.sim.Session
----@param fsm rfsm.Machine
 function time.install(sim, fsm)
   local now = sim.time
   if not now then return end
@@ -55,8 +53,7 @@ local function start(sim)
   end)
 end
 
---- Go on with the clock that was there before.
----@param sim rfsm.sim.Session
+--- Go on with the real clock.
 function time.use_real(sim)
   if not sim.time then return end
   history.pause(sim, function()
@@ -65,19 +62,7 @@ function time.use_real(sim)
   end)
 end
 
---- Return the seconds until the next timer can fire.
----@param fsm rfsm.Machine
----@return number? seconds nil if none is armed, or if the clock fails
-function time.until_timer(fsm)
-  local timeevent = loaded.rfsm_timeevent
-  if not timeevent then return nil end
-  local ok, seconds = pcall(timeevent.next_deadline, fsm)
-  return ok and seconds or nil
-end
-
 --- Return seconds for a reader.
----@param seconds number
----@return string text
 function time.text(seconds)
   if seconds < 1 then return ("%.6g s"):format(seconds) end
   return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
@@ -91,7 +76,6 @@ local function leap(now, seconds)
 end
 
 --- Print the time.
----@param sim rfsm.sim.Session
 function time.show(sim)
   local now = sim.time
   print("clock:  " .. (now and time.text(now.sec + now.nsec / 1e9) or "real time"))
@@ -102,14 +86,11 @@ local MAX_STEPS = 1000 -- a doo that is never idle would take all others
 --- Let simulated seconds pass.
 --
 -- The machine is advanced at each timer on the way, and at the end.
---
----@param sim rfsm.sim.Session
----@param seconds number
 function time.pass(sim, seconds)
   start(sim)
   history.mark(sim)
   repeat
-    local step = min(seconds, time.until_timer(sim.fsm) or seconds)
+    local step = min(seconds, clock.until_timer(sim.fsm) or seconds)
     leap(sim.time, step)
     seconds = seconds - step
     time.show(sim)
@@ -118,10 +99,9 @@ function time.pass(sim, seconds)
 end
 
 --- Go to the next timer.
----@param sim rfsm.sim.Session
 function time.go_to_timer(sim)
   start(sim)
-  local seconds = time.until_timer(sim.fsm)
+  local seconds = clock.until_timer(sim.fsm)
   if not seconds then error("next: no timer is armed", 0) end
   time.pass(sim, seconds)
 end

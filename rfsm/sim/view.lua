@@ -1,4 +1,4 @@
---- What the simulator shows: values, the tree of states, the picture.
+--- Values, the tree of states, and the picture in the simulator.
 --
 -- @module rfsm.sim.view
 -- @license BSD-3-Clause
@@ -16,7 +16,6 @@ local text_of = rfsm.text_of
 local view = {}
 
 --- Write a line to stderr, after the text in stdout.
----@param text string
 function view.complain(text)
   io.stdout:flush()
   io.stderr:write(text, "\n")
@@ -52,12 +51,9 @@ function show(value, depth)
 end
 
 --- Return a value as a person reads it.
----@param value any
----@return string text
 function view.value(value) return show(value, 0) end
 
 --- Print values in one line, if there are any.
----@param ... any
 function view.print_values(...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = show(select(i, ...), 0) end
@@ -70,7 +66,7 @@ local MAX_SIBLINGS = 12
 
 local add_state
 
--- Adds the states of a list, all active ones and some of the others.
+-- Adds the active states of a list, and some inactive ones.
 local function add_children(lines, children, indent)
   local hidden = 0
   for i, child in ipairs(children) do
@@ -107,8 +103,6 @@ function add_state(lines, child, indent)
 end
 
 --- Draw the active states and their siblings as a tree.
----@param fsm rfsm.Machine
----@return string tree
 function view.tree(fsm)
   local lines = {}
   add_state(lines, { state = fsm }, "")
@@ -120,7 +114,6 @@ end
 local FORMATS = { svg = true, png = true, pdf = true, dot = true }
 
 --- Draw a machine with its active states into a file.
----@param fsm rfsm.Machine
 ---@param file string its ending is the format
 ---@return string? problem in one line
 function view.draw(fsm, file)

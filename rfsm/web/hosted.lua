@@ -9,7 +9,7 @@ local Live = require "rfsm.web.live"
 
 local setmetatable, huge = setmetatable, math.huge
 
---- A machine of a host.
+--- A machine that a program drives.
 ---@class rfsm.web.Hosted
 ---@field view rfsm.web.Live
 ---@field title string
@@ -24,16 +24,15 @@ Hosted.__index = Hosted
 local COMMANDS = {}
 
 function COMMANDS.send(hosted, message)
-  local event = hosted.view:event_of(message)
-  if event == nil then return "event: text or number of an event expected" end
+  local event, problem = hosted.view:event_of(message)
+  if problem then return problem end
   rfsm.send_events(hosted.view.fsm, event)
   hosted.view:touch()
 end
 
 function COMMANDS.why(hosted) return nil, hosted.view:why() end
 
---- Note what the machine does from now on, or no more.
----@param is_wanted boolean
+--- Begin or end to note what the machine does.
 function Hosted:watch(is_wanted)
   self.is_watched = is_wanted or self.has_history
   self.view:watch(self.is_watched)
@@ -52,7 +51,6 @@ function Hosted.wait() return huge end
 function Hosted:describe(message) message.clock = self.view.clock() end
 
 --- Show a machine.
----@param fsm rfsm.Machine
 ---@param title string
 ---@param settings rfsm.web.Options
 ---@return rfsm.web.Hosted hosted

@@ -2,7 +2,7 @@
 --
 -- One `step` reads and writes as far as it can without waiting. Each connection carries
 -- one request. Time, bytes and connections are limited, so that no client can hold up
--- the others. Needs the package luasocket.
+-- another. This needs the package luasocket.
 --
 -- The file reads in this order: limits, requests, replies, connections, the server.
 --
@@ -43,7 +43,7 @@ local CLOSING_TIME = 2 -- seconds for the rest of a request that was refused
 
 local IS_SINGLE = { host = true, ["content-length"] = true }
 
--- Returns the header fields by their names; nil if a line is none.
+-- Returns the header fields by their names; nil if a line is wrong.
 local function parse_headers(lines)
   local headers = {}
   for line in lines:gmatch("\r\n([^\r\n]*)") do
@@ -92,10 +92,9 @@ end
 ---@class rfsm.web.Reply
 ---@field status? integer default 200
 ---@field type? string default "text/plain"
----@field body? string of a stream: what it begins with
+---@field body? string of a stream: its first message
 ---@field headers? table<string, string>
----@field stream? table it goes on with the messages that `feed` asks for; `streams`
--- counts those about it
+---@field stream? table its messages are about this; its field `streams` counts them
 
 local REASONS = {
   [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
@@ -128,16 +127,16 @@ end
 
 -- Connections: reading, then writing, then closing; or a stream -----------------
 
---- A connection, with what it has received and what it is still to be sent.
+--- A connection.
 ---@class rfsm.web.Connection
 ---@field socket table
 ---@field phase "reading"|"writing"|"closing"|"stream"
 ---@field received string
 ---@field pending string a reply or message that is being sent; "" if there is none
 ---@field sent integer bytes of it that the client has taken
----@field since number when a stream last took something, or began to be sent it
----@field deadline number it is dropped then, unless it is a stream
----@field stream? table what a stream is about
+---@field since number when a stream last took bytes, or a message for it began
+---@field deadline number when it is dropped, unless it is a stream
+---@field stream? table the subject of a stream
 
 local function new_connection(client, now)
   client:settimeout(0)
@@ -161,8 +160,7 @@ local function drop(server, connection)
   end
 end
 
--- Makes room for a stream: the one that has not read for the longest time goes, or else
--- the oldest.
+-- Drops the stream that has not read for the longest time, or else the oldest.
 local function drop_stream(server)
   local silent
   for _, connection in ipairs(server.connections) do
@@ -235,7 +233,7 @@ end
 local Server = {}
 Server.__index = Server
 
--- Makes room for one more: the oldest that is no stream has to go.
+-- Drops the oldest connection that is no stream.
 local function drop_oldest(server)
   for _, connection in ipairs(server.connections) do
     if connection.phase ~= "stream" then return drop(server, connection) end
@@ -268,8 +266,7 @@ local function drop_late(server)
   end
 end
 
---- Serve what is ready; wait at most `timeout` seconds for something to be.
----@param timeout number
+--- Serve what is ready; wait at most `timeout` seconds.
 function Server:step(timeout)
   local readers, writers, by_socket = { self.socket }, {}, {}
   for i, connection in ipairs(self.connections) do
@@ -292,8 +289,8 @@ function Server:step(timeout)
   drop_late(self)
 end
 
---- Send a message to each stream that has taken the one before. A stream that lags
--- behind is asked for later: what it missed is never kept for it.
+--- Send a message to each stream that has taken its last one. Nothing is kept for a
+-- stream that lags behind: its next message is asked for later.
 ---@param next_message fun(connection: rfsm.web.Connection): string? nil: there is none
 function Server:feed(next_message)
   if self.streams == 0 then return end
@@ -319,7 +316,6 @@ function Server:close()
 end
 
 --- Open a port.
----@param host string
 ---@param port integer 0: one that is free
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
 ---@param clock? fun(): number seconds, for the time limits

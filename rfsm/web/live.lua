@@ -1,8 +1,8 @@
 --- The view of a machine in this program, and of the regions in its states.
 --
 -- While it is watched, its hooks and printers note what happens, and go on as before.
--- While it is not, only failures and warnings are noted: the machine runs as without a
--- page. No guard is called, unless somebody asks why.
+-- Otherwise only failures and warnings are noted, and the machine runs as without a
+-- page. Guards are called only for the question why.
 --
 -- The file reads in this order: the machines, failures, what a watched machine does,
 -- the state of now, questions.
@@ -12,6 +12,7 @@
 
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 local place = require "rfsm.checks.place"
@@ -20,11 +21,10 @@ local swap = require "rfsm.shared.swap"
 local values = require "rfsm.sim.view"
 local View = require "rfsm.web.view"
 
-local ipairs, rawget, select = ipairs, rawget, select
+local ipairs, rawget = ipairs, rawget
 local setmetatable, tostring, type = setmetatable, tostring, type
-local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local text_of, utf8 = rfsm.text_of, marsh.utf8
+local utf8 = marsh.utf8
 
 local MAX_LOST = 20 -- events without an effect that are named
 
@@ -32,12 +32,12 @@ local MAX_LOST = 20 -- events without an effect that are named
 ---@class rfsm.web.Live : rfsm.web.View
 ---@field fsm rfsm.Machine
 ---@field machines rfsm.web.Watched[]
----@field lost any[] events that took no transition since the last one that did
----@field last_lost any[] those of the last entry in the log
+---@field lost any[] events that took no transition since the last transition
+---@field last_lost any[] such events of the last entry in the log
 ---@field entered table<integer, integer> how often a state was entered while watched
 ---@field is_watched boolean
 ---@field points rfsm.sim.Point[] breakpoints
----@field hit string|false the one that was reached since this was set to false
+---@field hit string|false the breakpoint that was reached since this was set to false
 local Live = setmetatable({}, { __index = View })
 Live.__index = Live
 
@@ -53,8 +53,8 @@ Live.__index = Live
 ---@field edges table<rfsm.Transition, integer> their numbers
 ---@field path_texts table<string, string> for a reader
 ---@field path string|false of the transition in the current iteration
----@field printers table[] err and warn, as of `rfsm.shared.swap`
----@field tracer table[] dbg, likewise, while it is watched
+---@field printers table[] swaps of err and warn
+---@field tracer table[] swap of dbg, while it is watched
 
 -- Adds the transitions of a machine, by their texts, and their numbers.
 local function add_transitions(view, watched)
@@ -81,7 +81,7 @@ local function add_machine(view, location)
     tracer = {} }
   add_transitions(view, watched)
   for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
-    local number = view.outline.number_of[prefix .. node._fqn:sub(#"root" + 1)]
+    local number = view.outline.number_of[place.path(node, prefix)]
     watched.numbers[node], watched.by_fqn[node._fqn] = number, number
     view.outline.nodes[number + 1].file = rfsm.location_of(node):match("^(.-:%d+): ")
     view.node_of[number] = node
@@ -92,15 +92,13 @@ end
 
 -- Failures: noted also while nobody watches ----------------------------------------
 
--- Returns what a printer was called with, without the id of the record.
+-- Returns the arguments of a printer as a line, without the id of the record.
 local function line_of(...)
-  local texts = {}
-  for i = 1, select("#", ...) do texts[i] = text_of((select(i, ...))) end
-  return (concat(texts, " "):gsub("^%u+:? ", ""):gsub(":  ", ": "))
+  return (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": "))
 end
 
--- Returns the number of the node in a report: "error executing entry of root.a: ". A
--- failed guard or effect is one of the source.
+-- Returns the number of the node in a report: "error executing entry of root.a: ". For
+-- a guard or an effect it is the source.
 local function node_in(watched, line)
   local fqn = line:match("src='(root[^']*)'") or line:match("'(root[^']*)' failed")
     or line:match(" of (root.-): ")
@@ -170,7 +168,7 @@ local function active_numbers(view)
   return numbers
 end
 
--- Nobody asks why an event that the machine sends itself did nothing.
+-- Notes events without an effect, but for those that the machine sends itself.
 local function add_lost(view, events)
   for i = 1, #events do
     if not outline.is_own(events[i]) and #view.lost < MAX_LOST then
@@ -203,7 +201,7 @@ local function attach(view, watched)
   end)
   function watched.after_step(_, events) note_step(view, watched, events) end
   function watched.after_reset() view:touch() end
-  -- before those of the user, which may fail
+  -- before the user's hooks, which may fail
   rfsm.post_step_hook_add(fsm, rfsm.borrows(watched.after_step), "before")
   rfsm.reset_hook_add(fsm, watched.after_reset)
 end
@@ -215,8 +213,7 @@ local function detach(_, watched)
   rfsm.reset_hook_rm(fsm, watched.after_reset)
 end
 
---- Note from now on what the machine does, or note it no more.
----@param is_wanted boolean
+--- Begin or end to note what the machine does.
 function Live:watch(is_wanted)
   if self.is_watched == is_wanted then return end
   self.is_watched, self.lost = is_wanted, {}
@@ -270,7 +267,6 @@ end
 -- Questions -----------------------------------------------------------------------
 
 --- Say why events that took no transition did not. This calls guards.
----@return string text
 function Live:why()
   local _, text = rfsm_checks.why(self.fsm, unpack(self.last_lost))
   return utf8(text)
@@ -291,7 +287,6 @@ local function data_of(state)
 end
 
 --- Return what is known of a state.
----@param number integer
 ---@return table? about nil if there is none
 function Live:inspect(number)
   local node = self.node_of[number]
@@ -318,7 +313,6 @@ function Live.answer_inspect(source, message)
 end
 
 --- View a machine; `watch` begins to follow it.
----@param fsm rfsm.Machine
 ---@param clock fun(): number seconds, for the log
 ---@return rfsm.web.Live view
 function Live.new(fsm, clock)

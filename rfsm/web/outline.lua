@@ -26,8 +26,6 @@ local outline = {}
 ---@field from table<integer, table[]> the edges from each node
 
 --- Does a machine send this event itself?
----@param event any
----@return boolean
 function outline.is_own(event)
   return type(event) == "string"
     and (event == "e_init_fsm" or event:find("^e_done@") ~= nil)
@@ -120,7 +118,7 @@ function outline.read(description)
   return list
 end
 
--- Adds the events of the edges from a node, and of those behind connectors.
+-- Adds the events of the edges from a node, and of the edges behind connectors.
 local function add_possible(list, found, node, is_seen)
   local own_kind = list.nodes[node + 1].kind
   local is_state = own_kind == "leaf" or own_kind == "composite"
@@ -136,8 +134,7 @@ local function add_possible(list, found, node, is_seen)
   end
 end
 
---- List the events that a transition from an active state names: those that could do
--- something. Guards are not asked.
+--- List the events that a transition from an active state names. Guards are not called.
 ---@param list rfsm.web.Outline
 ---@param active integer[] numbers of nodes
 ---@return integer[] numbers of events

@@ -10,7 +10,7 @@ local coroutine, io, os, setmetatable = coroutine, io, os, setmetatable
 
 local CPU_SECONDS = 60 -- then a run of Graphviz is stopped
 
---- A picture in the making.
+--- A picture that Graphviz draws.
 ---@class rfsm.web.Picture
 ---@field is_pending boolean
 ---@field work thread yields while Graphviz runs, and returns the picture
@@ -65,7 +65,7 @@ local function draw(picture, graph, description)
   return picture:run(graph, "svg")
 end
 
---- Begin a picture of a graph; without Graphviz none will come.
+--- Begin a picture of a graph; without Graphviz it never comes.
 ---@param graph string in Graphviz's language
 ---@param description? rfsm.marsh.Node laid out level by level, in place of the graph
 ---@return rfsm.web.Picture picture

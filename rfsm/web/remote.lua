@@ -88,15 +88,15 @@ local Remote = { commands = {} }
 Remote.__index = Remote
 
 function Remote.commands.send(remote, message)
-  local event = remote.view:event_of(message)
-  if event == nil then return "event: text or number of an event expected" end
+  local event, problem = remote.view:event_of(message)
+  if problem then return problem end
   remote.client:send { type = "event", event = event, fsm = remote.number }
 end
 
 local TAKE = {}
 
 function TAKE.rfsm_model(remote, message)
-  dot.encode(message.graph) -- raises an error for a graph that is none
+  dot.encode(message.graph) -- raises an error if the graph is wrong
   remote.generation, remote.problems = remote.generation + 1, {}
   remote.view = View.create(RemoteView, message.graph, remote.clock)
   remote.view.leaf, remote.view.mode = false, "inactive"
@@ -166,8 +166,6 @@ function Remote.wait() return WAIT end
 function Remote:describe(message) message.clock = self.clock() end
 
 --- Watch the machines of a port.
----@param host string
----@param port integer
 ---@param number? integer only this one
 ---@return rfsm.web.Remote[]? remotes grows with the machines that are heard of
 ---@return string? problem in one line

@@ -1,9 +1,9 @@
---- A chart that the page drives: turns, a clock of its own, back by replay.
+--- A chart that the page drives, with a clock that the page can stop.
 --
--- A turn is a command of the page, or a timer that ran out. To go back, what came from
--- outside is replayed without callbacks. When the file has changed it is loaded anew,
--- and the machine stands where it stood if the state is still there. What the chart
--- prints goes to the log of the page.
+-- A turn is a command of the page, or a timer that ran out. To go back, the events from
+-- outside are replayed without callbacks. When the file has changed it is loaded anew,
+-- and the machine is put into the state that was active, if the chart still has it. The
+-- output of the chart goes to the log of the page.
 --
 -- The file reads in this order: load, turns, commands, what goes on by itself.
 --
@@ -13,13 +13,14 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
+local clock = require "rfsm.clock"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 local points = require "rfsm.sim.points"
 local utf8 = require("rfsm.marsh").utf8
 
-local io, ipairs, os, package, pcall = io, ipairs, os, package, pcall
+local io, ipairs, os, pcall = io, ipairs, os, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
@@ -35,7 +36,7 @@ local TICK = 1e-6 -- seconds are rounded up to these
 ---@field count integer? iterations that were recorded
 ---@field queue any[]
 
---- A chart and where it stands.
+--- A chart and its machine.
 ---@class rfsm.web.Session
 ---@field file string
 ---@field view rfsm.web.Live|false false while the chart has a mistake
@@ -44,17 +45,17 @@ local TICK = 1e-6 -- seconds are rounded up to these
 ---@field turn integer the number of turns
 ---@field turns table<integer, rfsm.web.Turn> those that can be undone
 ---@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
----@field snap table? of the machine before a chart with a mistake
+---@field snap table? of the machine, while the chart has a mistake
 ---@field now number seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
 ---@field points rfsm.sim.Point[] breakpoints
----@field stopped string|false the one at which the last run has ended
+---@field stopped string|false the breakpoint at which the last run has ended
 local Session = { MAX_STEPS = 1000 } -- of one run
 Session.__index = Session
 
 -- Load: a chart becomes a machine, or a list of problems ----------------------------
 
--- Adds an entry to the log, also before there is one.
+-- Adds an entry to the log, also before there is a view.
 local function tell(session, kind, text)
   if session.view then return session.view:note(kind, text) end
   session.early[#session.early + 1] = { kind, text }
@@ -83,11 +84,11 @@ local function init(session, model)
   local fsm, text, problems = rfsm.init(model)
   if not fsm then return fsm, text, problems end
   fsm.gettime = session.gettime
-  if own_warn == nil then fsm.warn = false end -- the view hears it anyway
+  if own_warn == nil then fsm.warn = false end -- the view listens to `warn`
   return fsm, text, problems
 end
 
--- Returns a machine; false and the lines that say why not.
+-- Returns a machine; false and the problems, a line each.
 local function load_machine(session)
   return chart.open(session.file, function(model) return init(session, model) end,
     function(line) tell(session, "warning", line) end, session.has_stubs)
@@ -144,13 +145,13 @@ end
 
 local function itself(snap) return snap end
 
--- Returns the place of a machine; nil if it cannot be saved.
-local function take_place(fsm)
+-- Returns a snapshot of a machine; nil if it cannot be saved.
+local function take_snapshot(fsm)
   local ok, snap = pcall(snapshot.take, fsm)
   return ok and snap or nil
 end
 
--- Begins with a machine: where another one stood, if the chart still has that state.
+-- Begins with a machine, in the state of a snapshot if the chart still has it.
 local function begin(session, fsm, snap)
   session.view = Live.new(fsm, function() return session.now end)
   session.view.points = session.points
@@ -165,9 +166,9 @@ local function begin(session, fsm, snap)
   start_clock(session)
 end
 
--- Loads the chart; the place of the machine is kept if that is wanted.
-local function load(session, keeps_place)
-  local snap = keeps_place and (session.view and take_place(session.view.fsm)
+-- Loads the chart; `keeps_state`: the new machine goes on in the state of the old one.
+local function load(session, keeps_state)
+  local snap = keeps_state and (session.view and take_snapshot(session.view.fsm)
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.turn = session.generation + 1, 0
@@ -179,15 +180,13 @@ end
 
 -- Commands of the page ------------------------------------------------------------
 
---- What a page may ask for; each returns nothing, or why not.
+--- The commands of a page; each returns nothing, or its problem.
 Session.commands = {}
 local commands = Session.commands
 
-local function is_seconds(x) return type(x) == "number" and x >= 0 and x < 1e9 end
-
 function commands.send(session, message)
-  local event = session.view:event_of(message)
-  if event == nil then return "event: text or number of an event expected" end
+  local event, problem = session.view:event_of(message)
+  if problem then return problem end
   begin_turn(session)
   rfsm.send_events(session.view.fsm, event)
   session.view:touch()
@@ -212,7 +211,7 @@ function commands.back(session, message)
   session.now = turn.now
   local ok, problem = session.recorder:back(session.recorder.count - turn.count)
   if not ok then return problem end
-  local fsm = session.view.fsm -- what a page has sent is in no record
+  local fsm = session.view.fsm -- events that a page has sent are in no record
   rfsm.send_events(fsm, unpack(turn.queue, #fsm._intq + 1))
   for i = to + 1, session.turn do session.turns[i] = nil end
   session.turn = to
@@ -220,7 +219,7 @@ function commands.back(session, message)
   start_clock(session)
 end
 
--- The log goes on, and `back` leads to before.
+-- The log goes on, and `back` undoes the reset.
 function commands.reset(session)
   begin_turn(session)
   rfsm.reset(session.view.fsm)
@@ -249,8 +248,11 @@ local function pass(session, seconds)
 end
 
 function commands.wait(session, message)
-  if not is_seconds(message.seconds) then return "seconds: number expected" end
-  pass(session, message.seconds)
+  local seconds = message.seconds
+  if type(seconds) ~= "number" or seconds < 0 or seconds >= 1e9 then
+    return "seconds: number expected"
+  end
+  pass(session, seconds)
 end
 
 -- Sets or removes a breakpoint: a state, an event, or a transition "off -> on".
@@ -262,7 +264,7 @@ function commands.breakpoint(session, message)
   local ok, number = pcall(points.add, session.view, message.at)
   if not ok then return number end
   local name = list[number].name
-  for i = message.on and number - 1 or number, 1, -1 do -- those that are the same
+  for i = message.on and number - 1 or number, 1, -1 do -- equal breakpoints
     if list[i].name == name then remove(list, i) end
   end
   session.view:touch()
@@ -270,12 +272,8 @@ end
 
 commands.inspect = Live.answer_inspect
 
--- Seconds to the next timer of the chart; nil if there is none.
 local function next_timer(session)
-  local timeevent = package.loaded.rfsm_timeevent
-  if not (timeevent and session.view) then return nil end
-  local ok, seconds = pcall(timeevent.next_deadline, session.view.fsm)
-  return ok and seconds or nil
+  return session.view and clock.until_timer(session.view.fsm) or nil
 end
 
 function commands.next(session)
@@ -311,7 +309,6 @@ function Session:wait()
 end
 
 --- Add what the page shows of a session to a message.
----@param message table
 function Session:describe(message)
   message.clock, message.live = self.now, self.is_live
   message.timer = next_timer(self) or false
@@ -323,7 +320,6 @@ function Session:describe(message)
 end
 
 --- Open a chart, also one with mistakes.
----@param file string
 ---@param real fun(): number seconds of the wall's clock
 ---@param has_stubs boolean modules and globals that are not here do nothing
 ---@return rfsm.web.Session session

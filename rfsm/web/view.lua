@@ -1,9 +1,9 @@
---- What a page shows of a machine: its chart once, then what has changed.
+--- A machine as pages show it: its chart once, then the changes.
 --
 -- `rfsm.web.live` is the view of a machine in this program, `rfsm.web.remote` of one
--- elsewhere. Both say by `now` what is active and what waits; the log and the coverage
--- are kept here. Nothing is built for a page before it asks: a page has a cursor, the
--- place up to which it knows the machine, and gets what came since.
+-- elsewhere. Their method `now` returns the active states and the queue; the log and
+-- the coverage are kept here. Nothing is built before a page asks: it has a cursor, up
+-- to which it knows the machine, and gets the changes since.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
@@ -27,24 +27,24 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 ---@field mode string of the leaf
 ---@field queue string[]
 
---- The place up to which a page knows a view.
+--- How much of a view a page knows.
 ---@class rfsm.web.Cursor
 ---@field log integer number of the last entry
 ---@field nodes integer how many of the nodes that were seen
 ---@field edges integer
 ---@field rewrites integer
 
---- What a page is shown of a machine.
+--- A machine as pages show it.
 ---@class rfsm.web.View
 ---@field description rfsm.marsh.Node
 ---@field outline rfsm.web.Outline
 ---@field clock fun(): number seconds, for the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]
----@field turn integer the log's entries belong to it
+---@field turn integer number of the turn to which new entries of the log belong
 ---@field taken integer[] numbers of the transitions taken last
 ---@field revision integer counts the changes
----@field rewrites integer counts those of something older than the last one
+---@field rewrites integer counts the changes that take something back
 ---@field failures table<integer, integer> failed callbacks, by number of the node
 local View = {}
 View.__index = View
@@ -79,7 +79,7 @@ end
 --- Note that something has changed.
 function View:touch() self.revision = self.revision + 1 end
 
--- Keeps the last entries; seldom, so that an entry costs no more in a long log.
+-- Drops old entries; not at each new one, which would cost more in a long log.
 local function trim(view)
   local log = view.log
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
@@ -88,7 +88,6 @@ end
 --- Add an entry to the log. Most entries of a fast machine are never sent: events
 -- become texts when they are.
 ---@param kind string "step", "lost", "error", "warning", "output" or "note"
----@param text string
 ---@param events? any[] of a step
 ---@param active? integer[] the active states behind a step
 function View:note(kind, text, events, active)
@@ -109,7 +108,6 @@ local function mark(list, number)
 end
 
 --- Note that a state was active.
----@param number integer
 function View:see_node(number) mark(self.seen_nodes, number) end
 
 --- Note that a transition was taken.
@@ -121,27 +119,22 @@ function View:see_edge(number)
 end
 
 --- Note that a callback of a node has failed.
----@param number integer
 function View:add_failure(number)
   self.failures[number] = (self.failures[number] or 0) + 1
   self:touch()
 end
 
 --- Return the events as texts.
----@param events any[]
----@return string[] texts
 function View:texts_of(events)
   local texts = {}
   for i = 1, #events do texts[i] = marsh.utf8(self.outline.event_text(events[i])) end
   return texts
 end
 
---- Begin a turn: the transitions of the one before are the last ones no more.
----@param turn integer
+--- Begin a turn: the transitions of the turn before are no longer shown as taken.
 function View:begin_turn(turn) self.turn, self.is_taken_shown = turn, true end
 
---- Take back what was noted after a turn; what was seen was seen.
----@param turn integer
+--- Take back the entries after a turn; the coverage stays.
 function View:go_back(turn)
   local kept = {}
   for _, entry in ipairs(self.log) do
@@ -154,23 +147,27 @@ end
 
 -- Messages --------------------------------------------------------------------------
 
---- Return the event in a message: a text, or the number of one of the chart's.
+--- Return the event in a message: a text, or the number of an event of the chart.
 ---@param message { event: any }
 ---@return any event nil if there is none
+---@return string? problem
 function View:event_of(message)
   local event = message.event
-  if type(event) == "number" then return self.outline.values[event + 1] end
-  return type(event) == "string" and event or nil
+  if type(event) == "number" then
+    event = self.outline.values[event + 1]
+  elseif type(event) ~= "string" then
+    event = nil
+  end
+  return event, event == nil and "event: text or number of an event expected" or nil
 end
 
---- Return what a page draws once.
----@return table chart
+--- Return the chart as a page draws it.
 function View:chart()
   local lists = self.outline
   return { nodes = lists.nodes, edges = lists.edges, events = lists.events }
 end
 
--- Returns an entry of the log as it is sent.
+-- Returns an entry of the log for a message.
 local function sent(view, entry)
   return { number = entry.number, at = entry.at, kind = entry.kind, turn = entry.turn,
     active = entry.active, text = marsh.utf8(entry.text:sub(1, MAX_TEXT)),
@@ -197,10 +194,10 @@ local function failure_list(view)
   return list
 end
 
---- Return the state of now, and what has changed for a page.
+--- Return the present state, and the changes for a page.
 ---@param cursor rfsm.web.Cursor? nil: the page knows nothing yet
 ---@return table message
----@return rfsm.web.Cursor cursor the page's, when it has the message
+---@return rfsm.web.Cursor cursor of the page once it has the message
 function View:state(cursor)
   local message, lists = self:now(), self.outline
   message.is_full = not cursor or cursor.rewrites ~= self.rewrites

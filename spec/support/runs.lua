@@ -5,6 +5,8 @@ local charts = require "spec.support.charts"
 local reference = require "spec.support.reference"
 local rfsm = require "rfsm"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local runs = {}
 
 local function text_of(value)
@@ -484,22 +486,27 @@ local function defect(world, fsm)
   end
 end
 
--- Calls f(...), and raises an error after so many VM instructions. Did it end before?
-local function interrupted(instructions, f, a, b, c)
-  local is_hit = false
+-- Calls f(...), and raises `value` after so many VM instructions, as soon as is_due(f)
+-- is true. Returns whether it was raised, and what pcall returns.
+local function interrupted(instructions, value, is_due, f, ...)
+  local is_hit, n, arguments = false, select("#", ...), { ... }
+  local function hook()
+    if not is_due(f) then return debug.sethook(hook, "", 1) end
+    debug.sethook()
+    is_hit = true
+    error(value, 0)
+  end
   local ok, failure = pcall(function()
-    debug.sethook(function()
-      debug.sethook()
-      is_hit = true
-      error("interrupted!", 0)
-    end, "", instructions)
-    local ran, problem = pcall(f, a, b, c)
+    debug.sethook(hook, "", instructions)
+    local ran, problem = pcall(f, unpack(arguments, 1, n))
     debug.sethook()
     if not ran then error(problem, 0) end
   end)
   debug.sethook()
-  return not is_hit, ok or failure
+  return is_hit, ok, failure
 end
+
+local function always() return true end
 
 -- More than any of these steps needs.
 local MANY = 1e6
@@ -516,10 +523,10 @@ function runs.interrupt(chart)
   for i, op in ipairs(chart.ops) do
     random = random * 16807 % 2147483647
     local after = random % 3000 + 1
-    interrupted(after, engine[op[1]], op[2], op[3], op[4])
-    local has_ended, failure = interrupted(MANY, engine.step, 1)
+    interrupted(after, "interrupted!", always, engine[op[1]], op[2], op[3], op[4])
+    local is_hit, _, failure = interrupted(MANY, "interrupted!", always, engine.step, 1)
     local where = ("operation %d, instruction %d: "):format(i, after)
-    if not has_ended then return where .. "the next step does not end" end
+    if is_hit then return where .. "the next step does not end" end
     if tostring(failure):find("rfsm.lua:", 1, true) then return where .. failure end
     local wrong = fsm._phase == "idle" and defect(world, fsm)
     if wrong then return where .. wrong end
@@ -567,23 +574,6 @@ local function is_engine(f)
     info = debug.getinfo(level, "fS")
   end
   return info ~= nil
-end
-
--- Calls f(a), and raises `value` after so many VM instructions, not in a callback.
-local function interrupted_in_engine(instructions, value, f, a)
-  local is_hit = false
-  local function hook()
-    if not is_engine(f) then return debug.sethook(hook, "", 1) end
-    debug.sethook()
-    is_hit = true
-    error(value, 0)
-  end
-  debug.sethook(hook, "", instructions)
-  local ok, failure = pcall(f, a)
-  debug.sethook()
-  if is_hit and (ok or not rawequal(failure, value)) then
-    return "the interrupt did not reach the caller, but " .. tostring(failure)
-  end
 end
 
 local VALUES = { "interrupted!", "the limit of the host", {} }
@@ -656,7 +646,12 @@ function runs.interrupt_exactly(chart)
     local actual, wrong = traces_of(chart, function(i, fsm)
       random = random * 16807 % 2147483647
       places[i] = random % 700 + 1
-      return interrupted_in_engine(places[i], VALUES[random % 3 + 1], rfsm.step, fsm)
+      local value = VALUES[random % 3 + 1]
+      local is_hit, ok, failure =
+        interrupted(places[i], value, is_engine, rfsm.step, fsm)
+      if is_hit and (ok or not rawequal(failure, value)) then
+        return "the interrupt did not reach the caller, but " .. tostring(failure)
+      end
     end)
     if not actual then return wrong or "the machine is never idle" end
     for i, trace in ipairs(expected) do
