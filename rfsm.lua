@@ -390,9 +390,11 @@ local run_chunk
 
 do
   local open = find_global("io", "open")
+  local returned_by = setmetatable({}, { __mode = "k" }) -- root -> file
 
-  -- Returns the line at which a chart returns its root, since the call of a constructor
-  -- there is a tail call: the last of the least indented that begin with `return`.
+  -- Returns the line at which a chart returns its root: the last of the least indented
+  -- that begin with `return`. The constructor there is a tail call, of which no frame
+  -- has the line.
   local function line_of_root(file)
     local handle, number, found, least = open and open(file), 0, 1, huge
     if not handle then return found end
@@ -405,11 +407,18 @@ do
     return found
   end
 
+  getmetatable(made_at).__index = function(_, model)
+    local file = returned_by[model]
+    if not file then return nil end
+    made_at[model] = file .. ":" .. line_of_root(file)
+    return made_at[model]
+  end
+
   -- Runs a chunk of a chart and returns its state.
   function run_chunk(chunk, file, where)
     local model = chunk(file)
     if is_state(model) then
-      made_at[model] = made_at[model] or file and file .. ":" .. line_of_root(file)
+      returned_by[model] = file
       return model
     end
     local hint = model == nil and " (a chart ends with: return rfsm.state{...})"

@@ -219,9 +219,12 @@ return rfsm.state {
     it("passes every command, which gives it rfsmpp", function()
       local file = helper.file_with(EXAMPLE)
       assert.same({ file .. ": ok" }, lines_of("check " .. file))
+      assert.matches("nothing moves$",
+        lines_of("snapshot diff " .. file .. " " .. file)[1])
       for command, expected in pairs { -- any order: each stands alone
         json = '"id":"moving"', plantuml = 'state "moving" as root_moving',
         dot = "stopped", mermaid = "moving", viz = "moving",
+        ["check --tests busted"] = "e_stop",
       } do
         local lines = lines_of(command .. " -o - " .. file)
         assert.is_truthy(table.concat(lines, "\n"):find(expected, 1, true), command)
