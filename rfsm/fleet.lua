@@ -143,6 +143,8 @@ end
 
 -- Machines -----------------------------------------------------------------------
 
+local encode
+
 -- Returns a copy of data. A number `n` is in a table: for dkjson it is the length of a
 -- list.
 local function for_json(value)
@@ -150,12 +152,12 @@ local function for_json(value)
   local copy, n = {}, value.n
   for key, inner in pairs(value) do copy[key] = for_json(inner) end -- any order: a copy
   if type(n) == "number" then
-    copy.n = setmetatable({}, { __tojson = function()
-      return need("dkjson").encode(n)
-    end })
+    copy.n = setmetatable({}, { __tojson = function() return encode(n) end })
   end
   return copy
 end
+
+function encode(data) return need("dkjson").encode(for_json(data)) end
 
 --- Make a machine.
 ---@param id any
@@ -166,7 +168,7 @@ end
 function Fleet:create(id, chart, data)
   local ok, text = true, "{}"
   if data and next(data) ~= nil then
-    ok, text = pcall(need("dkjson").encode, for_json(data))
+    ok, text = pcall(encode, data)
   end
   if not ok then return nil, "rfsm.fleet.create: data: " .. text end
   return reply_of(call_function(self, "rfsm_create", id, chart, text, "ID",

@@ -106,6 +106,19 @@ describe("the client of a fleet", function()
     end)
   end)
 
+  it("sends no data that JSON does not know", function()
+    local cycle = {}
+    cycle[1] = cycle
+    for _, value in ipairs { cycle, print } do
+      local sent = with_client(always(STANDING), function(client)
+        local reply, problem = client:create(1, "lamp", { x = value })
+        assert.is_nil(reply)
+        assert.matches("^rfsm.fleet.create: data: ", problem)
+      end)
+      assert.same({}, sent)
+    end
+  end)
+
   it("numbers its events", function()
     local sent = with_client(always(STANDING), function(client)
       client:send(1, "e")

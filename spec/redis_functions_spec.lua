@@ -412,6 +412,17 @@ describe("machines that are due", function()
       .. "7=rfsm_wake: ERR spoiled}", lines, 1, true)
   end)
 
+  it("wait from now on, whatever the time in their value", function()
+    with_due { "m" }
+    local value = host.pack.unpack("m")
+    value[3].chart = "another"
+    function host.pack.unpack() return plain.copy_of(value) end
+    clock.now = 1010
+    assert.same({ 0, 1 }, call("wake"))
+    assert.matches("ZADD {1=rfsm:due:{m},2=1070.000000,3=m}", table.concat(trace, "\n"),
+      1, true)
+  end)
+
   it("are left if another node of the cluster has them", function()
     with_due { "bad" }
     local outer = host.call

@@ -241,6 +241,7 @@ describe("a deep table as a list", function()
   for _ = 1, 60 do
     for _, item in ipairs { 1, "a", "t" } do endless[#endless + 1] = item end
   end
+  endless[#endless + 1] = 0
   local NO_TABLE = "rfsm.snapshot: a table as a list expected, at most 40 inside each "
     .. "other"
   for _, case in ipairs {
@@ -266,6 +267,27 @@ describe("a deep table as a list", function()
       else
         assert.same(case.expected, found)
       end
+    end)
+  end
+end)
+
+describe("a value that is no plain data", function()
+  for _, case in ipairs {
+    { what = "a function", value = print,
+      text = "text, number, boolean or table expected, got function" },
+    { what = "NaN in a table", value = { 0 / 0 }, text = "a number expected, got NaN" },
+    { what = "a function in a table", value = { { print } },
+      text = "text, number, boolean or table expected, got function" },
+    { what = "a table as key", value = { [{}] = 1 },
+      text = "a text as key expected, got table" },
+  } do
+    it("is refused: " .. case.what, function()
+      local fsm = helper.started(chart({ "e_x" }, { keep = { "x" } }))
+      local snap = snapshot.take(fsm)
+      snap.data = { root = { x = case.value } }
+      assert.same({ false, "rfsm.snapshot: " .. case.text },
+        { snapshot.put(fsm, snap) })
+      assert.is_nil(fsm.x)
     end)
   end
 end)
