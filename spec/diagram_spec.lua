@@ -368,6 +368,46 @@ describe("a picture by Graphviz", function()
     end
   end)
 
+  it("has room for frames, and for the labels of loops in them", function()
+    local text = dot.encode(helper.init(state {
+      a = state {}, m = state { x = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "x", events = "e" } }, b = state {}, c = state {},
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "m" },
+      trans { src = "m", tgt = "b" }, trans { src = "b", tgt = "c" },
+      trans { src = "m", tgt = "c", events = "e" },
+    }))
+    local lengths = {}
+    for i, half in ipairs { "", "", "", "", "/src" } do
+      local line = text:match('%[id="root.trans%[' .. i .. "%]" .. half .. '"[^\n]*')
+      lengths[i] = line:match("minlen=(%d+)") or "1"
+    end
+    assert.same({ "1", "2", "3", "1", "2" }, lengths)
+  end)
+
+  it("takes little time in a chart of more than 500 nodes", function()
+    local model = state { trans { src = "initial", tgt = "s1" } }
+    for i = 1, 498 do model["s" .. i] = state {} end
+    assert.is_nil(dot.encode(helper.init(model)):find("nslimit", 1, true) or nil)
+    model.s499 = state {}
+    assert.matches("\n  graph %[nslimit=1%]\n", dot.encode(helper.init(model)))
+  end)
+
+  it("leaves no file behind", function()
+    local names, tmpname = {}, os.tmpname
+    rawset(os, "tmpname", function()
+      names[#names + 1] = tmpname()
+      return names[#names]
+    end)
+    local picture = dot.render("digraph { a }", "svg")
+    local nothing, problem = dot.render("digraph {", "svg")
+    rawset(os, "tmpname", tmpname)
+    assert.is_truthy(picture)
+    assert.is_nil(nothing)
+    assert.matches("^dot: Error: ", problem)
+    assert.equal(6, #names)
+    for _, name in ipairs(names) do assert.is_nil((io.open(name))) end
+  end)
+
   it("has frames of two colours, in turn", function()
     local text = dot.encode(helper.init(state {
       a = state { b = state { c = state {}, trans { src = "initial", tgt = "c" } },

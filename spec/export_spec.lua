@@ -434,6 +434,38 @@ describe("rfsm.json", function()
   end)
 end)
 
+describe("rfsm.json", function()
+  it("writes keys in one order", function()
+    local ORDER, position = { "id", "type", "doc", "mode", "final", "entry", "doo",
+      "exit", "key", "src", "tgt", "pn", "events", "words", "guard", "effect",
+      "internal", "transitions", "subnodes", "regions" }, {}
+    for i, key in ipairs(ORDER) do position[key] = i end
+    local fsm = helper.init(state {
+      a = state { entry = near, exit = near, doo = near }, doc = "all keys",
+      b = state { final = true, doc = "end" },
+      c = rfsm.seqand { left = state { info = false } },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = "e", guard = near, effect = near, pn = 1 },
+      trans { src = "a", tgt = "internal", events = "e" },
+    })
+    rfsm.run(fsm)
+    local last, seen = {}, {}
+    for indent, key in require("rfsm.json").encode(fsm):gmatch('\n( *)["%]}]?(%w*)') do
+      local here = last[#indent]
+      if key == "" then
+        last[#indent + 2] = nil -- an object or a list ends
+      elseif position[key] then
+        assert.is_true((not here or position[key] > here) or key == "id"
+          or key == "type", key)
+        last[#indent], seen[key] = position[key], true
+      end
+    end
+    for _, key in ipairs(ORDER) do
+      if key ~= "type" then assert.is_true(seen[key], key) end
+    end
+  end)
+end)
+
 describe("rfsm.plantuml", function()
   it("draws composites, connectors and arrows with unique identifiers", function()
     assert.equal([[

@@ -519,6 +519,17 @@ describe("dot.layout", function()
   end)
 end)
 
+describe("a number in a picture", function()
+  it("has two digits at most, and one text on each Lua", function()
+    for text, number in pairs { -- any order: each stands alone
+      ["0.13"] = 0.125, ["0.38"] = 0.375, ["2.5"] = 2.5, ["100"] = 100, ["0"] = -0.001,
+      ["-1.25"] = -1.254,
+    } do
+      assert.equal(text, looks.number_text(number))
+    end
+  end)
+end)
+
 describe("a text in lines", function()
   local function wrap(text, width) return diagram.wrap({ text }, width) end
 

@@ -29,13 +29,9 @@ local function move(composite, left, bottom)
   end
 end
 
--- Returns a number of points, the same text on each Lua.
-local function number_text(number)
-  local text = ("%.2f"):format(number):gsub("%.?0+$", "")
-  return text == "-0" and "0" or text
+local function point_text(x, y)
+  return looks.number_text(x) .. "," .. looks.number_text(y)
 end
-
-local function point_text(x, y) return number_text(x) .. "," .. number_text(y) end
 
 -- Lines: the links of an arrow, joined ----------------------------------------
 

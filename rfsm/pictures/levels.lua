@@ -28,8 +28,8 @@ local function add_loop(link, box)
   room.length = room.length + max(LEAST, is_down and box.height + 4 or box.width + 10)
   local field = is_down and "width" or "height"
   room[field] = max(room[field], box[field] + DEPTH - 8)
-  node.least = is_down and (", height=%.2f"):format(max(0.4, room.length / 72))
-    or (", width=%.2f"):format(max(0.75, room.length / 72))
+  node.least = (is_down and ", height=" or ", width=")
+    .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
 end
 
 -- Has Graphviz measure the labels of all loops.
@@ -205,8 +205,8 @@ local function spread(level, is_back)
       count, level.is_spread = count + #links_there, not is_back
       for _, link in ipairs(i % 2 == 0 and links_there or {}) do swap(link) end
     end
-    hub.least = level.is_spread and (", %s=%.2f"):format(level.direction == "TB"
-      and "width" or "height", max(0.75, count / 2 * BESIDE)) or nil
+    hub.least = level.is_spread and (level.direction == "TB" and ", width="
+      or ", height=") .. looks.number_text(max(0.75, count / 2 * BESIDE)) or nil
   end
 end
 

@@ -5,7 +5,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 
-local ipairs = ipairs
+local floor, ipairs = math.floor, ipairs
 local concat = table.concat
 
 local looks = {}
@@ -25,6 +25,15 @@ local HEAD = ([=[
 function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
 
 -- Text ------------------------------------------------------------------------
+
+--- Return a number with two digits at most, the same text on each Lua: `%.2f` alone
+-- rounds 0.125 up on LuaJIT, down on the others.
+---@param number number
+---@return string text
+function looks.number_text(number)
+  local text = ("%.2f"):format(floor(number * 100 + 0.5) / 100):gsub("%.?0+$", "")
+  return text == "-0" and "0" or text
+end
 
 local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
 
