@@ -703,6 +703,18 @@ describe("a chart in a file", function()
     assert.same({}, http.chart(server).problems)
   end)
 
+  it("with mistakes sends a page one message, not one a frame", function()
+    local server = open(BAD)
+    local page, time = http.page(server), 1
+    function server.gettime()
+      time = time + 1
+      return time
+    end
+    for _ = 1, 5 do server:step(0.001) end
+    local _, problem, partly = page.tcp:receive("*a")
+    assert.same({ "timeout", "" }, { problem, page.text .. partly })
+  end)
+
   it("is loaded anew when it changes, and the machine stays where it was", function()
     local server, file = open()
     local page, first = http.page(server)
