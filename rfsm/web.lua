@@ -256,7 +256,7 @@ local function send_changes(server)
     if shown.source.is_watched == false then shown.source:watch(true) end
     local version, view = version_of(server, shown), shown.source.view
     if cursor and cursor.version == version
-      and cursor.revision == (view and view.revision) then
+      and cursor.revision == (view and view.revision or nil) then
       return nil
     end
     if cursor and now < cursor.at + FRAME and now >= cursor.at then

@@ -114,7 +114,6 @@ build = {
     ["rfsm.shared.beside"] = "rfsm/shared/beside.lua",
     ["rfsm.shared.calls"] = "rfsm/shared/calls.lua",
     ["rfsm.shared.chart"] = "rfsm/shared/chart.lua",
-    ["rfsm.shared.dry"] = "rfsm/shared/dry.lua",
     ["rfsm.shared.options"] = "rfsm/shared/options.lua",
     ["rfsm.shared.order"] = "rfsm/shared/order.lua",
     ["rfsm.shared.stubs"] = "rfsm/shared/stubs.lua",

@@ -161,17 +161,21 @@ end
 
 -- Files and other Luas ---------------------------------------------------------------
 
+--- Writes a file; returns its name.
+function helper.write(name, text)
+  local file = assert(io.open(name, "wb"))
+  file:write(text)
+  file:close()
+  return name
+end
+
 local made = {} -- names of files
 
 --- Returns the name of a new file with this text. A spec file that makes some says
 -- `after_each(helper.remove_files)`, so that none is left when a spec fails.
 function helper.file_with(text)
-  local name = os.tmpname()
-  made[#made + 1] = name
-  local file = assert(io.open(name, "wb"))
-  file:write(text)
-  file:close()
-  return name
+  made[#made + 1] = os.tmpname()
+  return helper.write(made[#made], text)
 end
 
 --- Removes what `file_with` made.

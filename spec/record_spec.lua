@@ -18,13 +18,6 @@ local N = tonumber(os.getenv("RFSM_N")) or 30
 
 after_each(helper.remove_files)
 
-local function overwritten(file, text)
-  local handle = assert(io.open(file, "wb"))
-  handle:write(text)
-  handle:close()
-  return file
-end
-
 -- idle --e_go--> busy --e_done--> idle; go is guarded by what `sensor` returns
 local function worker(trace, sensor)
   local function note(text) return function() trace[#trace + 1] = text end end
@@ -409,7 +402,7 @@ describe("a recording", function()
     local file = helper.file_with("")
     recorded(file)
     local whole, text = record.read(file), helper.content(file)
-    overwritten(file, text:sub(1, -3))
+    helper.write(file, text:sub(1, -3))
     recorded(file)
     recorded(file)
     assert.same({ 9, { runs = 3, is_cut = true } },
@@ -424,9 +417,9 @@ describe("a recording", function()
     end
     assert.matches("No such file", select(2, pcall(record.read, "nothing.jsonl")))
     assert.equal("rfsm.record: " .. file .. ": no recording",
-      select(2, pcall(record.read, (overwritten(file, "\n")))))
+      select(2, pcall(record.read, (helper.write(file, "\n")))))
     assert.matches("line 1: header expected",
-      select(2, pcall(record.read, (overwritten(file, "{}\n")))))
+      select(2, pcall(record.read, (helper.write(file, "{}\n")))))
   end)
 
   it("becomes a spec that passes, as long as the chart does that", function()

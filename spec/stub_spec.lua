@@ -1,6 +1,7 @@
 -- Charts away from their robot: what they load is looked for beside them, and stubs are
 -- in place of what is not here.
 
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local chart = require "rfsm.shared.chart"
 local json = require "rfsm.json"
@@ -14,9 +15,7 @@ local folder
 -- Writes files, by name, and returns the name of `chart.lua` among them.
 local function write_files(files)
   for name, text in pairs(files) do -- any order: each stands alone
-    local handle = assert(io.open(folder .. "/robot/" .. name, "wb"))
-    handle:write(text)
-    handle:close()
+    helper.write(folder .. "/robot/" .. name, text)
   end
   return folder .. "/robot/chart.lua"
 end

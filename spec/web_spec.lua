@@ -56,12 +56,6 @@ local function open(text)
   return opened(assert(web.open(file, options))), file
 end
 
-local function overwrite(file, text)
-  local handle = assert(io.open(file, "wb"))
-  handle:write(text)
-  handle:close()
-end
-
 -- No picture comes in between: a browser's specs have them.
 Picture.start = function() return { take = function() end, drop = function() end } end
 
@@ -589,7 +583,7 @@ describe("a page", function()
     end
     now = 5
     assert.is_true(page:command("run").clock >= 5)
-    overwrite(file, (LAMP:gsub("bright", "light")))
+    helper.write(file, (LAMP:gsub("bright", "light")))
     now = 6
     local message = page:next()
     assert.equal(0, message.clock) -- its state is gone: it begins anew
@@ -703,28 +697,40 @@ describe("a chart in a file", function()
       chart.problems[1])
     assert.equal(file .. ":10: ", chart.problems[2]:match("^.-:%d+: "))
     assert.equal(400, (http.command(server, { command = "run" })))
-    overwrite(file, LAMP)
+    helper.write(file, LAMP)
     now = 1
     assert.equal("root.off", page:next().leaf)
     assert.same({}, http.chart(server).problems)
+  end)
+
+  it("with mistakes sends a page one message, not one a frame", function()
+    local server = open(BAD)
+    local page, time = http.page(server), 1
+    function server.gettime()
+      time = time + 1
+      return time
+    end
+    for _ = 1, 5 do server:step(0.001) end
+    local _, problem, partly = page.tcp:receive("*a")
+    assert.same({ "timeout", "" }, { problem, page.text .. partly })
   end)
 
   it("is loaded anew when it changes, and the machine stays where it was", function()
     local server, file = open()
     local page, first = http.page(server)
     assert.equal("root.on.dim", page:send("e_push").leaf)
-    overwrite(file, (LAMP:gsub("bright", "glaring")))
+    helper.write(file, (LAMP:gsub("bright", "glaring")))
     now = 1
     local message = page:next()
     assert.equal("root.on.dim", message.leaf)
     assert.is_true(message.version ~= first.version and message.is_full)
     assert.equal("root.on.glaring", page:send("e_more").leaf)
-    overwrite(file, "return 7")
+    helper.write(file, "return 7")
     now = 2
     assert.is_nil(page:next().active)
     assert.same({ "no valid rfsm in file '" .. file .. "' found." },
       http.chart(server).problems)
-    overwrite(file, LAMP)
+    helper.write(file, LAMP)
     now = 3
     assert.equal("root.off", page:next().leaf) -- there is no root.on.glaring now
   end)

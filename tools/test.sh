@@ -14,8 +14,8 @@ cd "$(dirname "$0")/.." || exit 1
 busted=${BUSTED:-busted} limit=${LIMIT:-300}
 command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 
-# These files need modules in C, which the Lua 5.5 in tools/ cannot load (the tutorial a
-# clock that has fractions of a second): they are not for it. It is skipped if its Python package is missing.
+# These files need modules in C, which the Lua 5.5 in tools/ cannot load. Without its
+# Python package it is skipped.
 NEEDS_C='spec/(bench|documents|extensions|fleet|project|proto|redis|web)_spec'
 
 # Prints a line "LUA FILE" for each spec file that an interpreter can run.

@@ -1,6 +1,7 @@
 -- Recordings of random runs: replayed, also dry, they give the same trace; a file holds
 -- what a list holds; of a file that is cut anywhere, the whole lines count.
 
+local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
@@ -16,23 +17,10 @@ local function difference(what, expected, got)
   end
 end
 
-local function overwrite(name, text)
-  local file = assert(io.open(name, "wb"))
-  file:write(text)
-  file:close()
-end
-
-local function content(name)
-  local file = assert(io.open(name, "rb"))
-  local text = file:read("*a")
-  file:close()
-  return text
-end
-
 -- Checks a file that is cut after `length` bytes, and recorded into again.
 local function check_cut(name, text, length, sink)
   local count = select(2, text:sub(1, length):gsub("\n", ""))
-  overwrite(name, text:sub(1, length))
+  helper.write(name, text:sub(1, length))
   local is_whole = text:sub(length, length) == "\n"
   if count > 0 then
     local list, about = record.read(name)
@@ -72,7 +60,7 @@ local function check(seed, name)
     problem = problem or not ok and why
       or difference(is_dry and "dry" or "replayed", lines, again)
   end
-  local text = content(name)
+  local text = helper.content(name)
   local length = new_random(seed):below(#text)
   return problem or check_cut(name, text, length, sink)
 end
