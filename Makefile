@@ -2,8 +2,9 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, test, test-web, test-hosts and doc install missing Debian packages if you are root or have
-# password-free sudo. Otherwise they print the command to type.
+# sim, fleet, test, test-web, test-site, test-hosts and doc install missing Debian packages
+# if you are root or have password-free sudo. Otherwise they print the command to type.
+# site and test-site need npm.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
