@@ -66,6 +66,7 @@ function cli.main(argv)
     :command_target("command")
   local commands, parsers = {}, {}
   prepare(parser)
+  if parser.add_complete then parser:add_complete() end -- --completion, since 0.7
   for _, name in ipairs(COMMANDS) do
     local command = encoders[name] or require("rfsm.cli." .. name)
     commands[name] = command
