@@ -16,6 +16,9 @@ PREFIX   ?= /usr/local
 LUADIRS  ?= $(foreach v,5.1 5.2 5.3 5.4 5.5,$(PREFIX)/share/lua/$(v))
 STRIP    ?=
 BUNDLE   ?= rfsm rfsm.fast rfsm.advice
+# time events, sequential AND states, the printed machine, history, checks
+ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
+            rfsm.checkevents $(subst /,.,$(basename $(wildcard rfsm/checks/*.lua rfsm/shared/*.lua)))
 DIST     ?= dist
 SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.fast rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto
@@ -34,7 +37,7 @@ EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
 .PHONY: all help sim fleet test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
-.PHONY: rockspec dist size install uninstall clean
+.PHONY: rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
 all: test               ## the same as test
@@ -146,9 +149,17 @@ deps:                   ## install the packages for sim, test and doc
 rockspec:               ## the lists of the dev rockspec; with VERSION, the rockspec of a release
 	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)
 
-dist:                   ## dist/rfsm.lua: the core and the rest of BUNDLE in one file
+dist:                   ## dist/rfsm.lua: BUNDLE in one file; rfsm-all.lua: with ALL; their hashes
 	@mkdir -p $(DIST)
 	$(LUA) tools/dist.lua $(BUNDLE) > $(DIST)/rfsm.lua
+	@$(LUA) tools/dist.lua $(BUNDLE) $(ALL) > $(DIST)/rfsm-all.lua
+	@cd $(DIST) && sha256sum rfsm.lua rfsm-all.lua > SHA256SUMS
+
+deb:                    ## Debian packages of the last commit in DIST/deb, and what lintian says
+	@tools/packaging/deb.sh $(DIST)/deb
+
+rocks:                  ## a rock of the last commit in DIST/rocks, for each Lua; luarocks test
+	@tools/packaging/rocks.sh $(DIST)/rocks
 
 size:                   ## the live heap that each of SIZED takes, with LUA
 	@$(LUA) tools/size.lua $(SIZED)

@@ -71,6 +71,38 @@ describe("the rockspec", function()
   end)
 end)
 
+describe("the file dist/rfsm-all.lua", function()
+  it("has time events, regions, the printed machine, history and checks", function()
+    local folder = os.tmpname()
+    os.remove(folder)
+    os.execute(("make -s DIST='%s' LUA='%s' dist"):format(folder, arg[-1]))
+    local output = helper.output_of(([[
+      package.path = ""
+      local rfsm, now = dofile("%s/rfsm-all.lua"), 0
+      local state, trans = rfsm.state, rfsm.trans
+      require("rfsm_timeevent").set_gettime_hook(function() return now, 0 end)
+      require "rfsm.history"
+      local model = state { info = false, warn = false,
+        par = rfsm.seqand { x = state { history = "deep", a = state {},
+          trans { src = "initial", tgt = "a" } } },
+        wait = state {},
+        trans { src = "initial", tgt = "wait" },
+        trans { src = "wait", tgt = "par", events = "e_after(2)" } }
+      local fsm = assert(rfsm.init(model))
+      rfsm.run(fsm)
+      now = 3
+      rfsm.run(fsm)
+      print(rfsm.pp.fsm2str(fsm))
+      print(require("rfsm_checks").explore(model))
+    ]]):format(folder))
+    local hashes = lines_of("cd '" .. folder .. "' && sha256sum -c SHA256SUMS")
+    os.execute("rm -r '" .. folder .. "'")
+    assert.same({ "rfsm.lua: OK", "rfsm-all.lua: OK" }, hashes)
+    assert.matches("par[LS] active", output, 1, true)
+    assert.matches("3 of 3 transitions taken", output, 1, true)
+  end)
+end)
+
 describe("a core alone in a folder", function()
   local folder, lua = os.tmpname(), arg[-1]
 
