@@ -16,6 +16,7 @@
 local rfsm = require "rfsm"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.checks.match"
+local monitors = require "rfsm.checks.monitors"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local stubs = require "rfsm.checks.stubs"
@@ -59,6 +60,12 @@ local explore = {}
 ---@field untried string[] what was not tried, as texts
 ---@field passed rfsm_checks.Passed[] moments of steps, each once
 ---@field count integer steps that were run
+---@field wanted any[] events that properties look at
+---@field monitored rfsm_checks.Judged[] properties whose monitors run along
+---@field is_beside boolean something is kept beside configurations: in `besides`
+---@field besides { states: string[], time: rfsm_checks.Time? }[]
+---@field beside_ids table<string, integer>
+---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
 
@@ -75,7 +82,22 @@ Walk.__index = Walk
 ---@param number integer
 ---@return rfsm_checks.Configuration conf
 function Walk:configuration(number)
-  return self.puppet:configuration(self.keys[number])
+  local key = self.keys[number]
+  local conf = self.puppet:configuration(key)
+  conf.beside = self.besides[tonumber(key:match("|(%d+)$"))]
+  return conf
+end
+
+-- Returns the key of what is kept beside a configuration; empty if nothing is.
+local function key_of_beside(walk, states, time)
+  if not walk.is_beside then return "" end
+  local text = concat(states, ",") .. (time and "@" .. time.text or "")
+  local id = walk.beside_ids[text]
+  if not id then
+    id = #walk.besides + 1
+    walk.besides[id], walk.beside_ids[text] = { states = states, time = time }, id
+  end
+  return "|" .. id
 end
 
 --- Does an event wait in a configuration, so that run would go on?
@@ -94,22 +116,24 @@ local function find_configuration(walk, key, from, label)
   return number
 end
 
--- Returns the events of a step by number, and its choices: "3,5:101".
-local function label_of(events, choices, asked)
+-- Returns the events of a step by number, its choices, and the number of the group of
+-- deadlines that were over: "3,5:101@2".
+local function label_of(try, choices, asked)
   local numbers, digits = {}, {}
-  for i, event in ipairs(events) do numbers[i] = event.number end
+  for i, event in ipairs(try.events) do numbers[i] = event.number end
   for i = 1, asked do digits[i] = choices[i] and "1" or "0" end
   return concat(numbers, ",") .. ":" .. concat(digits)
+    .. (try.group and "@" .. try.group.number or "")
 end
 
 local function read_label(walk, label)
-  local numbers, digits = label:match("^(.*):(.*)$")
+  local numbers, digits, group = label:match("^([%d,]*):(%d*)@?(%d*)$")
   local events, choices = {}, {}
   for number in numbers:gmatch("%d+") do
     events[#events + 1] = walk.puppet.occurrences[tonumber(number)]
   end
   for digit in digits:gmatch("%d") do choices[#choices + 1] = digit == "1" end
-  return events, choices
+  return events, choices, tonumber(group)
 end
 
 -- Steps .............................................................................
@@ -150,33 +174,60 @@ local function add_step(walk, seen, from, tgt, is_internal)
   walk.steps[#walk.steps + 1] = step
 end
 
+
 local MANY_CHOICES = 4096
 
--- Takes a step with these events, once for each choice.
-local function try_events(walk, from, conf, events, seen)
+--- A step that is tried: its events, and deadlines that are over when it begins.
+---@class rfsm_checks.Try
+---@field from integer
+---@field conf rfsm_checks.Configuration
+---@field events rfsm_checks.Occurrence[] those of timers behind the others
+---@field is_internal boolean no event from outside and no deadline is among them
+---@field group rfsm_checks.Group|false
+
+-- Returns the key of the configuration that the last step has led to.
+local function key_after(walk, try, label)
+  local key, beside = walk.puppet:read(), try.conf.beside
+  if not walk.is_beside then return key end
+  local states, clocks = monitors.after(walk, try, key, label)
+  local time = walk.timing and walk.timing:after(beside.time, try.group, clocks)
+  return key .. key_of_beside(walk, states, time)
+end
+
+-- Takes a step once for each choice, and calls f(key, label) after it; `key` is nil if
+-- the step does not end.
+local function each_choice(walk, try, f)
   local own, choices, tries = walk.puppet, {}, 0
   repeat
-    own:put(conf)
-    local ended, asked, text = own:step(events, choices), own.asked, nil
+    own:put(try.conf)
+    local ended, asked, text = own:step(try.events, choices), own.asked, nil
     local function label()
-      text = text or label_of(events, choices, asked)
+      text = text or label_of(try, choices, asked)
       return text
     end
     walk.count, tries = walk.count + 1, tries + 1
-    note(walk, from, label)
-    if ended then
-      local tgt = find_configuration(walk, own:read(), from, label)
-      add_step(walk, seen, from, tgt, events[1] == nil)
-      if tgt ~= from or own.taken[1] then walk.moves[from] = true end
-      note_passed(walk, from, tgt, label)
-      walk:look(from, tgt, events, label)
-    else
-      walk.endless = walk.endless or { from = from, label = label() }
-    end
+    f(ended and key_after(walk, try, label), label)
     if tries == MANY_CHOICES then
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
     end
   until tries == MANY_CHOICES or not puppet.next_choices(choices, asked)
+end
+
+-- Takes a step, once for each choice, and notes what it does.
+local function try_step(walk, try, seen)
+  local own, from = walk.puppet, try.from
+  each_choice(walk, try, function(key, label)
+    note(walk, from, label)
+    if not key then
+      walk.endless = walk.endless or { from = from, label = label() }
+      return
+    end
+    local tgt = find_configuration(walk, key, from, label)
+    add_step(walk, seen, from, tgt, try.is_internal)
+    if tgt ~= from or own.taken[1] then walk.moves[from] = true end
+    note_passed(walk, from, tgt, label)
+    walk:look(from, tgt, try.events, label)
+  end)
 end
 
 -- Lists the sets of up to `most` of the events, smaller ones first.
@@ -191,24 +242,54 @@ local function sets_of(list, most)
   return sets
 end
 
--- Takes all steps from a configuration.
-local function expand(walk, from, seen)
+-- Calls f(try) for the sets of events from outside that come together with the
+-- deadlines of a group.
+local function each_set(from, conf, group, sets, f)
+  local timers = group and group.events or {}
+  for _, set in ipairs(sets) do
+    if set[1] ~= nil or group and group.is_over or puppet.is_busy(conf) then
+      f { from = from, conf = conf, group = group, events = match.joined(set, timers),
+        is_internal = set[1] == nil and not (group and group.is_over) }
+    end
+  end
+end
+
+local NO_GROUP = { false }
+
+-- Calls f(try) for each set of events and deadlines from a configuration.
+local function each_try(walk, from, f)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.puppet, conf)
-  walk.first[from] = #walk.steps + 1
   if is_cut then
     note_untried(walk, "sets", ("some sets of events that paths from %s need"):format(
       conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   walk:add_wanted(list)
-  for _, events in ipairs(sets_of(list, walk.together)) do
-    if events[1] ~= nil or puppet.is_busy(conf) then
-      try_events(walk, from, conf, events, seen)
-    end
+  local sets = sets_of(list, walk.together)
+  for _, set in ipairs(needed) do
+    if #set > walk.together then sets[#sets + 1] = set end
   end
-  for _, events in ipairs(needed) do
-    if #events > walk.together then try_events(walk, from, conf, events, seen) end
+  for _, group in ipairs(walk.timing and walk.timing:groups(conf.beside.time)
+    or NO_GROUP) do
+    each_set(from, conf, group, sets, f)
   end
+end
+
+-- Takes all steps from a configuration.
+local function expand(walk, from, seen)
+  walk.first[from] = #walk.steps + 1
+  each_try(walk, from, function(try) try_step(walk, try, seen) end)
+end
+
+--- Take all steps from a configuration again, and call f(try, tgt, label) after each.
+---@param from integer
+---@param f fun(try: rfsm_checks.Try, tgt: integer?, label: fun(): string)
+function Walk:each_step_again(from, f)
+  each_try(self, from, function(try)
+    each_choice(self, try, function(key, label)
+      f(try, key and self.numbers[key], label)
+    end)
+  end)
 end
 
 -- Bounds ............................................................................
@@ -244,7 +325,16 @@ end
 -- What is done with each step and event for properties is set by `properties.watch`.
 function Walk.look() end
 
-function Walk.add_wanted() end
+-- Adds the events that monitors and properties look at, where nothing else takes them.
+function Walk:add_wanted(list)
+  local own = self.puppet
+  for _, event in ipairs(self.wanted) do
+    local occurrence = own:occurrence(own.parts[1], event)
+    if not (own:maker_of(event) or match.has(list, occurrence)) then
+      list[#list + 1] = occurrence
+    end
+  end
+end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
@@ -285,10 +375,13 @@ function explore.walk(model, options, prepare)
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
-    expanded = 0 }, Walk)
+    expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
+    beside_ids = {}, timing = false }, Walk)
   check_writers(walk)
   if prepare then prepare(walk) end
-  find_configuration(walk, own:read(), 0, function() return "" end)
+  walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
+  find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
+    walk.timing and walk.timing.none), 0, function() return "" end)
   walk_all(walk, settings)
   return walk
 end
@@ -334,16 +427,21 @@ function Walk:rerun(from, label)
   return step
 end
 
---- Return the shortest way to a configuration, and the step given behind it.
+--- Return the shortest way to a configuration, and the step given behind it, or those
+--- of a cycle.
 ---@param number integer
 ---@param label? string
----@return rfsm_checks.WitnessStep[] witness
-function Walk:witness(number, label)
-  local steps = { label and self:rerun(number, label) }
+---@param cycle? rfsm_checks.Edge[]
+---@return rfsm_checks.WitnessStep[] witness field `again`: where the cycle begins
+function Walk:witness(number, label, cycle)
+  local way, steps = { label and { from = number, label = label } }, {}
   while self.from[number] > 0 do
-    table.insert(steps, 1, self:rerun(self.from[number], self.labels[number]))
+    table.insert(way, 1, { from = self.from[number], label = self.labels[number] })
     number = self.from[number]
   end
+  steps.again = cycle and #way + 1
+  way = match.joined(way, cycle or {})
+  for i, step in ipairs(way) do steps[i] = self:rerun(step.from, step.label) end
   return steps
 end
 

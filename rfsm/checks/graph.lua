@@ -115,7 +115,9 @@ local function visit_next(walk, search, visits)
   if visit.at <= visit.last then
     local tgt = abs(walk.steps[visit.at])
     visit.at = visit.at + 1
-    if not search.order[tgt] then
+    if search.set and not search.set[tgt] then
+      return
+    elseif not search.order[tgt] then
       visits[#visits + 1] = new_visit(walk, search, tgt)
     elseif search.is_open[tgt] then
       low[visit.number] = min(low[visit.number], search.order[tgt])
@@ -139,16 +141,31 @@ local function leads_out(walk, component)
   return leaves
 end
 
+--- List the sets of configurations that lead to each other, each sorted, in the order
+--- of their first ones.
+---@param walk rfsm_checks.Walk
+---@param set? table<integer, boolean> look at these alone
+---@return integer[][] components
+function graph.components_in(walk, set)
+  local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
+    components = {}, set = set }
+  for number = 1, set and walk.expanded or 1 do
+    if not (search.order[number] or set and not set[number]) then
+      local visits = { new_visit(walk, search, number) }
+      while visits[1] do visit_next(walk, search, visits) end
+    end
+  end
+  table.sort(search.components, function(a, b) return a[1] < b[1] end)
+  return search.components
+end
+
 --- List the sets of configurations that lead to each other.
 ---@param walk rfsm_checks.Walk
 ---@return integer[][] bottoms those that lead nowhere else, each sorted
 ---@return integer[][] others
 function graph.components(walk)
-  local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
-    components = {} }
-  local visits, bottoms, others = { new_visit(walk, search, 1) }, {}, {}
-  while visits[1] do visit_next(walk, search, visits) end
-  for _, component in ipairs(search.components) do
+  local bottoms, others = {}, {}
+  for _, component in ipairs(graph.components_in(walk)) do
     local list = leads_out(walk, component) and others or bottoms
     list[#list + 1] = component
   end

@@ -45,6 +45,7 @@ local puppet = {}
 ---@field free table<string, true> what the chart has: guards, predicates, timers, doos
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
+---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -205,6 +206,9 @@ local function make_state(self, part, state)
     state.doo, self.free.doos = new_doo(self, part, path), true
   end
   state.prepare = nil
+  if state.doo or state._timers then
+    rfsm.entry_hook_add(part.fsm, state, function() self.entered[state] = true end)
+  end
 end
 
 -- Notes the events of a transition, and those that its await waits for.
@@ -366,8 +370,9 @@ end
 ---@param key string
 ---@return rfsm_checks.Configuration conf
 function Puppet:configuration(key)
-  local conf = { flags = key:match("[+-]*$") }
-  for id in key:gmatch("%d+") do
+  local ids, flags = key:match("^([%d,]*)([+-]*)")
+  local conf = { flags = flags }
+  for id in ids:gmatch("%d+") do
     local i = #conf + 1
     conf[i] = self.parts[i].stands[tonumber(id)]
   end
@@ -411,12 +416,8 @@ local function new_view(self, active, flags)
     local number = self.flag_numbers[name]
     if number then return flags:sub(number, number) == "+" end
     if self.names[name] then return active[name] == true end
-    local names = rfsm.sorted_keys(self.names)
-    for _, flag in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
-      names[#names + 1] = flag
-    end
-    error(("no state or flag is named '%s'%s"):format(rfsm.text_of(name),
-      type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
+    place.refuse_name(name, "state or flag", match.joined(
+      rfsm.sorted_keys(self.names), rfsm.sorted_keys(self.flag_numbers)))
   end
 end
 
@@ -464,6 +465,7 @@ function Puppet:step(events, choices)
   clear(self.moments)
   clear(self.last_events)
   clear(self.called)
+  for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
@@ -636,7 +638,7 @@ function puppet.new(model, options)
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
     choices = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {},
+    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
     notes_events = false }, Puppet)

@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
+local monitors = require "rfsm.checks.monitors"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
@@ -39,6 +40,7 @@ Exploration.__index = Exploration
 ---@field holds boolean|nil nil: not known
 ---@field vacuous? string it holds because of this reason alone
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
+---@field premise string behind those of the exploration; may be empty
 
 -- Findings ........................................................................
 
@@ -243,12 +245,14 @@ end
 
 local function find_violations(walk, result, list)
   for i, judged in ipairs(list) do
-    local witness = judged.at and walk:witness(judged.at, judged.label)
+    local witness = judged.at and walk:witness(judged.at, judged.label, judged.cycle)
     result.properties[i] = { name = judged.name, holds = judged.holds,
-      vacuous = judged.holds and judged.vacuous or nil, witness = witness }
+      vacuous = judged.holds and judged.vacuous or nil, witness = witness,
+      premise = monitors.owes[judged.property.kind] and "; doos end" or "" }
     if judged.holds == false then
-      add_run(walk, result.findings, "violated", nil, judged.name, "does not hold",
-        judged.at, judged.label)
+      witness.rests = judged.rests
+      result.findings:add("violated", nil, judged.name, "does not hold").witness =
+        witness
     end
   end
 end
@@ -274,6 +278,11 @@ function verdict.lines_of(witness)
     local events = step.events[1] and concat(step.events, ", ") or "no event"
     lines[i] = ("%d. %s%s: %s"):format(i, events, choices_text(step),
       puppet.outcome(step.taken, step.leaf))
+  end
+  if witness.again then
+    lines[#lines + 1] = ("and again from %d on"):format(witness.again)
+  elseif witness.rests then
+    lines[#lines + 1] = "and nothing more has to come"
   end
   return lines
 end
@@ -302,7 +311,7 @@ local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whet
 local function property_text(judged, premises)
   if judged.holds == nil then return judged.name .. ": not known" end
   local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
-  return ("%s: holds%s (%s)"):format(judged.name, how, premises)
+  return ("%s: holds%s (%s%s)"):format(judged.name, how, premises, judged.premise)
 end
 
 local function add_finding_lines(lines, finding)
