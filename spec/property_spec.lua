@@ -169,9 +169,9 @@ describe("a machine that is watched", function()
     told = {}
     members.err = function(text) told[#told + 1] = text end
     fsm = rfsm.init(chart(members))
-    local stop = rfsm_checks.watch_properties(fsm, given)
+    local watched = rfsm_checks.watch_properties(fsm, given)
     rfsm.run(fsm)
-    return stop
+    return watched
   end
 
   local function send(...)
@@ -218,8 +218,7 @@ describe("a machine that is watched", function()
 
   it("takes the properties of its model, and watches until it is told to stop",
     function()
-    local stop = start({ properties = { rfsm_checks.never "root.b" } })
-    stop()
+    start({ properties = { rfsm_checks.never "root.b" } }):stop()
     send("e_x")
     assert.same({}, told)
   end)

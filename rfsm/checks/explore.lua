@@ -14,12 +14,15 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local stubs = require "rfsm.checks.stubs"
+local timing = require "rfsm.checks.timing"
+local zones = require "rfsm.checks.zones"
 
 local assert, error, ipairs, math = assert, error, ipairs, math
 local rawget, require = rawget, require
@@ -36,6 +39,8 @@ local explore = {}
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
+---@field timers? "in order"|"free" free: a time event may come at any time
+---@field period? number seconds, the longest time between two steps
 ---@field properties? table<any, table> see `rfsm_checks.never` and others
 ---@field configurations? integer stop after so many (1,000,000)
 ---@field depth? integer stop after so many steps
@@ -65,6 +70,8 @@ local explore = {}
 ---@field is_beside boolean something is kept beside configurations: in `besides`
 ---@field besides { states: string[], time: rfsm_checks.Time? }[]
 ---@field beside_ids table<string, integer>
+---@field kin table<string, integer[]> configurations that differ in their times alone
+---@field unsure table<integer, true> positions in `steps`: other deadlines may be first
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
@@ -105,11 +112,29 @@ end
 ---@return boolean
 function Walk:is_driven(number) return puppet.is_driven(self:configuration(number)) end
 
+-- Returns the number of a configuration that is there: of the same key, or of one whose
+-- clocks may have all values that they have here, and more. Without one, the second
+-- result is a list of those that differ in these values alone.
+local function find_known(walk, key)
+  if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
+  local before, id = key:match("^(.*)|(%d+)$")
+  local beside = walk.besides[tonumber(id)]
+  local time, kin = beside.time, walk.kin
+  local name = ("%s|%s@%s"):format(before, concat(beside.states, ","), time.shape)
+  kin[name] = kin[name] or {}
+  for _, number in ipairs(kin[name]) do
+    local other = walk.besides[tonumber(walk.keys[number]:match("|(%d+)$"))].time
+    if zones.includes(other.zone, time.zone) then return number end
+  end
+  return nil, kin[name]
+end
+
 -- Returns the number of a configuration; a new one is to be looked at later.
 local function find_configuration(walk, key, from, label)
-  local number = walk.numbers[key]
+  local number, kin = find_known(walk, key)
   if number then return number end
   number = #walk.keys + 1
+  if kin then kin[#kin + 1] = number end
   walk.keys[number], walk.numbers[key] = key, number
   walk.from[number], walk.labels[number] = from, label()
   walk.depths[number] = from > 0 and walk.depths[from] + 1 or 0
@@ -167,11 +192,12 @@ local function note_passed(walk, from, tgt, label)
 end
 
 -- Appends where a step leads, once for each configuration.
-local function add_step(walk, seen, from, tgt, is_internal)
-  local step = is_internal and -tgt or tgt
-  if seen[step] == from then return end
-  seen[step] = from
+local function add_step(walk, seen, try, tgt)
+  local step, group = try.is_internal and -tgt or tgt, try.group
+  if seen[step] == try.from then return end
+  seen[step] = try.from
   walk.steps[#walk.steps + 1] = step
+  if group and not group.is_sure then walk.unsure[#walk.steps] = true end
 end
 
 
@@ -185,13 +211,17 @@ local MANY_CHOICES = 4096
 ---@field is_internal boolean no event from outside and no deadline is among them
 ---@field group rfsm_checks.Group|false
 
--- Returns the key of the configuration that the last step has led to.
+-- Returns the key of the configuration that the last step has led to, and where its
+-- clocks come from.
 local function key_after(walk, try, label)
   local key, beside = walk.puppet:read(), try.conf.beside
   if not walk.is_beside then return key end
   local states, clocks = monitors.after(walk, try, key, label)
-  local time = walk.timing and walk.timing:after(beside.time, try.group, clocks)
-  return key .. key_of_beside(walk, states, time)
+  local time, sources = false, nil
+  if walk.timing then
+    time, sources = walk.timing:after(beside.time, try.group, walk, clocks)
+  end
+  return key .. key_of_beside(walk, states, time), sources
 end
 
 -- Takes a step once for each choice, and calls f(key, label) after it; `key` is nil if
@@ -206,7 +236,7 @@ local function each_choice(walk, try, f)
       return text
     end
     walk.count, tries = walk.count + 1, tries + 1
-    f(ended and key_after(walk, try, label), label)
+    f(ended and (key_after(walk, try, label)), label)
     if tries == MANY_CHOICES then
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
     end
@@ -223,7 +253,7 @@ local function try_step(walk, try, seen)
       return
     end
     local tgt = find_configuration(walk, key, from, label)
-    add_step(walk, seen, from, tgt, try.is_internal)
+    add_step(walk, seen, try, tgt)
     if tgt ~= from or own.taken[1] then walk.moves[from] = true end
     note_passed(walk, from, tgt, label)
     walk:look(from, tgt, try.events, label)
@@ -256,6 +286,14 @@ end
 
 local NO_GROUP = { false }
 
+-- Lists the groups of deadlines that a step from a configuration may find over.
+local function groups_of(walk, conf)
+  if not walk.timing then return NO_GROUP end
+  local groups = walk.timing:groups(conf.beside.time, puppet.is_driven(conf))
+  if walk.timing.is_cut then note_untried(walk, "sets", "some orders of deadlines") end
+  return groups
+end
+
 -- Calls f(try) for each set of events and deadlines from a configuration.
 local function each_try(walk, from, f)
   local conf = walk:configuration(from)
@@ -269,8 +307,7 @@ local function each_try(walk, from, f)
   for _, set in ipairs(needed) do
     if #set > walk.together then sets[#sets + 1] = set end
   end
-  for _, group in ipairs(walk.timing and walk.timing:groups(conf.beside.time)
-    or NO_GROUP) do
+  for _, group in ipairs(groups_of(walk, conf)) do
     each_set(from, conf, group, sets, f)
   end
 end
@@ -287,7 +324,7 @@ end
 function Walk:each_step_again(from, f)
   each_try(self, from, function(try)
     each_choice(self, try, function(key, label)
-      f(try, key and self.numbers[key], label)
+      f(try, key and find_known(self, key), label)
     end)
   end)
 end
@@ -344,6 +381,16 @@ local function is_table(x) return type(x) == "table" end
 
 local function is_boolean(x) return type(x) == "boolean" end
 
+local function is_period(x) return opts.is_seconds(x) and x > 0 end
+
+local TIMERS = { free = true, ["in order"] = true }
+
+local function is_order(x)
+  if TIMERS[x] then return true end
+  return false, type(x) == "string" and ("'free' or 'in order' expected, got '%s'%s")
+    :format(x, advice.nearest_name(x, rfsm.sorted_keys(TIMERS))) or nil
+end
+
 local KNOWN = {
   together = { "whole number above 0", is_count },
   configurations = { "whole number above 0", is_count, 1e6 },
@@ -353,6 +400,8 @@ local KNOWN = {
   sends = { "table of lists", stubs.check_sends, {} },
   dry_run = { "boolean", is_boolean, false },
   flags = { "table of flags", stubs.check_flags, {} },
+  timers = { "'free' or 'in order'", is_order, "in order" },
+  period = { "seconds above 0", is_period },
   properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
 }
 
@@ -376,9 +425,10 @@ function explore.walk(model, options, prepare)
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
     expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
-    beside_ids = {}, timing = false }, Walk)
+    beside_ids = {}, kin = {}, unsure = {}, timing = false }, Walk)
   check_writers(walk)
   if prepare then prepare(walk) end
+  walk.timing = timing.new(walk, settings)
   walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
   find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
     walk.timing and walk.timing.none), 0, function() return "" end)
@@ -391,6 +441,7 @@ end
 ---@field events string[] that came, as texts
 ---@field values any[] those that came to the machine itself
 ---@field inside { prefix: string, event: any }[] time events of machines inside of it
+---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
 ---@field taken string[] paths of the transitions that it takes
 ---@field leaf string|false FQN of the active leaf then
@@ -404,16 +455,19 @@ end
 ---@param from integer
 ---@param label string
 ---@return rfsm_checks.WitnessStep step what it did
+---@return rfsm_checks.Try|false try
 function Walk:rerun(from, label)
   local own = self.puppet
   local step = { events = {}, values = {}, inside = {}, choices = {} }
-  local events, choices = read_label(self, label)
-  own:put(self:configuration(from))
+  local events, choices, number = read_label(self, label)
+  local conf = self:configuration(from)
+  own:put(conf)
   own:step(events, choices)
   for i, occurrence in ipairs(events) do
     local part, event = occurrence.part, occurrence.event
     step.events[i] = text_of_event(occurrence)
-    if part.owner then
+    if part.timed[event] then -- it comes by itself
+    elseif part.owner then
       step.inside[#step.inside + 1] = { prefix = part.prefix, event = event }
     else
       step.values[#step.values + 1] = event
@@ -424,7 +478,8 @@ function Walk:rerun(from, label)
       is_doo = own.is_doo[i] }
   end
   step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
-  return step
+  return step, self.timing and { from = from, conf = conf, events = events,
+    group = groups_of(self, conf)[number] }
 end
 
 --- Return the shortest way to a configuration, and the step given behind it, or those
@@ -441,7 +496,17 @@ function Walk:witness(number, label, cycle)
   end
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
-  for i, step in ipairs(way) do steps[i] = self:rerun(step.from, step.label) end
+  local moments = timing.new_moments()
+  for i, step in ipairs(way) do
+    local try
+    steps[i], try = self:rerun(step.from, step.label)
+    if try then
+      local _, sources = key_after(self, try, function() return step.label end)
+      timing.add_moment(moments, try.group, sources)
+    end
+  end
+  local times = self.timing and self.timing:solve(moments) or {}
+  for i, step in ipairs(steps) do step.at = times[i] end
   return steps
 end
 

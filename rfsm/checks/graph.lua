@@ -8,23 +8,23 @@ local abs, min = math.abs, math.min
 
 local graph = {}
 
---- Call `f(tgt, is_internal)` for each step from a configuration.
+--- Call `f(tgt, is_internal, position)` for each step from a configuration.
 ---@param walk rfsm_checks.Walk
 ---@param number integer
----@param f fun(tgt: integer, is_internal: boolean)
+---@param f fun(tgt: integer, is_internal: boolean, position: integer)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
     local step = walk.steps[i]
-    if step < 0 then f(-step, true) else f(step, false) end
+    if step < 0 then f(-step, true, i) else f(step, false, i) end
   end
 end
 
 -- Lists for each configuration those from which a step leads there.
-local function reverse(walk, is_internal)
+local function reverse(walk, is_internal, is_sure)
   local lists = {}
   for from = 1, walk.expanded do
-    graph.each_step(walk, from, function(tgt, is_own)
-      if is_own or not is_internal then
+    graph.each_step(walk, from, function(tgt, is_own, at)
+      if (is_own or not is_internal) and not (is_sure and walk.unsure[at]) then
         lists[tgt] = lists[tgt] or {}
         lists[tgt][#lists[tgt] + 1] = from
       end
@@ -55,11 +55,13 @@ end
 ---@param walk rfsm_checks.Walk
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
+---@param is_sure boolean? by steps that can be taken whatever the clocks show
 ---@return table<integer, boolean> set
-function graph.can_reach(walk, goals, is_internal)
+function graph.can_reach(walk, goals, is_internal, is_sure)
   local set = {}
   for number = 1, #walk.keys do set[number] = goals[number] end
-  return spread(walk, set, reverse(walk, is_internal), function() return true end)
+  return spread(walk, set, reverse(walk, is_internal, is_sure),
+    function() return true end)
 end
 
 -- Counts the steps without events from outside; a doo that goes on is none.

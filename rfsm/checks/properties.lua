@@ -58,10 +58,14 @@ local function check_count(count, where)
     .. opts.got(count), 3)
 end
 
+local LONGEST = 1000000 -- seconds
+
 local function check_seconds(seconds, where)
-  if opts.is_seconds(seconds) and seconds > 0 then return seconds end
-  error("rfsm_checks." .. where .. ": seconds above 0 expected, " .. opts.got(seconds),
-    3)
+  if opts.is_seconds(seconds) and seconds > 0 and seconds <= LONGEST then
+    return seconds
+  end
+  error(("rfsm_checks.%s: seconds above 0 and up to %d expected, %s"):format(where,
+    LONGEST, opts.got(seconds)), 3)
 end
 
 local function new(kind, fields)
@@ -232,6 +236,7 @@ end
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil if something was not tried and nothing was found
 ---@field vacuous? string why nothing was there to be judged
+---@field is_open? boolean it is not known, though everything was tried
 ---@field at? integer configuration that shows that it does not
 ---@field label? string of a step from there
 
@@ -312,8 +317,13 @@ function JUDGES.from(walk, judged)
   if is_empty(set) then
     judged.vacuous = "no configuration has " .. text_of(property.what)
   elseif not walk.bound then
-    find_first(walk, judged, set,
-      graph.can_reach(walk, set_of(walk, property.goal, "from")))
+    local goals = set_of(walk, property.goal, "from")
+    find_first(walk, judged, set, graph.can_reach(walk, goals))
+    local sure, is_known = graph.can_reach(walk, goals, false, true), true
+    for number = 2, #walk.keys do
+      is_known = is_known and (not set[number] or sure[number] == true)
+    end
+    judged.is_open = not is_known
   end
 end
 
@@ -430,7 +440,9 @@ function properties.judge(walk, list)
     if walk.expanded < 2 and not walk.keys[2] then
       judged.holds, judged.vacuous = nil, "the machine is never entered"
     end
-    if judged.holds == nil and not walk.bound then judged.holds = true end
+    if judged.holds == nil and not (walk.bound or judged.is_open) then
+      judged.holds = true
+    end
   end
 end
 

@@ -67,6 +67,7 @@ Puppet.__index = Puppet
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
 ---@field stands rfsm_checks.Stand[] where it can stand
 ---@field ids table<string, integer> their numbers
+---@field timed table<string, boolean> time events whose order is known
 ---@field stand rfsm_checks.Stand where it was put
 ---@field rounds integer iterations since then
 
@@ -277,7 +278,7 @@ local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "d
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.stands, part.ids, part.stand = {}, {}, {}, false
-  part.occurrences, part.rounds = {}, 0
+  part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false

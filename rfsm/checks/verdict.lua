@@ -276,8 +276,9 @@ function verdict.lines_of(witness)
   local lines = {}
   for i, step in ipairs(witness) do
     local events = step.events[1] and concat(step.events, ", ") or "no event"
-    lines[i] = ("%d. %s%s: %s"):format(i, events, choices_text(step),
-      puppet.outcome(step.taken, step.leaf))
+    local wait = i > 1 and step.at and step.at - witness[i - 1].at or 0
+    lines[i] = ("%d. %s%s%s: %s"):format(i, wait > 0 and ("+%.9g s, "):format(wait)
+      or "", events, choices_text(step), puppet.outcome(step.taken, step.leaf))
   end
   if witness.again then
     lines[#lines + 1] = ("and again from %d on"):format(witness.again)
@@ -301,6 +302,12 @@ local function premises_of(walk, options)
   local free = free_text(walk.puppet.free)
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if walk.timing and options.period then
+    texts[#texts + 1] = ("stepped every %s s"):format(rfsm.text_of(options.period))
+  elseif walk.timing then
+    texts[#texts + 1] = "stepped between any two deadlines"
+  end
+  if walk.timing then texts[#texts + 1] = "steps take no time" end
   if free then texts[#texts + 1] = free .. " free" end
   return concat(texts, "; ")
 end

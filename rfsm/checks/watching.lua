@@ -30,14 +30,20 @@ local watching = {}
 --- What is kept of a machine that is watched.
 ---@class rfsm_checks.Watched
 ---@field fsm rfsm.Machine
+---@field before function hook
+---@field after function hook
 ---@field monitors rfsm_checks.Monitor[]
 ---@field active fun(name: string): boolean
 ---@field is_timed boolean some property has a time
 ---@field now number seconds, when the iteration began
 ---@field leaf rfsm.State|false when the iteration began
 ---@field trace { text: string, at: number|false }[] the latest steps
+local Watched = {}
+Watched.__index = Watched
 
 local LONG = 10 -- steps that are kept
+
+local MARGIN = 1e-6 -- seconds; more than the error of a difference of two times
 
 local function read_clock(own)
   if not own.is_timed then return 0 end
@@ -101,7 +107,9 @@ end
 local function count_expired(own, monitor)
   local expired = 0
   for _, began in ipairs(monitor.clocks) do
-    if own.now - began > monitor.property.seconds then expired = expired + 1 end
+    if own.now - began > monitor.property.seconds + MARGIN then
+      expired = expired + 1
+    end
   end
   return expired
 end
@@ -150,10 +158,37 @@ local function monitors_of(where, given, active)
       error(("%s: property '%s' is about runs that might be: explore it"):format(where,
         judged.name), 0)
     end
-    list[i] = { name = judged.name, property = property, state = "first", clocks = {},
-      is_told = false }
+    list[i] = { name = judged.name, property = property }
   end
   return list
+end
+
+-- Has all monitors begin anew.
+local function begin(own)
+  own.trace = {}
+  for _, monitor in ipairs(own.monitors) do
+    monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
+  end
+end
+
+--- Watch no more.
+function Watched:stop()
+  rfsm.pre_step_hook_rm(self.fsm, self.before)
+  rfsm.post_step_hook_rm(self.fsm, self.after)
+end
+
+--- Return the seconds until the time of a property is over; nil if none is running. A
+-- host that sleeps until the next deadline of a timer may see to this one, too.
+---@return number? seconds
+function Watched:next_deadline()
+  local least
+  for _, monitor in ipairs(self.monitors) do
+    for _, began in ipairs(monitor.clocks) do
+      local left = began + monitor.property.seconds - read_clock(self)
+      if not least or left < least then least = left end
+    end
+  end
+  return least
 end
 
 --- Have a machine report to `err` if a property does not hold, with the latest steps.
@@ -166,7 +201,7 @@ end
 -- @raise if there is no such property or state
 ---@param fsm rfsm.Machine
 ---@param given? table<any, rfsm_checks.Property> default: the field `properties`
----@return fun() stop ends it
+---@return rfsm_checks.Watched watched its method `stop` ends it
 function watching.watch_properties(fsm, given)
   local where = "rfsm_checks.watch_properties"
   rfsm.check_machine(fsm, where)
@@ -174,20 +209,19 @@ function watching.watch_properties(fsm, given)
   if type(given) ~= "table" then
     error(where .. ": table of properties expected, " .. opts.got(given), 2)
   end
-  local own = { fsm = fsm, active = view_of(fsm), now = 0, leaf = false, trace = {},
-    is_timed = false }
+  local own = setmetatable({ fsm = fsm, active = view_of(fsm), now = 0, leaf = false,
+    is_timed = false }, Watched)
   own.monitors = monitors_of(where, given, own.active)
   for _, monitor in ipairs(own.monitors) do
     own.is_timed = own.is_timed or monitor.property.seconds ~= nil
   end
-  local function before() begin_iteration(own) end
-  local function after(_, events) end_iteration(own, events) end
-  rfsm.pre_step_hook_add(fsm, before, "before")
-  rfsm.post_step_hook_add(fsm, after)
-  return function()
-    rfsm.pre_step_hook_rm(fsm, before)
-    rfsm.post_step_hook_rm(fsm, after)
-  end
+  function own.before() begin_iteration(own) end
+  function own.after(_, events) end_iteration(own, events) end
+  begin(own)
+  rfsm.pre_step_hook_add(fsm, own.before, "before")
+  rfsm.post_step_hook_add(fsm, own.after)
+  rfsm.reset_hook_add(fsm, function() begin(own) end)
+  return own
 end
 
 return watching
