@@ -71,7 +71,8 @@ local explore = {}
 ---@field besides { states: string[], time: rfsm_checks.Time? }[]
 ---@field beside_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
----@field unsure table<integer, true> positions in `steps`: other deadlines may be first
+---@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
+-- deadlines may be first
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
@@ -191,13 +192,19 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
--- Appends where a step leads, once for each configuration.
+-- Appends where a step leads, once for each configuration, and for each group of
+-- deadlines that need not be the first.
 local function add_step(walk, seen, try, tgt)
   local step, group = try.is_internal and -tgt or tgt, try.group
+  local is_unsure = group and not group.is_sure
+  if is_unsure then
+    seen[group] = seen[group] or {}
+    seen = seen[group]
+  end
   if seen[step] == try.from then return end
   seen[step] = try.from
   walk.steps[#walk.steps + 1] = step
-  if group and not group.is_sure then walk.unsure[#walk.steps] = true end
+  if is_unsure then walk.unsure[#walk.steps] = group end
 end
 
 
@@ -466,10 +473,10 @@ function Walk:rerun(from, label)
   for i, occurrence in ipairs(events) do
     local part, event = occurrence.part, occurrence.event
     step.events[i] = text_of_event(occurrence)
-    if part.timed[event] then -- it comes by itself
-    elseif part.owner then
+    local comes_alone = part.timed[event]
+    if part.owner and not comes_alone then
       step.inside[#step.inside + 1] = { prefix = part.prefix, event = event }
-    else
+    elseif not comes_alone then
       step.values[#step.values + 1] = event
     end
   end

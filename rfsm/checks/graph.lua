@@ -64,6 +64,37 @@ function graph.can_reach(walk, goals, is_internal, is_sure)
     function() return true end)
 end
 
+-- Does each group of deadlines that can be first have a step into a set?
+local function leads_surely(walk, number, set)
+  local ways, is_counted = 0, {}
+  graph.each_step(walk, number, function(tgt, _, at)
+    local group = walk.unsure[at]
+    if group and set[tgt] and not is_counted[group] then
+      is_counted[group], ways = true, ways + 1
+    end
+    if group and ways == group.ways then is_counted.all = true end
+  end)
+  return is_counted.all
+end
+
+--- Return the set of configurations from which one of `goals` can be reached, whatever
+--- their clocks show.
+---@param walk rfsm_checks.Walk
+---@param goals table<integer, boolean>
+---@return table<integer, boolean> set
+function graph.can_surely_reach(walk, goals)
+  local set, has_grown = goals, true
+  while has_grown do
+    set, has_grown = graph.can_reach(walk, set, false, true), false
+    for number = 1, walk.expanded do
+      if not set[number] and leads_surely(walk, number, set) then
+        set[number], has_grown = true, true
+      end
+    end
+  end
+  return set
+end
+
 -- Counts the steps without events from outside; a doo that goes on is none.
 local function count_internal(walk, number)
   local count = 0

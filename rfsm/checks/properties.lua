@@ -180,8 +180,6 @@ end
 -- Returns the first half of a property that counts an event.
 local function counted(kind, count, event)
   local where = kind .. "(...)"
-  check_count(count, kind)
-  check_event(event, kind)
   return first_half(where, { within = function(seconds)
     return new(kind, { count = count, event = event,
       seconds = check_seconds(seconds, where .. ".within") })
@@ -193,14 +191,18 @@ end
 ---@param count integer steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
-function properties.at_most(count, event) return (counted("at_most", count, event)) end
+function properties.at_most(count, event)
+  return (counted("at_most", check_count(count, "at_most"),
+    check_event(event, "at_most")))
+end
 
 --- The same for the least number, from the first entry on.
 ---@param count integer
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_least(count, event)
-  return (counted("at_least", count, event))
+  return (counted("at_least", check_count(count, "at_least"),
+    check_event(event, "at_least")))
 end
 
 local function text_of(what)
@@ -319,7 +321,7 @@ function JUDGES.from(walk, judged)
   elseif not walk.bound then
     local goals = set_of(walk, property.goal, "from")
     find_first(walk, judged, set, graph.can_reach(walk, goals))
-    local sure, is_known = graph.can_reach(walk, goals, false, true), true
+    local sure, is_known = graph.can_surely_reach(walk, goals), true
     for number = 2, #walk.keys do
       is_known = is_known and (not set[number] or sure[number] == true)
     end

@@ -37,7 +37,7 @@ local puppet = {}
 --- The machines of a model, with what was asked of them in the last step.
 ---@class rfsm_checks.Puppet
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions { tr: rfsm.Transition, path: string, prefix: string }[] all
+---@field transitions table[] `tr`, `path`, and `part` with its `prefix`
 ---@field names table<string, rfsm.State> states by path
 ---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
@@ -224,7 +224,8 @@ end
 local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
   self.number_of[tr] = number
-  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix }
+  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix,
+    part = part }
   note_events(self, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)

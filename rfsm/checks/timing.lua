@@ -5,11 +5,11 @@
 -- ends are a zone. A *group* is a set of deadlines that the next step finds over, with
 -- the zone of the moment in which it begins. All deadlines of a group are equal, since
 -- the machine is stepped between any two of them; with a period they are no further
--- apart than that. In the same way as timers, the times of properties are deadlines.
+-- apart than that. The times of properties are deadlines as timers are.
 --
 -- The clock stands while a step is taken. e_at and functions of seconds have no clock:
--- they may come at any time. Zones need no extrapolation: a clock whose last deadline is
--- over is dropped, so that each of them is bounded by one.
+-- they may come at any time. Zones need no extrapolation: a clock whose last deadline
+-- is over is dropped, so that each of them is bounded by one.
 --
 -- @module rfsm.checks.timing
 -- @license BSD-3-Clause
@@ -49,7 +49,8 @@ Timing.__index = Timing
 
 --- Clocks that run, and their values.
 ---@class rfsm_checks.Time
----@field entries { clock: rfsm_checks.Clock, passed: integer }[] deadlines that are over
+---@field entries { clock: rfsm_checks.Clock, passed: integer }[] `passed`: deadlines
+-- that are over
 ---@field zone number[]
 ---@field shape string the entries as a text
 ---@field text string
@@ -61,6 +62,7 @@ Timing.__index = Timing
 ---@field over integer[] for each entry, how many deadlines
 ---@field is_over boolean there is one
 ---@field is_sure boolean if time goes on no other group can come first
+---@field ways integer how many groups can come first
 ---@field events rfsm_checks.Occurrence[]
 ---@field zone number[] when the step begins
 ---@field bounds { [1]: integer, [2]: integer, [3]: number }[] that it is made by
@@ -215,7 +217,7 @@ end
 
 local function add_group(self, groups, entries, found)
   local group = { number = #groups + 1, over = {}, is_over = found.first ~= nil,
-    is_sure = true, events = {}, zone = found.zone, bounds = found.bounds }
+    is_sure = true, ways = 0, events = {}, zone = found.zone, bounds = found.bounds }
   for i, entry in ipairs(entries) do
     group.over[i] = found.over[i]
     for n = entry.passed + 1, entry.passed + found.over[i] do
@@ -227,27 +229,32 @@ local function add_group(self, groups, entries, found)
   groups[#groups + 1] = group
 end
 
+-- Returns what is known of a group if so many deadlines of the next clock are over as
+-- well; nil if they cannot be.
+local function extended(self, entries, count, found, over)
+  local i = #found.over + 1
+  local bounds = bounds_of(self, entries[i], i, over)
+  if over > 0 and found.first and not self.period then
+    add_same(entries, i, found.first, bounds)
+  end
+  local zone = bounded(found.zone, count, bounds)
+  return zone and { over = match.with(found.over, over), zone = zone,
+    bounds = match.joined(found.bounds, bounds),
+    first = found.first or over > 0 and i or nil }
+end
+
 -- Adds all groups that agree with what was decided about the first entries.
 local function add_groups(self, groups, entries, count, found)
-  local i = #found.over + 1
-  local entry = entries[i]
-  if not entry then return add_group(self, groups, entries, found) end
-  local most = #entry.clock.deadlines - entry.passed
-  for over = 0, self.period and most or 1 do
-    if #groups >= MANY_GROUPS then
-      self.is_cut = true
-      return
-    end
-    local bounds = bounds_of(self, entry, i, over)
-    if over > 0 and found.first and not self.period then
-      add_same(entries, i, found.first, bounds)
-    end
-    local zone = bounded(found.zone, count, bounds)
-    if zone then
-      add_groups(self, groups, entries, count, { over = match.with(found.over, over),
-        zone = zone, bounds = match.joined(found.bounds, bounds),
-        first = found.first or over > 0 and i or nil })
-    end
+  local entry = entries[#found.over + 1]
+  if #groups >= MANY_GROUPS then
+    self.is_cut = true
+    return
+  elseif not entry then
+    return add_group(self, groups, entries, found)
+  end
+  for over = 0, self.period and #entry.clock.deadlines - entry.passed or 1 do
+    local longer = extended(self, entries, count, found, over)
+    if longer then add_groups(self, groups, entries, count, longer) end
   end
 end
 
@@ -269,7 +276,9 @@ local function new_groups(self, time, is_driven)
     if group.is_over then ways = ways + 1 end
     if is_soon then group.zone = zones.project(group.zone, count, sources) end
   end
-  for _, group in ipairs(groups) do group.is_sure = not group.is_over or ways == 1 end
+  for _, group in ipairs(groups) do
+    group.is_sure, group.ways = not group.is_over or ways == 1, ways
+  end
   return groups
 end
 
@@ -343,8 +352,8 @@ end
 ---@class rfsm_checks.Moments
 ---@field count integer steps
 ---@field armed integer[] for each clock, the step in which it began
----@field bounds { [1]: integer, [2]: integer, [3]: number }[] on the time from the second
--- step to the first
+---@field bounds { [1]: integer, [2]: integer, [3]: number }[] on the time to the first
+-- step from the second
 
 --- Begin a run.
 ---@return rfsm_checks.Moments

@@ -64,13 +64,37 @@ local function met_by(walk)
   return met
 end
 
+-- Returns why a transition is never taken: all of its events are timers that never
+-- expire. Empty if that is not so.
+local function timer_text(walk, entry)
+  local names = {}
+  for i, event in ipairs(entry.tr.events or {}) do
+    local is_dead = entry.part.timed[event]
+      and not walk.timing.fired[walk.puppet:occurrence(entry.part, event)]
+    if not is_dead then return "" end
+    names[i] = event
+  end
+  return names[1] and " (" .. concat(names, " and ") .. " never comes)" or ""
+end
+
+-- The same for the transitions that lead to a state.
+local function timers_text(walk, state)
+  for _, entry in ipairs(walk.puppet.transitions) do
+    local tgt, text = entry.tr.tgt, timer_text(walk, entry)
+    if tgt._id == "initial" and rfsm.is_conn(tgt) then tgt = tgt._parent end
+    if tgt == state and text ~= "" then return text end
+  end
+  return ""
+end
+
 -- States that are never active, but not those in another one.
 local function find_unreachable(walk, findings, met)
   for _, path in ipairs(walk.puppet.paths) do
     local state = walk.puppet.names[path]
     local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
     if not met.active[path] and (not above or met.active[above]) then
-      findings:add("unreachable", state, path, "active in no configuration")
+      findings:add("unreachable", state, path,
+        "active in no configuration" .. timers_text(walk, state))
     end
   end
 end
@@ -104,8 +128,8 @@ local function find_untaken(walk, findings, met, is_closed)
   end
   for number, entry in ipairs(walk.puppet.transitions) do
     if not (walk.taken[number] or is_told(entry)) then
-      findings:add("shadowed", entry.tr, entry.path, ("no step takes it (%s -> %s)")
-        :format(entry.tr.src._fqn, entry.tr.tgt._fqn))
+      findings:add("shadowed", entry.tr, entry.path, ("no step takes it (%s -> %s)%s")
+        :format(entry.tr.src._fqn, entry.tr.tgt._fqn, timer_text(walk, entry)))
     end
   end
 end

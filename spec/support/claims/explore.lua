@@ -240,8 +240,8 @@ local function explored(walk)
   return shown
 end
 
--- Follows a witness on a machine of its own, which is given to `watch`; returns a set of
--- texts of what it shows.
+-- Follows a witness on a machine of its own, which is given to `watch`; returns a set
+-- of texts of what it shows.
 local function follow(chart, witness, choice, watch)
   local answers, at, fsm = {}, 0, nil
   local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
