@@ -121,7 +121,8 @@ describe("timers of active states", function()
       [2] = go("a", "c", "e_x"), [4] = go("c", "b", "e_after(3)"),
       [3] = go("b", "b", "e_x") }
     local function way(name) return from("root.c.y").can_reach(name) end
-    assert.equal("p: not known", verdict(model, way "root.c.z"))
+    assert.equal("p: not known, it depends on when timers expire",
+      verdict(model, way "root.c.z"))
     assert.equal(HOLDS, verdict(model, way "root.b"))
   end)
 end)
@@ -257,7 +258,7 @@ describe("a watched machine", function()
     rfsm.run(fsm)
     rfsm.run(fsm)
     assert.equal(1, #told)
-    assert.matches("\n  3. e_x: root.a %-> root.b\n", told[1])
+    assert.matches("\n  2. e_x: root.a %-> root.b\n", told[1])
     assert.matches("\n  and then %+?2.5 s$", told[1])
     rfsm.reset(fsm)
     assert.is_nil(watched:next_deadline())

@@ -348,7 +348,8 @@ end
 
 local function walk_all(walk, options)
   local at, seen, began = 1, {}, os_clock()
-  while walk.keys[at] do
+  local judged = walk.monitored[1] or {}
+  while walk.keys[at] and judged.holds == nil do
     local bound = find_bound(walk, options, at, began)
     if bound then
       note_untried(walk, bound, "what lies behind the bound on " .. bound)

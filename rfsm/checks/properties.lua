@@ -238,6 +238,8 @@ end
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil if something was not tried and nothing was found
 ---@field vacuous? string why nothing was there to be judged
+---@field is_monitored boolean
+---@field walk rfsm_checks.Walk
 ---@field is_open? boolean it is not known, though everything was tried
 ---@field at? integer configuration that shows that it does not
 ---@field label? string of a step from there
@@ -398,7 +400,16 @@ local function watch_steps(walk, afters)
   end
 end
 
---- Prepare a walk for properties.
+-- Has a walk take steps with the event of a property.
+local function want_event(walk, judged)
+  local event = judged.property.event
+  walk.wanted[#walk.wanted + 1], walk.puppet.wanted[event] = event, false
+  if monitors.follows[judged.property.kind] and not walk.is_together_given then
+    walk.together = 2
+  end
+end
+
+--- Prepare a walk for properties, but for those that have a monitor.
 ---@param walk rfsm_checks.Walk
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list sorted by name
@@ -410,19 +421,24 @@ function properties.watch(walk, given)
   for _, judged in ipairs(list) do
     local kind, event = judged.property.kind, judged.property.event
     properties.check_names("rfsm_checks.explore", judged, active)
-    if event ~= nil then
-      check_maker(own, judged)
-      walk.wanted[#walk.wanted + 1], own.wanted[event] = event, false
-    end
-    if monitors.follows[kind] and not walk.is_together_given then walk.together = 2 end
+    if event ~= nil then check_maker(own, judged) end
     if kind == "after" then
+      want_event(walk, judged)
       afters[#afters + 1], walk.owed[judged] = judged, {}
-    elseif not JUDGES[kind] then
-      walk.monitored[#walk.monitored + 1] = judged
     end
+    judged.is_monitored = not JUDGES[kind]
   end
   if afters[1] then watch_steps(walk, afters) end
   return list
+end
+
+--- Prepare a walk for the monitor of a property. Each has one of its own: what the
+--- monitor has seen tells configurations apart.
+---@param walk rfsm_checks.Walk
+---@param judged rfsm_checks.Judged
+function properties.monitor(walk, judged)
+  walk.monitored[1] = judged
+  if judged.property.event ~= nil then want_event(walk, judged) end
 end
 
 -- What its monitor has seen, and what has to come some time and need not.
@@ -434,17 +450,15 @@ local function judge_monitored(walk, judged)
   if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end
 end
 
---- Judge properties when the walk is over.
-function properties.judge(walk, list)
-  for _, judged in ipairs(list) do
-    local judge = JUDGES[judged.property.kind] or judge_monitored
-    judge(walk, judged)
-    if walk.expanded < 2 and not walk.keys[2] then
-      judged.holds, judged.vacuous = nil, "the machine is never entered"
-    end
-    if judged.holds == nil and not (walk.bound or judged.is_open) then
-      judged.holds = true
-    end
+--- Judge a property when its walk is over.
+function properties.judge(walk, judged)
+  local judge = JUDGES[judged.property.kind] or judge_monitored
+  judge(walk, judged)
+  if walk.expanded < 2 and not walk.keys[2] then
+    judged.holds, judged.vacuous = nil, "the machine is never entered"
+  end
+  if judged.holds == nil and not (walk.bound or judged.is_open) then
+    judged.holds = true
   end
 end
 

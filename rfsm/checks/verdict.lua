@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
+local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
@@ -40,7 +41,8 @@ Exploration.__index = Exploration
 ---@field holds boolean|nil nil: not known
 ---@field vacuous? string it holds because of this reason alone
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
----@field premise string behind those of the exploration; may be empty
+---@field premises string
+---@field reason string why it is not known though everything was tried; may be empty
 
 -- Findings ........................................................................
 
@@ -267,12 +269,57 @@ local function find_traps(walk, findings)
   end
 end
 
-local function find_violations(walk, result, list)
+-- Premises and properties .........................................................
+
+local NUMBERS = { "one event", "two events", "three events" }
+
+-- Returns what is not known of a chart, and is tried in each way: "guards and doos".
+local function free_text(free)
+  local names = rfsm.sorted_keys(free)
+  local last = table.remove(names)
+  return names[1] and concat(names, ", ") .. " and " .. last or last
+end
+
+-- Returns the premises of a walk: "one event a step; guards and timers free".
+local function premises_of(walk, options)
+  local free = free_text(walk.puppet.free)
+  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
+  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if walk.timing and options.period then
+    texts[#texts + 1] = ("stepped every %s s"):format(rfsm.text_of(options.period))
+  elseif walk.timing then
+    texts[#texts + 1] = "stepped between any two deadlines"
+  end
+  if walk.timing then texts[#texts + 1] = "steps take no time" end
+  if free then texts[#texts + 1] = free .. " free" end
+  return concat(texts, "; ")
+end
+
+-- Notes what the walk of a property has not tried.
+local function note_bound(result, judged)
+  if judged.holds ~= nil then return end
+  result.bound = result.bound or judged.walk.bound
+  for _, text in ipairs(judged.walk.untried) do
+    if not match.has(result.untried, text) then
+      result.untried[#result.untried + 1] = text
+    end
+  end
+end
+
+-- Judges the properties, those with monitors on walks of their own.
+local function find_violations(walk, result, list, model, options)
   for i, judged in ipairs(list) do
-    local witness = judged.at and walk:witness(judged.at, judged.label, judged.cycle)
+    judged.walk = not judged.is_monitored and walk
+      or explore.walk(model, options, function(new) properties.monitor(new, judged) end)
+    properties.judge(judged.walk, judged)
+    local witness = judged.at
+      and judged.walk:witness(judged.at, judged.label, judged.cycle)
     result.properties[i] = { name = judged.name, holds = judged.holds,
       vacuous = judged.holds and judged.vacuous or nil, witness = witness,
-      premise = monitors.owes[judged.property.kind] and "; doos end" or "" }
+      reason = judged.is_open and ", it depends on when timers expire" or "",
+      premises = premises_of(judged.walk, options)
+        .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
+    note_bound(result, judged)
     if judged.holds == false then
       witness.rests = judged.rests
       result.findings:add("violated", nil, judged.name, "does not hold").witness =
@@ -312,37 +359,13 @@ function verdict.lines_of(witness)
   return lines
 end
 
-local NUMBERS = { "one event", "two events", "three events" }
-
--- Returns what is not known of a chart, and is tried in each way: "guards and doos".
-local function free_text(free)
-  local names = rfsm.sorted_keys(free)
-  local last = table.remove(names)
-  return names[1] and concat(names, ", ") .. " and " .. last or last
-end
-
--- Returns the premises of a walk: "one event a step; guards and timers free".
-local function premises_of(walk, options)
-  local free = free_text(walk.puppet.free)
-  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
-  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
-  if walk.timing and options.period then
-    texts[#texts + 1] = ("stepped every %s s"):format(rfsm.text_of(options.period))
-  elseif walk.timing then
-    texts[#texts + 1] = "stepped between any two deadlines"
-  end
-  if walk.timing then texts[#texts + 1] = "steps take no time" end
-  if free then texts[#texts + 1] = free .. " free" end
-  return concat(texts, "; ")
-end
-
 local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
   .. "properties hold are not known"
 
-local function property_text(judged, premises)
-  if judged.holds == nil then return judged.name .. ": not known" end
+local function property_text(judged)
+  if judged.holds == nil then return judged.name .. ": not known" .. judged.reason end
   local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
-  return ("%s: holds%s (%s%s)"):format(judged.name, how, premises, judged.premise)
+  return ("%s: holds%s (%s)"):format(judged.name, how, judged.premises)
 end
 
 local function add_finding_lines(lines, finding)
@@ -368,7 +391,7 @@ function verdict.summary(result, has_numbers)
   if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
   for _, judged in ipairs(result.properties) do
     if judged.holds ~= false then
-      lines[#lines + 1] = property_text(judged, result.premises)
+      lines[#lines + 1] = property_text(judged)
     end
   end
   return lines
@@ -410,13 +433,12 @@ function verdict.of(model, options)
   local walk = explore.walk(model, options, function(new)
     list = properties.watch(new, properties_of(model, options))
   end)
-  properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
     transitions = #walk.puppet.transitions, taken = count_of(walk.taken),
     bound = walk.bound, untried = walk.untried, findings = static.new_list(),
     properties = {}, premises = premises_of(walk, options) }, Exploration)
   local findings = result.findings
-  find_violations(walk, result, list)
+  find_violations(walk, result, list, model, options)
   find_dead_ends(walk, findings)
   find_endless(walk, findings)
   if not walk.bound and walk.keys[2] then
