@@ -39,6 +39,7 @@ build = {
     ["rfsm.checks.codes"] = "rfsm/checks/codes.lua",
     ["rfsm.checks.command"] = "rfsm/checks/command.lua",
     ["rfsm.checks.coverage"] = "rfsm/checks/coverage.lua",
+    ["rfsm.checks.data"] = "rfsm/checks/data.lua",
     ["rfsm.checks.explore"] = "rfsm/checks/explore.lua",
     ["rfsm.checks.fairness"] = "rfsm/checks/fairness.lua",
     ["rfsm.checks.graph"] = "rfsm/checks/graph.lua",

@@ -239,6 +239,92 @@ describe("a property with a time", function()
   end)
 end)
 
+-- Small models of textbooks on timed automata, as charts. A timer of a chart comes
+-- after its time, and not at it, so the train and its gate need a period and room.
+describe("a textbook model", function()
+  local function silent(members)
+    members.warn, members.info = false, false
+    return state(members)
+  end
+
+  -- Two quick clicks for bright light (the lamp of the UPPAAL tutorial).
+  local function lamp()
+    return silent { off = state {}, bright = state {},
+      low = state { quick = state {}, slow = state {}, go("initial", "quick"),
+        go("quick", "slow", "e_after(5)") },
+      go("initial", "off"), go("off", "low", "e_press"),
+      go("root.low.quick", "bright", "e_press", { pn = 1 }),
+      go("root.low.slow", "off", "e_press"), go("bright", "off", "e_press") }
+  end
+
+  -- The train needs `near` seconds at least and 5 at most; the controller waits for a
+  -- second, and the gate moves for one (the crossing of Alur and Dill, one passage).
+  local function crossing(near)
+    local train = silent { away = state {}, far = state {}, close = state {},
+      inside = state {}, gone = state { final = true }, go("initial", "away"),
+      go("away", "far", "e_approach"),
+      go("far", "close", ("e_after(%g)"):format(near)),
+      go("close", "inside", { "e_in", ("e_after(%g)"):format(5 - near) }),
+      go("inside", "gone", "e_out") }
+    local gate = silent { up = state {}, waiting = state {}, lowering = state {},
+      down = state { final = true }, go("initial", "up"),
+      go("up", "waiting", "e_approach"), go("waiting", "lowering", "e_after(1)"),
+      go("lowering", "down", "e_after(1)") }
+    return silent { both = rfsm.seqand { train = train, gate = gate },
+      go("initial", "both") }
+  end
+
+  local function is_safe(active)
+    return not active "root.both.train.inside" or active "root.both.gate.down"
+  end
+
+  local function is_down(active)
+    return active "root.both.gate.up" or active "root.both.gate.down"
+  end
+
+  -- A heartbeat with a timeout.
+  local function heart()
+    return silent { alive = state {}, dead = state { final = true },
+      go("initial", "alive"), go("alive", "alive", "e_beat"),
+      go("alive", "dead", "e_after(1.5)") }
+  end
+
+  local always = rfsm_checks.always
+  local CASES = {
+    { name = "the lamp becomes bright", model = lamp(), holds = true,
+      property = from "root.off".can_reach "root.bright" },
+    { name = "bright light needs a quick click", model = lamp(), holds = true,
+      property = rfsm_checks.precedes("root.low.quick", "root.bright") },
+    { name = "a click is quick for 5 s", model = lamp(), holds = true,
+      property = from "root.low.quick".left_within(5) },
+    { name = "low light ends some time", model = lamp(), holds = false,
+      property = from "root.low".left_within(60) },
+    { name = "the gate is down while a train is inside", model = crossing(3),
+      period = 0.1, property = always(is_safe), holds = true },
+    { name = "a train that comes in 2 s is too quick", model = crossing(2),
+      period = 0.1, property = always(is_safe), holds = false },
+    { name = "the gate moves for 2.2 s at most", model = crossing(3), period = 0.1,
+      property = from(function(active) return not is_down(active)
+        and active "root.both" end).left_within(2.2), holds = true },
+    { name = "the gate moves for 2 s at most", model = crossing(3), period = 0.1,
+      property = from(function(active) return not is_down(active)
+        and active "root.both" end).left_within(2), holds = false },
+    { name = "a heart without a beat is alive for 1.5 s", model = heart(),
+      holds = true, property = from "root.alive".stays(1.5) },
+    { name = "and no longer, if it beats", model = heart(), holds = false,
+      property = from "root.alive".left_within(1.5) },
+    { name = "a heart that beats dies", model = heart(), holds = false,
+      property = after "e_beat".leads_to "root.dead" },
+  }
+  for _, case in ipairs(CASES) do
+    it("has it that " .. case.name .. (case.holds and "" or ": no"), function()
+      local result = rfsm_checks.explore(case.model, { properties = { case.property },
+        period = case.period })
+      assert.equal(case.holds, result.properties[1].holds)
+    end)
+  end
+end)
+
 describe("a watched machine", function()
   it("reports what comes too late, on its clock", function()
     local now, told = 100, {}

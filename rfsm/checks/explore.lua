@@ -15,6 +15,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local data = require "rfsm.checks.data"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
@@ -39,6 +40,11 @@ local explore = {}
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
+---@field vars? table<string, any> fields that callbacks in `run` read and set
+---@field run? function[] callbacks that are called
+---@field exclusive? function[] guards of which one at most is true in a step; or lists
+---@field complementary? function[] one is, and no other; or lists
+---@field same? function[] guards that answer once a step
 ---@field timers? "in order"|"free" free: a time event may come at any time
 ---@field period? number seconds, the longest time between two steps
 ---@field properties? table<any, table> see `rfsm_checks.never` and others
@@ -68,7 +74,7 @@ local explore = {}
 ---@field wanted any[] events that properties look at
 ---@field monitored rfsm_checks.Judged[] properties whose monitors run along
 ---@field is_beside boolean something is kept beside configurations: in `besides`
----@field besides { states: string[], time: rfsm_checks.Time? }[]
+---@field besides table[] `states` of monitors, `time`, `values` of fields, `shape`
 ---@field beside_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
@@ -96,16 +102,27 @@ function Walk:configuration(number)
   return conf
 end
 
--- Returns the key of what is kept beside a configuration; empty if nothing is.
+-- Returns the key of what is kept beside a configuration; empty if nothing is. A second
+-- result is the problem of a value that is not followed.
 local function key_of_beside(walk, states, time)
   if not walk.is_beside then return "" end
-  local text = concat(states, ",") .. (time and "@" .. time.text or "")
+  local values, text = data.read(walk.puppet)
+  if not values then return nil, text end
+  local shape = concat(states, ",") .. "/" .. text
+  text = shape .. (time and "@" .. time.text or "")
   local id = walk.beside_ids[text]
   if not id then
     id = #walk.besides + 1
-    walk.besides[id], walk.beside_ids[text] = { states = states, time = time }, id
+    walk.besides[id] = { states = states, time = time, values = values, shape = shape }
+    walk.beside_ids[text] = id
   end
   return "|" .. id
+end
+
+-- Has the puppet stand in a configuration.
+local function put(walk, conf)
+  walk.puppet:put(conf)
+  if conf.beside then data.put(walk.puppet, conf.beside.values) end
 end
 
 --- Does an event wait in a configuration, so that run would go on?
@@ -121,7 +138,7 @@ local function find_known(walk, key)
   local before, id = key:match("^(.*)|(%d+)$")
   local beside = walk.besides[tonumber(id)]
   local time, kin = beside.time, walk.kin
-  local name = ("%s|%s@%s"):format(before, concat(beside.states, ","), time.shape)
+  local name = ("%s|%s@%s"):format(before, beside.shape, time.shape)
   kin[name] = kin[name] or {}
   for _, number in ipairs(kin[name]) do
     local other = walk.besides[tonumber(walk.keys[number]:match("|(%d+)$"))].time
@@ -228,7 +245,10 @@ local function key_after(walk, try, label)
   if walk.timing then
     time, sources = walk.timing:after(beside.time, try.group, walk, clocks)
   end
-  return key .. key_of_beside(walk, states, time), sources
+  local behind, problem = key_of_beside(walk, states, time)
+  if behind then return key .. behind, sources end
+  note_untried(walk, "values", problem)
+  return nil, sources
 end
 
 -- Takes a step once for each choice, and calls f(key, label) after it; `key` is nil if
@@ -236,18 +256,23 @@ end
 local function each_choice(walk, try, f)
   local own, choices, tries = walk.puppet, {}, 0
   repeat
-    own:put(try.conf)
+    put(walk, try.conf)
     local ended, asked, text = own:step(try.events, choices), own.asked, nil
     local function label()
       text = text or label_of(try, choices, asked)
       return text
     end
     walk.count, tries = walk.count + 1, tries + 1
-    f(ended and (key_after(walk, try, label)), label)
+    if ended then
+      local key = key_after(walk, try, label)
+      if key then f(key, label) end
+    else
+      f(nil, label)
+    end
     if tries == MANY_CHOICES then
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
     end
-  until tries == MANY_CHOICES or not puppet.next_choices(choices, asked)
+  until tries == MANY_CHOICES or not puppet.next_choices(choices, asked, own.is_known)
 end
 
 -- Takes a step, once for each choice, and notes what it does.
@@ -408,6 +433,11 @@ local KNOWN = {
   sends = { "table of lists", stubs.check_sends, {} },
   dry_run = { "boolean", is_boolean, false },
   flags = { "table of flags", stubs.check_flags, {} },
+  vars = { "table of ranges", data.check_vars },
+  run = { "list of functions", data.check_functions },
+  exclusive = { "list of guards", data.check_groups },
+  complementary = { "list of guards", data.check_groups },
+  same = { "list of guards", data.check_groups },
   timers = { "'free' or 'in order'", is_order, "in order" },
   period = { "seconds above 0", is_period },
   properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
@@ -438,6 +468,7 @@ function explore.walk(model, options, prepare)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
   walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
+    or own.var_names[1] ~= nil
   find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
     walk.timing and walk.timing.none), 0, function() return "" end)
   walk_all(walk, settings)
@@ -469,7 +500,7 @@ function Walk:rerun(from, label)
   local step = { events = {}, values = {}, inside = {}, choices = {} }
   local events, choices, number = read_label(self, label)
   local conf = self:configuration(from)
-  own:put(conf)
+  put(self, conf)
   own:step(events, choices)
   for i, occurrence in ipairs(events) do
     local part, event = occurrence.part, occurrence.event

@@ -18,6 +18,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local data = require "rfsm.checks.data"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
@@ -53,6 +54,7 @@ local puppet = {}
 ---@field choices boolean[] in the order in which they were asked
 ---@field askers string[] who asked: the path of a transition or leaf
 ---@field is_doo boolean[] whether that was a doo
+---@field is_known boolean[] whether there was no choice
 ---@field asked integer how many there were
 ---@field taken integer[] numbers of the transitions that the last step took
 local Puppet = {}
@@ -106,11 +108,14 @@ local NOTHING = {}
 
 -- The machines ....................................................................
 
--- Asks for the next of the choices that were set; the default is true.
-function Puppet:choose(who, is_doo)
+-- Asks for the next of the choices that were set; the default is true. One that is
+-- known has no other side.
+function Puppet:choose(who, is_doo, known)
   local n = self.asked + 1
   self.asked = n
   self.askers[n], self.is_doo[n] = who, is_doo or false
+  self.is_known[n] = known ~= nil
+  if known ~= nil then self.choices[n] = known end
   if self.choices[n] == nil then self.choices[n] = true end
   return self.choices[n]
 end
@@ -229,7 +234,8 @@ local function make_transition(self, part, tr)
   note_events(self, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)
-    tr.guard, self.free.guards = function() return self:choose(path) end, true
+    if not self.runs[tr.guard] then self.free.guards = true end
+    tr.guard = data.new_guard(self, path, tr.guard)
   end
   local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
   tr.likely = nil
@@ -467,6 +473,7 @@ function Puppet:step(events, choices)
   clear(self.moments)
   clear(self.last_events)
   clear(self.called)
+  for guard in pairs(self.answers) do self.answers[guard] = nil end -- any order: all
   for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
   for i = 1, #events do
@@ -484,10 +491,10 @@ function Puppet:step(events, choices)
 end
 
 --- Set the next choices to try; false if all were tried.
-function puppet.next_choices(choices, asked)
+function puppet.next_choices(choices, asked, is_known)
   for i = #choices, asked + 1, -1 do choices[i] = nil end
   for i = asked, 1, -1 do
-    if choices[i] then
+    if choices[i] and not is_known[i] then
       choices[i] = false
       return true
     end
@@ -639,17 +646,20 @@ function puppet.new(model, options)
     names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
-    choices = {}, askers = {}, is_doo = {}, asked = 0,
+    choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
     notes_events = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
+  data.read_options(self, options)
   add_parts(self, new_machine(self, model))
   stubs.check_flag_names(self)
   stubs.check_names(self, self.flags_of, "flags")
   stubs.check_names(self, self.sends, "sends")
   check_alphabet(self, options.alphabet)
+  data.check_met(self, options)
+  data.check_first(self)
   return self
 end
 

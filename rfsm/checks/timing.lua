@@ -20,7 +20,7 @@ local zones = require "rfsm.checks.zones"
 
 local ipairs, math, rawget, setmetatable = ipairs, math, rawget, setmetatable
 local table = table
-local concat, floor, max = table.concat, math.floor, math.max
+local concat, floor = table.concat, math.floor
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local timing = {}
@@ -141,7 +141,7 @@ local function set_unit(self, walk)
       self.unit = greatest_divisor(self.unit, deadline)
     end
   end
-  self.unit = max(self.unit, 1)
+  if self.unit == 0 then self.unit = BILLION end
   for _, clock in ipairs(all) do
     for i, deadline in ipairs(clock.deadlines) do
       clock.deadlines[i] = floor(deadline / self.unit)

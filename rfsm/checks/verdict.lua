@@ -27,7 +27,7 @@ local verdict = {}
 ---@field steps integer that were run
 ---@field transitions integer how many the chart has
 ---@field taken integer how many of them some step takes
----@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"
+---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
 ---@field untried string[] what was not tried, as texts; empty without a bound
 ---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
@@ -291,6 +291,7 @@ local function premises_of(walk, options)
     texts[#texts + 1] = "stepped between any two deadlines"
   end
   if walk.timing then texts[#texts + 1] = "steps take no time" end
+  for _, text in ipairs(walk.puppet.rule_texts) do texts[#texts + 1] = text end
   if free then texts[#texts + 1] = free .. " free" end
   return concat(texts, "; ")
 end

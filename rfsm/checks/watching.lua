@@ -78,14 +78,19 @@ local function has_timer(fsm)
   return rfsm_timeevent ~= nil and rfsm_timeevent.next_deadline(fsm) ~= nil
 end
 
+-- Do the events come from the engine alone?
+local function are_internal(events)
+  for i = 1, #events do
+    if match.maker_of(events[i]) ~= "engine" then return false end
+  end
+  return true
+end
+
 -- Notes a step in which something came or changed.
 local function note_step(own, events)
-  local texts, leaf, is_idle_step = {}, own.fsm._act_leaf, true
-  for i = 1, #events do
-    texts[i] = rfsm.text_of(events[i])
-    is_idle_step = is_idle_step and match.maker_of(events[i]) == "engine"
-  end
-  if is_idle_step and leaf == own.leaf then return end
+  local texts, leaf = {}, own.fsm._act_leaf
+  if leaf == own.leaf and are_internal(events) then return end
+  for i = 1, #events do texts[i] = rfsm.text_of(events[i]) end
   local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
     .. (own.leaf and own.leaf._fqn .. " -> " or "") .. (leaf and leaf._fqn or "none")
   own.trace[#own.trace + 1] = { text = text, at = own.is_timed and own.now }

@@ -56,6 +56,35 @@ local function properties_of(chart, random)
   return properties
 end
 
+-- Data ----------------------------------------------------------------------------
+
+-- Puts a counter into the callbacks of some transitions of the machine itself: effects
+-- that count, and guards that look at it. They are added to `runs`.
+local function with_data(make, runs)
+  local guard, effect = make.guard, make.effect
+  function make.guard(id)
+    if not tonumber(id) or id % 2 == 0 then return guard(id) end
+    local function is_little(tr)
+      local node = tr.src
+      while not rfsm.is_root(node) do node = node._parent end
+      return node.tries < 2
+    end
+    runs[#runs + 1] = is_little
+    return is_little
+  end
+  function make.effect(id)
+    local own = effect and effect(id)
+    if not tonumber(id) or id % 3 == 0 then return own end
+    local function count(fsm, ...)
+      fsm.tries = (fsm.tries + 1) % 4
+      if own then own(fsm, ...) end
+    end
+    runs[#runs + 1] = count
+    return count
+  end
+  return make
+end
+
 -- Hosts -------------------------------------------------------------------------------
 
 -- Lists the moments at which timers of active states, or times of properties, are over.
@@ -107,8 +136,8 @@ local function run_at_random(chart, properties, options, seed)
   local fsm, now, seen, broken = nil, 0, {}, {}
   local world = { random = new_random(seed), seen = seen, sends = {}, flags = {},
     sets = {} }
-  fsm = rfsm.init(charts.model_of(chart, charts.wanderer(world,
-    function() return fsm end), ""))
+  local make = charts.wanderer(world, function() return fsm end)
+  fsm = rfsm.init(charts.model_of(chart, with_data(make, {}), ""))
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.gettime = function() return math.floor(now / MS), now % MS * 1e6 end
   end
@@ -117,6 +146,7 @@ local function run_at_random(chart, properties, options, seed)
   end
   local watched = rfsm_checks.watch_properties(fsm, properties)
   for _ = 1, claim.runs do
+    fsm.tries = 0
     for _ = 1, 2 + world.random(20) do
       if fsm._act_leaf then
         now = next_moment(fsm, watched, now, world.random, options.period)
@@ -155,8 +185,11 @@ end
 local function explore_chart(chart, properties, options)
   local function yes() return true end
   local function make() return yes end
-  local model = charts.model_of(chart, { guard = make, predicate = make, doo = make },
-    "")
+  local runs = {}
+  local model = charts.model_of(chart, with_data({ guard = make, predicate = make,
+    doo = make }, runs), "")
+  model.tries = 0
+  options.vars, options.run = { tries = { 0, 3 } }, runs[1] and runs or nil
   options.properties, options.configurations = properties, BOUND
   return rfsm_checks.explore(model, options), explore.walk(model, options)
 end
