@@ -167,8 +167,10 @@ local function dry_events(self, callback, fsm, obj, what)
   return (call_apart(callback, fsm, obj, what, {}))
 end
 
--- Returns a stub that calls a callback to be run, sets flags and sends events.
+-- Returns a stub that calls a callback to be run, sets flags and sends events; nil if
+-- there is nothing to do.
 local function new_stub(self, run, flags, events)
+  if not (flags[1] or events[1] ~= nil or run) then return nil end
   return function(own, ...)
     if run then calls.try(run, own, ...) end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
@@ -194,13 +196,9 @@ function stubs.new(self, what, path, fsm, obj, callback)
   end
   if callback then self.is_met[callback] = true end
   local run = self.runs[callback or false] and callback
-  local flags, events = self.flags_of[name] or {}, self.sends[name] or {}
-  if not (run or self.sends[name]) then
-    events = dry_events(self, callback, fsm, obj, what)
-  end
-  if flags[1] or events[1] ~= nil or run then
-    return new_stub(self, run, flags, events)
-  end
+  local events = self.sends[name] or run and {}
+    or dry_events(self, callback, fsm, obj, what)
+  return new_stub(self, run, self.flags_of[name] or {}, events)
 end
 
 -- Has the stubs that are named set a flag.
