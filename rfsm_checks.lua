@@ -29,6 +29,11 @@ local elements, text_of = rfsm.elements, rfsm.text_of
 ---@field always fun(condition: any): rfsm_checks.Property in each configuration
 ---@field after fun(event: any): table after(event).reach(condition)
 ---@field from fun(condition: any): table from(condition).can_reach(condition)
+---@field precedes fun(first: any, second: any): rfsm_checks.Property
+---@field until_ fun(first: any, second: any): rfsm_checks.Property
+---@field at_most fun(count: integer, event: any): table at_most(n, event).within(s)
+---@field at_least fun(count: integer, event: any): table
+---@field watch_properties fun(fsm: rfsm.Machine, given?: table): fun()
 local rfsm_checks = {}
 
 -- Watch: undeclared events ------------------------------------------------------
@@ -108,6 +113,9 @@ local ELSEWHERE = {
   record_witness = "rfsm.checks.rehearsal", path_of = "rfsm.checks.rehearsal",
   never = "rfsm.checks.properties", always = "rfsm.checks.properties",
   after = "rfsm.checks.properties", from = "rfsm.checks.properties",
+  precedes = "rfsm.checks.properties", until_ = "rfsm.checks.properties",
+  at_most = "rfsm.checks.properties", at_least = "rfsm.checks.properties",
+  watch_properties = "rfsm.checks.watching",
 }
 
 -- Returns a module of the folder rfsm/checks; nil if this file was copied without it.

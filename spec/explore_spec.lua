@@ -192,8 +192,7 @@ describe("explore", function()
     { { flags = { lit = { on = { "enter root.b" } } } }, "^flags: no callback 'enter "
       .. "root.b' %(did you mean 'entry root.b'%?%)$" },
     { { properties = { 7 } }, "rfsm_checks.explore: properties: never%(...%), "
-      .. "always%(...%), after%(...%).reach%(...%) or from%(...%).can_reach%(...%) "
-      .. "expected, got number$" },
+      .. "after%(...%).reach%(...%) or another property expected, got number$" },
     { { properties = { never("root.c") } }, "property 'never root.c': no state or flag "
       .. "is named 'root.c' %(did you mean 'root.a'%?%)$" },
   }

@@ -426,8 +426,8 @@ describe("rfsm-check", function()
       ["return 7"] = "FILE.lua: FILE_properties.lua: table with the field 'properties' "
         .. "expected, got number\n",
       ["return { properties = { 7 } }"] = "FILE.lua: rfsm_checks.explore: properties: "
-        .. "never(...), always(...), after(...).reach(...) or from(...).can_reach(...) "
-        .. "expected, got number\n",
+        .. "never(...), after(...).reach(...) or another property expected, got "
+        .. "number\n",
     } do
       local file = write_file("chart_properties.lua", text)
       local out, _, status = run("rfsm-check -x '" .. folder .. "/chart.lua'")

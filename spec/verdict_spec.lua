@@ -46,7 +46,7 @@ describe("a verdict", function()
 
   it("has time events, whatever the alphabet is", function()
     assert.equal(VIOLATED .. "  1. no event: root.trans[1] -> root.red\n"
-      .. "  2. e_after(20)@root.red: root.trans[2] -> root.green",
+      .. "  2. +20.001 s, e_after(20)@root.red: root.trans[2] -> root.green",
       verdict(light(), never "root.green", { alphabet = { "e_button" } }))
   end)
 
@@ -112,8 +112,13 @@ describe("a verdict", function()
   it("names the number of events, and what is free", function()
     local model = chart { [4] = go("a", "b", { "e_x", "e_after(1)" }, { guard = yes }),
       [5] = go("b", "c", "e_c"), c = state { doo = yes }, [6] = go("c", "a", "e_x") }
-    local premises = "; doos, guards and timers free)"
+    local premises = "; stepped between any two deadlines; steps take no time; doos "
+      .. "and guards free)"
     local holds = always "root"
+    assert.equal("p: holds (one event a step; doos, guards and timers free)",
+      verdict(model, holds, { timers = "free" }))
+    assert.equal("p: holds (one event a step; stepped every 0.5 s; steps take no time; "
+      .. "doos and guards free)", verdict(model, holds, { period = 0.5 }))
     assert.equal("p: holds (one event a step" .. premises, verdict(model, holds))
     assert.equal("p: holds (two events a step" .. premises,
       verdict(model, holds, { together = 2 }))
@@ -198,9 +203,9 @@ describe("a verdict", function()
       [5] = go("c", "b", "e_x") }
     local text = verdict(model, never "root.b.arm.right", { alphabet = {} })
     assert.equal("p: holds (one event a step; no event outside of the alphabet; "
-      .. "timers free)", text)
+      .. "stepped between any two deadlines; steps take no time)", text)
     text = verdict(model, never "root.b.arm.right")
-    assert.matches("3. e_after%(1%)@root.left in root.b.arm: "
+    assert.matches("3. %+1.001 s, e_after%(1%)@root.left in root.b.arm: "
       .. "root.b.arm.trans%[2%] %-> root.b", text)
   end)
 
@@ -226,7 +231,8 @@ describe("a verdict", function()
   it("of after has time events and e_done where they come", function()
     local members = { c = state { doo = yes }, [4] = go("b", "c", "e_after(2)"),
       [5] = go("c", "a", "e_done"), [6] = go("root", "a", "e_z") }
-    local free = " (two events a step; doos and timers free)"
+    local free = " (two events a step; stepped between any two deadlines; steps take "
+      .. "no time; doos free)"
     local function not_in(name)
       return function(active) return not active(name) end
     end

@@ -14,11 +14,16 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local data = require "rfsm.checks.data"
 local opts = require "rfsm.shared.options"
 local match = require "rfsm.checks.match"
+local monitors = require "rfsm.checks.monitors"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local stubs = require "rfsm.checks.stubs"
+local timing = require "rfsm.checks.timing"
+local zones = require "rfsm.checks.zones"
 
 local assert, error, ipairs, math = assert, error, ipairs, math
 local rawget, require = rawget, require
@@ -35,6 +40,13 @@ local explore = {}
 ---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
 ---@field dry_run? boolean call entries, exits and effects once, for what they send
 ---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
+---@field vars? table<string, any> fields that callbacks in `run` read and set
+---@field run? function[] callbacks that are called
+---@field exclusive? function[] guards of which one at most is true in a step; or lists
+---@field complementary? function[] one is, and no other; or lists
+---@field same? function[] guards that answer once a step
+---@field timers? "in order"|"free" free: a time event may come at any time
+---@field period? number seconds, the longest time between two steps
 ---@field properties? table<any, table> see `rfsm_checks.never` and others
 ---@field configurations? integer stop after so many (1,000,000)
 ---@field depth? integer stop after so many steps
@@ -59,6 +71,15 @@ local explore = {}
 ---@field untried string[] what was not tried, as texts
 ---@field passed rfsm_checks.Passed[] moments of steps, each once
 ---@field count integer steps that were run
+---@field wanted any[] events that properties look at
+---@field monitored rfsm_checks.Judged[] properties whose monitors run along
+---@field is_beside boolean something is kept beside configurations: in `besides`
+---@field besides table[] `states` of monitors, `time`, `values` of fields, `shape`
+---@field beside_ids table<string, integer>
+---@field kin table<string, integer[]> configurations that differ in their times alone
+---@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
+-- deadlines may be first
+---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
 
@@ -75,7 +96,33 @@ Walk.__index = Walk
 ---@param number integer
 ---@return rfsm_checks.Configuration conf
 function Walk:configuration(number)
-  return self.puppet:configuration(self.keys[number])
+  local key = self.keys[number]
+  local conf = self.puppet:configuration(key)
+  conf.beside = self.besides[tonumber(key:match("|(%d+)$"))]
+  return conf
+end
+
+-- Returns the key of what is kept beside a configuration; empty if nothing is. A second
+-- result is the problem of a value that is not followed.
+local function key_of_beside(walk, states, time)
+  if not walk.is_beside then return "" end
+  local values, text = data.read(walk.puppet)
+  if not values then return nil, text end
+  local shape = concat(states, ",") .. "/" .. text
+  text = shape .. (time and "@" .. time.text or "")
+  local id = walk.beside_ids[text]
+  if not id then
+    id = #walk.besides + 1
+    walk.besides[id] = { states = states, time = time, values = values, shape = shape }
+    walk.beside_ids[text] = id
+  end
+  return "|" .. id
+end
+
+-- Has the puppet stand in a configuration.
+local function put(walk, conf)
+  walk.puppet:put(conf)
+  if conf.beside then data.put(walk.puppet, conf.beside.values) end
 end
 
 --- Does an event wait in a configuration, so that run would go on?
@@ -83,33 +130,53 @@ end
 ---@return boolean
 function Walk:is_driven(number) return puppet.is_driven(self:configuration(number)) end
 
+-- Returns the number of a configuration that is there: of the same key, or of one whose
+-- clocks may have all values that they have here, and more. Without one, the second
+-- result is a list of those that differ in these values alone.
+local function find_known(walk, key)
+  if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
+  local before, id = key:match("^(.*)|(%d+)$")
+  local beside = walk.besides[tonumber(id)]
+  local time, kin = beside.time, walk.kin
+  local name = ("%s|%s@%s"):format(before, beside.shape, time.shape)
+  kin[name] = kin[name] or {}
+  for _, number in ipairs(kin[name]) do
+    local other = walk.besides[tonumber(walk.keys[number]:match("|(%d+)$"))].time
+    if zones.includes(other.zone, time.zone) then return number end
+  end
+  return nil, kin[name]
+end
+
 -- Returns the number of a configuration; a new one is to be looked at later.
 local function find_configuration(walk, key, from, label)
-  local number = walk.numbers[key]
+  local number, kin = find_known(walk, key)
   if number then return number end
   number = #walk.keys + 1
+  if kin then kin[#kin + 1] = number end
   walk.keys[number], walk.numbers[key] = key, number
   walk.from[number], walk.labels[number] = from, label()
   walk.depths[number] = from > 0 and walk.depths[from] + 1 or 0
   return number
 end
 
--- Returns the events of a step by number, and its choices: "3,5:101".
-local function label_of(events, choices, asked)
+-- Returns the events of a step by number, its choices, and the number of the group of
+-- deadlines that were over: "3,5:101@2".
+local function label_of(try, choices, asked)
   local numbers, digits = {}, {}
-  for i, event in ipairs(events) do numbers[i] = event.number end
+  for i, event in ipairs(try.events) do numbers[i] = event.number end
   for i = 1, asked do digits[i] = choices[i] and "1" or "0" end
   return concat(numbers, ",") .. ":" .. concat(digits)
+    .. (try.group and "@" .. try.group.number or "")
 end
 
 local function read_label(walk, label)
-  local numbers, digits = label:match("^(.*):(.*)$")
+  local numbers, digits, group = label:match("^([%d,]*):(%d*)@?(%d*)$")
   local events, choices = {}, {}
   for number in numbers:gmatch("%d+") do
     events[#events + 1] = walk.puppet.occurrences[tonumber(number)]
   end
   for digit in digits:gmatch("%d") do choices[#choices + 1] = digit == "1" end
-  return events, choices
+  return events, choices, tonumber(group)
 end
 
 -- Steps .............................................................................
@@ -142,41 +209,87 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
--- Appends where a step leads, once for each configuration.
-local function add_step(walk, seen, from, tgt, is_internal)
-  local step = is_internal and -tgt or tgt
-  if seen[step] == from then return end
-  seen[step] = from
+-- Appends where a step leads, once for each configuration, and for each group of
+-- deadlines that need not be the first.
+local function add_step(walk, seen, try, tgt)
+  local step, group = try.is_internal and -tgt or tgt, try.group
+  local is_unsure = group and not group.is_sure
+  if is_unsure then
+    seen[group] = seen[group] or {}
+    seen = seen[group]
+  end
+  if seen[step] == try.from then return end
+  seen[step] = try.from
   walk.steps[#walk.steps + 1] = step
+  if is_unsure then walk.unsure[#walk.steps] = group end
 end
+
 
 local MANY_CHOICES = 4096
 
--- Takes a step with these events, once for each choice.
-local function try_events(walk, from, conf, events, seen)
+--- A step that is tried: its events, and deadlines that are over when it begins.
+---@class rfsm_checks.Try
+---@field from integer
+---@field conf rfsm_checks.Configuration
+---@field events rfsm_checks.Occurrence[] those of timers behind the others
+---@field is_internal boolean no event from outside and no deadline is among them
+---@field group rfsm_checks.Group|false
+
+-- Returns the key of the configuration that the last step has led to, and where its
+-- clocks come from.
+local function key_after(walk, try, label)
+  local key, beside = walk.puppet:read(), try.conf.beside
+  if not walk.is_beside then return key end
+  local states, clocks = monitors.after(walk, try, key, label)
+  local time, sources = false, nil
+  if walk.timing then
+    time, sources = walk.timing:after(beside.time, try.group, walk, clocks)
+  end
+  local behind, problem = key_of_beside(walk, states, time)
+  if behind then return key .. behind, sources end
+  note_untried(walk, "values", problem)
+  return nil, sources
+end
+
+-- Takes a step once for each choice, and calls f(key, label) after it; `key` is nil if
+-- the step does not end.
+local function each_choice(walk, try, f)
   local own, choices, tries = walk.puppet, {}, 0
   repeat
-    own:put(conf)
-    local ended, asked, text = own:step(events, choices), own.asked, nil
+    put(walk, try.conf)
+    local ended, asked, text = own:step(try.events, choices), own.asked, nil
     local function label()
-      text = text or label_of(events, choices, asked)
+      text = text or label_of(try, choices, asked)
       return text
     end
     walk.count, tries = walk.count + 1, tries + 1
-    note(walk, from, label)
     if ended then
-      local tgt = find_configuration(walk, own:read(), from, label)
-      add_step(walk, seen, from, tgt, events[1] == nil)
-      if tgt ~= from or own.taken[1] then walk.moves[from] = true end
-      note_passed(walk, from, tgt, label)
-      walk:look(from, tgt, events, label)
+      local key = key_after(walk, try, label)
+      if key then f(key, label) end
     else
-      walk.endless = walk.endless or { from = from, label = label() }
+      f(nil, label)
     end
     if tries == MANY_CHOICES then
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
     end
-  until tries == MANY_CHOICES or not puppet.next_choices(choices, asked)
+  until tries == MANY_CHOICES or not puppet.next_choices(choices, asked, own.is_known)
+end
+
+-- Takes a step, once for each choice, and notes what it does.
+local function try_step(walk, try, seen)
+  local own, from = walk.puppet, try.from
+  each_choice(walk, try, function(key, label)
+    note(walk, from, label)
+    if not key then
+      walk.endless = walk.endless or { from = from, label = label() }
+      return
+    end
+    local tgt = find_configuration(walk, key, from, label)
+    add_step(walk, seen, try, tgt)
+    if tgt ~= from or own.taken[1] then walk.moves[from] = true end
+    note_passed(walk, from, tgt, label)
+    walk:look(from, tgt, try.events, label)
+  end)
 end
 
 -- Lists the sets of up to `most` of the events, smaller ones first.
@@ -191,24 +304,61 @@ local function sets_of(list, most)
   return sets
 end
 
--- Takes all steps from a configuration.
-local function expand(walk, from, seen)
+-- Calls f(try) for the sets of events from outside that come together with the
+-- deadlines of a group.
+local function each_set(from, conf, group, sets, f)
+  local timers = group and group.events or {}
+  for _, set in ipairs(sets) do
+    if set[1] ~= nil or group and group.is_over or puppet.is_busy(conf) then
+      f { from = from, conf = conf, group = group, events = match.joined(set, timers),
+        is_internal = set[1] == nil and not (group and group.is_over) }
+    end
+  end
+end
+
+local NO_GROUP = { false }
+
+-- Lists the groups of deadlines that a step from a configuration may find over.
+local function groups_of(walk, conf)
+  if not walk.timing then return NO_GROUP end
+  local groups = walk.timing:groups(conf.beside.time, puppet.is_driven(conf))
+  if walk.timing.is_cut then note_untried(walk, "sets", "some orders of deadlines") end
+  return groups
+end
+
+-- Calls f(try) for each set of events and deadlines from a configuration.
+local function each_try(walk, from, f)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.puppet, conf)
-  walk.first[from] = #walk.steps + 1
   if is_cut then
     note_untried(walk, "sets", ("some sets of events that paths from %s need"):format(
       conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
   end
   walk:add_wanted(list)
-  for _, events in ipairs(sets_of(list, walk.together)) do
-    if events[1] ~= nil or puppet.is_busy(conf) then
-      try_events(walk, from, conf, events, seen)
-    end
+  local sets = sets_of(list, walk.together)
+  for _, set in ipairs(needed) do
+    if #set > walk.together then sets[#sets + 1] = set end
   end
-  for _, events in ipairs(needed) do
-    if #events > walk.together then try_events(walk, from, conf, events, seen) end
+  for _, group in ipairs(groups_of(walk, conf)) do
+    each_set(from, conf, group, sets, f)
   end
+end
+
+-- Takes all steps from a configuration.
+local function expand(walk, from, seen)
+  walk.first[from] = #walk.steps + 1
+  each_try(walk, from, function(try) try_step(walk, try, seen) end)
+end
+
+--- Take all steps from a configuration again, and call f(try, tgt, label) after each.
+---@param from integer
+---@param f fun(try: rfsm_checks.Try, tgt: integer?, label: fun(): string)
+function Walk:each_step_again(from, f)
+  each_try(self, from, function(try)
+    each_choice(self, try, function(key, label)
+      f(try, key and find_known(self, key), label)
+    end)
+  end)
 end
 
 -- Bounds ............................................................................
@@ -223,7 +373,8 @@ end
 
 local function walk_all(walk, options)
   local at, seen, began = 1, {}, os_clock()
-  while walk.keys[at] do
+  local judged = walk.monitored[1] or {}
+  while walk.keys[at] and judged.holds == nil do
     local bound = find_bound(walk, options, at, began)
     if bound then
       note_untried(walk, bound, "what lies behind the bound on " .. bound)
@@ -244,7 +395,16 @@ end
 -- What is done with each step and event for properties is set by `properties.watch`.
 function Walk.look() end
 
-function Walk.add_wanted() end
+-- Adds the events that monitors and properties look at, where nothing else takes them.
+function Walk:add_wanted(list)
+  local own = self.puppet
+  for _, event in ipairs(self.wanted) do
+    local occurrence = own:occurrence(own.parts[1], event)
+    if not (own:maker_of(event) or match.has(list, occurrence)) then
+      list[#list + 1] = occurrence
+    end
+  end
+end
 
 local function is_number(x) return type(x) == "number" and x >= 0 end
 
@@ -253,6 +413,16 @@ local is_count = opts.is_whole(1, math.huge)
 local function is_table(x) return type(x) == "table" end
 
 local function is_boolean(x) return type(x) == "boolean" end
+
+local function is_period(x) return opts.is_seconds(x) and x > 0 end
+
+local TIMERS = { free = true, ["in order"] = true }
+
+local function is_order(x)
+  if TIMERS[x] then return true end
+  return false, type(x) == "string" and ("'free' or 'in order' expected, got '%s'%s")
+    :format(x, advice.nearest_name(x, rfsm.sorted_keys(TIMERS))) or nil
+end
 
 local KNOWN = {
   together = { "whole number above 0", is_count },
@@ -263,6 +433,13 @@ local KNOWN = {
   sends = { "table of lists", stubs.check_sends, {} },
   dry_run = { "boolean", is_boolean, false },
   flags = { "table of flags", stubs.check_flags, {} },
+  vars = { "table of ranges", data.check_vars },
+  run = { "list of functions", data.check_functions },
+  exclusive = { "list of guards", data.check_groups },
+  complementary = { "list of guards", data.check_groups },
+  same = { "list of guards", data.check_groups },
+  timers = { "'free' or 'in order'", is_order, "in order" },
+  period = { "seconds above 0", is_period },
   properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
 }
 
@@ -285,10 +462,15 @@ function explore.walk(model, options, prepare)
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
-    expanded = 0 }, Walk)
+    expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
+    beside_ids = {}, kin = {}, unsure = {}, timing = false }, Walk)
   check_writers(walk)
   if prepare then prepare(walk) end
-  find_configuration(walk, own:read(), 0, function() return "" end)
+  walk.timing = timing.new(walk, settings)
+  walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
+    or own.var_names[1] ~= nil
+  find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
+    walk.timing and walk.timing.none), 0, function() return "" end)
   walk_all(walk, settings)
   return walk
 end
@@ -298,6 +480,7 @@ end
 ---@field events string[] that came, as texts
 ---@field values any[] those that came to the machine itself
 ---@field inside { prefix: string, event: any }[] time events of machines inside of it
+---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
 ---@field taken string[] paths of the transitions that it takes
 ---@field leaf string|false FQN of the active leaf then
@@ -311,18 +494,21 @@ end
 ---@param from integer
 ---@param label string
 ---@return rfsm_checks.WitnessStep step what it did
+---@return rfsm_checks.Try|false try
 function Walk:rerun(from, label)
   local own = self.puppet
   local step = { events = {}, values = {}, inside = {}, choices = {} }
-  local events, choices = read_label(self, label)
-  own:put(self:configuration(from))
+  local events, choices, number = read_label(self, label)
+  local conf = self:configuration(from)
+  put(self, conf)
   own:step(events, choices)
   for i, occurrence in ipairs(events) do
     local part, event = occurrence.part, occurrence.event
     step.events[i] = text_of_event(occurrence)
-    if part.owner then
+    local comes_alone = part.timed[event]
+    if part.owner and not comes_alone then
       step.inside[#step.inside + 1] = { prefix = part.prefix, event = event }
-    else
+    elseif not comes_alone then
       step.values[#step.values + 1] = event
     end
   end
@@ -331,19 +517,35 @@ function Walk:rerun(from, label)
       is_doo = own.is_doo[i] }
   end
   step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
-  return step
+  return step, self.timing and { from = from, conf = conf, events = events,
+    group = groups_of(self, conf)[number] }
 end
 
---- Return the shortest way to a configuration, and the step given behind it.
+--- Return the shortest way to a configuration, and the step given behind it, or those
+--- of a cycle.
 ---@param number integer
 ---@param label? string
----@return rfsm_checks.WitnessStep[] witness
-function Walk:witness(number, label)
-  local steps = { label and self:rerun(number, label) }
+---@param cycle? rfsm_checks.Edge[]
+---@return rfsm_checks.WitnessStep[] witness field `again`: where the cycle begins
+function Walk:witness(number, label, cycle)
+  local way, steps = { label and { from = number, label = label } }, {}
   while self.from[number] > 0 do
-    table.insert(steps, 1, self:rerun(self.from[number], self.labels[number]))
+    table.insert(way, 1, { from = self.from[number], label = self.labels[number] })
     number = self.from[number]
   end
+  steps.again = cycle and #way + 1
+  way = match.joined(way, cycle or {})
+  local moments = timing.new_moments()
+  for i, step in ipairs(way) do
+    local try
+    steps[i], try = self:rerun(step.from, step.label)
+    if try then
+      local _, sources = key_after(self, try, function() return step.label end)
+      timing.add_moment(moments, try.group, sources)
+    end
+  end
+  local times = self.timing and self.timing:solve(moments) or {}
+  for i, step in ipairs(steps) do step.at = times[i] end
   return steps
 end
 

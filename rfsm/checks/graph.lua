@@ -8,21 +8,23 @@ local abs, min = math.abs, math.min
 
 local graph = {}
 
---- Call `f(tgt, is_internal)` for each step from a configuration.
----@param f fun(tgt: integer, is_internal: boolean)
+--- Call `f(tgt, is_internal, position)` for each step from a configuration.
+---@param walk rfsm_checks.Walk
+---@param number integer
+---@param f fun(tgt: integer, is_internal: boolean, position: integer)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
     local step = walk.steps[i]
-    if step < 0 then f(-step, true) else f(step, false) end
+    if step < 0 then f(-step, true, i) else f(step, false, i) end
   end
 end
 
--- Lists the predecessors of each configuration.
-local function reverse(walk, is_internal)
+-- Lists for each configuration those from which a step leads there.
+local function reverse(walk, is_internal, is_sure)
   local lists = {}
   for from = 1, walk.expanded do
-    graph.each_step(walk, from, function(tgt, is_own)
-      if is_own or not is_internal then
+    graph.each_step(walk, from, function(tgt, is_own, at)
+      if (is_own or not is_internal) and not (is_sure and walk.unsure[at]) then
         lists[tgt] = lists[tgt] or {}
         lists[tgt][#lists[tgt] + 1] = from
       end
@@ -52,11 +54,44 @@ end
 --- Return the set of configurations from which one of `goals` can be reached.
 ---@param goals table<integer, boolean>
 ---@param is_internal boolean? by steps without events from outside
+---@param is_sure boolean? by steps that can be taken whatever the clocks show
 ---@return table<integer, boolean> set
-function graph.can_reach(walk, goals, is_internal)
+function graph.can_reach(walk, goals, is_internal, is_sure)
   local set = {}
   for number = 1, #walk.keys do set[number] = goals[number] end
-  return spread(walk, set, reverse(walk, is_internal), function() return true end)
+  return spread(walk, set, reverse(walk, is_internal, is_sure),
+    function() return true end)
+end
+
+-- Does each group of deadlines that can be first have a step into a set?
+local function leads_surely(walk, number, set)
+  local ways, is_counted = 0, {}
+  graph.each_step(walk, number, function(tgt, _, at)
+    local group = walk.unsure[at]
+    if group and set[tgt] and not is_counted[group] then
+      is_counted[group], ways = true, ways + 1
+    end
+    if group and ways == group.ways then is_counted.all = true end
+  end)
+  return is_counted.all
+end
+
+--- Return the set of configurations from which one of `goals` can be reached, whatever
+--- their clocks show.
+---@param walk rfsm_checks.Walk
+---@param goals table<integer, boolean>
+---@return table<integer, boolean> set
+function graph.can_surely_reach(walk, goals)
+  local set, has_grown = goals, true
+  while has_grown do
+    set, has_grown = graph.can_reach(walk, set, false, true), false
+    for number = 1, walk.expanded do
+      if not set[number] and leads_surely(walk, number, set) then
+        set[number], has_grown = true, true
+      end
+    end
+  end
+  return set
 end
 
 -- Counts the steps without events from outside, but not those of a doo that goes on.
@@ -111,7 +146,9 @@ local function visit_next(walk, search, visits)
   if visit.at <= visit.last then
     local tgt = abs(walk.steps[visit.at])
     visit.at = visit.at + 1
-    if not search.order[tgt] then
+    if search.set and not search.set[tgt] then
+      return
+    elseif not search.order[tgt] then
       visits[#visits + 1] = new_visit(walk, search, tgt)
     elseif search.is_open[tgt] then
       low[visit.number] = min(low[visit.number], search.order[tgt])
@@ -135,15 +172,30 @@ local function leads_out(walk, component)
   return leaves
 end
 
+--- List the sets of configurations that lead to each other, each sorted, in the order
+--- of their first ones.
+---@param walk rfsm_checks.Walk
+---@param set? table<integer, boolean> look at these alone
+---@return integer[][] components
+function graph.components_in(walk, set)
+  local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
+    components = {}, set = set }
+  for number = 1, set and walk.expanded or 1 do
+    if not (search.order[number] or set and not set[number]) then
+      local visits = { new_visit(walk, search, number) }
+      while visits[1] do visit_next(walk, search, visits) end
+    end
+  end
+  table.sort(search.components, function(a, b) return a[1] < b[1] end)
+  return search.components
+end
+
 --- List the sets of configurations that lead to each other.
 ---@return integer[][] bottoms those that lead nowhere else, each sorted
 ---@return integer[][] others
 function graph.components(walk)
-  local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
-    components = {} }
-  local visits, bottoms, others = { new_visit(walk, search, 1) }, {}, {}
-  while visits[1] do visit_next(walk, search, visits) end
-  for _, component in ipairs(search.components) do
+  local bottoms, others = {}, {}
+  for _, component in ipairs(graph.components_in(walk)) do
     local list = leads_out(walk, component) and others or bottoms
     list[#list + 1] = component
   end

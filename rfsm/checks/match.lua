@@ -27,6 +27,14 @@ function match.with(list, event)
   return longer
 end
 
+--- Return two lists in one; the first one itself if there is nothing to add.
+function match.joined(list, more)
+  if more[1] == nil then return list end
+  local longer = { unpack(list) }
+  for i = 1, #more do longer[#longer + 1] = more[i] end
+  return longer
+end
+
 --- Is the transition one on any event?
 function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 

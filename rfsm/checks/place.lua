@@ -4,8 +4,9 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 
-local ipairs, table, type = ipairs, table, type
+local error, ipairs, table, type = error, ipairs, table, type
 local concat, sort = table.concat, table.sort
 local text_of = rfsm.text_of
 
@@ -68,6 +69,15 @@ function place.location_of(prefix) return prefix ~= "root" and prefix .. ": " or
 --- Return the location of an element of a machine: "root.par.left: root.a".
 function place.in_words(obj, prefix)
   return place.location_of(prefix) .. place.of(obj)
+end
+
+--- Raise an error for a name that nothing has.
+---@param name any
+---@param kind string "state"
+---@param names string[] those that there are
+function place.refuse_name(name, kind, names)
+  error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
+    type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
 -- Names without positions, so that tests stay right if a chart is reordered ...........

@@ -9,20 +9,28 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local fairness = require "rfsm.checks.fairness"
 local graph = require "rfsm.checks.graph"
 local match = require "rfsm.checks.match"
+local monitors = require "rfsm.checks.monitors"
+local opts = require "rfsm.shared.options"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, setmetatable, type = pcall, setmetatable, type
 local concat, sort = table.concat, table.sort
+local holds = monitors.holds
 
 local properties = {}
 
 --- Something that must hold.
 ---@class rfsm_checks.Property
----@field kind "never"|"always"|"after"|"from"
----@field what any the condition; of `after` the event
+---@field kind string "never", "after" ...: see `JUDGES` and `rfsm.checks.monitors`
+---@field what? any the condition
+---@field event? any
 ---@field goal? any the condition to be reached
+---@field seconds? number
+---@field count? integer
+---@field within? fun(seconds: number): rfsm_checks.Property
 local Property = {}
 Property.__index = Property
 
@@ -37,50 +45,164 @@ local function check_condition(what, where)
     .. "function expected, got " .. type(what), 3)
 end
 
-local function new(kind, what, goal)
-  return setmetatable({ kind = kind, what = what, goal = goal }, Property)
+local function check_event(event, where)
+  if event ~= nil then return event end
+  error("rfsm_checks." .. where .. ": event expected, got nil", 3)
+end
+
+local is_count = opts.is_whole(1, 100)
+
+local function check_count(count, where)
+  if is_count(count) then return count end
+  error("rfsm_checks." .. where .. ": whole number from 1 to 100 expected, "
+    .. opts.got(count), 3)
+end
+
+local LONGEST = 1000000 -- seconds
+
+local function check_seconds(seconds, where)
+  if opts.is_seconds(seconds) and seconds > 0 and seconds <= LONGEST then
+    return seconds
+  end
+  error(("rfsm_checks.%s: seconds above 0 and up to %d expected, %s"):format(where,
+    LONGEST, opts.got(seconds)), 3)
+end
+
+local function new(kind, fields)
+  fields.kind = kind
+  return setmetatable(fields, Property)
+end
+
+-- Returns the first half of a property: a table of the functions that make the rest.
+local function first_half(where, functions)
+  return setmetatable(functions, { __index = function(_, name)
+    error(("rfsm_checks.%s: no '%s'%s, expected: %s"):format(where, rfsm.text_of(name),
+      advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(functions)),
+      concat(rfsm.sorted_keys(functions), ", ")), 2)
+  end })
 end
 
 --- Declare that a condition holds in no configuration.
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
 function properties.never(condition)
-  return new("never", check_condition(condition, "never"))
+  return new("never", { what = check_condition(condition, "never") })
 end
 
 --- Declare that a condition holds in each configuration after the first entry.
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
 function properties.always(condition)
-  return new("always", check_condition(condition, "always"))
+  return new("always", { what = check_condition(condition, "always") })
 end
 
---- Declare what an event leads to: `after("e_stop").reach("root.stopped")`.
+-- after(event).reach(goal), which may have a time.
+local function new_reach(event, goal)
+  local property = new("after", { event = event, goal = goal })
+  function property.within(seconds)
+    return new("reach_within", { event = event, goal = goal,
+      seconds = check_seconds(seconds, "after(...).reach(...).within") })
+  end
+  return property
+end
+
+--- Declare what an event leads to, once the machine was entered.
 --
--- Once the machine was entered, it is reached in the step that has the event, or in
--- those that follow without an event from outside, whatever guards answer.
+-- `after("e_stop").reach("root.stopped")`: in the step that has the event, or in those
+-- that follow without an event from outside, whatever guards answer; `.within(5)`: when
+-- 5 seconds are over, whatever else comes. `leads_to`: some time. `never`: from the end
+-- of that step on, the condition does not hold any more.
 --
 ---@param event any
----@return { reach: fun(condition: any): rfsm_checks.Property }
+---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
 function properties.after(event)
-  if event == nil then error("rfsm_checks.after: event expected, got nil", 2) end
-  return { reach = function(goal)
-    return new("after", event, check_condition(goal, "after(...).reach"))
-  end }
+  check_event(event, "after")
+  return first_half("after(...)", {
+    reach = function(goal)
+      return new_reach(event, check_condition(goal, "after(...).reach"))
+    end,
+    leads_to = function(goal)
+      return new("leads_to", { event = event,
+        goal = check_condition(goal, "after(...).leads_to") })
+    end,
+    never = function(goal)
+      return new("after_never", { event = event,
+        goal = check_condition(goal, "after(...).never") })
+    end,
+  })
 end
 
---- Declare what stays possible: `from("root.fault").can_reach("root.ready")`.
+--- Declare what becomes of a condition.
 --
--- From each configuration in which the first condition holds, some run leads to one in
--- which the second does.
+-- `from("root.fault").can_reach("root.ready")`: from each such configuration some run
+-- leads there. `left_within(2)`: when 2 seconds are over, the condition does not hold
+-- any more. `stays(2)`: once it holds, it does so for 2 seconds.
 --
 ---@param condition any
----@return { can_reach: fun(condition: any): rfsm_checks.Property }
+---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`
 function properties.from(condition)
   check_condition(condition, "from")
-  return { can_reach = function(goal)
-    return new("from", condition, check_condition(goal, "from(...).can_reach"))
-  end }
+  return first_half("from(...)", {
+    can_reach = function(goal)
+      return new("from", { what = condition,
+        goal = check_condition(goal, "from(...).can_reach") })
+    end,
+    left_within = function(seconds)
+      return new("left_within", { what = condition,
+        seconds = check_seconds(seconds, "from(...).left_within") })
+    end,
+    stays = function(seconds)
+      return new("stays", { what = condition,
+        seconds = check_seconds(seconds, "from(...).stays") })
+    end,
+  })
+end
+
+--- Declare that one condition does not hold before another one has.
+---@param first any
+---@param second any
+---@return rfsm_checks.Property
+function properties.precedes(first, second)
+  return new("precedes", { what = check_condition(first, "precedes"),
+    goal = check_condition(second, "precedes") })
+end
+
+--- Declare that from the first entry on one condition holds until another one does,
+--- which comes some time.
+---@param first any
+---@param second any
+---@return rfsm_checks.Property
+function properties.until_(first, second)
+  return new("until", { what = check_condition(first, "until_"),
+    goal = check_condition(second, "until_") })
+end
+
+-- Returns the first half of a property that counts an event.
+local function counted(kind, count, event)
+  local where = kind .. "(...)"
+  return first_half(where, { within = function(seconds)
+    return new(kind, { count = count, event = event,
+      seconds = check_seconds(seconds, where .. ".within") })
+  end })
+end
+
+--- Declare how often an event comes in any time of some length:
+--- `at_most(3, "e_retry").within(10)`.
+---@param count integer steps with the event
+---@param event any
+---@return { within: fun(seconds: number): rfsm_checks.Property }
+function properties.at_most(count, event)
+  return (counted("at_most", check_count(count, "at_most"),
+    check_event(event, "at_most")))
+end
+
+--- The same for the least number, from the first entry on.
+---@param count integer
+---@param event any
+---@return { within: fun(seconds: number): rfsm_checks.Property }
+function properties.at_least(count, event)
+  return (counted("at_least", check_count(count, "at_least"),
+    check_event(event, "at_least")))
 end
 
 local function text_of(what)
@@ -88,10 +210,24 @@ local function text_of(what)
   return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
 end
 
+-- A text for each kind; the fields in braces are put in.
+local TEXTS = {
+  never = "never {what}", always = "always {what}",
+  after = "after {event} reach {goal}", from = "from {what} can reach {goal}",
+  leads_to = "after {event} leads to {goal}",
+  after_never = "after {event} never {goal}",
+  precedes = "{what} precedes {goal}", ["until"] = "{what} until {goal}",
+  reach_within = "after {event} reach {goal} within {seconds} s",
+  left_within = "from {what} left within {seconds} s",
+  stays = "from {what} stays {seconds} s",
+  at_most = "at most {count} {event} within {seconds} s",
+  at_least = "at least {count} {event} within {seconds} s",
+}
+
 function Property:__tostring()
-  local goal = self.kind == "after" and " reach " or " can reach "
-  return self.kind .. " " .. text_of(self.what)
-    .. (self.goal and goal .. text_of(self.goal) or "")
+  return (TEXTS[self.kind]:gsub("{(%l+)}", function(field)
+    return text_of(self[field])
+  end))
 end
 
 -- Check ...........................................................................
@@ -102,31 +238,28 @@ end
 ---@field property rfsm_checks.Property
 ---@field holds boolean|nil nil if something was not tried and nothing was found
 ---@field vacuous? string why nothing was there to be judged
+---@field is_monitored boolean
+---@field walk rfsm_checks.Walk
+---@field is_open? boolean it is not known, though everything was tried
 ---@field at? integer configuration that shows that it does not
 ---@field label? string of a step from there
 
--- Lists properties with their names, sorted.
-local function list_of(given)
+--- List properties with their names, sorted.
+---@param where string who is called, for errors
+---@param given table<any, rfsm_checks.Property>
+---@return rfsm_checks.Judged[] list
+function properties.list_of(where, given)
   local list = {}
   for key, property in pairs(given) do -- any order: sorted
     if getmetatable(property) ~= Property then
-      error("rfsm_checks.explore: properties: never(...), always(...), "
-        .. "after(...).reach(...) or from(...).can_reach(...) expected, got "
-        .. type(property), 0)
+      error(where .. ": properties: never(...), after(...).reach(...) or another "
+        .. "property expected, got " .. type(property), 0)
     end
     local name = type(key) == "string" and key or Property.__tostring(property)
     list[#list + 1] = { name = name, property = property, holds = nil }
   end
   sort(list, function(a, b) return a.name < b.name end)
   return list
-end
-
-local function holds(condition, active)
-  if type(condition) == "function" then return condition(active) and true or false end
-  for _, name in ipairs(type(condition) == "table" and condition or { condition }) do
-    if not active(name) then return false end
-  end
-  return true
 end
 
 -- Returns the set of configurations in which a condition holds; with `field`, "from" or
@@ -188,14 +321,19 @@ function JUDGES.from(walk, judged)
   if is_empty(set) then
     judged.vacuous = "no configuration has " .. text_of(property.what)
   elseif not walk.bound then
-    find_first(walk, judged, set,
-      graph.can_reach(walk, set_of(walk, property.goal, "from")))
+    local goals = set_of(walk, property.goal, "from")
+    find_first(walk, judged, set, graph.can_reach(walk, goals))
+    local sure, is_known = graph.can_surely_reach(walk, goals), true
+    for number = 2, #walk.keys do
+      is_known = is_known and (not set[number] or sure[number] == true)
+    end
+    judged.is_open = not is_known
   end
 end
 
 function JUDGES.after(walk, judged)
   local set = graph.must_reach(walk, set_of(walk, judged.property.goal))
-  local event = rfsm.text_of(judged.property.what)
+  local event = rfsm.text_of(judged.property.event)
   if not judged.has_come then
     judged.vacuous = event .. " never comes"
   elseif not judged.is_taken then
@@ -211,23 +349,25 @@ function JUDGES.after(walk, judged)
   end
 end
 
--- Raises an error for names that do not exist.
-local function check_names(walk, judged)
-  local own, property = walk.puppet, judged.property
-  local active = own:view(own:configuration(own:read()))
-  for _, condition in ipairs { property.kind ~= "after" and property.what or "root",
-    property.goal or "root" } do
+--- Raise an error for names that do not exist.
+---@param where string who is called
+---@param judged rfsm_checks.Judged
+---@param active fun(name: string): boolean
+function properties.check_names(where, judged, active)
+  local property = judged.property
+  for _, field in ipairs { "what", "goal" } do
+    local condition = property[field]
     local ok, problem = pcall(holds, type(condition) ~= "function" and condition
-      or "root", active)
+      or {}, active)
     if not ok then
-      error(("rfsm_checks.explore: property '%s': %s"):format(judged.name, problem), 0)
+      error(("%s: property '%s': %s"):format(where, judged.name, problem), 0)
     end
   end
 end
 
 -- Raises an error for an event that the machine would make itself, and does not.
-local function check_event(own, judged)
-  local event = judged.property.what
+local function check_maker(own, judged)
+  local event = judged.property.event
   if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
     return
   end
@@ -244,32 +384,13 @@ local function is_taken(own, event)
   return false
 end
 
--- Has the walk take steps with the events of `after`, and note where they lead.
-local function watch_events(walk, list)
-  local afters, own = {}, walk.puppet
-  walk.owed = {}
-  for _, judged in ipairs(list) do
-    if judged.property.kind == "after" then
-      check_event(own, judged)
-      afters[#afters + 1], walk.owed[judged] = judged, {}
-      own.wanted[judged.property.what] = false
-    end
-  end
-  if not afters[1] then return end
-  if not walk.is_together_given then walk.together = 2 end
-  function walk.add_wanted(_, events)
-    for _, judged in ipairs(afters) do
-      local event = judged.property.what
-      local occurrence = own:occurrence(own.parts[1], event)
-      if not (own:maker_of(event) or match.has(events, occurrence)) then
-        events[#events + 1] = occurrence
-      end
-    end
-  end
+-- Has the walk note where steps with the events of `after` lead.
+local function watch_steps(walk, afters)
+  local own = walk.puppet
   function walk.look(_, from, tgt, _, label)
     if not own.parts[1].stand.leaf then return end -- before the first entry
     for _, judged in ipairs(afters) do
-      local owed, event = walk.owed[judged], judged.property.what
+      local owed, event = walk.owed[judged], judged.property.event
       if own.wanted[event] then
         judged.has_come = true
         judged.is_taken = judged.is_taken or is_taken(own, event)
@@ -279,25 +400,65 @@ local function watch_events(walk, list)
   end
 end
 
---- Prepare a walk for properties.
+-- Has a walk take steps with the event of a property.
+local function want_event(walk, judged)
+  local event = judged.property.event
+  walk.wanted[#walk.wanted + 1], walk.puppet.wanted[event] = event, false
+  if monitors.follows[judged.property.kind] and not walk.is_together_given then
+    walk.together = 2
+  end
+end
+
+--- Prepare a walk for properties, but for those that have a monitor.
 ---@param walk rfsm_checks.Walk
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list sorted by name
 function properties.watch(walk, given)
-  local list = list_of(given)
-  for _, judged in ipairs(list) do check_names(walk, judged) end
-  watch_events(walk, list)
+  local list, afters, own = properties.list_of("rfsm_checks.explore", given), {},
+    walk.puppet
+  local active = own:view(own:configuration(own:read()))
+  walk.owed = {}
+  for _, judged in ipairs(list) do
+    local kind, event = judged.property.kind, judged.property.event
+    properties.check_names("rfsm_checks.explore", judged, active)
+    if event ~= nil then check_maker(own, judged) end
+    if kind == "after" then
+      want_event(walk, judged)
+      afters[#afters + 1], walk.owed[judged] = judged, {}
+    end
+    judged.is_monitored = not JUDGES[kind]
+  end
+  if afters[1] then watch_steps(walk, afters) end
   return list
 end
 
---- Judge properties when the walk is over.
-function properties.judge(walk, list)
-  for _, judged in ipairs(list) do
-    JUDGES[judged.property.kind](walk, judged)
-    if walk.expanded < 2 and not walk.keys[2] then
-      judged.holds, judged.vacuous = nil, "the machine is never entered"
-    end
-    if judged.holds == nil and not walk.bound then judged.holds = true end
+--- Prepare a walk for the monitor of a property. Each has one of its own: what the
+--- monitor has seen tells configurations apart.
+---@param walk rfsm_checks.Walk
+---@param judged rfsm_checks.Judged
+function properties.monitor(walk, judged)
+  walk.monitored[1] = judged
+  if judged.property.event ~= nil then want_event(walk, judged) end
+end
+
+-- What its monitor has seen, and what has to come some time and need not.
+local function judge_monitored(walk, judged)
+  if judged.property.event ~= nil and not judged.has_come then
+    judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
+  end
+  local owes = monitors.owes[judged.property.kind]
+  if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end
+end
+
+--- Judge a property when its walk is over.
+function properties.judge(walk, judged)
+  local judge = JUDGES[judged.property.kind] or judge_monitored
+  judge(walk, judged)
+  if walk.expanded < 2 and not walk.keys[2] then
+    judged.holds, judged.vacuous = nil, "the machine is never entered"
+  end
+  if judged.holds == nil and not (walk.bound or judged.is_open) then
+    judged.holds = true
   end
 end
 

@@ -18,6 +18,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local data = require "rfsm.checks.data"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 local reactions = require "rfsm.checks.reactions"
@@ -37,7 +38,7 @@ local puppet = {}
 --- The machines of a model, with what was asked of them in the last step.
 ---@class rfsm_checks.Puppet
 ---@field parts rfsm_checks.Part[] the machine itself first
----@field transitions { tr: rfsm.Transition, path: string, prefix: string }[] all
+---@field transitions table[] `tr`, `path`, and `part` with its `prefix`
 ---@field names table<string, rfsm.State> states by path
 ---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
@@ -45,6 +46,7 @@ local puppet = {}
 ---@field free table<string, true> what the chart has: guards, predicates, timers, doos
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
+---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -52,6 +54,7 @@ local puppet = {}
 ---@field choices boolean[] in the order in which they were asked
 ---@field askers string[] who asked: the path of a transition or leaf
 ---@field is_doo boolean[] whether that was a doo
+---@field is_known boolean[] whether there was no choice
 ---@field asked integer how many there were
 ---@field taken integer[] numbers of the transitions that the last step took
 local Puppet = {}
@@ -66,6 +69,7 @@ Puppet.__index = Puppet
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
 ---@field stands rfsm_checks.Stand[] where it can stand
 ---@field ids table<string, integer> their numbers
+---@field timed table<string, boolean> time events whose order is known
 ---@field stand rfsm_checks.Stand where it was put
 ---@field rounds integer iterations since then
 
@@ -105,11 +109,14 @@ local NOTHING = {}
 
 -- The machines ....................................................................
 
--- Asks for the next of the choices that were set; the default is true.
-function Puppet:choose(who, is_doo)
+-- Asks for the next of the choices that were set; the default is true. One that is
+-- known has no other side.
+function Puppet:choose(who, is_doo, known)
   local n = self.asked + 1
   self.asked = n
   self.askers[n], self.is_doo[n] = who, is_doo or false
+  self.is_known[n] = known ~= nil
+  if known ~= nil then self.choices[n] = known end
   if self.choices[n] == nil then self.choices[n] = true end
   return self.choices[n]
 end
@@ -206,6 +213,9 @@ local function make_state(self, part, state)
     state.doo, self.free.doos = new_doo(self, part, path), true
   end
   state.prepare = nil
+  if state.doo or state._timers then
+    rfsm.entry_hook_add(part.fsm, state, function() self.entered[state] = true end)
+  end
 end
 
 -- Notes the events of a transition, and those that its await waits for.
@@ -220,11 +230,13 @@ end
 local function make_transition(self, part, tr)
   local number, path = #self.transitions + 1, place.path(tr, part.prefix)
   self.number_of[tr] = number
-  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix }
+  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix,
+    part = part }
   note_events(self, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)
-    tr.guard, self.free.guards = function() return self:choose(path) end, true
+    if not self.runs[tr.guard] then self.free.guards = true end
+    tr.guard = data.new_guard(self, path, tr.guard)
   end
   local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
   tr.likely = nil
@@ -274,7 +286,7 @@ local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "d
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.stands, part.ids, part.stand = {}, {}, {}, false
-  part.occurrences, part.rounds = {}, 0
+  part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
@@ -378,8 +390,9 @@ end
 ---@param key string
 ---@return rfsm_checks.Configuration conf
 function Puppet:configuration(key)
-  local conf = { flags = key:match("[+-]*$") }
-  for id in key:gmatch("%d+") do
+  local ids, flags = key:match("^([%d,]*)([+-]*)")
+  local conf = { flags = flags }
+  for id in ids:gmatch("%d+") do
     local i = #conf + 1
     conf[i] = self.parts[i].stands[tonumber(id)]
   end
@@ -424,12 +437,8 @@ local function new_view(self, active, flags)
     local number = self.flag_numbers[name]
     if number then return flags:sub(number, number) == "+" end
     if self.names[name] then return active[name] == true end
-    local names = rfsm.sorted_keys(self.names)
-    for _, flag in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
-      names[#names + 1] = flag
-    end
-    error(("no state or flag is named '%s'%s"):format(rfsm.text_of(name),
-      type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
+    place.refuse_name(name, "state or flag", match.joined(
+      rfsm.sorted_keys(self.names), rfsm.sorted_keys(self.flag_numbers)))
   end
 end
 
@@ -477,6 +486,8 @@ function Puppet:step(events, choices)
   clear(self.moments)
   clear(self.last_events)
   clear(self.called)
+  for guard in pairs(self.answers) do self.answers[guard] = nil end -- any order: all
+  for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
   for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
@@ -493,10 +504,10 @@ function Puppet:step(events, choices)
 end
 
 --- Set the next choices to try; false if all were tried.
-function puppet.next_choices(choices, asked)
+function puppet.next_choices(choices, asked, is_known)
   for i = #choices, asked + 1, -1 do choices[i] = nil end
   for i = asked, 1, -1 do
-    if choices[i] then
+    if choices[i] and not is_known[i] then
       choices[i] = false
       return true
     end
@@ -648,17 +659,20 @@ function puppet.new(model, options)
     names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
-    choices = {}, askers = {}, is_doo = {}, asked = 0,
-    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {},
+    choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
+    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
     notes_events = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
+  data.read_options(self, options)
   add_parts(self, new_machine(self, model))
   stubs.check_flag_names(self)
   stubs.check_names(self, self.flags_of, "flags")
   stubs.check_names(self, self.sends, "sends")
   check_alphabet(self, options.alphabet)
+  data.check_met(self, options)
+  data.check_first(self)
   return self
 end
 

@@ -185,8 +185,8 @@ local function add_set(self, part, sets, set, timers)
   for _, event in ipairs(set) do
     local maker = self:maker_of(event)
     if maker == "timer" then
-      if not match.has(timers, event) then return end
-      kept[#kept + 1] = self:occurrence(part, event)
+      if not (part.timed[event] or match.has(timers, event)) then return end
+      if not part.timed[event] then kept[#kept + 1] = self:occurrence(part, event) end
     elseif not maker then
       if not is_allowed(self, event) then return end
       kept[#kept + 1] = self:occurrence(self.parts[1], event)
@@ -211,7 +211,9 @@ function reactions.that_may_come(self, conf)
       local found = reactions.of(part, conf[i].leaf)
       add_outside(self, list, is_listed, found)
       for _, timer in ipairs(found.timers) do
-        list[#list + 1] = self:occurrence(part, timer)
+        if not part.timed[timer] then
+          list[#list + 1] = self:occurrence(part, timer)
+        end
       end
       for _, set in ipairs(found.sets) do
         add_set(self, part, sets, set, found.timers)

@@ -251,7 +251,7 @@ end
 function Rehearsal:repeat_step(step)
   local own, what, choices = self.puppet, events_of(step), {}
   for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
-  own.choose = nil
+  own.choose, own.now = nil, step.at or own.now
   for _, part in ipairs(own.parts) do part.rounds = 0 end
   own:step(occurrences_of(own, what), choices)
   own.choose = answer

@@ -161,6 +161,23 @@ local function new_call(self, name, callback)
   end
 end
 
+-- Returns what a callback sends in a dry run.
+local function dry_events(self, callback, fsm, obj, what)
+  if not (self.is_dry_run and callback) then return {} end
+  return (call_apart(callback, fsm, obj, what, {}))
+end
+
+-- Returns a stub that calls a callback to be run, sets flags and sends events; nil if
+-- there is nothing to do.
+local function new_stub(self, run, flags, events)
+  if not (flags[1] or events[1] ~= nil or run) then return nil end
+  return function(own, ...)
+    if run then calls.try(run, own, ...) end
+    for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
+    for i = 1, #events do rfsm.send_events(own, events[i]) end
+  end
+end
+
 --- Note that a callback may exist; return its stub.
 ---@param self rfsm_checks.Puppet
 ---@param what "entry"|"exit"|"effect"
@@ -177,15 +194,11 @@ function stubs.new(self, what, path, fsm, obj, callback)
     local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
     return callback and new_call(self, short, callback)
   end
-  local flags, events = self.flags_of[name] or {}, self.sends[name] or {}
-  if self.is_dry_run and callback and not self.sends[name] then
-    events = call_apart(callback, fsm, obj, what, {})
-  end
-  if not flags[1] and events[1] == nil then return nil end
-  return function(own)
-    for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
-    for i = 1, #events do rfsm.send_events(own, events[i]) end
-  end
+  if callback then self.is_met[callback] = true end
+  local run = self.runs[callback or false] and callback
+  local events = self.sends[name] or run and {}
+    or dry_events(self, callback, fsm, obj, what)
+  return new_stub(self, run, self.flags_of[name] or {}, events)
 end
 
 -- Has the stubs that are named set a flag.

@@ -233,7 +233,8 @@ end
 ---@return rfsm_checks.Tests
 function tests.plan(model, callbacks)
   callbacks = callbacks or false
-  local walk = explore.walk(model, { together = 2 }, watch_steps)
+  local walk = explore.walk(model, { together = 2, timers = "free" },
+    watch_steps)
   local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.puppet.transitions,
     skipped = 0 }

@@ -8,6 +8,7 @@ local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
 local match = require "rfsm.checks.match"
+local monitors = require "rfsm.checks.monitors"
 local place = require "rfsm.checks.place"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
@@ -26,7 +27,7 @@ local verdict = {}
 ---@field steps integer that were run
 ---@field transitions integer how many the chart has
 ---@field taken integer how many of them some step takes
----@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"
+---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
 ---@field untried string[] what was not tried, as texts; empty without a bound
 ---@field premises string "one event a step; guards and timers free"
 ---@field findings rfsm_checks.Finding[] with field `witness`
@@ -40,6 +41,8 @@ Exploration.__index = Exploration
 ---@field holds boolean|nil nil: not known
 ---@field vacuous? string it holds because of this reason alone
 ---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
+---@field premises string
+---@field reason string why it is not known though everything was tried; may be empty
 
 -- Findings ........................................................................
 
@@ -63,13 +66,37 @@ local function met_by(walk)
   return met
 end
 
+-- Returns why a transition is never taken: all of its events are timers that never
+-- expire. Empty if that is not so.
+local function timer_text(walk, entry)
+  local names = {}
+  for i, event in ipairs(entry.tr.events or {}) do
+    local is_dead = entry.part.timed[event]
+      and not walk.timing.fired[walk.puppet:occurrence(entry.part, event)]
+    if not is_dead then return "" end
+    names[i] = event
+  end
+  return names[1] and " (" .. concat(names, " and ") .. " never comes)" or ""
+end
+
+-- The same for the transitions that lead to a state.
+local function timers_text(walk, state)
+  for _, entry in ipairs(walk.puppet.transitions) do
+    local tgt, text = entry.tr.tgt, timer_text(walk, entry)
+    if tgt._id == "initial" and rfsm.is_conn(tgt) then tgt = tgt._parent end
+    if tgt == state and text ~= "" then return text end
+  end
+  return ""
+end
+
 -- States that are never active, but not those in another one.
 local function find_unreachable(walk, findings, met)
   for _, path in ipairs(walk.puppet.paths) do
     local state = walk.puppet.names[path]
     local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
     if not met.active[path] and (not above or met.active[above]) then
-      findings:add("unreachable", state, path, "active in no configuration")
+      findings:add("unreachable", state, path,
+        "active in no configuration" .. timers_text(walk, state))
     end
   end
 end
@@ -103,8 +130,8 @@ local function find_untaken(walk, findings, met, is_closed)
   end
   for number, entry in ipairs(walk.puppet.transitions) do
     if not (walk.taken[number] or is_told(entry)) then
-      findings:add("shadowed", entry.tr, entry.path, ("no step takes it (%s -> %s)")
-        :format(entry.tr.src._fqn, entry.tr.tgt._fqn))
+      findings:add("shadowed", entry.tr, entry.path, ("no step takes it (%s -> %s)%s")
+        :format(entry.tr.src._fqn, entry.tr.tgt._fqn, timer_text(walk, entry)))
     end
   end
 end
@@ -242,14 +269,62 @@ local function find_traps(walk, findings)
   end
 end
 
-local function find_violations(walk, result, list)
+-- Premises and properties .........................................................
+
+local NUMBERS = { "one event", "two events", "three events" }
+
+-- Returns what is not known of a chart, and is tried in each way: "guards and doos".
+local function free_text(free)
+  local names = rfsm.sorted_keys(free)
+  local last = table.remove(names)
+  return names[1] and concat(names, ", ") .. " and " .. last or last
+end
+
+-- Returns the premises of a walk: "one event a step; guards and timers free".
+local function premises_of(walk, options)
+  local free = free_text(walk.puppet.free)
+  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
+  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if walk.timing and options.period then
+    texts[#texts + 1] = ("stepped every %s s"):format(rfsm.text_of(options.period))
+  elseif walk.timing then
+    texts[#texts + 1] = "stepped between any two deadlines"
+  end
+  if walk.timing then texts[#texts + 1] = "steps take no time" end
+  for _, text in ipairs(walk.puppet.rule_texts) do texts[#texts + 1] = text end
+  if free then texts[#texts + 1] = free .. " free" end
+  return concat(texts, "; ")
+end
+
+-- Notes what the walk of a property has not tried.
+local function note_bound(result, judged)
+  if judged.holds ~= nil then return end
+  result.bound = result.bound or judged.walk.bound
+  for _, text in ipairs(judged.walk.untried) do
+    if not match.has(result.untried, text) then
+      result.untried[#result.untried + 1] = text
+    end
+  end
+end
+
+-- Judges the properties, those with monitors on walks of their own.
+local function find_violations(walk, result, list, model, options)
   for i, judged in ipairs(list) do
-    local witness = judged.at and walk:witness(judged.at, judged.label)
+    judged.walk = not judged.is_monitored and walk
+      or explore.walk(model, options, function(new) properties.monitor(new, judged) end)
+    properties.judge(judged.walk, judged)
+    local witness = judged.at
+      and judged.walk:witness(judged.at, judged.label, judged.cycle)
     result.properties[i] = { name = judged.name, holds = judged.holds,
-      vacuous = judged.holds and judged.vacuous or nil, witness = witness }
+      vacuous = judged.holds and judged.vacuous or nil, witness = witness,
+      reason = judged.is_open and ", it depends on when timers expire" or "",
+      premises = premises_of(judged.walk, options)
+        .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
+    note_bound(result, judged)
     if judged.holds == false then
-      add_run(walk, result.findings, "violated", nil, judged.name, "does not hold",
-        judged.at, judged.label)
+      witness.rests = judged.rests
+      result.findings:add("violated", nil, judged.name, "does not hold").witness =
+        witness
     end
   end
 end
@@ -273,37 +348,25 @@ function verdict.lines_of(witness)
   local lines = {}
   for i, step in ipairs(witness) do
     local events = step.events[1] and concat(step.events, ", ") or "no event"
-    lines[i] = ("%d. %s%s: %s"):format(i, events, choices_text(step),
-      puppet.outcome(step.taken, step.leaf))
+    local wait = i > 1 and step.at and step.at - witness[i - 1].at or 0
+    lines[i] = ("%d. %s%s%s: %s"):format(i, wait > 0 and ("+%.9g s, "):format(wait)
+      or "", events, choices_text(step), puppet.outcome(step.taken, step.leaf))
+  end
+  if witness.again then
+    lines[#lines + 1] = ("and again from %d on"):format(witness.again)
+  elseif witness.rests then
+    lines[#lines + 1] = "and nothing more has to come"
   end
   return lines
-end
-
-local NUMBERS = { "one event", "two events", "three events" }
-
--- Returns what is not known of a chart, and is tried in each way: "guards and doos".
-local function free_text(free)
-  local names = rfsm.sorted_keys(free)
-  local last = table.remove(names)
-  return names[1] and concat(names, ", ") .. " and " .. last or last
-end
-
--- Returns the premises of a walk: "one event a step; guards and timers free".
-local function premises_of(walk, options)
-  local free = free_text(walk.puppet.free)
-  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
-  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
-  if free then texts[#texts + 1] = free .. " free" end
-  return concat(texts, "; ")
 end
 
 local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
   .. "properties hold are not known"
 
-local function property_text(judged, premises)
-  if judged.holds == nil then return judged.name .. ": not known" end
+local function property_text(judged)
+  if judged.holds == nil then return judged.name .. ": not known" .. judged.reason end
   local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
-  return ("%s: holds%s (%s)"):format(judged.name, how, premises)
+  return ("%s: holds%s (%s)"):format(judged.name, how, judged.premises)
 end
 
 local function add_finding_lines(lines, finding)
@@ -329,7 +392,7 @@ function verdict.summary(result, has_numbers)
   if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
   for _, judged in ipairs(result.properties) do
     if judged.holds ~= false then
-      lines[#lines + 1] = property_text(judged, result.premises)
+      lines[#lines + 1] = property_text(judged)
     end
   end
   return lines
@@ -371,13 +434,12 @@ function verdict.of(model, options)
   local walk = explore.walk(model, options, function(new)
     list = properties.watch(new, properties_of(model, options))
   end)
-  properties.judge(walk, list)
   local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
     transitions = #walk.puppet.transitions, taken = count_of(walk.taken),
     bound = walk.bound, untried = walk.untried, findings = static.new_list(),
     properties = {}, premises = premises_of(walk, options) }, Exploration)
   local findings = result.findings
-  find_violations(walk, result, list)
+  find_violations(walk, result, list, model, options)
   find_dead_ends(walk, findings)
   find_endless(walk, findings)
   if not walk.bound and walk.keys[2] then

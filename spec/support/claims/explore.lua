@@ -20,26 +20,32 @@ local claim = { name = "exploration and random runs", runs = 300 }
 
 local EVENTS = { "e1", "e2", "e3", "e4" }
 
--- Returns one event more for a transition: of a time that no other has, or an await.
-local function extra_event(random, i)
-  if random:chance(15) then return ("e_after(%d.%03d)"):format(random:below(3), i) end
+-- Returns one event more for a transition: of a time that no other has, or an await. A
+-- timed chart has more time events, many of the same time.
+local function extra_event(random, i, is_timed)
+  if is_timed and random:chance(50) then
+    return ("e_after(%.1f)"):format((random:below(5) - 1) / 2)
+  end
+  if random:chance(15) and not is_timed then
+    return ("e_after(%d.%03d)"):format(random:below(3), i)
+  end
   if not random:chance(10) then return nil end
   return ("await(%s, %s)"):format(random:pick(EVENTS), random:pick(EVENTS))
 end
 
-local function add_events(chart, random)
+local function add_events(chart, random, is_timed)
   for i, tr in ipairs(chart.transitions) do
     if chart.nodes[tr.src].kind == "state" and tr.events_ref and not tr.is_internal then
       local events = {}
       for n, event in ipairs(tr.events_ref) do events[n] = event end
-      events[#events + 1] = extra_event(random, i)
+      events[#events + 1] = extra_event(random, i, is_timed)
       tr.events_ref = events
     end
   end
 end
 
 -- Gives some leaves regions, which are charts, too.
-local function add_regions(chart, random, depth)
+local function add_regions(chart, random, depth, is_timed)
   chart.regions = {}
   for _, fqn in ipairs(chart.names) do
     local node = chart.nodes[fqn]
@@ -47,17 +53,18 @@ local function add_regions(chart, random, depth)
       node.doo = false
       chart.regions[fqn] = { step = random:below(2), of = {} }
       for i = 1, random:below(2) do
-        chart.regions[fqn].of[i] = claim.chart(random:below(1000000), depth + 1)
+        chart.regions[fqn].of[i] = claim.chart(random:below(1000000), depth + 1,
+          is_timed)
       end
     end
   end
 end
 
-function claim.chart(seed, depth)
+function claim.chart(seed, depth, is_timed)
   local chart, random = charts.generate(seed), new_random(seed + 7)
-  add_events(chart, random)
+  add_events(chart, random, is_timed)
   if seed % 3 == 0 then charts.add_histories(chart) end
-  add_regions(chart, random, depth or 0)
+  add_regions(chart, random, depth or 0, is_timed)
   return chart
 end
 
@@ -235,8 +242,9 @@ local function explored(walk)
   return shown
 end
 
--- Follows a witness on a machine of its own; returns a set of texts of what it shows.
-local function follow(chart, witness, choice)
+-- Follows a witness on a machine of its own, which is given to `watch`; returns a set
+-- of texts of what it shows.
+local function follow(chart, witness, choice, watch)
   local answers, at, fsm = {}, 0, nil
   local world = { random = new_random(1), seen = {}, sends = choice.sends, flags = {},
     sets = choice.sets }
@@ -261,13 +269,14 @@ local function follow(chart, witness, choice)
     end
   end
   fsm = rfsm.init(model_of(chart, make, ""))
-  local machine_of = {}
+  local machine_of, now = {}, 0
   for _, entry in ipairs(rfsm.machines(fsm)) do
     machine_of[entry.prefix] = entry.machine
-    entry.machine.gettime = function() return 0, 0 end
+    entry.machine.gettime = function() return now, 0 end
   end
+  if watch then watch(fsm) end
   for _, step in ipairs(witness) do
-    answers, at = step.choices, 0
+    answers, at, now = step.choices, 0, step.at or 0
     for text in pairs(world.seen) do world.seen[text] = nil end
     for _, event in ipairs(step.values) do rfsm.send_events(fsm, event) end
     for _, inner in ipairs(step.inside) do
@@ -278,6 +287,9 @@ local function follow(chart, witness, choice)
   for _, text in ipairs(stands_of(fsm, world.flags)) do world.seen[text] = true end
   return world.seen
 end
+
+claim.model_of, claim.wanderer, claim.stands_of = model_of, wanderer, stands_of
+claim.explored, claim.follow = explored, follow
 
 -- The claim -------------------------------------------------------------------------
 
@@ -327,8 +339,8 @@ local function options_of(chart, random)
   local path_of = paths_of(chart)
   local choice = { sends = {}, sets = {}, names = {},
     together = random:chance(30) and 2 or 1 }
-  local options = { configurations = BOUND, together = choice.together, sends = {},
-    dry_run = random:chance(30),
+  local options = { configurations = BOUND, timers = "free", sends = {},
+    together = choice.together, dry_run = random:chance(30),
     alphabet = random:chance(25) and { "e1", "e2" } or nil }
   for _, number in ipairs(rfsm.sorted_keys(path_of)) do
     if not number:find("/", 1, true) and tonumber(number) % 7 == 1 then

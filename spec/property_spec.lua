@@ -1,0 +1,257 @@
+-- Properties of runs: what an exploration says of them, and a machine that is watched.
+
+local ab = require "spec.support.ab"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+require "rfsm_timeevent"
+
+local state = rfsm.state
+local after, from = rfsm_checks.after, rfsm_checks.from
+local precedes, until_ = rfsm_checks.precedes, rfsm_checks.until_
+local chart, go = ab.chart, ab.go
+
+local function yes() return true end
+
+-- The lines about a property, without files.
+local function verdict(model, property, options)
+  options = options or {}
+  options.properties = { p = property }
+  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
+  local lines = {}
+  for line in text:gmatch("[^\n]+") do
+    if line:find("^p: ") or lines[1] and line:find("^  ") then
+      lines[#lines + 1] = line
+    elseif lines[1] then
+      break
+    end
+  end
+  return table.concat(lines, "\n")
+end
+
+local VIOLATED = "p: does not hold [violated]\n"
+
+local function lines(...) return table.concat({ ... }, "\n") end
+
+describe("a property of runs", function()
+  -- a --e_x--> b --e_x--> a, a --e_c--> c
+  local C = { c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "b", "e_done") }
+  local DOO = { c = state { doo = yes }, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "b", "e_done"), [6] = go("b", "b", "e_y") }
+  local GUARDED = { c = state {}, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "b", "e_done", { guard = yes }) }
+  local AGAIN = { c = state { doo = yes }, [4] = go("a", "c", "e_c"),
+    [5] = go("c", "b", "e_done"), [6] = go("c", "c", "e_c") }
+  local DEEP = { c = state { doo = yes }, d = state { doo = yes },
+    [4] = go("a", "c", "e_c"), [5] = go("c", "d", "e_x"), [6] = go("d", "c", "e_x"),
+    [7] = go("c", "b", "e_done"), [8] = go("d", "b", "e_done") }
+
+  local CASES = {
+    { name = "leads_to, by itself", members = C,
+      property = after "e_c".leads_to "root.b",
+      verdict = "p: holds (one event a step; doos end)" },
+    { name = "leads_to, when a doo has ended", members = DOO,
+      property = after "e_c".leads_to "root.b",
+      verdict = "p: holds (one event a step; doos free; doos end)" },
+    { name = "leads_to, if a guard says no", members = GUARDED,
+      property = after "e_c".leads_to "root.b",
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_c: root.trans[4] -> root.c",
+        "  3. no event (root.trans[5] false): no transition -> root.c",
+        "  and nothing more has to come") },
+    { name = "leads_to, if a doo begins again and again", members = AGAIN,
+      property = after "e_c".leads_to "root.b",
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_c: root.trans[4] -> root.c",
+        "  3. e_c: root.trans[6] -> root.c", "  and again from 3 on") },
+    { name = "leads_to, if states come in turn", members = DEEP,
+      property = after "e_c".leads_to "root.b",
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_c: root.trans[4] -> root.c",
+        "  3. no event (root.c ends): no transition -> root.c",
+        "  4. e_x: root.trans[5] -> root.d", "  5. e_x: root.trans[6] -> root.c",
+        "  and again from 3 on") },
+    { name = "leads_to, if another event comes in the same step", members = C,
+      property = after "e_c".leads_to "root.c", together = 2,
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_x, e_c: root.trans[2] -> root.b",
+        "  and nothing more has to come") },
+    { name = "leads_to, if the event comes in vain", members = C,
+      property = after "e_y".leads_to "root.c", is_violated = true },
+    { name = "leads_to, if it never comes", members = { d = state {} },
+      property = after "e_done@root.d".leads_to "root.d",
+      verdict = "p: holds vacuously, e_done@root.d never comes (one event a step; doos "
+        .. "end)" },
+    { name = "never, from then on", members = C, property = after "e_c".never "root.a",
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_x: root.trans[2] -> root.b", "  3. e_c: no transition -> root.b",
+        "  4. e_x: root.trans[3] -> root.a") },
+    { name = "never, at once", members = C, property = after "e_x".never "root.b",
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_x: root.trans[2] -> root.b") },
+    { name = "never, and it is so", property = after "e_x".never { "root.a", "root.b" },
+      verdict = "p: holds (one event a step)" },
+    { name = "precedes, and it does", members = C, property = precedes("root.a",
+      "root.c"), verdict = "p: holds (one event a step)" },
+    { name = "precedes, and it does not", members = C, property = precedes("root.b",
+      "root.c"), verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_c: root.trans[4] -> root.c") },
+    { name = "precedes, while a step passes through", members = { c = state {
+      x = state {}, go("initial", "root.b") }, [2] = go("a", "c", "e_x") },
+      property = precedes("root.b", "root.c"), is_violated = true },
+    { name = "precedes, since a step passed through", members = { c = state {
+      x = state {}, go("initial", "root.b") }, [2] = go("a", "c", "e_x") },
+      property = precedes("root.c", "root.b"),
+      verdict = "p: holds (one event a step)" },
+    { name = "until_, by a doo", members = { a = state { doo = yes },
+      [2] = go("a", "b", "e_done") }, property = until_("root.a", "root.b"),
+      verdict = "p: holds (one event a step; doos free; doos end)" },
+    { name = "until_, and another state comes", members = C,
+      property = until_("root.a", "root.b"),
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  2. e_c: root.trans[4] -> root.c") },
+    { name = "until_, and it never comes", property = until_("root.a", "root.b"),
+      verdict = lines(VIOLATED .. "  1. no event: root.trans[1] -> root.a",
+        "  and nothing more has to come") },
+  }
+  for _, case in ipairs(CASES) do
+    it("is " .. case.name, function()
+      local text = verdict(chart(case.members), case.property,
+        { together = case.together or 1 })
+      if case.is_violated then
+        assert.equal(VIOLATED, text:sub(1, #VIOLATED))
+      else
+        assert.equal(case.verdict, text)
+      end
+    end)
+  end
+
+  it("is not known behind a bound", function()
+    assert.equal("p: not known", verdict(chart(C), after "e_c".leads_to "root.b",
+      { configurations = 2 }))
+  end)
+
+  it("has a text", function()
+    assert.equal("after e_x leads to root.a", tostring(after "e_x".leads_to "root.a"))
+    assert.equal("after e_x never root.a", tostring(after "e_x".never "root.a"))
+    assert.equal("root.a precedes a function", tostring(precedes("root.a", yes)))
+    assert.equal("root.a until root.b and lit",
+      tostring(until_("root.a", { "root.b", "lit" })))
+  end)
+
+  it("refuses what is no condition, and other names", function()
+    local CASES_OF_ERRORS = {
+      { f = function() return after "e_x".lead_to("root.a") end,
+        text = "rfsm_checks.after(...): no 'lead_to' (did you mean 'leads_to'?), "
+          .. "expected: leads_to, never, reach" },
+      { f = function() return from "root.a".left_with(2) end,
+        text = "rfsm_checks.from(...): no 'left_with' (did you mean 'left_within'?), "
+          .. "expected: can_reach, left_within, stays" },
+      { f = function() return (precedes("root.a")) end,
+        text = "rfsm_checks.precedes: path of a state, name of a flag, list of them or "
+          .. "function expected, got nil" },
+      { f = function() return (until_("root.a", 7)) end,
+        text = "rfsm_checks.until_: path of a state, name of a flag, list of them or "
+          .. "function expected, got number" },
+    }
+    for _, case in ipairs(CASES_OF_ERRORS) do
+      local ok, text = pcall(case.f)
+      assert.is_false(ok)
+      assert.equal(case.text, (text:gsub("^[^\n]*property_spec.lua:%d+: ", "")))
+    end
+  end)
+end)
+
+describe("a machine that is watched", function()
+  local fsm, told
+
+  local function start(members, given)
+    told = {}
+    members.err = function(text) told[#told + 1] = text end
+    fsm = rfsm.init(chart(members))
+    local watched = rfsm_checks.watch_properties(fsm, given)
+    rfsm.run(fsm)
+    return watched
+  end
+
+  local function send(...)
+    rfsm.send_events(fsm, ...)
+    rfsm.run(fsm)
+  end
+
+  it("reports a violation with the latest steps, once", function()
+    start({}, { ["not in b"] = rfsm_checks.never "root.b" })
+    assert.same({}, told)
+    send("e_x")
+    rfsm.step(fsm)
+    assert.same({ lines("property 'not in b' does not hold",
+      "  1. e_init_fsm: root.a", "  2. e_x: root.a -> root.b") }, told)
+    send("e_x")
+    send("e_x")
+    assert.equal(2, #told)
+  end)
+
+  local C = { c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "b", "e_done",
+    { guard = function() return false end }) }
+  local CASES = {
+    { name = "always", property = rfsm_checks.always "root.a", events = { "e_x" } },
+    { name = "after, reach", property = after "e_c".reach "root.b",
+      events = { "e_c" } },
+    { name = "after, leads_to", property = after "e_c".leads_to "root.b",
+      events = { "e_c" } },
+    { name = "after, never", property = after "e_x".never "root.a",
+      events = { "e_x", "e_x" } },
+    { name = "precedes", property = precedes("root.b", "root.c"), events = { "e_c" } },
+    { name = "until_", property = until_("root.b", "root.c"), events = {} },
+  }
+  for _, case in ipairs(CASES) do
+    it("reports " .. case.name, function()
+      local members = {}
+      for key, value in pairs(C) do members[key] = value end
+      start(members, { p = case.property })
+      for _, event in ipairs(case.events) do send(event) end
+      assert.equal("property 'p' does not hold\n", (told[1] or ""):match("^[^\n]*\n"))
+      assert.equal(1, #told)
+    end)
+  end
+
+  it("takes the properties of its model, and watches until it is told to stop",
+    function()
+    start({ properties = { rfsm_checks.never "root.b" } }):stop()
+    send("e_x")
+    assert.same({}, told)
+  end)
+
+  it("does not owe what comes by a timer, until that has expired", function()
+    local now = 0
+    start({ gettime = function() return now, 0 end, [2] = go("a", "b", "e_after(3)"),
+      [4] = go("a", "a", "e_y") }, { after "e_y".leads_to "root.b",
+      after "e_y".leads_to(function() end) })
+    send("e_y")
+    assert.same({}, told)
+    now = 4
+    rfsm.run(fsm)
+    assert.equal(1, #told)
+  end)
+
+  it("refuses other properties, states, flags and values", function()
+    local CASES_OF_ERRORS = {
+      { given = { from "root.a".can_reach "root.b" },
+        text = "rfsm_checks.watch_properties: property 'from root.a can reach root.b' "
+          .. "is about runs that might be: explore it" },
+      { given = { rfsm_checks.never "root.bb" },
+        text = "rfsm_checks.watch_properties: property 'never root.bb': no state is "
+          .. "named 'root.bb' (did you mean 'root.b'?)" },
+      { given = 7, text = "rfsm_checks.watch_properties: table of properties expected, "
+        .. "got 7" },
+      { given = { 7 }, text = "rfsm_checks.watch_properties: properties: never(...), "
+        .. "after(...).reach(...) or another property expected, got number" },
+    }
+    for _, case in ipairs(CASES_OF_ERRORS) do
+      local ok, text = pcall(rfsm_checks.watch_properties, rfsm.init(chart()),
+        case.given)
+      assert.is_false(ok)
+      assert.equal(case.text, (text:gsub("^[^\n]*property_spec.lua:%d+: ", "")))
+    end
+  end)
+end)

@@ -1,0 +1,256 @@
+-- Timers in order, and properties with a time, against brute force: random charts on a
+-- clock of their own, run by hosts that keep the premise. What they reach was reached,
+-- what is said to hold is not broken, and each witness replays with its times.
+
+local charts = require "spec.support.claims.explore"
+local explore = require "rfsm.checks.explore"
+local new_random = require "spec.support.random"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+
+local claim = { name = "timers in order, and random hosts", runs = 60 }
+
+local BOUND = 200 -- configurations: charts that have more are left out
+
+local FOLLOWED = 30 -- witnesses of each chart
+
+local EVENTS = { "e1", "e2", "e3", "e4" }
+
+local MS = 1000 -- in a second
+
+-- Properties --------------------------------------------------------------------------
+
+local function random_property(random, paths)
+  local a, b, event = random:pick(paths), random:pick(paths), random:pick(EVENTS)
+  local seconds = random:below(8) / 2
+  local kinds = {
+    function() return rfsm_checks.after(event).reach(a).within(seconds) end,
+    function() return rfsm_checks.from(a).left_within(seconds) end,
+    function() return rfsm_checks.from(a).stays(seconds) end,
+    function() return rfsm_checks.at_most(random:below(2), event).within(seconds) end,
+    function()
+      return rfsm_checks.at_least(random:below(2), event).within(seconds)
+    end,
+    function() return rfsm_checks.after(event).leads_to(a) end,
+    function() return rfsm_checks.after(event).never(a) end,
+    function() return rfsm_checks.precedes(a, b) end,
+    function() return rfsm_checks.until_(a, b) end,
+  }
+  return random:pick(kinds)()
+end
+
+local function not_in(path) return function(active) return not active(path) end end
+
+-- Returns a few properties by name.
+local function properties_of(chart, random)
+  local paths, properties = {}, {}
+  for _, fqn in ipairs(chart.names) do
+    if chart.nodes[fqn].kind == "state" and fqn ~= "root" then
+      paths[#paths + 1] = fqn
+      paths[#paths + 1] = not_in(fqn)
+    end
+  end
+  for i = 1, paths[1] and random:below(3) or 0 do
+    properties["p" .. i] = random_property(random, paths)
+  end
+  return properties
+end
+
+-- Data ----------------------------------------------------------------------------
+
+-- Puts a counter into the callbacks of some transitions of the machine itself: effects
+-- that count, and guards that look at it. They are added to `runs`.
+local function with_data(make, runs)
+  local guard, effect = make.guard, make.effect
+  function make.guard(id)
+    if not tonumber(id) or id % 2 == 0 then return guard(id) end
+    local function is_little(tr)
+      local node = tr.src
+      while not rfsm.is_root(node) do node = node._parent end
+      return node.tries < 2
+    end
+    runs[#runs + 1] = is_little
+    return is_little
+  end
+  function make.effect(id)
+    local own = effect and effect(id)
+    if not tonumber(id) or id % 3 == 0 then return own end
+    local function count(fsm, ...)
+      fsm.tries = (fsm.tries + 1) % 4
+      if own then own(fsm, ...) end
+    end
+    runs[#runs + 1] = count
+    return count
+  end
+  return make
+end
+
+-- Hosts -------------------------------------------------------------------------------
+
+-- Lists the moments at which timers of active states, or times of properties, are over.
+local function deadlines_of(fsm, watched, now)
+  local list = {}
+  local function add(ms)
+    if ms > now and ms < math.huge then list[#list + 1] = ms end
+  end
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
+      local timers = state._mode ~= "inactive" and state._timers
+      for _, timer in ipairs(timers or {}) do
+        local sec, nsec = timer.sec, timer.nsec
+        if timer.entry ~= timers.entry then
+          sec, nsec = timers.sec + timer.event.sec, timers.nsec + timer.event.nsec
+        end
+        add(math.floor(sec * MS + nsec / 1e6 + 0.5))
+      end
+    end
+  end
+  for _, monitor in ipairs(watched.monitors) do
+    for _, began in ipairs(monitor.clocks) do
+      add(math.floor((began + monitor.property.seconds) * MS + 0.5))
+    end
+  end
+  table.sort(list)
+  return list
+end
+
+-- Returns when the host takes the next step: at once, before the next deadline, or
+-- between that and the one behind it; with a period, when it likes.
+local function next_moment(fsm, watched, now, random, period)
+  if period then return now + random(period * MS + 1) - 1 end
+  local list = deadlines_of(fsm, watched, now)
+  local first, second = list[1] or now + 2000, nil
+  for _, ms in ipairs(list) do second = second or ms > first and ms or nil end
+  second = second or first + 2000
+  local choice = random(4)
+  if choice == 1 then return now end
+  if choice == 2 then return now + random(first - now + 1) - 1 end
+  return first + random(second - first)
+end
+
+local function no_flags() return {} end
+
+-- Runs the chart so often. Returns a set of texts of what was seen, and of the names of
+-- properties that were broken.
+local function run_at_random(chart, properties, options, seed)
+  local fsm, now, seen, broken = nil, 0, {}, {}
+  local world = { random = new_random(seed), seen = seen, sends = {}, flags = {},
+    sets = {} }
+  local make = charts.wanderer(world, function() return fsm end)
+  fsm = rfsm.init(charts.model_of(chart, with_data(make, {}), ""))
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    entry.machine.gettime = function() return math.floor(now / MS), now % MS * 1e6 end
+  end
+  fsm.err = function(text)
+    broken[tostring(text):match("^property '(.-)'") or "another error"] = true
+  end
+  local watched = rfsm_checks.watch_properties(fsm, properties)
+  for _ = 1, claim.runs do
+    fsm.tries = 0
+    for _ = 1, 2 + world.random(20) do
+      if fsm._act_leaf then
+        now = next_moment(fsm, watched, now, world.random, options.period)
+      end
+      if world.random(2) == 1 then
+        rfsm.send_events(fsm, EVENTS[world.random(#EVENTS)])
+      end
+      rfsm.step(fsm)
+      for _, text in ipairs(charts.stands_of(fsm, no_flags())) do seen[text] = true end
+    end
+    rfsm.reset(fsm)
+  end
+  return seen, broken
+end
+
+-- The claim ---------------------------------------------------------------------------
+
+-- Kinds whose violation a machine shows that is watched.
+local IS_SHOWN = { reach_within = true, left_within = true, stays = true,
+  at_most = true, at_least = true }
+
+-- Does the witness of a property break it, with its times?
+local function is_shown(chart, witness, name, property)
+  local is_broken = false
+  charts.follow(chart, witness, { sends = {}, sets = {}, names = {} }, function(fsm)
+    fsm.err = function(text)
+      if tostring(text):find("property '" .. name .. "'", 1, true) then
+        is_broken = true
+      end
+    end
+    rfsm_checks.watch_properties(fsm, { [name] = property })
+  end)
+  return is_broken
+end
+
+local function explore_chart(chart, properties, options)
+  local function yes() return true end
+  local function make() return yes end
+  local runs = {}
+  local model = charts.model_of(chart, with_data({ guard = make, predicate = make,
+    doo = make }, runs), "")
+  model.tries = 0
+  options.vars, options.run = { tries = { 0, 3 } }, runs[1] and runs or nil
+  options.properties, options.configurations = properties, BOUND
+  return rfsm_checks.explore(model, options), explore.walk(model, options)
+end
+
+claim.counts = { holds = 0, broken = 0, open = 0, configurations = 0 }
+
+local function check_properties(seed, chart, properties, result, broken, list)
+  for _, judged in ipairs(result.properties) do
+    local property = properties[judged.name]
+    local verdict = judged.holds and "holds" or judged.holds == false and "broken"
+    claim.counts[verdict or "open"] = claim.counts[verdict or "open"] + 1
+    local text = ("%d: %s, %s"):format(seed, judged.name, tostring(property))
+    if judged.holds and broken[judged.name] then
+      list[#list + 1] = text .. " holds, and was broken"
+    end
+    if judged.holds == false and IS_SHOWN[property.kind]
+      and not is_shown(chart, judged.witness, judged.name, property) then
+      list[#list + 1] = text .. " is violated, and its witness does not show it"
+    end
+  end
+end
+
+-- Appends what is wrong. Returns whether the chart was compared.
+local function compare(seed, list)
+  local chart, random = charts.chart(seed, 0, true), new_random(seed + 29)
+  local properties = properties_of(chart, random)
+  local options = { together = 1, period = random:chance(30) and 0.75 or nil }
+  local result, walk = explore_chart(chart, properties, options)
+  if result.bound then return end
+  local seen, broken = run_at_random(chart, properties, options, seed)
+  local shown = charts.explored(walk)
+  for text in pairs(seen) do -- any order: sorted
+    if shown[text] == nil then
+      list[#list + 1] = ("%d: %s was seen"):format(seed, text)
+    end
+  end
+  local texts = rfsm.sorted_keys(shown)
+  for _ = 1, FOLLOWED do
+    local text = random:pick(texts)
+    local step = shown[text]
+    if step then
+      local witness = walk:witness(step.at, step.label)
+      if not charts.follow(chart, witness, { sends = {}, sets = {}, names = {} })[text]
+      then
+        list[#list + 1] = ("%d: %s is not reached"):format(seed, text)
+      end
+    end
+  end
+  check_properties(seed, chart, properties, result, broken, list)
+  return true
+end
+
+--- Tries the charts of so many seeds. Returns how many of them have no more
+--- configurations than the bound, and what is wrong.
+function claim.run(n, seed)
+  local list, compared = {}, 0
+  for i = seed or 1, (seed or 1) + n - 1 do
+    if compare(i, list) then compared = compared + 1 end
+  end
+  table.sort(list)
+  return compared, list[1] and table.concat(list, "\n") or nil
+end
+
+return claim

@@ -1,0 +1,359 @@
+-- Timers in order: what an exploration knows of time, and properties with a time.
+
+local ab = require "spec.support.ab"
+local claim = require "spec.support.claims.timing"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local rfsm_timeevent = require "rfsm_timeevent"
+require "rfsm.await"
+
+local state = rfsm.state
+local never, after, from = rfsm_checks.never, rfsm_checks.after, rfsm_checks.from
+local chart, go = ab.chart, ab.go
+
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local function lines(...) return table.concat({ ... }, "\n") end
+
+-- The report without its first line, and without files.
+local function report(model, options)
+  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
+  return (text:gsub("^[^\n]*\n?", ""))
+end
+
+-- The line of a property that holds, or the lines of one that does not.
+local function verdict(model, property, options)
+  options = options or {}
+  options.properties = { p = property }
+  local result = rfsm_checks.explore(model, options)
+  local judged = result.properties[1]
+  if judged.holds ~= false then
+    return (tostring(result):match("\n(p: [^\n]*)"))
+  end
+  return lines("p", unpack(require("rfsm.checks.verdict").lines_of(judged.witness)))
+end
+
+local PREMISE = "one event a step; stepped between any two deadlines; "
+  .. "steps take no time"
+local HOLDS = "p: holds (" .. PREMISE .. ")"
+
+local ENTRY = "1. no event: root.trans[1] -> root.a"
+
+describe("timers of active states", function()
+  it("expire in the order of their deadlines", function()
+    local function race(first, second)
+      return chart { c = state {}, [2] = go("a", "b", first),
+        [4] = go("a", "c", second), [5] = go("c", "a", "e_x") }
+    end
+    assert.equal("warning: root.c: active in no configuration (e_after(5)@root.a "
+      .. "never comes) [unreachable]", report(race("e_after(1)", "e_after(5)")))
+    assert.equal("", report(race("e_after(5)", "e_after(1)"),
+      { timers = "free" }))
+    assert.equal("", report(race("e_after(1)", "e_at(5)")))
+    assert.equal("", report(race("e_after(1)",
+      { rfsm_timeevent.e_after(function() return 5 end) })))
+  end)
+
+  it("of a composite and of a state in it run side by side", function()
+    local function nested(outer, inner)
+      return chart { [4] = go("c", "b", outer), [2] = go("a", "c", "e_x"),
+        c = state { x = state {}, y = state {}, go("initial", "x"),
+          go("x", "y", inner) } }
+    end
+    assert.equal("warning: root.c.y: active in no configuration (e_after(2)@root.c.x "
+      .. "never comes) [unreachable]", report(nested("e_after(1)", "e_after(2)")))
+    assert.equal("", report(nested("e_after(2)", "e_after(1)")))
+    -- at the same time the composite is first
+    assert.equal("warning: root.c.y: active in no configuration [unreachable]",
+      report(nested("e_after(1)", "e_after(1)")))
+    local model = nested("e_after(1)", "e_after(2)")
+    model.c[3] = go("x", "y", "e_y")
+    assert.equal("warning: root.c.trans[2]: no step takes it (root.c.x -> root.c.y) "
+      .. "(e_after(2)@root.c.x never comes) [shadowed]", report(model))
+  end)
+
+  it("come once, until their state is entered again", function()
+    local model = chart { [2] = go("a", "b", "e_x"),
+      [4] = go("a", "internal", "e_after(2)") }
+    local twice = rfsm_checks.at_most(1, "e_after(2)@root.a").within(2)
+    assert.equal(HOLDS, verdict(model, twice))
+    assert.equal(lines("p", ENTRY,
+      "2. +2.001 s, e_x, e_after(2)@root.a: root.trans[2] -> root.b",
+      "3. e_x: root.trans[3] -> root.a",
+      "4. +2.001 s, e_after(2)@root.a: root.trans[4] -> root.a"),
+      verdict(model, rfsm_checks.at_most(1, "e_after(2)@root.a").within(3)))
+  end)
+
+  it("expire together, if their deadlines are less than a period apart", function()
+    local function model()
+      return chart { c = state {}, [2] = go("a", "b", "e_after(1)"),
+        [4] = go("a", "c", "e_after(1.5)", { pn = 1 }), [5] = go("c", "a", "e_x") }
+    end
+    assert.equal(HOLDS, verdict(model(), never "root.c"))
+    assert.equal("p: holds (one event a step; stepped every 0.5 s; steps take no time)",
+      verdict(model(), never "root.c", { period = 0.5 }))
+    assert.equal(lines("p", ENTRY, "2. +1.501 s, e_after(1)@root.a, "
+      .. "e_after(1.5)@root.a: root.trans[4] -> root.c"),
+      verdict(model(), never "root.c", { period = 0.6 }))
+  end)
+
+  it("of regions run side by side", function()
+    local function arm(seconds)
+      return state { warn = false, info = false, x = state {}, y = state {},
+        go("initial", "x"), go("x", "y", ("e_after(%d)"):format(seconds)) }
+    end
+    local model = chart { b = rfsm.seqand { left = arm(1), right = arm(2) } }
+    assert.equal(HOLDS, verdict(model, never { "root.b.left.x", "root.b.right.y" }))
+    assert.equal("p", verdict(model, never { "root.b.left.y", "root.b.right.x" })
+      :match("^[^\n]*"))
+  end)
+
+  it("in an await are over before it is complete", function()
+    local model = chart { c = state {}, [2] = go("a", "b", "await(e_p, e_after(3))"),
+      [4] = go("a", "c", "e_after(2)"), [5] = go("c", "a", "e_x") }
+    assert.equal(HOLDS, verdict(model, never "root.b"))
+  end)
+
+  it("do not tell whether a way is there at all times", function()
+    local model = chart { c = state { x = state {}, y = state {}, z = state {},
+      go("initial", "x"), go("x", "y", "e_y"), go("y", "z", "e_after(2)") },
+      [2] = go("a", "c", "e_x"), [4] = go("c", "b", "e_after(3)"),
+      [3] = go("b", "b", "e_x") }
+    local function way(name) return from("root.c.y").can_reach(name) end
+    assert.equal("p: not known, it depends on when timers expire",
+      verdict(model, way "root.c.z"))
+    assert.equal(HOLDS, verdict(model, way "root.b"))
+  end)
+end)
+
+describe("a property with a time", function()
+  local function alarm(seconds, members)
+    local all = { [2] = go("a", "b", "e_x"), [3] = go("b", "a",
+      ("e_after(%s)"):format(seconds)) }
+    for key, value in pairs(members or {}) do all[key] = value end
+    return chart(all)
+  end
+
+  local CASES = {
+    { name = "reach within, in time", model = alarm(2),
+      property = after "e_x".reach "root.a".within(2),
+      verdict = "p: holds (two events a step;" .. PREMISE:match(";(.*)") .. ")" },
+    { name = "reach within, too late", model = alarm(2),
+      property = after "e_x".reach "root.a".within(1.5),
+      verdict = lines("p", ENTRY, "2. e_x: root.trans[2] -> root.b",
+        "3. +1.501 s, no event: no transition -> root.b") },
+    { name = "reach within, too late by a period", model = alarm(2), period = 0.1,
+      property = from "root.b".left_within(1.95),
+      verdict = lines("p", ENTRY, "2. e_x: root.trans[2] -> root.b",
+        "3. +1.951 s, no event: no transition -> root.b") },
+    { name = "left_within, in time", model = alarm(2),
+      property = from "root.b".left_within(2), verdict = HOLDS },
+    { name = "left_within, with a period", model = alarm(2), period = 0.1,
+      property = from "root.b".left_within(2.1),
+      verdict = "p: holds (one event a step; stepped every 0.1 s; steps take no time)"
+    },
+    { name = "left_within, too late", model = alarm(2, { [4] = go("b", "b", "e_y") }),
+      property = from "root.b".left_within(2),
+      verdict = lines("p", ENTRY, "2. e_x: root.trans[2] -> root.b",
+        "3. +0.001 s, e_y: root.trans[4] -> root.b",
+        "4. +2 s, no event: no transition -> root.b") },
+    { name = "stays, long enough", model = alarm(2), property = from "root.b".stays(2),
+      verdict = HOLDS },
+    { name = "stays, too short", model = alarm(2), property = from "root.b".stays(2.5),
+      verdict = lines("p", ENTRY, "2. e_x: root.trans[2] -> root.b",
+        "3. +2.001 s, e_after(2)@root.b: root.trans[3] -> root.a") },
+    { name = "at_least, by a timer", model = chart { [2] = go("a", "a", "e_after(1)"),
+      [3] = go("a", "b", "e_never", { guard = function() end }) },
+      property = rfsm_checks.at_least(2, "e_after(1)@root.a").within(2),
+      alphabet = {}, verdict = lines("p", ENTRY,
+        "2. +1.001 s, e_after(1)@root.a: root.trans[2] -> root.a",
+        "3. +1 s, no event: no transition -> root.a") },
+    { name = "at_least, by a timer in a period", model = chart { [2] = go("a", "a",
+      "e_after(1)"), [3] = go("b", "a", "e_x") }, period = 0.2,
+      property = rfsm_checks.at_least(2, "e_after(1)@root.a").within(2.5),
+      verdict = "p: holds (one event a step; stepped every 0.2 s; steps take no time)"
+    },
+    { name = "leads_to, by the timer of a composite", model = chart {
+      c = state { x = state {}, y = state {}, go("initial", "x"), go("x", "y", "e_y"),
+        go("y", "x", "e_y") }, [2] = go("a", "c", "e_x"), [3] = go("c", "b",
+        "e_after(9)"), [4] = go("b", "b", "e_x") },
+      property = after "e_x".leads_to "root.b", together = 1,
+      verdict = "p: holds (" .. PREMISE .. "; doos end)" },
+    { name = "leads_to, if events come too early for a timer", model = alarm(2,
+      { [4] = go("b", "b", "e_y") }), property = after "e_x".leads_to "root.a",
+      together = 1, verdict = lines("p", ENTRY, "2. e_x: root.trans[2] -> root.b",
+        "3. e_y: root.trans[4] -> root.b", "and again from 3 on") },
+  }
+  for _, case in ipairs(CASES) do
+    it("is " .. case.name, function()
+      local text = verdict(case.model, case.property, { period = case.period,
+        together = case.together, alphabet = case.alphabet })
+      assert.equal(case.verdict, text)
+    end)
+  end
+
+  it("replays as a recording, with its times", function()
+    local model = alarm(2)
+    local result = rfsm_checks.explore(model,
+      { properties = { from "root.b".stays(2.5) } })
+    local records = {}
+    rfsm_checks.record_witness(model, result.properties[1].witness, records)
+    local fsm = assert(require("rfsm.record").replay(model, records, { dry = true }))
+    assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("refuses what is no time, number or option", function()
+    local seconds = ": seconds above 0 and up to 1000000 expected, got "
+    local CASES_OF_ERRORS = {
+      { f = function() return (after "e".reach "root".within(0)) end,
+        text = "rfsm_checks.after(...).reach(...).within" .. seconds .. "0" },
+      { f = function() return (from "root".left_within()) end,
+        text = "rfsm_checks.from(...).left_within" .. seconds .. "nil" },
+      { f = function() return (from "root".stays "2") end,
+        text = "rfsm_checks.from(...).stays" .. seconds .. "string '2'" },
+      { f = function() return (rfsm_checks.at_most(0, "e")) end,
+        text = "rfsm_checks.at_most: whole number from 1 to 100 expected, got 0" },
+      { f = function() return (rfsm_checks.at_least(1)) end,
+        text = "rfsm_checks.at_least: event expected, got nil" },
+      { f = function() return (rfsm_checks.at_most(1, "e").inside(2)) end,
+        text = "rfsm_checks.at_most(...): no 'inside' (there is 'within'), expected: "
+          .. "within" },
+      { f = function() return (rfsm_checks.explore(chart(), { period = 0 })) end,
+        text = "rfsm_checks.explore: period: seconds above 0 expected, got 0" },
+      { f = function() return (rfsm_checks.explore(chart(), { timers = "fre" })) end,
+        text = "rfsm_checks.explore: timers: 'free' or 'in order' expected, got 'fre' "
+          .. "(did you mean 'free'?)" },
+      { f = function() return (rfsm_checks.explore(chart(), { timers = 1 })) end,
+        text = "rfsm_checks.explore: timers: 'free' or 'in order' expected, got 1" },
+    }
+    for _, case in ipairs(CASES_OF_ERRORS) do
+      local ok, text = pcall(case.f)
+      assert.is_false(ok)
+      assert.equal(case.text, (text:gsub("^[^\n]*timing_spec.lua:%d+: ", "")))
+    end
+    assert.equal("from root.a left within 2.5 s",
+      tostring(from "root.a".left_within(2.5)))
+    assert.equal("at most 2 e_x within 3 s",
+      tostring(rfsm_checks.at_most(2, "e_x").within(3)))
+  end)
+end)
+
+-- Small models of textbooks on timed automata, as charts. A timer of a chart comes
+-- after its time, and not at it, so the train and its gate need a period and room.
+describe("a textbook model", function()
+  local function silent(members)
+    members.warn, members.info = false, false
+    return state(members)
+  end
+
+  -- Two quick clicks for bright light (the lamp of the UPPAAL tutorial).
+  local function lamp()
+    return silent { off = state {}, bright = state {},
+      low = state { quick = state {}, slow = state {}, go("initial", "quick"),
+        go("quick", "slow", "e_after(5)") },
+      go("initial", "off"), go("off", "low", "e_press"),
+      go("root.low.quick", "bright", "e_press", { pn = 1 }),
+      go("root.low.slow", "off", "e_press"), go("bright", "off", "e_press") }
+  end
+
+  -- The train needs `near` seconds at least and 5 at most; the controller waits for a
+  -- second, and the gate moves for one (the crossing of Alur and Dill, one passage).
+  local function crossing(near)
+    local train = silent { away = state {}, far = state {}, close = state {},
+      inside = state {}, gone = state { final = true }, go("initial", "away"),
+      go("away", "far", "e_approach"),
+      go("far", "close", ("e_after(%g)"):format(near)),
+      go("close", "inside", { "e_in", ("e_after(%g)"):format(5 - near) }),
+      go("inside", "gone", "e_out") }
+    local gate = silent { up = state {}, waiting = state {}, lowering = state {},
+      down = state { final = true }, go("initial", "up"),
+      go("up", "waiting", "e_approach"), go("waiting", "lowering", "e_after(1)"),
+      go("lowering", "down", "e_after(1)") }
+    return silent { both = rfsm.seqand { train = train, gate = gate },
+      go("initial", "both") }
+  end
+
+  local function is_safe(active)
+    return not active "root.both.train.inside" or active "root.both.gate.down"
+  end
+
+  local function is_down(active)
+    return active "root.both.gate.up" or active "root.both.gate.down"
+  end
+
+  -- A heartbeat with a timeout.
+  local function heart()
+    return silent { alive = state {}, dead = state { final = true },
+      go("initial", "alive"), go("alive", "alive", "e_beat"),
+      go("alive", "dead", "e_after(1.5)") }
+  end
+
+  local always = rfsm_checks.always
+  local CASES = {
+    { name = "the lamp becomes bright", model = lamp(), holds = true,
+      property = from "root.off".can_reach "root.bright" },
+    { name = "bright light needs a quick click", model = lamp(), holds = true,
+      property = rfsm_checks.precedes("root.low.quick", "root.bright") },
+    { name = "a click is quick for 5 s", model = lamp(), holds = true,
+      property = from "root.low.quick".left_within(5) },
+    { name = "low light ends some time", model = lamp(), holds = false,
+      property = from "root.low".left_within(60) },
+    { name = "the gate is down while a train is inside", model = crossing(3),
+      period = 0.1, property = always(is_safe), holds = true },
+    { name = "a train that comes in 2 s is too quick", model = crossing(2),
+      period = 0.1, property = always(is_safe), holds = false },
+    { name = "the gate moves for 2.2 s at most", model = crossing(3), period = 0.1,
+      property = from(function(active) return not is_down(active)
+        and active "root.both" end).left_within(2.2), holds = true },
+    { name = "the gate moves for 2 s at most", model = crossing(3), period = 0.1,
+      property = from(function(active) return not is_down(active)
+        and active "root.both" end).left_within(2), holds = false },
+    { name = "a heart without a beat is alive for 1.5 s", model = heart(),
+      holds = true, property = from "root.alive".stays(1.5) },
+    { name = "and no longer, if it beats", model = heart(), holds = false,
+      property = from "root.alive".left_within(1.5) },
+    { name = "a heart that beats dies", model = heart(), holds = false,
+      property = after "e_beat".leads_to "root.dead" },
+  }
+  for _, case in ipairs(CASES) do
+    it("has it that " .. case.name .. (case.holds and "" or ": no"), function()
+      local result = rfsm_checks.explore(case.model, { properties = { case.property },
+        period = case.period })
+      assert.equal(case.holds, result.properties[1].holds)
+    end)
+  end
+end)
+
+describe("a watched machine", function()
+  it("reports what comes too late, on its clock", function()
+    local now, told = 100, {}
+    local fsm = rfsm.init(chart { err = function(text) told[#told + 1] = text end,
+      gettime = function() return now, 0 end })
+    local watched = rfsm_checks.watch_properties(fsm, {
+      quick = from "root.b".left_within(2) })
+    rfsm.run(fsm)
+    assert.is_nil(watched:next_deadline())
+    rfsm.send_events(fsm, "e_x")
+    rfsm.run(fsm)
+    assert.equal(2, watched:next_deadline())
+    now = 102
+    rfsm.run(fsm)
+    assert.same({}, told)
+    now = 102.5
+    rfsm.run(fsm)
+    rfsm.run(fsm)
+    assert.equal(1, #told)
+    assert.matches("\n  2. e_x: root.a %-> root.b\n", told[1])
+    assert.matches("\n  and then %+?2.5 s$", told[1])
+    rfsm.reset(fsm)
+    assert.is_nil(watched:next_deadline())
+  end)
+end)
+
+describe(claim.name, function()
+  it("agree on random charts", function()
+    claim.runs = 10
+    assert.is_nil((select(2, claim.run(8, 2))))
+  end)
+end)
