@@ -11,6 +11,7 @@
 
 local rfsm = require "rfsm"
 local graph = require "rfsm.checks.graph"
+local match = require "rfsm.checks.match"
 local puppet = require "rfsm.checks.puppet"
 
 local ipairs, pairs, next = ipairs, pairs, next
@@ -134,6 +135,13 @@ local function cycle_from(walk, edges, start)
   return cycle
 end
 
+-- Are there times for two rounds of a cycle? A configuration may stand for another one
+-- with fewer times, so that there need not be.
+local function has_times(walk, start, cycle)
+  return not walk.timing
+    or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil
+end
+
 -- Lists the configurations that have been looked at and owe something.
 local function owing(walk, judged, owes)
   local set, index = {}, nil
@@ -153,9 +161,12 @@ function fairness.judge(walk, judged, owes)
   for _, numbers in ipairs(graph.components_in(walk, owing(walk, judged, owes))) do
     local rest = find_rest(walk, numbers)
     local edges = not rest and find_fair(walk, numbers)
-    if rest or edges then
+    local cycle = edges and cycle_from(walk, edges, numbers[1])
+    if cycle and not has_times(walk, numbers[1], cycle) then
+      judged.is_open = true
+    elseif rest or cycle then
       judged.holds, judged.at, judged.rests = false, rest or numbers[1], rest ~= nil
-      judged.cycle = edges and cycle_from(walk, edges, numbers[1])
+      judged.cycle = cycle
       return
     end
   end
