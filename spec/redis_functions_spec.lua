@@ -136,6 +136,9 @@ describe("a call", function()
     call("send", "e_b", "ID", "1")
     call("send", "e_a")
     assert.equal("1007.500000", call("get")[16])
+    clock.now = 1003.25
+    call("send", "e_x")
+    assert.equal("1007.500000", call("get")[16])
   end)
 
   it("goes on at once with a machine that is never idle", function()
