@@ -2581,9 +2581,41 @@ do
     return compile(variant)
   end
 
+  -- Have the preproc functions made of a transition what a plan has?
+  local function is_as_planned(tr, def, nodes)
+    local events, known = rawget(tr, "events"), def.events or NONE
+    if type(events) ~= "table" or #events ~= #known or rawget(tr, "pn") ~= def.pn
+      or not rawequal(tr.src, nodes[def.src.index])
+      or not rawequal(tr.tgt, nodes[def.tgt.index]) then
+      return false
+    end
+    for i = 1, #known do
+      if not rawequal(events[i], known[i]) then return false end
+    end
+    return true
+  end
+
+  -- Gives a machine the plan that the latest one got, if the same has been made of its
+  -- transitions; returns whether it is so.
+  local function take_latest(fsm, plan)
+    local latest, transitions = plan.latest or plan, fsm._transitions
+    for i = 1, #transitions do
+      if not is_as_planned(transitions[i], latest.transitions[i], fsm._nodes) then
+        return false
+      end
+    end
+    for i = 1, #transitions do transitions[i].events, transitions[i].pn = nil, nil end
+    if latest ~= plan then use_plan(fsm, latest) end
+    return true
+  end
+
   -- The machine gets the plan of what the preproc functions have made of its
   -- transitions. Machines with the same result share it.
   local function take_results(fsm, plan, problems)
+    if take_latest(fsm, plan) then
+      plan.is_settled = true
+      return
+    end
     local results = {}
     for i, tr in ipairs(fsm._transitions) do
       local result, problem = read_transition(fsm, tr)
@@ -2599,7 +2631,7 @@ do
     plan.is_settled = true
     plan.variants[current] = plan
     local variant = plan.variants[key] or new_variant(plan, results)
-    plan.variants[key] = variant
+    plan.variants[key], plan.latest = variant, variant
     for i, tr in ipairs(fsm._transitions) do tr.tgt = fsm._nodes[results[i].tgt] end
     use_plan(fsm, variant)
   end
@@ -2931,10 +2963,15 @@ local function planned_elements(fsm, pred)
     end
     fsm._plan.order = order
   end
-  local list = {}
+  local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
   for i = 1, #order do
-    local element = order[i] > 0 and nodes[order[i]] or transitions[-order[i]]
-    if not pred or pred(element) then list[#list + 1] = element end
+    local index = order[i]
+    if is_simple then
+      if index < 0 then list[#list + 1] = transitions[-index] end
+    else
+      local element = index > 0 and nodes[index] or transitions[-index]
+      if not pred or pred(element) then list[#list + 1] = element end
+    end
   end
   return list
 end
