@@ -166,7 +166,7 @@ describe("the shape of a picture", function()
       assert.is_true(length > 100 and length < 200, length)
       for i = 1, 14 do
         local tip = shapes["root.trans[" .. 2 * i + 1 .. "]"].tip
-        local key = ("%d %d"):format(tip[1] / 3, tip[2] / 3)
+        local key = math.floor(tip[1] / 3) .. " " .. math.floor(tip[2] / 3)
         tips[key] = (tips[key] or 0) + 1
         assert.is_true(tips[key] < (axis == 2 and 2 or 4), key)
       end
