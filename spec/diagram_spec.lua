@@ -224,7 +224,7 @@ for _, language in ipairs(LANGUAGES) do
       for _, event in ipairs { "e_go", "e_halt" } do
         assert.is_falsy(text:find(event, 1, true), event)
       end
-      contains(text, { "e_panic", "e_again", "e_in" })
+      contains(text, { '"on', "e_panic", "e_again", "e_in" })
     end)
 
     it("says how often a run came to a place, and in which steps", function()

@@ -144,6 +144,18 @@ describe("the shape of a picture", function()
     assert.equal(7, before)
   end)
 
+  it("is wide for a star with a frame that an arrow crosses", function()
+    local model = star(8)
+    model.m = state { x = state {}, trans { src = "initial", tgt = "x" } }
+    model[#model + 1] = trans { src = "hub", tgt = "m", events = "e_m" }
+    model[#model + 1] = trans { src = ".m.x", tgt = "hub", events = "e_x" }
+    local shapes = draw(model)
+    for i = 1, 8 do
+      local leaf = shapes["root.leaf" .. i].box
+      assert.is_true(leaf.top > shapes["root.hub"].box.bottom, i)
+    end
+  end)
+
   it("has a hub so long that arrows end beside each other", function()
     for direction, axis in pairs { TB = 2, LR = 1 } do -- any order
       local model = star(14)
@@ -154,7 +166,7 @@ describe("the shape of a picture", function()
       assert.is_true(length > 100 and length < 200, length)
       for i = 1, 14 do
         local tip = shapes["root.trans[" .. 2 * i + 1 .. "]"].tip
-        local key = ("%d %d"):format(tip[1] / 3, tip[2] / 3)
+        local key = math.floor(tip[1] / 3) .. " " .. math.floor(tip[2] / 3)
         tips[key] = (tips[key] or 0) + 1
         assert.is_true(tips[key] < (axis == 2 and 2 or 4), key)
       end
