@@ -927,6 +927,27 @@ describe("a snapshot", function()
     end)))))
   end)
 
+  it("counts from the second reading of a clock that fails once at an entry", function()
+    local is_broken = false
+    set_gettime_hook(function()
+      if is_broken then
+        is_broken = false
+        fail()
+      end
+      return unpack(now)
+    end)
+    local fsm = init(chart({ "e_after(3)" }, { err = false }))
+    now, is_broken = { 1000, 500000000 }, true
+    rfsm.step(fsm)
+    assert.is_false(is_broken)
+    for _, case in ipairs { { nsec = 500000000, leaf = "root.a" },
+      { nsec = 500000001, leaf = "root.b" } } do
+      now = { 1003, case.nsec }
+      rfsm.run(fsm)
+      assert.equal(case.leaf, rfsm.get_actleaf_fqn(fsm))
+    end
+  end)
+
   it("of a machine without armed timers has none", function()
     local fsm = started(model)
     check(fsm, "+9=b")
