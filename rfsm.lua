@@ -1709,7 +1709,7 @@ local function find_way(fsm, connector, events, depth)
 end
 
 -- A transition of the machine has got another target. Returns its definition with that
--- target; nil if that is no node of the machine.
+-- target, of which one is made; nil if that is no node of the machine.
 local function retarget(fsm, def, tgt)
   local node = is_node(tgt) and getmetatable(tgt)["_%def"]
   if rawequal(tgt, fsm) then node = fsm._plan.nodes[1] end
@@ -1721,10 +1721,12 @@ local function retarget(fsm, def, tgt)
   if node.kind == "state" and not node.is_leaf then node = node.members.initial end
   if not node then return nil end
   def = fsm._plan.transitions[def.index] -- a guard may have merged something
-  return compile_transition {
+  def.aimed = def.aimed or {}
+  def.aimed[node] = def.aimed[node] or compile_transition {
     kind = "transition", index = def.index, id = def.id, parent = def.parent,
     model = def.model, src = def.src, tgt = node, events = def.events, pn = def.pn,
   }
+  return def.aimed[node]
 end
 
 -- Is the path through `def` to `tgt` enabled? Returns the definition of its first
