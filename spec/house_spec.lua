@@ -40,7 +40,7 @@ describe("the tree", function()
     for _, file in ipairs(files) do
       count = count + (file:find("^rfsm/[^/]*$") and 1 or 0)
     end
-    assert.is_true(count <= 31, count .. " files")
+    assert.is_true(count <= 30, count .. " files")
   end)
 
   it("has no file that a program made", function()

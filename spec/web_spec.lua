@@ -9,7 +9,7 @@ local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local subscriber = require "rfsm.proto.subscriber"
-local watch = require "rfsm.watch"
+local watch = require "rfsm.web.watch"
 local web = require "rfsm.web"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -1154,7 +1154,7 @@ describe("a machine elsewhere", function()
   end)
 end)
 
-describe("rfsm.watch", function()
+describe("rfsm.web.watch", function()
   local GRAPH = { id = "root", type = "state", subnodes = {
     { id = "initial", type = "connector" }, { id = "off", type = "state" },
     { id = "on", type = "state", subnodes = { { id = "dim", type = "state" } } },

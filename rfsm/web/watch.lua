@@ -1,7 +1,7 @@
 --- A machine that answers by `rfsm.proto`: at a terminal the tree of its states and a
 -- log, in a pipe a line for each change.
 --
--- @module rfsm.watch
+-- @module rfsm.web.watch
 -- @license BSD-3-Clause
 
 local dot = require "rfsm.dot"
@@ -28,7 +28,7 @@ local function add_tree(lines, node, fqn, leaf)
 end
 
 --- A machine as it was received.
----@class rfsm.watch.Watch
+---@class rfsm.web.watch.Watch
 ---@field graph table? of the machine
 ---@field leaf string|false|nil FQN of the active state
 ---@field log string[] the last lines
