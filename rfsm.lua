@@ -32,7 +32,7 @@ local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
 local loadstring = find_global "loadstring" or find_global "load"
 local unpack = find_global("table", "unpack") or find_global "unpack"
 local getinfo = find_global("debug", "getinfo")
-local getlocal = find_global("debug", "getlocal")
+local getlocal = getinfo and find_global("debug", "getlocal")
 local _, require = pcall(function() return require end) -- also one of a bundle
 
 -- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
@@ -1474,8 +1474,8 @@ local function call_aside(_, f, ...) return pcall(f, ...) end
 
 -- How many locals come before `calls`: Lua 5.1 has a hidden one for the rest of the
 -- arguments.
-local FIRST_LOCAL = getinfo and (function(...) -- luacheck: ignore 212 (it has to be)
-  local mark = getinfo
+local FIRST_LOCAL = getlocal and (function(...) -- luacheck: ignore 212 (it has to be)
+  local mark = getlocal
   local _, value = getlocal(1, 1)
   return value == mark and 2 or 3
 end)()
@@ -2163,7 +2163,7 @@ function iterate(fsm, after_free, phases)
   end
   fsm._run = phases or go_on
   if running then fsm._thread = running() or true end
-  local ok, failure = xpcall(fsm._act, getinfo and note_interrupt or same)
+  local ok, failure = xpcall(fsm._act, getlocal and note_interrupt or same)
   if running then fsm._thread = false end
   if not ok then
     if failure == GO_ON then return iterate(fsm, after_free) end
@@ -2186,7 +2186,7 @@ local PARTS = {
   compile_transition = compile_transition, decide = decide,
   enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
   give_up = give_up, go_on = go_on, GO_ON = GO_ON,
-  handler = getinfo and note_interrupt or same, interpret = interpret,
+  handler = note_interrupt, interpret = interpret,
   is_callable = is_callable,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
   matches = matches, no_events = no_events, OWN_ONLY = OWN_ONLY,
@@ -2197,7 +2197,7 @@ local PARTS = {
 local function load_fast()
   patience = -1
   engine.iterate = iterate -- if there is no such file
-  local make = find_module("rfsm.fast")
+  local make = getlocal and find_module("rfsm.fast") -- which needs the handler
   if make then make(engine, PARTS) end
 end
 

@@ -13,7 +13,8 @@
 -- Text is generated for a shape: how many states are left and entered. It is compiled
 -- once and bound to numbers of the plan; no name of a model is in it. Callbacks are
 -- read where they are called. After each of them the text looks whether dbg has been
--- switched on: then the core goes on.
+-- switched on: then the core goes on. An error is found on the stack: where there is no
+-- `debug`, the core does without this file.
 --
 -- @module rfsm.fast
 -- @license BSD-3-Clause
@@ -22,9 +23,11 @@ local error, ipairs, pairs, pcall, rawequal = error, ipairs, pairs, pcall, raweq
 local rawget, rawset, select, setmetatable = rawget, rawset, select, setmetatable
 local type, xpcall = type, xpcall
 local concat, insert = table.concat, table.insert
-local coroutine, debug = rawget(_G, "coroutine"), rawget(_G, "debug")
+local coroutine = rawget(_G, "coroutine")
 local jit = rawget(_G, "jit")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local debug = rawget(_G, "debug") or {}
+local getinfo, getlocal = debug.getinfo, debug.getlocal
 
 local NONE = {}
 
@@ -1108,8 +1111,6 @@ local function new_iterates(core, choices)
 end
 
 -- What the core asks for -------------------------------------------------------------
-
-local getinfo, getlocal = debug and debug.getinfo, debug and debug.getlocal
 
 -- Makes the function that is told of an error while a function of this file ran.
 local function new_note_failure(core, iterates)

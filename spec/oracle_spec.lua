@@ -64,6 +64,7 @@ describe("the oracle", function()
   local CASES = {
     { "agrees while all extensions are loaded", "RFSM_FUZZ_WITH=all" },
     { "agrees where rfsm/fast.lua is missing", "RFSM_WITHOUT=rfsm.fast" },
+    { "agrees where there is no debug", "RFSM_WITHOUT=debug" },
     { "agrees with a machine whose twin was interrupted", "RFSM_INTERRUPTS=1" },
   }
   for _, case in ipairs(CASES) do

@@ -3,8 +3,8 @@
 -- RFSM_FUZZ_WITH="rfsm_timeevent rfsm_seqand" loads these modules first, "all" every
 -- one there is: they must not change a thing for charts that do not use them, but for
 -- the warnings of rfsm.checkevents, which are left out. RFSM_WITHOUT="rfsm.fast"
--- names optional modules that are to be missing. A difference prints the seed, both
--- traces around it, and the chart shrunk to what is needed.
+-- names optional modules that are to be missing, or the library debug. A difference
+-- prints the seed, both traces around it, and the chart shrunk to what is needed.
 --
 -- RFSM_INTERRUPTS=1 interrupts each operation instead: see runs.interrupt and
 -- runs.interrupt_exactly.
@@ -13,6 +13,7 @@ package.path = "./?.lua;" .. package.path
 
 for name in (os.getenv("RFSM_WITHOUT") or ""):gmatch("[%w_.]+") do
   package.preload[name] = function() error("module '" .. name .. "' not found", 0) end
+  if name == "debug" then rawset(_G, name, nil) end
 end
 
 local function names_of_all()
