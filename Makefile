@@ -2,7 +2,7 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, test, test-web and doc install missing Debian packages if you are root or have
+# sim, fleet, fleet-postgres, test, test-web and doc install missing Debian packages if you are root or have
 # password-free sudo. Otherwise they print the command to type.
 
 MODEL    ?= examples/hello_world.lua
@@ -32,7 +32,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
+.PHONY: all help sim fleet fleet-postgres test test-web lint fuzz torture mutants bench soak bench-profile examples doc gallery deps transcript
 .PHONY: rockspec dist size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -48,6 +48,10 @@ sim:                    ## open MODEL in the simulator, with LUA
 fleet:                  ## a warehouse whose orders are machines in a Redis server of its own
 	@tools/deps.sh fleet
 	@examples/warehouse/fleet.sh lua5.3
+
+fleet-postgres:         ## the same warehouse in a PostgreSQL server of its own
+	@tools/deps.sh postgres
+	@examples/warehouse/postgres.sh lua5.3
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)

@@ -17,7 +17,8 @@ local postgres = {}
 
 -- In front of the library: what it finds in place of Redis and of globals. `pcall` of
 -- PL/Lua makes a subtransaction, and catches that a call is cancelled; `lpcall` does
--- neither.
+-- neither. `load` is for charts: without it in _G the core leaves out rfsm/fast.lua,
+-- which needs `debug` where a callback fails.
 local HEAD = [[
 local bundled = {}
 %s
@@ -30,11 +31,12 @@ end
 local function xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
 local _G = { os = { clock = os.clock }, pcall = pcall, xpcall = xpcall, redis = redis,
   cjson = cjson, cmsgpack = cmsgpack }
-for name in ([=[assert collectgarbage error getmetatable ipairs load next pairs rawequal
+for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
   rawget rawset select setmetatable tonumber tostring type coroutine string table math
   _VERSION]=]):gmatch("%%S+") do
   _G[name] = self[name]
 end
+local load = load
 self.answer = host.answer
 setmetatable(self, {
   __index = function(_, name)

@@ -209,6 +209,7 @@ return function(spi, pgtype)
     if own.is_changed then view = functions.rfsm_get({ key }, {}) end
     row = nil
     if view then save(spi, execute, own, view) end
+    if not reply then return nil end
     return type(reply) == "table" and reply or { tostring(reply) }
   end
 

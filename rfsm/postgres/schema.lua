@@ -59,7 +59,8 @@ schema.FUNCTIONS = [[$TAG;
 
 CREATE OR REPLACE FUNCTION rfsm.create(key text, chart text, data jsonb DEFAULT '{}',
   id text DEFAULT NULL) RETURNS text LANGUAGE sql AS $$
-  SELECT (rfsm.call('rfsm_create', key, ARRAY[chart, data::text], id))[1]
+  SELECT (rfsm.call('rfsm_create', key, ARRAY[chart, coalesce(data, '{}')::text],
+    id))[1]
 $$;
 
 CREATE OR REPLACE FUNCTION rfsm.send(key text, events text[], id text DEFAULT NULL)

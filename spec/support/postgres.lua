@@ -1,0 +1,93 @@
+-- Real PostgreSQL servers for the specs: each in a folder of its own, reached by a
+-- socket there.
+
+local helper = require "spec.helper"
+
+local servers = {}
+
+local running = {} -- what is to be stopped
+
+local function output_of(command)
+  local pipe = assert(io.popen(command .. " 2>&1"))
+  local output = pipe:read("*a")
+  pipe:close()
+  return output
+end
+
+-- The programs of the newest server for which PL/Lua is there; "" if there is none.
+local BIN = output_of([[
+  for file in $(ls -v /usr/share/postgresql/*/extension/pllua.control 2>/dev/null); do
+    version=${file#/usr/share/postgresql/}
+    bin=/usr/lib/postgresql/${version%%/*}/bin
+    [ -x $bin/initdb ] && last=$bin
+  done
+  echo $last]]):match("%S*")
+
+-- The server refuses to run as root.
+local AS_USER = output_of("id -u") == "0\n" and "runuser -u postgres -- " or ""
+
+--- Returns what a spec needs and this machine lacks, as a reason; nil if it is there.
+function servers.missing()
+  return BIN == "" and "postgresql-15-pllua is missing" or nil
+end
+
+--- A server that was started.
+---@class PostgresServer
+---@field folder string
+local Server = {}
+Server.__index = Server
+
+function Server:launch()
+  local command = ("cd / && %s%s/pg_ctl -D %s/data -w -l %s/log -o \"-k %s -c "
+    .. "listen_addresses='' %s\" start"):format(AS_USER, BIN, self.folder, self.folder,
+    self.folder, self.options)
+  local output
+  for _ = 1, 50 do -- after a kill, until the last process of the server before is gone
+    output = output_of(command)
+    if output:find("server started", 1, true) then return end
+  end
+  error(output .. output_of("cat " .. self.folder .. "/log"))
+end
+
+--- Kills all its processes as a power cut would.
+function Server:kill()
+  output_of(("pid=$(head -n 1 %s/data/postmaster.pid); kill -9 $pid $(pgrep -P $pid)")
+    :format(self.folder))
+end
+
+--- Returns the command for a program of PostgreSQL that reaches the server.
+function Server:command(program, arguments)
+  return ("PGHOST=%s PGUSER=postgres PGDATABASE=postgres %s/%s %s"):format(self.folder,
+    BIN, program, arguments)
+end
+
+--- Runs SQL as one session; returns what psql prints, errors without their context.
+function Server:sql(text)
+  local output = output_of(self:command("psql", "-XAqt -v VERBOSITY=terse -f "
+    .. helper.file_with(text)))
+  return (output:gsub("psql:[^ ]+:%d+: ", ""))
+end
+
+--- Starts a server with these options of the command line.
+function servers.start(options)
+  local folder = output_of("mktemp -d"):match("%S+")
+  local server = setmetatable({ folder = folder, options = options or "" }, Server)
+  running[#running + 1] = server
+  if AS_USER ~= "" then output_of("chown postgres " .. folder) end
+  output_of("chmod 755 " .. folder)
+  output_of(("cd / && %s%s/initdb -D %s/data -N -A trust -U postgres -E UTF8 "
+    .. "--locale=C.UTF-8"):format(AS_USER, BIN, folder))
+  server:launch()
+  return server
+end
+
+--- Stops all servers, and removes what they wrote.
+function servers.stop_all()
+  for i = #running, 1, -1 do
+    running[i]:kill()
+    output_of("rm -rf " .. running[i].folder)
+    running[i] = nil
+  end
+end
+
+return servers
