@@ -61,6 +61,50 @@ function Server:command(program, arguments)
     BIN, program, arguments)
 end
 
+-- Runs a script of the shell at the same time; returns a function that waits for its
+-- end, and returns the output.
+local function beside(script)
+  local pipe = assert(io.popen(script .. " 2>&1"))
+  return function()
+    local output = pipe:read("*a")
+    pipe:close()
+    return output
+  end
+end
+
+--- Runs SQL at the same time, likewise.
+function Server:beside(text)
+  return beside(self:command("psql", "-XAqt -f " .. helper.file_with(text)))
+end
+
+--- Sends statements, a list for each client, at the same time. A client that loses its
+-- connection goes on with the first statement that was not answered. Returns a function
+-- that waits for the end of all.
+function Server:storm(lists)
+  local ends = {}
+  for i, lines in ipairs(lists) do
+    local file = helper.file_with(table.concat(lines, "\n") .. "\n")
+    ends[i] = beside(([[
+      n=0 tries=0
+      while [ $n -lt %d ] && [ $tries -lt 500 ]; do
+        tail -n +$((n + 1)) %s | %s >>%s.out 2>/dev/null
+        n=$(wc -l <%s.out) tries=$((tries + 1))
+        [ $tries = 1 ] || sleep 0.1
+      done
+      rm %s.out]]):format(#lines, file, self:command("psql",
+      "-XAqt -v ON_ERROR_STOP=1"), file, file, file))
+  end
+  return function() for _, finish in ipairs(ends) do finish() end end
+end
+
+--- Waits until a query returns true. It does within seconds, or not at all.
+function Server:wait_for(query)
+  for _ = 1, 3000 do
+    if self:sql(query) == "t\n" then return end
+  end
+  error("not so: " .. query)
+end
+
 --- Runs SQL as one session; returns what psql prints, errors without their context.
 function Server:sql(text)
   local output = output_of(self:command("psql", "-XAqt -v VERBOSITY=terse -f "
