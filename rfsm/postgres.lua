@@ -62,6 +62,8 @@ end
 ---@class rfsm.postgres.Options
 ---@field history? boolean a trigger notes each move in rfsm.history
 ---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
+---@field ids? integer as in `rfsm.redis.Options`
+---@field ids_for? integer likewise
 
 --- Return SQL that makes the schema `rfsm`, or gives it other charts.
 -- @raise if a chart has a problem, in one line
@@ -72,7 +74,8 @@ end
 ---@nodiscard
 function postgres.bundle(arguments, options)
   options = options or {}
-  local ok, library, warnings = pcall(redis.bundle, arguments, { history = 1 })
+  local ok, library, warnings = pcall(redis.bundle, arguments, { history = 1,
+    ids = options.ids, ids_for = options.ids_for })
   if not ok then error(in_postgres(library), 0) end
   for i, text in ipairs(warnings) do warnings[i] = in_postgres(text) end
   local parts = {}

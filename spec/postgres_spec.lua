@@ -474,6 +474,46 @@ describe("rfsm postgres", function()
   end)
 end)
 
+describe("doc/postgres.md", function()
+  setup(function()
+    load_charts({ history = true }, "order=examples/warehouse/order.lua",
+      "lamp=" .. helper.file_with(LAMP))
+  end)
+
+  it("shows what its statements return", function()
+    local blocks, expected, at = {}, {}, 1
+    for block in helper.content("doc/postgres.md"):gmatch("\n```sql\n(.-)```") do
+      blocks[#blocks + 1] = block
+      for line in block:gmatch("%-%-> ([^\n]*)") do expected[#expected + 1] = line end
+    end
+    local output = sql(table.concat(blocks))
+    for _, line in ipairs(expected) do
+      local _, last = output:find(line, at, true)
+      assert.is_truthy(last, line .. " expected in:\n" .. output:sub(at))
+      at = last
+    end
+    assert.is_nil(output:find("ERROR:.*ERROR:"))
+  end)
+
+  it("names an index that its questions use", function()
+    assert.matches("machines_state", server:sql([[
+SET enable_seqscan = off; SET enable_bitmapscan = off;
+EXPLAIN SELECT key FROM rfsm.machines WHERE chart = 'order' AND state = 'root.picking'
+  AND since < now() - interval '1 hour';]]))
+  end)
+
+  it("names the rights that a caller needs", function()
+    assert.equal("root.off\nroot.busy\n", sql([[
+CREATE ROLE caller;
+GRANT USAGE ON SCHEMA rfsm TO caller;
+GRANT SELECT, INSERT, UPDATE ON rfsm.machines TO caller;
+GRANT INSERT ON rfsm.log, rfsm.out, rfsm.history TO caller;
+SET ROLE caller;
+SELECT rfsm.create('1', 'lamp');
+SELECT rfsm.send('1', 'e_busy');]]))
+  end)
+end)
+
 describe("the warehouse", function()
   -- Returns what has happened to each order, in the order of their numbers.
   local function by_order(output)

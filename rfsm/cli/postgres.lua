@@ -18,11 +18,14 @@ function postgres.add_arguments(command)
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
   command:flag("--history", "keep the moves of each machine in a table")
   command:flag("--notify", "report moves to those who LISTEN")
+  common.add_ids(command)
 end
 
-function postgres.run(options)
+function postgres.run(options, parser)
   local ok, text, warnings = common.with_streams(io.stderr,
-    require("rfsm.postgres").bundle, options.files, options)
+    require("rfsm.postgres").bundle, options.files, { history = options.history,
+      notify = options.notify, ids = common.number_of(parser, "ids", options.ids),
+      ids_for = common.number_of(parser, "ids-for", options.ids_for) })
   if not ok then common.fail(chart.first_line(text)) end
   for _, line in ipairs(warnings) do io.stderr:write("rfsm postgres: ", line, "\n") end
   common.write(options.output, text)
