@@ -56,16 +56,19 @@ local function cpu()
   return (fields[14] + fields[15]) / 100
 end
 
-local function wal() return tonumber(server:sql("SELECT pg_current_wal_lsn() - '0/0'")) end
+local function wal()
+  return tonumber(server:sql("SELECT pg_current_wal_lsn() - '0/0'"))
+end
 
 local function measure(name, statement)
-  local script = helper.file_with(("\\set m random(1, %d)\n\\set i random(1, 1000000000)"
-    .. "\n%s\n"):format(MACHINES, (statement:gsub("\n", " "))))
+  statement = statement:gsub("\n", " ")
+  local script = helper.file_with(("\\set m random(1, %d)\n"
+    .. "\\set i random(1, 1000000000)\n%s\n"):format(MACHINES, statement))
   local calls = math.floor(EVENTS / CLIENTS)
-  local command = server:command("pgbench", ("-n -M prepared -c %d -j 2 -t %d -f %s")
-    :format(CLIENTS, calls, script))
+  local command = server:command("pgbench", ("-n -M prepared -c %d -j 2 -t %d -f %s "
+    .. "2>&1"):format(CLIENTS, calls, script))
   local before, log = cpu(), wal()
-  local text = table.concat(helper.lines_of(command .. " 2>&1"), "\n")
+  local text = table.concat(helper.lines_of(command), "\n")
   local rate = assert(text:match("tps = (%d+)"), text)
   print(("%-30s %7.0f us %7d/s %7.0f bytes"):format(name, (cpu() - before) / calls
     / CLIENTS * 1e6, rate, (wal() - log) / calls / CLIENTS))

@@ -337,41 +337,55 @@ SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("COMMAND", function()
 end)
 
 describe("many clients", function()
-  -- Returns how often each machine was to tick, and how often it has.
-  local function compare(events, clients, count, kill)
-    local counter = "counter=" .. helper.file_with(COUNTER)
-    local other = servers.start()
-    other:sql((postgres.bundle { counter }))
+  local CLIENTS, MACHINES = 20, math.min(1000, EVENTS / 10)
+
+  -- Has clients send ticks to machines, and calls a function when a third has come.
+  -- Returns how often each was to tick, how often it has, and the clients' errors.
+  local function storm(other, between)
+    other:sql((postgres.bundle { "counter=" .. helper.file_with(COUNTER) }))
     other:sql(("SELECT rfsm.create('m' || i, 'counter') FROM generate_series(1, %d) i")
-      :format(count))
-    local random, sent, lines = new_random(events), {}, {}
-    for i = 1, events do
-      local key, client = "m" .. random:below(count), i % clients + 1
+      :format(MACHINES))
+    local random, sent, found, lines = new_random(28), {}, {}, {}
+    for i = 1, EVENTS do
+      local key, client = "m" .. random:below(MACHINES), i % CLIENTS + 1
       sent[key] = (sent[key] or 0) + 1
       lines[client] = lines[client] or {}
       table.insert(lines[client], ("SELECT rfsm.send('%s', 'e_tick', id => '%d');")
         :format(key, i))
     end
     local finish = other:storm(lines)
-    if kill then
-      other:wait_for(("SELECT sum((data->'root'->>'n')::int) > %d FROM rfsm.machines")
-        :format(events / 3))
-      other:kill()
-      other:launch()
-    end
-    finish()
-    local found = {}
+    other:wait_for(("SELECT sum((data->'root'->>'n')::int) > %d FROM rfsm.machines")
+      :format(EVENTS / 3))
+    between()
+    local errors = finish()
     for key, n in other:sql("SELECT key, data->'root'->'n' FROM rfsm.machines")
       :gmatch("(%S+)|(%d+)\n") do
       found[key] = n ~= "0" and tonumber(n) or nil
     end
-    return sent, found
+    return sent, found, errors
   end
 
   it("apply each event once, also if the server is killed in between", function()
-    local sent, found = compare(EVENTS, 20,
-      math.min(1000, EVENTS / 10), true)
+    local other = servers.start()
+    local sent, found = storm(other, function()
+      other:kill()
+      other:launch()
+    end)
     assert.same(sent, found)
+  end)
+
+  it("lose no event while a new version of the chart is loaded", function()
+    sql("")
+    local sent, found, errors = storm(server, function()
+      load_charts({}, "counter=" .. helper.file_with(COUNTER), "counter="
+        .. helper.file_with((COUNTER:gsub("even", "round"):gsub("n = 0,",
+        "%0 rename = { ['root.even'] = 'root.round' },"))))
+    end)
+    assert.equal("", errors)
+    assert.same(sent, found)
+    assert.equal("root.odd\nroot.round\n", server:sql([[
+SELECT rfsm.tick(key) FROM rfsm.machines \g /dev/null
+SELECT state FROM rfsm.machines GROUP BY state, version ORDER BY state;]]))
   end)
 
   it("wake each machine once", function()

@@ -79,7 +79,7 @@ end
 
 --- Sends statements, a list for each client, at the same time. A client that loses its
 -- connection goes on with the first statement that was not answered. Returns a function
--- that waits for the end of all.
+-- that waits for the end of all, and returns the errors.
 function Server:storm(lists)
   local ends = {}
   for i, lines in ipairs(lists) do
@@ -87,14 +87,18 @@ function Server:storm(lists)
     ends[i] = beside(([[
       n=0 tries=0
       while [ $n -lt %d ] && [ $tries -lt 500 ]; do
-        tail -n +$((n + 1)) %s | %s >>%s.out 2>/dev/null
+        tail -n +$((n + 1)) %s | %s 2>&1 >>%s.out
         n=$(wc -l <%s.out) tries=$((tries + 1))
         [ $tries = 1 ] || sleep 0.1
       done
       rm %s.out]]):format(#lines, file, self:command("psql",
       "-XAqt -v ON_ERROR_STOP=1"), file, file, file))
   end
-  return function() for _, finish in ipairs(ends) do finish() end end
+  return function()
+    local errors = {}
+    for i, finish in ipairs(ends) do errors[i] = finish() end
+    return table.concat(errors)
+  end
 end
 
 --- Waits until a query returns true. It does within seconds, or not at all.
