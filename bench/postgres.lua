@@ -8,7 +8,7 @@
 package.path = "./?.lua;" .. package.path
 
 local helper = require "spec.helper"
-local postgres = require "rfsm.postgres"
+local bundle = require "rfsm.postgres.bundle"
 local servers = require "spec.support.postgres"
 
 local EVENTS, MACHINES = tonumber(arg[1]) or 20000, tonumber(arg[2]) or 1000
@@ -42,7 +42,7 @@ UPDATE plain SET chart = 'c', version = '%s',
 local server = servers.start()
 
 local function load_chart(options)
-  assert(server:sql((postgres.bundle({ "c=" .. CHART }, options))) == "")
+  assert(server:sql((bundle.sql({ "c=" .. CHART }, options))) == "")
 end
 
 -- Processor time of the sessions that have ended, in seconds.

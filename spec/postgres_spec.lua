@@ -11,7 +11,7 @@ end
 
 local helper = require "spec.helper"
 local new_random = require "spec.support.random"
-local postgres = require "rfsm.postgres"
+local bundle = require "rfsm.postgres.bundle"
 local rfsm = require "rfsm"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -76,7 +76,7 @@ local EVENTS = tonumber(os.getenv("RFSM_EVENTS")) or 500
 local server
 
 local function load_charts(options, ...)
-  assert.equal("", server:sql((postgres.bundle({ ... }, options))))
+  assert.equal("", server:sql((bundle.sql({ ... }, options))))
 end
 
 setup(function()
@@ -323,7 +323,7 @@ describe("a new version of a chart", function()
 
   it("is seen by sessions that are there", function()
     load_charts({ history = true }, tick(1))
-    local library = helper.file_with((postgres.bundle({ tick(10) },
+    local library = helper.file_with((bundle.sql({ tick(10) },
       { history = true })))
     assert.equal("11\n", sql(([[
 SELECT rfsm.create('1', 'c') \gset
@@ -342,7 +342,7 @@ describe("many clients", function()
   -- Has clients send ticks to machines, and calls a function when a third has come.
   -- Returns how often each was to tick, how often it has, and the clients' errors.
   local function storm(other, between)
-    other:sql((postgres.bundle { "counter=" .. helper.file_with(COUNTER) }))
+    other:sql((bundle.sql { "counter=" .. helper.file_with(COUNTER) }))
     other:sql(("SELECT rfsm.create('m' || i, 'counter') FROM generate_series(1, %d) i")
       :format(MACHINES))
     local random, sent, found, lines = new_random(28), {}, {}, {}
@@ -367,10 +367,11 @@ describe("many clients", function()
 
   it("apply each event once, also if the server is killed in between", function()
     local other = servers.start()
-    local sent, found = storm(other, function()
+    local sent, found, errors = storm(other, function()
       other:kill()
       other:launch()
     end)
+    assert.not_matches("gave up", errors)
     assert.same(sent, found)
   end)
 
@@ -398,6 +399,39 @@ SELECT state FROM rfsm.machines GROUP BY state, version ORDER BY state;]]))
     for _, finish in ipairs(workers) do assert.equal("", finish()) end
     assert.equal(("%d|%d|t\n"):format(EVENTS, EVENTS), server:sql("SELECT count(*), "
       .. "count(DISTINCT key), bool_and(data = '{\"n\": 1}') FROM rfsm.out"))
+  end)
+end)
+
+describe("a call that begins before a new version of its chart is there", function()
+  it("is answered by the new one", function()
+    local old = "c=" .. helper.file_with(COUNTER)
+    load_charts({}, old)
+    sql("SELECT rfsm.create('1', 'c')")
+    -- the call waits for the lock of the table until the machine has moved
+    local library = bundle.sql { old, "c=" .. helper.file_with((COUNTER:gsub("odd",
+      "uneven"):gsub("n = 0,", "%0 rename = { ['root.odd'] = 'root.uneven' },"))) }
+    assert.equal("root.uneven\nroot.even\n2\n", server:sql(([[
+BEGIN;
+LOCK TABLE rfsm.machines;
+\! COMMAND >OUTPUT 2>&1 &
+DO $$ BEGIN
+  WHILE NOT EXISTS (SELECT FROM pg_stat_activity WHERE wait_event_type = 'Lock') LOOP
+    PERFORM pg_stat_clear_snapshot(), pg_sleep(0.01);
+  END LOOP;
+END $$;
+\i LIBRARY
+SELECT rfsm.send('1', 'e_tick');
+COMMIT;
+DO $$ BEGIN
+  WHILE EXISTS (SELECT FROM rfsm.machines WHERE state = 'root.uneven') LOOP
+    PERFORM pg_sleep(0.01);
+  END LOOP;
+END $$;
+\! cat OUTPUT
+SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("%u%u%u+", {
+      COMMAND = server:command("psql", "-XAqt -c \"SELECT rfsm.send('1', 'e_tick')\""),
+      LIBRARY = helper.file_with((library:gsub("\nBEGIN;\n", "\n", 1)
+        :gsub("\nCOMMIT;\n$", "\n"))), OUTPUT = helper.file_with("") })))
   end)
 end)
 

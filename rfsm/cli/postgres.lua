@@ -23,7 +23,7 @@ end
 
 function postgres.run(options, parser)
   local ok, text, warnings = common.with_streams(io.stderr,
-    require("rfsm.postgres").bundle, options.files, { history = options.history,
+    require("rfsm.postgres.bundle").sql, options.files, { history = options.history,
       notify = options.notify, ids = common.number_of(parser, "ids", options.ids),
       ids_for = common.number_of(parser, "ids-for", options.ids_for) })
   if not ok then common.fail(chart.first_line(text)) end

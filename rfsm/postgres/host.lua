@@ -1,9 +1,9 @@
 --- What stands for Redis inside PostgreSQL: the functions of `rfsm.redis.functions` run
 -- here as they are, on a row of rfsm.machines in place of a key.
 --
--- `rfsm.postgres` puts this text in front of a library of `rfsm.redis`. A call collects
--- what the function writes, then one statement saves the row. An error of the function
--- is an error of SQL, so the transaction changes nothing.
+-- `rfsm.postgres.bundle` puts this text in front of a library of `rfsm.redis`. A call
+-- collects what the function writes, then one statement saves the row. An error of the
+-- function is an error of SQL, so the transaction changes nothing.
 --
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
@@ -42,6 +42,9 @@ local STATEMENTS = {
     "text", "text", "text", "text", "text", "text", "float8", "jsonb", "jsonb" },
   emit = { "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3)",
     "text", "text", "jsonb" },
+  newest = { "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library" },
+  call = { "SELECT rfsm.call($1, $2, $3, $4) AS reply", "text", "text", "text[]",
+    "text" },
   log = { "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)", "text", "text" },
 }
 
@@ -174,8 +177,9 @@ end
 --- Return what a library needs of Redis, and the function that calls it.
 ---@param spi table
 ---@param pgtype table
+---@param id string of the library
 ---@return table host `redis`, `cjson`, `cmsgpack`, `answer(name, key, args, id)`
-return function(spi, pgtype)
+return function(spi, pgtype, id)
   local functions, row = {}, nil
   local execute, json = executor(spi), new_json(pgtype)
   local commands = new_commands(execute, json, function() return row end)
@@ -196,15 +200,25 @@ return function(spi, pgtype)
     unpack = function(value) return value.list end,
   }
 
+  -- A call that began before another library was loaded may come to a machine that
+  -- has been there: then the new one answers.
+  local function fail(text, ...)
+    if execute("newest")[1].library ~= "library " .. id then
+      return execute("call", ...)[1].reply
+    end
+    spi.error("raise_exception", in_sql(text))
+  end
+
   -- Calls a function of the library for the machine at a key; returns the reply as
   -- texts.
-  function host.answer(name, key, args, id)
+  function host.answer(name, key, list, event_id)
     local own = { key = key, is_read = READ_ONLY[name], emitted = {}, errors = {} }
-    if id then args[#args + 1], args[#args + 2] = "ID", id end
+    local args = list and list { null = "" } or {}
+    if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
     row = own
     local reply, view = functions[name]({ key }, args), nil
     if type(reply) == "table" and reply.err then
-      spi.error("raise_exception", in_sql(reply.err))
+      return fail(reply.err, name, key, list, event_id)
     end
     if own.is_changed then view = functions.rfsm_get({ key }, {}) end
     row = nil

@@ -1,7 +1,7 @@
 --- The schema `rfsm`: tables, and functions in SQL around the one in PL/Lua.
 --
--- What is there already stays; functions are replaced. $NAME stands for a text that
--- `rfsm.postgres` puts in.
+-- What is there already stays; functions are replaced. $TAG and $ID are texts that
+-- `rfsm.postgres.bundle` puts in.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -50,12 +50,13 @@ CREATE INDEX IF NOT EXISTS log_key ON rfsm.log (key, id);
 
 CREATE OR REPLACE FUNCTION rfsm.call(name text, key text, args text[], id text)
   RETURNS text[] LANGUAGE pllua AS $TAG
-  return self.answer(name, key, args and args { null = "" } or {}, id)
+  return self.answer(name, key, args, id)
 end
 do
 ]]
 
 schema.FUNCTIONS = [[$TAG;
+COMMENT ON FUNCTION rfsm.call IS 'library $ID';
 
 CREATE OR REPLACE FUNCTION rfsm.create(key text, chart text, data jsonb DEFAULT '{}',
   id text DEFAULT NULL) RETURNS text LANGUAGE sql AS $$

@@ -49,10 +49,10 @@ function Server:launch()
   error(output .. output_of("cat " .. self.folder .. "/log"))
 end
 
---- Kills all its processes as a power cut would.
+--- Kills all its processes as a power cut would. Stopped, it begins no others.
 function Server:kill()
-  output_of(("pid=$(head -n 1 %s/data/postmaster.pid); kill -9 $pid $(pgrep -P $pid)")
-    :format(self.folder))
+  output_of(("pid=$(head -n 1 %s/data/postmaster.pid); kill -STOP $pid; "
+    .. "kill -9 $(pgrep -P $pid) $pid"):format(self.folder))
 end
 
 --- Returns the command for a program of PostgreSQL that reaches the server.
@@ -86,7 +86,8 @@ function Server:storm(lists)
     local file = helper.file_with(table.concat(lines, "\n") .. "\n")
     ends[i] = beside(([[
       n=0 tries=0
-      while [ $n -lt %d ] && [ $tries -lt 500 ]; do
+      while [ $n -lt %d ]; do
+        [ $tries -lt 2000 ] || { echo gave up; break; }
         tail -n +$((n + 1)) %s | %s 2>&1 >>%s.out
         n=$(wc -l <%s.out) tries=$((tries + 1))
         [ $tries = 1 ] || sleep 0.1

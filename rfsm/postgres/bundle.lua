@@ -3,17 +3,17 @@
 -- The command `rfsm postgres CHART...` calls it. The functions are those that run in
 -- Redis; `rfsm.postgres.host` stands for Redis.
 --
--- @module rfsm.postgres
+-- @module rfsm.postgres.bundle
 -- @license BSD-3-Clause
 
-local bundle = require "rfsm.redis.bundle"
+local add_module = require("rfsm.redis.bundle").add
 local redis = require "rfsm.redis"
 local schema = require "rfsm.postgres.schema"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local concat = table.concat
 
-local postgres = {}
+local bundle = {}
 
 -- In front of the library: what it finds in place of Redis and of globals. `pcall` of
 -- PL/Lua makes a subtransaction, and catches that a call is cancelled; `lpcall` does
@@ -22,7 +22,7 @@ local postgres = {}
 local HEAD = [[
 local bundled = {}
 %s
-local host = bundled["rfsm.postgres.host"]()(spi, pgtype)
+local host = bundled["rfsm.postgres.host"]()(spi, pgtype, "$ID")
 local redis, cjson, cmsgpack, pcall = host.redis, host.cjson, host.cmsgpack, lpcall
 local function finish(handler, ok, ...)
   if ok then return ok, ... end
@@ -51,6 +51,13 @@ setmetatable(self, {
 
 local function in_postgres(text) return (text:gsub("in Redis", "in PostgreSQL")) end
 
+-- Returns a text that another library does not have, most likely.
+local function id_of(text)
+  local sum = 0
+  for i = 1, #text do sum = (sum * 31 + text:byte(i)) % 16777213 end
+  return ("%06x-%x"):format(sum, #text)
+end
+
 -- Returns a quote for a text that does not contain it.
 local function quote_for(text)
   local tag = "$rfsm$"
@@ -72,22 +79,22 @@ end
 ---@return string text
 ---@return string[] warnings
 ---@nodiscard
-function postgres.bundle(arguments, options)
+function bundle.sql(arguments, options)
   options = options or {}
   local ok, library, warnings = pcall(redis.bundle, arguments, { history = 1,
     ids = options.ids, ids_for = options.ids_for })
   if not ok then error(in_postgres(library), 0) end
   for i, text in ipairs(warnings) do warnings[i] = in_postgres(text) end
   local parts = {}
-  bundle.add(parts, "rfsm.postgres.host")
+  add_module(parts, "rfsm.postgres.host")
   local code = HEAD:format(concat(parts)) .. library:gsub("^#[^\n]*", "")
-  local quote = quote_for(code)
-  local function quoted(text)
-    return (text:gsub("%$TAG", function() return quote end))
-  end
-  return concat { quoted(schema.HEAD), code, quoted(schema.FUNCTIONS),
+  local id = id_of(code)
+  local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1),
+    ID = id }
+  local text = concat { schema.HEAD, "$CODE", schema.FUNCTIONS,
     options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
-    schema.FOOT }, warnings
+    schema.FOOT }
+  return (text:gsub("%$(%u+)", values)), warnings
 end
 
-return postgres
+return bundle
