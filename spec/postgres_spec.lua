@@ -178,6 +178,17 @@ SELECT rfsm.wake();]]):gsub("COMMAND", function()
     end)))
   end)
 
+  it("is woken by a worker until that is cancelled", function()
+    assert.equal("ERROR:  canceling statement due to statement timeout\n"
+      .. "root.off|3\n", sql([[
+SET client_min_messages = error;
+SELECT rfsm.create(i::text, 'lamp') FROM generate_series(1, 3) i \g /dev/null
+SELECT rfsm.send(i::text, 'e_on') FROM generate_series(1, 3) i \g /dev/null
+SET statement_timeout = 1000;
+CALL rfsm.work(0.01);
+SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
+  end)
+
   it("waits for a minute if it cannot be woken", function()
     assert.equal([[
 root.even
@@ -355,7 +366,7 @@ describe("many clients", function()
     end
     local finish = other:storm(lines)
     other:wait_for(("SELECT sum((data->'root'->>'n')::int) > %d FROM rfsm.machines")
-      :format(EVENTS / 3))
+      :format(math.floor(EVENTS / 3)))
     between()
     local errors = finish()
     for key, n in other:sql("SELECT key, data->'root'->'n' FROM rfsm.machines")

@@ -86,13 +86,13 @@ function Server:storm(lists)
     local file = helper.file_with(table.concat(lines, "\n") .. "\n")
     ends[i] = beside(([[
       n=0 tries=0
-      while [ $n -lt %d ]; do
+      while [ $n -lt %d ] && [ -e %s ]; do
         [ $tries -lt 2000 ] || { echo gave up; break; }
         tail -n +$((n + 1)) %s | %s 2>&1 >>%s.out
         n=$(wc -l <%s.out) tries=$((tries + 1))
         [ $tries = 1 ] || sleep 0.1
       done
-      rm %s.out]]):format(#lines, file, self:command("psql",
+      rm %s.out]]):format(#lines, file, file, self:command("psql",
       "-XAqt -v ON_ERROR_STOP=1"), file, file, file))
   end
   return function()
