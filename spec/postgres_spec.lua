@@ -460,12 +460,7 @@ END $$;
 \i LIBRARY
 SELECT rfsm.send('1', 'e_tick');
 COMMIT;
-DO $$ BEGIN
-  WHILE EXISTS (SELECT FROM rfsm.machines WHERE state = 'root.uneven') LOOP
-    PERFORM pg_sleep(0.01);
-  END LOOP;
-END $$;
-\! cat OUTPUT
+\! for i in $(seq 3000); do [ -s OUTPUT ] && break; sleep 0.01; done; cat OUTPUT
 SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("%u%u%u+", {
       COMMAND = server:command("psql", "-XAqt -c \"SELECT rfsm.send('1', 'e_tick')\""),
       LIBRARY = helper.file_with((library:gsub("\nBEGIN;\n", "\n", 1)
