@@ -2,9 +2,9 @@
 # make test               lint, then every spec on every interpreter
 # make help               list the targets
 #
-# sim, fleet, test, test-web, test-site, test-hosts and doc install missing Debian packages
-# if you are root or have password-free sudo. Otherwise they print the command to type.
-# site and test-site need npm.
+# sim, fleet, fleet-postgres, test, test-web, test-site, test-hosts and doc install missing
+# Debian packages if you are root or have password-free sudo. Otherwise they print the
+# command to type. site and test-site need npm.
 
 MODEL    ?= examples/hello_world.lua
 LUAS     ?= lua5.1 luajit lua5.2 lua5.3 lua5.4 tools/lua5.5
@@ -36,7 +36,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
+.PHONY: all help sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
 .PHONY: rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -52,6 +52,10 @@ sim:                    ## open MODEL in the simulator, with LUA
 fleet:                  ## a warehouse whose orders are machines in a Redis server of its own
 	@tools/deps.sh fleet
 	@examples/warehouse/fleet.sh lua5.3
+
+fleet-postgres:         ## the same warehouse in a PostgreSQL server of its own
+	@tools/deps.sh postgres
+	@examples/warehouse/postgres.sh lua5.3
 
 test:                   ## lint, then every spec on each of LUAS
 	@tools/deps.sh test $(LUAS)

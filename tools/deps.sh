@@ -7,6 +7,7 @@
 #   tools/deps.sh hosts         for the tests of the hosts in examples/hosts/
 #   tools/deps.sh doc           for the pages of the API
 #   tools/deps.sh fleet         for machines in Redis, with lua5.3
+#   tools/deps.sh postgres      for machines in PostgreSQL, with lua5.3
 #   tools/deps.sh axe           prints the file of axe-core, which npm fetches once
 #
 # Missing Debian packages are installed if you are root or have password-free sudo.
@@ -64,6 +65,13 @@ missing_for_fleet() {
   has_module lua5.3 redis || echo lua-redis
   has_module lua5.3 socket || echo lua-socket
   command -v redis-server >/dev/null 2>&1 || echo redis-server
+}
+
+missing_for_postgres() {
+  command -v lua5.3 >/dev/null 2>&1 || echo lua5.3
+  has_module lua5.3 argparse || echo lua-argparse
+  ls /usr/share/postgresql/*/extension/pllua.control >/dev/null 2>&1 ||
+    echo postgresql-15-pllua
 }
 
 missing_for_web() {
@@ -137,7 +145,7 @@ find_axe() {
 
 case "${1:-}" in
   axe) find_axe ;;
-  sim | test | web | hosts | doc | fleet)
+  sim | test | web | hosts | doc | fleet | postgres)
     target=$1
     shift
     packages=$(missing_for_"$target" "$@")
@@ -146,5 +154,5 @@ case "${1:-}" in
     [ -z "$packages" ] || install_packages $packages ||
       { [ "$target" = sim ] && "$(dirname "$0")/rfsm" --version >/dev/null 2>&1; }
     ;;
-  *) echo "usage: tools/deps.sh sim|web|hosts|axe|doc|fleet|test LUA ..." >&2; exit 2 ;;
+  *) echo "usage: tools/deps.sh sim|web|hosts|axe|doc|fleet|postgres|test LUA ..." >&2; exit 2 ;;
 esac

@@ -115,6 +115,24 @@ local function load_machine(file, has_stubs)
   return fsm, world.names
 end
 
+-- Options ---------------------------------------------------------------------
+
+-- Returns the number in the text of an option; nil if there is none.
+function common.number_of(parser, name, text)
+  local number = tonumber(text)
+  if text and not (number and number >= 1 and number % 1 == 0 and number <= 1e6) then
+    parser:error(("--%s: a whole number above 0 expected, got '%s'"):format(name, text))
+  end
+  return number
+end
+
+-- Adds what libraries that apply each event once know of ids.
+function common.add_ids(command)
+  command:option("--ids", "keep so many ids of events of each machine, default 16; "
+    .. "with --ids-for 1000"):argname("N")
+  command:option("--ids-for", "keep ids of events for so many seconds"):argname("S")
+end
+
 -- Results out -----------------------------------------------------------------
 
 -- Writes a text to a file; `-` is stdout. A full disk shows when a stream is flushed.

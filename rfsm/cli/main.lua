@@ -13,8 +13,8 @@ local opts = require "rfsm.shared.options"
 local cli = {}
 
 local COMMANDS = {
-  "check", "sim", "viz", "snapshot", "redis", "json", "plantuml", "dot", "mermaid",
-  "web", "watch",
+  "check", "sim", "viz", "snapshot", "redis", "postgres", "json", "plantuml", "dot",
+  "mermaid", "web", "watch",
 }
 
 local function print_version()

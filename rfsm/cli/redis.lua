@@ -19,9 +19,7 @@ function redis.add_arguments(command)
   command:option("-l --load", "load the library into this server"):argname("URL")
   command:flag("--index", "machines can be found by their state")
   command:option("--history", "keep so many moves of each machine"):argname("N")
-  command:option("--ids", "keep so many ids of events of each machine, default 16; "
-    .. "with --ids-for 1000"):argname("N")
-  command:option("--ids-for", "keep ids of events for so many seconds"):argname("S")
+  common.add_ids(command)
   command:flag("--diff", "report what a new version means for machines in each state: "
     .. "of charts with one name, the last and the one before")
   command:option("--stats", "print the numbers of machines in this server, as "
@@ -50,14 +48,6 @@ local function compare(files)
   return is_safe
 end
 
-local function number_of(parser, name, text)
-  local number = tonumber(text)
-  if text and not (number and number >= 1 and number % 1 == 0 and number <= 1e6) then
-    parser:error(("--%s: a whole number above 0 expected, got '%s'"):format(name, text))
-  end
-  return number
-end
-
 function redis.run(options, parser)
   if options.stats then
     common.write("-", connect(options.stats):stats())
@@ -67,9 +57,9 @@ function redis.run(options, parser)
   if options.diff then return compare(options.files) and 0 or 1 end
   local ok, text, warnings = common.with_streams(io.stderr,
     require("rfsm.redis").bundle, options.files, { index = options.index,
-      history = number_of(parser, "history", options.history),
-      ids = number_of(parser, "ids", options.ids),
-      ids_for = number_of(parser, "ids-for", options.ids_for) })
+      history = common.number_of(parser, "history", options.history),
+      ids = common.number_of(parser, "ids", options.ids),
+      ids_for = common.number_of(parser, "ids-for", options.ids_for) })
   if not ok then common.fail(chart.first_line(text)) end
   for _, line in ipairs(warnings) do io.stderr:write("rfsm redis: ", line, "\n") end
   if options.load then common.try(connect(options.load):load(text)) end

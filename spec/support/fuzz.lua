@@ -11,10 +11,12 @@
 
 package.path = "./?.lua;" .. package.path
 
-for name in (os.getenv("RFSM_WITHOUT") or ""):gmatch("[%w_.]+") do
+local function hide(name)
   package.preload[name] = function() error("module '" .. name .. "' not found", 0) end
   if name == "debug" then rawset(_G, name, nil) end
 end
+
+for name in (os.getenv("RFSM_WITHOUT") or ""):gmatch("[%w_.]+") do hide(name) end
 
 local function names_of_all()
   package.loaded.rtt = require "spec.support.rtt"

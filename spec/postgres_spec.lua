@@ -1,0 +1,613 @@
+-- Machines in PostgreSQL: the real server, started here and stopped again.
+
+local bundle = require "rfsm.postgres.bundle"
+local helper = require "spec.helper"
+local new_random = require "spec.support.random"
+local rfsm = require "rfsm"
+local servers = require "spec.support.postgres"
+
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+teardown(servers.stop_all)
+after_each(helper.remove_files)
+
+-- even --e_tick--> odd --e_tick--> even, counted
+local COUNTER = [[
+return rfsm.state {
+  keep = { "n" }, n = 0, even = rfsm.state {}, odd = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "even" },
+  rfsm.trans { src = "even", tgt = "odd", events = { "e_tick" },
+    effect = function(fsm) fsm.n = fsm.n + 1 end },
+  rfsm.trans { src = "odd", tgt = "even", events = { "e_tick" },
+    effect = function(fsm) fsm.n = fsm.n + 1 end },
+}]]
+
+describe("rfsm postgres", function()
+  local function run(arguments)
+    local pipe = io.popen("tools/rfsm postgres " .. arguments .. " 2>&1")
+    local output = pipe:read("*a")
+    pipe:close()
+    return output
+  end
+
+  it("writes the SQL that any Lua makes", function()
+    local file, chart = helper.file_with(""), "c=" .. helper.file_with(COUNTER)
+    assert.equal("", run(chart .. " --history --notify --ids 20 -o " .. file))
+    assert.is_true(helper.content(file) == bundle.sql({ chart }, { history = true,
+      notify = true, ids = 20 }))
+  end)
+
+  it("refuses a chart that cannot run there", function()
+    local chart = helper.file_with("local t = os.time()\nreturn rfsm.state {}")
+    assert.equal("rfsm postgres: " .. chart .. ":1: 'os.time' does not exist in "
+      .. "PostgreSQL\n", run(chart))
+    chart = helper.file_with("require 'lfs.none'\nreturn rfsm.state {}")
+    assert.equal("rfsm postgres: " .. chart .. ":1: module 'lfs.none' is not there as "
+      .. "plain Lua, so it cannot run in PostgreSQL\n", run(chart))
+  end)
+end)
+
+-- The server has a Lua of its own, so two here are enough to start it.
+if not (rawget(_G, "jit") or _VERSION == "Lua 5.4") then return end
+
+if servers.missing() then
+  describe("a machine in PostgreSQL", function()
+    it("is a row", function() pending(servers.missing()) end)
+  end)
+  return
+end
+
+-- off --e_on--> on --e_off or at once--> off; the others do what they must not
+local LAMP = [[
+return rfsm.state {
+  keep = { "owner" },
+  off = rfsm.state { entry = function(fsm)
+    fsm.times = (fsm.times or 0) + 1 -- not kept
+    fsm.emit("off", { times = fsm.times, owner = fsm.owner })
+  end },
+  on = rfsm.state { entry = function() error("no bulb", 0) end },
+  endless = rfsm.state { entry = function()
+    while true do pcall(function() end) end
+  end },
+  spoiled = rfsm.state { entry = function(fsm) fsm.owner = "\255" end },
+  curious = rfsm.state { entry = function() return spi end },
+  leaky = rfsm.state { entry = function() leak = 1 end },
+  busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_on" },
+    guard = function(tr) return tr._fsm.owner ~= "ghost" end },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_off", "e_after(0)" } },
+  rfsm.trans { src = "off", tgt = "endless", events = { "e_loop" } },
+  rfsm.trans { src = "off", tgt = "spoiled", events = { "e_spoil" } },
+  rfsm.trans { src = "off", tgt = "curious", events = { "e_look" } },
+  rfsm.trans { src = "off", tgt = "leaky", events = { "e_leak" } },
+  rfsm.trans { src = "off", tgt = "busy", events = { "e_busy" } },
+}]]
+
+-- waiting --at once--> done, which counts
+local DUE = [[
+return rfsm.state {
+  keep = { "n" }, n = 0, waiting = rfsm.state {},
+  done = rfsm.state { entry = function(fsm)
+    fsm.n = fsm.n + 1
+    fsm.emit("woken", { n = fsm.n })
+  end },
+  rfsm.trans { src = "initial", tgt = "waiting" },
+  rfsm.trans { src = "waiting", tgt = "done", events = { "e_after(0.001)" } },
+  rfsm.trans { src = "done", tgt = "done", events = { "e_again" } },
+}]]
+
+-- RFSM_EVENTS=100000 makes the storm longer.
+local EVENTS = tonumber(os.getenv("RFSM_EVENTS")) or 500
+
+local server
+
+local function load_charts(options, ...)
+  assert.equal("", server:sql((bundle.sql({ ... }, options))))
+end
+
+setup(function()
+  server = servers.start("-c fsync=off")
+  load_charts({ history = true }, "lamp=" .. helper.file_with(LAMP),
+    "counter=" .. helper.file_with(COUNTER))
+end)
+
+local EMPTY = "TRUNCATE rfsm.machines, rfsm.out, rfsm.log, rfsm.history "
+  .. "RESTART IDENTITY;\n"
+
+-- All that a schema holds, as text.
+local ALL = [[
+SELECT json_agg(m) FROM rfsm.machines m; SELECT json_agg(o) FROM rfsm.out o;
+SELECT json_agg(l) FROM rfsm.log l; SELECT json_agg(h) FROM rfsm.history h;
+]]
+
+-- Runs SQL with empty tables.
+local function sql(text) return server:sql(EMPTY .. text) end
+
+describe("a machine in PostgreSQL", function()
+  it("is a row that events change", function()
+    assert.equal([[
+root.off
+WARNING:  1: ENTRY error executing entry of root.on:  no bulb
+root.on
+lamp|root.on|done|e_on|t|{"root": {"owner": "me"}}
+off|{"owner": "me", "times": 1}
+ENTRY error executing entry of root.on:  no bulb
+||root.off
+e_on|root.off|root.on
+|root.on|
+]], sql([[
+SELECT rfsm.create('1', 'lamp', '{"owner": "me"}');
+SELECT rfsm.send('1', 'e_on');
+SELECT chart, state, mode, event, due <= since, data FROM rfsm.machines;
+SELECT what, data FROM rfsm.out;
+SELECT error FROM rfsm.log;
+DELETE FROM rfsm.machines;
+SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
+  end)
+
+  it("takes each event with an id once", function()
+    assert.equal("root.even\nroot.odd\nroot.odd\nroot.even\nroot.even\n2\n1\n", sql([[
+SELECT rfsm.create('1', 'counter', id => 'made');
+SELECT rfsm.send('1', 'e_tick', id => 'a');
+SELECT rfsm.send('1', 'e_tick', 'a');
+SELECT rfsm.send('1', ARRAY['e_tick'], id => 'b');
+SELECT rfsm.create('1', 'counter', id => 'made');
+SELECT data->'root'->>'n' FROM rfsm.machines;
+SELECT count(*) FROM rfsm.machines;]]))
+  end)
+
+  it("shares no field that the chart does not keep, and no global", function()
+    assert.equal([[
+root.off
+root.off
+1
+1
+root.curious
+root.leaky
+global 'spi' does not exist in PostgreSQL
+global 'leak' cannot be set in PostgreSQL
+]], sql([[
+SET client_min_messages = error;
+SELECT rfsm.create('1', 'lamp');
+SELECT rfsm.create('2', 'lamp');
+SELECT data->'times' FROM rfsm.out;
+SELECT rfsm.send('1', 'e_look');
+SELECT rfsm.send('2', 'e_leak');
+SELECT regexp_replace(error, '.*:[0-9]+: ', '') FROM rfsm.log ORDER BY id;]]))
+  end)
+
+  it("is woken by one worker when its time has come", function()
+    assert.equal([[
+root.off
+root.off
+WARNING:  1: ENTRY error executing entry of root.on:  no bulb
+root.on
+WARNING:  2: ENTRY error executing entry of root.on:  no bulb
+root.on
+1
+1
+1|root.off|
+2|root.off|
+0
+]], sql(([[
+SELECT rfsm.create('1', 'lamp');
+SELECT rfsm.create('2', 'lamp');
+SELECT rfsm.send('1', 'e_on');
+SELECT rfsm.send('2', 'e_on');
+BEGIN;
+SELECT rfsm.wake(1);
+\! COMMAND
+COMMIT;
+SELECT key, state, due FROM rfsm.machines ORDER BY key;
+SELECT rfsm.wake();]]):gsub("COMMAND", function()
+      return server:command("psql", "-XAqt -c 'SELECT rfsm.wake()'")
+    end)))
+  end)
+
+  it("is woken by a worker until that is cancelled", function()
+    assert.equal("ERROR:  canceling statement due to statement timeout\n"
+      .. "root.off|3\n", sql([[
+SET client_min_messages = error;
+SELECT rfsm.create(i::text, 'lamp') FROM generate_series(1, 3) i \g /dev/null
+SELECT rfsm.send(i::text, 'e_on') FROM generate_series(1, 3) i \g /dev/null
+SET statement_timeout = 1000;
+CALL rfsm.work(0.01);
+SELECT state, count(*) FROM rfsm.machines GROUP BY state;]]))
+  end)
+
+  it("waits for a minute if it cannot be woken", function()
+    assert.equal([[
+root.even
+0
+t
+rfsm.tick: no chart is named 'gone' (there are 'counter', 'lamp')
+]], sql([[
+SELECT rfsm.create('1', 'counter');
+UPDATE rfsm.machines SET value = jsonb_set(value, '{1}', '"gone"'), due = now();
+SELECT rfsm.wake();
+SELECT due > now() + interval '50 s' FROM rfsm.machines;
+SELECT error FROM rfsm.log;]]))
+  end)
+
+  it("gets events at a time, unless they are taken back", function()
+    assert.equal("root.even\nroot.even\nroot.even\nt\nf\n1\nroot.odd|e_tick\n", sql([[
+SELECT rfsm.create('1', 'counter');
+SELECT rfsm.send_at('1', now() + interval '1 hour', 'e_tick', id => 'a');
+SELECT rfsm.send_at('1', clock_timestamp() + interval '1 ms', 'e_tick', id => 'b');
+SELECT rfsm.cancel('1', 'a');
+SELECT rfsm.cancel('1', 'a');
+SELECT pg_sleep(0.002) \gset
+SELECT rfsm.wake();
+SELECT state, event FROM rfsm.machines;]]))
+  end)
+
+  it("reports why", function()
+    assert.equal("root.trans[2] (off -> on) would be taken on e_on in root.off\n",
+      sql([[
+SELECT rfsm.create('1', 'lamp') \gset
+SELECT * FROM rfsm.why('1', 'e_on') LIMIT 1;]]))
+  end)
+
+  it("reports its moves to those who listen", function()
+    load_charts({ history = true, notify = true }, "lamp=" .. helper.file_with(LAMP),
+      "counter=" .. helper.file_with(COUNTER))
+    local output = sql([[
+LISTEN rfsm;
+SELECT rfsm.create('1', 'counter');
+SELECT rfsm.send('1', 'e_tick');]])
+    assert.matches('"rfsm" with payload "{"key" : "1", "chart" : "counter", '
+      .. '"state" : "root.odd"}" received', output, 1, true)
+  end)
+end)
+
+describe("a wrong call changes nothing:", function()
+  -- Returns all that is there before some calls, their output, and all after them.
+  local function calls(text)
+    return sql("SELECT rfsm.create('1', 'lamp') \\gset\n" .. ALL .. "\\echo --\n"
+      .. text .. "\\echo --\n" .. ALL):match("^(.-)%-%-\n(.-)%-%-\n(.*)$")
+  end
+
+  for name, case in pairs {
+    ["no such machine"] = { call = "rfsm.send('9', 'e_on')",
+      text = "rfsm.send: no machine is at '9' (rfsm.create makes one)" },
+    ["an unknown event"] = { call = "rfsm.send('1', 'e_onn')",
+      text = "rfsm.send: no transition of chart 'lamp' has the event 'e_onn' "
+        .. "(did you mean 'e_on'?)" },
+    ["an unknown event after others"] = {
+      call = "rfsm.send('1', ARRAY['e_on', 'e_off', 'e_onn'])",
+      text = "rfsm.send: no transition of chart 'lamp' has the event 'e_onn' "
+        .. "(did you mean 'e_on'?)" },
+    ["an event of 10 MB"] = { call = "rfsm.send('1', repeat('x', 10000000))",
+      text = "rfsm.send: event 1: at most 256 bytes expected, got 10000000" },
+    ["no event"] = { call = "rfsm.send('1', ARRAY[]::text[])",
+      text = "rfsm.send: an event expected, got none" },
+    ["no key"] = { call = "rfsm.send(NULL, 'e_on')",
+      text = "rfsm.send: the key of a machine expected, got none" },
+    ["an unknown chart"] = { call = "rfsm.create('2', 'lam')",
+      text = "rfsm.create: no chart is named 'lam' (did you mean 'lamp'?)" },
+    ["a second machine"] = { call = "rfsm.create('1', 'lamp')",
+      text = "rfsm.create: something is at '1'" },
+    ["data that is not kept"] = { call = "rfsm.create('2', 'lamp', '{\"colour\": 1}')",
+      text = "rfsm.create: data: the root of the chart does not keep 'colour'" },
+    ["data that is no object"] = { call = "rfsm.create('2', 'lamp', '1')",
+      text = "rfsm.create: data: a JSON object expected" },
+    ["data that is no JSON"] = { call = "rfsm.create('2', 'lamp', '{')",
+      text = "invalid input syntax for type json at character 33" },
+    ["a time that is none"] = {
+      call = "rfsm.send_at('1', 'infinity', 'e_on', id => 'a')",
+      text = "rfsm.send_at: seconds, or +seconds expected, got 'Infinity'" },
+    ["text that is no UTF-8"] = { call = "rfsm.send('1', 'e_spoil')",
+      text = "invalid byte sequence for encoding \"UTF8\": 0xff" },
+    ["a callback without an end"] = { call = "rfsm.send('1', 'e_loop')",
+      text = "canceling statement due to statement timeout", timeout = 200 },
+  } do
+    it(name, function()
+      local before, answer, after = calls(("SET statement_timeout = %d;\nSELECT %s;\n"
+        .. "RESET statement_timeout;\n"):format(case.timeout or 0, case.call))
+      assert.equal("ERROR:  " .. case.text .. "\n", answer)
+      assert.equal(before, after)
+    end)
+  end
+
+  it("nor does what came before in its transaction", function()
+    local before, answer, after = calls("BEGIN; SELECT rfsm.send('1', 'e_busy');\n"
+      .. "SELECT rfsm.create('2', 'lamp'); SELECT rfsm.send('3', 'x');\nCOMMIT;\n")
+    assert.equal("root.busy\nroot.off\nERROR:  rfsm.send: no machine is at '3' "
+      .. "(rfsm.create makes one)\n", answer)
+    assert.equal(before, after)
+  end)
+
+  it("and the session goes on", function()
+    assert.equal("root.off\nERROR:  canceling statement due to statement timeout\n"
+      .. "root.busy\n", sql([[
+SELECT rfsm.create('1', 'lamp');
+SET statement_timeout = 100;
+SELECT rfsm.send('1', 'e_loop');
+SET statement_timeout = 0;
+SELECT rfsm.send('1', 'e_busy');]]))
+  end)
+end)
+
+describe("a new version of a chart", function()
+  local function tick(by, more)
+    return "c=" .. helper.file_with((COUNTER:gsub("n %+ 1", "n + " .. by)
+      :gsub("odd = ", (more or "") .. "odd = ")))
+  end
+
+  -- Sends an event to a machine; returns its data, or the error.
+  local function send(key)
+    return server:sql(("SELECT rfsm.send('%s', 'e_tick') \\gset\nSELECT data->'root'->"
+      .. "'n' FROM rfsm.machines WHERE key = '%s'"):format(key, key)):match("[^\n]*")
+  end
+
+  it("takes machines at their next event if it can, or leaves them", function()
+    local old = tick(1)
+    load_charts({ history = true }, old)
+    sql("SELECT rfsm.create('1', 'c')")
+    -- a state more, and no migration: machines of the old version stay
+    load_charts({ history = true }, old, tick(10, "third = rfsm.state {}, "))
+    server:sql("SELECT rfsm.create('2', 'c')")
+    assert.same({ "1", "10" }, { send("1"), send("2") })
+    -- with a function they move
+    load_charts({ history = true }, old, tick(100, "third = rfsm.state {}, migrate = "
+      .. "function(snap) snap.leaf = 'root.even' end, "))
+    assert.equal("101", send("1"))
+    -- of an unknown version there is nothing to run
+    load_charts({ history = true }, tick(1, "fourth = rfsm.state {}, "))
+    assert.matches("^ERROR:  rfsm.send: the machine at '1': rfsm.snapshot: the "
+      .. "snapshot is of another chart: ", send("1"))
+  end)
+
+  it("is seen by sessions that are there", function()
+    load_charts({ history = true }, tick(1))
+    local library = helper.file_with((bundle.sql({ tick(10) },
+      { history = true })))
+    assert.equal("11\n", sql(([[
+SELECT rfsm.create('1', 'c') \gset
+SELECT rfsm.send('1', 'e_tick') \gset
+\! COMMAND
+SELECT rfsm.send('1', 'e_tick') \gset
+SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("COMMAND", function()
+      return server:command("psql", "-Xq -f " .. library)
+    end)))
+  end)
+end)
+
+describe("many clients", function()
+  local CLIENTS, MACHINES = 20, math.min(1000, EVENTS / 10)
+
+  -- Clients wait until the gate has a row.
+  local GATE = [[
+DROP TABLE IF EXISTS gate;
+CREATE TABLE gate (open boolean);
+CREATE OR REPLACE FUNCTION pass() RETURNS text LANGUAGE plpgsql AS $$ BEGIN
+  WHILE NOT EXISTS (SELECT FROM gate) LOOP PERFORM pg_sleep(0.01); END LOOP;
+  RETURN 'passed';
+END $$;
+]]
+
+  -- Has clients send ticks to machines, and calls a function when a third has come. The
+  -- last third is sent after that. Returns how often each was to tick, how often it
+  -- has, and the clients' errors.
+  local function storm(other, between)
+    other:sql((bundle.sql { "counter=" .. helper.file_with(COUNTER) }))
+    other:sql(("SELECT rfsm.create('m' || i, 'counter') FROM generate_series(1, %d) i")
+      :format(MACHINES))
+    other:sql(GATE)
+    local random, sent, found, lines = new_random(28), {}, {}, {}
+    for i = 1, EVENTS do
+      local key, client = "m" .. random:below(MACHINES), i % CLIENTS + 1
+      sent[key] = (sent[key] or 0) + 1
+      lines[client] = lines[client] or {}
+      table.insert(lines[client], ("SELECT rfsm.send('%s', 'e_tick', id => '%d');")
+        :format(key, i))
+    end
+    for _, list in ipairs(lines) do
+      table.insert(list, math.floor(#list * 2 / 3), "SELECT pass();")
+    end
+    local finish = other:storm(lines)
+    other:wait_for(("SELECT sum((data->'root'->>'n')::int) > %d FROM rfsm.machines")
+      :format(math.floor(EVENTS / 3)))
+    between()
+    other:sql("INSERT INTO gate VALUES (true)")
+    local errors = finish()
+    for key, n in other:sql("SELECT key, data->'root'->'n' FROM rfsm.machines")
+      :gmatch("(%S+)|(%d+)\n") do
+      found[key] = n ~= "0" and tonumber(n) or nil
+    end
+    return sent, found, errors
+  end
+
+  it("apply each event once, also if the server is killed in between", function()
+    local other = servers.start()
+    local sent, found, errors = storm(other, function()
+      other:kill()
+      other:launch()
+    end)
+    assert.not_matches("gave up", errors)
+    assert.same(sent, found)
+  end)
+
+  it("lose no event while a new version of the chart is loaded", function()
+    sql("")
+    local sent, found, errors = storm(server, function()
+      load_charts({}, "counter=" .. helper.file_with(COUNTER), "counter="
+        .. helper.file_with((COUNTER:gsub("even%f[%W]", "round"):gsub("n = 0,",
+        "%0 rename = { ['root.even'] = 'root.round' },"))))
+    end)
+    assert.equal("", errors)
+    assert.same(sent, found)
+    assert.equal("root.odd\nroot.round\n", server:sql([[
+SELECT rfsm.tick(key) FROM rfsm.machines \g /dev/null
+SELECT state FROM rfsm.machines GROUP BY state, version ORDER BY state;]]))
+  end)
+
+  it("wake each machine once", function()
+    load_charts({}, "due=" .. helper.file_with(DUE))
+    sql(("SELECT rfsm.create('m' || i, 'due') FROM generate_series(1, %d) i")
+      :format(EVENTS))
+    local work = "DO $$ BEGIN WHILE EXISTS (SELECT FROM rfsm.machines WHERE due IS NOT "
+      .. "NULL) LOOP PERFORM rfsm.wake(); COMMIT; END LOOP; END $$;"
+    local workers = { server:beside(work), server:beside(work) }
+    for _, finish in ipairs(workers) do assert.equal("", finish()) end
+    assert.equal(("%d|%d|t\n"):format(EVENTS, EVENTS), server:sql("SELECT count(*), "
+      .. "count(DISTINCT key), bool_and(data = '{\"n\": 1}') FROM rfsm.out"))
+  end)
+end)
+
+describe("a call that begins before a new version of its chart is there", function()
+  it("is answered by the new one", function()
+    local old = "c=" .. helper.file_with(COUNTER)
+    load_charts({}, old)
+    sql("SELECT rfsm.create('1', 'c')")
+    -- the call waits for the lock of the table until the machine has moved
+    local library = bundle.sql { old, "c=" .. helper.file_with((COUNTER:gsub("odd",
+      "uneven"):gsub("n = 0,", "%0 rename = { ['root.odd'] = 'root.uneven' },"))) }
+    assert.equal("root.uneven\nroot.even\n2\n", server:sql(([[
+BEGIN;
+LOCK TABLE rfsm.machines;
+\! COMMAND >OUTPUT 2>&1 &
+DO $$ BEGIN
+  WHILE NOT EXISTS (SELECT FROM pg_stat_activity WHERE wait_event_type = 'Lock') LOOP
+    PERFORM pg_stat_clear_snapshot(), pg_sleep(0.01);
+  END LOOP;
+END $$;
+\i LIBRARY
+SELECT rfsm.send('1', 'e_tick');
+COMMIT;
+\! for i in $(seq 3000); do [ -s OUTPUT ] && break; sleep 0.01; done; cat OUTPUT
+SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("%u%u%u+", {
+      COMMAND = server:command("psql", "-XAqt -c \"SELECT rfsm.send('1', 'e_tick')\""),
+      LIBRARY = helper.file_with((library:gsub("\nBEGIN;\n", "\n", 1)
+        :gsub("\nCOMMIT;\n$", "\n"))), OUTPUT = helper.file_with("") })))
+  end)
+end)
+
+-- States in a ring. Effects keep values of all kinds, or set targets; a field holds the
+-- text of what they found before.
+local RANDOM = [[
+local new_random, plain = require "spec.support.random", require "rfsm.snapshot.plain"
+local VALUES = { 1, 0, -3, 1e15, 0.1 + 0.2, 2^53, 1/0, "text", "\"\\\n\t%%", true,
+  false, { 1, { x = 2 } }, {}, { [2] = "b" }, { "%%n", "1" }, { { {} } } }
+local function text_of(value)
+  if type(value) == "number" then return ("%%.17g"):format(value) end
+  if type(value) ~= "table" then return tostring(value) end
+  local parts = {}
+  for i, key in ipairs(rfsm.sorted_keys(value)) do
+    parts[i] = text_of(key) .. "=" .. text_of(value[key])
+  end
+  return "{" .. table.concat(parts, ",") .. "}"
+end
+local random = new_random(%d)
+local function new_effect(name)
+  local value, is_target = VALUES[random:below(18)], random:chance(10)
+  return function(fsm, tr)
+    fsm.found = text_of(fsm.x) .. text_of(fsm[name].n) .. text_of(tr.tgt._fqn)
+    if is_target then tr.tgt = fsm.s1 end
+    fsm.x, fsm[name].n = plain.copy_of(value), (fsm[name].n or 0) + 1
+  end
+end
+local count = 2 + random:below(3)
+local model = { keep = { "x", "found" }, x = random:chance(50) and 5 or nil,
+  rfsm.trans { src = "initial", tgt = "s1" } }
+for i = 1, count do
+  local name, to = "s" .. i, "s" .. i %% count + 1
+  model[name] = rfsm.state { keep = { "n" }, n = random:chance(50) and i or nil }
+  model[#model + 1] = rfsm.trans { src = name, tgt = to, effect = new_effect(name),
+    events = { "e_next" } }
+  model[#model + 1] = rfsm.trans { src = name, tgt = name, effect = new_effect(name),
+    events = { "e_same" } }
+end
+return rfsm.state(model)
+]]
+
+describe("random charts", function()
+  it("go the way that they go without a server", function()
+    local files, lines, expected = {}, {}, {}
+    local random = new_random(28)
+    for i = 1, 20 do
+      local file = helper.file_with(RANDOM:format(i))
+      files[i] = ("r%d=%s"):format(i, file)
+      local fsm = helper.init(rfsm.load(file))
+      rfsm.run(fsm)
+      lines[#lines + 1] = ("SELECT rfsm.create('%d', 'r%d') \\gset"):format(i, i)
+      for _ = 1, 20 do
+        local event = random:chance(60) and "e_next" or "e_same"
+        helper.post_and_run(fsm, event)
+        lines[#lines + 1] = ("SELECT rfsm.send('%d', '%s') \\gset"):format(i, event)
+        lines[#lines + 1] = ("SELECT state, data->'root'->>'found' FROM rfsm.machines "
+          .. "WHERE key = '%d';"):format(i)
+        expected[#expected + 1] = fsm._act_leaf._fqn .. "|" .. fsm.found
+      end
+    end
+    load_charts({ history = true }, unpack(files))
+    assert.equal(table.concat(expected, "\n") .. "\n", sql(table.concat(lines, "\n")))
+  end)
+end)
+
+describe("doc/postgres.md", function()
+  setup(function()
+    load_charts({ history = true }, "order=examples/warehouse/order.lua",
+      "lamp=" .. helper.file_with(LAMP))
+  end)
+
+  it("shows what its statements return", function()
+    local blocks, expected, at = {}, {}, 1
+    for block in helper.content("doc/postgres.md"):gmatch("\n```sql\n(.-)```") do
+      blocks[#blocks + 1] = block
+      for line in block:gmatch("%-%-> ([^\n]*)") do expected[#expected + 1] = line end
+    end
+    local output = sql(table.concat(blocks))
+    for _, line in ipairs(expected) do
+      local _, last = output:find(line, at, true)
+      assert.is_truthy(last, line .. " expected in:\n" .. output:sub(at))
+      at = last
+    end
+    assert.is_nil(output:find("ERROR:.*ERROR:"))
+  end)
+
+  it("names an index that its questions use", function()
+    assert.matches("machines_state", server:sql([[
+SET enable_seqscan = off; SET enable_bitmapscan = off;
+EXPLAIN SELECT key FROM rfsm.machines WHERE chart = 'order' AND state = 'root.picking'
+  AND since < now() - interval '1 hour';]]))
+  end)
+
+  it("names the rights that a caller needs", function()
+    assert.equal("root.off\nroot.busy\n", sql([[
+CREATE ROLE caller;
+GRANT USAGE ON SCHEMA rfsm TO caller;
+GRANT SELECT, INSERT, UPDATE ON rfsm.machines TO caller;
+GRANT INSERT ON rfsm.log, rfsm.out, rfsm.history TO caller;
+SET ROLE caller;
+SELECT rfsm.create('1', 'lamp');
+SELECT rfsm.send('1', 'e_busy');]]))
+  end)
+end)
+
+describe("the warehouse", function()
+  -- Returns what has happened to each order, in the order of their numbers.
+  local function by_order(output)
+    local lines, trace = {}, {}
+    output = output:gsub("{%d+}:", "")
+    for number, text in output:gmatch("order:(%d+) +([^\n]*)") do
+      lines[number] = (lines[number] or "") .. " " .. text
+    end
+    for i = 1, 12 do trace[i] = lines[("%d"):format(i)] or "none" end
+    trace[#trace + 1] = output:match("[^\n]*\n$")
+    return trace
+  end
+
+  it("does in PostgreSQL what it does in Redis", function()
+    local redis = require "spec.support.redis"
+    local missing = redis.missing()
+    if missing then return pending(missing) end
+    local there = redis.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
+      .. "examples/warehouse/fleet.sh lua5.1")
+    local here = redis.beside("LUA_INIT= examples/warehouse/postgres.sh lua5.3")
+    local expected = by_order(there())
+    assert.equal("9 shipped, 3 cancelled\n", expected[13])
+    assert.same(expected, by_order(here()))
+  end)
+end)
