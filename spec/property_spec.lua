@@ -1,7 +1,6 @@
 -- Properties of runs: what an exploration says of them, and a machine that is watched.
 
 local ab = require "spec.support.ab"
-local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 require "rfsm_timeevent"
@@ -9,25 +8,9 @@ require "rfsm_timeevent"
 local state = rfsm.state
 local after, from = rfsm_checks.after, rfsm_checks.from
 local precedes, until_ = rfsm_checks.precedes, rfsm_checks.until_
-local chart, go = ab.chart, ab.go
+local chart, go, verdict = ab.chart, ab.go, ab.verdict
 
 local function yes() return true end
-
--- The lines about a property, without files.
-local function verdict(model, property, options)
-  options = options or {}
-  options.properties = { p = property }
-  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
-  local lines = {}
-  for line in text:gmatch("[^\n]+") do
-    if line:find("^p: ") or lines[1] and line:find("^  ") then
-      lines[#lines + 1] = line
-    elseif lines[1] then
-      break
-    end
-  end
-  return table.concat(lines, "\n")
-end
 
 local VIOLATED = "p: does not hold [violated]\n"
 

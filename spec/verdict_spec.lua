@@ -11,23 +11,7 @@ require "rfsm.await"
 local state, conn = rfsm.state, rfsm.conn
 local never, always = rfsm_checks.never, rfsm_checks.always
 local after, from = rfsm_checks.after, rfsm_checks.from
-local chart, go = ab.chart, ab.go
-
--- The lines about a property, without files.
-local function verdict(model, property, options)
-  options = options or {}
-  options.properties = { p = property }
-  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
-  local lines = {}
-  for line in text:gmatch("[^\n]+") do
-    if line:find("^p: ") or lines[1] and line:find("^  %d") then
-      lines[#lines + 1] = line
-    elseif lines[1] then
-      break
-    end
-  end
-  return table.concat(lines, "\n")
-end
+local chart, go, verdict = ab.chart, ab.go, ab.verdict
 
 local VIOLATED = "p: does not hold [violated]\n"
 

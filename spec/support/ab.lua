@@ -1,6 +1,8 @@
 -- The chart that specs of checks begin with, and a short way to write transitions.
 
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
 
 local ab = {}
 
@@ -20,6 +22,22 @@ function ab.chart(members)
   }
   for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
   return rfsm.state(model)
+end
+
+--- What an exploration says of a property, its lines without files.
+function ab.verdict(model, property, options)
+  options = options or {}
+  options.properties = { p = property }
+  local text = helper.without_file(tostring(rfsm_checks.explore(model, options)))
+  local lines = {}
+  for line in text:gmatch("[^\n]+") do
+    if line:find("^p: ") or lines[1] and line:find("^  ") then
+      lines[#lines + 1] = line
+    elseif lines[1] then
+      break
+    end
+  end
+  return table.concat(lines, "\n")
 end
 
 return ab
