@@ -121,3 +121,41 @@ describe("an event with", function()
     end
   end
 end)
+
+-- Who gets the list of events may keep it: it is not used again then.
+describe("the list of events", function()
+  local KEEPERS = {
+    pre_step_hook = function(fsm, keep) fsm.pre_step_hook = keep end,
+    post_step_hook = function(fsm, keep) fsm.post_step_hook = keep end,
+    pre_step_hook_add = rfsm.pre_step_hook_add,
+    post_step_hook_add = rfsm.post_step_hook_add,
+    guard = function(fsm, keep)
+      for i = 2, 3 do fsm[i].guard = keep end
+    end,
+    effect = function(fsm, keep)
+      for i = 2, 3 do
+        fsm[i].effect = function(_, tr, _, events) keep(tr, events) end
+      end
+    end,
+  }
+  for _, name in ipairs(rfsm.sorted_keys(KEEPERS)) do
+    it("may be kept by " .. name, function()
+      local fsm = assert(rfsm.init(rfsm.state {
+        warn = false, info = false, a = rfsm.state {}, b = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "b", events = { "e_b" } },
+        rfsm.trans { src = "b", tgt = "a", events = { "e_a" } },
+      }))
+      rfsm.run(fsm)
+      local kept, sent = {}, {}
+      KEEPERS[name](fsm, function(_, events) kept[#kept + 1] = events end)
+      for i = 1, 20 do
+        sent[i] = i % 2 == 1 and "e_b" or "e_a"
+        rfsm.send_events(fsm, sent[i])
+        rfsm.step(fsm)
+      end
+      for i, events in ipairs(kept) do kept[i] = events[#events] end
+      assert.same(sent, kept)
+    end)
+  end
+end)
