@@ -69,9 +69,10 @@ local function complete(page, up)
     return read("examples/" .. name) and link_to(name, up) or ""
   end)
   page = page:gsub("<!%-%-brief (%S+)%-%->", function(name)
-    local text = read("examples/" .. name) or read("examples/hosts/" .. name)
-      or read("examples/warehouse/" .. name) or ""
-    return brief(text)
+    for _, folder in ipairs { "", "hosts/", "hosts/love/", "warehouse/" } do
+      local text = read("examples/" .. folder .. name)
+      if text then return brief(text) end
+    end
   end)
   local more = ('<a href="%sgallery.html">Gallery</a>\n'):format(up)
   if has_playground then
