@@ -102,14 +102,21 @@ local EVENTS = tonumber(os.getenv("RFSM_EVENTS")) or 500
 
 local server
 
+local has_usual_charts = false
+
 local function load_charts(options, ...)
+  has_usual_charts = false
   assert.equal("", server:sql((bundle.sql({ ... }, options))))
 end
 
-setup(function()
-  server = servers.start("-c fsync=off")
+setup(function() server = servers.start("-c fsync=off") end)
+
+before_each(function()
+  if has_usual_charts then return end
+  server:sql("DROP SCHEMA IF EXISTS rfsm CASCADE")
   load_charts({ history = true }, "lamp=" .. helper.file_with(LAMP),
     "counter=" .. helper.file_with(COUNTER))
+  has_usual_charts = true
 end)
 
 local EMPTY = "TRUNCATE rfsm.machines, rfsm.out, rfsm.log, rfsm.history "
@@ -547,7 +554,7 @@ describe("random charts", function()
 end)
 
 describe("doc/postgres.md", function()
-  setup(function()
+  before_each(function()
     load_charts({ history = true }, "order=examples/warehouse/order.lua",
       "lamp=" .. helper.file_with(LAMP))
   end)
