@@ -2156,12 +2156,12 @@ end
 -- One iteration, or the rest of one that was cut short. Returns nil if the machine
 -- cannot be entered, else whether it counts as a step and whether the machine is idle.
 -- `after_free`: the last iteration did not count.
-function iterate(fsm, after_free, phases)
+function iterate(fsm, after_free)
   if fsm._phase == "idle" then
     fsm._after_free = after_free
     fsm._phase = "begin"
   end
-  fsm._run = phases or go_on
+  fsm._run = go_on
   if running then fsm._thread = running() or true end
   local ok, failure = xpcall(fsm._act, getlocal and note_interrupt or same)
   if running then fsm._thread = false end
@@ -2181,13 +2181,11 @@ local patience = 8
 
 local PARTS = {
   ACTION = ACTION, SEGMENT = SEGMENT, append = append, ask_getevents = ask_getevents,
-  before = PHASES.before, borrowers = borrowers, call = call,
-  call_post_hooks = call_post_hooks, choose = choose,
-  compile_transition = compile_transition, decide = decide,
+  borrowers = borrowers, call = call, call_post_hooks = call_post_hooks,
+  choose = choose, compile_transition = compile_transition, decide = decide,
   enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
   give_up = give_up, go_on = go_on, GO_ON = GO_ON,
-  handler = note_interrupt, interpret = interpret,
-  is_callable = is_callable,
+  handler = note_interrupt, interpret = interpret, is_callable = is_callable,
   iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
   matches = matches, no_events = no_events, OWN_ONLY = OWN_ONLY,
   refuse_guard = refuse_guard, results_of = results_of,
