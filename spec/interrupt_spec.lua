@@ -1,5 +1,5 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- strike anywhere. Here it does so at every 13th VM instruction in turn, or at each
+-- strike anywhere. Here it does so at every 37th VM instruction in turn, or at each
 -- if EVERY=1. It reaches the caller as itself; after that the machine goes on, and ends
 -- where it would have ended.
 
@@ -8,7 +8,7 @@ local rfsm = require "rfsm"
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
 local INTERRUPT = "interrupted!"
-local EVERY = tonumber(os.getenv("EVERY")) or 13
+local EVERY = tonumber(os.getenv("EVERY")) or 37
 local LIMIT = 1e6 -- instructions: more than any of these runs needs
 
 -- a.b.c --e_k--> k --> d.e (doo: one cycle, then done) --e_back--> a,
