@@ -564,13 +564,32 @@ end
 
 -- Clone: a definition for each position of a node -------------------------------
 
--- Returns the model behind a machine or a part of one; anything else is its own model.
-local function model_of(value)
+--- Return the model that a machine or an element of one was made of, for extensions.
+---@param value any
+---@return any model the value itself if it is no part of a machine
+function rfsm.model_of(value)
   local class = getmetatable(value)
   if class == Machine then return value._plan.model end
   local def = type(class) == "table" and rawget(class, "_%def")
   return def and def.model or value
 end
+
+--- Return a table that machines of the same structure share, for extensions.
+--
+-- `fsm_merge`, and events that a preproc function changes, give a machine another one.
+--
+---@param fsm rfsm.Machine
+---@return table structure
+function rfsm.structure_of(fsm) return fsm._plan end
+
+--- Return the name of the target that the model gives a transition, for extensions.
+---@param tr rfsm.Transition a transition of a machine
+---@return string fqn "internal" for an internal transition
+function rfsm.target_of(tr)
+  return tr._is_internal and "internal" or tr["_%def"].tgt.fqn
+end
+
+local model_of = rfsm.model_of
 
 local clone_below, new_node, new_transition
 
@@ -1000,9 +1019,8 @@ end
 ---@field transitions rfsm.Def[]
 ---@field events table<any, true> the events that transitions name
 ---@field trail table|false see `is_current`; only the plan of a model has one
----@field variants table<string, rfsm.Plan> those made by preproc functions
+---@field variants rfsm.Plan[] those made by preproc functions, the latest ones
 ---@field is_settled boolean? machines have been made of it
----@field ids table<any, integer> numbers of events and priorities in their keys
 
 local compile, compile_transition, line_to
 
@@ -1105,8 +1123,7 @@ end
 local function new_plan(model)
   return {
     model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = {}, created = {}, variants = setmetatable({}, { __mode = "v" }),
-    ids = setmetatable({}, { __mode = "k" }), last_id = 0,
+    warnings = {}, created = {}, variants = {},
   }
 end
 
@@ -1784,9 +1801,9 @@ end
 -- Warns of events that were sent before the first entry, and that its path does not
 -- name: they are consumed by it.
 local function warn_of_lost_events(fsm, def, events)
-  local lost = {}
+  local lost, told = {}, fsm._told_early or NONE -- by rfsm/strict.lua
   for i = 1, #events do
-    local at, is_named = def, rawequal(events[i], "e_init_fsm")
+    local at, is_named = def, rawequal(events[i], "e_init_fsm") or told[events[i]]
     while at and not is_named do
       is_named = at.events and matches(at, { events[i] })
       at = at.connector and fsm._ways[at.connector]
@@ -2483,110 +2500,43 @@ do
   local function wrong_field(fsm, tr)
     local events, pn = tr.events or NONE, rawget(tr, "pn") or 0
     if type(events) ~= "table" and type(events) ~= "string" then return "events" end
-    if type(pn) ~= "number" then return "pn" end
+    if type(pn) ~= "number" or pn ~= pn then return "pn" end
     if not is_node_of(fsm, tr.src) then return "src" end
     return not is_node_of(fsm, tr.tgt) and "tgt"
   end
 
-  -- Returns what the preproc functions have made of a transition; nil and a problem.
-  local function read_transition(fsm, tr)
+  -- Gives the fields of a transition the form that a plan has: a list of events, a
+  -- target that is no composite. Returns a problem if there is one.
+  local function check_transition(fsm, tr)
     local wrong = wrong_field(fsm, tr)
     if wrong then
-      return nil, ("%s: %s: set by a preproc function, %s"):format(
-        rfsm.location_of(tr), wrong, got(tr[wrong]))
+      return ("%s: %s: set by a preproc function, %s"):format(rfsm.location_of(tr),
+        wrong, got(tr[wrong]))
     end
-    local events = rawget(tr, "events")
-    if type(events) == "string" then events = { events } end
-    local result = {
-      src = tr.src["_%def"].index, tgt = tr.tgt["_%def"].index,
-      pn = rawget(tr, "pn") or false, events = events or NONE,
-    }
-    local tgt = fsm._plan.nodes[result.tgt]
-    local is_composite = tgt.kind == "state" and not tgt.is_leaf
-    if is_composite and not tr["_%def"].is_internal then
-      if not tgt.members.initial then
-        return nil, rfsm.location_of(tr)
+    local tgt, events = tr.tgt["_%def"], rawget(tr, "events") or {}
+    local is_internal = tr["_%def"].is_internal and rawequal(tr.src, tr.tgt)
+    if tgt.kind == "state" and not (tgt.is_leaf or is_internal) then
+      local initial = tgt.members.initial
+      if not initial then
+        return rfsm.location_of(tr)
           .. ": tgt: the composite has no initial transition"
       end
-      result.tgt = tgt.members.initial.index
+      tr.tgt = fsm._nodes[initial.index]
     end
-    return result
+    tr.events = type(events) == "string" and { events } or events
   end
 
-  -- Returns the number that stands for a value in the keys of a plan.
-  local function id_of(plan, value)
-    local ids = plan.ids
-    if not ids[value] then
-      plan.last_id = plan.last_id + 1
-      ids[value] = plan.last_id
-    end
-    return ids[value]
+  -- Has a transition still the ends and the priority of a plan?
+  local function has_ends(tr, def, nodes)
+    return (rawget(tr, "pn") or nil) == def.pn
+      and rawequal(tr.src, nodes[def.src.index])
+      and rawequal(tr.tgt, nodes[def.tgt.index])
   end
 
-  -- Returns a text that is the same for the same results.
-  local function key_of(plan, results)
-    local parts = {}
-    for _, result in ipairs(results) do
-      append(parts, { result.src, result.tgt, id_of(plan, result.pn) })
-      for _, event in ipairs(result.events) do
-        parts[#parts + 1] = id_of(plan, event)
-      end
-      parts[#parts + 1] = 0
-    end
-    for i = 1, #parts do parts[i] = ("%d"):format(parts[i]) end
-    return concat(parts, " ")
-  end
-
-  -- What is to become of the transitions if no preproc function changes any.
-  local function unchanged(plan)
-    local results = {}
-    for i, def in ipairs(plan.transitions) do
-      results[i] = {
-        src = def.src.index, tgt = def.tgt.index, pn = def.pn or false,
-        events = def.events or NONE,
-      }
-    end
-    return results
-  end
-
-  -- The first machine of a plan decides about the events in it: those of the model are
-  -- kept as `written`. A plan in which more was changed stays as it is.
-  local function settle(plan, results)
-    for i, result in ipairs(results) do
-      local def = plan.transitions[i]
-      if def.src.index ~= result.src or def.tgt.index ~= result.tgt
-        or (def.pn or false) ~= result.pn then
-        return
-      end
-    end
-    for i, result in ipairs(results) do
-      local def = plan.transitions[i]
-      def.written = def.events or NONE
-      def.events = result.events[1] ~= nil and append({}, result.events)
-    end
-    compile(plan)
-  end
-
-  -- Returns a plan whose transitions are what the preproc functions have made of them.
-  local function new_variant(plan, results)
-    local variant = copy_plan(plan)
-    for i, result in ipairs(results) do
-      local def = variant.transitions[i]
-      def.src, def.tgt = variant.nodes[result.src], variant.nodes[result.tgt]
-      def.pn, def.events = result.pn or nil, append({}, result.events)
-      if def.events[1] == nil then def.events = false end
-      def.is_internal = def.is_internal and def.src == def.tgt
-    end
-    variant.base = plan
-    return compile(variant)
-  end
-
-  -- Have the preproc functions made of a transition what a plan has?
+  -- The same, and its events?
   local function is_as_planned(tr, def, nodes)
     local events, known = rawget(tr, "events"), def.events or NONE
-    if type(events) ~= "table" or #events ~= #known or rawget(tr, "pn") ~= def.pn
-      or not rawequal(tr.src, nodes[def.src.index])
-      or not rawequal(tr.tgt, nodes[def.tgt.index]) then
+    if type(events) ~= "table" or #events ~= #known or not has_ends(tr, def, nodes) then
       return false
     end
     for i = 1, #known do
@@ -2595,45 +2545,76 @@ do
     return true
   end
 
-  -- Gives a machine the plan that the latest one got, if the same has been made of its
-  -- transitions; returns whether it is so.
-  local function take_latest(fsm, plan)
-    local latest, transitions = plan.latest or plan, fsm._transitions
+  -- Has each transition of a machine what `plan` has?
+  local function fits(fsm, plan)
+    local transitions = fsm._transitions
     for i = 1, #transitions do
-      if not is_as_planned(transitions[i], latest.transitions[i], fsm._nodes) then
+      if not is_as_planned(transitions[i], plan.transitions[i], fsm._nodes) then
         return false
       end
     end
-    for i = 1, #transitions do transitions[i].events, transitions[i].pn = nil, nil end
-    if latest ~= plan then use_plan(fsm, latest) end
     return true
+  end
+
+  -- Returns the plan that fits a machine, one of the variants or the plan itself.
+  local function find_plan(fsm, plan)
+    for i = #plan.variants, 1, -1 do -- the latest first
+      if fits(fsm, plan.variants[i]) then return plan.variants[i] end
+    end
+    return fits(fsm, plan) and plan or nil
+  end
+
+  -- The first machine of a plan decides about the events in it: those of the model are
+  -- kept as `written`. Where more was changed the plan stays as it is, and the result
+  -- is nil.
+  local function settle(fsm, plan)
+    if plan.is_settled then return nil end
+    for i, tr in ipairs(fsm._transitions) do
+      if not has_ends(tr, plan.transitions[i], fsm._nodes) then return nil end
+    end
+    for i, tr in ipairs(fsm._transitions) do
+      local def = plan.transitions[i]
+      def.written = def.events or NONE
+      def.events = tr.events[1] ~= nil and append({}, tr.events)
+    end
+    use_plan(fsm, compile(plan))
+    return plan
+  end
+
+  local MAX_VARIANTS = 8 -- of a plan: machines that differ more often share less
+
+  -- Returns a plan whose transitions are what the preproc functions have made of them.
+  local function new_variant(fsm, plan)
+    local variant, variants = copy_plan(plan), plan.variants
+    for i, tr in ipairs(fsm._transitions) do
+      local def = variant.transitions[i]
+      def.src = variant.nodes[tr.src["_%def"].index]
+      def.tgt = variant.nodes[tr.tgt["_%def"].index]
+      def.pn = rawget(tr, "pn") or nil
+      def.events = tr.events[1] ~= nil and append({}, tr.events)
+      def.is_internal = def.is_internal and def.src == def.tgt
+    end
+    variant.base = plan
+    if #variants == MAX_VARIANTS then remove(variants, 1) end
+    variants[#variants + 1] = compile(variant)
+    return variant
   end
 
   -- The machine gets the plan of what the preproc functions have made of its
   -- transitions. Machines with the same result share it.
   local function take_results(fsm, plan, problems)
-    if take_latest(fsm, plan) then
-      plan.is_settled = true
-      return
-    end
-    local results = {}
-    for i, tr in ipairs(fsm._transitions) do
-      local result, problem = read_transition(fsm, tr)
-      results[i], problems[#problems + 1] = result, problem
+    local found = find_plan(fsm, plan)
+    if not found then
+      for _, tr in ipairs(fsm._transitions) do
+        problems[#problems + 1] = check_transition(fsm, tr)
+      end
+      found = not problems[1] and (find_plan(fsm, plan) or settle(fsm, plan)
+        or new_variant(fsm, plan))
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
-    if problems[1] then return end
-    local key, current = key_of(plan, results), key_of(plan, unchanged(plan))
-    if not plan.is_settled and key ~= current then
-      settle(plan, results)
-      current = key_of(plan, unchanged(plan))
-    end
+    if not found then return end
     plan.is_settled = true
-    plan.variants[current] = plan
-    local variant = plan.variants[key] or new_variant(plan, results)
-    plan.variants[key], plan.latest = variant, variant
-    for i, tr in ipairs(fsm._transitions) do tr.tgt = fsm._nodes[results[i].tgt] end
-    use_plan(fsm, variant)
+    if found ~= plan then use_plan(fsm, found) end
   end
 
   -- Runs the preproc functions; returns the problems they found. When one of them
@@ -2659,10 +2640,13 @@ do
   end
 end
 
--- Are there to be more warnings? That may be asked for by the environment.
-local function is_strict(model)
+--- Are there to be more warnings? The environment may ask for them, for extensions.
+---@param root rfsm.State a root state or a machine
+---@return boolean
+function rfsm.is_strict(root)
   local getenv = find_global("os", "getenv")
-  return model.strict or getenv and getenv("RFSM_STRICT") == "1"
+  if root.strict ~= nil then return root.strict and true or false end
+  return getenv and getenv("RFSM_STRICT") == "1" or false
 end
 
 -- Reports the problems of a model to `err`.
@@ -2694,7 +2678,7 @@ function rfsm.init(model)
   model = model_of(model)
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
-  if is_strict(model) then find_module("rfsm.strict") end
+  if rfsm.is_strict(model) then find_module("rfsm.strict") end
   local fsm = finish_machine(new_machine(plan))
   fsm._initialized = true
   report_lines(fsm, "info", plan.created)
@@ -2979,6 +2963,7 @@ end
 --- List an element and those below it that `pred` accepts, for extensions.
 --
 -- A preproc function `f(fsm, merged)` works on `rfsm.elements(merged or fsm, pred)`.
+-- Machines that share `structure_of` have their elements at the same positions.
 --
 ---@param obj table a machine or an element of one
 ---@param pred? fun(obj: any): boolean default is_fsmobj
@@ -3297,6 +3282,11 @@ function rfsm.snapshot_hook_add(fsm, name, save, load)
   fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or {}),
     { { name = name, save = save, load = load } })
 end
+
+--- List what `snapshot_hook_add` was called with, in that order, for extensions.
+---@param fsm rfsm.Machine
+---@return { name: string, save: function, load: function }[] hooks not to be changed
+function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])

@@ -235,7 +235,7 @@ end
 -- While it is made its model has the printers that it lacks.
 local function fresh_region(fsm, given)
   local is_machine, lacking = rfsm.is_initialized_root(given), {}
-  local model = is_machine and given._plan.model or given
+  local model = rfsm.model_of(given)
   for _, name in ipairs(PRINTERS) do
     if rawget(model, name) == nil then
       model[name] = rawget(owner_of_printers(fsm, given), name)

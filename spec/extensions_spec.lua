@@ -342,3 +342,71 @@ describe("a chart that uses no extension", function()
     assert.equal("|", added_by({ "rfsm.emem", "rfsm.checkevents" }, true))
   end)
 end)
+
+describe("an extension may ask", function()
+  local model = state {
+    info = false, warn = false, a = state {}, b = state { c = state {},
+      trans { src = "initial", tgt = "c" } },
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e" } },
+    trans { src = "b.c", tgt = "internal", events = { "e" } },
+    trans { src = "b.c", tgt = "b.c", events = { "e_again" } },
+  }
+
+  it("for the model of a machine and its elements", function()
+    local fsm = assert(rfsm.init(model))
+    assert.equal(model, rfsm.model_of(fsm))
+    assert.equal(model.b.c, rfsm.model_of(fsm.b.c))
+    assert.equal(model[2], rfsm.model_of(fsm[2]))
+    for _, value in ipairs({ model, model.a, {}, "text", setmetatable({}, {}) }) do
+      assert.equal(value, rfsm.model_of(value))
+    end
+  end)
+
+  it("for what machines of the same structure share, until one is merged", function()
+    local first, second = assert(rfsm.init(model)), assert(rfsm.init(model))
+    local structure = rfsm.structure_of(first)
+    assert.equal(structure, rfsm.structure_of(second))
+    assert(rfsm.fsm_merge(second, second, state {}, "d"))
+    assert.equal(structure, rfsm.structure_of(first))
+    assert.not_equal(structure, rfsm.structure_of(second))
+  end)
+
+  it("for the target that the model names, whatever it is now", function()
+    local fsm, names = assert(rfsm.init(model)), {}
+    fsm[2].tgt = fsm.a
+    for i = 1, 4 do names[i] = rfsm.target_of(fsm[i]) end
+    assert.same({ "root.a", "root.b.initial", "internal", "root.b.c" }, names)
+  end)
+
+  it("for the hooks that keep something, in order", function()
+    local fsm = assert(rfsm.init(state {
+      info = false, warn = false, checkevents = false, emem = false, a = state {},
+      trans { src = "initial", tgt = "a" },
+    }))
+    local function save() end
+    local function load() end
+    assert.same({}, rfsm.snapshot_hooks(fsm))
+    for _, name in ipairs({ "one", "two" }) do
+      rfsm.snapshot_hook_add(fsm, name, save, load)
+    end
+    assert.same({ { name = "one", save = save, load = load },
+      { name = "two", save = save, load = load } }, rfsm.snapshot_hooks(fsm))
+  end)
+
+  it("whether a root wants more warnings", function()
+    local getenv = os.getenv
+    finally(function() os.getenv = getenv end) -- luacheck: ignore 122
+    local CASES = {
+      { env = nil, strict = nil, expected = false },
+      { env = nil, strict = true, expected = true },
+      { env = "1", strict = nil, expected = true },
+      { env = "1", strict = false, expected = false },
+      { env = "0", strict = nil, expected = false },
+    }
+    for _, case in ipairs(CASES) do
+      os.getenv = function() return case.env end -- luacheck: ignore 122
+      assert.equal(case.expected, rfsm.is_strict(state { strict = case.strict }))
+    end
+  end)
+end)

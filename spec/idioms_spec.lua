@@ -2,6 +2,7 @@
 -- beside calling functions: they walk tables, wrap callbacks, write fields.
 
 local helper = require "spec.helper"
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
 local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
@@ -212,6 +213,99 @@ describe("a preproc function", function()
     rfsm.run(second)
     helper.post_and_run(second, "e_in_2")
     assert.equal("root.c.x", rfsm.get_actleaf_fqn(second))
+  end)
+
+  -- Draws what the transitions between three states are to have.
+  local function drawn(random)
+    local changes = {}
+    for i = 2, 7 do
+      changes[i] = {
+        events = random:pick { "e_1", { "e_2" }, { "e_1", "e_2" }, {} },
+        pn = random:pick { false, 1, 2 }, src = random:pick { "a", "b", "k" },
+        tgt = random:pick { "a", "b", "k" },
+      }
+    end
+    return changes
+  end
+
+  -- Six transitions between them, with those changes or to be changed.
+  local function ring(changes)
+    local chart = state {
+      info = false, warn = false, err = false, a = state {}, b = state {}, k = state {
+        x = state {}, trans { src = "initial", tgt = "x" },
+      },
+      trans { src = "initial", tgt = "a" },
+    }
+    for i = 2, 7 do
+      local change = changes and changes[i]
+      chart[i] = change and trans { src = change.src, tgt = change.tgt,
+        events = change.events, pn = change.pn or nil }
+        or trans { src = "a", tgt = "b", events = "e_1" }
+    end
+    return chart
+  end
+
+  local function run_through(fsm)
+    local names = {}
+    rfsm.step(fsm, 3) -- a ring without events never ends
+    for _, event in ipairs { "e_1", "e_2", "e_2", "e_1", "e_x", "e_1", "e_2", "e_1" } do
+      rfsm.send_events(fsm, event)
+      rfsm.step(fsm)
+      names[#names + 1] = rfsm.get_actleaf_fqn(fsm)
+    end
+    return table.concat(names, " ")
+  end
+
+  -- More variants than are kept, in any order, some of them again and again.
+  it("may change all of a transition, as if it had been written so", function()
+    local random, chart, sets = new_random(7), ring(), {}
+    for i = 1, 15 do sets[i] = drawn(random) end
+    for _ = 1, 150 do
+      local changes = random:pick(sets)
+      local fsm = with_preproc(function(fsm)
+        for i = 2, 7 do
+          local tr, change = fsm[i], changes[i]
+          tr.events = change.events
+          tr.pn, tr.src, tr.tgt = change.pn, fsm[change.src], fsm[change.tgt]
+        end
+      end, function() return assert(rfsm.init(chart)) end)
+      local written = assert(rfsm.init(ring(changes)))
+      for i = 2, 7 do assert.equal(tostring(written[i]), tostring(fsm[i])) end
+      assert.equal(run_through(written), run_through(fsm))
+    end
+  end)
+
+  local WRONG = {
+    { field = "events", value = 5, text = "got number 5" },
+    { field = "pn", value = "high", text = "got string 'high'" },
+    { field = "pn", value = 0 / 0, text = "got number" },
+    { field = "src", value = "a", text = "got string 'a'" },
+    { field = "tgt", value = state {}, text = "got state" },
+  }
+  for _, case in ipairs(WRONG) do
+    it(("is told of a wrong %s, %s"):format(case.field, case.text), function()
+      local chart = ring()
+      local result = with_preproc(function(fsm) fsm[3][case.field] = case.value end,
+        function() return { rfsm.init(chart) } end)
+      local text = result[2]
+      assert.is_false(result[1])
+      assert.matches(("root.trans[3] (a -> b): %s: set by a preproc function, %s")
+        :format(case.field, case.text), text, 1, true)
+      local fsm = assert(rfsm.init(chart))
+      rfsm.run(fsm)
+      assert.equal("root.b", leaf_after(fsm, "e_1"))
+    end)
+  end
+
+  it("cannot aim at a composite without an entrance", function()
+    local chart = state { info = false, warn = false, err = false, a = state {},
+      b = state { c = state {} }, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b.c", events = "e" } }
+    local result = with_preproc(function(fsm) fsm[2].tgt = fsm.b end,
+      function() return { rfsm.init(chart) } end)
+    assert.is_false(result[1])
+    assert.matches("root.trans[2] (a -> b.c): tgt: the composite has no initial "
+      .. "transition", result[2], 1, true)
   end)
 
   it("adds to the machine with fsm_merge, once, and sees that merged", function()

@@ -1,5 +1,5 @@
--- Core and oracle agree on random charts. SEED and N come from the environment; each Lua
--- has charts of its own otherwise.
+-- Core and oracle agree on random charts. SEED and N come from the environment; without
+-- them each Lua has charts of its own.
 
 local charts = require "spec.support.charts"
 local rfsm = require "rfsm"
