@@ -205,12 +205,52 @@ describe("FIX queue:", function()
     assert.is_true(rfsm.run(started { getevents = function() return nil end }))
   end)
 
-  for _, name in ipairs({ "send_events", "step", "run", "reset" }) do
+  for _, name in ipairs({ "send_events", "step", "run", "reset", "check_events",
+    "get_actleaf_fqn", "get_active_conf", "check_no_otrs", "machines", "prepare",
+    "entry_hook_add", "exit_hook_add", "pre_step_hook_add", "pre_step_hook_rm",
+    "post_step_hook_add", "post_step_hook_rm", "reset_hook_add", "reset_hook_rm",
+    "snapshot_hook_add", "place", "fsm_merge", "exit_state", "map_from_to",
+    "node_find_enabled", "check_between_steps" }) do
     it(name .. " on what is no fsm blames the caller", function()
-      assert.matches("^rfsm." .. name .. ": initialised fsm expected, got state",
-        helper.refusal(rfsm[name], state {}))
+      local function call(...) rfsm[name](...) end -- two levels for the last
+      local is_for_extensions = name == "check_between_steps"
+      assert.equal("rfsm." .. name .. ": initialised fsm expected, got state "
+        .. "(rfsm.init makes one of a state)",
+        helper.refusal(is_for_extensions and call or rfsm[name], state {},
+          is_for_extensions and "rfsm.check_between_steps" or nil))
     end)
   end
+
+  for _, name in ipairs({ "pre_step_hook_add", "post_step_hook_add", "reset_hook_add" })
+  do
+    it(name .. " refuses what is no function, and another place", function()
+      local fsm, where = started {}, "rfsm." .. name
+      assert.equal(where .. ": function expected, got number 5",
+        helper.refusal(rfsm[name], fsm, 5))
+      assert.equal(where .. ": 'before' or 'after' expected, got string 'first'",
+        helper.refusal(rfsm[name], fsm, print, "first"))
+    end)
+  end
+
+  for _, name in ipairs({ "entry_hook_add", "exit_hook_add" }) do
+    it(name .. " refuses what is no function or no state of the machine", function()
+      local fsm, where = started {}, "rfsm." .. name
+      assert.equal(where .. ": function expected, got nil",
+        helper.refusal(rfsm[name], fsm, fsm.a))
+      for _, value in ipairs({ "a", state {}, fsm[1] }) do
+        assert.equal(where .. ": state of the fsm expected, " .. rfsm.got(value),
+          helper.refusal(rfsm[name], fsm, value, print))
+      end
+    end)
+  end
+
+  it("snapshot_hook_add wants two functions", function()
+    local fsm = started {}
+    assert.equal("rfsm.snapshot_hook_add: function expected, got nil",
+      helper.refusal(rfsm.snapshot_hook_add, fsm, "x"))
+    assert.equal("rfsm.snapshot_hook_add: function expected, got table",
+      helper.refusal(rfsm.snapshot_hook_add, fsm, "x", print, {}))
+  end)
 
   it("is kept when there is no path from root.initial", function()
     local is_open = false

@@ -259,6 +259,50 @@ describe("a hook or guard that moves the machine", function()
     end
   end
 
+  for _, case in ipairs {
+    { where = "in a composite that is left", to = "b", expected = "root.b" },
+    { where = "beside its source", to = "m", expected = "root.m.y" },
+  } do
+    both("has its transition taken only if the machine stays, " .. case.where,
+      function(uses)
+        local fsm, is_armed = nil, false
+        fsm = started({
+          m = state {
+            x = state {}, y = state {}, z = state {},
+            trans { src = "initial", tgt = "x" },
+            trans { src = "x", tgt = "y", events = { "go" }, guard = function()
+              if not is_armed then return end
+              rfsm.set_sta_mode(case.to == "b" and fsm.b or fsm.m.z, "active")
+            end },
+          },
+        }, uses)
+        helper.post_and_run(fsm, "e")
+        is_armed = true
+        assert.equal(case.expected, leaf_after(fsm, "go"))
+      end)
+  end
+
+  both("of the end of an iteration may reset it: the next one begins anew",
+    function(uses)
+      local is_armed, trace = false, {}
+      local fsm = started({ m = state {
+        x = state { exit = noting(trace, "exit x") },
+        trans { src = "initial", tgt = "x" },
+      }, post_step_hook = function(machine)
+        if is_armed then rfsm.reset(machine) end
+        is_armed = false
+      end }, uses)
+      helper.clear(trace)
+      is_armed = true
+      rfsm.send_events(fsm, "e")
+      rfsm.step(fsm)
+      assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
+      rfsm.send_events(fsm, "back")
+      rfsm.step(fsm)
+      assert.equal("root.a", rfsm.get_actleaf_fqn(fsm))
+      assert.same({}, trace)
+    end)
+
   both("may merge children into the target of its transition", function(uses)
     local fsm, is_armed = nil, false
     fsm = started({ [5] = trans {
