@@ -485,3 +485,28 @@ it("FIX mapfsm: parents before children, array part first, then names, to a dept
     assert.same({ 1, "a", "b", "c", "d", "t" }, rfsm.mapfsm(name_of, model))
     assert.same({ "a", "b" }, rfsm.mapfsm(name_of, model, rfsm.is_node, 1))
   end)
+
+it("each element is printed as what it is", function()
+  local model = state {
+    info = false, warn = false, a = state { c = state {},
+      trans { src = "initial", tgt = "c" } }, k = rfsm.conn {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "k", events = { "e", 1 }, pn = 2 },
+    trans { src = "k", tgt = "a", events = "x" },
+  }
+  local fsm = assert(rfsm.init(model))
+  local texts = { tostring(fsm), tostring(fsm.a) }
+  rfsm.run(fsm)
+  for _, value in ipairs { fsm, fsm.a, fsm.a.c, fsm.k, fsm[2], fsm[3], model.a, model.k,
+    model[2], model[3], trans { src = model.a, tgt = {} } } do
+    texts[#texts + 1] = tostring(value):gsub("table: .*'", "a table'")
+  end
+  assert.same({
+    "machine, active: <none>", "state root.a (inactive)", "machine, active: root.a.c",
+    "state root.a (active)", "state root.a.c (done)", "connector root.k",
+    "T={ src='root.a', tgt='root.k', pn=2, events='e, 1' }",
+    "T={ src='root.k', tgt='root.a.initial', events='x' }",
+    "state", "connector", "T={ src='a', tgt='k', pn=2, events='e, 1' }",
+    "T={ src='k', tgt='a', events='x' }", "T={ src='state', tgt='a table' }",
+  }, texts)
+end)
