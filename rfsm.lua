@@ -1139,7 +1139,7 @@ local function copy_plan(plan)
   end
   local STRUCTURE = {
     "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
-    "tgt", "events", "pn", "is_internal", "entry", "exit", "doo", "guard", "effect",
+    "tgt", "events", "pn", "is_internal", "doo", "guard",
   }
   for def, new in pairs(copies) do -- any order: each stands alone
     for _, field in ipairs(STRUCTURE) do

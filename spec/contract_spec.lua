@@ -247,7 +247,7 @@ describe("FIX queue:", function()
   it("snapshot_hook_add wants two functions", function()
     local fsm = started {}
     assert.equal("rfsm.snapshot_hook_add: function expected, got nil",
-      helper.refusal(rfsm.snapshot_hook_add, fsm, "x"))
+      helper.refusal(rfsm.snapshot_hook_add, fsm, "x", nil, print))
     assert.equal("rfsm.snapshot_hook_add: function expected, got table",
       helper.refusal(rfsm.snapshot_hook_add, fsm, "x", print, {}))
   end)

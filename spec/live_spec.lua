@@ -564,6 +564,24 @@ describe("a merge that a preproc function refuses", function()
     assert.is_nil(fsm.b.initial)
     assert.equal("root.b", leaf_after(fsm, "e"))
   end)
+
+  it("leaves nothing of what was to come", function()
+    local fsm = started { err = false }
+    local function names()
+      return rfsm.mapfsm(function(obj) return obj._fqn or tostring(obj) end, fsm)
+    end
+    local before = names()
+    helper.with_preproc(function() return { "on purpose" } end, function()
+      assert.is_false((rfsm.fsm_merge(fsm, fsm, state {
+        x = state {}, y = state {}, z = state {}, trans { src = "initial", tgt = "x" },
+        trans { src = "x", tgt = "y" }, trans { src = "y", tgt = "z" },
+      }, "m")))
+    end)
+    assert.same(before, names())
+    assert.is_nil(rawget(fsm, "m"))
+    assert(rfsm.fsm_merge(fsm, fsm, state {}, "m"))
+    assert.equal(#before + 1, #names())
+  end)
 end)
 
 describe("two transitions of one priority, in composites of one depth,", function()

@@ -599,6 +599,16 @@ describe("a machine that shares a plan", function()
     assert.equal("root.c", leaf_after(fsm, "e_b"))
   end)
 
+  it("takes the root for a target", function()
+    local trace = {}
+    local fsm = second { a = state { entry = noting(trace, "entry a") } }
+    local lines = said(fsm, "err")
+    helper.clear(trace)
+    fsm[2].tgt = fsm
+    assert.equal("root.a", leaf_after(fsm, "e_b"))
+    assert.same({ { "entry a" }, {} }, { trace, lines })
+  end)
+
   it("names the root alone while a leaf is left", function()
     local conf
     helper.post_and_run(second { a = state { exit = function(fsm)
