@@ -510,3 +510,47 @@ it("each element is printed as what it is", function()
     "T={ src='k', tgt='a', events='x' }", "T={ src='state', tgt='a table' }",
   }, texts)
 end)
+
+it("each kind of element has its letters", function()
+  local letters = {}
+  local values = { state { a = state {} }, state {}, trans {}, conn {}, {}, "c" }
+  for i, value in ipairs(values) do
+    letters[i] = rfsm.fsmobj_tochar(value) or "none"
+  end
+  assert.same({ "CS", "LS", "TR", "c", "none", "none" }, letters)
+end)
+
+it("an element of a machine stays what it is when a constructor gets it", function()
+  local fsm = started { k = conn {} }
+  for _, element in ipairs { fsm, fsm.a, fsm.k, fsm[1] } do
+    local class = getmetatable(element)
+    for _, constructor in ipairs { state, trans, conn } do
+      assert.equal(element, constructor(element))
+      assert.equal(class, getmetatable(element))
+    end
+  end
+end)
+
+describe("what is no function", function()
+  for _, name in ipairs { "entry", "exit", "guard", "effect" } do
+    it("is reported as such when it is called as " .. name, function()
+      local fsm = started { b = state {}, tr "a -> b e" }
+      local errors = said(fsm, "err")
+      local owner = name == "entry" and fsm.b or name == "exit" and fsm.a or fsm[1]
+      owner[name] = 5
+      helper.post_and_run(fsm, "e")
+      assert.equal(1, #errors)
+      assert.matches(": %s+function expected, got number 5$", errors[1])
+    end)
+  end
+
+  it("cannot be what getevents returns", function()
+    for _, value in ipairs { 5, "e_a e_b", print, false } do
+      local fsm = started {}
+      fsm.getevents = function() return value end
+      local text = "rfsm.step: getevents: list of events expected, " .. rfsm.got(value)
+      assert.has_error(function() rfsm.step(fsm) end, text)
+      assert.has_error(function() rfsm.check_events(fsm) end, text)
+    end
+  end)
+end)
