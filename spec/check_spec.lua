@@ -218,7 +218,8 @@ end)
 describe("verify_early", function()
   it("returns problems and warnings without making a machine", function()
     local ok, problems, warnings = rfsm.verify_early(chart {
-      b = state { exit = 1 }, [2] = trans { src = "a", tgt = "a", event = "e" },
+      b = state { exit = 1, event = print },
+      [2] = trans { src = "a", tgt = "a", event = "e" },
     })
     assert.is_false(ok)
     assert.same({ "root.b.exit: function expected, got number 1" },
