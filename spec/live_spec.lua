@@ -613,6 +613,17 @@ describe("a node table that is mounted twice", function()
       assert.equal("root.a", leaf_after(fsm, "from " .. name))
     end
   end)
+
+  it("is for a transition that is merged the one that it gets of the machine", function()
+    local shared = state {}
+    local function mount() return state { x = shared } end
+    for _, name in ipairs { "m", "z" } do
+      local fsm = started { m = mount(), z = mount() }
+      assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = fsm[name].x,
+        events = "go" }))
+      assert.equal("root." .. name .. ".x", leaf_after(fsm, "go"))
+    end
+  end)
 end)
 
 describe("the older names", function()
