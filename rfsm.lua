@@ -475,6 +475,7 @@ end
 ---@field warnings { at: string, file?: string, text: string }[]
 ---@field created { line: string }[] `initial` connectors that are not declared
 ---@field mounts table<table, rfsm.Def[]> model node -> its clones
+---@field fsm rfsm.Machine? the machine that something is merged into
 
 --- The definition of a node or transition: all that is known before a machine runs.
 --
@@ -898,8 +899,10 @@ do
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
-    local live = getmetatable(ref)["_%def"]
-    if live and build.plan.nodes[live.index] == live then return live end
+    local nodes, live = build.fsm and build.fsm._nodes, getmetatable(ref)["_%def"]
+    if nodes and live and rawequal(nodes[live.index], ref) then
+      return build.plan.nodes[live.index]
+    end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
       local depth = shared_depth(composite, mount)
       if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
@@ -3362,9 +3365,10 @@ do
     end
   end
 
-  -- Adds `obj` to a plan, as a member of `parent`.
-  local function build_merge(plan, parent, obj, id)
+  -- Adds `obj` to a plan for the machine, as a member of `parent`.
+  local function build_merge(fsm, plan, parent, obj, id)
     local build, first = new_build(plan), #plan.transitions + 1
+    build.fsm = fsm
     for _, def in ipairs(plan.nodes) do
       build.mounts[def.model] = append(build.mounts[def.model] or {}, { def })
     end
@@ -3450,7 +3454,7 @@ do
     local old, plan = fsm._plan, copy_plan(fsm._plan)
     local first_node, first_transition = #plan.nodes + 1, #plan.transitions + 1
     local parent_def = plan.nodes[parent["_%def"].index]
-    local build = build_merge(plan, parent_def, obj, id)
+    local build = build_merge(fsm, plan, parent_def, obj, id)
     local moved = move_targets(build, parent_def, first_transition)
     if rfsm.is_trans(obj) and not plan.transitions[first_transition] then
       append(build.problems, build.warnings) -- in a leaf, and leads nowhere

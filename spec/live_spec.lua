@@ -614,9 +614,11 @@ describe("a node table that is mounted twice", function()
     end
   end)
 
-  it("is for a transition that is merged the one that it gets of the machine", function()
+  it("is for a merged transition the one of the machine that it names", function()
     local shared = state {}
-    local function mount() return state { x = shared } end
+    local function mount()
+      return state { x = shared, trans { src = "initial", tgt = "x" } }
+    end
     for _, name in ipairs { "m", "z" } do
       local fsm = started { m = mount(), z = mount() }
       assert(rfsm.fsm_merge(fsm, fsm, trans { src = "a", tgt = fsm[name].x,
