@@ -150,8 +150,8 @@ end
 local EFFECTS = { "events", "got", "guards", "sent", "kept", "had", "fresh", "reset",
   "regions" }
 
--- Had an iteration without events of the outermost machine no effect, and was no doo
--- resumed? Such an iteration is not written.
+-- Is an iteration left out? Only one of the outermost machine is, if it had no event,
+-- resumed no doo, and changed nothing.
 local function is_empty(track, rec)
   local leaf = track.fsm._act_leaf
   if track.m ~= nil or track.has_doo or leaf ~= track.leaf then return false end

@@ -213,7 +213,7 @@ local ROUTES = {
 }
 
 -- Does the request name the server by an address or its own name? The page of another
--- server, whose name was made to lead here, uses that name.
+-- server whose name was pointed at this address (DNS rebinding) uses that other name.
 local function is_for(server, host)
   local name = (host or ""):gsub(":%d+$", "")
   return name == "localhost" or name == server.name or name:find("^[%d.]+$") ~= nil
@@ -365,7 +365,7 @@ end
 ---@field allow_send? boolean may pages send events to a hosted machine? default false
 ---@field allow_why? boolean may pages ask why an event did nothing, which calls guards?
 -- default false
----@field machine? integer with `attach`: its number at that port, default 1
+---@field machine? integer with `attach`: only this number of the port, default all
 ---@field history? boolean note what a hosted machine does while no page is open, too?
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1

@@ -22,7 +22,7 @@ local lines = { VERSION = 2 } -- of files; 1 is a file of whole records
 
 local NONE, SHORT = {}, { events = true, leaf = true, done = true, sent = true }
 
--- Returns the events that a machine has sent, if a record has no others.
+-- Returns the events that a machine sends without any callback: a done leaf's e_done.
 local function usual(leaf, is_done)
   return is_done and leaf and { "e_done@" .. leaf } or nil
 end

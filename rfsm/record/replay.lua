@@ -57,7 +57,7 @@ local function fill(session, list, events)
   end
 end
 
--- Returns the next recorded reading of the clock; the last one again at the end.
+-- Returns the next recorded reading of the clock; after the last one, that again.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then error(now[1], 0) end

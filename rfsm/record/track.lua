@@ -26,8 +26,8 @@ local PATH = { owner = "", base = 0, seen = {}, packed = {} }
 --- Return plain data for a text, number or boolean.
 function track.pack(value) return plain.pack(value, PATH, 0) end
 
---- Return an event as plain data. Of tables and other objects it has the type only, and
--- they cannot be replayed.
+--- Return an event as plain data. A table or another object becomes the name of its
+-- type, which cannot be replayed.
 function track.pack_event(event)
   if plain.is_scalar(event) then return track.pack(event) end
   return { "%x", type(event) }

@@ -323,7 +323,7 @@ local function count_iterations(list)
 end
 
 --- Run the chart through a recording.
--- @raise where it departs from the recording; the machine stays there
+-- @raise if the run departs from the recording; the machine stays at that iteration
 ---@param name string of the file
 function history.replay(sim, name)
   local list, about = record.read(name)

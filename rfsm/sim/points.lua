@@ -128,7 +128,7 @@ function points.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Find states and transitions by their names in another machine of the chart.
+--- Find the states and transitions of all breakpoints in a new machine, by name.
 ---@param complain fun(line: string) called for each breakpoint that is gone
 function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do

@@ -220,8 +220,8 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Puts a machine into the state of one of an older chart. Returns the problem if that
--- fails.
+-- Moves a machine to the state in which a machine of an older chart is. Returns the
+-- problem if that fails.
 local function put_in_place(fsm, old)
   local ok, snap = pcall(snapshot.take, old)
   if not ok then return snap end
@@ -229,7 +229,7 @@ local function put_in_place(fsm, old)
   local is_put, problem = snapshot.put(fsm, snap, options)
   local by_name = select(2, names.nodes(fsm))
   if is_put or not (snap.leaf and by_name[snap.leaf]) then return problem end
-  snap.data, snap.saved, snap.ext = nil, nil, nil -- of what is gone
+  snap.data, snap.saved, snap.ext = nil, nil, nil -- they may name states that are gone
   return (select(2, snapshot.put(fsm, snap, options)))
 end
 

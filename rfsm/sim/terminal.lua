@@ -19,10 +19,9 @@ local terminal = {}
 
 -- Control-C, any number of times --------------------------------------------------
 --
--- The interpreter survives one Control-C by itself. luaposix, or luv where a Lua has no
--- luaposix, counts them, and a debug hook raises an error for each, also in a doo. If a
--- callback catches the error, the hook raises it again at each instruction of the
--- callback until that is left.
+-- The interpreter alone survives only the first Control-C. So luaposix (or luv) counts
+-- them, and a debug hook raises an error for each, also in a doo. If a callback catches
+-- the error, the hook raises it again at each instruction until the callback has ended.
 
 local PERIOD = 10000 -- VM instructions between two looks
 local counter -- luaposix or luv, once interrupts are caught
@@ -102,9 +101,9 @@ local function origin_of(source)
   return is_ours and "library" or "chart"
 end
 
--- Returns the callback that runs: `thread`, its `depth` on the stack, that of the
--- function that runs (`now`, level 3), and if that is of the chart (`is_foreign`). A
--- callback is called by a function of the library.
+-- Returns where a callback runs: its thread, its depth on the stack (`depth`), that of
+-- the running function (`now`), whether this function belongs to the chart
+-- (`is_foreign`), and whether the library has called a callback at all (`is_there`).
 local function running_callback()
   local level, last, is_complete = 3, nil, false
   local info = getinfo(level, "S")
@@ -192,10 +191,10 @@ function terminal.is_terminal(descriptor)
   return result == true or result == 0
 end
 
--- Reads a line key by key, so that Control-C is noticed at once. An error of the debug
--- hook in a callback would leave readline in the middle of its work. After Control-C
--- the handler stays, and the next one takes its place: unless the line has ended,
--- lua-readline 3.2 closes the stream to the terminal, and has readline write to it.
+-- Reads a line key by key, so that Control-C is noticed at once. The debug hook raises
+-- nothing meanwhile (`is_busy`), because that would leave readline in mid-work. After
+-- Control-C the next line replaces the handler. Removing it before the line has ended
+-- would have lua-readline 3.2 close the terminal's stream and then write to it.
 local function read_keys(readline, prompt)
   local line, is_done = nil, false
   readline.handler_install(prompt, function(text)
@@ -285,7 +284,7 @@ function terminal.read(read, prompt)
   return false, true
 end
 
---- Return a line that names missing packages; nil if there are all.
+--- Return a line that names missing packages; nil if none is missing.
 ---@return string? advice
 function terminal.advice()
   local packages, gains = {}, {}

@@ -32,7 +32,7 @@ end
 
 function COMMANDS.why(hosted) return nil, hosted.view:why() end
 
---- Begin or end to note what the machine does.
+--- Turn the notes of what the machine does on or off.
 function Hosted:watch(is_wanted)
   self.is_watched = is_wanted or self.has_history
   self.view:watch(self.is_watched)

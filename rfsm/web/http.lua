@@ -201,14 +201,14 @@ local function write(server, connection)
   connection.sent = max(connection.sent, last or partly)
   if connection.sent == #connection.pending then connection.pending = "" end
   if connection.phase == "writing" and connection.pending == "" then
-    -- To close with something unread would take the reply back.
+    -- Closing with unread bytes would reset the connection and lose the reply.
     connection.socket:shutdown("send")
     connection.phase, connection.deadline = "closing", server.clock() + CLOSING_TIME
   end
   return true
 end
 
--- Reads what is there. Returns false if the client is gone.
+-- Reads what has arrived. Returns false if the client is gone.
 local function read(server, connection)
   local data, problem, partly = connection.socket:receive(4096)
   if not data and problem ~= "timeout" and partly == "" then return false end
@@ -289,8 +289,8 @@ function Server:step(timeout)
   drop_late(self)
 end
 
---- Send a message to each stream that has taken its last one. Nothing is kept for a
--- stream that lags behind: its next message is asked for later.
+--- Send a message to each stream that has taken its last one. A stream that lags behind
+-- gets no message now: `next_message` is called for it later.
 ---@param next_message fun(connection: rfsm.web.Connection): string? nil: there is none
 function Server:feed(next_message)
   if self.streams == 0 then return end

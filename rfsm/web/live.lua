@@ -5,7 +5,7 @@
 -- page. Guards are called only for the question why.
 --
 -- The file reads in this order: the machines, failures, what a watched machine does,
--- the state of now, questions.
+-- the present state, questions.
 --
 -- @module rfsm.web.live
 -- @license BSD-3-Clause
@@ -26,7 +26,7 @@ local setmetatable, tostring, type = setmetatable, tostring, type
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local utf8 = marsh.utf8
 
-local MAX_LOST = 20 -- events without an effect that are named
+local MAX_LOST = 20 -- so many events without an effect are named
 
 --- A machine that is watched.
 ---@class rfsm.web.Live : rfsm.web.View
@@ -168,7 +168,7 @@ local function active_numbers(view)
   return numbers
 end
 
--- Notes events without an effect, but for those that the machine sends itself.
+-- Notes events without an effect, except those that the machine sends itself.
 local function add_lost(view, events)
   for i = 1, #events do
     if not outline.is_own(events[i]) and #view.lost < MAX_LOST then
@@ -231,7 +231,7 @@ function Live:close()
   for _, watched in ipairs(self.machines) do swap.give_back(watched.printers) end
 end
 
--- The state of now -----------------------------------------------------------------
+-- The present state ----------------------------------------------------------------
 
 local function queue_texts(view)
   local texts = {}

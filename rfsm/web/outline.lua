@@ -1,6 +1,6 @@
 --- A described machine as lists: nodes, edges and events with numbers, from 0 on.
 --
--- The description is that of `rfsm.marsh`, or one that came from elsewhere.
+-- The description comes from `rfsm.marsh`, or from another program.
 --
 -- @module rfsm.web.outline
 -- @license BSD-3-Clause

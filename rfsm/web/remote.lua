@@ -11,7 +11,7 @@ local subscriber = require "rfsm.proto.subscriber"
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 
 local MARKS = { leaf = "[LS]", composite = "[CS]" } -- of states in a path
-local MAX_MESSAGES = 100 -- that are taken at a time
+local MAX_MESSAGES = 100 -- so many are taken at a time
 local MAX_MACHINES = 100 -- of a port
 local WAIT = 0.02 -- seconds until the socket is looked at again
 

@@ -5,7 +5,7 @@
 -- and the machine is put into the state that was active, if the chart still has it. The
 -- output of the chart goes to the log of the page.
 --
--- The file reads in this order: load, turns, commands, what goes on by itself.
+-- The file reads in this order: load, turns, commands, timers and the file.
 --
 -- @module rfsm.web.session
 -- @license BSD-3-Clause
@@ -28,7 +28,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_RECORDED = 10000 -- iterations that can be undone
 local LOOK_TIME = 0.5 -- seconds between two looks at the file
-local TICK = 1e-6 -- seconds are rounded up to these
+local TICK = 1e-6 -- seconds are rounded up to multiples of it
 
 --- Where a turn began.
 ---@class rfsm.web.Turn
@@ -129,7 +129,7 @@ end
 
 local function step(session) return rfsm.step(session.view.fsm) end
 
--- Steps until the machine is idle, has reached a breakpoint, or too long.
+-- Steps until the machine is idle or a breakpoint is reached, MAX_STEPS at most.
 local function run(session)
   local view = session.view
   for _ = 1, Session.MAX_STEPS do
@@ -282,7 +282,7 @@ function commands.next(session)
   pass(session, ceil(seconds / TICK) * TICK)
 end
 
--- What goes on by itself -------------------------------------------------------------
+-- Timers and the file ----------------------------------------------------------------
 
 -- Seconds until the next timer is due by the clock on the wall.
 local function time_left(session)
@@ -290,7 +290,7 @@ local function time_left(session)
   return seconds and session.now + seconds + TICK - (session.real() - session.since)
 end
 
---- Do what is due: a timer, a look at the file.
+--- Run a timer that is due, and load the file again if it has changed.
 function Session:poll()
   local left = time_left(self)
   if left and left <= 0 then
@@ -331,7 +331,7 @@ function Session.open(file, real, has_stubs)
     has_stubs = has_stubs,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Session)
-  local start = os.time() -- of the day, for e_at
+  local start = os.time() -- e_at needs the time of day
   function session.gettime()
     local sec = floor(session.now)
     return start + sec, floor((session.now - sec) * 1e9 + 0.5)

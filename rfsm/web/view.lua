@@ -2,8 +2,8 @@
 --
 -- `rfsm.web.live` is the view of a machine in this program, `rfsm.web.remote` of one
 -- elsewhere. Their method `now` returns the active states and the queue; the log and
--- the coverage are kept here. Nothing is built before a page asks: it has a cursor, up
--- to which it knows the machine, and gets the changes since.
+-- the coverage are kept here. A message is built when a page asks: the page has a
+-- cursor, which says what it knows already, and gets the changes since.
 --
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
@@ -79,7 +79,7 @@ end
 --- Note that something has changed.
 function View:touch() self.revision = self.revision + 1 end
 
--- Drops old entries; not at each new one, which would cost more in a long log.
+-- Drops old entries, many at a time: dropping one for each new one would cost more.
 local function trim(view)
   local log = view.log
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
