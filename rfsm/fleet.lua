@@ -13,7 +13,7 @@
 
 local try = require("rfsm.shared.calls").try
 local connection = require "rfsm.redis.connection"
-local keys_of = require "rfsm.redis.keys"
+local keys_of = require "rfsm.server.keys"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 

@@ -1,15 +1,15 @@
 --- Bundles charts with the core as one library of Redis functions.
 --
 -- The command `rfsm redis CHART...` calls it. Redis 7 loads the text with FUNCTION
--- LOAD. The functions are those of `rfsm.redis.functions`.
+-- LOAD. The functions are those of `rfsm.server.functions`.
 --
 -- @module rfsm.redis
 -- @license BSD-3-Clause
 
-local bundle = require "rfsm.redis.bundle"
+local bundle = require "rfsm.server.bundle"
 local chart = require "rfsm.shared.chart"
 local rfsm = require "rfsm"
-local sandbox = require "rfsm.redis.sandbox"
+local sandbox = require "rfsm.server.sandbox"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require
 local io = io
@@ -19,7 +19,7 @@ local redis = {}
 
 -- Modules that charts require, or get as a field; those that these need come along.
 local ROOTS = {
-  "rfsm.redis.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+  "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
 
 -- While Redis loads a library hardly any global is there; later none can be set, and
@@ -52,7 +52,7 @@ local function open()
     redis.log(redis.LOG_NOTICE, table.concat(texts, " "))
   end
   _G.print = print
-  return require "rfsm.redis.functions" ({ call = redis.call, json = cjson,
+  return require "rfsm.server.functions" ({ call = redis.call, json = cjson,
     error_reply = redis.error_reply, pack = cmsgpack, may = redis.acl_check_cmd },
     charts, options)
 end
@@ -168,7 +168,7 @@ end
 --- Return the text of a library for FUNCTION LOAD.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
----@param options? rfsm.redis.Options
+---@param options? rfsm.server.Options
 ---@return string text
 ---@return string[] warnings
 ---@nodiscard

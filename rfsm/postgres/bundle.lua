@@ -6,7 +6,7 @@
 -- @module rfsm.postgres.bundle
 -- @license BSD-3-Clause
 
-local add_module = require("rfsm.redis.bundle").add
+local add_module = require("rfsm.server.bundle").add
 local redis = require "rfsm.redis"
 local schema = require "rfsm.postgres.schema"
 
@@ -67,7 +67,7 @@ end
 ---@class rfsm.postgres.Options
 ---@field history? boolean a trigger notes each move in rfsm.history
 ---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
----@field ids? integer as in `rfsm.redis.Options`
+---@field ids? integer as in `rfsm.server.Options`
 ---@field ids_for? integer likewise
 
 --- Return SQL that makes the schema `rfsm`, or gives it other charts.

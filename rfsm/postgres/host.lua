@@ -1,5 +1,5 @@
---- What stands for Redis inside PostgreSQL: the functions of `rfsm.redis.functions` run
--- here as they are, on a row of rfsm.machines in place of a key.
+--- What stands for Redis inside PostgreSQL: `rfsm.server.functions` runs here as it is,
+-- on a row of rfsm.machines in place of a key.
 --
 -- `rfsm.postgres.bundle` puts this text in front of a library of `rfsm.redis`. A call
 -- collects what the function writes, then one statement saves the row. An error of the

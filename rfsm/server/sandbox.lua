@@ -4,7 +4,7 @@
 -- A chart is loaded with the globals of the sandbox. Its callbacks do not run, so their
 -- text is searched for the libraries that are missing.
 --
--- @module rfsm.redis.sandbox
+-- @module rfsm.server.sandbox
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
