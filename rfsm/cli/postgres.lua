@@ -13,22 +13,38 @@ local postgres = {
 }
 
 function postgres.add_arguments(command)
-  command:argument("files", "Lua files that return a chart"):args("+")
+  command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE")
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+  command:flag("--client", "only tables, for rfsm.postgres.client, which runs charts "
+    .. "where PL/Lua is missing")
   command:flag("--history", "keep the moves of each machine in a table")
   command:flag("--notify", "report moves to those who LISTEN")
   common.add_ids(command)
 end
 
-function postgres.run(options, parser)
-  local ok, text, warnings = common.with_streams(io.stderr,
-    require("rfsm.postgres.bundle").sql, options.files, { history = options.history,
-      notify = options.notify, ids = common.number_of(parser, "ids", options.ids),
-      ids_for = common.number_of(parser, "ids-for", options.ids_for) })
+-- Returns the SQL that the options ask for.
+local function sql_of(options, parser)
+  local settings = { history = options.history, notify = options.notify,
+    ids = common.number_of(parser, "ids", options.ids),
+    ids_for = common.number_of(parser, "ids-for", options.ids_for) }
+  local bundle = require "rfsm.postgres.bundle"
+  if options.client then
+    if options.files[1] or settings.ids or settings.ids_for then
+      parser:error("--client: no charts and ids expected, the client has them")
+    end
+    return bundle.tables(settings)
+  end
+  if not options.files[1] then parser:error("a chart expected") end
+  local ok, text, warnings = common.with_streams(io.stderr, bundle.sql, options.files,
+    settings)
   if not ok then common.fail(chart.first_line(text)) end
   for _, line in ipairs(warnings) do io.stderr:write("rfsm postgres: ", line, "\n") end
-  common.write(options.output, text)
+  return text
+end
+
+function postgres.run(options, parser)
+  common.write(options.output, sql_of(options, parser))
 end
 
 return postgres

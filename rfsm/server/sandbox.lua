@@ -135,7 +135,7 @@ end
 -- Loading -----------------------------------------------------------------------------
 
 -- Returns the globals of the sandbox, as far as this Lua has them.
-local function new_globals()
+local function new_globals(server)
   local globals = {}
   for name in pairs(HERE) do globals[name] = rawget(_G, name) end -- any order: a set
   globals.rfsm, globals._G, globals.os = rfsm, globals, { clock = os.clock }
@@ -147,10 +147,10 @@ local function new_globals()
   end
   return setmetatable(globals, {
     __index = function(_, name)
-      error("global '" .. rfsm.text_of(name) .. "' does not exist in Redis", 2)
+      error("global '" .. rfsm.text_of(name) .. "' does not exist in " .. server, 2)
     end,
     __newindex = function(_, name)
-      error("global '" .. rfsm.text_of(name) .. "' cannot be set in Redis", 2)
+      error("global '" .. rfsm.text_of(name) .. "' cannot be set in " .. server, 2)
     end,
   })
 end
@@ -174,12 +174,26 @@ function sandbox.load(text, file)
     return nil, ("%s:%d: '%s' does not exist in Redis"):format(file,
       line_at(text, from), name)
   end
-  local f, problem = load_with(text, "@" .. file, new_globals())
+  local f, problem = load_with(text, "@" .. file, new_globals("Redis"))
   if not f then return nil, problem end
   local ok, model = pcall(f, file)
   if not ok then return nil, rfsm.text_of(model) end
   if rfsm.is_state(model) then return model end
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
+end
+
+--- Run a library in this process.
+---@param text string
+---@param here table<string, any> globals in place of those of the server
+---@param server string its name, for messages
+function sandbox.run(text, here, server)
+  local globals = new_globals(server)
+  globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
+  rawset(globals, "jit", rawget(_G, "jit")) -- the core asks for it
+  for name, value in pairs(here) do globals[name] = value end -- any order: a copy
+  local f, problem = load_with(text, "=rfsm", globals)
+  if not f then error(problem, 0) end
+  f()
 end
 
 --- List the modules that a text requires by name, and the line of each.
