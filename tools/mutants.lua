@@ -35,7 +35,7 @@ local ROOMS = {
   { name = "pictures", files = { "rfsm/dot.lua", "rfsm/mermaid.lua",
     "rfsm/plantuml.lua", "rfsm/json.lua", "rfsm/marsh.lua", "rfsm/pictures/*.lua" },
     specs = { "export", "diagram", "layout", "pictures" } },
-  { name = "sim", files = { "rfsm/sim.lua", "rfsm/sim/*.lua" }, specs = { "sim" } },
+  { name = "sim", files = { "rfsm/sim/*.lua" }, specs = { "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua" },
     specs = { "view", "web" } },
   { name = "proto", files = { "rfsm/proto.lua", "rfsm/proto/*.lua" },

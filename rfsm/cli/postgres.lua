@@ -16,7 +16,7 @@ function postgres.add_arguments(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE")
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
-  command:flag("--client", "only tables, for rfsm.postgres.client, which runs charts "
+  command:flag("--client", "only tables, for rfsm.postgres, which runs charts "
     .. "where PL/Lua is missing")
   command:flag("--history", "keep the moves of each machine in a table")
   command:flag("--notify", "report moves to those who LISTEN")

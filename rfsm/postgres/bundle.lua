@@ -92,7 +92,7 @@ local function schema_of(functions, options)
     schema.FOOT }
 end
 
---- Return SQL that makes the schema `rfsm` for `rfsm.postgres.client`: its tables.
+--- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
 ---@param options? rfsm.postgres.Options
 ---@return string text
 ---@nodiscard

@@ -2,7 +2,7 @@
 -- it is, on a row of rfsm.machines in place of a key.
 --
 -- The functions run inside the server (`rfsm.postgres.pllua`), or in a client
--- (`rfsm.postgres.client`). A call collects what the function writes, then one
+-- (`rfsm.postgres`). A call collects what the function writes, then one
 -- statement saves the row. An error changes nothing: the transaction ends with it.
 --
 -- @module rfsm.postgres.host

@@ -13,7 +13,7 @@ local error, io, next, os, select = error, io, next, os, select
 local rawget, tonumber, tostring = rawget, tonumber, tostring
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
---- A client: what `rfsm.fleet` and `rfsm.postgres.client` have in common.
+--- A client: what `rfsm.fleet` and `rfsm.postgres` have in common.
 ---@class rfsm.server.Client
 ---@field where string name of its module, for messages
 ---@field id string in front of the ids of events

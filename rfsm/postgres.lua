@@ -6,7 +6,7 @@
 --
 -- Any driver fits that takes parameters; LuaDBI's connections are known.
 --
--- @module rfsm.postgres.client
+-- @module rfsm.postgres
 -- @license BSD-3-Clause
 
 local bundle = require "rfsm.postgres.bundle"
@@ -21,7 +21,7 @@ local try = require("rfsm.shared.calls").try
 local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 
-local client = {}
+local postgres = {}
 
 -- Statements ----------------------------------------------------------------------
 
@@ -54,7 +54,7 @@ local READ_ONLY = { rfsm_get = true, rfsm_why = true }
 ---@param options? rfsm.server.Options `ids`, `ids_for`
 ---@return rfsm.postgres.Charts charts for any number of connections
 ---@return string[] warnings
-function client.charts(arguments, options)
+function postgres.charts(arguments, options)
   local text, warnings = bundle.library(arguments, options or {})
   local globals, answer = host.new {
     json = json, log = function(_, line) print(line) end, warn = function() end,
@@ -93,7 +93,7 @@ end
 ---@field options table
 ---@field failure string|false what has failed in the transaction that runs
 ---@field is_open boolean a transaction runs
-local Client = { where = "rfsm.postgres.client" }
+local Client = { where = "rfsm.postgres" }
 Client.__index = Client
 for name, f in pairs(Base) do Client[name] = f end -- any order: a copy
 
@@ -140,11 +140,11 @@ local OPTIONS = {
 ---@param options? table `patience` while no server answers (10 s), `sleep(seconds)`, by
 --- default that of luasocket
 ---@return rfsm.postgres.Client client
-function client.connect(charts, open, options)
+function postgres.connect(charts, open, options)
   local settings, problem = opts.read(OPTIONS, options or {})
-  if not settings then error("rfsm.postgres.client.connect: " .. problem, 2) end
+  if not settings then error("rfsm.postgres.connect: " .. problem, 2) end
   if type(open) ~= "function" then
-    error("rfsm.postgres.client.connect: function expected that opens a connection, "
+    error("rfsm.postgres.connect: function expected that opens a connection, "
       .. opts.got(open), 2)
   end
   local self = setmetatable({ charts = charts, open = open, query = false,
@@ -211,7 +211,7 @@ end
 ---@return string? problem
 function Client:transaction(f)
   if self.is_open then
-    error("rfsm.postgres.client.transaction: one runs already", 2)
+    error("rfsm.postgres.transaction: one runs already", 2)
   end
   local ok, problem = in_transaction(self, function()
     self.is_open, self.failure = true, false
@@ -247,7 +247,7 @@ end
 ---@return string? problem
 function Client:ask(name, key, ...)
   if key == nil or type(key) == "table" then
-    error("rfsm.postgres.client: key of a machine expected, got " .. type(key), 2)
+    error("rfsm.postgres: key of a machine expected, got " .. type(key), 2)
   end
   local ok, reply = run(self, call, name, rfsm.text_of(key), { ... })
   if ok then return reply, not reply and "no machine" or nil end
@@ -289,7 +289,7 @@ end
 function Client:wake(limit)
   limit = limit or 100
   if not is_limit(limit) then
-    error("rfsm.postgres.client.wake: a whole number expected, " .. opts.got(limit), 2)
+    error("rfsm.postgres.wake: a whole number expected, " .. opts.got(limit), 2)
   end
   local culprit, failed = {}, 0
   local ok, counts = run(self, wake, limit, culprit)
@@ -299,8 +299,8 @@ function Client:wake(limit)
     culprit.key = nil
     ok, counts = run(self, wake, limit, culprit)
   end
-  if not ok then error("rfsm.postgres.client.wake: " .. reason_of(counts), 0) end
+  if not ok then error("rfsm.postgres.wake: " .. reason_of(counts), 0) end
   return counts.woken, counts.failed + failed
 end
 
-return client
+return postgres
