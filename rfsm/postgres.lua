@@ -18,7 +18,7 @@ local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
 local try = require("rfsm.shared.calls").try
 
-local error, ipairs, pairs, pcall, print = error, ipairs, pairs, pcall, print
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 
 local postgres = {}
@@ -234,9 +234,9 @@ local function answer(self, name, key, args, row)
   })
 end
 
-local function call(self, name, key, args)
+local function call(self, name, key, ...)
   local row = query(self, READ_ONLY[name] and READ or LOCK, key)[1]
-  return answer(self, name, key, args, row)
+  return answer(self, name, key, { ... }, row)
 end
 
 --- Call a function of `rfsm.server.functions` for a machine.
@@ -249,7 +249,7 @@ function Client:ask(name, key, ...)
   if key == nil or type(key) == "table" then
     error("rfsm.postgres: key of a machine expected, got " .. type(key), 2)
   end
-  local ok, reply = run(self, call, name, rfsm.text_of(key), { ... })
+  local ok, reply = run(self, call, name, rfsm.text_of(key), ...)
   if ok then return reply, not reply and "no machine" or nil end
   return nil, reason_of(reply)
 end
@@ -271,7 +271,7 @@ local function wake(self, limit, culprit)
       local ok, problem = try(answer, self, "rfsm_tick", row.key, {}, row)
       if not ok then
         culprit.key, culprit.problem = row.key, problem
-        put_aside(self, row.key, problem)
+        if not try(put_aside, self, row.key, problem) then error(problem, 0) end
       end
       local name = ok and "woken" or "failed"
       counts[name] = counts[name] + 1

@@ -11,16 +11,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 teardown(servers.stop_all)
 after_each(helper.remove_files)
 
--- even --e_tick--> odd --e_tick--> even, counted
-local COUNTER = [[
-return rfsm.state {
-  keep = { "n" }, n = 0, even = rfsm.state {}, odd = rfsm.state {},
-  rfsm.trans { src = "initial", tgt = "even" },
-  rfsm.trans { src = "even", tgt = "odd", events = { "e_tick" },
-    effect = function(fsm) fsm.n = fsm.n + 1 end },
-  rfsm.trans { src = "odd", tgt = "even", events = { "e_tick" },
-    effect = function(fsm) fsm.n = fsm.n + 1 end },
-}]]
+local COUNTER = servers.COUNTER
 
 describe("rfsm postgres", function()
   local function run(arguments)
@@ -338,8 +329,7 @@ end)
 
 describe("a new version of a chart", function()
   local function tick(by, more)
-    return "c=" .. helper.file_with((COUNTER:gsub("n %+ 1", "n + " .. by)
-      :gsub("odd = ", (more or "") .. "odd = ")))
+    return "c=" .. helper.file_with(servers.counter(by, more))
   end
 
   -- Sends an event to a machine; returns its data, or the error.
