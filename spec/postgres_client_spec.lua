@@ -205,10 +205,9 @@ describe("a connection that is lost", function()
       { n = 2, client:send("1", "e_tick") })
     assert.equal(21, net.opened)
     assert.is_true(math.abs(slept - 2) < 1e-9)
-    local problem
     function client.open() return nil, "driver: FATAL\nstarting" end
-    _, problem = client:send("1", "e_tick")
-    assert.equal("cannot connect: driver: FATAL", problem)
+    assert.equal("cannot connect: driver: FATAL",
+      select(2, client:send("1", "e_tick")))
   end)
 
   it("is opened once where nothing can sleep", function()
@@ -424,6 +423,29 @@ describe("a connection", function()
       (connecting(print, { sleep = 1 }):gsub("got 1", "got number")))
     assert.same({ false, "cannot connect: none" }, { pcall(postgres.connect, charts,
       function() return nil, "none" end) })
+  end)
+end)
+
+describe("JSON of clients", function()
+  local json = require "rfsm.server.json"
+
+  it("keeps all that a number is, and a field n", function()
+    for text, value in pairs {
+      ["0.1"] = 0.1, ["9007199254740992"] = 2 ^ 53, ["0.30000000000000004"] = 0.1 + 0.2,
+      ['{"n":2}'] = { n = 2 }, ["[1]"] = { 1 }, ["[]"] = {}, null = 1 / 0,
+    } do
+      assert.equal(text, json.encode(value))
+    end
+    local most = rawget(math, "maxinteger")
+    if most then assert.equal("9223372036854775807", json.encode(most)) end
+  end)
+
+  it("comes back in tables without metatables", function()
+    local list = json.decode('[{"a": [true, null]}]')
+    assert.same({ { a = { true } } }, list)
+    assert.same({}, { getmetatable(list), getmetatable(list[1]),
+      getmetatable(list[1].a) })
+    assert.is_nil(json.decode("[1"))
   end)
 end)
 

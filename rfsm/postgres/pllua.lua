@@ -3,8 +3,9 @@
 -- @module rfsm.postgres.pllua
 -- @license BSD-3-Clause
 
-local require, tostring, type = require, tostring, type
-local unpack = rawget(table, "unpack")
+local pairs, require, tonumber = pairs, require, tonumber
+local tostring, type = tostring, type
+local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
 
 -- Those that only PL/Lua executes.
 local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
@@ -21,20 +22,37 @@ end
 
 -- JSON: values of the type jsonb.
 local function new_json(pgtype)
-  local set_as_unknown = require("pllua.jsonb").set_as_unknown
+  local jsonb = require "pllua.jsonb"
   local PLAIN = { map = function(key, value)
-    if type(value) == "table" then set_as_unknown(value) end
+    if type(value) == "table" then jsonb.set_as_unknown(value) end
     return key, value
   end }
   local json = {}
 
+  -- Returns a copy that jsonb takes as it is: a text such as "2" is a key of an object,
+  -- and numbers keep all their digits.
+  local function exact(value)
+    if math_type(value) == "float" and tonumber(("%.14g"):format(value)) ~= value
+      and value - value == 0 then
+      return pgtype.numeric(("%.17g"):format(value))
+    elseif type(value) ~= "table" then
+      return value
+    end
+    local copy, is_object = {}, false
+    for key, inner in pairs(value) do -- any order: a copy
+      copy[key] = exact(inner)
+      is_object = is_object or type(key) == "string"
+    end
+    return is_object and jsonb.set_as_object(copy) or copy
+  end
+
   -- Returns a table without metatables.
   function json.list_of(datum)
     local t = datum(PLAIN)
-    return type(t) == "table" and set_as_unknown(t) or t
+    return type(t) == "table" and jsonb.set_as_unknown(t) or t
   end
 
-  function json.encode(value) return pgtype.jsonb(value) end
+  function json.encode(value) return pgtype.jsonb(exact(value)) end
 
   function json.decode(text) return json.list_of(pgtype.jsonb:fromstring(text)) end
 
@@ -70,7 +88,7 @@ return function(host, spi, pgtype, id)
     local args = list and list { null = "" } or {}
     if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
     local reply = answer(name, key, args)
-    if not reply then return nil end
-    return type(reply) == "table" and reply or { tostring(reply) }
+    if type(reply) == "number" then return { tostring(reply) } end
+    return reply or nil -- a table, or what another library has returned
   end
 end

@@ -5,21 +5,31 @@
 
 local opts = require "rfsm.shared.options"
 
-local pairs, setmetatable, type = pairs, setmetatable, type
+local pairs, rawget, setmetatable = pairs, rawget, setmetatable
+local tonumber, type = tonumber, type
+local math_type = rawget(math, "type")
 
 local json = {}
 
 local function need() return opts.need("rfsm.server", "dkjson", "lua-dkjson") end
 
--- Returns a copy of data. A number `n` is in a table: for dkjson it is the length of a
--- list.
-local function for_json(value)
-  if type(value) ~= "table" then return value end
-  local copy, n = {}, value.n
-  for key, inner in pairs(value) do copy[key] = for_json(inner) end -- any order: a copy
-  if type(n) == "number" then
-    copy.n = setmetatable({}, { __tojson = function() return json.encode(n) end })
+-- Returns a value that dkjson encodes as this text.
+local function as(text)
+  return setmetatable({}, { __tojson = function() return text end })
+end
+
+-- Returns a copy of data for dkjson, to which a number `n` is the length of a list, and
+-- which writes 14 digits of a float.
+local function exact(value)
+  if type(value) == "number" and tonumber(("%.14g"):format(value)) ~= value
+    and value - value == 0 and not (math_type and math_type(value) == "integer") then
+    return as(("%.17g"):format(value))
+  elseif type(value) ~= "table" then
+    return value
   end
+  local copy, n = {}, value.n
+  for key, inner in pairs(value) do copy[key] = exact(inner) end -- any order: a copy
+  if type(n) == "number" then copy.n = as(json.encode(n)) end
   return copy
 end
 
@@ -27,7 +37,7 @@ end
 -- @raise if it has what JSON has not, or dkjson is missing
 ---@param data any
 ---@return string text
-function json.encode(data) return need().encode(for_json(data)) end
+function json.encode(data) return need().encode(exact(data)) end
 
 --- Return what a text of JSON stands for, in tables without metatables.
 ---@param text string
