@@ -4,7 +4,7 @@
 -- same tables: a call locks the row of its machine, runs it and saves it, in one
 -- transaction. So machines may be driven from here and from inside.
 --
--- Any driver fits that takes parameters; LuaDBI's connections are known.
+-- LuaSQL's connections are known. For another driver a function runs statements.
 --
 -- @module rfsm.postgres
 -- @license BSD-3-Clause
@@ -66,18 +66,24 @@ end
 
 -- Connect -------------------------------------------------------------------------
 
--- Returns the function of a connection of LuaDBI.
-local function of_dbi(connection)
-  local statements = {}
-  connection:autocommit(true) -- BEGIN is a statement here
+-- Returns the function of a connection of LuaSQL, which has no parameters.
+local function of_luasql(connection)
   return function(sql, ...)
-    local ok, problem
-    if not statements[sql] then statements[sql], problem = connection:prepare(sql) end
-    if not statements[sql] then return nil, problem end
-    ok, problem = statements[sql]:execute(...)
-    if not ok then return nil, problem end
+    local values, is_text = { ... }, true
+    sql = sql:gsub("%$(%d+)", function(number)
+      local value = values[tonumber(number)]
+      if value == nil then return "NULL" end
+      local text = connection:escape(value)
+      is_text = is_text and text ~= nil
+      return text and "'" .. text .. "'"
+    end)
+    if not is_text then return nil, "a text is not valid in the server's encoding" end
+    local cursor, problem = connection:execute(sql)
+    if not cursor then return nil, problem end
     local rows = {}
-    for row in statements[sql]:rows(true) do rows[#rows + 1] = row end
+    if type(cursor) == "number" then return rows end
+    for i = 1, cursor:numrows() do rows[i] = cursor:fetch({}, "a") end
+    cursor:close()
     return rows
   end
 end
@@ -108,7 +114,7 @@ local function connect(self)
   if self.query then return end
   local made, problem = self.open()
   if not made then error("cannot connect: " .. reason_of(problem), 0) end
-  self.query = type(made) == "function" and made or of_dbi(made)
+  self.query = type(made) == "function" and made or of_luasql(made)
 end
 
 -- Runs a statement.
@@ -130,12 +136,12 @@ local OPTIONS = {
 -- @usage
 --    local charts = postgres.charts { "order.lua" }
 --    local orders = postgres.connect(charts, function()
---      return DBI.Connect("PostgreSQL", "shop")
+--      return require("luasql.postgres").postgres():connect("shop")
 --    end)
 --
 -- @raise if there is no server
 ---@param charts rfsm.postgres.Charts
----@param open fun(): any, string? returns a connection of LuaDBI, or a function
+---@param open fun(): any, string? returns a connection of LuaSQL, or a function
 --- `query(sql, ...)` for another driver; it is called again when the connection is lost
 ---@param options? table `patience` while no server answers (10 s), `sleep(seconds)`, by
 --- default that of luasocket

@@ -371,41 +371,43 @@ describe("a worker", function()
 end)
 
 describe("a connection", function()
-  it("may be one of LuaDBI", function()
-    local trace, query = {}, net:open()
-    local function prepare(_, sql)
-      trace[#trace + 1] = sql:match("^%u+")
-      if sql == "ROLLBACK" and trace.is_refusing then return nil, "no statement" end
-      local rows, at
-      return {
-        execute = function(_, ...)
-          local problem
-          rows, problem = query(sql, ...)
-          at = 0
-          return rows and true, problem
-        end,
-        rows = function(_, is_named)
-          assert.is_true(is_named)
-          return function()
+  it("may be one of LuaSQL", function()
+    local trace, answers, closed = {}, {}, 0
+    local connection = {
+      escape = function(_, text)
+        return text ~= "\255" and text:gsub("'", "''") or nil
+      end,
+      execute = function(_, sql)
+        trace[#trace + 1] = sql
+        local rows, at = answers[sql], 0
+        if type(rows) ~= "table" then return rows == nil and 0 or nil, rows end
+        return {
+          numrows = function() return #rows end,
+          fetch = function(_, row, mode)
+            assert.same({ {}, "a" }, { row, mode })
             at = at + 1
             return rows[at]
-          end
-        end,
-      }
-    end
-    local autocommit
-    local client = postgres.connect(charts, function()
-      return { prepare = prepare, autocommit = function(_, is_on)
-        autocommit = is_on
-      end }
-    end)
-    assert(client:create("1", "counter"))
-    for _ = 1, 2 do assert(client:send("1", "e_tick")) end
-    assert.is_true(autocommit)
-    assert.same({ "BEGIN", "SELECT", "INSERT", "COMMIT", "UPDATE" }, trace)
-    fail_once("UPDATE", "before", "no right")
-    trace.is_refusing, client.options.patience = true, 0
-    assert.equal("no right", select(2, client:send("1", "e_tick")))
+          end,
+          close = function() closed = closed + 1 end,
+        }
+      end,
+    }
+    local client = postgres.connect(charts, function() return connection end)
+    answers["SELECT 'it''s', NULL, 'it''s', '$1'"] = { { a = "1" }, { a = "2" } }
+    local found
+    assert.is_true(client:transaction(function(query)
+      found = { query("SELECT $1, $2, $1, $3", "it's", nil, "$1"), query("DELETE") }
+    end))
+    assert.same({ { { a = "1" }, { a = "2" } }, {} }, found)
+    assert.equal(1, closed)
+    assert.same({ "BEGIN", "SELECT 'it''s', NULL, 'it''s', '$1'", "DELETE", "COMMIT" },
+      trace)
+    assert.same({ false, "a text is not valid in the server's encoding", n = 2 },
+      { n = 2, client:transaction(function(query) query("$1", "\255") end) })
+    -- the connection is lost
+    client.options.patience = 0
+    answers.BEGIN, answers.ROLLBACK = "LuaSQL: x. PostgreSQL: ERROR:  no\n", "no"
+    assert.same({ nil, "no", n = 2 }, { n = 2, client:send("1", "e_tick") })
     assert.is_false(client.query)
   end)
 

@@ -43,9 +43,13 @@ end)
 -- The server has a Lua of its own. The client has this one: two drivers are enough.
 if not (servers.HAS_STORMS or _VERSION == "Lua 5.4") then return end
 
-if servers.missing() then
+local has_luasql, luasql = pcall(require, "luasql.postgres")
+
+local missing = servers.missing() or not has_luasql and "lua-sql-postgres is missing"
+
+if missing then
   describe("a machine in PostgreSQL", function()
-    it("is a row", function() pending(servers.missing()) end)
+    it("is a row", function() pending(missing) end)
   end)
   return
 end
@@ -162,11 +166,14 @@ end
 return rfsm.state(model)
 ]]
 
+local function connect_to(there)
+  return luasql.postgres():connect("postgres", "postgres", "", there.folder)
+end
+
 -- Returns a client in this process.
 local function connect(...)
   local client = postgres.connect(postgres.charts { ... }, function()
-    return require("DBI").Connect("PostgreSQL", "postgres", "postgres", "",
-      server.folder)
+    return connect_to(server)
   end)
   client.id = "id"
   return client
@@ -267,7 +274,7 @@ describe("a client", function()
     assert.same({ "ENTRY error executing entry of root.on:  no bulb" },
       client:send("1", "e_on").errors)
     assert.same({ 1, 0 }, { client:wake() })
-    assert.same({ nil, 'invalid byte sequence for encoding "UTF8": 0xff', n = 2 },
+    assert.same({ nil, "a text is not valid in the server's encoding", n = 2 },
       { n = 2, client:send("1", "e_spoil") })
     assert.equal([[
 lamp|root.off|done|(time)||{"root": {"owner": "me"}}
@@ -288,8 +295,8 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     make_tables()
     local code = helper.content("doc/postgres.md"):match("\n```lua\n(.-)```")
     local printed = helper.printed(function()
-      helper.with(package.loaded, { DBI = { Connect = function()
-        return require("dbd.postgresql").New("postgres", "postgres", "", server.folder)
+      helper.with(package.loaded, { ["luasql.postgres"] = { postgres = function()
+        return { connect = function() return connect_to(server) end }
       end } }, assert(compile(code)))
     end)
     local expected = {}
@@ -755,8 +762,7 @@ describe("the warehouse", function()
 
   it("does in PostgreSQL what it does in Redis", function()
     local redis = require "spec.support.redis"
-    local missing = redis.missing()
-    if missing then return pending(missing) end
+    if redis.missing() then return pending(redis.missing()) end
     local there = redis.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
       .. "examples/warehouse/fleet.sh lua5.1")
     local here = redis.beside("LUA_INIT= examples/warehouse/postgres.sh lua5.3")

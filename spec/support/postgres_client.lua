@@ -7,14 +7,14 @@
 
 package.path = "./?.lua;" .. package.path
 
-local DBI = require "DBI"
+local luasql = require "luasql.postgres"
 local postgres = require "rfsm.postgres"
 
 local folder, chart, file = arg[1], arg[2], arg[3]
 local charts, has_begun, client = postgres.charts { chart }, false, nil
 for _ = 1, 1000 do -- the server may not be there at the moment
   has_begun, client = pcall(postgres.connect, charts, function()
-    return DBI.Connect("PostgreSQL", "postgres", "postgres", "", folder)
+    return luasql.postgres():connect("postgres", "postgres", "", folder)
   end, { patience = 60 })
   if has_begun then break end
   require("socket").sleep(0.05)
