@@ -3,12 +3,7 @@
 
 local servers = require "spec.support.redis"
 
-if servers.missing() then
-  describe("a fleet", function()
-    it("applies each event once", function() pending(servers.missing()) end)
-  end)
-  return
-end
+if servers.lacks(servers.missing(), "a fleet") then return end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"

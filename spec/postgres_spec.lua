@@ -17,10 +17,7 @@ local COUNTER = servers.COUNTER
 
 describe("rfsm postgres", function()
   local function run(arguments)
-    local pipe = io.popen("tools/rfsm postgres " .. arguments .. " 2>&1")
-    local output = pipe:read("*a")
-    pipe:close()
-    return output
+    return servers.output_of("tools/rfsm postgres " .. arguments)
   end
 
   it("writes the SQL that any Lua makes", function()
@@ -28,6 +25,17 @@ describe("rfsm postgres", function()
     assert.equal("", run(chart .. " --history --notify --ids 20 -o " .. file))
     assert.is_true(helper.content(file) == bundle.sql({ chart }, { history = true,
       notify = true, ids = 20 }))
+  end)
+
+  it("writes the tables alone for clients", function()
+    local file = helper.file_with("")
+    assert.equal("", run("--client --history --notify -o " .. file))
+    assert.is_true(helper.content(file) == bundle.tables { history = true,
+      notify = true })
+    assert.is_nil(bundle.tables():find("pllua"))
+    assert.matches("Error: %-%-client: no charts and no ids expected, the client has "
+      .. "them\n", run("--client order.lua"))
+    assert.matches("Error: a chart expected\n", run(""))
   end)
 
   it("refuses a chart that cannot run there", function()
@@ -45,14 +53,8 @@ if not (servers.HAS_STORMS or _VERSION == "Lua 5.4") then return end
 
 local has_luasql, luasql = pcall(require, "luasql.postgres")
 
-local missing = servers.missing() or not has_luasql and "lua-sql-postgres is missing"
-
-if missing then
-  describe("a machine in PostgreSQL", function()
-    it("is a row", function() pending(missing) end)
-  end)
-  return
-end
+if servers.lacks(servers.missing() or not has_luasql and "lua-sql-postgres is missing",
+  "a machine in PostgreSQL") then return end
 
 -- off --e_on--> on --e_off or at once--> off; the others do what they must not
 local LAMP = [[

@@ -2,12 +2,7 @@
 
 local servers = require "spec.support.redis"
 
-if servers.missing() then
-  describe("a fleet", function()
-    it("runs in Redis", function() pending(servers.missing()) end)
-  end)
-  return
-end
+if servers.lacks(servers.missing(), "a fleet") then return end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
@@ -267,10 +262,7 @@ end)
 
 describe("rfsm redis", function()
   local function run(arguments)
-    local pipe = io.popen("tools/rfsm-redis " .. arguments .. " 2>&1")
-    local output = pipe:read("*a")
-    pipe:close()
-    return output
+    return servers.output_of("tools/rfsm-redis " .. arguments)
   end
 
   it("writes a library, and loads it", function()

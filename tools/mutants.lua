@@ -44,6 +44,8 @@ local ROOMS = {
     "rfsm/server/*.lua", "rfsm/fleet.lua" },
     specs = { "connection", "client", "server_functions", "server_sandbox", "fleet",
       "redis" } },
+  { name = "postgres", files = { "rfsm/postgres.lua", "rfsm/postgres/*.lua" },
+    specs = { "postgres_client", "postgres" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
     specs = { "rtt_standin", "rtt", "rtt_launch" } },
   { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "tools" } },
