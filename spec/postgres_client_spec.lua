@@ -457,11 +457,11 @@ describe("charts of the client", function()
       return rfsm.state { rfsm.trans { src = "initial", tgt = "a" },
         a = rfsm.state { entry = function() x = 1 end },
         rfsm.trans { src = "a", tgt = "b", events = { "e" } },
-        b = rfsm.state { entry = function() return bit end } }]])
+        b = rfsm.state { entry = function() return spi end } }]])
     local client = connect(nil, postgres.charts { "c=" .. file })
     assert.matches("global 'x' cannot be set in PostgreSQL$",
       client:create("1", "c").errors[1])
-    assert.matches("global 'bit' does not exist in PostgreSQL$",
+    assert.matches("global 'spi' does not exist in PostgreSQL$",
       client:send("1", "e").errors[1])
     assert.is_nil(rawget(_G, "x"))
   end)

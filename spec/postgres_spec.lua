@@ -38,10 +38,22 @@ describe("rfsm postgres", function()
     assert.matches("Error: a chart expected\n", run(""))
   end)
 
+  -- Returns what is wrong with a chart.
+  local function refusal(text)
+    local file = helper.file_with(text)
+    local ok, problem = pcall(bundle.sql, { file })
+    return ok, problem:gsub(file:gsub("%p", "%%%0"), "C", 1)
+  end
+
   it("refuses a chart that cannot run there", function()
     local chart = helper.file_with("local t = os.time()\nreturn rfsm.state {}")
     assert.equal("rfsm postgres: " .. chart .. ":1: 'os.time' does not exist in "
       .. "PostgreSQL\n", run(chart))
+    for _, name in ipairs { "bit", "unpack", "setfenv" } do -- Redis has them
+      assert.same({ false, "C:2: '" .. name .. "' does not exist in PostgreSQL", 1 },
+        { refusal("return rfsm.state { entry = function()\n"
+          .. name .. "() end }") })
+    end
     chart = helper.file_with("require 'lfs.none'\nreturn rfsm.state {}")
     assert.equal("rfsm postgres: " .. chart .. ":1: module 'lfs.none' is not there as "
       .. "plain Lua, so it cannot run in PostgreSQL\n", run(chart))

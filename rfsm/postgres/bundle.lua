@@ -10,7 +10,6 @@ local add_module = require("rfsm.server.bundle").add
 local redis = require "rfsm.redis"
 local schema = require "rfsm.postgres.schema"
 
-local error, ipairs, pcall = error, ipairs, pcall
 local concat = table.concat
 
 local bundle = {}
@@ -48,8 +47,6 @@ setmetatable(self, {
 })
 ]]
 
-local function in_postgres(text) return (text:gsub("in Redis", "in PostgreSQL")) end
-
 -- Returns a text that another library does not have, most likely.
 local function id_of(text)
   local sum = 0
@@ -79,10 +76,8 @@ end
 ---@return string[] warnings
 ---@nodiscard
 function bundle.library(arguments, options)
-  local ok, text, warnings = pcall(redis.bundle, arguments, { history = 1,
+  local text, warnings = redis.bundle(arguments, { server = "PostgreSQL", history = 1,
     ids = options.ids, ids_for = options.ids_for })
-  if not ok then error(in_postgres(text), 0) end
-  for i, line in ipairs(warnings) do warnings[i] = in_postgres(line) end
   return text:gsub("^#[^\n]*", "", 1), warnings
 end
 

@@ -53,6 +53,7 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@field history? integer so many moves of each machine are kept
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
+---@field server? string for messages: "PostgreSQL", default "Redis"
 
 -- What the library was made with. One library runs in a server, so it is kept here.
 local host, charts, options

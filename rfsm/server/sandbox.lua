@@ -1,4 +1,4 @@
---- What of a chart cannot run in Redis, found while it is bundled: globals that the
+--- What of a chart cannot run in a server, found while it is bundled: globals that the
 -- sandbox lacks, modules that are not plain Lua, loops without an end.
 --
 -- A chart is loaded with the globals of the sandbox. Its callbacks do not run, so their
@@ -73,7 +73,11 @@ for name in ([[assert collectgarbage error getfenv getmetatable ipairs load load
   HERE[name] = true
 end
 
-local MISSING = { "os", "io", "debug", "package", "dofile", "loadfile" }
+local MISSING = {
+  Redis = { "os", "io", "debug", "package", "dofile", "loadfile" },
+  PostgreSQL = { "os", "io", "debug", "package", "dofile", "loadfile", "bit", "struct",
+    "unpack", "loadstring", "setfenv", "getfenv" },
+}
 
 -- Is a name a field, or the key in a table, and no global?
 local function is_key(code, from, behind)
@@ -82,9 +86,9 @@ local function is_key(code, from, behind)
 end
 
 -- Returns the first use of something that is missing, and its name.
-local function find_missing(code)
+local function find_missing(code, server)
   local first, found = nil, nil
-  for _, name in ipairs(MISSING) do
+  for _, name in ipairs(MISSING[server]) do
     local is_own = code:find("local[%w_, ]-%f[%w_]" .. name .. "%f[^%w_]")
     for from, behind in code:gmatch("%f[%w_]()" .. name .. "%f[^%w_]()") do
       local field, after = code:match("^%s*%.%s*([%w_]+)()", behind)
@@ -163,18 +167,20 @@ local function load_with(text, name, globals)
   return load(text, name, "t", globals)
 end
 
---- Load the chart in a text as Redis will.
+--- Load the chart in a text as a server will.
 ---@param text string
 ---@param file string
+---@param server? string default "Redis"; or "PostgreSQL"
 ---@return rfsm.State? model nil if it cannot run there
 ---@return string? problem with file and line
-function sandbox.load(text, file)
-  local from, name = find_missing(sandbox.code_of(text))
+function sandbox.load(text, file, server)
+  server = server or "Redis"
+  local from, name = find_missing(sandbox.code_of(text), server)
   if from then
-    return nil, ("%s:%d: '%s' does not exist in Redis"):format(file,
-      line_at(text, from), name)
+    return nil, ("%s:%d: '%s' does not exist in %s"):format(file, line_at(text, from),
+      name, server)
   end
-  local f, problem = load_with(text, "@" .. file, new_globals("Redis"))
+  local f, problem = load_with(text, "@" .. file, new_globals(server))
   if not f then return nil, problem end
   local ok, model = pcall(f, file)
   if not ok then return nil, rfsm.text_of(model) end
