@@ -40,8 +40,6 @@ local DUE = reading("key, value::text", "WHERE due <= clock_timestamp() ORDER BY
 local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 minute' "
   .. "WHERE key = $1"
 
-local READ_ONLY = { rfsm_get = true, rfsm_why = true }
-
 -- Charts --------------------------------------------------------------------------
 
 --- Charts that run in this process.
@@ -241,7 +239,7 @@ local function answer(self, name, key, args, row)
 end
 
 local function call(self, name, key, ...)
-  local row = query(self, READ_ONLY[name] and READ or LOCK, key)[1]
+  local row = query(self, host.READ_ONLY[name] and READ or LOCK, key)[1]
   return answer(self, name, key, { ... }, row)
 end
 

@@ -179,7 +179,9 @@ function redis.bundle(arguments, options)
   require "rfsm.await"
   local parts, warnings = { HEAD }, {}
   local is_there = { string = true, table = true, math = true, coroutine = true }
-  for _, name in ipairs(ROOTS) do add_module(parts, name, is_there, "rfsm.redis", server) end
+  for _, name in ipairs(ROOTS) do
+    add_module(parts, name, is_there, "rfsm.redis", server)
+  end
   for _, argument in ipairs(arguments) do
     local name, file = redis.name_of(argument)
     local text = read_chart(file)

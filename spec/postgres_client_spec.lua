@@ -61,15 +61,15 @@ local function fail_once(words, when, kind)
   end
 end
 
-local SEND = { "BEGIN", "SELECT value", "UPDATE rfsm.machines", "COMMIT" }
+local SEND = { "BEGIN", "SELECT value FOR UPDATE", "UPDATE rfsm.machines", "COMMIT" }
 
 describe("a call of the client", function()
   it("is one transaction that locks the row", function()
     local client = connect()
     assert.same({ leaf = "root.even", mode = "done", errors = {} },
       client:create("1", "counter"))
-    assert.same({ "BEGIN", "SELECT value", "INSERT INTO rfsm.machines", "COMMIT" },
-      net.trace)
+    assert.same({ "BEGIN", "SELECT value FOR UPDATE", "INSERT INTO rfsm.machines",
+      "COMMIT" }, net.trace)
     helper.clear(net.trace)
     assert.same({ leaf = "root.odd", mode = "done", errors = {} },
       client:send("1", "e_tick"))
@@ -240,7 +240,7 @@ describe("a transaction of the caller", function()
       client:send("1", "e_tick")
       query("INSERT INTO rfsm.out (key) VALUES ($1)", "7")
     end) })
-    assert.same({ "BEGIN", "SELECT value", "UPDATE rfsm.machines",
+    assert.same({ "BEGIN", "SELECT value FOR UPDATE", "UPDATE rfsm.machines",
       "INSERT INTO rfsm.out", "COMMIT" }, net.trace)
     assert.same({ { "7" } }, net.tables.out)
   end)
@@ -328,8 +328,8 @@ describe("a worker", function()
     assert.same({ 2, 0 }, { client:wake(2) })
     local UPDATES = { "UPDATE rfsm.machines", "INSERT INTO rfsm.out",
       "INSERT INTO rfsm.log" }
-    assert.same({ "BEGIN", "SELECT key", UPDATES[1], UPDATES[2], UPDATES[3], UPDATES[1],
-      UPDATES[2], UPDATES[3], "COMMIT" }, net.trace)
+    assert.same({ "BEGIN", "SELECT key FOR UPDATE SKIP LOCKED", UPDATES[1], UPDATES[2],
+      UPDATES[3], UPDATES[1], UPDATES[2], UPDATES[3], "COMMIT" }, net.trace)
     assert.same({ 1, 0 }, { client:wake() })
     assert.same({ 0, 0 }, { client:wake() })
   end)

@@ -36,7 +36,8 @@ local floor = math.floor
 
 local host = {}
 
-local READ_ONLY = { rfsm_get = true, rfsm_why = true }
+--- Functions that need no lock.
+host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
 
 --- Statements by their name. Those that write return a row for each that they write.
 host.STATEMENTS = {
@@ -165,7 +166,7 @@ function host.new(server)
   }
 
   return globals, function(name, key, args, found)
-    local own = { key = key, is_read = READ_ONLY[name], emitted = {}, errors = {},
+    local own = { key = key, is_read = host.READ_ONLY[name], emitted = {}, errors = {},
       list = found and found.list, us = found and found.us,
       execute = found and found.execute }
     row = own

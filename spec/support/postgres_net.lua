@@ -95,6 +95,7 @@ function Net:open()
   end
   return function(sql, ...)
     local words = sql:match("^%u[%u ]*%l*%.?%l*")
+      .. (sql:match(" FOR UPDATE[%u ]*") or "")
     self.trace[#self.trace + 1] = words
     if connection.is_lost then return fail "lost" end
     local kind = self.fault(words, "before")
