@@ -307,7 +307,7 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
 
   it("takes work and sends the answer at once, as doc/postgres.md shows", function()
     make_tables()
-    local code = helper.content("doc/postgres.md"):match("\n```lua\n(.-)```")
+    local code = helper.content("doc/postgres.md"):match("\n```\n(local luasql.-)```")
     local printed = helper.printed(function()
       helper.with(package.loaded, { ["luasql.postgres"] = { postgres = function()
         return { connect = function() return connect_to(server) end }
