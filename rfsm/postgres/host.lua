@@ -40,21 +40,22 @@ local host = {}
 host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
 
 --- Statements by their name. Those that write return a row for each that they write.
+-- Some drivers give each parameter the type text.
 host.STATEMENTS = {
   read = "SELECT value FROM rfsm.machines WHERE key = $1",
   lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
   time = "SELECT extract(epoch FROM clock_timestamp())::float8 * 1e6 AS us",
   insert = [[INSERT INTO rfsm.machines
     (key, chart, version, state, mode, event, due, data, value, since)
-    VALUES ($1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7::text::float8), $8,
-      $9, clock_timestamp())
+    VALUES ($1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7::text::float8),
+      $8::jsonb, $9::jsonb, clock_timestamp())
     ON CONFLICT (key) DO NOTHING RETURNING key]],
   update = [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
-    event = coalesce($6, event), due = to_timestamp($7::text::float8), data = $8,
-    value = $9,
+    event = coalesce($6, event), due = to_timestamp($7::text::float8),
+    data = $8::jsonb, value = $9::jsonb,
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
     WHERE key = $1 RETURNING key]],
-  emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3)",
+  emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
   log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
 }
 
