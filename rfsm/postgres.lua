@@ -251,7 +251,7 @@ end
 ---@return string? problem
 function Client:ask(name, key, ...)
   if key == nil or type(key) == "table" then
-    error("rfsm.postgres: key of a machine expected, got " .. type(key), 2)
+    error("rfsm.postgres: key of a machine expected, got " .. type(key), 0)
   end
   local ok, reply = run(self, call, name, rfsm.text_of(key), ...)
   if ok then return reply, not reply and "no machine" or nil end
