@@ -324,15 +324,19 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     make_tables()
     local chart, sent, found = "counter=" .. helper.file_with(COUNTER), {}, {}
     local client, random, lines = connect(chart), new_random(28), {}
-    for i = 1, 20 do client:create("m" .. i, "counter") end
+    local machines = math.min(1000, EVENTS / 10)
+    client:transaction(function()
+      for i = 1, machines do client:create("m" .. i, "counter") end
+    end)
     for i = 1, EVENTS do
-      local key, number = "m" .. random:below(20), i % 20 + 1
+      local key, number = "m" .. random:below(machines), i % 20 + 1
       sent[key] = (sent[key] or 0) + 1
-      lines[number] = (lines[number] or "") .. ("%d %s e_tick\n"):format(i, key)
+      lines[number] = lines[number] or {}
+      table.insert(lines[number], ("%d %s e_tick\n"):format(i, key))
     end
     local ends = {}
-    for i, text in ipairs(lines) do
-      ends[i] = beside_client(chart, helper.file_with(text))
+    for i, list in ipairs(lines) do
+      ends[i] = beside_client(chart, helper.file_with(table.concat(list)))
     end
     server:wait_for(("SELECT sum((data->'root'->>'n')::int) > %d FROM rfsm.machines")
       :format(math.floor(EVENTS / 3)))
