@@ -71,7 +71,7 @@ local function of_luasql(connection)
     sql = sql:gsub("%$(%d+)", function(number)
       local value = values[tonumber(number)]
       if value == nil then return "NULL" end
-      local text = connection:escape(value)
+      local text = not value:find("\0", 1, true) and connection:escape(value) or nil
       is_text = is_text and text ~= nil
       return text and "'" .. text .. "'"
     end)

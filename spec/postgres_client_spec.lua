@@ -402,8 +402,10 @@ describe("a connection", function()
     assert.equal(1, closed)
     assert.same({ "BEGIN", "SELECT 'it''s', NULL, 'it''s', '$1'", "DELETE", "COMMIT" },
       trace)
-    assert.same({ false, "a text is not valid in the server's encoding", n = 2 },
-      { n = 2, client:transaction(function(query) query("$1", "\255") end) })
+    for _, text in ipairs { "\255", "a\0b" } do
+      assert.same({ false, "a text is not valid in the server's encoding", n = 2 },
+        { n = 2, client:transaction(function(query) query("$1", text) end) })
+    end
     -- the connection is lost
     client.options.patience = 0
     answers.BEGIN, answers.ROLLBACK = "LuaSQL: x. PostgreSQL: ERROR:  no\n", "no"

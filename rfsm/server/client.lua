@@ -1,7 +1,7 @@
 --- What clients do with a machine: they call functions of `rfsm.server.functions`, with
 -- an id for each event, so that it is applied once also if it must be sent again.
 --
--- @module rfsm.server.client
+-- @submodule rfsm.fleet
 -- @license BSD-3-Clause
 
 local json = require "rfsm.server.json"
