@@ -19,7 +19,8 @@ local sandbox = require "rfsm.server.sandbox"
 local try = require("rfsm.shared.calls").try
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
-local setmetatable, tonumber, type = setmetatable, tonumber, type
+local setmetatable, tonumber, tostring = setmetatable, tonumber, tostring
+local type = type
 
 local postgres = {}
 
@@ -71,6 +72,7 @@ local function of_luasql(connection)
     sql = sql:gsub("%$(%d+)", function(number)
       local value = values[tonumber(number)]
       if value == nil then return "NULL" end
+      value = tostring(value)
       local text = not value:find("\0", 1, true) and connection:escape(value) or nil
       is_text = is_text and text ~= nil
       return text and "'" .. text .. "'"

@@ -393,15 +393,16 @@ describe("a connection", function()
       end,
     }
     local client = postgres.connect(charts, function() return connection end)
-    answers["SELECT 'it''s', NULL, 'it''s', '$1'"] = { { a = "1" }, { a = "2" } }
+    local SELECT = "SELECT 'it''s', NULL, 'it''s', '$1', '7'"
+    answers[SELECT] = { { a = "1" }, { a = "2" } }
     local found
     assert.is_true(client:transaction(function(query)
-      found = { query("SELECT $1, $2, $1, $3", "it's", nil, "$1"), query("DELETE") }
+      found = { query("SELECT $1, $2, $1, $3, $4", "it's", nil, "$1", 7),
+        query("DELETE") }
     end))
     assert.same({ { { a = "1" }, { a = "2" } }, {} }, found)
     assert.equal(1, closed)
-    assert.same({ "BEGIN", "SELECT 'it''s', NULL, 'it''s', '$1'", "DELETE", "COMMIT" },
-      trace)
+    assert.same({ "BEGIN", SELECT, "DELETE", "COMMIT" }, trace)
     for _, text in ipairs { "\255", "a\0b" } do
       assert.same({ false, "a text is not valid in the server's encoding", n = 2 },
         { n = 2, client:transaction(function(query) query("$1", text) end) })
