@@ -47,10 +47,7 @@ local function new_json(pgtype)
   end
 
   -- Returns a table without metatables.
-  function json.list_of(datum)
-    local t = datum(PLAIN)
-    return type(t) == "table" and jsonb.set_as_unknown(t) or t
-  end
+  function json.list_of(datum) return datum(PLAIN) end
 
   function json.encode(value) return pgtype.jsonb(exact(value)) end
 
