@@ -177,8 +177,11 @@ describe("a call of the client", function()
       { pcall(client.tick, client, {}) })
     assert.equal("rfsm.postgres.send_after: seconds expected, got -1",
       helper.refusal(client.send_after, client, "1", -1, "e_tick"))
-    assert.equal("rfsm.postgres.wake: a whole number expected, got 0",
-      helper.refusal(client.wake, client, 0))
+    for _, limit in ipairs { 0, 10001, 1.5 } do
+      assert.equal("rfsm.postgres.wake: a whole number expected, got " .. limit,
+        helper.refusal(client.wake, client, limit))
+    end
+    assert.equal(0, (client:wake(10000)))
   end)
 end)
 
@@ -205,6 +208,8 @@ describe("a connection that is lost", function()
       { n = 2, client:send("1", "e_tick") })
     assert.equal(21, net.opened)
     assert.is_true(math.abs(slept - 2) < 1e-9)
+    assert.equal(10, connect().options.patience)
+    client.options.patience = 0
     function client.open() return nil, "driver: FATAL\nstarting" end
     assert.equal("cannot connect: driver: FATAL",
       select(2, client:send("1", "e_tick")))

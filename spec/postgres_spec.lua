@@ -243,7 +243,8 @@ SELECT count(DISTINCT moves) FROM (SELECT string_agg(concat_ws(' ', substring(ke
 
   it("go one way: without a server, in it, from a client, and in turns", function()
     local files, random, all_events = {}, new_random(28), {}
-    for i = 1, 10 do
+    local count = servers.HAS_STORMS and 10 or 3
+    for i = 1, count do
       files[i] = ("r%d=%s"):format(i, helper.file_with(RANDOM:format(i)))
       local events = {}
       for j = 1, 20 do events[j] = random:chance(60) and "e_next" or "e_same" end
@@ -261,7 +262,7 @@ SELECT count(DISTINCT moves) FROM (SELECT string_agg(concat_ws(' ', substring(ke
         assert.same(expected, found)
       end
     end
-    assert.equal("10|10\n1\n", server:sql(SAME))
+    assert.equal(("%d|%d\n1\n"):format(count, count), server:sql(SAME))
   end)
 end)
 
