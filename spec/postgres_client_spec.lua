@@ -474,6 +474,38 @@ describe("charts of the client", function()
     assert.is_nil(rawget(_G, "x"))
   end)
 
+  -- Lua 5.1 does not yield across pcall.
+  local can_yield = rawget(_G, "jit") or _VERSION ~= "Lua 5.1"
+
+  it("serve connections that wait in coroutines", function()
+    local threads, random = {}, new_random(28)
+    for i = 1, can_yield and 5 or 0 do
+      threads[i] = coroutine.create(function()
+        local key = ("%d"):format(i)
+        local client = postgres.connect(charts, function()
+          local query = net:open()
+          return function(...)
+            coroutine.yield()
+            return query(...)
+          end
+        end)
+        assert(client:create(key, "counter"))
+        for _ = 1, i * 3 do assert(client:send(key, "e_tick")) end
+        return client:get(key).data.root.n
+      end)
+    end
+    local found, left = {}, #threads
+    while left > 0 do
+      local i = random:below(#threads)
+      if coroutine.status(threads[i]) == "suspended" then
+        local ok, n = coroutine.resume(threads[i])
+        assert.is_true(ok, n)
+        if n then found[i], left = n, left - 1 end
+      end
+    end
+    assert.same(can_yield and { 3, 6, 9, 12, 15 } or {}, found)
+  end)
+
   it("print here", function()
     local file = helper.file_with([[
       return rfsm.state { a = rfsm.state { entry = function() print("here", 7) end },

@@ -4,6 +4,8 @@
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 local net = {}
 
 --- A stand-in server.
@@ -57,6 +59,8 @@ function statements.note(_, tables, name, ...)
   return {}
 end
 
+local IS_READING = { read = true, due = true }
+
 -- Returns what a statement does.
 local function find(sql)
   local limit = sql:match("LIMIT (%d+)")
@@ -70,22 +74,34 @@ local function find(sql)
   error("unknown statement: " .. sql)
 end
 
+-- Does what a transaction has written once more, to what is there now.
+local function commit(self, connection)
+  local tables = plain.copy_of(self.tables)
+  for _, write in ipairs(connection.writes) do
+    statements[write.name](self, tables, unpack(write, 1, write.n))
+  end
+  self.tables = tables
+end
+
 local function execute(self, connection, sql, ...)
   if sql == "BEGIN" then
-    connection.tables = plain.copy_of(self.tables)
+    connection.tables, connection.writes = plain.copy_of(self.tables), {}
   elseif sql == "COMMIT" then
-    self.tables = connection.tables
+    commit(self, connection)
   elseif sql ~= "ROLLBACK" then
     local name, argument = find(sql)
-    if argument == nil then return statements[name](self, connection.tables, ...) end
-    return statements[name](self, connection.tables, argument, ...)
+    local call = { name = name, n = select("#", ...), ... }
+    if argument ~= nil then call = { name = name, n = call.n + 1, argument, ... } end
+    if not IS_READING[name] then table.insert(connection.writes, call) end
+    return statements[name](self, connection.tables, unpack(call, 1, call.n))
   end
   return {}
 end
 
 --- Opens a connection: a function that runs statements.
 function Net:open()
-  local connection = { tables = false, is_lost = false, is_broken = false }
+  local connection = { tables = false, writes = false, is_lost = false,
+    is_broken = false }
   self.opened = self.opened + 1
   local function fail(kind)
     connection.is_lost = kind == "lost" or connection.is_lost
