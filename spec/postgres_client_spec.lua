@@ -263,7 +263,7 @@ describe("a transaction of the caller", function()
     end,
     ["the caller"] = function(client)
       client:send("1", "e_tick")
-      error("no transition of it")
+      error("no transition of it", 0)
     end,
     ["a worker"] = function(client)
       client:send("1", "e_tick")
@@ -276,7 +276,7 @@ describe("a transaction of the caller", function()
       fail_once("SELECT", "before", "lost")
       assert.equal("server closed the connection",
         select(2, client:send("1", "e_tick")))
-      error("no transition of it")
+      error("no transition of it", 0)
     end,
   } do
     it("is nothing if it fails: " .. name, function()
@@ -287,6 +287,7 @@ describe("a transaction of the caller", function()
       local ok, problem = client:transaction(function(query) f(client, query) end)
       assert.is_false(ok)
       assert.matches("no transition of", problem)
+      assert.not_matches("lua:%d", problem)
       assert.equal(before, net.tables)
       assert.equal("root.odd", client:send("1", "e_tick").leaf)
     end)
