@@ -47,6 +47,9 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 ---@class rfsm.postgres.Charts
 ---@field answer function see `rfsm.postgres.host`
 
+local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
+local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER }
+
 --- Load charts as `rfsm postgres` does, with the globals that they would have there.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] files, or NAME=FILE; a later one of a name is newer
@@ -54,10 +57,15 @@ local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 mi
 ---@return rfsm.postgres.Charts charts for any number of connections
 ---@return string[] warnings
 function postgres.charts(arguments, options)
-  local text, warnings = bundle.library(arguments, options or {})
+  if type(arguments) ~= "table" or arguments[1] == nil then
+    error("rfsm.postgres.charts: list of files expected, " .. opts.got(arguments), 2)
+  end
+  local settings, problem = opts.read(CHART_OPTIONS, options or {})
+  if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
+  local text, warnings = bundle.library(arguments, settings)
   local globals, answer = host.new {
     json = json, log = function(_, line) print(line) end, warn = function() end,
-    refuse = function(problem) error(problem, 0) end,
+    refuse = function(reason) error(reason, 0) end,
   }
   sandbox.run(text, globals, "PostgreSQL")
   return { answer = answer }, warnings
@@ -149,6 +157,10 @@ local OPTIONS = {
 function postgres.connect(charts, open, options)
   local settings, problem = opts.read(OPTIONS, options or {})
   if not settings then error("rfsm.postgres.connect: " .. problem, 2) end
+  if type(charts) ~= "table" or not charts.answer then
+    error("rfsm.postgres.connect: result of rfsm.postgres.charts expected, "
+      .. opts.got(charts), 2)
+  end
   if type(open) ~= "function" then
     error("rfsm.postgres.connect: function expected that opens a connection, "
       .. opts.got(open), 2)

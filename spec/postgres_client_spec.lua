@@ -515,6 +515,30 @@ describe("charts of the client", function()
     assert.same({ "here 7" }, helper.printed(function() client:create("1", "c") end))
   end)
 
+  it("are named in a list, with options that are known", function()
+    for text, arguments in pairs {
+      ["list of files expected, got string 'a.lua'"] = { "a.lua" },
+      ["list of files expected, got table"] = { {} },
+      ["unknown option 'id', expected: ids, ids_for"] = { { "a.lua" }, { id = 1 } },
+      ["ids: a whole number expected, got 0"] = { { "a.lua" }, { ids = 0 } },
+    } do
+      assert.equal("rfsm.postgres.charts: " .. text, helper.refusal(postgres.charts,
+        arguments[1], arguments[2]))
+    end
+    assert.equal("rfsm.postgres.connect: result of rfsm.postgres.charts expected, got "
+      .. "table", helper.refusal(postgres.connect, {}, print))
+  end)
+
+  it("keep as many ids as they are told", function()
+    local client = connect(nil, postgres.charts({ "counter="
+      .. helper.file_with(servers.COUNTER) }, { ids = 1 }))
+    client:create("1", "counter")
+    for _, id in ipairs { "a", "b", "b", "a" } do
+      client:send_once(id, "1", "e_tick")
+    end
+    assert.equal(3, client:get("1").data.root.n)
+  end)
+
   it("are those that can run in PostgreSQL", function()
     local file = helper.file_with("local t = os.time()\nreturn rfsm.state {}")
     assert.same({ false, file .. ":1: 'os.time' does not exist in PostgreSQL" },
