@@ -521,6 +521,8 @@ describe("charts of the client", function()
       ["list of files expected, got table"] = { {} },
       ["unknown option 'id', expected: ids, ids_for"] = { { "a.lua" }, { id = 1 } },
       ["ids: a whole number expected, got 0"] = { { "a.lua" }, { ids = 0 } },
+      ["ids: a whole number expected, got 1000001"] = { { "a.lua" },
+        { ids = 1000001 } },
     } do
       assert.equal("rfsm.postgres.charts: " .. text, helper.refusal(postgres.charts,
         arguments[1], arguments[2]))
@@ -531,7 +533,7 @@ describe("charts of the client", function()
 
   it("keep as many ids as they are told", function()
     local client = connect(nil, postgres.charts({ "counter="
-      .. helper.file_with(servers.COUNTER) }, { ids = 1 }))
+      .. helper.file_with(servers.COUNTER) }, { ids = 1, ids_for = 1000000 }))
     client:create("1", "counter")
     for _, id in ipairs { "a", "b", "b", "a" } do
       client:send_once(id, "1", "e_tick")

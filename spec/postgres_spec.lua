@@ -27,6 +27,13 @@ describe("rfsm postgres", function()
       notify = true, ids = 20 }))
   end)
 
+  it("quotes a chart that has quotes", function()
+    local chart = helper.file_with("-- $rfsm$ $rfsm_$\nreturn rfsm.state {}")
+    local text = bundle.sql { chart }
+    assert.matches("LANGUAGE pllua AS $rfsm__$\n", text, 1, true)
+    assert.equal(2, select(2, text:gsub("%$rfsm__%$", "")))
+  end)
+
   it("writes the tables alone for clients", function()
     local file = helper.file_with("")
     assert.equal("", run("--client --history --notify -o " .. file))
