@@ -6,39 +6,38 @@
 -- wakes machines that are due, and reads what they emitted. Needs the packages
 -- lua-redis and dkjson.
 --
--- The file reads in this order: connect, calls, machines, workers.
+-- The file reads in this order: connect, calls, machines, workers. What the clients of
+-- all servers share is in `rfsm.server.client`.
 --
 -- @module rfsm.fleet
 -- @license BSD-3-Clause
 
 local try = require("rfsm.shared.calls").try
+local Client = require "rfsm.server.client"
 local connection = require "rfsm.redis.connection"
-local keys_of = require "rfsm.redis.keys"
+local json = require "rfsm.server.json"
+local keys_of = require "rfsm.server.keys"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
-local error, io, ipairs, pcall = error, io, ipairs, try
-local next, pairs, rawget, rawset = next, pairs, rawget, rawset
-local select, setmetatable = select, setmetatable
-local tonumber, tostring, type = tonumber, tostring, type
+local error, ipairs, pcall = error, ipairs, try
+local pairs, rawget, rawset = pairs, rawget, rawset
+local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
 
-local function need(name) return opts.need("rfsm.fleet", name, "lua-" .. name) end
-
 -- Connect ------------------------------------------------------------------------
 
 --- A connection to a fleet.
----@class rfsm.fleet.Fleet
+---@class rfsm.fleet.Fleet : rfsm.server.Client
 ---@field name string of the machines, in front of their keys
 ---@field tags integer over how many hash tags they spread
 ---@field connection rfsm.redis.Connection
----@field id string in front of the ids of events
----@field count integer of events
-local Fleet = {}
+local Fleet = { where = "rfsm.fleet" }
 Fleet.__index = Fleet
+for name, f in pairs(Client) do Fleet[name] = f end -- any order: a copy
 
 local function is_positive(x) return type(x) == "number" and x > 0 end
 
@@ -49,18 +48,6 @@ local OPTIONS = {
   patience = { "seconds", opts.is_seconds, 10 },
   tls = { "table", function(x) return type(x) == "table" end, nil },
 }
-
--- Returns a text that no other client has.
-local function new_id()
-  local file, text = io.open("/dev/urandom", "rb"), nil
-  if file then
-    text = file:read(5):gsub(".", function(byte)
-      return ("%02x"):format(byte:byte())
-    end)
-    file:close()
-  end
-  return text or ("%.6f"):format(need("socket").gettime()) .. tostring({}):sub(-6)
-end
 
 --- Connect to a server, or to any node of a cluster.
 --
@@ -81,7 +68,7 @@ function fleet.connect(url, options)
     error(made, made:find("^rfsm.fleet.connect") and 2 or 0)
   end
   return setmetatable({ name = settings.name, tags = settings.tags, connection = made,
-    id = new_id(), count = 0 }, Fleet)
+    id = Fleet.new_id(), count = 0 }, Fleet)
 end
 
 --- Send a command to the node that has the keys of a hash tag. It may come twice, if
@@ -111,9 +98,13 @@ function Fleet:key_of(id)
   return self.name .. ":{" .. tag .. "}:" .. id, tag
 end
 
--- Calls a function; a cluster must know all keys that it writes. Returns the reply, or
--- nil and the problem.
-local function call_function(self, name, id, ...)
+--- Call a function; a cluster must know all keys that it writes.
+---@param name string
+---@param id any
+---@param ... any
+---@return any? reply
+---@return string? problem
+function Fleet:ask(name, id, ...)
   local key, tag = self:key_of(id)
   local ok, reply = pcall(self.call, self, tag, "FCALL", name, 6, key,
     keys_of.due(key), keys_of.out(key), keys_of.log(key), keys_of.index(key),
@@ -122,135 +113,7 @@ local function call_function(self, name, id, ...)
   return nil, reply
 end
 
--- Returns a new id for an event.
-local function next_id(self)
-  self.count = self.count + 1
-  return self.id .. "-" .. ("%d"):format(self.count)
-end
-
---- What a machine replies to a call.
----@class rfsm.fleet.Reply
----@field leaf string FQN
----@field mode string
----@field errors string[] of its callbacks
-
-local function reply_of(list, problem)
-  if not list then return nil, problem end
-  local errors = {}
-  for i = 3, #list do errors[i - 2] = list[i] end
-  return { leaf = list[1], mode = list[2], errors = errors }
-end
-
 -- Machines -----------------------------------------------------------------------
-
-local encode
-
--- Returns a copy of data. A number `n` is in a table: for dkjson it is the length of a
--- list.
-local function for_json(value)
-  if type(value) ~= "table" then return value end
-  local copy, n = {}, value.n
-  for key, inner in pairs(value) do copy[key] = for_json(inner) end -- any order: a copy
-  if type(n) == "number" then
-    copy.n = setmetatable({}, { __tojson = function() return encode(n) end })
-  end
-  return copy
-end
-
-function encode(data) return need("dkjson").encode(for_json(data)) end
-
---- Make a machine.
----@param id any
----@param chart string its name in the library
----@param data? table fields that the root of the chart keeps
----@return rfsm.fleet.Reply? reply
----@return string? problem
-function Fleet:create(id, chart, data)
-  local ok, text = true, "{}"
-  if data and next(data) ~= nil then
-    ok, text = pcall(encode, data)
-  end
-  if not ok then return nil, "rfsm.fleet.create: data: " .. text end
-  return reply_of(call_function(self, "rfsm_create", id, chart, text, "ID",
-    next_id(self)))
-end
-
--- Returns the texts of events, then an id.
-local function texts_of(id, ...)
-  local texts = {}
-  for i = 1, select("#", ...) do
-    local event = select(i, ...)
-    texts[#texts + 1] = event ~= nil and rfsm.text_of(event) or nil
-  end
-  texts[#texts + 1], texts[#texts + 2] = "ID", id
-  return unpack(texts)
-end
-
---- Send events to a machine, and run it. They are applied once, also if the connection
--- is lost and they must be sent again.
----@param id any
----@param ... any events
----@return rfsm.fleet.Reply? reply
----@return string? problem
-function Fleet:send(id, ...)
-  return reply_of(call_function(self, "rfsm_send", id,
-    texts_of(next_id(self), ...)))
-end
-
---- Send events to a machine when a time has come, if a worker wakes it.
----@param id any
----@param seconds number from now on
----@param ... any events
----@return string? ticket for `cancel`
----@return string? problem
-function Fleet:send_after(id, seconds, ...)
-  if not opts.is_seconds(seconds) then
-    error("rfsm.fleet.send_after: seconds expected, " .. opts.got(seconds), 2)
-  end
-  local ticket = next_id(self)
-  local reply, problem = call_function(self, "rfsm_send_at", id,
-    "+" .. ("%.6f"):format(seconds), texts_of(ticket, ...))
-  return reply and ticket, problem
-end
-
---- Take back what `send_after` has sent.
----@param id any
----@param ticket string
----@return boolean? was_there
----@return string? problem
-function Fleet:cancel(id, ticket)
-  local count, problem = call_function(self, "rfsm_cancel", id, ticket)
-  return count and count == 1, problem
-end
-
---- Run a machine that is due.
----@param id any
----@return rfsm.fleet.Reply? reply
----@return string? problem
-function Fleet:tick(id) return reply_of(call_function(self, "rfsm_tick", id)) end
-
---- Look at a machine.
----@param id any
----@return table? view chart, version, leaf, mode, configuration, data, queue, due
----@return string? problem
-function Fleet:get(id)
-  local list, problem = call_function(self, "rfsm_get", id)
-  if not list then return nil, problem end
-  local view, decode = {}, need("dkjson").decode
-  for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
-  view.data, view.queue, view.due = decode(view.data), decode(view.queue),
-    tonumber(view.due)
-  return view
-end
-
---- Ask what an event would do to a machine.
----@param id any
----@param event any
----@return string[]? lines
----@return string? problem
-function Fleet:why(id, event)
-  return call_function(self, "rfsm_why", id, event)
-end
 
 --- Return the latest moves of a machine, the newest first. The library needs --history.
 ---@param id any
@@ -258,7 +121,7 @@ end
 ---@return { time: number, event: string, from: string, to: string }[]? moves
 ---@return string? problem
 function Fleet:history(id, count)
-  local list, problem = call_function(self, "rfsm_history", id, count or 10)
+  local list, problem = self:ask("rfsm_history", id, count or 10)
   if not list then return nil, problem end
   local moves = {}
   for i = 1, #list, 4 do
@@ -345,9 +208,9 @@ end
 
 -- Returns an entry of a stream as a table.
 local function entry_of(raw)
-  local entry, decode = { id = raw[1] }, need("dkjson").decode
+  local entry = { id = raw[1] }
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
-  entry.data = entry.data and entry.data ~= "" and decode(entry.data) or nil
+  entry.data = entry.data and entry.data ~= "" and json.decode(entry.data) or nil
   return entry
 end
 

@@ -1,15 +1,15 @@
 --- Bundles charts with the core as one library of Redis functions.
 --
 -- The command `rfsm redis CHART...` calls it. Redis 7 loads the text with FUNCTION
--- LOAD. The functions are those of `rfsm.redis.functions`.
+-- LOAD. The functions are those of `rfsm.server.functions`.
 --
 -- @module rfsm.redis
 -- @license BSD-3-Clause
 
-local bundle = require "rfsm.redis.bundle"
+local bundle = require "rfsm.server.bundle"
 local chart = require "rfsm.shared.chart"
 local rfsm = require "rfsm"
-local sandbox = require "rfsm.redis.sandbox"
+local sandbox = require "rfsm.server.sandbox"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require
 local io = io
@@ -19,7 +19,7 @@ local redis = {}
 
 -- Modules that charts require, or get as a field; those that these need come along.
 local ROOTS = {
-  "rfsm.redis.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+  "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
 }
 
 -- While Redis loads a library hardly any global is there; later none can be set, and
@@ -52,7 +52,7 @@ local function open()
     redis.log(redis.LOG_NOTICE, table.concat(texts, " "))
   end
   _G.print = print
-  return require "rfsm.redis.functions" ({ call = redis.call, json = cjson,
+  return require "rfsm.server.functions" ({ call = redis.call, json = cjson,
     error_reply = redis.error_reply, pack = cmsgpack, may = redis.acl_check_cmd },
     charts, options)
 end
@@ -119,16 +119,16 @@ local function required(name, text)
 end
 
 -- Appends a module, and those that it requires. A chart's own are plain Lua.
-local function add_module(parts, name, is_there, where)
+local function add_module(parts, name, is_there, where, server)
   if is_there[name] then return end
   is_there[name] = true
   local text = add_text(parts, name)
   if not text then
-    error(("%s: module '%s' is not there as plain Lua, so it cannot run in Redis")
-      :format(where, name), 0)
+    error(("%s: module '%s' is not there as plain Lua, so it cannot run in %s")
+      :format(where, name, server), 0)
   end
   for _, other in ipairs(required(name, text)) do
-    add_module(parts, other, is_there, where .. ": '" .. name .. "'")
+    add_module(parts, other, is_there, where .. ": '" .. name .. "'", server)
   end
 end
 
@@ -151,11 +151,11 @@ local function read_chart(file)
   return text
 end
 
--- Raises what is wrong with a chart, here or in Redis.
-local function check_chart(file, text)
+-- Raises what is wrong with a chart, here or in the server.
+local function check_chart(file, text, server)
   local model, problem = chart.load(file)
   if not model then error(problem, 0) end
-  model, problem = sandbox.load(text, file)
+  model, problem = sandbox.load(text, file, server)
   if not model then error(problem, 0) end
   model.info, model.warn, model.err = false, false, false
   local ok, fsm, _, problems = pcall(rfsm.init, model)
@@ -168,27 +168,31 @@ end
 --- Return the text of a library for FUNCTION LOAD.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `name_of`; a later version of a name is newer
----@param options? rfsm.redis.Options
+---@param options? rfsm.server.Options
 ---@return string text
 ---@return string[] warnings
 ---@nodiscard
 function redis.bundle(arguments, options)
   options = options or {}
+  local server = options.server or "Redis"
   require "rfsm_timeevent"
   require "rfsm.await"
   local parts, warnings = { HEAD }, {}
   local is_there = { string = true, table = true, math = true, coroutine = true }
-  for _, name in ipairs(ROOTS) do add_module(parts, name, is_there, "rfsm.redis") end
+  for _, name in ipairs(ROOTS) do
+    add_module(parts, name, is_there, "rfsm.redis", server)
+  end
   for _, argument in ipairs(arguments) do
     local name, file = redis.name_of(argument)
     local text = read_chart(file)
     for _, module in ipairs(sandbox.required(text)) do
-      add_module(parts, module.name, is_there, file .. ":" .. module.line)
+      add_module(parts, module.name, is_there, file .. ":" .. module.line,
+        server)
     end
-    check_chart(file, text)
+    check_chart(file, text, server)
     for _, line in ipairs(sandbox.endless(sandbox.code_of(text))) do
-      warnings[#warnings + 1] = ("%s:%d: warning: this loop has no end: in Redis it "
-        .. "would hold up all others"):format(file, line)
+      warnings[#warnings + 1] = ("%s:%d: warning: this loop has no end: in %s it "
+        .. "would hold up all others"):format(file, line, server)
     end
     parts[#parts + 1] = CHART:format(name, text, file)
   end

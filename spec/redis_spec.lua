@@ -1,35 +1,19 @@
 -- A fleet in Redis: the real server, started here on loopback and stopped again.
---
--- RFSM_EVENTS=100000 makes the storm longer.
 
 local servers = require "spec.support.redis"
 
-if servers.missing() then
-  describe("a fleet", function()
-    it("runs in Redis", function() pending(servers.missing()) end)
-  end)
-  return
-end
+if servers.lacks(servers.missing(), "a fleet") then return end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
 local redis = require "rfsm.redis"
 
-local EVENTS = tonumber(os.getenv("RFSM_EVENTS")) or 2000
+local EVENTS = servers.EVENTS or 2000
 
 teardown(servers.stop_all)
 after_each(helper.remove_files)
 
--- even --e_tick--> odd --e_tick--> even, counted
-local COUNTER = [[
-return rfsm.state {
-  keep = { "count" }, count = 0, even = rfsm.state {}, odd = rfsm.state {},
-  rfsm.trans { src = "initial", tgt = "even" },
-  rfsm.trans { src = "even", tgt = "odd", events = { "e_tick" },
-    effect = function(fsm) fsm.count = fsm.count + 1 end },
-  rfsm.trans { src = "odd", tgt = "even", events = { "e_tick" },
-    effect = function(fsm) fsm.count = fsm.count + 1 end },
-}]]
+local COUNTER = servers.COUNTER
 
 -- off --e_on--> on --e_off or 50 ms--> off
 local LAMP = [[
@@ -226,19 +210,19 @@ describe("a fleet", function()
       looping:send(1, "e_fine"))
   end)
 
-  it("takes each event exactly once, from 100 clients at once", function()
+  it("takes each event exactly once, from many clients at once", function()
     local keys = {}
     for i = 1, 1000 do
       keys[i] = "c:{" .. i % 50 .. "}:" .. i
       assert(machines:create(keys[i], "counter"))
     end
-    local answered, errors = servers.storm(server.port, 100, EVENTS,
+    local answered, errors = servers.storm(server.port, 20, EVENTS,
       function(i) return keys[i * 7919 % 1000 + 1] end, "e_tick")
     assert.same({}, errors)
     local total = 0
     for i = 1, 1000 do
       local view = machines:get(keys[i])
-      local count = view.data.root.count
+      local count = view.data.root.n
       assert.equal(answered[keys[i]] or 0, count)
       assert.equal(count % 2 == 0 and "root.even" or "root.odd", view.leaf)
       total = total + count
@@ -248,38 +232,61 @@ describe("a fleet", function()
 end)
 
 describe("a new version of a chart", function()
-  local function tick(by, more)
-    return (COUNTER:gsub("count %+ 1", "count + " .. by):gsub("odd = ", (more or "")
-      .. "odd = "))
-  end
-
   it("takes machines at their next event if it can, or leaves them", function()
     local server = servers.start()
-    local old = "c=" .. helper.file_with(tick(1))
+    local function counter(...)
+      return "c=" .. helper.file_with(servers.counter(...))
+    end
+    local old = counter(1)
     local machines = load_charts(server:url(), old)
     machines:create(1, "c")
     -- a state more, and no migration: machines of the old version stay
-    machines = load_charts(server:url(), old, "c=" .. helper.file_with(
-      tick(10, "third = rfsm.state {}, ")))
+    machines = load_charts(server:url(), old, counter(10, "third = rfsm.state {}, "))
     machines:send(1, "e_tick")
     machines:create(2, "c")
     machines:send(2, "e_tick")
-    assert.same({ 1, 10 }, { machines:get(1).data.root.count,
-      machines:get(2).data.root.count })
+    assert.same({ 1, 10 }, { machines:get(1).data.root.n,
+      machines:get(2).data.root.n })
     -- with a function they move
-    machines = load_charts(server:url(), old, "c=" .. helper.file_with(
-      tick(100, "third = rfsm.state {}, migrate = function(snap) "
-        .. "snap.leaf = 'root.even' end, ")))
+    machines = load_charts(server:url(), old, counter(100, "third = rfsm.state {}, "
+      .. "migrate = function(snap) snap.leaf = 'root.even' end, "))
     machines:send(1, "e_tick")
-    assert.same({ 101, "root.odd" }, { machines:get(1).data.root.count,
+    assert.same({ 101, "root.odd" }, { machines:get(1).data.root.n,
       machines:get(1).leaf })
     -- of an unknown version there is nothing to run
-    machines = load_charts(server:url(), "c=" .. helper.file_with(
-      tick(1, "fourth = rfsm.state {}, ")))
+    machines = load_charts(server:url(), counter(1, "fourth = rfsm.state {}, "))
     assert.matches("^ERR rfsm_send: the machine at .*: rfsm.snapshot: the snapshot is "
       .. "of another chart: ", select(2, machines:send(1, "e_tick")))
   end)
 end)
+
+describe("rfsm redis", function()
+  local function run(arguments)
+    return servers.output_of("tools/rfsm-redis " .. arguments)
+  end
+
+  it("writes a library, and loads it", function()
+    local server = servers.start()
+    local chart, library = helper.file_with(COUNTER), helper.file_with("")
+    assert.equal("", run(("c=%s -o %s --load %s"):format(chart, library, server:url())))
+    assert.matches("^#!lua name=rfsm\n", helper.content(library))
+    assert.equal("root.even\ndone\n", server:cli("FCALL rfsm_create 1 x c"))
+  end)
+
+  it("reports a chart with a mistake, and loads nothing", function()
+    local chart = helper.file_with("return rfsm.state { a = rfsm.state {},\n"
+      .. "rfsm.trans { src = 'a', tgt = 'b' } }")
+    assert.matches("^rfsm redis: " .. chart .. ":%d: root.trans%[1%].*: tgt 'b': no "
+      .. "state or connector is named 'b' in 'root'[^\n]*\n$", run(chart))
+    assert.equal("rfsm redis: cannot open /nowhere.lua: No such file or directory\n",
+      run("/nowhere.lua"))
+    assert.equal("rfsm redis: rfsm.fleet: cannot connect to 127.0.0.1:1: "
+      .. "connection refused\n",
+      run(helper.file_with(COUNTER) .. " --load redis://127.0.0.1:1"))
+  end)
+end)
+
+if not servers.HAS_STORMS then return end
 
 describe("a server that is killed", function()
   it("has lost no acknowledged event when it is back", function()
@@ -297,7 +304,7 @@ describe("a server that is killed", function()
     machines = fleet.connect(server:url())
     local lost = 0
     for key, count in pairs(answered) do
-      local now = machines:get(key).data.root.count
+      local now = machines:get(key).data.root.n
       if now < count then lost = lost + count - now end
       assert.is_true(now <= sent[key])
     end
@@ -371,7 +378,7 @@ describe("a cluster of three nodes", function()
       for i = 41, 60 do assert(machines:send(i, event)) end
     end
     mover:close()
-    for i = 1, 40 do assert.equal(6, machines:get(i).data.root.count) end
+    for i = 1, 40 do assert.equal(6, machines:get(i).data.root.n) end
     for i = 41, 60 do assert.equal("root.off", machines:get(i).leaf) end
     local owner = math.floor(slot / 5462) % 3 + 2
     assert.matches("^%d", nodes[(owner - 1) % 3 + 1]:cli(
@@ -379,39 +386,14 @@ describe("a cluster of three nodes", function()
   end)
 end)
 
-describe("rfsm redis", function()
-  local function run(arguments)
-    local pipe = io.popen("tools/rfsm-redis " .. arguments .. " 2>&1")
-    local output = pipe:read("*a")
-    pipe:close()
-    return output
+describe("the warehouse", function()
+  -- Runs it on a server of its own; returns what it prints.
+  local function fleet_of(arguments)
+    return servers.output_of("LUA_INIT= examples/warehouse/fleet.sh " .. arguments)
   end
 
-  it("writes a library, and loads it", function()
-    local server = servers.start()
-    local chart, library = helper.file_with(COUNTER), helper.file_with("")
-    assert.equal("", run(("c=%s -o %s --load %s"):format(chart, library, server:url())))
-    assert.matches("^#!lua name=rfsm\n", helper.content(library))
-    assert.equal("root.even\ndone\n", server:cli("FCALL rfsm_create 1 x c"))
-  end)
-
-  it("reports a chart with a mistake, and loads nothing", function()
-    local chart = helper.file_with("return rfsm.state { a = rfsm.state {},\n"
-      .. "rfsm.trans { src = 'a', tgt = 'b' } }")
-    assert.matches("^rfsm redis: " .. chart .. ":%d: root.trans%[1%].*: tgt 'b': no "
-      .. "state or connector is named 'b' in 'root'[^\n]*\n$", run(chart))
-    assert.equal("rfsm redis: cannot open /nowhere.lua: No such file or directory\n",
-      run("/nowhere.lua"))
-    assert.equal("rfsm redis: rfsm.fleet: cannot connect to 127.0.0.1:1: "
-      .. "connection refused\n",
-      run(helper.file_with(COUNTER) .. " --load redis://127.0.0.1:1"))
-  end)
-end)
-
-describe("the warehouse", function()
   it("takes a new version of its orders while it works", function()
-    local output = servers.beside("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
-      .. "examples/warehouse/fleet.sh lua5.1 40 upgrade")()
+    local output = fleet_of "lua5.1 40 upgrade"
     assert.matches("\nin root.packing: moves to root.wrapping\n", output)
     assert.matches("\nin root.received: moves to root.received\n"
       .. "  timer e_after%(3%)@root.received is dropped\n", output)
@@ -421,10 +403,7 @@ describe("the warehouse", function()
   end)
 
   it("ships what is paid for, in one command", function()
-    local pipe = io.popen("LUA_INIT= PORT=$((20000 + $$ % 20000)) "
-      .. "examples/warehouse/fleet.sh lua5.3 8 2>&1")
-    local output = pipe:read("*a")
-    pipe:close()
+    local output = fleet_of "lua5.3 8"
     assert.matches("order:{%d}:1 +pick nuts %-> e_picked\n", output)
     assert.matches("\n6 shipped, 2 cancelled\n$", output)
   end)

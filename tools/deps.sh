@@ -54,6 +54,7 @@ missing_for_test() { # missing_for_test LUA ...
   has_module lua5.1 readline || echo lua-readline
   has_module lua5.1 MessagePack || echo lua-messagepack
   has_module lua5.1 redis || echo lua-redis
+  has_module lua5.1 luasql.postgres || echo lua-sql-postgres
   command -v redis-server >/dev/null 2>&1 || echo redis-server
   command -v dot >/dev/null 2>&1 || echo graphviz
   command -v tmux >/dev/null 2>&1 || echo tmux

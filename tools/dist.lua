@@ -6,7 +6,7 @@
 
 package.path = "./?.lua;./compat/?.lua;" .. package.path
 
-local bundle = require "rfsm.redis.bundle"
+local bundle = require "rfsm.server.bundle"
 
 local HEAD = [[
 -- %s in one file: %s.

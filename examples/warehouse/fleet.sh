@@ -5,12 +5,22 @@
 set -eu
 cd "$(dirname "$0")/../.."
 
-port=${PORT:-7379}
+port=7379
 folder=$(mktemp -d)
-trap 'redis-cli -p "$port" SHUTDOWN NOSAVE >/dev/null 2>&1 || true; rm -rf "$folder"' EXIT
+trap 'kill "$(cat "$folder/pid")" || true; rm -rf "$folder"' EXIT
 
-redis-server --port "$port" --bind 127.0.0.1 --dir "$folder" --save "" \
-  --daemonize yes --logfile "$folder/log" >/dev/null
-until redis-cli -p "$port" PING >/dev/null 2>&1; do sleep 0.1; done
+# Waits until it answers; fails if its port is another's.
+start() {
+  redis-server --port "$port" --bind 127.0.0.1 --dir "$folder" --save "" \
+    --daemonize yes --logfile "$folder/log" --pidfile "$folder/pid" >/dev/null
+  until grep -q "Ready to accept" "$folder/log" 2>/dev/null; do
+    ! grep -qs "Address already in use" "$folder/log" || return 1
+    sleep 0.05
+  done
+}
+until start; do
+  port=$((port + 1))
+  rm "$folder/log"
+done
 
 "$1" "examples/warehouse/${3:-run}.lua" "redis://127.0.0.1:$port" "${2:-12}"

@@ -126,11 +126,33 @@ function common.number_of(parser, name, text)
   return number
 end
 
--- Adds what libraries that apply each event once know of ids.
-function common.add_ids(command)
+-- Libraries of charts ---------------------------------------------------------
+
+common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives another "
+  .. "one. Of charts with one name the last is the newest."
+
+-- Adds the charts of a library, and how long it knows ids of events.
+function common.add_charts(command)
+  command:argument("files", "Lua files that return a chart"):args("*")
+    :argname("[NAME=]FILE")
   command:option("--ids", "keep so many ids of events of each machine, default 16; "
     .. "with --ids-for 1000"):argname("N")
   command:option("--ids-for", "keep ids of events for so many seconds"):argname("S")
+end
+
+-- Returns the text of a library, bundle(files, settings), or ends the program with
+-- what is wrong with a chart, in one line.
+function common.library_of(bundle, options, parser, settings)
+  if not options.files[1] then parser:error("a chart expected") end
+  settings.ids = common.number_of(parser, "ids", options.ids)
+  settings.ids_for = common.number_of(parser, "ids-for", options.ids_for)
+  local ok, text, warnings = common.with_streams(io.stderr, bundle, options.files,
+    settings)
+  if not ok then common.fail(chart.first_line(text)) end
+  for _, line in ipairs(warnings) do
+    io.stderr:write("rfsm ", common.command, ": ", line, "\n")
+  end
+  return text
 end
 
 -- Results out -----------------------------------------------------------------

@@ -3,31 +3,32 @@
 -- @module rfsm.cli.postgres
 -- @license BSD-3-Clause
 
-local chart = require "rfsm.shared.chart"
 local common = require "rfsm.cli.common"
 
 local postgres = {
   summary = "Bundle charts as SQL: tables and functions for PostgreSQL.",
-  epilog = "The name of a chart is that of its file; NAME=FILE gives another one. Of "
-    .. "charts with one name the last is the newest.",
+  epilog = common.CHART_NAMES,
 }
 
 function postgres.add_arguments(command)
-  command:argument("files", "Lua files that return a chart"):args("+")
-    :argname("[NAME=]FILE")
+  common.add_charts(command)
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
+  command:flag("--client", "only tables, for rfsm.postgres, which runs charts where "
+    .. "PL/Lua is missing")
   command:flag("--history", "keep the moves of each machine in a table")
   command:flag("--notify", "report moves to those who LISTEN")
-  common.add_ids(command)
 end
 
 function postgres.run(options, parser)
-  local ok, text, warnings = common.with_streams(io.stderr,
-    require("rfsm.postgres.bundle").sql, options.files, { history = options.history,
-      notify = options.notify, ids = common.number_of(parser, "ids", options.ids),
-      ids_for = common.number_of(parser, "ids-for", options.ids_for) })
-  if not ok then common.fail(chart.first_line(text)) end
-  for _, line in ipairs(warnings) do io.stderr:write("rfsm postgres: ", line, "\n") end
+  local bundle, text = require "rfsm.postgres.bundle", nil
+  local settings = { history = options.history, notify = options.notify }
+  if not options.client then
+    text = common.library_of(bundle.sql, options, parser, settings)
+  elseif options.files[1] or options.ids or options.ids_for then
+    parser:error("--client: no charts and no ids expected, the client has them")
+  else
+    text = bundle.tables(settings)
+  end
   common.write(options.output, text)
 end
 

@@ -8,18 +8,15 @@ local common = require "rfsm.cli.common"
 
 local redis = {
   summary = "Bundle charts as a library of Redis functions.",
-  epilog = "The name of a chart is that of its file; NAME=FILE gives another one. Of "
-    .. "charts with one name the last is the newest.",
+  epilog = common.CHART_NAMES,
 }
 
 function redis.add_arguments(command)
-  command:argument("files", "Lua files that return a chart"):args("*")
-    :argname("[NAME=]FILE")
+  common.add_charts(command)
   command:option("-o --output", "file to write; - is stdout"):argname("FILE")
   command:option("-l --load", "load the library into this server"):argname("URL")
   command:flag("--index", "machines can be found by their state")
   command:option("--history", "keep so many moves of each machine"):argname("N")
-  common.add_ids(command)
   command:flag("--diff", "report what a new version means for machines in each state: "
     .. "of charts with one name, the last and the one before")
   command:option("--stats", "print the numbers of machines in this server, as "
@@ -53,15 +50,10 @@ function redis.run(options, parser)
     common.write("-", connect(options.stats):stats())
     return
   end
-  if not options.files[1] then parser:error("a chart expected") end
   if options.diff then return compare(options.files) and 0 or 1 end
-  local ok, text, warnings = common.with_streams(io.stderr,
-    require("rfsm.redis").bundle, options.files, { index = options.index,
-      history = common.number_of(parser, "history", options.history),
-      ids = common.number_of(parser, "ids", options.ids),
-      ids_for = common.number_of(parser, "ids-for", options.ids_for) })
-  if not ok then common.fail(chart.first_line(text)) end
-  for _, line in ipairs(warnings) do io.stderr:write("rfsm redis: ", line, "\n") end
+  local text = common.library_of(require("rfsm.redis").bundle, options, parser,
+    { index = options.index,
+      history = common.number_of(parser, "history", options.history) })
   if options.load then common.try(connect(options.load):load(text)) end
   if options.output or not options.load then
     common.write(options.output or "-", text)

@@ -1,16 +1,15 @@
 --- Bundles charts with the core as a schema of PostgreSQL, with functions in PL/Lua.
 --
--- The command `rfsm postgres CHART...` calls it. The functions are those that run in
--- Redis; `rfsm.postgres.host` stands for Redis.
+-- The command `rfsm postgres` calls it. The functions are those that run in Redis;
+-- `rfsm.postgres.host` stands for Redis.
 --
 -- @module rfsm.postgres.bundle
 -- @license BSD-3-Clause
 
-local add_module = require("rfsm.redis.bundle").add
+local add_module = require("rfsm.server.bundle").add
 local redis = require "rfsm.redis"
 local schema = require "rfsm.postgres.schema"
 
-local error, ipairs, pcall = error, ipairs, pcall
 local concat = table.concat
 
 local bundle = {}
@@ -21,8 +20,10 @@ local bundle = {}
 local HEAD = [[
 local bundled = {}
 %s
-local host = bundled["rfsm.postgres.host"]()(spi, pgtype, "$ID")
+local host, answer = bundled["rfsm.postgres.pllua"]()(bundled["rfsm.postgres.host"](),
+  spi, pgtype, "$ID")
 local redis, cjson, cmsgpack, pcall = host.redis, host.cjson, host.cmsgpack, lpcall
+self.answer = answer
 local function finish(handler, ok, ...)
   if ok then return ok, ... end
   return ok, handler((...))
@@ -35,7 +36,6 @@ for name in ([=[assert collectgarbage error getmetatable ipairs next pairs raweq
   load _VERSION]=]):gmatch("%%S+") do
   _G[name] = self[name]
 end
-self.answer = host.answer
 setmetatable(self, {
   __index = function(_, name)
     if _G[name] ~= nil then return _G[name] end
@@ -46,8 +46,6 @@ setmetatable(self, {
   end,
 })
 ]]
-
-local function in_postgres(text) return (text:gsub("in Redis", "in PostgreSQL")) end
 
 -- Returns a text that another library does not have, most likely.
 local function id_of(text)
@@ -67,32 +65,52 @@ end
 ---@class rfsm.postgres.Options
 ---@field history? boolean a trigger notes each move in rfsm.history
 ---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
----@field ids? integer as in `rfsm.redis.Options`
+---@field ids? integer as in `rfsm.server.Options`
 ---@field ids_for? integer likewise
 
---- Return SQL that makes the schema `rfsm`, or gives it other charts.
+--- Return the library that runs at a table of PostgreSQL.
 -- @raise if a chart has a problem, in one line
 ---@param arguments string[] see `rfsm.redis.name_of`; a later one of a name is newer
+---@param options rfsm.postgres.Options
+---@return string text of Lua
+---@return string[] warnings
+---@nodiscard
+function bundle.library(arguments, options)
+  local text, warnings = redis.bundle(arguments, { server = "PostgreSQL", history = 1,
+    ids = options.ids, ids_for = options.ids_for })
+  return text:gsub("^#[^\n]*", "", 1), warnings
+end
+
+local function schema_of(functions, options)
+  return concat { schema.HEAD, functions, schema.TRIGGERS,
+    options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
+    schema.FOOT }
+end
+
+--- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
+---@param options? rfsm.postgres.Options
+---@return string text
+---@nodiscard
+function bundle.tables(options) return schema_of("", options or {}) end
+
+--- Return SQL that makes the schema `rfsm`, or gives it other charts.
+-- @raise as `library`
+---@param arguments string[]
 ---@param options? rfsm.postgres.Options
 ---@return string text
 ---@return string[] warnings
 ---@nodiscard
 function bundle.sql(arguments, options)
   options = options or {}
-  local ok, library, warnings = pcall(redis.bundle, arguments, { history = 1,
-    ids = options.ids, ids_for = options.ids_for })
-  if not ok then error(in_postgres(library), 0) end
-  for i, text in ipairs(warnings) do warnings[i] = in_postgres(text) end
+  local library, warnings = bundle.library(arguments, options)
   local parts = {}
   add_module(parts, "rfsm.postgres.host")
-  local code = HEAD:format(concat(parts)) .. library:gsub("^#[^\n]*", "")
+  add_module(parts, "rfsm.postgres.pllua")
+  local code = HEAD:format(concat(parts)) .. library
   local id = id_of(code)
-  local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1),
-    ID = id }
-  local text = concat { schema.HEAD, "$CODE", schema.FUNCTIONS,
-    options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
-    schema.FOOT }
-  return (text:gsub("%$(%u+)", values)), warnings
+  local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id }
+  local functions = schema.FUNCTIONS:gsub("%$(%u+)", values)
+  return schema_of(functions, options), warnings
 end
 
 return bundle

@@ -1,95 +1,63 @@
---- What stands for Redis inside PostgreSQL: the functions of `rfsm.redis.functions` run
--- here as they are, on a row of rfsm.machines in place of a key.
+--- What stands for Redis at a table of PostgreSQL: `rfsm.server.functions` runs here as
+-- it is, on a row of rfsm.machines in place of a key.
 --
--- `rfsm.postgres.bundle` puts this text in front of a library of `rfsm.redis`. A call
--- collects what the function writes, then one statement saves the row. An error of the
--- function is an error of SQL, so the transaction changes nothing.
+-- The functions run inside the server (`rfsm.postgres.pllua`), or in a client
+-- (`rfsm.postgres`). A call collects what the function writes, then one
+-- statement saves the row. An error changes nothing: the transaction ends with it.
 --
 -- @module rfsm.postgres.host
 -- @license BSD-3-Clause
 
-local ipairs, setmetatable, tonumber = ipairs, setmetatable, tonumber
-local tostring, type = tostring, type
+local ipairs, tostring, type = ipairs, tostring, type
 local floor = math.floor
 
 --- What a call has to do with one machine.
 ---@class rfsm.postgres.Row
 ---@field key string
 ---@field list any[]|nil the value of the machine
+---@field us number|nil the time in microseconds, if the row was read before the call
+---@field execute function|nil then also, in place of the server's
+---@field packed any[]|nil the new one, and the same as JSON
+---@field datum any
 ---@field is_new boolean
 ---@field is_changed boolean
 ---@field event string|nil by which the machine has moved
 ---@field emitted { what: string, data: any }[]
 ---@field errors string[] for the log
 
-local READ_ONLY = { rfsm_get = true, rfsm_why = true }
+--- What runs statements.
+---@class rfsm.postgres.Server
+---@field execute fun(name: string, ...: any): table[] the rows of a statement of `host`
+---@field json table `encode`, `decode`; `list_of`: a value of the column `value`
+---@field log fun(...: any)
+---@field warn fun(text: string)
+---@field refuse fun(text: string): any raises what is wrong with the call, or returns
+--- the reply of another library
 
--- Each statement by its name: text, types of arguments.
-local STATEMENTS = {
-  read = { "SELECT value FROM rfsm.machines WHERE key = $1", "text" },
-  lock = { "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE", "text" },
-  time = { "SELECT extract(epoch FROM clock_timestamp())::float8 * 1e6 AS us" },
-  insert = { [[INSERT INTO rfsm.machines
+local host = {}
+
+--- Functions that need no lock.
+host.READ_ONLY = { rfsm_get = true, rfsm_why = true }
+
+--- Statements by their name. Those that write return a row for each that they write.
+-- Some drivers give each parameter the type text.
+host.STATEMENTS = {
+  read = "SELECT value FROM rfsm.machines WHERE key = $1",
+  lock = "SELECT value FROM rfsm.machines WHERE key = $1 FOR UPDATE",
+  time = "SELECT extract(epoch FROM clock_timestamp())::float8 * 1e6 AS us",
+  insert = [[INSERT INTO rfsm.machines
     (key, chart, version, state, mode, event, due, data, value, since)
-    VALUES ($1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7), $8, $9,
-      clock_timestamp())
-    ON CONFLICT (key) DO NOTHING]],
-    "text", "text", "text", "text", "text", "text", "float8", "jsonb", "jsonb" },
-  update = { [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
-    event = coalesce($6, event), due = to_timestamp($7), data = $8, value = $9,
+    VALUES ($1, $2, $3, $4, $5, coalesce($6, ''), to_timestamp($7::text::float8),
+      $8::jsonb, $9::jsonb, clock_timestamp())
+    ON CONFLICT (key) DO NOTHING RETURNING key]],
+  update = [[UPDATE rfsm.machines SET chart = $2, version = $3, state = $4, mode = $5,
+    event = coalesce($6, event), due = to_timestamp($7::text::float8),
+    data = $8::jsonb, value = $9::jsonb,
     since = CASE WHEN state = $4 THEN since ELSE clock_timestamp() END
-    WHERE key = $1]],
-    "text", "text", "text", "text", "text", "text", "float8", "jsonb", "jsonb" },
-  emit = { "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3)",
-    "text", "text", "jsonb" },
-  newest = { "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library" },
-  call = { "SELECT rfsm.call($1, $2, $3, $4) AS reply", "text", "text", "text[]",
-    "text" },
-  log = { "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)", "text", "text" },
+    WHERE key = $1 RETURNING key]],
+  emit = "INSERT INTO rfsm.out (key, what, data) VALUES ($1, $2, $3::jsonb)",
+  log = "INSERT INTO rfsm.log (key, error) VALUES ($1, $2)",
 }
-
--- Returns a function that executes one of the statements.
-local function executor(spi)
-  local prepared = {}
-  return function(name, ...)
-    local statement = prepared[name]
-    if not statement then
-      local text, types = STATEMENTS[name][1], {}
-      for i = 2, #STATEMENTS[name] do types[i - 1] = STATEMENTS[name][i] end
-      statement = spi.prepare(text, types)
-      prepared[name] = statement
-    end
-    return statement:execute(...)
-  end
-end
-
--- JSON: values of the type jsonb ----------------------------------------------
-
-local function new_json(pgtype)
-  local set_as_unknown = require("pllua.jsonb").set_as_unknown
-  local PLAIN = { map = function(key, value)
-    if type(value) == "table" then set_as_unknown(value) end
-    return key, value
-  end }
-  local json = {}
-
-  -- Returns a table without metatables.
-  function json.to_table(datum)
-    local t = datum(PLAIN)
-    return type(t) == "table" and set_as_unknown(t) or t
-  end
-
-  function json.encode(value) return pgtype.jsonb(value) end
-
-  function json.decode(text) return json.to_table(pgtype.jsonb:fromstring(text)) end
-
-  return json
-end
-
--- A value is the list itself; its length is that of its JSON.
-local Value = {}
-
-function Value:__len() return #tostring(self.datum) end
 
 -- Commands of Redis -----------------------------------------------------------
 
@@ -103,29 +71,27 @@ end
 
 -- Returns the commands that a function calls; those that are not here have nothing to
 -- do, as columns and triggers of the table do it.
-local function new_commands(execute, json, row_of)
+local function new_commands(server, row_of)
   local commands = {}
 
   function commands.GET()
     local row = row_of()
-    if not row.list then
-      local found = execute(row.is_read and "read" or "lock", row.key)[1]
-      if not found then return false end
-      row.list = json.to_table(found.value)
+    if not (row.list or row.us) then
+      local found = server.execute(row.is_read and "read" or "lock", row.key)[1]
+      row.list = found and server.json.list_of(found.value)
     end
-    return setmetatable({ list = row.list }, Value)
+    return row.list ~= nil
   end
 
   function commands.EXISTS() return commands.GET() and 1 or 0 end
 
-  function commands.SET(_, value)
+  function commands.SET()
     local row = row_of()
-    row.is_new, row.is_changed = row.list == nil, true
-    row.list, row.datum = value.list, value.datum
+    row.is_new, row.is_changed, row.list = row.list == nil, true, row.packed
   end
 
   function commands.TIME()
-    local us = execute("time")[1].us
+    local us = row_of().us or server.execute("time")[1].us
     local sec = floor(us / 1e6)
     return { ("%.0f"):format(sec), ("%.0f"):format(us - sec * 1e6) }
   end
@@ -155,77 +121,67 @@ local function in_sql(text)
     :gsub("^ERR ", ""))
 end
 
--- Writes a row; `view` is what rfsm_get shows of it.
-local function save(spi, execute, row, view)
-  local fields = {}
+-- Writes a row; `view` is what rfsm_get shows of it. Returns false if a new one is
+-- there already.
+local function save(server, row, view)
+  local execute, fields = row.execute or server.execute, {}
   for i = 1, #view, 2 do fields[view[i]] = view[i + 1] end
-  local count = execute(row.is_new and "insert" or "update", row.key, fields.chart,
-    fields.version, fields.leaf, fields.mode, row.event, tonumber(fields.due),
-    fields.data, row.datum)
-  if count ~= 1 then
-    spi.error("raise_exception", "rfsm.create: something is at '" .. row.key .. "'")
-  end
+  local written = execute(row.is_new and "insert" or "update", row.key, fields.chart,
+    fields.version, fields.leaf, fields.mode, row.event,
+    fields.due ~= "" and fields.due or nil, fields.data, row.datum)
+  if not written[1] then return false end
   for _, entry in ipairs(row.emitted) do
     execute("emit", row.key, entry.what, entry.data ~= "" and entry.data or nil)
   end
   for _, text in ipairs(row.errors) do
     execute("log", row.key, text)
-    spi.warning(row.key .. ": " .. text)
+    server.warn(row.key .. ": " .. text)
   end
+  return true
 end
 
 --- Return what a library needs of Redis, and the function that calls it.
----@param spi table
----@param pgtype table
----@param id string of the library
----@return table host `redis`, `cjson`, `cmsgpack`, `answer(name, key, args, id)`
-return function(spi, pgtype, id)
-  local functions, row = {}, nil
-  local execute, json = executor(spi), new_json(pgtype)
-  local commands = new_commands(execute, json, function() return row end)
-  local host = { cjson = json }
+---@param server rfsm.postgres.Server
+---@return table globals `redis`, `cjson`, `cmsgpack`
+---@return function answer `answer(name, key, args, found)` calls a function for the
+--- machine at a key; `found` has what was read before, and `execute`
+function host.new(server)
+  local functions, row, json = {}, nil, server.json
+  local commands = new_commands(server, function() return row end)
+  local globals = { cjson = json }
 
-  host.redis = {
-    LOG_NOTICE = "log", log = spi.elog,
+  globals.redis = {
+    LOG_NOTICE = "log", log = server.log,
     register_function = function(f) functions[f.function_name] = f.callback end,
     call = function(name, ...) return commands[name] and commands[name](...) end,
     acl_check_cmd = function() return true end,
     error_reply = function(text) return { err = text } end,
   }
 
-  host.cmsgpack = {
+  globals.cmsgpack = {
     pack = function(list)
-      return setmetatable({ list = list, datum = json.encode(list) }, Value)
+      row.packed, row.datum = list, json.encode(list)
+      return tostring(row.datum)
     end,
-    unpack = function(value) return value.list end,
+    unpack = function() return row.list end,
   }
 
-  -- A call that began before another library was loaded may come to a machine that
-  -- has been there: then the new one answers.
-  local function fail(text, ...)
-    if execute("newest")[1].library ~= "library " .. id then
-      return execute("call", ...)[1].reply
-    end
-    spi.error("raise_exception", in_sql(text))
-  end
-
-  -- Calls a function of the library for the machine at a key; returns the reply as
-  -- texts.
-  function host.answer(name, key, list, event_id)
-    local own = { key = key, is_read = READ_ONLY[name], emitted = {}, errors = {} }
-    local args = list and list { null = "" } or {}
-    if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
+  return globals, function(name, key, args, found)
+    local own = { key = key, is_read = host.READ_ONLY[name], emitted = {}, errors = {},
+      list = found and found.list, us = found and found.us,
+      execute = found and found.execute }
     row = own
     local reply, view = functions[name]({ key }, args), nil
     if type(reply) == "table" and reply.err then
-      return fail(reply.err, name, key, list, event_id)
+      return server.refuse(in_sql(reply.err))
     end
     if own.is_changed then view = functions.rfsm_get({ key }, {}) end
     row = nil
-    if view then save(spi, execute, own, view) end
-    if not reply then return nil end
-    return type(reply) == "table" and reply or { tostring(reply) }
+    if view and not save(server, own, view) then
+      return server.refuse("rfsm.create: something is at '" .. key .. "'")
+    end
+    return reply
   end
-
-  return host
 end
+
+return host

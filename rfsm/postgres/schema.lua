@@ -1,7 +1,7 @@
 --- The schema `rfsm`: tables, and functions in SQL around the one in PL/Lua.
 --
--- What is there already stays; functions are replaced. $TAG and $ID are texts that
--- `rfsm.postgres.bundle` puts in.
+-- What is there already stays; functions are replaced. $TAG, $CODE and $ID are texts
+-- that `rfsm.postgres.bundle` puts in.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -12,7 +12,6 @@ schema.HEAD = [[
 -- Made by: rfsm postgres. All of it, or nothing: one transaction.
 BEGIN;
 SET LOCAL client_min_messages = warning;
-CREATE EXTENSION IF NOT EXISTS pllua;
 CREATE SCHEMA IF NOT EXISTS rfsm;
 
 CREATE TABLE IF NOT EXISTS rfsm.machines (
@@ -48,14 +47,23 @@ CREATE TABLE IF NOT EXISTS rfsm.log (
 );
 CREATE INDEX IF NOT EXISTS log_key ON rfsm.log (key, id);
 
+-- Is a state another one, or in it?
+CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
+  RETURNS boolean LANGUAGE sql IMMUTABLE AS $$
+  SELECT state = other OR starts_with(state, other || '.')
+$$;
+]]
+
+schema.FUNCTIONS = [[
+
+CREATE EXTENSION IF NOT EXISTS pllua;
+
 CREATE OR REPLACE FUNCTION rfsm.call(name text, key text, args text[], id text)
   RETURNS text[] LANGUAGE pllua AS $TAG
   return self.answer(name, key, args, id)
 end
 do
-]]
-
-schema.FUNCTIONS = [[$TAG;
+$CODE$TAG;
 COMMENT ON FUNCTION rfsm.call IS 'library $ID';
 
 CREATE OR REPLACE FUNCTION rfsm.create(key text, chart text, data jsonb DEFAULT '{}',
@@ -94,12 +102,6 @@ CREATE OR REPLACE FUNCTION rfsm.why(key text, event text)
   SELECT unnest(rfsm.call('rfsm_why', key, ARRAY[event], NULL))
 $$;
 
--- Is a state another one, or in it?
-CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
-  RETURNS boolean LANGUAGE sql IMMUTABLE AS $$
-  SELECT state = other OR starts_with(state, other || '.')
-$$;
-
 -- Runs machines that are due and that no other worker has; returns how many. One that
 -- cannot run waits for a minute, and the log has the reason.
 CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
@@ -134,6 +136,9 @@ BEGIN
     COMMIT;
   END LOOP;
 END $$;
+]]
+
+schema.TRIGGERS = [[
 
 DROP TRIGGER IF EXISTS note_new ON rfsm.machines;
 DROP TRIGGER IF EXISTS note_move ON rfsm.machines;

@@ -2,17 +2,11 @@
 -- socket there.
 
 local helper = require "spec.helper"
+local servers = require "spec.support.servers"
 
-local servers = {}
+local output_of = servers.output_of
 
-local running = {} -- what is to be stopped
-
-local function output_of(command)
-  local pipe = assert(io.popen(command .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return output
-end
+local postgres = setmetatable({}, { __index = servers })
 
 -- The programs of the newest server for which PL/Lua is there; "" if there is none.
 local BIN = output_of([[
@@ -27,7 +21,7 @@ local BIN = output_of([[
 local AS_USER = output_of("id -u") == "0\n" and "runuser -u postgres -- " or ""
 
 --- Returns what a spec needs and this machine lacks, as a reason; nil if it is there.
-function servers.missing()
+function postgres.missing()
   return BIN == "" and "postgresql-15-pllua is missing" or nil
 end
 
@@ -37,7 +31,16 @@ end
 local Server = {}
 Server.__index = Server
 
+local function init(folder)
+  if AS_USER ~= "" then output_of("chown postgres " .. folder) end
+  output_of("chmod 755 " .. folder)
+  output_of(("cd / && %s%s/initdb -D %s/data -N -A trust -U postgres -E UTF8 "
+    .. "--locale=C.UTF-8"):format(AS_USER, BIN, folder))
+end
+
 function Server:launch()
+  if not self.is_there then init(self.folder) end
+  self.is_there = true
   local command = ("cd / && %s%s/pg_ctl -D %s/data -w -l %s/log -o \"-k %s -c "
     .. "listen_addresses='' %s\" start"):format(AS_USER, BIN, self.folder, self.folder,
     self.folder, self.options)
@@ -61,20 +64,10 @@ function Server:command(program, arguments)
     BIN, program, arguments)
 end
 
--- Runs a script of the shell at the same time; returns a function that waits for its
--- end, and returns the output.
-local function beside(script)
-  local pipe = assert(io.popen(script .. " 2>&1"))
-  return function()
-    local output = pipe:read("*a")
-    pipe:close()
-    return output
-  end
-end
-
---- Runs SQL at the same time, likewise.
+--- Runs SQL at the same time; returns a function that waits for its end, and returns
+-- the output.
 function Server:beside(text)
-  return beside(self:command("psql", "-XAqt -f " .. helper.file_with(text)))
+  return servers.beside(self:command("psql", "-XAqt -f " .. helper.file_with(text)))
 end
 
 --- Sends statements, a list for each client, at the same time. A client that loses its
@@ -84,7 +77,7 @@ function Server:storm(lists)
   local ends = {}
   for i, lines in ipairs(lists) do
     local file = helper.file_with(table.concat(lines, "\n") .. "\n")
-    ends[i] = beside(([[
+    ends[i] = servers.beside(([[
       n=0 tries=0
       while [ $n -lt %d ] && [ -e %s ]; do
         [ $tries -lt 2000 ] || { echo gave up; break; }
@@ -118,25 +111,8 @@ function Server:sql(text)
 end
 
 --- Starts a server with these options of the command line.
-function servers.start(options)
-  local folder = output_of("mktemp -d"):match("%S+")
-  local server = setmetatable({ folder = folder, options = options or "" }, Server)
-  running[#running + 1] = server
-  if AS_USER ~= "" then output_of("chown postgres " .. folder) end
-  output_of("chmod 755 " .. folder)
-  output_of(("cd / && %s%s/initdb -D %s/data -N -A trust -U postgres -E UTF8 "
-    .. "--locale=C.UTF-8"):format(AS_USER, BIN, folder))
-  server:launch()
-  return server
+function postgres.start(options)
+  return servers.start(Server, { options = options or "" })
 end
 
---- Stops all servers, and removes what they wrote.
-function servers.stop_all()
-  for i = #running, 1, -1 do
-    running[i]:kill()
-    output_of("rm -rf " .. running[i].folder)
-    running[i] = nil
-  end
-end
-
-return servers
+return postgres

@@ -1,23 +1,17 @@
 -- Real Redis servers for the specs, on loopback, and many clients at once.
 
 local helper = require "spec.helper"
+local servers = require "spec.support.servers"
 
 local has_socket, socket = pcall(require, "socket")
 
-local servers = {}
+local output_of = servers.output_of
 
-local running = {} -- what is to be stopped
-
-local function output_of(command)
-  local pipe = assert(io.popen(command .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return output
-end
+local redis = setmetatable({}, { __index = servers })
 
 --- Returns what a spec needs and this machine or Lua lacks, as a reason; nil if it is
 -- all there.
-function servers.missing()
+function redis.missing()
   for _, name in ipairs { "socket", "redis", "dkjson" } do
     if not helper.package(name) then
       return ("the module %s is missing for %s"):format(name, _VERSION)
@@ -27,7 +21,7 @@ function servers.missing()
 end
 
 --- Is the module there that connections need?
-servers.has_socket = has_socket
+redis.has_socket = has_socket
 
 local function free_port()
   local listener = assert(socket.bind("127.0.0.1", 0))
@@ -76,34 +70,9 @@ function Server:cli(arguments)
   return output_of(("redis-cli -p %d %s"):format(self.port, arguments))
 end
 
---- Runs a script of the shell at the same time; returns a function that waits for its
--- end, and returns the output.
-function servers.beside(script)
-  local pipe = assert(io.popen(script .. " 2>&1"))
-  return function()
-    local output = pipe:read("*a")
-    pipe:close()
-    return output
-  end
-end
-
 --- Starts a server with these options of the command line.
-function servers.start(options)
-  local folder = output_of("mktemp -d"):match("%S+")
-  local server = setmetatable({ port = free_port(), folder = folder,
-    options = options or "" }, Server)
-  running[#running + 1] = server
-  server:launch()
-  return server
-end
-
---- Stops all servers, and removes what they wrote.
-function servers.stop_all()
-  for i = #running, 1, -1 do
-    running[i]:kill()
-    output_of("rm -rf " .. running[i].folder)
-    running[i] = nil
-  end
+function redis.start(options)
+  return servers.start(Server, { port = free_port(), options = options or "" })
 end
 
 -- Many clients ---------------------------------------------------------------------
@@ -134,7 +103,7 @@ end
 -- `next_key(i)` names the machine of call number i. Returns how many calls were
 -- answered, by key; the errors; and how many were sent, by key. `each(i)` is called
 -- after call number i. It ends when all are answered, or the server is gone.
-function servers.storm(port, clients, calls, next_key, event, each)
+function redis.storm(port, clients, calls, next_key, event, each)
   local sockets, key_of, answered, sent, errors = {}, {}, {}, {}, {}
   local made = 0
   local function send(client)
@@ -173,4 +142,4 @@ function servers.storm(port, clients, calls, next_key, event, each)
   return answered, errors, sent
 end
 
-return servers
+return redis

@@ -1,7 +1,7 @@
 -- The short way in and out of machines in Redis writes what the long way writes, in the
 -- same order, for random charts and calls. Redis is a table here.
 
-local host = require "spec.support.redis_host"
+local host = require "spec.support.server_host"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -48,10 +48,10 @@ end
 
 -- Makes the library anew, with the short way or without, and makes random calls.
 local function run_library(seed, is_short)
-  package.loaded["rfsm.redis.functions"] = nil
+  package.loaded["rfsm.server.functions"] = nil
   snapshot.put = is_short and put or put_the_long_way
   local random, trace, clock = new_random(seed * 31), {}, { now = 1000 }
-  local functions = require "rfsm.redis.functions" (host.new(trace, clock),
+  local functions = require "rfsm.server.functions" (host.new(trace, clock),
     { { name = "c", make = function() return new_model(seed) end } })
   for i = 1, 30 do
     local key = "m" .. random:below(2)
@@ -73,7 +73,7 @@ local function run_library(seed, is_short)
 end
 
 return { name = "the short way in Redis", run = function(n, seed)
-  local loaded = package.loaded["rfsm.redis.functions"]
+  local loaded = package.loaded["rfsm.server.functions"]
   local problem = nil
   for i = 1, n do
     local with, without = run_library(seed * 1009 + i, true),
@@ -86,7 +86,7 @@ return { name = "the short way in Redis", run = function(n, seed)
     end
     if problem then break end
   end
-  package.loaded["rfsm.redis.functions"], snapshot.put = loaded, put
+  package.loaded["rfsm.server.functions"], snapshot.put = loaded, put
   require("rfsm_timeevent").set_gettime_hook(nil)
   return n, problem
 end }

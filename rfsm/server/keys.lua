@@ -1,7 +1,7 @@
 --- The keys of machines in Redis, and of what belongs to them: all those of a hash tag
 -- are in one slot of a cluster.
 --
--- @module rfsm.redis.keys
+-- @module rfsm.server.keys
 -- @license BSD-3-Clause
 
 local plain = require "rfsm.snapshot.plain"

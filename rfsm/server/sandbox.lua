@@ -1,10 +1,10 @@
---- What of a chart cannot run in Redis, found while it is bundled: globals that the
+--- What of a chart cannot run in a server, found while it is bundled: globals that the
 -- sandbox lacks, modules that are not plain Lua, loops without an end.
 --
 -- A chart is loaded with the globals of the sandbox. Its callbacks do not run, so their
 -- text is searched for the libraries that are missing.
 --
--- @module rfsm.redis.sandbox
+-- @module rfsm.server.sandbox
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -73,7 +73,11 @@ for name in ([[assert collectgarbage error getfenv getmetatable ipairs load load
   HERE[name] = true
 end
 
-local MISSING = { "os", "io", "debug", "package", "dofile", "loadfile" }
+local MISSING = {
+  Redis = { "os", "io", "debug", "package", "dofile", "loadfile" },
+  PostgreSQL = { "os", "io", "debug", "package", "dofile", "loadfile", "bit", "struct",
+    "unpack", "loadstring", "setfenv", "getfenv" },
+}
 
 -- Is a name a field, or the key in a table, and no global?
 local function is_key(code, from, behind)
@@ -82,9 +86,9 @@ local function is_key(code, from, behind)
 end
 
 -- Returns the first use of something that is missing, and its name.
-local function find_missing(code)
+local function find_missing(code, server)
   local first, found = nil, nil
-  for _, name in ipairs(MISSING) do
+  for _, name in ipairs(MISSING[server]) do
     local is_own = code:find("local[%w_, ]-%f[%w_]" .. name .. "%f[^%w_]")
     for from, behind in code:gmatch("%f[%w_]()" .. name .. "%f[^%w_]()") do
       local field, after = code:match("^%s*%.%s*([%w_]+)()", behind)
@@ -135,7 +139,7 @@ end
 -- Loading -----------------------------------------------------------------------------
 
 -- Returns the globals of the sandbox, as far as this Lua has them.
-local function new_globals()
+local function new_globals(server)
   local globals = {}
   for name in pairs(HERE) do globals[name] = rawget(_G, name) end -- any order: a set
   globals.rfsm, globals._G, globals.os = rfsm, globals, { clock = os.clock }
@@ -147,10 +151,10 @@ local function new_globals()
   end
   return setmetatable(globals, {
     __index = function(_, name)
-      error("global '" .. rfsm.text_of(name) .. "' does not exist in Redis", 2)
+      error("global '" .. rfsm.text_of(name) .. "' does not exist in " .. server, 2)
     end,
     __newindex = function(_, name)
-      error("global '" .. rfsm.text_of(name) .. "' cannot be set in Redis", 2)
+      error("global '" .. rfsm.text_of(name) .. "' cannot be set in " .. server, 2)
     end,
   })
 end
@@ -163,23 +167,39 @@ local function load_with(text, name, globals)
   return load(text, name, "t", globals)
 end
 
---- Load the chart in a text as Redis will.
+--- Load the chart in a text as a server will.
 ---@param text string
 ---@param file string
+---@param server? string default "Redis"; or "PostgreSQL"
 ---@return rfsm.State? model nil if it cannot run there
 ---@return string? problem with file and line
-function sandbox.load(text, file)
-  local from, name = find_missing(sandbox.code_of(text))
+function sandbox.load(text, file, server)
+  server = server or "Redis"
+  local from, name = find_missing(sandbox.code_of(text), server)
   if from then
-    return nil, ("%s:%d: '%s' does not exist in Redis"):format(file,
-      line_at(text, from), name)
+    return nil, ("%s:%d: '%s' does not exist in %s"):format(file, line_at(text, from),
+      name, server)
   end
-  local f, problem = load_with(text, "@" .. file, new_globals())
+  local f, problem = load_with(text, "@" .. file, new_globals(server))
   if not f then return nil, problem end
   local ok, model = pcall(f, file)
   if not ok then return nil, rfsm.text_of(model) end
   if rfsm.is_state(model) then return model end
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
+end
+
+--- Run a library in this process.
+---@param text string
+---@param here table<string, any> globals in place of those of the server
+---@param server string its name, for messages
+function sandbox.run(text, here, server)
+  local globals = new_globals(server)
+  globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
+  rawset(globals, "jit", rawget(_G, "jit")) -- the core asks for it
+  for name, value in pairs(here) do globals[name] = value end -- any order: a copy
+  local f, problem = load_with(text, "=rfsm", globals)
+  if not f then error(problem, 0) end
+  f()
 end
 
 --- List the modules that a text requires by name, and the line of each.

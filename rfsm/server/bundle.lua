@@ -1,6 +1,6 @@
 --- Bundles: modules as functions in one text, for a sandbox without files.
 --
--- @module rfsm.redis.bundle
+-- @module rfsm.server.bundle
 -- @license BSD-3-Clause
 
 local io, package = io, package

@@ -1,11 +1,11 @@
 --- The simulator: steps through a chart by hand, with Lua at the prompt.
 --
--- The command `rfsm sim` calls `rfsm.sim.main`. Code typed at the prompt sees the
+-- The command `rfsm sim` calls it. Code typed at the prompt sees the
 -- machine as `fsm`, the commands that `help()` lists, and the globals of the chart,
 -- which it can also set. `rfsm.sim.session` advances the machine, `rfsm.sim.commands`
 -- has the commands, `rfsm.sim.prompt` reads and evaluates.
 --
--- @module rfsm.sim
+-- @module rfsm.sim.main
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"

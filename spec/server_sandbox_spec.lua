@@ -2,7 +2,7 @@
 
 local helper = require "spec.helper"
 local redis = require "rfsm.redis"
-local sandbox = require "rfsm.redis.sandbox"
+local sandbox = require "rfsm.server.sandbox"
 
 after_each(helper.remove_files)
 

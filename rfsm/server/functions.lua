@@ -10,14 +10,14 @@
 --
 -- The file reads in the order of a call: charts, arguments, load, run, save, functions.
 --
--- @module rfsm.redis.functions
+-- @module rfsm.server.functions
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
-local keys_of = require "rfsm.redis.keys"
+local keys_of = require "rfsm.server.keys"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -40,7 +40,7 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes, events of a machine
 local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 
 --- What the functions use of Redis.
----@class rfsm.redis.Host
+---@class rfsm.server.Host
 ---@field call function redis.call
 ---@field may function redis.acl_check_cmd
 ---@field error_reply function redis.error_reply
@@ -48,11 +48,12 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@field pack table cmsgpack
 
 --- What a library is made with.
----@class rfsm.redis.Options
+---@class rfsm.server.Options
 ---@field index? boolean machines are found by their state
 ---@field history? integer so many moves of each machine are kept
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
+---@field server? string for messages: "PostgreSQL", default "Redis"
 
 -- What the library was made with. One library runs in a server, so it is kept here.
 local host, charts, options
@@ -60,13 +61,13 @@ local host, charts, options
 -- Charts: one machine of each version, into which each call puts a snapshot --------
 
 --- One version of a chart.
----@class rfsm.redis.Chart
+---@class rfsm.server.Chart
 ---@field name string
 ---@field make fun(): rfsm.State
 ---@field fsm rfsm.Machine|nil made at the first call
 ---@field blank rfsm.snapshot.Snapshot of a new machine
 ---@field options rfsm.snapshot.Options how snapshots are put into it
----@field fields rfsm.redis.Fields as they were at first
+---@field fields rfsm.server.Fields as they were at first
 ---@field events table<string, any> what it knows, by text
 ---@field takes_all boolean a transition that any event triggers, or a predicate
 
@@ -119,11 +120,11 @@ end
 
 --- Fields of elements as they were at first, in lists side by side. Those that hold
 -- plain tables, which callbacks may change, are in lists of the same kind.
----@class rfsm.redis.Fields
+---@class rfsm.server.Fields
 ---@field objs table[]
 ---@field keys any[]
 ---@field values any[]
----@field tables rfsm.redis.Fields?
+---@field tables rfsm.server.Fields?
 
 local function new_fields(tables)
   return { objs = {}, keys = {}, values = {}, tables = tables }
@@ -266,9 +267,9 @@ local function now()
 end
 
 --- A machine that a call works on.
----@class rfsm.redis.Machine
+---@class rfsm.server.Machine
 ---@field key string
----@field chart rfsm.redis.Chart
+---@field chart rfsm.server.Chart
 ---@field fsm rfsm.Machine
 ---@field list any[] in the value of the key; the new one is made of it
 ---@field leaf string|false where it was
@@ -758,9 +759,9 @@ function functions.rfsm_history(keys, args)
 end
 
 --- Return the functions for Redis, by name, as it calls them.
----@param redis rfsm.redis.Host
+---@param redis rfsm.server.Host
 ---@param list { name: string, make: function }[] later ones of a name are newer
----@param settings? rfsm.redis.Options
+---@param settings? rfsm.server.Options
 ---@return table<string, fun(keys: string[], args: string[]): any>
 return function(redis, list, settings)
   local made = {}

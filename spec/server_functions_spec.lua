@@ -1,7 +1,7 @@
 -- The functions that run inside Redis, with tables in place of it: arguments, what is
 -- written, what is refused.
 
-local host_of = require "spec.support.redis_host"
+local host_of = require "spec.support.server_host"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
@@ -41,10 +41,10 @@ local clock, trace, f, host
 local function open(options)
   clock, trace = { now = 1000 }, {}
   host = host_of.new(trace, clock)
-  package.loaded["rfsm.redis.functions"] = nil
-  f = require "rfsm.redis.functions" (host, { { name = "c", make = chart },
+  package.loaded["rfsm.server.functions"] = nil
+  f = require "rfsm.server.functions" (host, { { name = "c", make = chart },
     { name = "any", make = any } }, options)
-  package.loaded["rfsm.redis.functions"] = nil
+  package.loaded["rfsm.server.functions"] = nil
   assert.same({ "root.a", "done" }, f.rfsm_create({ "m" }, { "c" }))
   for i = #trace, 1, -1 do trace[i] = nil end
 end
@@ -169,9 +169,9 @@ describe("a machine that cannot be entered", function()
       return state { a = state {}, trans { src = "initial", tgt = "a",
         guard = function() return false end } }
     end
-    package.loaded["rfsm.redis.functions"] = nil
-    f = require "rfsm.redis.functions" (host, { { name = "l", make = locked } })
-    package.loaded["rfsm.redis.functions"] = nil
+    package.loaded["rfsm.server.functions"] = nil
+    f = require "rfsm.server.functions" (host, { { name = "l", make = locked } })
+    package.loaded["rfsm.server.functions"] = nil
     local reply = f.rfsm_create({ "l" }, { "l", "ID", "1" })
     assert.same({ "", "inactive" }, { reply[1], reply[2] })
     assert.same({ "", "inactive" }, f.rfsm_create({ "l" }, { "l", "ID", "1" }))
@@ -529,9 +529,9 @@ describe("versions of a chart", function()
   local function library(...)
     local list = {}
     for i, make in ipairs { ... } do list[i] = { name = "v", make = make } end
-    package.loaded["rfsm.redis.functions"] = nil
-    f = require "rfsm.redis.functions" (host, list)
-    package.loaded["rfsm.redis.functions"] = nil
+    package.loaded["rfsm.server.functions"] = nil
+    f = require "rfsm.server.functions" (host, list)
+    package.loaded["rfsm.server.functions"] = nil
   end
 
   it("take the machines that they can take, the newest first", function()

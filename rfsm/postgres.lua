@@ -1,0 +1,324 @@
+--- A fleet of machines in PostgreSQL: the client, for servers without PL/Lua.
+--
+-- The functions that run in Redis, and inside PostgreSQL, run in this process, on the
+-- same tables: a call locks the row of its machine, runs it and saves it, in one
+-- transaction. So machines may be driven from here and from inside.
+--
+-- LuaSQL's connections are known. For another driver a function runs statements.
+--
+-- @module rfsm.postgres
+-- @license BSD-3-Clause
+
+local bundle = require "rfsm.postgres.bundle"
+local Base = require "rfsm.server.client"
+local host = require "rfsm.postgres.host"
+local json = require "rfsm.server.json"
+local opts = require "rfsm.shared.options"
+local rfsm = require "rfsm"
+local sandbox = require "rfsm.server.sandbox"
+local try = require("rfsm.shared.calls").try
+
+local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local setmetatable, tonumber, tostring = setmetatable, tonumber, tostring
+local type = type
+
+local postgres = {}
+
+-- Statements ----------------------------------------------------------------------
+
+-- Returns a statement that reads rows, then the time: a lock may have to be waited for.
+-- If no machine is found the row has only the time.
+local function reading(columns, rows)
+  return ([[SELECT %s, (extract(epoch FROM clock_timestamp()) * 1e6)::text AS us
+    FROM (SELECT 1) one LEFT JOIN (SELECT key, value FROM rfsm.machines %s) m ON true]])
+    :format(columns, rows)
+end
+
+local READ = reading("value::text", "WHERE key = $1")
+local LOCK = reading("value::text", "WHERE key = $1 FOR UPDATE")
+local DUE = reading("key, value::text", "WHERE due <= clock_timestamp() ORDER BY due "
+  .. "LIMIT %d FOR UPDATE SKIP LOCKED")
+local ASIDE = "UPDATE rfsm.machines SET due = clock_timestamp() + interval '1 minute' "
+  .. "WHERE key = $1"
+
+-- Charts --------------------------------------------------------------------------
+
+--- Charts that run in this process.
+---@class rfsm.postgres.Charts
+---@field answer function see `rfsm.postgres.host`
+
+local NUMBER = { "a whole number", opts.is_whole(1, 1e6), nil }
+local CHART_OPTIONS = { ids = NUMBER, ids_for = NUMBER }
+
+--- Load charts as `rfsm postgres` does, with the globals that they would have there.
+-- @raise if a chart has a problem, in one line
+---@param arguments string[] files, or NAME=FILE; a later one of a name is newer
+---@param options? rfsm.server.Options `ids`, `ids_for`
+---@return rfsm.postgres.Charts charts for any number of connections
+---@return string[] warnings
+function postgres.charts(arguments, options)
+  if type(arguments) ~= "table" or arguments[1] == nil then
+    error("rfsm.postgres.charts: list of files expected, " .. opts.got(arguments), 2)
+  end
+  local settings, problem = opts.read(CHART_OPTIONS, options or {})
+  if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
+  local text, warnings = bundle.library(arguments, settings)
+  local globals, answer = host.new {
+    json = json, log = function(_, line) print(line) end, warn = function() end,
+    refuse = function(reason) error(reason, 0) end,
+  }
+  sandbox.run(text, globals, "PostgreSQL")
+  return { answer = answer }, warnings
+end
+
+-- Connect -------------------------------------------------------------------------
+
+-- Returns the function of a connection of LuaSQL, which has no parameters.
+local function of_luasql(connection)
+  return function(sql, ...)
+    local values, is_text = { ... }, true
+    sql = sql:gsub("%$(%d+)", function(number)
+      local value = values[tonumber(number)]
+      if value == nil then return "NULL" end
+      value = tostring(value)
+      local text = not value:find("\0", 1, true) and connection:escape(value) or nil
+      is_text = is_text and text ~= nil
+      return text and "'" .. text .. "'"
+    end)
+    if not is_text then return nil, "a text is not valid in the server's encoding" end
+    local cursor, problem = connection:execute(sql)
+    if not cursor then return nil, problem end
+    local rows = {}
+    if type(cursor) == "number" then return rows end
+    for i = 1, cursor:numrows() do rows[i] = cursor:fetch({}, "a") end
+    cursor:close()
+    return rows
+  end
+end
+
+--- Runs a statement with parameters $1, $2 ..., each a text or nil.
+---@alias rfsm.postgres.Query fun(sql: string, ...: string?): table[]?, string?
+
+--- A connection to machines.
+---@class rfsm.postgres.Client : rfsm.server.Client
+---@field charts rfsm.postgres.Charts
+---@field open fun(): any, string?
+---@field query rfsm.postgres.Query|false false: not connected
+---@field options table
+---@field failure string|false what has failed in the transaction that runs
+---@field is_open boolean a transaction runs
+local Client = { where = "rfsm.postgres" }
+Client.__index = Client
+for name, f in pairs(Base) do Client[name] = f end -- any order: a copy
+
+-- Returns the text of an error in one line, without what drivers put in front.
+local function reason_of(problem)
+  local text = rfsm.text_of(problem)
+  return text:match("ERROR:%s+([^\n]*)") or text:match("[^\n]+") or text
+end
+
+-- Opens a connection if there is none.
+local function connect(self)
+  if self.query then return end
+  local made, problem = self.open()
+  if not made then error("cannot connect: " .. reason_of(problem), 0) end
+  self.query = type(made) == "function" and made or of_luasql(made)
+end
+
+-- Runs a statement.
+local function query(self, sql, ...)
+  local rows, problem = self.query(sql, ...)
+  if not rows then error(reason_of(problem), 0) end
+  return rows
+end
+
+local is_limit = opts.is_whole(1, 10000)
+
+local OPTIONS = {
+  patience = { "seconds", opts.is_seconds, 10 },
+  sleep = { "function", function(x) return type(x) == "function" end, nil },
+}
+
+--- Connect to a server that has the tables of `rfsm postgres --client`, or all.
+--
+-- @usage
+--    local charts = postgres.charts { "order.lua" }
+--    local orders = postgres.connect(charts, function()
+--      return require("luasql.postgres").postgres():connect("shop")
+--    end)
+--
+-- @raise if there is no server
+---@param charts rfsm.postgres.Charts
+---@param open fun(): any, string? returns a connection of LuaSQL, or a function
+--- `query(sql, ...)` for another driver; it is called again when the connection is lost
+---@param options? table `patience` while no server answers (10 s), `sleep(seconds)`, by
+--- default that of luasocket
+---@return rfsm.postgres.Client client
+function postgres.connect(charts, open, options)
+  local settings, problem = opts.read(OPTIONS, options or {})
+  if not settings then error("rfsm.postgres.connect: " .. problem, 2) end
+  if type(charts) ~= "table" or not charts.answer then
+    error("rfsm.postgres.connect: result of rfsm.postgres.charts expected, "
+      .. opts.got(charts), 2)
+  end
+  if type(open) ~= "function" then
+    error("rfsm.postgres.connect: function expected that opens a connection, "
+      .. opts.got(open), 2)
+  end
+  local self = setmetatable({ charts = charts, open = open, query = false,
+    options = settings, failure = false, is_open = false, id = Base.new_id(),
+    count = 0 }, Client)
+  connect(self)
+  return self
+end
+
+-- Transactions --------------------------------------------------------------------
+
+-- Ends a transaction that has failed; without an answer the connection is lost.
+local function roll_back(self)
+  if not self.query then return end
+  local ok, rows = pcall(self.query, "ROLLBACK")
+  if not (ok and rows) then self.query = false end
+end
+
+-- Calls f(self, ...) in a transaction; returns what pcall does.
+local function in_transaction(self, f, ...)
+  local ok, result = pcall(function(...)
+    connect(self)
+    query(self, "BEGIN")
+    local reply = f(self, ...)
+    query(self, "COMMIT")
+    return reply
+  end, ...)
+  if not ok then
+    roll_back(self)
+    if rfsm.is_interrupt(result) then error(result, 0) end
+  end
+  return ok, result
+end
+
+-- Waits for a moment; returns false if that is not known how.
+local function pause(self)
+  local socket = not self.options.sleep and opts.find_package("socket", "lua-socket")
+  local sleep = self.options.sleep or socket and socket.sleep
+  if not sleep then return false end
+  sleep(0.1)
+  return true
+end
+
+-- Calls f(self, ...) in a transaction, once more if the connection was lost. In one of
+-- the caller's, that is left to the caller.
+local function run(self, f, ...)
+  if self.is_open then
+    local ok, result = try(f, self, ...)
+    if not ok then self.failure = self.failure or result end
+    return ok, result
+  end
+  local ok, result = in_transaction(self, f, ...)
+  for _ = 1, self.options.patience * 10 do
+    if ok or self.query or not pause(self) then break end
+    ok, result = in_transaction(self, f, ...)
+  end
+  return ok, result
+end
+
+--- Call `f(query)` in a transaction: what it does with machines, and by `query`,
+-- happens at once, or not at all if something fails.
+---@param f fun(query: rfsm.postgres.Query)
+---@return boolean ok
+---@return string? problem
+function Client:transaction(f)
+  if self.is_open then
+    error("rfsm.postgres.transaction: one runs already", 2)
+  end
+  local ok, problem = in_transaction(self, function()
+    self.is_open, self.failure = true, false
+    f(function(sql, ...) return query(self, sql, ...) end)
+    if self.failure then error(self.failure, 0) end
+  end)
+  self.is_open, self.failure = false, false
+  return ok, not ok and reason_of(problem) or nil
+end
+
+-- Machines ------------------------------------------------------------------------
+
+-- Calls a function of the charts for a machine whose row was read.
+local function answer(self, name, key, args, row)
+  return self.charts.answer(name, key, args, {
+    list = row.value and json.decode(row.value), us = tonumber(row.us),
+    execute = function(statement, ...)
+      return query(self, host.STATEMENTS[statement], ...)
+    end,
+  })
+end
+
+local function call(self, name, key, ...)
+  local row = query(self, host.READ_ONLY[name] and READ or LOCK, key)[1]
+  return answer(self, name, key, { ... }, row)
+end
+
+--- Call a function of `rfsm.server.functions` for a machine.
+---@param name string
+---@param key any
+---@param ... any
+---@return any? reply
+---@return string? problem
+function Client:ask(name, key, ...)
+  if key == nil or type(key) == "table" then
+    error("rfsm.postgres: key of a machine expected, got " .. type(key), 0)
+  end
+  local ok, reply = run(self, call, name, rfsm.text_of(key), ...)
+  if ok then return reply, not reply and "no machine" or nil end
+  return nil, reason_of(reply)
+end
+
+-- Workers -------------------------------------------------------------------------
+
+-- Has a machine that cannot be run wait for a minute, and notes it in the log.
+local function put_aside(self, key, problem)
+  query(self, ASIDE, key)
+  query(self, host.STATEMENTS.log, key, reason_of(problem))
+end
+
+-- Runs machines that are due and that no other worker has. If a statement fails, that
+-- ends the transaction of all; `culprit` is the machine, and why.
+local function wake(self, limit, culprit)
+  local counts = { woken = 0, failed = 0 }
+  for _, row in ipairs(query(self, DUE:format(limit))) do
+    if row.key then
+      local ok, problem = try(answer, self, "rfsm_tick", row.key, {}, row)
+      if not ok then
+        culprit.key, culprit.problem = row.key, problem
+        if not try(put_aside, self, row.key, problem) then error(problem, 0) end
+      end
+      local name = ok and "woken" or "failed"
+      counts[name] = counts[name] + 1
+    end
+  end
+  culprit.key = nil
+  return counts
+end
+
+--- Run machines that are due. What cannot be run is put aside for a minute.
+-- @raise if no server answers
+---@param limit? integer at most that many (100)
+---@return integer count
+---@return integer failed machines that were put aside
+function Client:wake(limit)
+  limit = limit or 100
+  if not is_limit(limit) then
+    error("rfsm.postgres.wake: a whole number expected, " .. opts.got(limit), 2)
+  end
+  local culprit, failed = {}, 0
+  local ok, counts = run(self, wake, limit, culprit)
+  while not ok and culprit.key and self.query and not self.is_open do
+    failed = failed + 1
+    run(self, put_aside, culprit.key, culprit.problem)
+    culprit.key = nil
+    ok, counts = run(self, wake, limit, culprit)
+  end
+  if not ok then error("rfsm.postgres.wake: " .. reason_of(counts), 0) end
+  return counts.woken, counts.failed + failed
+end
+
+return postgres

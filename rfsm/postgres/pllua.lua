@@ -1,0 +1,91 @@
+--- PL/Lua: what `rfsm.postgres.host` needs of the server that it runs in.
+--
+-- @module rfsm.postgres.pllua
+-- @license BSD-3-Clause
+
+local pairs, require, tonumber = pairs, require, tonumber
+local tostring, type = tostring, type
+local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
+
+-- Those that only PL/Lua executes.
+local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
+local CALL = "SELECT rfsm.call($1, $2, $3, $4) AS reply"
+
+-- Returns a function that executes statements.
+local function executor(spi, statements)
+  local prepared = {}
+  return function(name, ...)
+    prepared[name] = prepared[name] or spi.prepare(statements[name])
+    return prepared[name]:execute(...)
+  end
+end
+
+-- JSON: values of the type jsonb.
+local function new_json(pgtype)
+  local jsonb = require "pllua.jsonb"
+  local PLAIN = { map = function(key, value)
+    if type(value) == "table" then jsonb.set_as_unknown(value) end
+    return key, value
+  end }
+  local json = {}
+
+  -- Returns a copy that jsonb takes as it is: a text such as "2" is a key of an object,
+  -- and numbers keep all their digits.
+  local function exact(value)
+    if math_type(value) == "float" and tonumber(("%.14g"):format(value)) ~= value
+      and value - value == 0 then
+      return pgtype.numeric(("%.17g"):format(value))
+    elseif type(value) ~= "table" then
+      return value
+    end
+    local copy, is_object = {}, false
+    for key, inner in pairs(value) do -- any order: a copy
+      copy[key] = exact(inner)
+      is_object = is_object or type(key) == "string"
+    end
+    return is_object and jsonb.set_as_object(copy) or copy
+  end
+
+  -- Returns a table without metatables.
+  function json.list_of(datum) return datum(PLAIN) end
+
+  function json.encode(value) return pgtype.jsonb(exact(value)) end
+
+  function json.decode(text) return json.list_of(pgtype.jsonb:fromstring(text)) end
+
+  return json
+end
+
+--- Return what a library needs of Redis, and the function `rfsm.call`.
+---@param host table `rfsm.postgres.host`
+---@param spi table
+---@param pgtype table
+---@param id string of the library
+---@return table globals
+---@return fun(name: string, key: string, args: any, id: string?): string[]? answer
+return function(host, spi, pgtype, id)
+  local newest, call, given
+  local server = { execute = executor(spi, host.STATEMENTS), log = spi.elog,
+    json = new_json(pgtype), warn = spi.warning }
+
+  -- A call that began before another library was loaded may come to a machine that
+  -- has been there: then the new one answers.
+  function server.refuse(text)
+    newest = newest or spi.prepare(NEWEST)
+    if newest:execute()[1].library == "library " .. id then
+      return spi.error("raise_exception", text)
+    end
+    call = call or spi.prepare(CALL)
+    return call:execute(unpack(given, 1, 4))[1].reply
+  end
+
+  local globals, answer = host.new(server)
+  return globals, function(name, key, list, event_id)
+    given = { name, key, list, event_id }
+    local args = list and list { null = "" } or {}
+    if event_id then args[#args + 1], args[#args + 2] = "ID", event_id end
+    local reply = answer(name, key, args)
+    if type(reply) == "number" then return { tostring(reply) } end
+    return reply or nil -- a table, or what another library has returned
+  end
+end

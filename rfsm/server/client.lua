@@ -1,0 +1,154 @@
+--- What clients do with a machine: they call functions of `rfsm.server.functions`, with
+-- an id for each event, so that it is applied once also if it must be sent again.
+--
+-- @submodule rfsm.fleet
+-- @license BSD-3-Clause
+
+local json = require "rfsm.server.json"
+local opts = require "rfsm.shared.options"
+local rfsm = require "rfsm"
+local try = require("rfsm.shared.calls").try
+
+local error, io, next, os, select = error, io, next, os, select
+local rawget, tonumber, tostring = rawget, tonumber, tostring
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+--- A client: what `rfsm.fleet` and `rfsm.postgres` have in common.
+---@class rfsm.server.Client
+---@field where string name of its module, for messages
+---@field id string in front of the ids of events
+---@field count integer of events
+---@field ask fun(self, name: string, id: any, ...: any): any, string? calls a function
+--- for a machine: the reply, or nil and the problem
+local Client = {}
+
+--- What a machine replies to a call.
+---@class rfsm.server.Reply
+---@field leaf string FQN
+---@field mode string
+---@field errors string[] of its callbacks
+
+--- Return a text that no other client has.
+---@return string id
+function Client.new_id()
+  local file, text = io.open("/dev/urandom", "rb"), nil
+  if file then
+    text = file:read(5):gsub(".", function(byte)
+      return ("%02x"):format(byte:byte())
+    end)
+    file:close()
+  end
+  return text or ("%.0f-%s"):format(os.time(), tostring({}):match("%x+$"))
+end
+
+-- Returns a new id for an event.
+local function next_id(self)
+  self.count = self.count + 1
+  return self.id .. "-" .. ("%d"):format(self.count)
+end
+
+local function reply_of(list, problem)
+  if not list then return nil, problem end
+  local errors = {}
+  for i = 3, #list do errors[i - 2] = list[i] end
+  return { leaf = list[1], mode = list[2], errors = errors }
+end
+
+--- Make a machine.
+---@param id any
+---@param chart string its name in the library
+---@param data? table fields that the root of the chart keeps
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:create(id, chart, data)
+  local ok, text = true, "{}"
+  if data and next(data) ~= nil then
+    ok, text = try(json.encode, data)
+  end
+  if not ok then return nil, self.where .. ".create: data: " .. text end
+  return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
+end
+
+-- Returns the texts of events, then an id.
+local function texts_of(id, ...)
+  local texts = {}
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
+    texts[#texts + 1] = event ~= nil and rfsm.text_of(event) or nil
+  end
+  texts[#texts + 1], texts[#texts + 2] = "ID", id
+  return unpack(texts)
+end
+
+--- Send events to a machine, and run it. They are applied once, also if the connection
+-- is lost and they must be sent again.
+---@param id any
+---@param ... any events
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:send(id, ...) return self:send_once(next_id(self), id, ...) end
+
+--- Send events with an id of your own: that of a message that may come again.
+---@param event_id string the machine applies events with this id once
+---@param id any of the machine
+---@param ... any events
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:send_once(event_id, id, ...)
+  return reply_of(self:ask("rfsm_send", id, texts_of(event_id, ...)))
+end
+
+--- Send events to a machine when a time has come, if a worker wakes it.
+---@param id any
+---@param seconds number from now on
+---@param ... any events
+---@return string? ticket for `cancel`
+---@return string? problem
+function Client:send_after(id, seconds, ...)
+  if not opts.is_seconds(seconds) then
+    error(self.where .. ".send_after: seconds expected, " .. opts.got(seconds), 2)
+  end
+  local ticket = next_id(self)
+  local reply, problem = self:ask("rfsm_send_at", id, "+" .. ("%.6f"):format(seconds),
+    texts_of(ticket, ...))
+  return reply and ticket, problem
+end
+
+--- Take back what `send_after` has sent.
+---@param id any
+---@param ticket string
+---@return boolean? was_there
+---@return string? problem
+function Client:cancel(id, ticket)
+  local count, problem = self:ask("rfsm_cancel", id, ticket)
+  return count and count == 1, problem
+end
+
+--- Run a machine that is due.
+---@param id any
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:tick(id) return reply_of(self:ask("rfsm_tick", id)) end
+
+--- Look at a machine.
+---@param id any
+---@return table? view chart, version, leaf, mode, configuration, data, queue, due
+---@return string? problem
+function Client:get(id)
+  local list, problem = self:ask("rfsm_get", id)
+  if not list then return nil, problem end
+  local view = {}
+  for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
+  view.data, view.queue, view.due = json.decode(view.data), json.decode(view.queue),
+    tonumber(view.due)
+  return view
+end
+
+--- Ask what an event would do to a machine.
+---@param id any
+---@param event any
+---@return string[]? lines
+---@return string? problem
+function Client:why(id, event) return self:ask("rfsm_why", id, event) end
+
+return Client
