@@ -1,5 +1,8 @@
 -- Models that are hard to draw: random ones of depth 6 with regions, and odd names.
 
+local diagram = require "rfsm.pictures.diagram"
+local dot = require "rfsm.dot"
+local layout = require "rfsm.pictures.layout"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
@@ -73,6 +76,50 @@ function pictures.odd()
     model[#model + 1] = rfsm.trans { src = "root", tgt = "root", events = { name } }
   end
   return model
+end
+
+-- Drawing: many charts with few runs of Graphviz, whose start takes longest ----------
+
+-- Runs Graphviz once for several lists of graphs; returns an answer for each.
+local function answers_to(requests)
+  local next_graph = assert(dot.render(table.concat(requests), "dot")):gmatch(
+    "digraph.-\n}\n")
+  local answers = {}
+  for i, text in ipairs(requests) do
+    local graphs, _, count = {}, text:gsub("%f[^\n%z]digraph {\n", "")
+    for j = 1, count do graphs[j] = next_graph() end
+    answers[i] = table.concat(graphs)
+  end
+  return answers
+end
+
+--- The layout of each of several machines: { fsm, options of dot.layout }.
+function pictures.layouts_of(list)
+  local graphs, works, answers = {}, {}, {}
+  for i, job in ipairs(list) do
+    local chart = diagram.read(job.fsm, "layouts_of", job.options)
+    works[i] = coroutine.wrap(function()
+      graphs[i] = layout.draw(chart, coroutine.yield)
+    end)
+  end
+  while works[1] do
+    local waiting, requests = {}, {}
+    for i, work in ipairs(works) do
+      local request = work(answers[i])
+      if request then waiting[#waiting + 1], requests[#waiting + 1] = work, request end
+    end
+    works, answers = waiting, requests[1] and answers_to(requests)
+  end
+  return graphs
+end
+
+--- The picture of each of several graphs.
+function pictures.svgs_of(graphs)
+  local text, svgs = assert(dot.render(table.concat(graphs), "svg")), {}
+  for svg in text:gmatch("<%?xml.-</svg>\n") do
+    svgs[#svgs + 1] = svg:gsub('id="page%d+,%d+_graph0"', 'id="graph0"', 1)
+  end
+  return svgs
 end
 
 -- The points of an attribute: { { x, y }, ... }.
