@@ -41,6 +41,17 @@ local function lamp()
   })
 end
 
+-- Those between its states, in PlantUML and in Mermaid.
+local ARROWS = [[
+  [*] --> root_off
+  root_off --> root_k : e_switch [yes]
+  root_k --> root_on : / yes
+  root_on --> root_on : e_again
+  root_on --> root_on_moving : e_in [yes] / yes
+  root_on --> root_off : e_switch
+  root_on_moving --> root_off : e_panic
+]]
+
 local function odd() return helper.init(pictures.odd()) end
 
 -- Random machines: a function that returns the next one, and how many arrows it has.
@@ -269,13 +280,7 @@ state "root" as root {
     root_on_idle --> root_on_moving : e_go, e_run
     root_on_moving --> root_on : e_halt
   }
-  [*] --> root_off
-  root_off --> root_k : e_switch [yes]
-  root_k --> root_on : / yes
-  root_on --> root_on : e_again
-  root_on --> root_on_moving : e_in [yes] / yes
-  root_on --> root_off : e_switch
-  root_on_moving --> root_off : e_panic
+]] .. ARROWS .. [[
 }
 @enduml
 ]], require("rfsm.plantuml").encode(lamp(), "the lamp"))
@@ -456,14 +461,7 @@ stateDiagram-v2
     root_on_idle --> root_on_moving : e_go, e_run
     root_on_moving --> root_on_initial : e_halt
   }
-  [*] --> root_off
-  root_off --> root_k : e_switch [yes]
-  root_k --> root_on : / yes
-  root_on --> root_on : e_again
-  root_on --> root_on_moving : e_in [yes] / yes
-  root_on --> root_off : e_switch
-  root_on_moving --> root_off : e_panic
-]], encode(lamp(), 'the "lamp"'))
+]] .. ARROWS, encode(lamp(), 'the "lamp"'))
   end)
 
   it("draws the root as a box where an arrow begins at it", function()

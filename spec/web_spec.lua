@@ -8,6 +8,7 @@ local http = require "spec.support.http"
 local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 local subscriber = require "rfsm.proto.subscriber"
 local watch = require "rfsm.web.watch"
 local web = require "rfsm.web"
@@ -680,8 +681,8 @@ describe("a page", function()
 end)
 
 it("random commands do what the same calls do, and back leads where it was", function()
-  local n = tonumber(os.getenv "RFSM_N") or 8
-  assert.same({ n }, { require("spec.support.claims.web").run(n, 1) })
+  local n = tonumber(os.getenv "RFSM_N") or 3
+  assert.same({ n }, { require("spec.support.claims.web").run(n, share.seed(n)) })
 end)
 
 describe("a chart in a file", function()

@@ -38,12 +38,10 @@ local function wander(sim, fsm, random, places)
   for _ = 1, 25 do
     local kind = random(9)
     COMMANDS[kind == 9 and 4 or kind % 3 + 1](sim, fsm, random)
-    local place, expected = drive.place(sim.fsm), drive.place(fsm)
-    if place ~= expected then
-      return "commands: " .. place .. "\ncalls: " .. expected
-    end
+    local problem = drive.difference(sim.fsm, fsm)
+    if problem then return problem end
     if kind ~= 9 and kind % 3 + 1 ~= 1 then
-      places[#places + 1] = { place = place, at = sim.history.at,
+      places[#places + 1] = { place = drive.place(fsm), at = sim.history.at,
         count = sim.history.count }
     end
   end
@@ -81,17 +79,16 @@ local function check_jumps(sim, random, places)
 end
 
 local function check(seed)
-  local random, name, places = new_random(seed), drive.file(seed), {}
-  local chunk = history.CHUNK
+  local random, places, chunk = new_random(seed), {}, history.CHUNK
   history.CHUNK = random(12)
-  local sim = assert(session.open(name, false))
+  local sim = assert(drive.with_file(seed, function(name)
+    return (session.open(name, false))
+  end))
   prompt.install(sim)
-  local fsm = assert(rfsm.init(kept.model(seed)))
-  local problem = wander(sim, fsm, random, places) or check_way_back(sim, places)
-    or check_jumps(sim, random, places)
+  local problem = wander(sim, assert(rfsm.init(kept.model(seed))), random, places)
+    or check_way_back(sim, places) or check_jumps(sim, random, places)
   history.CHUNK = chunk
   sim.history.recorder:stop()
-  os.remove(name)
   return problem
 end
 
