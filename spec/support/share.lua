@@ -14,4 +14,7 @@ function share.seed(n)
   return (tonumber(os.getenv("SEED")) or 1) + n * math.max(number - 1, 0)
 end
 
+--- Is case i checked here? Two of the six Luas check it.
+function share.has(i) return (i + number) % 3 == 0 end
+
 return share
