@@ -310,10 +310,9 @@ end
 -- The path that was taken: for subscribers that ask, since tracing has its cost ---
 
 local function wants_path(feed)
-  for _, sub in ipairs(feed.server.subscribers) do
-    if sub.has_path and (not sub.only or sub.only == feed.number) then return true end
-  end
-  return false
+  local is_wanted = false
+  each_subscriber(feed, function(sub) is_wanted = is_wanted or sub.has_path end)
+  return is_wanted
 end
 
 -- Has the `dbg` of a machine note the path that is taken, or no more.

@@ -20,7 +20,7 @@ local Hosted = require "rfsm.web.hosted"
 local opts = require "rfsm.shared.options"
 local Picture = require "rfsm.web.picture"
 
-local error, io, ipairs, package, pcall = error, io, ipairs, package, pcall
+local debug, error, io, ipairs, pcall = debug, error, io, ipairs, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
 local tonumber, type = tonumber, type
 local huge, min = math.huge, math.min
@@ -55,17 +55,13 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 -- The page ---------------------------------------------------------------------
 
 -- Returns the text of the page, whose file is beside the modules.
-local function find_page()
-  for template in package.path:gmatch("[^;]+") do
-    local name = template:gsub("%?", "rfsm/web/page"):gsub("%.lua$", ".html")
-    local handle = io.open(name, "rb")
-    if handle then
-      local text = handle:read("*a")
-      handle:close()
-      return text
-    end
-  end
-  return nil, "rfsm/web/page.html is not beside the modules"
+local function read_page()
+  local folder = debug.getinfo(1, "S").source:match("^@(.*)%.lua$")
+  local handle = folder and io.open(folder .. "/page.html", "rb")
+  if not handle then return nil, "rfsm/web/page.html is not beside the modules" end
+  local text = handle:read("*a")
+  handle:close()
+  return text
 end
 
 -- Returns random bytes as text.
@@ -196,7 +192,7 @@ end
 
 local ROUTES = {
   ["/"] = { GET = function(server)
-    return { type = "text/html", body = server.page, headers = server.page_headers }
+    return { type = "text/html", body = server.page, policy = server.policy }
   end },
   ["/chart"] = { GET = chart_reply },
   ["/picture.svg"] = { GET = function(_, _, shown)
@@ -248,7 +244,6 @@ end
 -- Sends what has changed to each page that has taken its last message, at most once a
 -- frame. Pages that know the same get the same text.
 local function send_changes(server)
-  if server.http.streams == 0 then return end
   local messages, now = {}, server.gettime()
   server.is_late = false
   server.http:feed(function(connection)
@@ -340,7 +335,7 @@ end
 -- Opens the port and reads the page; nil and a problem.
 local function open_server(sources, settings)
   local page, token, problem
-  page, problem = find_page()
+  page, problem = read_page()
   if page then token, problem = new_secret(16) end
   if not token then return nil, problem end
   local server = setmetatable({
@@ -349,7 +344,7 @@ local function open_server(sources, settings)
   }, Server)
   update_shown(server)
   server.page = page:gsub("{{token}}", token)
-  server.page_headers = { ["Content-Security-Policy"] = CSP:format(token) }
+  server.policy = CSP:format(token)
   local listener
   listener, problem = require("rfsm.web.http").listen(settings.host, settings.port,
     function(request) return handle_safely(server, request) end, settings.clock)

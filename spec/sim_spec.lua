@@ -44,6 +44,7 @@ end
 
 local AT_HELLO = "active: root.hello(done)\nqueue:  e_done@root.hello\n"
 local AT_END = "hello\nworld\nactive: root.world(done)\nqueue:  \n"
+local AT_NONE = "active: <none>\nqueue:  e_init_fsm\n"
 local AFTER = "active: root.world(done)\nqueue:  \n"
 local AT_WORLD = "active: root.world(done)\nqueue:  e_done@root.world\n"
 
@@ -94,7 +95,7 @@ local SAID = {
     .. "active: root.hello(done)\n",
   ["events() run() events()"] = "step() enters the machine\n" .. AT_END
     .. "e_restart\n",
-  ["run() reset() step()"] = AT_END .. "active: <none>\nqueue:  e_init_fsm\n"
+  ["run() reset() step()"] = AT_END .. AT_NONE
     .. AT_HELLO,
   ["run()\nreload()\nfsm.hello\nstep()"] = AT_END .. INFO
     .. "active: root.world(done)\nqueue:  \nstate root.hello (inactive)\n"
@@ -114,6 +115,8 @@ local SAID = {
     .. "active: <none>\nqueue:  e_init_fsm\n" .. AT_WORLD,
   ["step\nstep\nback\nstep"] = AT_HELLO .. "hello\nworld\n"
     .. AT_WORLD .. AT_HELLO .. "hello\nworld\n" .. AT_WORLD,
+  ["step\nreset\nstep\nback 2\nforward"] = AT_HELLO .. AT_NONE .. AT_HELLO .. AT_HELLO
+    .. AT_NONE,
   ["step\nse e_done"] = AT_HELLO
     .. "queue:  e_done@root.hello, e_done@root.hello\n",
   ["tree\nstep\ntree"] = "  root ...\n" .. AT_HELLO

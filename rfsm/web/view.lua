@@ -8,6 +8,7 @@
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
 
+local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 
@@ -54,7 +55,7 @@ local function new_marks() return { has = {}, list = {} } end
 local function count_states(nodes)
   local count = 0
   for _, node in ipairs(nodes) do
-    if node.kind == "leaf" or node.kind == "composite" then count = count + 1 end
+    if diagram.is_state(node) then count = count + 1 end
   end
   return count
 end
