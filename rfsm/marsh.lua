@@ -149,14 +149,12 @@ end
 
 -- Puts what a function has kept in place of the parameters of its maker.
 local function arguments_of(f, parameters)
-  local values, i = {}, 1
-  local name, value = debug.getupvalue(f, 1)
-  while name do
+  local values = {}
+  for i = 1, debug.getinfo(f, "u").nups do
+    local name, value = debug.getupvalue(f, i)
     local kind = type(value)
     values[name] = kind == "string" and '"' .. value .. '"'
       or (kind == "number" or kind == "boolean") and rfsm.text_of(value) or nil
-    i = i + 1
-    name, value = debug.getupvalue(f, i)
   end
   return (parameters:gsub("[%a_][%w_]*", values))
 end

@@ -27,8 +27,6 @@ local function misfit_of(width, height)
 end
 
 --- Return how far a level is from the ratio that is aimed at; 0 if it has it.
----@param level rfsm.pictures.Level
----@return number misfit
 function columns.misfit(level) return misfit_of(level.width, level.height) end
 
 -- Columns: which nodes are in them --------------------------------------------
@@ -118,7 +116,6 @@ local MOST = 6 -- arrows between columns, for each channel
 
 --- Return the number of the column for each node of a level, nil if columns do not fit:
 -- if too many arrows would lead from one to the other.
----@param level rfsm.pictures.Level
 ---@return integer[]? numbers
 function columns.plan(level)
   local across, direction, label = 0, level.direction, label_width(level)
@@ -142,8 +139,6 @@ function columns.plan(level)
 end
 
 --- Put the nodes of a level into columns.
----@param chart rfsm.pictures.Chart
----@param level rfsm.pictures.Level
 ---@param numbers integer[] of the columns
 ---@return rfsm.pictures.Level[] levels those of the columns
 function columns.split(chart, level, numbers)
@@ -285,7 +280,6 @@ local function corners_of(grid, link)
 end
 
 --- Place the columns of a level, and the arrows between them.
----@param level rfsm.pictures.Level
 ---@param header? rfsm.pictures.Box size of name and rows
 function columns.arrange(level, header)
   local grid = new_grid(level)

@@ -85,9 +85,7 @@ local diagram = {}
 -- Text ------------------------------------------------------------------------
 
 --- Return an identifier that nothing else in the drawing has.
----@param chart rfsm.pictures.Chart
 ---@param plain string letters, digits and underscores
----@return string id
 function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
@@ -99,9 +97,6 @@ function diagram.new_id(chart, plain)
 end
 
 --- Return a text fit for a picture: UTF-8, no control characters but the line feed.
----@param text string
----@return string
----@nodiscard
 function diagram.clean(text)
   if not text:find("[^ -~]") then return text end
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
@@ -152,9 +147,7 @@ local function add_line(lines, line, width, can_join)
 end
 
 --- Return texts in short lines. One that is short goes on in the line before it.
----@param texts string[]
 ---@param width integer characters
----@return string[] lines
 function diagram.wrap(texts, width)
   local lines = {}
   for _, text in ipairs(texts) do
@@ -170,7 +163,6 @@ end
 -- Descriptions: what pictures and pages read in them --------------------------
 
 --- List what is in a node of a description: its nodes, or its regions.
----@param tab rfsm.marsh.Node
 ---@return rfsm.marsh.Node[]
 function diagram.members(tab) return tab.regions or tab.subnodes or {} end
 
@@ -250,9 +242,6 @@ end
 -- Arrows ----------------------------------------------------------------------
 
 --- Is `node` somewhere inside of `composite`?
----@param node rfsm.pictures.Node
----@param composite rfsm.pictures.Node
----@return boolean
 function diagram.is_inside(node, composite)
   local parent = node.parent
   while parent and parent ~= composite do parent = parent.parent end
@@ -268,8 +257,6 @@ local function find_node(chart, fqn)
 end
 
 --- Return the innermost composite that has both ends of an arrow in it.
----@param src rfsm.pictures.Node
----@param tgt rfsm.pictures.Node
 ---@return rfsm.pictures.Node? home nil if one is the root
 function diagram.find_home(src, tgt)
   local home = src.parent
@@ -416,9 +403,7 @@ end
 --- Read a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
 ---@param source rfsm.Machine|rfsm.marsh.Node
----@param where string
 ---@param options? rfsm.pictures.Options|string
----@return rfsm.pictures.Chart chart
 function diagram.read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
@@ -440,27 +425,17 @@ function diagram.read(source, where, options)
 end
 
 --- Return the lines of the label of an arrow.
----@param arrow rfsm.pictures.Arrow
----@return string[] lines
 function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
 
 --- Return the label of an arrow as one text.
----@param arrow rfsm.pictures.Arrow
----@return string label
 function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
 
 --- Append a line, indented.
----@param lines string[]
----@param depth integer
----@param text string
 function diagram.add(lines, depth, text)
   lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
 --- Write a text to a file.
----@param file string
----@param text string
----@return boolean is_written
 ---@return string? problem in one line
 function diagram.write(file, text)
   local handle, problem = io.open(file, "wb")
@@ -481,7 +456,6 @@ end
 ---@param name string of the module
 ---@param global string its older name
 ---@param draw fun(chart: rfsm.pictures.Chart): string
----@return rfsm.pictures.Exporter exporter
 function diagram.exporter(name, global, draw)
   local exporter = {}
 

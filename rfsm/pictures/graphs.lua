@@ -363,7 +363,6 @@ local function place_gate(level, gate)
 end
 
 --- Give a level its size, and its gates their positions.
----@param level rfsm.pictures.Level
 function graphs.measure(level)
   local composite = level.composite
   local margin = composite.is_column and 0 or MARGIN
@@ -381,7 +380,6 @@ end
 
 --- Have Graphviz lay out levels.
 ---@param list rfsm.pictures.Level[]
----@param run rfsm.pictures.Run
 ---@return string? problem
 function graphs.lay_out(list, run)
   local texts = {}
@@ -398,7 +396,6 @@ end
 
 --- Have Graphviz measure texts.
 ---@param labels string[] in its language
----@param run rfsm.pictures.Run
 ---@return rfsm.pictures.Box[]? boxes
 ---@return string? problem
 function graphs.sizes_of(labels, run)

@@ -290,8 +290,6 @@ local function levels_by_height(chart)
 end
 
 --- Lay out all levels of a chart.
----@param chart rfsm.pictures.Chart
----@param run rfsm.pictures.Run
 ---@return string? problem
 function levels.lay_out(chart, run)
   links.prepare(chart)

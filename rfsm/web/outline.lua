@@ -77,8 +77,6 @@ local function add_edge(list, tr, key, words)
 end
 
 --- Read a description.
----@param description rfsm.marsh.Node
----@return rfsm.web.Outline
 function outline.read(description)
   local list = {
     nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
@@ -106,7 +104,6 @@ local function add_possible(list, found, node, is_seen)
 end
 
 --- List the events that a transition from an active state names. Guards are not called.
----@param list rfsm.web.Outline
 ---@param active integer[] numbers of nodes
 ---@return integer[] numbers of events
 ---@return boolean any would any other event be taken?

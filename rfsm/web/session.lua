@@ -298,7 +298,6 @@ function Session:poll()
 end
 
 --- Return the seconds until `poll` has something to do.
----@return number
 function Session:wait()
   return max(0, min(self.look_at - self.real(), time_left(self) or huge))
 end
@@ -317,7 +316,6 @@ end
 --- Open a chart, also one with mistakes.
 ---@param real fun(): number seconds of the wall's clock
 ---@param has_stubs boolean modules and globals that are not here do nothing
----@return rfsm.web.Session session
 function Session.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},

@@ -61,10 +61,7 @@ local function count_states(nodes)
 end
 
 --- Make a view of a class that is derived from this one.
----@param class table
----@param description rfsm.marsh.Node
 ---@param clock fun(): number
----@return rfsm.web.View view
 function View.create(class, description, clock)
   local lists = outline.read(description)
   return setmetatable({
