@@ -34,6 +34,8 @@ end
 
 local function random_machine(number) return helper.init(pictures.model(number, 6)) end
 
+local function wide_machine(number) return helper.init(pictures.wide_model(number)) end
+
 -- The nodes by FQN, and the transitions that are arrows, of a full description.
 local function elements_of(tab, fqn, nodes, arrows)
   nodes[fqn] = tab
@@ -149,9 +151,10 @@ describe("Graphviz", function()
   it(("puts random charts from %d on where they belong"):format(seed), function()
     local jobs = {}
     for number = seed, seed + COUNT - 1 do
-      local fsm = random_machine(number)
-      for _, direction in ipairs { "TB", "LR" } do
-        jobs[#jobs + 1] = { fsm = fsm, options = { direction = direction } }
+      for _, fsm in ipairs { random_machine(number), wide_machine(number) } do
+        for _, direction in ipairs { "TB", "LR" } do
+          jobs[#jobs + 1] = { fsm = fsm, options = { direction = direction } }
+        end
       end
     end
     for i, graph in ipairs(pictures.layouts_of(jobs)) do

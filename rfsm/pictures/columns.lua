@@ -209,7 +209,7 @@ local function place_across(grid, from)
     if i > 1 then u = u + 2 * PITCH end
     for _, link in ipairs(grid.crossing) do
       if link.lower.node == column then
-        local label = link.label_box
+        local label = link.arrow.label_box
         link.u = u
         u = u + PITCH + (label and size_of(label, grid.direction) + 4 or 0)
       end
@@ -270,7 +270,7 @@ local function corners_of(grid, link)
   end
   local below, above = grid.foot + link.below * PITCH, grid.start - link.above * PITCH
   local tgt, top = foot_of(grid, link.lower, false)
-  local label = link.label_box
+  local label = link.arrow.label_box
   if label then
     link.label_at = at(link.u + 3 + size_of(label, grid.direction) / 2,
       (below + above) / 2)

@@ -22,29 +22,28 @@ local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
 
 -- Returns how much of the side of its node a loop takes.
 local function step_of(link)
-  local box = link.label_box
+  local box = link.arrow.label_box
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
 end
 
--- Adds a loop to the list of its node, and makes room for it.
+-- Makes room for a loop at its node.
 local function add_loop(link)
-  local node, box = link.upper.node, link.label_box
+  local node, box = link.upper.node, link.arrow.label_box
   local is_down, room = link.level.direction == "TB",
     node.loops or { length = 0, width = 2, height = 2 }
-  node.loops, room[#room + 1] = room, link
-  room.length = room.length + step_of(link)
+  node.loops, room.length = room, room.length + step_of(link)
   local field = is_down and "width" or "height"
   room[field] = max(room[field], box[field] + DEPTH - 8)
   node.least = (is_down and ", height=" or ", width=")
     .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
 end
 
--- Has Graphviz measure labels: those of links, and name and rows of levels. Each gets
+-- Has Graphviz measure labels: those of arrows, and name and rows of levels. Each gets
 -- the size as its `label_box`.
 local function measure_labels(owners, run)
   local labels = {}
   for i, owner in ipairs(owners) do
-    labels[i] = owner.arrow and "fontsize=10, label=" .. looks.arrow_label(owner.arrow)
+    labels[i] = owner.parts and "fontsize=10, label=" .. looks.arrow_label(owner)
       or "label=" .. looks.state_label(owner.composite)
   end
   if not labels[1] then return nil end
@@ -57,10 +56,10 @@ end
 local function find_loops(chart, run)
   local list = {}
   for _, arrow in ipairs(chart.all) do
-    list[#list + 1] = arrow.links[1].is_loop and arrow.links[1] or nil
+    list[#list + 1] = arrow.links[1].is_loop and arrow or nil
   end
   local problem = measure_labels(list, run)
-  for _, link in ipairs(problem and {} or list) do add_loop(link) end
+  for _, arrow in ipairs(problem and {} or list) do add_loop(arrow.links[1]) end
   return problem
 end
 
@@ -71,7 +70,7 @@ local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 }
 local TIP = { 0, -4.5 }
 
 local function draw_loop(link, x, y)
-  local is_down, box = link.level.direction == "TB", link.label_box
+  local is_down, box = link.level.direction == "TB", link.arrow.label_box
   local function at(point)
     if is_down then return { x + point[1], y + point[2] } end
     return { x - point[2], y + point[1] }
@@ -83,17 +82,19 @@ local function draw_loop(link, x, y)
 end
 
 local function draw_loops(level)
-  for i, node in ipairs(level.composite.nodes) do
-    local box, room = level.boxes[i], node.loops
-    local is_down, offset = level.direction == "TB", 0
-    for _, link in ipairs(room or {}) do
-      local along = offset + step_of(link) / 2 - room.length / 2
-      if is_down then
+  local offsets = {}
+  for _, link in ipairs(level.links) do
+    local node = link.is_loop and link.upper.node
+    if node then
+      local box, step = level.boxes[node.index], step_of(link)
+      local offset = offsets[node] or -node.loops.length / 2
+      offsets[node] = offset + step
+      local along = offset + step / 2
+      if level.direction == "TB" then
         draw_loop(link, box.x + box.width / 2, box.y - along)
       else
         draw_loop(link, box.x + along, box.y + box.height / 2)
       end
-      offset = offset + step_of(link)
     end
   end
 end
@@ -135,7 +136,7 @@ local function divide(chart, list, run)
     end
     owners[#owners + 1] = level
     for _, link in ipairs(level.links) do
-      owners[#owners + 1] = link.is_home and link.arrow.parts[1] and link or nil
+      owners[#owners + 1] = link.is_home and link.arrow.parts[1] and link.arrow or nil
     end
   end
   local problem = lay_out(parts, run) or measure_labels(owners, run)

@@ -67,6 +67,37 @@ function pictures.model(seed, depth)
   return model
 end
 
+local function any_name(random) return "s" .. random(9) .. ("_x"):rep(random(4) - 1) end
+
+-- A level of up to 14 states: a chain, with arrows across, loops, and composites in it.
+local function add_wide_level(model, random, depth)
+  local names = {}
+  for i = 1, 1 + random(depth == 1 and 5 or 13) do
+    local node = random(8) == 1 and i > 1 and rfsm.conn {} or rfsm.state {
+      entry = random(4) == 1 and print or nil }
+    names[i] = any_name(random) .. i
+    model[names[i]] = node
+    if depth == 2 and rfsm.is_state(node) and random(5) == 1 then
+      add_wide_level(node, random, 1)
+    end
+    model[#model + 1] = rfsm.trans { src = names[i - 1] or "initial", tgt = names[i],
+      events = i > 1 and { any_name(random) } or nil }
+  end
+  for i = 1, random(#names) - 1 do
+    local src, tgt = random:pick(names), random:pick(names)
+    model[#model + 1] = rfsm.trans { src = src, tgt = random(4) == 1 and src or tgt,
+      events = { "e_" .. i }, guard = random(3) == 1 and print or nil }
+  end
+end
+
+--- The random model of a seed with many states beside each other.
+function pictures.wide_model(seed)
+  local model = rfsm.state { warn = false, info = false, entry = seed % 2 == 0 and print
+    or nil }
+  add_wide_level(model, new_random(seed), 2)
+  return model
+end
+
 --- A model with an odd name at each of many leaves, and as the event of arrows.
 function pictures.odd()
   local model = rfsm.state { root = rfsm.state {},
