@@ -69,32 +69,37 @@ end
 
 local function any_name(random) return "s" .. random(9) .. ("_x"):rep(random(4) - 1) end
 
--- A level of up to 14 states: a chain, with arrows across, loops, and composites in it.
-local function add_wide_level(model, random, depth)
+local function any_node(random, is_first)
+  if random(8) == 1 and not is_first then return rfsm.conn {} end
+  return rfsm.state { entry = random(4) == 1 and print or nil }
+end
+
+local function add_arrow(model, names, random, event)
+  local src, tgt = random:pick(names), random:pick(names)
+  model[#model + 1] = rfsm.trans { src = src, tgt = random(4) == 1 and src or tgt,
+    events = { event }, guard = random(3) == 1 and print or nil }
+end
+
+-- A level of many states: a chain, with arrows across, loops, and composites in it.
+local function add_wide_level(model, random, most, add_level)
   local names = {}
-  for i = 1, 1 + random(depth == 1 and 5 or 13) do
-    local node = random(8) == 1 and i > 1 and rfsm.conn {} or rfsm.state {
-      entry = random(4) == 1 and print or nil }
+  for i = 1, 1 + random(most) do
     names[i] = any_name(random) .. i
-    model[names[i]] = node
-    if depth == 2 and rfsm.is_state(node) and random(5) == 1 then
-      add_wide_level(node, random, 1)
+    model[names[i]] = any_node(random, i == 1)
+    if add_level and random(5) == 1 and rfsm.is_state(model[names[i]]) then
+      add_level(model[names[i]], random, 5)
     end
     model[#model + 1] = rfsm.trans { src = names[i - 1] or "initial", tgt = names[i],
       events = i > 1 and { any_name(random) } or nil }
   end
-  for i = 1, random(#names) - 1 do
-    local src, tgt = random:pick(names), random:pick(names)
-    model[#model + 1] = rfsm.trans { src = src, tgt = random(4) == 1 and src or tgt,
-      events = { "e_" .. i }, guard = random(3) == 1 and print or nil }
-  end
+  for i = 1, random(#names) - 1 do add_arrow(model, names, random, "e_" .. i) end
 end
 
 --- The random model of a seed with many states beside each other.
 function pictures.wide_model(seed)
   local model = rfsm.state { warn = false, info = false, entry = seed % 2 == 0 and print
     or nil }
-  add_wide_level(model, new_random(seed), 2)
+  add_wide_level(model, new_random(seed), 13, add_wide_level)
   return model
 end
 
@@ -206,6 +211,24 @@ function pictures.direction_at(path, i, step)
   local y, x = (path[j][2] - from[2]) * step, (path[j][1] - from[1]) * step
   local angle = math.deg(math.acos(x / math.max(1e-9, math.sqrt(x * x + y * y))))
   return y < 0 and -angle or angle
+end
+
+local function between(a, b, share)
+  return { a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share }
+end
+
+--- Points of a line, about one for each 10 % of each curve in it.
+function pictures.points_on(path)
+  local points = {}
+  for i = 1, #path - 3, 3 do
+    for share = 0, 1, 0.1 do
+      local a, b, c, d = path[i], path[i + 1], path[i + 2], path[i + 3]
+      local first = between(between(a, b, share), between(b, c, share), share)
+      local second = between(between(b, c, share), between(c, d, share), share)
+      points[#points + 1] = between(first, second, share)
+    end
+  end
+  return points
 end
 
 --- The largest angle, in degrees, between two curves of a line where they meet.
