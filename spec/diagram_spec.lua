@@ -464,6 +464,19 @@ stateDiagram-v2
 ]] .. ARROWS, encode(lamp(), 'the "lamp"'))
   end)
 
+  it("has a note for the rows of a composite, however few", function()
+    local text = encode(helper.init(state {
+      m = state { entry = yes, a = state {}, trans { src = "initial", tgt = "a" } },
+      n = state { entry = yes, exit = yes, a = state {},
+        trans { src = "initial", tgt = "a" } },
+      o = state { a = state {}, trans { src = "initial", tgt = "a" } },
+      trans { src = "initial", tgt = "m" },
+    }))
+    contains(text, { "\n  note right of root_m : entry / yes\n",
+      "\n  note right of root_n : entry / yes<br>exit / yes\n" })
+    assert.is_nil(text:find("note right of root_o", 1, true))
+  end)
+
   it("draws the root as a box where an arrow begins at it", function()
     assert.equal([[
 stateDiagram-v2

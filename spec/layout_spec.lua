@@ -416,6 +416,37 @@ describe("an arrow at a state with loops", function()
   end
 end)
 
+describe("regions", function()
+  -- a region with count states
+  local function region(count)
+    local model = chain(count)
+    model.info, model.warn = false, false
+    return model
+  end
+
+  for _, case in ipairs {
+    { direction = "TB", first = "top", last = "bottom" },
+    { direction = "LR", first = "left", last = "right" },
+  } do
+    local picture = drawn(state { trans { src = "initial", tgt = "arms" },
+      arms = rfsm.seqand { left = region(1), right = region(3) },
+    }, { direction = case.direction })
+
+    it("are as long as each other, with their names in the middle, " .. case.direction,
+      function()
+        local shapes = picture()
+        local left, right = shapes["root.arms.left"], shapes["root.arms.right"]
+        assert.same({ left.box[case.first], left.box[case.last] },
+          { right.box[case.first], right.box[case.last] })
+        for _, shape in ipairs { left, right } do
+          assert.is_true(math.abs(shape.label[1] - middle(shape.box)) < 1)
+        end
+        local inner = shapes["root.arms.left.s1"].box
+        assert.is_true(inner.top > left.label[2] and inner.bottom < left.box.bottom)
+      end)
+  end
+end)
+
 describe("an arrow across frames", function()
   -- a, m{ x, y } ; a -> m.y, m.y -> a, m -> m.y
   local function model()
@@ -561,13 +592,16 @@ describe("dot.layout", function()
 
   it("draws connectors with a ring where arrows cross their frame", function()
     local text = assert(dot.layout(helper.init(state {
-      m = state { x = state {}, out = conn {}, inner = conn {},
+      m = state { x = state {}, out = conn {}, inner = conn {}, way = conn {},
+        trans { src = "way", tgt = "x" },
         trans { src = "initial", tgt = "x" }, trans { src = "x", tgt = "inner" },
         trans { src = "inner", tgt = "out" } },
       trans { src = "initial", tgt = "m" }, trans { src = ".m.out", tgt = "y" },
-      y = state {},
+      y = state {}, trans { src = "y", tgt = ".m.way" },
     })))
-    assert.matches('root_m_out [^\n]*BGCOLOR="white"', text)
+    for _, name in ipairs { "out", "way" } do
+      assert.matches("root_m_" .. name .. ' [^\n]*BGCOLOR="white"', text)
+    end
     assert.matches('root_m_inner [^\n]*BGCOLOR="#555555"', text)
   end)
 end)
