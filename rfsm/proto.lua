@@ -258,7 +258,6 @@ local function read(server)
 end
 
 local function read_first(server)
-  if server.read_timeout == 0 then return read(server) end
   server.udp:settimeout(server.read_timeout)
   local data, ip, port = read(server)
   server.udp:settimeout(0)
@@ -323,7 +322,6 @@ local function trace_path(feed, is_wanted)
     end)
   elseif not is_wanted and feed.tracer[1] then
     swap.give_back(feed.tracer)
-    feed.path = false
   end
 end
 
