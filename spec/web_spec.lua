@@ -168,7 +168,8 @@ describe("the server", function()
     '{"command":"send","event":{}}', '{"command":"send","event":99}',
     '{"command":"send","event":0.5}', '{"command":"send","event":-1}',
     '{"command":"wait","seconds":"1"}', '{"command":"wait","seconds":-1}',
-    '{"command":"wait","seconds":1e999}', '{"command":"back","to":99}',
+    '{"command":"wait","seconds":1e9}', '{"command":"wait","seconds":1e999}',
+    '{"command":"back","to":99}',
     '{"command":"back","to":"x"}', '{"command":"next"}', ("["):rep(10000) }
   for _, body in ipairs(BODIES) do
     it("refuses the command " .. body:sub(1, 40) .. " with a reason", function()
@@ -374,6 +375,58 @@ describe("the server", function()
     assert.equal("root.off", first.leaf)
     assert.equal("root.off", select(2, http.page(server)).leaf)
     for i = 701, 1000 do silent[i]:close() end
+  end)
+
+  -- The seconds that a step which may take 100 waits for requests.
+  local function wait_of(server)
+    local seconds
+    helper.with(server.http, { step = function(_, timeout) seconds = timeout end },
+      function() server:step(100) end)
+    return seconds
+  end
+
+  it("waits until it has something to do: looks at the file, at Graphviz", function()
+    local server = open()
+    assert.equal(0.5, wait_of(server))
+    now = 0.25
+    assert.equal(0.25, wait_of(server))
+    now = 3
+    assert.equal(0.5, wait_of(server)) -- it has looked
+    server.shown[1].drawing = { is_pending = true, take = function() end,
+      drop = function() end }
+    assert.equal(0.02, wait_of(server))
+    server.shown[1].source.look_at = 2 -- should have been at it before
+    server.shown[1].source.poll = function() end
+    assert.equal(0, wait_of(server))
+  end)
+
+  it("waits for a frame only while a page is late", function()
+    local server, at = open(), 0
+    http.page(server)
+    server.gettime = function() return at end
+    server.http.connections[1].cursor.at = 0
+    server.shown[1].source.view:touch()
+    assert.equal(1 / 30, wait_of(server))
+    at = 1
+    assert.equal(0.5, wait_of(server))
+    assert.equal(0.5, wait_of(server))
+  end)
+
+  it("runs until its program ends", function()
+    local server, waits = open(), {}
+    helper.with(server, { step = function(_, timeout)
+      waits[#waits + 1] = timeout
+      if #waits == 3 then error("the end", 0) end
+    end }, function()
+      assert.same({ false, "the end" }, { pcall(server.run, server) })
+    end)
+    assert.same({ math.huge, math.huge, math.huge }, waits)
+  end)
+
+  it("frees its port when it is closed", function()
+    local server = open()
+    server:close()
+    opened(assert(web.open(helper.file_with(LAMP), { port = server.port })))
   end)
 
   it("feeds no stream without the token", function()
