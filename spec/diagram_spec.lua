@@ -90,11 +90,11 @@ describe("gen_event_text", function()
     local bad = setmetatable({}, { __tostring = function() error("no") end })
     local texts = {}
     for i, event in ipairs { 5, 2.0, 0.1, 1e100, "e_x", true, false, t, f, {}, print, t,
-      io.stdout, coroutine.create(f), named, bad } do
+      -1 / math.huge, io.stdout, coroutine.create(f), named, bad } do
       texts[i] = text_of(event)
     end
     assert.same({ "5", "2", "0.1", "1e+100", "e_x", "true", "false", "table 1",
-      "function 1", "table 2", "function 2", "table 1", "userdata 1", "thread 1",
+      "function 1", "table 2", "function 2", "table 1", "0", "userdata 1", "thread 1",
       "my event", "table 3" }, texts)
   end)
 end)
@@ -161,6 +161,9 @@ for _, language in ipairs(LANGUAGES) do
       for problem, options in pairs { -- any order: each stands alone
         ["title: string expected, got boolean"] = true,
         ["depth: number expected, got string 'two'"] = { depth = "two" },
+        ["active: string expected, got 7"] = { active = 7 },
+        ["coverage: table expected, got string 'x'"] = { coverage = "x" },
+        ["trace: table expected, got string 'x'"] = { trace = "x" },
         ["direction: 'TB' or 'LR' expected, got string 'UP'"] = { direction = "UP" },
         ["active: no state is named 'root.onn' (did you mean 'root.on'?)"] = {
           active = "root.onn" },

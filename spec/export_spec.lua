@@ -463,6 +463,7 @@ describe("rfsm.json", function()
     for i, key in ipairs(ORDER) do position[key] = i end
     local fsm = helper.init(state {
       a = state { entry = near, exit = near, doo = near }, doc = "all keys",
+      entry = near, exit = near,
       b = state { final = true, doc = "end" },
       c = rfsm.seqand { left = state { info = false } },
       trans { src = "initial", tgt = "a" },

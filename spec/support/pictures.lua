@@ -80,19 +80,24 @@ local function add_arrow(model, names, random, event)
     events = { event }, guard = random(3) == 1 and print or nil }
 end
 
--- A level of many states: a chain, with arrows across, loops, and composites in it.
+-- A level of many states: a chain, with arrows across, loops, and composites in it, to
+-- and from whose states arrows lead, too. Returns their names.
 local function add_wide_level(model, random, most, add_level)
-  local names = {}
+  local names, ends = {}, {}
   for i = 1, 1 + random(most) do
     names[i] = any_name(random) .. i
     model[names[i]] = any_node(random, i == 1)
+    ends[#ends + 1] = names[i]
     if add_level and random(5) == 1 and rfsm.is_state(model[names[i]]) then
-      add_level(model[names[i]], random, 5)
+      for _, name in ipairs(add_level(model[names[i]], random, 11)) do
+        ends[#ends + 1] = "." .. names[i] .. "." .. name
+      end
     end
     model[#model + 1] = rfsm.trans { src = names[i - 1] or "initial", tgt = names[i],
       events = i > 1 and { any_name(random) } or nil }
   end
-  for i = 1, random(#names) - 1 do add_arrow(model, names, random, "e_" .. i) end
+  for i = 1, random(#names) - 1 do add_arrow(model, ends, random, "e_" .. i) end
+  return names
 end
 
 --- The random model of a seed with many states beside each other.
