@@ -900,12 +900,18 @@ describe("rfsm.web.serve", function()
       #(fsm._reset_hooks or {}) }
   end
 
-  it("leaves the machine alone while no page is open", function()
+  -- A machine that is served, and what a program could see of it before.
+  local function served()
     local fsm = rfsm.init(lamp())
     local before = outside_of(fsm)
     local server = opened(web.serve(fsm,
       { port = 0, clock = function() return now end }))
     rfsm.run(fsm)
+    return fsm, server, before
+  end
+
+  it("leaves the machine alone while no page is open", function()
+    local fsm, server, before = served()
     server:step(0)
     assert.same(before, outside_of(fsm))
     local page = http.page(server)
@@ -921,11 +927,7 @@ describe("rfsm.web.serve", function()
   end)
 
   it("leaves the machine alone when its page does not read, until it does", function()
-    local fsm = rfsm.init(lamp())
-    local before = outside_of(fsm)
-    local server = opened(web.serve(fsm,
-      { port = 0, clock = function() return now end }))
-    rfsm.run(fsm)
+    local fsm, server, before = served()
     local page = http.page(server)
     local at = 0
     server.gettime = function() return at end
