@@ -16,7 +16,7 @@ local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
 
-local abs, ipairs, log, max, sort = math.abs, ipairs, math.log, math.max, table.sort
+local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
 
 local columns = {}
 
@@ -177,14 +177,6 @@ end
 local function src_column(link) return link.upper.node.index end
 local function tgt_column(link) return link.lower.node.index end
 
-local function sort_by(list, key_of)
-  sort(list, function(a, b)
-    local x, y = key_of(a), key_of(b)
-    if x ~= y then return x < y end
-    return a.id < b.id
-  end)
-end
-
 -- The places of columns and tracks in a level.
 local function new_grid(level)
   local grid = { level = level, direction = level.direction, crossing = {}, u = {} }
@@ -193,11 +185,11 @@ local function new_grid(level)
       grid.crossing[#grid.crossing + 1] = link
     end
   end
-  sort_by(grid.crossing, src_column)
+  links.sort_by(grid.crossing, src_column)
   grid.below = assign_tracks(grid.crossing, src_column, function(link)
     return tgt_column(link) - 0.5
   end, "below")
-  sort_by(grid.crossing, tgt_column)
+  links.sort_by(grid.crossing, tgt_column)
   grid.above = assign_tracks(grid.crossing, tgt_column, tgt_column, "above")
   return grid
 end

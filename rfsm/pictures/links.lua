@@ -13,7 +13,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 
-local ipairs = ipairs
+local ipairs, sort = ipairs, table.sort
 
 local links = {}
 
@@ -76,6 +76,15 @@ local links = {}
 ---@field label_at? number[]
 
 -- Gates and links -------------------------------------------------------------
+
+--- Sort gates or links by a key; those with the same by their ids.
+function links.sort_by(list, key_of)
+  sort(list, function(a, b)
+    local x, y = key_of(a), key_of(b)
+    if x ~= y then return x < y end
+    return a.id < b.id
+  end)
+end
 
 --- Return an empty level.
 function links.new_level(composite, direction)
