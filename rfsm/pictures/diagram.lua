@@ -436,6 +436,7 @@ function diagram.add(lines, depth, text)
 end
 
 --- Write a text to a file.
+---@return boolean is_written
 ---@return string? problem in one line
 function diagram.write(file, text)
   local handle, problem = io.open(file, "wb")

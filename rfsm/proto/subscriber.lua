@@ -23,7 +23,6 @@ local Client = {}
 Client.__index = Client
 
 --- Send a message to the host.
----@param message table
 function Client:send(message) self.udp:send(self.json.encode(message)) end
 
 -- Subscribes, or sends a heartbeat, if it is time.
@@ -35,7 +34,6 @@ local function beat(client)
 end
 
 --- Return the next message, if one comes within some seconds.
----@param seconds number
 ---@return table? message
 function Client:receive(seconds)
   beat(self)

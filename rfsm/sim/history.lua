@@ -125,7 +125,6 @@ function history.start(sim)
 end
 
 --- Call a function while nothing is recorded, and the guards are those of the chart.
----@param f fun()
 function history.pause(sim, f)
   stop(sim.history)
   local ok, failure = pcall(f)

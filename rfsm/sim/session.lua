@@ -126,8 +126,6 @@ local function advance(sim, watcher, how, n)
 end
 
 --- Advance by rfsm.step or rfsm.run, and show the result, also if it failed.
----@param how function
----@param n? number
 function Session:advance(how, n)
   local watcher = probe.attach(self, self.follows and not self.level)
   local ok, failure = pcall(advance, self, watcher, how, n)
@@ -250,7 +248,6 @@ local function take_functions(fsm)
 end
 
 --- Take the functions of the chart away, or give them back.
----@param is_dry boolean
 function Session:set_dry(is_dry)
   history.pause(self, function()
     swap.give_back(self.saved or {})
@@ -281,7 +278,6 @@ end
 local session = {}
 
 --- Open a chart.
----@param follows boolean
 ---@param has_stubs? boolean
 ---@return rfsm.sim.Session? sim
 ---@return string[]? problems
