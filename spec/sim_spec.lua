@@ -22,8 +22,8 @@ local function run(command, input)
   return content(out), complaints, tonumber(code)
 end
 
-local function sim(arguments, input)
-  return run("TERM=dumb LUA=" .. LUA .. " tools/rfsm-sim " .. arguments, input)
+local function sim(arguments, input) -- as tools/rfsm-sim does
+  return run("TERM=dumb " .. LUA .. " tools/rfsm sim " .. arguments, input)
 end
 
 -- What the prompt prints for `input`, with hello_world and no errors.
@@ -307,7 +307,7 @@ local function open_terminal(arguments, lua_init)
   -- Types Control-D until the program has ended: at first readline may not be there.
   function terminal.close()
     os.execute(("timeout 30 sh -c 'until %s capture-pane -p "
-      .. "| grep -qF \"ended with status\"; do %s send-keys C-d; sleep 0.2; done' "
+      .. "| grep -qF \"ended with status\"; do %s send-keys C-d; sleep 0.05; done' "
       .. "2>/dev/null"):format(tmux, tmux))
     local screen = terminal.screen()
     assert.is_truthy(screen:find("ended with status 0", 1, true), screen)
