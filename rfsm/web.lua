@@ -20,7 +20,7 @@ local Hosted = require "rfsm.web.hosted"
 local opts = require "rfsm.shared.options"
 local Picture = require "rfsm.web.picture"
 
-local debug, error, io, ipairs, pcall = debug, error, io, ipairs, pcall
+local error, io, ipairs, package, pcall = error, io, ipairs, package, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
 local tonumber, type = tonumber, type
 local huge, min = math.huge, math.min
@@ -55,13 +55,17 @@ local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline
 -- The page ---------------------------------------------------------------------
 
 -- Returns the text of the page, whose file is beside the modules.
-local function read_page()
-  local folder = debug.getinfo(1, "S").source:match("^@(.*)%.lua$")
-  local handle = folder and io.open(folder .. "/page.html", "rb")
-  if not handle then return nil, "rfsm/web/page.html is not beside the modules" end
-  local text = handle:read("*a")
-  handle:close()
-  return text
+local function find_page()
+  for template in package.path:gmatch("[^;]+") do
+    local name = template:gsub("%?", "rfsm/web/page"):gsub("%.lua$", ".html")
+    local handle = io.open(name, "rb")
+    if handle then
+      local text = handle:read("*a")
+      handle:close()
+      return text
+    end
+  end
+  return nil, "rfsm/web/page.html is not beside the modules"
 end
 
 -- Returns random bytes as text.
@@ -335,7 +339,7 @@ end
 -- Opens the port and reads the page; nil and a problem.
 local function open_server(sources, settings)
   local page, token, problem
-  page, problem = read_page()
+  page, problem = find_page()
   if page then token, problem = new_secret(16) end
   if not token then return nil, problem end
   local server = setmetatable({
