@@ -412,6 +412,16 @@ describe("the server", function()
     assert.equal(0.5, wait_of(server))
   end)
 
+  it("answers with 500 and the reason if it fails itself, and goes on", function()
+    local server = open()
+    local function encode() error("no paper", 0) end
+    helper.with(server.json, { encode = encode }, function()
+      local status, body = http.request(server, "GET", "/chart")
+      assert.same({ 500, "no paper\n" }, { status, body })
+    end)
+    assert.equal(200, (http.request(server, "GET", "/chart")))
+  end)
+
   it("runs until its program ends", function()
     local server, waits = open(), {}
     helper.with(server, { step = function(_, timeout)
@@ -566,6 +576,15 @@ describe("a page", function()
     rawset(_G, "said", nil)
     assert.matches("no power", said)
     assert.is_function(rawget(server.shown[1].source.view.fsm, "warn"))
+  end)
+
+  it("is told what is odd in the chart", function()
+    local _, first = http.page(open([[
+      local rfsm = require "rfsm"
+      return rfsm.state { a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } }
+    ]]))
+    assert.same({ "warning: no outgoing transitions from node 'root.a'",
+      "step: root.initial → root.a" }, texts_of(first.log))
   end)
 
   it("is told errors of callbacks, and the machine goes on", function()
