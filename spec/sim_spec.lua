@@ -468,6 +468,12 @@ return rfsm.state {
       .. "active: root.a(done)\nqueue:  \n", out)
   end)
 
+  it("has no stubs unless the simulator was started with them", function()
+    local out, complaints = reloaded("local arm = robot.arm\n" .. CHART, "showfqn\n")
+    assert.matches("CHART:1: [^\n]*'robot'", complaints)
+    assert.equal("active: root.b(done)\n", out)
+  end)
+
   it("reports a mistake, and changes nothing", function()
     local out, complaints = reloaded("return rfsm.state { a = = 1 }", "showfqn\n")
     assert.matches("^CHART:1: [^\n]*\n$", complaints)
@@ -580,6 +586,49 @@ end)
 it("the history shows the timer that was the cause", function()
   local out = sim("-q examples/timeevent.lua", "clock 0\nnext\nhistory 2\n")
   assert.matches("%d  e_after%(60%)@root.lights +root.dark", out)
+end)
+
+describe("the Tab key", function()
+  -- The completions of a word behind a text.
+  local function completions(word, before)
+    local drive = require "spec.support.drive"
+    local terminal = require "rfsm.sim.terminal"
+    local prompt = drive.require "rfsm.sim.prompt"
+    local opened = drive.require("rfsm.sim.session").open("examples/on_off.lua", false)
+    local complete
+    prompt.install(opened)
+    opened.is_over = true
+    helper.with(terminal, { new_reader = function(f) complete = f end },
+      function() prompt.converse(opened) end)
+    opened.history.recorder:stop()
+    return complete(word, before)
+  end
+
+  for _, case in ipairs {
+    { word = "", before = "ser ", words = { "e_push" } },
+    { word = "e_p", before = "se(", words = { "e_push" } },
+    { word = "o", before = "ses ", words = {} },
+    { word = "o", before = "why ", words = {} },
+    { word = "o", before = "breakpoint ", words = { "off", "on" } },
+    { word = "se", before = "", words = { "se", "ser", "ses" } },
+    { word = "fsm.of", before = "print(", words = { "fsm.off" } },
+    { word = "rfsm.is_l", before = "", words = { "rfsm.is_leaf" } },
+    { word = "s", before = "tree ", words = { "se", "ser", "ses", "showeq", "showfqn",
+      "step" } },
+  } do
+    it(("knows '%s' behind '%s'"):format(case.word, case.before), function()
+      assert.same(case.words, completions(case.word, case.before))
+    end)
+  end
+end)
+
+it("the tree has 12 siblings of an active state, and counts the others", function()
+  local names = {}
+  for i = 1, 15 do names[i] = ("s%02d = rfsm.state {}"):format(i) end
+  local out = sim("-q " .. file_with("return rfsm.state { warn = false, info = false, "
+    .. table.concat(names, ", ") .. ", rfsm.trans { src = 'initial', tgt = 's14' } }"),
+    "step\ntree\n")
+  assert.matches("\n    s12\n  %* s14 %(done%)\n    and 2 more\n$", out)
 end)
 
 describe("a line that is read", function()
@@ -989,6 +1038,14 @@ describe("an advance", function()
     local times = {}
     for time in out:gmatch("clock:  ([%d.]+) s") do times[#times + 1] = time end
     assert.same({ "0", "0.5", "0", "0.5", "0.5" }, times)
+  end)
+
+  it("has that time also after goto to its last iteration", function()
+    local out = said("clock 0\nse e_restart\nclock 1\nse e_restart\nclock 1\n"
+      .. "goto 6\nclock\ngoto 2\nclock\n")
+    local times = {}
+    for time in out:gmatch("clock:  ([%d.]+) s") do times[#times + 1] = time end
+    assert.same({ "0", "1", "2", "1", "0" }, times)
   end)
 
   it("is kept in chunks, each with a snapshot", function()
