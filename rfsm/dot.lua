@@ -23,8 +23,7 @@ local max, min = math.max, math.min
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
 
--- Nodes: composites are clusters ----------------------------------------------
-
+-- Adds the labels of the arrows in a composite, which are nodes.
 local function add_labels(lines, depth, composite)
   for _, arrow in ipairs(composite.arrows) do
     if arrow.label then
@@ -32,18 +31,6 @@ local function add_labels(lines, depth, composite)
         arrow.label.text))
     end
   end
-end
-
-local function add_node(lines, depth, node)
-  local id = id_of(node.fqn)
-  if node.kind ~= "composite" then
-    return add(lines, depth, ("%s [%s, %s]"):format(node.id, id, looks.leaf_text(node)))
-  end
-  add(lines, depth, "subgraph cluster_" .. node.id .. " {")
-  add(lines, depth + 1, ("graph [%s, %s]"):format(id, looks.frame_text(node)))
-  for _, subnode in ipairs(node.nodes) do add_node(lines, depth + 1, subnode) end
-  add_labels(lines, depth + 1, node)
-  add(lines, depth, "}")
 end
 
 -- Arrows ----------------------------------------------------------------------
@@ -164,7 +151,7 @@ local function draw(chart)
     looks.head(chart.direction) }
   -- so that Graphviz takes seconds, not a minute; the picture is hardly wider
   if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
-  add_node(lines, 1, root)
+  looks.add_node(lines, 1, root, nil, add_labels)
   add_labels(lines, 1, chart)
   for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end
   add(lines, 0, "}")

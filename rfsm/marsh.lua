@@ -65,20 +65,17 @@ local function target_of(tr) return tr._initial or tr.tgt end
 -- Notes which child of a composite a transition leads to, and from which one; a child
 -- that is entered from outside is noted for the composite.
 local function note_links(tr, links, entries)
-  local on_the_way, child = {}, target_of(tr)
+  local around, child, tgt = {}, target_of(tr), target_of(tr)
   while not rfsm.is_root(child) do
-    on_the_way[child._parent], child = child, child._parent
+    around[child._parent], child = child, child._parent
   end
   child = tr.src
-  while not rfsm.is_root(child) do
-    local tgt = on_the_way[child._parent]
-    if tgt and tgt ~= child then append(links, child, tgt) end
-    on_the_way[child._parent], child = nil, child._parent
-  end
-  child = target_of(tr)
-  while not rfsm.is_root(child) do
-    if on_the_way[child._parent] then append(entries, child._parent, child) end
-    child = child._parent
+  while not (rfsm.is_root(child) or around[child._parent]) do child = child._parent end
+  local home = not rfsm.is_root(child) and child._parent
+  if home and around[home] ~= child then append(links, child, around[home]) end
+  while not rfsm.is_root(tgt) and tgt._parent ~= home do
+    append(entries, tgt._parent, tgt)
+    tgt = tgt._parent
   end
 end
 
@@ -149,14 +146,12 @@ end
 
 -- Puts what a function has kept in place of the parameters of its maker.
 local function arguments_of(f, parameters)
-  local values, i = {}, 1
-  local name, value = debug.getupvalue(f, 1)
-  while name do
+  local values = {}
+  for i = 1, debug.getinfo(f, "u").nups do
+    local name, value = debug.getupvalue(f, i)
     local kind = type(value)
     values[name] = kind == "string" and '"' .. value .. '"'
       or (kind == "number" or kind == "boolean") and rfsm.text_of(value) or nil
-    i = i + 1
-    name, value = debug.getupvalue(f, i)
   end
   return (parameters:gsub("[%a_][%w_]*", values))
 end

@@ -258,7 +258,6 @@ local function read(server)
 end
 
 local function read_first(server)
-  if server.read_timeout == 0 then return read(server) end
   server.udp:settimeout(server.read_timeout)
   local data, ip, port = read(server)
   server.udp:settimeout(0)
@@ -310,10 +309,9 @@ end
 -- The path that was taken: for subscribers that ask, since tracing has its cost ---
 
 local function wants_path(feed)
-  for _, sub in ipairs(feed.server.subscribers) do
-    if sub.has_path and (not sub.only or sub.only == feed.number) then return true end
-  end
-  return false
+  local is_wanted = false
+  each_subscriber(feed, function(sub) is_wanted = is_wanted or sub.has_path end)
+  return is_wanted
 end
 
 -- Has the `dbg` of a machine note the path that is taken, or no more.
@@ -324,7 +322,6 @@ local function trace_path(feed, is_wanted)
     end)
   elseif not is_wanted and feed.tracer[1] then
     swap.give_back(feed.tracer)
-    feed.path = false
   end
 end
 

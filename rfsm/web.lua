@@ -196,7 +196,7 @@ end
 
 local ROUTES = {
   ["/"] = { GET = function(server)
-    return { type = "text/html", body = server.page, headers = server.page_headers }
+    return { type = "text/html", body = server.page, policy = server.policy }
   end },
   ["/chart"] = { GET = chart_reply },
   ["/picture.svg"] = { GET = function(_, _, shown)
@@ -248,7 +248,6 @@ end
 -- Sends what has changed to each page that has taken its last message, at most once a
 -- frame. Pages that know the same get the same text.
 local function send_changes(server)
-  if server.http.streams == 0 then return end
   local messages, now = {}, server.gettime()
   server.is_late = false
   server.http:feed(function(connection)
@@ -349,7 +348,7 @@ local function open_server(sources, settings)
   }, Server)
   update_shown(server)
   server.page = page:gsub("{{token}}", token)
-  server.page_headers = { ["Content-Security-Policy"] = CSP:format(token) }
+  server.policy = CSP:format(token)
   local listener
   listener, problem = require("rfsm.web.http").listen(settings.host, settings.port,
     function(request) return handle_safely(server, request) end, settings.clock)

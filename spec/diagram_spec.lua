@@ -41,6 +41,17 @@ local function lamp()
   })
 end
 
+-- Those between its states, in PlantUML and in Mermaid.
+local ARROWS = [[
+  [*] --> root_off
+  root_off --> root_k : e_switch [yes]
+  root_k --> root_on : / yes
+  root_on --> root_on : e_again
+  root_on --> root_on_moving : e_in [yes] / yes
+  root_on --> root_off : e_switch
+  root_on_moving --> root_off : e_panic
+]]
+
 local function odd() return helper.init(pictures.odd()) end
 
 -- Random machines: a function that returns the next one, and how many arrows it has.
@@ -79,11 +90,11 @@ describe("gen_event_text", function()
     local bad = setmetatable({}, { __tostring = function() error("no") end })
     local texts = {}
     for i, event in ipairs { 5, 2.0, 0.1, 1e100, "e_x", true, false, t, f, {}, print, t,
-      io.stdout, coroutine.create(f), named, bad } do
+      -1 / math.huge, io.stdout, coroutine.create(f), named, bad } do
       texts[i] = text_of(event)
     end
     assert.same({ "5", "2", "0.1", "1e+100", "e_x", "true", "false", "table 1",
-      "function 1", "table 2", "function 2", "table 1", "userdata 1", "thread 1",
+      "function 1", "table 2", "function 2", "table 1", "0", "userdata 1", "thread 1",
       "my event", "table 3" }, texts)
   end)
 end)
@@ -150,6 +161,9 @@ for _, language in ipairs(LANGUAGES) do
       for problem, options in pairs { -- any order: each stands alone
         ["title: string expected, got boolean"] = true,
         ["depth: number expected, got string 'two'"] = { depth = "two" },
+        ["active: string expected, got 7"] = { active = 7 },
+        ["coverage: table expected, got string 'x'"] = { coverage = "x" },
+        ["trace: table expected, got string 'x'"] = { trace = "x" },
         ["direction: 'TB' or 'LR' expected, got string 'UP'"] = { direction = "UP" },
         ["active: no state is named 'root.onn' (did you mean 'root.on'?)"] = {
           active = "root.onn" },
@@ -269,13 +283,7 @@ state "root" as root {
     root_on_idle --> root_on_moving : e_go, e_run
     root_on_moving --> root_on : e_halt
   }
-  [*] --> root_off
-  root_off --> root_k : e_switch [yes]
-  root_k --> root_on : / yes
-  root_on --> root_on : e_again
-  root_on --> root_on_moving : e_in [yes] / yes
-  root_on --> root_off : e_switch
-  root_on_moving --> root_off : e_panic
+]] .. ARROWS .. [[
 }
 @enduml
 ]], require("rfsm.plantuml").encode(lamp(), "the lamp"))
@@ -456,14 +464,20 @@ stateDiagram-v2
     root_on_idle --> root_on_moving : e_go, e_run
     root_on_moving --> root_on_initial : e_halt
   }
-  [*] --> root_off
-  root_off --> root_k : e_switch [yes]
-  root_k --> root_on : / yes
-  root_on --> root_on : e_again
-  root_on --> root_on_moving : e_in [yes] / yes
-  root_on --> root_off : e_switch
-  root_on_moving --> root_off : e_panic
-]], encode(lamp(), 'the "lamp"'))
+]] .. ARROWS, encode(lamp(), 'the "lamp"'))
+  end)
+
+  it("has a note for the rows of a composite, however few", function()
+    local text = encode(helper.init(state {
+      m = state { entry = yes, a = state {}, trans { src = "initial", tgt = "a" } },
+      n = state { entry = yes, exit = yes, a = state {},
+        trans { src = "initial", tgt = "a" } },
+      o = state { a = state {}, trans { src = "initial", tgt = "a" } },
+      trans { src = "initial", tgt = "m" },
+    }))
+    contains(text, { "\n  note right of root_m : entry / yes\n",
+      "\n  note right of root_n : entry / yes<br>exit / yes\n" })
+    assert.is_nil(text:find("note right of root_o", 1, true))
   end)
 
   it("draws the root as a box where an arrow begins at it", function()

@@ -266,6 +266,27 @@ describe("the full description", function()
     assert.equal("root.trans[1]", tab.transitions[1].key)
   end)
 
+  it("has the history of a state if rfsm.history is there, as far as it is a text",
+    function()
+      assert.equal("nil nil\ndeep nil", helper.output_of([[
+        local rfsm, marsh = require "rfsm", require "rfsm.marsh"
+        local function histories()
+          local function inner(history)
+            return rfsm.state { history = history, x = rfsm.state {},
+              rfsm.trans { src = "initial", tgt = "x" } }
+          end
+          local tab = marsh.model2tab(rfsm.init(rfsm.state { info = false, warn = false,
+            err = false, a = inner "deep", b = inner(nil),
+            rfsm.trans { src = "initial", tgt = "a" } }), true)
+          return tostring(tab.subnodes[2].history) .. " "
+            .. tostring(tab.subnodes[3].history)
+        end
+        print(histories())
+        require "rfsm.history"
+        print(histories())
+      ]]))
+    end)
+
   local function arm()
     return state { open = state {}, trans { src = "initial", tgt = "open" },
       info = false, warn = false }
@@ -442,6 +463,7 @@ describe("rfsm.json", function()
     for i, key in ipairs(ORDER) do position[key] = i end
     local fsm = helper.init(state {
       a = state { entry = near, exit = near, doo = near }, doc = "all keys",
+      entry = near, exit = near,
       b = state { final = true, doc = "end" },
       c = rfsm.seqand { left = state { info = false } },
       trans { src = "initial", tgt = "a" },

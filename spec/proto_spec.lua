@@ -235,6 +235,9 @@ describe("a subscription", function()
       for i = 1, 3 do paths[i] = asking:read().path or false end
       assert.same({ false, "root.off[LS]->root.on[LS]", false },
         { paths[1], asking:read().path or paths[2], paths[3] })
+      local tracer = rawget(fsm, "dbg")
+      rfsm.step(fsm)
+      assert.equal(tracer, rawget(fsm, "dbg")) -- one is enough
       asking:send { type = "unsubscribe" }
       rfsm.step(fsm)
       assert.equal(own, rawget(fsm, "dbg"))
@@ -286,6 +289,18 @@ describe("a subscription", function()
     rfsm.step(fsm)
     assert.same(marsh.model2tab(fsm), client:read().graph)
     assert.same({ OFF }, client:lines(1))
+  end)
+
+  it("brings no graph anew of another machine than the merged one", function()
+    local fsm, client = served()
+    local other = started(lamp())
+    client:subscribe()
+    rfsm.step(fsm)
+    rfsm.step(other)
+    client:lines(4)
+    assert(rfsm.fsm_merge(fsm, fsm, state {}, "dim"))
+    assert.same({ OFF }, answers(other, client, 1))
+    assert.same({ "model 1", OFF }, answers(fsm, client, 2))
   end)
 
   it("reports a graph or a name that is too long for a datagram", function()
@@ -511,6 +526,19 @@ describe("a step", function()
     assert.equal("root.on", helper.leaf_after(fsm))
   end)
 
+  it("takes a datagram of max_received bytes, none that is longer", function()
+    local fsm, client = served { allow_send = true, max_received = 64 }
+    for length, leaf_then in pairs { -- any order: each stands alone
+      [65] = "root.off", [64] = "root.on",
+    } do
+      local text = dkjson.encode(PUSH)
+      client:send(text .. (" "):rep(length - #text))
+      assert.equal(leaf_then, helper.leaf_after(fsm))
+      rfsm.reset(fsm)
+      rfsm.run(fsm)
+    end
+  end)
+
   it("reads once and writes nothing while nobody has subscribed", function()
     local reads = 0
     with_fake_socket({
@@ -654,6 +682,12 @@ describe("install", function()
     end)
   end
 
+  it("takes each port", function()
+    for _, port in ipairs { 0, 65535 } do -- the last one may be in use
+      assert.not_matches("^port: ", problem_of { port = port })
+    end
+  end)
+
   it("sets its global, under the name of the original", function()
     assert.equal(proto, rawget(_G, "rfsm_proto"))
   end)
@@ -675,6 +709,8 @@ describe("install", function()
         local preload = { [name] = function() error("not there", 0) end }
         helper.with(package.preload, preload, function()
           assert.equal("the package " .. text, problem_of { port = 0 })
+          assert.same({ nil, "the package " .. text },
+            { require("rfsm.proto.subscriber").connect("localhost", 1) })
         end)
       end)
     end)
@@ -685,8 +721,8 @@ describe("a client", function()
   local subscriber = require "rfsm.proto.subscriber"
 
   -- Returns a client, its clock, what it has sent, and what it is to receive.
-  local function connected(options)
-    local client = assert(subscriber.connect("127.0.0.1", 9, options))
+  local function connected(has_path)
+    local client = assert(subscriber.connect("127.0.0.1", 9, has_path))
     clients[#clients + 1] = client
     local at, sent, coming = { now = 0 }, {}, {}
     client.clock = function() return at.now end
@@ -702,13 +738,13 @@ describe("a client", function()
   end
 
   it("subscribes until it is heard, then sends a heartbeat a second", function()
-    local client, at, sent, coming = connected { path = true, only = 2 }
+    local client, at, sent, coming = connected(true)
     for _, seconds in ipairs { 0, 0.5, 1, 1.5, 2 } do
       at.now = seconds
       assert.is_nil(client:receive(0))
     end
     assert.equal(3, #sent)
-    assert.same({ type = "subscribe", path = true, fsm = 2 }, dkjson.decode(sent[1]))
+    assert.same({ type = "subscribe", path = true }, dkjson.decode(sent[1]))
     assert.is_false(client.is_heard)
     coming[1] = '{"type":"rfsm_error","text":"something"}'
     assert.equal("something", client:receive(0).text)

@@ -34,7 +34,7 @@ describe("the outline of a chart", function()
       info = false, warn = false, a = state { b = state {}, fork = conn {},
         trans { src = "initial", tgt = "b" },
         trans { src = "b", tgt = "fork", events = { "e_x", 7 }, guard = guard },
-        trans { src = "fork", tgt = "b" },
+        trans { src = "fork", tgt = "b", effect = function() print() end },
         trans { src = "b", tgt = "internal", events = { "e_done" } } },
       trans { src = "initial", tgt = "a" },
     }), true))
@@ -55,7 +55,7 @@ describe("the outline of a chart", function()
     assert.same({
       { "root.trans[1]", 1, 3, "", "" }, { "root.a.trans[1]", 3, 4, "", "" },
       { "root.a.trans[2]", 4, 5, "e_x, 7 []", "0 1" },
-      { "root.a.trans[3]", 5, 4, "", "" },
+      { "root.a.trans[3]", 5, 4, "/ print()", "" },
       { "root.a.trans[4]", 4, 4, "done", "2", true },
     }, edges)
     assert.same({ { text = "e_x", words = "e_x", is_own = false },

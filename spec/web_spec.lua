@@ -8,6 +8,7 @@ local http = require "spec.support.http"
 local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 local subscriber = require "rfsm.proto.subscriber"
 local watch = require "rfsm.web.watch"
 local web = require "rfsm.web"
@@ -167,7 +168,8 @@ describe("the server", function()
     '{"command":"send","event":{}}', '{"command":"send","event":99}',
     '{"command":"send","event":0.5}', '{"command":"send","event":-1}',
     '{"command":"wait","seconds":"1"}', '{"command":"wait","seconds":-1}',
-    '{"command":"wait","seconds":1e999}', '{"command":"back","to":99}',
+    '{"command":"wait","seconds":1e9}', '{"command":"wait","seconds":1e999}',
+    '{"command":"back","to":99}',
     '{"command":"back","to":"x"}', '{"command":"next"}', ("["):rep(10000) }
   for _, body in ipairs(BODIES) do
     it("refuses the command " .. body:sub(1, 40) .. " with a reason", function()
@@ -375,6 +377,68 @@ describe("the server", function()
     for i = 701, 1000 do silent[i]:close() end
   end)
 
+  -- The seconds that a step which may take 100 waits for requests.
+  local function wait_of(server)
+    local seconds
+    helper.with(server.http, { step = function(_, timeout) seconds = timeout end },
+      function() server:step(100) end)
+    return seconds
+  end
+
+  it("waits until it has something to do: looks at the file, at Graphviz", function()
+    local server = open()
+    assert.equal(0.5, wait_of(server))
+    now = 0.25
+    assert.equal(0.25, wait_of(server))
+    now = 3
+    assert.equal(0.5, wait_of(server)) -- it has looked
+    server.shown[1].drawing = { is_pending = true, take = function() end,
+      drop = function() end }
+    assert.equal(0.02, wait_of(server))
+    server.shown[1].source.look_at = 2 -- should have been at it before
+    server.shown[1].source.poll = function() end
+    assert.equal(0, wait_of(server))
+  end)
+
+  it("waits for a frame only while a page is late", function()
+    local server, at = open(), 0
+    http.page(server)
+    server.gettime = function() return at end
+    server.http.connections[1].cursor.at = 0
+    server.shown[1].source.view:touch()
+    assert.equal(1 / 30, wait_of(server))
+    at = 1
+    assert.equal(0.5, wait_of(server))
+    assert.equal(0.5, wait_of(server))
+  end)
+
+  it("answers with 500 and the reason if it fails itself, and goes on", function()
+    local server = open()
+    local function encode() error("no paper", 0) end
+    helper.with(server.json, { encode = encode }, function()
+      local status, body = http.request(server, "GET", "/chart")
+      assert.same({ 500, "no paper\n" }, { status, body })
+    end)
+    assert.equal(200, (http.request(server, "GET", "/chart")))
+  end)
+
+  it("runs until its program ends", function()
+    local server, waits = open(), {}
+    helper.with(server, { step = function(_, timeout)
+      waits[#waits + 1] = timeout
+      if #waits == 3 then error("the end", 0) end
+    end }, function()
+      assert.same({ false, "the end" }, { pcall(server.run, server) })
+    end)
+    assert.same({ math.huge, math.huge, math.huge }, waits)
+  end)
+
+  it("frees its port when it is closed", function()
+    local server = open()
+    server:close()
+    opened(assert(web.open(helper.file_with(LAMP), { port = server.port })))
+  end)
+
   it("feeds no stream without the token", function()
     local server = open()
     for _, query in ipairs { "", "?token=", "?token=0", "?x=" .. server.token } do
@@ -512,6 +576,15 @@ describe("a page", function()
     rawset(_G, "said", nil)
     assert.matches("no power", said)
     assert.is_function(rawget(server.shown[1].source.view.fsm, "warn"))
+  end)
+
+  it("is told what is odd in the chart", function()
+    local _, first = http.page(open([[
+      local rfsm = require "rfsm"
+      return rfsm.state { a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } }
+    ]]))
+    assert.same({ "warning: no outgoing transitions from node 'root.a'",
+      "step: root.initial → root.a" }, texts_of(first.log))
   end)
 
   it("is told errors of callbacks, and the machine goes on", function()
@@ -680,8 +753,8 @@ describe("a page", function()
 end)
 
 it("random commands do what the same calls do, and back leads where it was", function()
-  local n = tonumber(os.getenv "RFSM_N") or 8
-  assert.same({ n }, { require("spec.support.claims.web").run(n, 1) })
+  local n = tonumber(os.getenv "RFSM_N") or 3
+  assert.same({ n }, { require("spec.support.claims.web").run(n, share.seed(n)) })
 end)
 
 describe("a chart in a file", function()
@@ -846,12 +919,18 @@ describe("rfsm.web.serve", function()
       #(fsm._reset_hooks or {}) }
   end
 
-  it("leaves the machine alone while no page is open", function()
+  -- A machine that is served, and what a program could see of it before.
+  local function served()
     local fsm = rfsm.init(lamp())
     local before = outside_of(fsm)
     local server = opened(web.serve(fsm,
       { port = 0, clock = function() return now end }))
     rfsm.run(fsm)
+    return fsm, server, before
+  end
+
+  it("leaves the machine alone while no page is open", function()
+    local fsm, server, before = served()
     server:step(0)
     assert.same(before, outside_of(fsm))
     local page = http.page(server)
@@ -867,11 +946,7 @@ describe("rfsm.web.serve", function()
   end)
 
   it("leaves the machine alone when its page does not read, until it does", function()
-    local fsm = rfsm.init(lamp())
-    local before = outside_of(fsm)
-    local server = opened(web.serve(fsm,
-      { port = 0, clock = function() return now end }))
-    rfsm.run(fsm)
+    local fsm, server, before = served()
     local page = http.page(server)
     local at = 0
     server.gettime = function() return at end

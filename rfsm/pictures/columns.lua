@@ -16,7 +16,7 @@ local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
 
-local abs, ipairs, log, max, sort = math.abs, ipairs, math.log, math.max, table.sort
+local abs, ipairs, log, max = math.abs, ipairs, math.log, math.max
 
 local columns = {}
 
@@ -27,8 +27,6 @@ local function misfit_of(width, height)
 end
 
 --- Return how far a level is from the ratio that is aimed at; 0 if it has it.
----@param level rfsm.pictures.Level
----@return number misfit
 function columns.misfit(level) return misfit_of(level.width, level.height) end
 
 -- Columns: which nodes are in them --------------------------------------------
@@ -118,7 +116,6 @@ local MOST = 6 -- arrows between columns, for each channel
 
 --- Return the number of the column for each node of a level, nil if columns do not fit:
 -- if too many arrows would lead from one to the other.
----@param level rfsm.pictures.Level
 ---@return integer[]? numbers
 function columns.plan(level)
   local across, direction, label = 0, level.direction, label_width(level)
@@ -142,8 +139,6 @@ function columns.plan(level)
 end
 
 --- Put the nodes of a level into columns.
----@param chart rfsm.pictures.Chart
----@param level rfsm.pictures.Level
 ---@param numbers integer[] of the columns
 ---@return rfsm.pictures.Level[] levels those of the columns
 function columns.split(chart, level, numbers)
@@ -182,14 +177,6 @@ end
 local function src_column(link) return link.upper.node.index end
 local function tgt_column(link) return link.lower.node.index end
 
-local function sort_by(list, key_of)
-  sort(list, function(a, b)
-    local x, y = key_of(a), key_of(b)
-    if x ~= y then return x < y end
-    return a.id < b.id
-  end)
-end
-
 -- The places of columns and tracks in a level.
 local function new_grid(level)
   local grid = { level = level, direction = level.direction, crossing = {}, u = {} }
@@ -198,11 +185,11 @@ local function new_grid(level)
       grid.crossing[#grid.crossing + 1] = link
     end
   end
-  sort_by(grid.crossing, src_column)
+  links.sort_by(grid.crossing, src_column)
   grid.below = assign_tracks(grid.crossing, src_column, function(link)
     return tgt_column(link) - 0.5
   end, "below")
-  sort_by(grid.crossing, tgt_column)
+  links.sort_by(grid.crossing, tgt_column)
   grid.above = assign_tracks(grid.crossing, tgt_column, tgt_column, "above")
   return grid
 end
@@ -214,7 +201,7 @@ local function place_across(grid, from)
     if i > 1 then u = u + 2 * PITCH end
     for _, link in ipairs(grid.crossing) do
       if link.lower.node == column then
-        local label = link.label_box
+        local label = link.arrow.label_box
         link.u = u
         u = u + PITCH + (label and size_of(label, grid.direction) + 4 or 0)
       end
@@ -275,7 +262,7 @@ local function corners_of(grid, link)
   end
   local below, above = grid.foot + link.below * PITCH, grid.start - link.above * PITCH
   local tgt, top = foot_of(grid, link.lower, false)
-  local label = link.label_box
+  local label = link.arrow.label_box
   if label then
     link.label_at = at(link.u + 3 + size_of(label, grid.direction) / 2,
       (below + above) / 2)
@@ -285,7 +272,6 @@ local function corners_of(grid, link)
 end
 
 --- Place the columns of a level, and the arrows between them.
----@param level rfsm.pictures.Level
 ---@param header? rfsm.pictures.Box size of name and rows
 function columns.arrange(level, header)
   local grid = new_grid(level)

@@ -14,7 +14,7 @@ local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
 local io = rawget(_G, "io") -- absent in a browser
-local rawset, select, setmetatable = rawset, select, setmetatable
+local rawset, select = rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat, max = table.concat, math.max
 
@@ -85,9 +85,7 @@ local diagram = {}
 -- Text ------------------------------------------------------------------------
 
 --- Return an identifier that nothing else in the drawing has.
----@param chart rfsm.pictures.Chart
 ---@param plain string letters, digits and underscores
----@return string id
 function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
@@ -99,9 +97,6 @@ function diagram.new_id(chart, plain)
 end
 
 --- Return a text fit for a picture: UTF-8, no control characters but the line feed.
----@param text string
----@return string
----@nodiscard
 function diagram.clean(text)
   if not text:find("[^ -~]") then return text end
   text = marsh.utf8(text):gsub("\r\n?", "\n"):gsub("\t", " ")
@@ -110,10 +105,7 @@ end
 
 local clean = diagram.clean
 
-local function length_of(text)
-  if not text:find("[\128-\191]") then return #text end
-  return select(2, text:gsub("[^\128-\191]", ""))
-end
+local function length_of(text) return select(2, text:gsub("[^\128-\191]", "")) end
 
 local CHARACTER = "[^\128-\191][\128-\191]*"
 
@@ -155,9 +147,7 @@ local function add_line(lines, line, width, can_join)
 end
 
 --- Return texts in short lines. One that is short goes on in the line before it.
----@param texts string[]
 ---@param width integer characters
----@return string[] lines
 function diagram.wrap(texts, width)
   local lines = {}
   for _, text in ipairs(texts) do
@@ -170,12 +160,48 @@ function diagram.wrap(texts, width)
   return lines
 end
 
--- Nodes -----------------------------------------------------------------------
+-- Descriptions: what pictures and pages read in them --------------------------
 
-local function kind_of(tab)
+--- List what is in a node of a description: its nodes, or its regions.
+---@return rfsm.marsh.Node[]
+function diagram.members(tab) return tab.regions or tab.subnodes or {} end
+
+local members = diagram.members
+
+--- Return the kind of a node in a description.
+---@return "leaf"|"composite"|"connector"|"initial"
+function diagram.kind_of(tab)
   if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
-  return (tab.subnodes or tab.regions or {})[1] and "composite" or "leaf"
+  return members(tab)[1] and "composite" or "leaf"
 end
+
+--- Has a node, or what was made of it, the kind of a state?
+function diagram.is_state(node)
+  return node.kind == "leaf" or node.kind == "composite"
+end
+
+local is_state = diagram.is_state
+
+--- Call f(tr, key, words) for each transition in a description; `words` are its events
+-- for a reader.
+---@param text_of fun(event: any): string
+---@param f fun(tr: rfsm.marsh.Transition, key: string, words: string[])
+---@param fqn? string of `tab`, default "root"
+function diagram.each_transition(tab, text_of, f, fqn)
+  fqn = fqn or "root"
+  for i, tr in ipairs(tab.transitions or {}) do
+    local words = {}
+    for j, event in ipairs(tr.events) do
+      words[j] = tr.words and tr.words[j] or marsh.words_of(text_of(event), tr.src)
+    end
+    f(tr, tr.key or ("%s.trans[%d]"):format(fqn, i), words)
+  end
+  for _, subtab in ipairs(members(tab)) do
+    diagram.each_transition(subtab, text_of, f, fqn .. "." .. subtab.id)
+  end
+end
+
+-- Nodes -----------------------------------------------------------------------
 
 local HISTORY = { shallow = "(H)", deep = "(H*)" }
 
@@ -195,36 +221,27 @@ local MODES = { active = "active", done = "done" }
 
 -- Reads a node and those in it, to a depth; `by_fqn` gets them all.
 local function read_node(chart, tab, parent, fqn, depth)
-  local kind, id = kind_of(tab), fqn:gsub("%W", "_")
+  local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
+  local is_cut = depth == 0 and kind == "composite"
   local node = {
     name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
-    kind = depth > 0 and kind or kind == "composite" and "leaf" or kind,
+    kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
     nodes = {}, arrows = {}, rows = rows_of(tab), mode = MODES[tab.mode],
     depth = parent and parent.depth + 1 or 0, is_final = tab.final,
-    is_cut = depth == 0 and kind == "composite" or nil,
   }
   chart.by_fqn[fqn] = node
   chart.nodes[#chart.nodes + 1] = node
-  local function read_list(list)
-    for _, subtab in ipairs(depth > 0 and list or {}) do
-      local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
-      subnode.index = #node.nodes + 1
-      node.nodes[subnode.index] = subnode
-      if subnode.kind == "initial" then node.initial = subnode end
-    end
+  for i, subtab in ipairs(is_cut and {} or members(tab)) do
+    local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
+    node.nodes[i], subnode.index, subnode.is_region = subnode, i, tab.regions and true
+    if subnode.kind == "initial" then node.initial = subnode end
   end
-  read_list(tab.subnodes)
-  read_list(tab.regions)
-  for i = 1, tab.regions and #node.nodes or 0 do node.nodes[i].is_region = true end
   return node
 end
 
 -- Arrows ----------------------------------------------------------------------
 
 --- Is `node` somewhere inside of `composite`?
----@param node rfsm.pictures.Node
----@param composite rfsm.pictures.Node
----@return boolean
 function diagram.is_inside(node, composite)
   local parent = node.parent
   while parent and parent ~= composite do parent = parent.parent end
@@ -240,8 +257,6 @@ local function find_node(chart, fqn)
 end
 
 --- Return the innermost composite that has both ends of an arrow in it.
----@param src rfsm.pictures.Node
----@param tgt rfsm.pictures.Node
 ---@return rfsm.pictures.Node? home nil if one is the root
 function diagram.find_home(src, tgt)
   local home = src.parent
@@ -249,20 +264,12 @@ function diagram.find_home(src, tgt)
   return home
 end
 
-local function words_of(tr, text_of)
-  local words = {}
-  for i, event in ipairs(tr.events) do
-    words[i] = clean(tr.words and tr.words[i] or marsh.words_of(text_of(event), tr.src))
-  end
-  return concat(words, ", ")
-end
-
-local function parts_of(tr, text_of)
-  local events, parts = words_of(tr, text_of), {}
+local function parts_of(tr, words)
+  local parts = {}
   local function add(text, format)
     if text and text ~= "" then parts[#parts + 1] = format:format(clean(text)) end
   end
-  add(events, "%s")
+  add(concat(words, ", "), "%s")
   add(tr.doc, "/ %s")
   if not tr.doc then
     add(tr.guard, "[%s]")
@@ -286,35 +293,20 @@ end
 -- Reads a transition, unless nothing of it is drawn. One that enters a composite from
 -- outside ends at its border, one from inside at its initial, which does not leave the
 -- composite.
-local function read_transition(chart, tr, key, text_of)
+local function read_transition(chart, tr, key, words)
   local src, tgt = find_node(chart, tr.src), find_node(chart, tr.tgt)
   if src == tgt and src.fqn ~= tr.src then return end
-  local parts = parts_of(tr, text_of)
+  local parts = parts_of(tr, words)
   if tr.internal then
     src.rows[#src.rows + 1] = concat(parts, " ")
     return
   end
   local is_inner = tgt.kind ~= "initial" or is_inside(src, tgt.parent)
-  add_arrow(chart, { key = tr.key or key, src = src,
-    tgt = is_inner and tgt or tgt.parent, parts = parts })
-end
-
-local function read_transitions(chart, tab, fqn, text_of)
-  for i, tr in ipairs(tab.transitions or {}) do
-    read_transition(chart, tr, ("%s.trans[%d]"):format(fqn, i), text_of)
-  end
-  for _, list in ipairs { tab.subnodes or {}, tab.regions or {} } do
-    for _, subtab in ipairs(list) do
-      read_transitions(chart, subtab, fqn .. "." .. subtab.id, text_of)
-    end
-  end
+  add_arrow(chart, { key = key, src = src, tgt = is_inner and tgt or tgt.parent,
+    parts = parts })
 end
 
 -- Charts ----------------------------------------------------------------------
-
-local function is_state(node)
-  return node.kind == "leaf" or node.kind == "composite"
-end
 
 -- Returns the state for an FQN given by a user, or the drawn one that contains it.
 local function find_state(chart, fqn, where)
@@ -403,15 +395,15 @@ end
 
 local function read_description(chart, tab, depth)
   chart.root = read_node(chart, tab, nil, "root", depth or 1 / 0)
-  read_transitions(chart, tab, "root", marsh.gen_event_text())
+  diagram.each_transition(tab, marsh.gen_event_text(), function(...)
+    read_transition(chart, ...)
+  end)
 end
 
 --- Read a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
 ---@param source rfsm.Machine|rfsm.marsh.Node
----@param where string
 ---@param options? rfsm.pictures.Options|string
----@return rfsm.pictures.Chart chart
 function diagram.read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
@@ -433,31 +425,17 @@ function diagram.read(source, where, options)
 end
 
 --- Return the lines of the label of an arrow.
----@param arrow rfsm.pictures.Arrow
----@return string[] lines
 function diagram.label_lines(arrow) return diagram.wrap(arrow.parts, 28) end
 
 --- Return the label of an arrow as one text.
----@param arrow rfsm.pictures.Arrow
----@return string label
 function diagram.label_of(arrow) return concat(diagram.label_lines(arrow), "\n") end
 
-local INDENTS = setmetatable({}, { __index = function(indents, depth)
-  indents[depth] = ("  "):rep(depth)
-  return indents[depth]
-end })
-
 --- Append a line, indented.
----@param lines string[]
----@param depth integer
----@param text string
 function diagram.add(lines, depth, text)
-  lines[#lines + 1] = INDENTS[depth] .. text
+  lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
 --- Write a text to a file.
----@param file string
----@param text string
 ---@return boolean is_written
 ---@return string? problem in one line
 function diagram.write(file, text)
@@ -479,7 +457,6 @@ end
 ---@param name string of the module
 ---@param global string its older name
 ---@param draw fun(chart: rfsm.pictures.Chart): string
----@return rfsm.pictures.Exporter exporter
 function diagram.exporter(name, global, draw)
   local exporter = {}
 

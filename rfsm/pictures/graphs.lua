@@ -8,12 +8,12 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local links = require "rfsm.pictures.links"
 local looks = require "rfsm.pictures.looks"
 
 local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
 local ipairs, tonumber = ipairs, tonumber
-local concat, sort = table.concat, table.sort
-local add = diagram.add
+local concat, add = table.concat, diagram.add
 
 local graphs = {}
 
@@ -63,10 +63,7 @@ local function gates_at(level, is_upper)
       if gate.is_upper == is_upper then list[#list + 1] = gate end
     end
   end
-  sort(list, function(a, b)
-    if a.offset ~= b.offset then return a.offset < b.offset end
-    return a.id < b.id
-  end)
+  links.sort_by(list, function(gate) return gate.offset end)
   return list
 end
 
@@ -210,11 +207,7 @@ local function links_in_order(level)
     note(link, link.upper, "out")
     note(link, link.lower, "in")
   end
-  sort(list, function(a, b)
-    local x, y = offsets[a] or 0, offsets[b] or 0
-    if x ~= y then return x < y end
-    return a.id < b.id
-  end)
+  links.sort_by(list, function(link) return offsets[link] or 0 end)
   return list
 end
 
@@ -363,7 +356,6 @@ local function place_gate(level, gate)
 end
 
 --- Give a level its size, and its gates their positions.
----@param level rfsm.pictures.Level
 function graphs.measure(level)
   local composite = level.composite
   local margin = composite.is_column and 0 or MARGIN
@@ -381,7 +373,6 @@ end
 
 --- Have Graphviz lay out levels.
 ---@param list rfsm.pictures.Level[]
----@param run rfsm.pictures.Run
 ---@return string? problem
 function graphs.lay_out(list, run)
   local texts = {}
@@ -398,7 +389,6 @@ end
 
 --- Have Graphviz measure texts.
 ---@param labels string[] in its language
----@param run rfsm.pictures.Run
 ---@return rfsm.pictures.Box[]? boxes
 ---@return string? problem
 function graphs.sizes_of(labels, run)

@@ -67,28 +67,12 @@ end
 
 -- The graph -------------------------------------------------------------------
 
-local add_node
-
-local function add_nodes(texts, depth, composite)
-  for _, node in ipairs(composite.nodes) do add_node(texts, depth, node) end
-end
-
-local function add_frame(texts, depth, node)
+local function position_of(node)
   local level = node.level
-  add(texts, depth, "subgraph cluster_" .. node.id .. " {")
-  add(texts, depth + 1, ('graph [%s, %s, bb="%s,%s", lp="%s"]'):format(
-    looks.id_of(node.fqn), looks.frame_text(node), point_text(level.left, level.bottom),
+  if not level then return (', pos="%s"'):format(point_text(node.x, node.y)) end
+  return (', bb="%s,%s", lp="%s"'):format(point_text(level.left, level.bottom),
     point_text(level.left + level.width, level.bottom + level.height),
-    point_text(level.x + level.header.x, level.y + level.header.y)))
-  add_nodes(texts, depth + 1, node)
-  add(texts, depth, "}")
-end
-
-function add_node(texts, depth, node)
-  if node.is_column then return add_nodes(texts, depth, node) end
-  if node.level then return add_frame(texts, depth, node) end
-  add(texts, depth, ('%s [%s, pos="%s", %s]'):format(node.id, looks.id_of(node.fqn),
-    point_text(node.x, node.y), looks.leaf_text(node)))
+    point_text(level.x + level.header.x, level.y + level.header.y))
 end
 
 -- Returns the identifier for an end of an arrow: at a composite, that of a leaf in it.
@@ -116,8 +100,6 @@ local function add_arrow(texts, arrow, chart)
 end
 
 --- Return the graph of a chart, with positions.
----@param chart rfsm.pictures.Chart
----@param run rfsm.pictures.Run
 ---@return string? graph
 ---@return string? problem
 function layout.draw(chart, run)
@@ -130,7 +112,7 @@ function layout.draw(chart, run)
   local texts = { "digraph " .. looks.quoted(root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
     .. 'bb="0,0,%s"]'):format(point_text(top.level.width, top.level.height)) }
-  add_nodes(texts, 1, top)
+  looks.add_node(texts, 1, chart.root, position_of)
   for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow, chart) end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"

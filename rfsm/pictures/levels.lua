@@ -20,31 +20,46 @@ local levels = {}
 
 local DEPTH, LEAST = 22, 18 -- points: of a loop, and between two of them
 
--- Adds a loop to the list of its node, and makes room for it.
-local function add_loop(link, box)
-  local node, is_down = link.upper.node, link.level.direction == "TB"
-  local room = node.loops or { length = 0, width = 2, height = 2 }
-  node.loops, room[#room + 1] = room, { link = link, box = box }
-  room.length = room.length + max(LEAST, is_down and box.height + 4 or box.width + 10)
+-- Returns how much of the side of its node a loop takes.
+local function step_of(link)
+  local box = link.arrow.label_box
+  return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
+end
+
+-- Makes room for a loop at its node.
+local function add_loop(link)
+  local node, box = link.upper.node, link.arrow.label_box
+  local is_down, room = link.level.direction == "TB",
+    node.loops or { length = 0, width = 2, height = 2 }
+  node.loops, room.length = room, room.length + step_of(link)
   local field = is_down and "width" or "height"
   room[field] = max(room[field], box[field] + DEPTH - 8)
   node.least = (is_down and ", height=" or ", width=")
     .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
 end
 
--- Has Graphviz measure the labels of all loops.
-local function find_loops(chart, run)
-  local list, labels = {}, {}
-  for _, arrow in ipairs(chart.all) do
-    local link = arrow.links[1]
-    if link.is_loop then
-      list[#list + 1] = link
-      labels[#list] = "fontsize=10, label=" .. looks.arrow_label(arrow)
-    end
+-- Has Graphviz measure labels: those of arrows, and name and rows of levels. Each gets
+-- the size as its `label_box`.
+local function measure_labels(owners, run)
+  local labels = {}
+  for i, owner in ipairs(owners) do
+    labels[i] = owner.parts and "fontsize=10, label=" .. looks.arrow_label(owner)
+      or "label=" .. looks.state_label(owner.composite)
   end
-  if not list[1] then return nil end
+  if not labels[1] then return nil end
   local boxes, problem = graphs.sizes_of(labels, run)
-  for i, box in ipairs(boxes or {}) do add_loop(list[i], box) end
+  for i, box in ipairs(boxes or {}) do owners[i].label_box = box end
+  return problem
+end
+
+-- Makes room for all loops.
+local function find_loops(chart, run)
+  local list = {}
+  for _, arrow in ipairs(chart.all) do
+    list[#list + 1] = arrow.links[1].is_loop and arrow or nil
+  end
+  local problem = measure_labels(list, run)
+  for _, arrow in ipairs(problem and {} or list) do add_loop(arrow.links[1]) end
   return problem
 end
 
@@ -54,8 +69,8 @@ local LOOP = { { 0, 5 }, { 12, 8 }, { 18, 7 }, { 18, 0 }, { 18, -6 }, { 14, -8 }
   { 6.5, -6.5 } }
 local TIP = { 0, -4.5 }
 
-local function draw_loop(link, x, y, box)
-  local is_down = link.level.direction == "TB"
+local function draw_loop(link, x, y)
+  local is_down, box = link.level.direction == "TB", link.arrow.label_box
   local function at(point)
     if is_down then return { x + point[1], y + point[2] } end
     return { x - point[2], y + point[1] }
@@ -67,18 +82,19 @@ local function draw_loop(link, x, y, box)
 end
 
 local function draw_loops(level)
-  for i, node in ipairs(level.composite.nodes) do
-    local box, room = level.boxes[i], node.loops
-    local is_down, offset = level.direction == "TB", 0
-    for _, loop in ipairs(room or {}) do
-      local step = max(LEAST, is_down and loop.box.height + 4 or loop.box.width + 10)
-      local along = offset + step / 2 - room.length / 2
-      if is_down then
-        draw_loop(loop.link, box.x + box.width / 2, box.y - along, loop.box)
+  local offsets = {}
+  for _, link in ipairs(level.links) do
+    local node = link.is_loop and link.upper.node
+    if node then
+      local box, step = level.boxes[node.index], step_of(link)
+      local offset = offsets[node] or -node.loops.length / 2
+      offsets[node] = offset + step
+      local along = offset + step / 2
+      if level.direction == "TB" then
+        draw_loop(link, box.x + box.width / 2, box.y - along)
       else
-        draw_loop(loop.link, box.x + along, box.y + box.height / 2, loop.box)
+        draw_loop(link, box.x + along, box.y + box.height / 2)
       end
-      offset = offset + step
     end
   end
 end
@@ -104,49 +120,26 @@ local FEWEST = 6 -- nodes in what is changed
 local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never changed
 local MISFIT = log(1.7)
 
-local function has_regions(composite)
-  for _, node in ipairs(composite.nodes) do
-    if node.is_region then return true end
-  end
-  return false
-end
-
 local function is_misfit(chart, level)
   local composite = level.composite
   if #level.boxes < FEWEST or columns.misfit(level) < MISFIT then return false end
-  if has_regions(composite) then return false end
+  if composite.nodes[1].is_region then return false end -- then all are
   return composite == chart.root or level.height > TALLEST or level.width > WIDEST
-end
-
--- Has Graphviz measure name and rows of levels, and the labels between their columns.
-local function measure_labels(list, run)
-  local owners, labels = {}, {}
-  local function add_label(owner, label)
-    owners[#owners + 1], labels[#labels + 1] = owner, label
-  end
-  for _, level in ipairs(list) do
-    add_label(level, "label=" .. looks.state_label(level.composite))
-    for _, link in ipairs(level.links) do
-      if link.is_home and link.arrow.parts[1] then
-        add_label(link, "fontsize=10, label=" .. looks.arrow_label(link.arrow))
-      end
-    end
-  end
-  local boxes, problem = graphs.sizes_of(labels, run)
-  for i, box in ipairs(boxes or {}) do owners[i].label_box = box end
-  return problem
 end
 
 -- Puts levels into columns.
 local function divide(chart, list, run)
-  if not list[1] then return nil end
-  local parts = {}
+  local parts, owners = {}, {}
   for _, level in ipairs(list) do
     for _, part in ipairs(columns.split(chart, level, level.plan)) do
       parts[#parts + 1] = part
     end
+    owners[#owners + 1] = level
+    for _, link in ipairs(level.links) do
+      owners[#owners + 1] = link.is_home and link.arrow.parts[1] and link.arrow or nil
+    end
   end
-  local problem = lay_out(parts, run) or measure_labels(list, run)
+  local problem = lay_out(parts, run) or measure_labels(owners, run)
   if problem then return problem end
   for _, level in ipairs(list) do
     columns.arrange(level, level.label_box)
@@ -264,23 +257,21 @@ end
 
 -- Gives the regions in a composite one height; one width if the direction is LR.
 local function align_regions(composite)
-  local height, width = 0, 0
-  local function each_region(f)
-    for _, node in ipairs(composite.nodes) do
-      if node.is_region and node.level then f(node.level) end
-    end
+  local height, width, regions = 0, 0, {}
+  for _, node in ipairs(composite.nodes) do
+    regions[#regions + 1] = node.is_region and node.level or nil
   end
-  each_region(function(level)
+  for _, level in ipairs(regions) do
     height, width = max(height, level.height), max(width, level.width)
-  end)
-  each_region(function(level)
+  end
+  for _, level in ipairs(regions) do
     if level.direction == "TB" then
       level.y, level.height = level.y + height - level.height, height
     else
       level.header.x = level.header.x + (width - level.width) / 2
       level.width = width
     end
-  end)
+  end
 end
 
 -- The levels by height: those in front have none of those behind in them.
@@ -300,8 +291,6 @@ local function levels_by_height(chart)
 end
 
 --- Lay out all levels of a chart.
----@param chart rfsm.pictures.Chart
----@param run rfsm.pictures.Run
 ---@return string? problem
 function levels.lay_out(chart, run)
   links.prepare(chart)

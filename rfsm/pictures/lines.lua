@@ -28,8 +28,6 @@ local NEAR = 3 -- points: gates of a box are where Graphviz has room for a port
 
 --- Add a line to the end of another one, which may have no points yet. It begins where
 -- that one ends if it is near, so that there is no bend at a gate.
----@param line number[][]
----@param more number[][]
 ---@param axis 1|2 across the direction
 function lines.join(line, more, axis)
   local last = line[#line]
@@ -46,8 +44,6 @@ end
 local ROUND = 6 -- points, the radius of corners
 
 --- Return a line of straight parts with round corners.
----@param points number[][]
----@return number[][] line
 function lines.rounded(points)
   local line = { points[1] }
   for i = 2, #points - 1 do
@@ -82,9 +78,6 @@ end
 
 --- Return a line in more curves, so that its control points are in a frame if the line
 -- is: Graphviz makes room for all points.
----@param line number[][]
----@param frame rfsm.pictures.Level
----@return number[][] line
 function lines.inside(line, frame)
   local result, left, bottom = { line[1] }, frame.left, frame.bottom
   local function is_inside(point)
@@ -99,11 +92,6 @@ function lines.inside(line, frame)
 end
 
 --- Return a line, moved, and in its other direction if it is turned.
----@param line number[][]
----@param x number
----@param y number
----@param is_turned boolean
----@return number[][] moved
 function lines.moved(line, x, y, is_turned)
   local moved = {}
   for i, point in ipairs(line) do

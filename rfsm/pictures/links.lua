@@ -13,7 +13,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 
-local ipairs = ipairs
+local ipairs, sort = ipairs, table.sort
 
 local links = {}
 
@@ -77,10 +77,16 @@ local links = {}
 
 -- Gates and links -------------------------------------------------------------
 
+--- Sort gates or links by a key; those with the same by their ids.
+function links.sort_by(list, key_of)
+  sort(list, function(a, b)
+    local x, y = key_of(a), key_of(b)
+    if x ~= y then return x < y end
+    return a.id < b.id
+  end)
+end
+
 --- Return an empty level.
----@param composite rfsm.pictures.Node
----@param direction "TB"|"LR"
----@return rfsm.pictures.Level level
 function links.new_level(composite, direction)
   return { composite = composite, direction = direction, gates = {}, gate_of = {},
     feet = {}, links = {}, link_of = {}, boxes = {}, arches = {}, width = 0,
@@ -165,14 +171,12 @@ local function arch_links(chart, arrow, composite)
   return append(list, legs)
 end
 
-local function is_onward(src, tgt) return src == tgt or src.index < tgt.index end
-
 -- Returns the links of an arrow, from its source to its target.
 local function links_of(chart, arrow)
   local home = arrow.home or chart.top
   local src, tgt = child_in(arrow.src, home), child_in(arrow.tgt, home)
   if src == tgt and arrow.src ~= arrow.tgt then return arch_links(chart, arrow, src) end
-  local is_down = is_onward(src, tgt)
+  local is_down = src.index <= tgt.index
   local out, list = climb(chart, arrow, arrow.src, not is_down, true)
   local into, inner = climb(chart, arrow, arrow.tgt, is_down, false)
   local upper, lower, head = out, into, "lower"
@@ -186,7 +190,6 @@ local function links_of(chart, arrow)
 end
 
 --- Give each composite its level, and each arrow its links.
----@param chart rfsm.pictures.Chart
 function links.prepare(chart)
   chart.top = { nodes = { chart.root }, kind = "top" }
   chart.top.level = links.new_level(chart.top, chart.direction)
@@ -200,8 +203,6 @@ function links.prepare(chart)
 end
 
 --- Link the arrows of a level anew after its nodes have got other parents.
----@param chart rfsm.pictures.Chart
----@param level rfsm.pictures.Level
 function links.renew(chart, level)
   local old = level.links
   level.links, level.link_of = {}, {}

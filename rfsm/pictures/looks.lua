@@ -6,7 +6,7 @@
 local diagram = require "rfsm.pictures.diagram"
 
 local floor, ipairs = math.floor, ipairs
-local concat = table.concat
+local concat, add = table.concat, diagram.add
 
 local looks = {}
 
@@ -20,16 +20,12 @@ local HEAD = ([=[
   :gsub("FONT", FONT)
 
 --- Return the looks that all elements of a chart have.
----@param direction "TB"|"LR"
----@return string text
 function looks.head(direction) return (HEAD:gsub("DIRECTION", direction)) end
 
 -- Text ------------------------------------------------------------------------
 
 --- Return a number with two digits at most, the same text on each Lua: `%.2f` alone
 -- rounds 0.125 up on LuaJIT, down on the others.
----@param number number
----@return string text
 function looks.number_text(number)
   local text = ("%.2f"):format(floor(number * 100 + 0.5) / 100):gsub("%.?0+$", "")
   return text == "-0" and "0" or text
@@ -38,8 +34,6 @@ end
 local CODES = { ["&"] = "&amp;", ["<"] = "&lt;", [">"] = "&gt;", ['"'] = "&quot;" }
 
 --- Return a quoted string. Graphviz reads "&amp;" in it as HTML does.
----@param text string
----@return string
 function looks.quoted(text)
   if not text:find('[&\\"\n]') then return '"' .. text .. '"' end
   return '"' .. text:gsub("&", "&amp;"):gsub('[\\"]', "\\%0"):gsub("\n", "\\n") .. '"'
@@ -48,8 +42,6 @@ end
 local quoted = looks.quoted
 
 --- Return the id of an FQN or a key in the SVG: a line feed is "\n".
----@param text string
----@return string attribute
 function looks.id_of(text)
   if not text:find("[^%w_%.%[%]/ ]") then return 'id="' .. text .. '"' end
   return "id=" .. quoted(diagram.clean(text))
@@ -76,8 +68,6 @@ end
 local RULE = '<TR><TD CELLPADDING="0" HEIGHT="1" BGCOLOR="#555555"></TD></TR>'
 
 --- Return the name of a state over the rows of what it does.
----@param node rfsm.pictures.Node
----@return string label
 function looks.state_label(node)
   local name = lines_of(node.name .. (node.is_cut and " …" or ""), 28)
   if not node.rows[1] then return quoted(name) end
@@ -89,13 +79,9 @@ function looks.state_label(node)
 end
 
 --- Return the label of an arrow.
----@param arrow rfsm.pictures.Arrow
----@return string label
 function looks.arrow_label(arrow) return quoted(diagram.label_of(arrow)) end
 
 --- Return the label of an arrow, with room around it.
----@param arrow rfsm.pictures.Arrow
----@return string label
 function looks.roomy_label(arrow)
   return table_of("<TR><TD>" .. centred(diagram.label_of(arrow)) .. "</TD></TR>",
     ' CELLPADDING="3"')
@@ -125,8 +111,6 @@ local function look_of(element, kind)
 end
 
 --- Return the attributes of a node that is no composite.
----@param node rfsm.pictures.Node
----@return string attributes
 function looks.leaf_text(node)
   if node.kind == "initial" then return INITIAL .. ', class="initial"' end
   if node.kind == "connector" then
@@ -141,17 +125,36 @@ function looks.leaf_text(node)
 end
 
 --- Return the attributes of the frame of a composite.
----@param node rfsm.pictures.Node
----@return string attributes
 function looks.frame_text(node)
   return ('label=%s, margin=10, style="%s,filled", fillcolor="%s"%s, %s'):format(
     looks.state_label(node), node.is_region and "dashed" or "rounded",
     node.depth % 2 == 0 and "white" or "#F4F6F8", LOOKS.plain, look_of(node, "state"))
 end
 
+--- Add a node, and those in it; a composite is a cluster, unless it is a column.
+---@param position_of? fun(node: rfsm.pictures.Node): string attributes
+---@param add_labels? fun(lines: string[], depth: integer, node: rfsm.pictures.Node)
+function looks.add_node(lines, depth, node, position_of, add_labels)
+  local function add_members(inner)
+    for _, subnode in ipairs(node.nodes) do
+      looks.add_node(lines, inner, subnode, position_of, add_labels)
+    end
+  end
+  if node.is_column then return add_members(depth) end
+  local id, position = looks.id_of(node.fqn), position_of and position_of(node) or ""
+  if node.kind ~= "composite" then
+    return add(lines, depth, ("%s [%s, %s%s]"):format(node.id, id,
+      looks.leaf_text(node), position))
+  end
+  add(lines, depth, "subgraph cluster_" .. node.id .. " {")
+  add(lines, depth + 1, ("graph [%s, %s%s]"):format(id, looks.frame_text(node),
+    position))
+  add_members(depth + 1)
+  if add_labels then add_labels(lines, depth + 1, node) end
+  add(lines, depth, "}")
+end
+
 --- Return the attributes of the line of an arrow.
----@param arrow rfsm.pictures.Arrow
----@return string attributes
 function looks.arrow_text(arrow) return look_of(arrow, "transition") end
 
 local FOOT = '<TD PORT="%s" WIDTH="1" HEIGHT="1"></TD>'
@@ -172,26 +175,17 @@ local function label_node(arrow, direction, feet, sides)
 end
 
 --- Return the attributes of a label that a line runs around, with a foot at each end.
----@param arrow rfsm.pictures.Arrow
----@param direction "TB"|"LR"
----@return string attributes
 function looks.arch_text(arrow, direction)
   return label_node(arrow, direction, { "l", "text", "r" })
 end
 
 --- Return the attributes of a label that is the far end of a loop.
----@param arrow rfsm.pictures.Arrow
----@param direction "TB"|"LR"
----@return string attributes
 function looks.hung_label(arrow, direction)
   return label_node(arrow, direction, { "l", "text", "r" },
     direction == "TB" and "LBR" or "TRB")
 end
 
 --- Return the attributes of a label beside its line, a part of which is in the node.
----@param arrow rfsm.pictures.Arrow
----@param direction "TB"|"LR"
----@return string attributes
 function looks.line_label(arrow, direction)
   if direction == "TB" then
     return label_node(arrow, direction, { "l", "text" }, "L")

@@ -23,19 +23,17 @@ local Client = {}
 Client.__index = Client
 
 --- Send a message to the host.
----@param message table
 function Client:send(message) self.udp:send(self.json.encode(message)) end
 
 -- Subscribes, or sends a heartbeat, if it is time.
 local function beat(client)
   if client.clock() < client.due then return end
   client:send(client.is_heard and { type = "heartbeat" }
-    or { type = "subscribe", path = client.has_path, fsm = client.only })
+    or { type = "subscribe", path = client.has_path })
   client.due = client.clock() + BEAT
 end
 
 --- Return the next message, if one comes within some seconds.
----@param seconds number
 ---@return table? message
 function Client:receive(seconds)
   beat(self)
@@ -69,9 +67,8 @@ end
 ---@param port integer
 ---@return rfsm.proto.Client? client
 ---@return string? problem in one line
----@param options? { path: boolean?, only: integer? } ask for the paths that are taken;
--- for one machine only
-function subscriber.connect(host, port, options)
+---@param has_path? boolean ask for the paths that are taken
+function subscriber.connect(host, port, has_path)
   local socket, problem = opts.find_package("socket", "lua-socket")
   if not socket then return nil, problem end
   local json, missing = opts.find_package("dkjson", "lua-dkjson")
@@ -81,8 +78,7 @@ function subscriber.connect(host, port, options)
   if not is_set then return nil, ("%s: %s"):format(host, why) end
   return setmetatable({
     udp = udp, json = json, clock = socket.gettime, due = 0, is_heard = false,
-    address = ("%s:%d"):format(host, port), has_path = options and options.path,
-    only = options and options.only,
+    address = ("%s:%d"):format(host, port), has_path = has_path,
   }, Client)
 end
 

@@ -16,7 +16,8 @@ local snapshot = require "rfsm.snapshot"
 local terminal = require "rfsm.sim.terminal"
 local tracks = require "rfsm.record.track"
 
-local error, io, ipairs, min, pairs = error, io, ipairs, math.min, pairs
+local error, io, ipairs, pairs = error, io, ipairs, pairs
+local max, min = math.max, math.min
 local pcall, print, type = pcall, print, type
 local concat, remove = table.concat, table.remove
 local text_of = rfsm.text_of
@@ -124,7 +125,6 @@ function history.start(sim)
 end
 
 --- Call a function while nothing is recorded, and the guards are those of the chart.
----@param f fun()
 function history.pause(sim, f)
   stop(sim.history)
   local ok, failure = pcall(f)
@@ -253,27 +253,29 @@ local function check_count(name, n)
   end
 end
 
---- Undo the last advances.
-function history.back(sim, n)
+-- Goes to where advance `at` has ended.
+local function move_to_mark(sim, at)
   local own = sim.history
-  check_count("back", n)
-  if own.at == 0 then error("back: nothing was done", 0) end
-  local at = own.at - min(n, own.at)
-  local mark = own.marks[at + 1]
+  local mark = own.marks[at + 1] or own.tip
   move(sim, mark.count, mark)
   own.at = at
   if mark.is_fresh then rfsm.reset(sim.fsm) end
 end
 
+--- Undo the last advances.
+function history.back(sim, n)
+  local at = sim.history.at
+  check_count("back", n)
+  if at == 0 then error("back: nothing was done", 0) end
+  move_to_mark(sim, max(at - n, 0))
+end
+
 --- Do again what `back` has undone.
 function history.forward(sim, n)
-  local own = sim.history
+  local at, last = sim.history.at, #sim.history.marks
   check_count("forward", n)
-  if own.at == #own.marks then error("forward: nothing was undone", 0) end
-  local at = min(own.at + n, #own.marks)
-  local mark = own.marks[at + 1] or own.tip
-  move(sim, mark.count, mark)
-  own.at = at
+  if at == last then error("forward: nothing was undone", 0) end
+  move_to_mark(sim, min(at + n, last))
 end
 
 -- Files ---------------------------------------------------------------------------

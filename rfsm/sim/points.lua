@@ -63,7 +63,7 @@ local function of_text(fsm, text)
   return { kind = "event", name = text, value = text }
 end
 
---- Add a breakpoint.
+--- Add a breakpoint. Returns its number.
 ---@param what any state, transition, event, or a name
 function points.add(sim, what)
   local point
@@ -94,7 +94,6 @@ function points.add_watch(sim, text)
   local ok, value = sim.value_of(text)
   if not ok then error(value, 0) end
   sim.points[#sim.points + 1] = { kind = "watch", name = text, value = value }
-  return #sim.points
 end
 
 --- Print the values of watched expressions.

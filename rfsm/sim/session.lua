@@ -101,40 +101,31 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances step by step up to a breakpoint.
-local function advance_to_point(watcher, sim, n)
-  local fsm, left = sim.fsm, n
+-- Advances up to a breakpoint, or in parts, so that a long run gets several chunks of
+-- the history.
+local function advance_in_parts(watcher, sim, n)
+  local fsm, left, part = sim.fsm, n, sim.points[1] and 1 or history.CHUNK
+  local is_idle
   repeat
-    local idle = rfsm.step(fsm)
-    left = left - 1
+    is_idle = rfsm.step(fsm, min(left, part))
+    left = left - part
     history.cut(sim)
-  until idle or left < 1 or watcher.is_hit or not fsm._act_leaf
-end
-
--- Advances in parts, so that a long run gets several chunks of the history.
-local function advance_in_parts(sim, n)
-  local fsm, left = sim.fsm, n
-  repeat
-    local idle = rfsm.step(fsm, min(left, history.CHUNK))
-    left = left - history.CHUNK
-    history.cut(sim)
-    -- not entered: it was reset, or cannot be entered; then the rest ends at once
-    if not (idle or left < 1 or fsm._act_leaf) then return rfsm.step(fsm, left) end
-  until idle or left < 1
+  until is_idle or left < 1 or watcher.is_hit or not fsm._act_leaf
+  -- not entered: it was reset, or cannot be entered; then the rest ends at once
+  if not (is_idle or left < 1 or sim.points[1]) then rfsm.step(fsm, left) end
 end
 
 -- Advances by `how`, with one call if records are shown or the chart has an idle hook.
 local function advance(sim, watcher, how, n)
   local steps = how == rfsm.run and huge or n
   if type(steps) ~= "number" then return how(sim.fsm, n) end
-  if sim.points[1] then return advance_to_point(watcher, sim, steps) end
-  if sim.level or sim.fsm.idle_hook then return how(sim.fsm, n) end
-  advance_in_parts(sim, steps)
+  if not sim.points[1] and (sim.level or sim.fsm.idle_hook) then
+    return how(sim.fsm, n)
+  end
+  advance_in_parts(watcher, sim, steps)
 end
 
 --- Advance by rfsm.step or rfsm.run, and show the result, also if it failed.
----@param how function
----@param n? number
 function Session:advance(how, n)
   local watcher = probe.attach(self, self.follows and not self.level)
   local ok, failure = pcall(advance, self, watcher, how, n)
@@ -257,7 +248,6 @@ local function take_functions(fsm)
 end
 
 --- Take the functions of the chart away, or give them back.
----@param is_dry boolean
 function Session:set_dry(is_dry)
   history.pause(self, function()
     swap.give_back(self.saved or {})
@@ -288,7 +278,6 @@ end
 local session = {}
 
 --- Open a chart.
----@param follows boolean
 ---@param has_stubs? boolean
 ---@return rfsm.sim.Session? sim
 ---@return string[]? problems

@@ -173,7 +173,6 @@ end
 function terminal.is_caught() return counter ~= nil end
 
 --- Return a callback that Control-C ends, also in a coroutine.
----@return function callback
 function terminal.interruptible(callback)
   return function(...)
     sethook(poll, "", PERIOD)

@@ -51,9 +51,6 @@ function Hosted.wait() return huge end
 function Hosted:describe(message) message.clock = self.view.clock() end
 
 --- Show a machine.
----@param title string
----@param settings rfsm.web.Options
----@return rfsm.web.Hosted hosted
 function Hosted.new(fsm, title, settings)
   local hosted = setmetatable({ view = Live.new(fsm, clock.from_now()), title = title,
     problems = {}, generation = 1, has_history = settings.history, is_watched = false,

@@ -11,10 +11,9 @@
 
 local socket = require "socket"
 
-local assert, ipairs, pairs, setmetatable = assert, ipairs, pairs, setmetatable
+local ipairs, setmetatable = ipairs, setmetatable
 local tonumber, tostring = tonumber, tostring
-local huge, max = math.huge, math.max
-local concat, remove, sort = table.concat, table.remove, table.sort
+local huge, max, remove = math.huge, math.max, table.remove
 
 local http = {}
 
@@ -93,7 +92,7 @@ end
 ---@field status? integer default 200
 ---@field type? string default "text/plain"
 ---@field body? string of a stream: its first message
----@field headers? table<string, string>
+---@field policy? string of the content's security
 ---@field stream? table its messages are about this; its field `streams` counts them
 
 local REASONS = {
@@ -106,23 +105,13 @@ local REASONS = {
 local COMMON = "Cache-Control: no-store\r\nConnection: close\r\n"
   .. "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\n"
 
--- Returns lines of header fields, sorted by name.
-local function header_lines(headers)
-  local lines = {}
-  for name, value in pairs(headers or {}) do -- any order: sorted below
-    lines[#lines + 1] = name .. ": " .. value .. "\r\n"
-  end
-  sort(lines)
-  return concat(lines)
-end
-
 local function reply_text(reply)
   local status = reply.status or 200
   local body = reply.body or (status ~= 204 and REASONS[status] .. "\n" or "")
   local length = reply.stream and "" or ("Content-Length: %d\r\n"):format(#body)
   return ("HTTP/1.1 %d %s\r\nContent-Type: %s; charset=utf-8\r\n"):format(status,
-    REASONS[status], reply.type or "text/plain") .. length .. COMMON
-    .. header_lines(reply.headers) .. "\r\n" .. body
+    REASONS[status], reply.type or "text/plain") .. length .. COMMON .. (reply.policy
+    and "Content-Security-Policy: " .. reply.policy .. "\r\n" or "") .. "\r\n" .. body
 end
 
 -- Connections: reading, then writing, then closing; or a stream -----------------
@@ -166,9 +155,8 @@ local function drop_stream(server)
   for _, connection in ipairs(server.connections) do
     if connection.phase == "stream" then
       local is_stuck = connection.pending ~= ""
-      local other_is_stuck = silent and silent.pending ~= ""
-      if not silent or is_stuck and not (other_is_stuck
-        and silent.since <= connection.since) then
+      if not silent or is_stuck and (silent.pending == ""
+        or connection.since < silent.since) then
         silent = connection
       end
     end
@@ -216,7 +204,6 @@ local function read(server, connection)
   connection.received = connection.received .. (data or partly)
   local request, status = parse_request(connection.received)
   if not (request or status) then return data ~= nil or problem == "timeout" end
-  connection.received = ""
   begin_reply(server, connection, request and server.handle(request) or
     { status = status })
   return write(server, connection)
@@ -330,7 +317,7 @@ function http.listen(host, port, handle, clock)
   listening:settimeout(0)
   local address, own_port = listening:getsockname()
   return setmetatable({
-    socket = assert(listening), host = address, port = tonumber(own_port),
+    socket = listening, host = address, port = tonumber(own_port),
     handle = handle, clock = clock or socket.gettime, connections = {}, streams = 0,
   }, Server)
 end

@@ -243,7 +243,6 @@ local function queue_texts(view)
   return texts
 end
 
----@return rfsm.web.Now now
 function Live:now()
   local leaf = self.fsm._act_leaf
   return {
@@ -314,7 +313,6 @@ end
 
 --- View a machine; `watch` begins to follow it.
 ---@param clock fun(): number seconds, for the log
----@return rfsm.web.Live view
 function Live.new(fsm, clock)
   local view = View.create(Live, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.node_of = fsm, {}, {}

@@ -5,6 +5,7 @@
 -- @module rfsm.web.outline
 -- @license BSD-3-Clause
 
+local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
 
 local ipairs, type = ipairs, type
@@ -31,50 +32,27 @@ function outline.is_own(event)
     and (event == "e_init_fsm" or event:find("^e_done@") ~= nil)
 end
 
-local function kind_of(tab)
-  if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
-  return (tab.subnodes or tab.regions) and "composite" or "leaf"
-end
-
 local function add_node(list, tab, fqn, parent, is_region)
   local number = #list.nodes
   list.number_of[fqn] = number
   list.nodes[number + 1] = {
-    name = utf8(tab.id), fqn = utf8(fqn), kind = kind_of(tab), parent = parent,
+    name = utf8(tab.id), fqn = utf8(fqn), kind = diagram.kind_of(tab), parent = parent,
     is_region = is_region,
   }
-  for _, subtab in ipairs(tab.subnodes or {}) do
-    add_node(list, subtab, fqn .. "." .. subtab.id, number)
-  end
-  for _, subtab in ipairs(tab.regions or {}) do
-    add_node(list, subtab, fqn .. "." .. subtab.id, number, true)
+  for _, subtab in ipairs(diagram.members(tab)) do
+    add_node(list, subtab, fqn .. "." .. subtab.id, number, tab.regions and true)
   end
 end
 
-local function add_event(list, event, words)
-  if list.event_of[event] then return end
-  list.event_of[event] = #list.values
-  list.values[#list.values + 1] = event
-  list.events[#list.values] = {
-    text = utf8(list.event_text(event)), words = words, is_own = outline.is_own(event),
-  }
-end
-
--- Returns the events of a transition in words.
-local function words_of(list, tr)
-  local words = {}
-  for i, event in ipairs(tr.events) do
-    words[i] = utf8(tr.words and tr.words[i]
-      or marsh.words_of(list.event_text(event), tr.src))
-    add_event(list, event, words[i])
+-- Returns the number of an event, which is new if no transition before has named it.
+local function number_of(list, event, words)
+  if not list.event_of[event] then
+    list.event_of[event] = #list.values
+    list.values[#list.values + 1] = event
+    list.events[#list.values] = { text = utf8(list.event_text(event)),
+      words = utf8(words), is_own = outline.is_own(event) }
   end
-  return words
-end
-
-local function event_numbers(list, tr)
-  local numbers = {}
-  for i, event in ipairs(tr.events) do numbers[i] = list.event_of[event] end
-  return numbers
+  return list.event_of[event]
 end
 
 local function label_of(tr, words)
@@ -84,50 +62,41 @@ local function label_of(tr, words)
   return utf8(concat(parts, " "))
 end
 
-local function add_edges(list, tab, fqn)
-  for i, tr in ipairs(tab.transitions or {}) do
-    local key = tr.key or ("%s.trans[%d]"):format(fqn, i)
-    list.edge_of[key] = #list.edges
-    local edge = {
-      key = utf8(key), src = list.number_of[tr.src], tgt = list.number_of[tr.tgt],
-      label = label_of(tr, words_of(list, tr)), is_internal = tr.internal,
-      events = event_numbers(list, tr),
-    }
-    list.edges[#list.edges + 1] = edge
-    list.from[edge.src] = list.from[edge.src] or {}
-    table.insert(list.from[edge.src], edge)
+local function add_edge(list, tr, key, words)
+  local edge = {
+    key = utf8(key), src = list.number_of[tr.src], tgt = list.number_of[tr.tgt],
+    label = label_of(tr, words), is_internal = tr.internal, events = {},
+  }
+  for i, event in ipairs(tr.events) do
+    edge.events[i] = number_of(list, event, words[i])
   end
-  for _, subtab in ipairs(tab.subnodes or {}) do
-    add_edges(list, subtab, fqn .. "." .. subtab.id)
-  end
-  for _, subtab in ipairs(tab.regions or {}) do
-    add_edges(list, subtab, fqn .. "." .. subtab.id)
-  end
+  list.edge_of[key] = #list.edges
+  list.edges[#list.edges + 1] = edge
+  list.from[edge.src] = list.from[edge.src] or {}
+  table.insert(list.from[edge.src], edge)
 end
 
 --- Read a description.
----@param description rfsm.marsh.Node
----@return rfsm.web.Outline
 function outline.read(description)
   local list = {
     nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
     event_of = {}, from = {}, event_text = marsh.gen_event_text(),
   }
   add_node(list, description, "root")
-  add_edges(list, description, "root")
+  diagram.each_transition(description, list.event_text, function(...)
+    add_edge(list, ...)
+  end)
   return list
 end
 
 -- Adds the events of the edges from a node, and of the edges behind connectors.
 local function add_possible(list, found, node, is_seen)
-  local own_kind = list.nodes[node + 1].kind
-  local is_state = own_kind == "leaf" or own_kind == "composite"
+  local is_from_state = diagram.is_state(list.nodes[node + 1])
   is_seen[node] = true
   for _, edge in ipairs(list.from[node] or {}) do
-    local kind = list.nodes[(edge.tgt or node) + 1].kind
-    local is_through = kind == "connector" or kind == "initial"
+    local is_through = not diagram.is_state(list.nodes[(edge.tgt or node) + 1])
     for _, number in ipairs(edge.events) do found.set[number] = true end
-    if is_state and not edge.events[1] then found.any = true end
+    if is_from_state and not edge.events[1] then found.any = true end
     if is_through and not is_seen[edge.tgt] then
       add_possible(list, found, edge.tgt, is_seen)
     end
@@ -135,7 +104,6 @@ local function add_possible(list, found, node, is_seen)
 end
 
 --- List the events that a transition from an active state names. Guards are not called.
----@param list rfsm.web.Outline
 ---@param active integer[] numbers of nodes
 ---@return integer[] numbers of events
 ---@return boolean any would any other event be taken?

@@ -39,7 +39,6 @@ local function begin(picture, graph, format)
 end
 
 --- Have Graphviz run, and yield until it is done. The playground has its own.
----@param graph string
 ---@param format string "dot" or "svg"
 ---@return string? output nil if Graphviz is missing or fails
 function Picture:run(graph, format)
@@ -68,7 +67,6 @@ end
 --- Begin a picture of a graph; without Graphviz it never comes.
 ---@param graph string in Graphviz's language
 ---@param description? rfsm.marsh.Node laid out level by level, in place of the graph
----@return rfsm.web.Picture picture
 function Picture.start(graph, description)
   local picture = setmetatable({ input = os.tmpname(), output = os.tmpname(),
     work = coroutine.create(draw), is_pending = true }, Picture)

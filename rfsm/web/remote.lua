@@ -170,7 +170,7 @@ function Remote:describe(message) message.clock = self.clock() end
 ---@return rfsm.web.Remote[]? remotes grows with the machines that are heard of
 ---@return string? problem in one line
 function Remote.open(host, port, number)
-  local client, problem = subscriber.connect(host, port, { path = true })
+  local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end
   local all = {}
   add_remote(all, client, clock.from_now(), number).is_only = number ~= nil

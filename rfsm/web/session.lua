@@ -88,12 +88,6 @@ local function init(session, model)
   return fsm, text, problems
 end
 
--- Returns a machine; false and the problems, a line each.
-local function load_machine(session)
-  return chart.open(session.file, function(model) return init(session, model) end,
-    function(line) tell(session, "warning", line) end, session.has_stubs)
-end
-
 local function read(file)
   local handle = io.open(file, "rb")
   local text = handle and handle:read("*a") or ""
@@ -143,8 +137,6 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
 end
 
-local function itself(snap) return snap end
-
 -- Returns a snapshot of a machine; nil if it cannot be saved.
 local function take_snapshot(fsm)
   local ok, snap = pcall(snapshot.take, fsm)
@@ -158,7 +150,8 @@ local function begin(session, fsm, snap)
   points.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:watch(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
-  if not (snap and snapshot.put(fsm, snap, { migrate = itself })) then
+  local function migrate(old) return old end
+  if not (snap and snapshot.put(fsm, snap, { migrate = migrate })) then
     session.now = 0
     run(session)
   end
@@ -173,7 +166,9 @@ local function load(session, keeps_state)
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.turn = session.generation + 1, 0
   session.recorder, session.turns = false, {}
-  local fsm, problems = load_machine(session)
+  local fsm, problems = chart.open(session.file, function(model)
+    return init(session, model)
+  end, function(line) tell(session, "warning", line) end, session.has_stubs)
   session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
   if fsm then begin(session, fsm, snap) end
 end
@@ -303,7 +298,6 @@ function Session:poll()
 end
 
 --- Return the seconds until `poll` has something to do.
----@return number
 function Session:wait()
   return max(0, min(self.look_at - self.real(), time_left(self) or huge))
 end
@@ -322,7 +316,6 @@ end
 --- Open a chart, also one with mistakes.
 ---@param real fun(): number seconds of the wall's clock
 ---@param has_stubs boolean modules and globals that are not here do nothing
----@return rfsm.web.Session session
 function Session.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},

@@ -8,6 +8,7 @@
 -- @module rfsm.web.view
 -- @license BSD-3-Clause
 
+local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
 
@@ -54,16 +55,13 @@ local function new_marks() return { has = {}, list = {} } end
 local function count_states(nodes)
   local count = 0
   for _, node in ipairs(nodes) do
-    if node.kind == "leaf" or node.kind == "composite" then count = count + 1 end
+    if diagram.is_state(node) then count = count + 1 end
   end
   return count
 end
 
 --- Make a view of a class that is derived from this one.
----@param class table
----@param description rfsm.marsh.Node
 ---@param clock fun(): number
----@return rfsm.web.View view
 function View.create(class, description, clock)
   local lists = outline.read(description)
   return setmetatable({

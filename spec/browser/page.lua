@@ -8,7 +8,6 @@ local socket = require "socket"
 local web = require "rfsm.web"
 local webdriver = require "spec.support.webdriver"
 
-local SHOTS = os.getenv "SHOTS"
 local CHART = "examples/ball_tracking.lua"
 
 local servers, driver, window = {}, nil, nil
@@ -59,13 +58,6 @@ local function visit_picture(file)
   return server
 end
 
-local function keep_shot(name)
-  if not SHOTS then return end
-  local handle = assert(io.open(SHOTS .. "/" .. name .. ".png", "wb"))
-  handle:write(window:screenshot())
-  handle:close()
-end
-
 -- The names of the leaves that are lit in the diagram.
 local function lit()
   return window:run [[
@@ -73,10 +65,7 @@ local function lit()
       .map(e => e.textContent).filter(t => !t.includes("/"))]]
 end
 
-local function texts(selector)
-  return window:run([[return [...document.querySelectorAll(arguments[0])]
-    .filter(e => !e.hidden).map(e => e.firstChild.textContent)]], selector)
-end
+local function texts(selector) return window:texts(selector) end
 
 setup(function()
   driver = webdriver.start(pump)
@@ -98,7 +87,7 @@ end)
 describe("the page", function()
   it("shows where the machine stands, lights it, and marks its events", function()
     visit_picture(CHART)
-    keep_shot "idle"
+    window:keep_shot "idle"
     assert.same({ "searching" }, lit())
     assert.equal("none", window:run [[ // the outer frame of a final state
       return getComputedStyle(document.getElementById("root.fatal")
@@ -119,14 +108,14 @@ describe("the page", function()
     visit_picture(CHART)
     window:type "452"
     window:wait "now.leaf == 'root.stopped' && document.querySelector('.edge.taken')"
-    keep_shot "events"
+    window:keep_shot "events"
     assert.same({ "stopped" }, lit())
     window:type "5"
     window:wait "!document.querySelector('#why').hidden"
     assert.same({}, texts "#why li")
     window:type "w"
     window:wait "document.querySelector('#why li')"
-    keep_shot "why"
+    window:keep_shot "why"
     assert.matches("waits for e_start", table.concat(texts "#why li"))
     window:type "b"
     window:wait "document.querySelector('#why').hidden"
@@ -182,7 +171,7 @@ describe("the page", function()
     server.shown[1].picture = false
     window:run "chart.has_picture = false; draw()"
     window:wait "document.querySelector('#boxes .active')"
-    keep_shot "boxes"
+    window:keep_shot "boxes"
     assert.same({ "open", "open" }, lit())
     assert.equal(2, window:run "return document.querySelectorAll('.region').length")
     window:click "#events .enabled:nth-of-type(3)"
@@ -228,7 +217,7 @@ describe("the page", function()
     window:run "window.isOld = true"
     close_all()
     window:wait "document.body.classList.contains('gone')"
-    keep_shot "gone"
+    window:keep_shot "gone"
     open(CHART, port)
     window:wait "!window.isOld && document.querySelector('.active')"
     window:type "4"
@@ -250,7 +239,7 @@ return rfsm.state {
     local server = open(file)
     window:open(server.url)
     window:wait "document.querySelectorAll('#problems li').length == 3"
-    keep_shot "error"
+    window:keep_shot "error"
     assert.same({ file .. ":5", file .. ":7", file .. ":8" }, texts "#problems code")
     local mended = helper.content(file):gsub('entry = "led"', "")
       :gsub('"onn"', '"on"'):gsub(", guard = true", "")
@@ -267,12 +256,12 @@ return rfsm.state {
     window:chromium("Emulation.setEmulatedMedia",
       { features = { { name = "prefers-color-scheme", value = "dark" } } })
     window:wait "now.turn != 0 && document.querySelector('.edge.taken')"
-    keep_shot "dark"
+    window:keep_shot "dark"
     assert.equal("rgb(18, 22, 26)", window:run [[
       return getComputedStyle(document.documentElement).backgroundColor]])
     window:chromium("Emulation.setEmulatedMedia", { features = {} })
     window:resize(390, 844)
-    keep_shot "phone"
+    window:keep_shot "phone"
     assert.equal(390, window:run "return document.documentElement.scrollWidth")
     for _, height in ipairs(window:run [[
       return [...document.querySelectorAll("#drive button, #events button")]
@@ -392,7 +381,7 @@ describe("the diagram", function()
       const v = $("view"), r = v.firstElementChild.getBoundingClientRect();
       return r.width <= v.clientWidth && r.height <= v.clientHeight]]
     assert.is_true(fits)
-    keep_shot "large-fit"
+    window:keep_shot "large-fit"
     local before = width()
     window:run [[
       const r = $("view").getBoundingClientRect();
@@ -416,7 +405,7 @@ describe("the diagram", function()
     assert.equal(250, x)
     window:click "#fit"
     assert.is_true(math.abs(width() - before) < 1)
-    keep_shot "large"
+    window:keep_shot "large"
   end)
 
   it("hides the states of a composite, and shows one that is found", function()
@@ -461,7 +450,7 @@ return rfsm.state {
     window:wait "!document.querySelector('#about').hidden"
     assert.same({ "root.off", "entry", file .. ":3", "2 times", "2 times", "n = 42" },
       texts "#about dd")
-    keep_shot "state"
+    window:keep_shot "state"
   end)
 
   it("stops where the page wants it", function()
@@ -495,7 +484,7 @@ describe("the history", function()
     window:run "$('scrub').value = 2; $('scrub').oninput()"
     assert.same({ "tracking" }, lit())
     assert.is_false(window:run "return $('to-now').hidden")
-    keep_shot "history"
+    window:keep_shot "history"
     window:click "#to-now"
     assert.same({ "stopped" }, lit())
   end)
@@ -566,7 +555,7 @@ describe("two machines", function()
     helper.post_and_run(right, "e_push")
     window:wait "now.leaf == 'root.s2' && document.querySelector('.active')"
     assert.same({ "s2" }, lit())
-    keep_shot "machines"
+    window:keep_shot "machines"
     window:open(server.url .. "?machine=2")
     window:wait "now.leaf == 'root.s2' && document.querySelector('.active')"
     window:click "#machines button:nth-of-type(1)"

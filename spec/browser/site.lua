@@ -5,7 +5,6 @@ local helper = require "spec.helper"
 local http = require "rfsm.web.http"
 local webdriver = require "spec.support.webdriver"
 
-local SHOTS = os.getenv "SHOTS"
 local FOLDER = io.popen("pwd"):read("*l") .. "/out/"
 
 local server, driver, window
@@ -22,13 +21,6 @@ local function reply_to(request)
   return { type = name:find("%.html$") and "text/html" or "image/svg+xml", body = text }
 end
 
-local function keep_shot(name)
-  if not SHOTS then return end
-  local handle = assert(io.open(SHOTS .. "/" .. name .. ".png", "wb"))
-  handle:write(window:screenshot())
-  handle:close()
-end
-
 local DRAWN = "now.active && document.querySelector('#view > svg .active')"
 
 -- Opens the playground with a chart, or with what an address names.
@@ -41,10 +33,7 @@ local function visit(fragment, chart)
   window:call("POST", "/element/" .. window:find "#file" .. "/value", { text = file })
 end
 
-local function texts(selector)
-  return window:run([[return [...document.querySelectorAll(arguments[0])]
-    .filter(e => !e.hidden).map(e => e.firstChild.textContent)]], selector)
-end
+local function texts(selector) return window:texts(selector) end
 
 -- Sets the cursor of the editor behind a text.
 local function go_behind(text)
@@ -91,7 +80,7 @@ describe("the playground", function()
         print(("%s: first drawing after %.0f ms"):format(origin, window:run
           "return performance.getEntriesByName('drawn')[0].startTime"))
       end
-      keep_shot("playground-" .. origin)
+      window:keep_shot("playground-" .. origin)
 
       go_behind '"moving"'
       window:type(webdriver.BACKSPACE .. 's"')
@@ -99,7 +88,7 @@ describe("the playground", function()
       assert.same({ "lamp.lua:16" }, texts "#problems code")
       assert.equal("1 problem", texts("#verdict")[1])
       window:wait "document.querySelector('.cm-lint-marker-error')"
-      keep_shot("playground-mistake-" .. origin)
+      window:keep_shot("playground-mistake-" .. origin)
       window:type(webdriver.BACKSPACE .. webdriver.BACKSPACE .. '"')
       window:wait(DRAWN .. " && document.querySelector('#problems').hidden")
 
@@ -320,7 +309,7 @@ describe("the site", function()
       window:resize(390, 844)
       window:open("file://" .. FOLDER .. page)
       if page:find("^playground") then window:wait(DRAWN) end
-      keep_shot("phone-" .. page:gsub("/", "-"):gsub("%.html$", ""))
+      window:keep_shot("phone-" .. page:gsub("/", "-"):gsub("%.html$", ""))
       assert.equal(390, window:run "return document.documentElement.scrollWidth")
       assert.same({}, window:run [[
         return [...document.querySelectorAll("pre, table, .cm-scroller")]

@@ -1,18 +1,10 @@
 -- What the claims about the simulator and the page share: charts in files, the place of
 -- a machine as text, a machine that is driven by plain calls.
 
+local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
 local drive = { EVENTS = { "e1", "e2", "e3", "e_own", "e_x@y" } }
-
---- Writes the chart of a seed to a file; returns its name.
-function drive.file(seed)
-  local name = os.tmpname()
-  local file = assert(io.open(name, "wb"))
-  file:write("return require('spec.support.kept').model(", seed, ")\n")
-  file:close()
-  return name
-end
 
 --- Returns where a machine stands: active states, modes, queue, and data it keeps.
 function drive.place(fsm)
@@ -50,6 +42,25 @@ function drive.silently(f, ...)
   local ok, result = pcall(f, ...)
   is_quiet = false
   rawset(io, "stderr", stderr)
+  if not ok then error(result, 0) end
+  return result
+end
+
+--- Returns the problem if a tool has left its machine elsewhere than calls in Lua have
+-- left another one.
+function drive.difference(fsm, called)
+  local place, expected = drive.place(fsm), drive.place(called)
+  if place ~= expected then
+    return "commands: " .. place .. "\ncalls: " .. expected
+  end
+end
+
+--- Returns what check(file) returns; the file has the chart of a seed.
+function drive.with_file(seed, check)
+  local name = os.tmpname()
+  helper.write(name, ("return require('spec.support.kept').model(%d)\n"):format(seed))
+  local ok, result = pcall(check, name)
+  os.remove(name)
   if not ok then error(result, 0) end
   return result
 end

@@ -1,5 +1,8 @@
 -- Models that are hard to draw: random ones of depth 6 with regions, and odd names.
 
+local diagram = require "rfsm.pictures.diagram"
+local dot = require "rfsm.dot"
+local layout = require "rfsm.pictures.layout"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
@@ -64,6 +67,47 @@ function pictures.model(seed, depth)
   return model
 end
 
+local function any_name(random) return "s" .. random(9) .. ("_x"):rep(random(4) - 1) end
+
+local function any_node(random, is_first)
+  if random(8) == 1 and not is_first then return rfsm.conn {} end
+  return rfsm.state { entry = random(4) == 1 and print or nil }
+end
+
+local function add_arrow(model, names, random, event)
+  local src, tgt = random:pick(names), random:pick(names)
+  model[#model + 1] = rfsm.trans { src = src, tgt = random(4) == 1 and src or tgt,
+    events = { event }, guard = random(3) == 1 and print or nil }
+end
+
+-- A level of many states: a chain, with arrows across, loops, and composites in it, to
+-- and from whose states arrows lead, too. Returns their names.
+local function add_wide_level(model, random, most, add_level)
+  local names, ends = {}, {}
+  for i = 1, 1 + random(most) do
+    names[i] = any_name(random) .. i
+    model[names[i]] = any_node(random, i == 1)
+    ends[#ends + 1] = names[i]
+    if add_level and random(5) == 1 and rfsm.is_state(model[names[i]]) then
+      for _, name in ipairs(add_level(model[names[i]], random, 11)) do
+        ends[#ends + 1] = "." .. names[i] .. "." .. name
+      end
+    end
+    model[#model + 1] = rfsm.trans { src = names[i - 1] or "initial", tgt = names[i],
+      events = i > 1 and { any_name(random) } or nil }
+  end
+  for i = 1, random(#names) - 1 do add_arrow(model, ends, random, "e_" .. i) end
+  return names
+end
+
+--- The random model of a seed with many states beside each other.
+function pictures.wide_model(seed)
+  local model = rfsm.state { warn = false, info = false, entry = seed % 2 == 0 and print
+    or nil }
+  add_wide_level(model, new_random(seed), 13, add_wide_level)
+  return model
+end
+
 --- A model with an odd name at each of many leaves, and as the event of arrows.
 function pictures.odd()
   local model = rfsm.state { root = rfsm.state {},
@@ -73,6 +117,50 @@ function pictures.odd()
     model[#model + 1] = rfsm.trans { src = "root", tgt = "root", events = { name } }
   end
   return model
+end
+
+-- Drawing: many charts with few runs of Graphviz, whose start takes longest ----------
+
+-- Runs Graphviz once for several lists of graphs; returns an answer for each.
+local function answers_to(requests)
+  local next_graph = assert(dot.render(table.concat(requests), "dot")):gmatch(
+    "digraph.-\n}\n")
+  local answers = {}
+  for i, text in ipairs(requests) do
+    local graphs, _, count = {}, text:gsub("%f[^\n%z]digraph {\n", "")
+    for j = 1, count do graphs[j] = next_graph() end
+    answers[i] = table.concat(graphs)
+  end
+  return answers
+end
+
+--- The layout of each of several machines: { fsm, options of dot.layout }.
+function pictures.layouts_of(list)
+  local graphs, works, answers = {}, {}, {}
+  for i, job in ipairs(list) do
+    local chart = diagram.read(job.fsm, "layouts_of", job.options)
+    works[i] = coroutine.wrap(function()
+      graphs[i] = layout.draw(chart, coroutine.yield)
+    end)
+  end
+  while works[1] do
+    local waiting, requests = {}, {}
+    for i, work in ipairs(works) do
+      local request = work(answers[i])
+      if request then waiting[#waiting + 1], requests[#waiting + 1] = work, request end
+    end
+    works, answers = waiting, requests[1] and answers_to(requests)
+  end
+  return graphs
+end
+
+--- The picture of each of several graphs.
+function pictures.svgs_of(graphs)
+  local text, svgs = assert(dot.render(table.concat(graphs), "svg")), {}
+  for svg in text:gmatch("<%?xml.-</svg>\n") do
+    svgs[#svgs + 1] = svg:gsub('id="page%d+,%d+_graph0"', 'id="graph0"', 1)
+  end
+  return svgs
 end
 
 -- The points of an attribute: { { x, y }, ... }.
@@ -128,6 +216,24 @@ function pictures.direction_at(path, i, step)
   local y, x = (path[j][2] - from[2]) * step, (path[j][1] - from[1]) * step
   local angle = math.deg(math.acos(x / math.max(1e-9, math.sqrt(x * x + y * y))))
   return y < 0 and -angle or angle
+end
+
+local function between(a, b, share)
+  return { a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share }
+end
+
+--- Points of a line, about one for each 10 % of each curve in it.
+function pictures.points_on(path)
+  local points = {}
+  for i = 1, #path - 3, 3 do
+    for share = 0, 1, 0.1 do
+      local a, b, c, d = path[i], path[i + 1], path[i + 2], path[i + 3]
+      local first = between(between(a, b, share), between(b, c, share), share)
+      local second = between(between(b, c, share), between(c, d, share), share)
+      points[#points + 1] = between(first, second, share)
+    end
+  end
+  return points
 end
 
 --- The largest angle, in degrees, between two curves of a line where they meet.

@@ -142,6 +142,21 @@ function Window:screenshot()
   return (require("mime").unb64(self:call("GET", "/screenshot")))
 end
 
+--- Keep a screenshot in the folder that SHOTS names, if it does.
+function Window:keep_shot(name)
+  local folder = os.getenv "SHOTS"
+  if not folder then return end
+  local handle = assert(io.open(folder .. "/" .. name .. ".png", "wb"))
+  handle:write(self:screenshot())
+  handle:close()
+end
+
+--- Return the texts of the elements that a CSS selector finds, but for hidden ones.
+function Window:texts(selector)
+  return self:run([[return [...document.querySelectorAll(arguments[0])]
+    .filter(e => !e.hidden).map(e => e.firstChild.textContent)]], selector)
+end
+
 function Window:close()
   if not self.is_closed then self:call("DELETE", "") end
   self.is_closed = true

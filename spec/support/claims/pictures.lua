@@ -369,7 +369,10 @@ return {
     local has_graphviz = dot.render("digraph { }", "dot") ~= nil
     local texts, graphs, folder = {}, {}, os.getenv("MERMAID")
     for i = 1, n do
-      local fsm = assert(rfsm.init(pictures.model(seed + i - 1, 6)))
+      local number = seed + i - 1
+      local model = number % 2 == 0 and pictures.wide_model(number)
+        or pictures.model(number, 6)
+      local fsm = assert(rfsm.init(model))
       local ok, problem, text, graph = pcall(problem_of, fsm, has_graphviz)
       if problem then return i, ("chart %d: %s"):format(seed + i - 1, problem) end
       assert(ok)

@@ -38,12 +38,12 @@ local function wander(sim, fsm, random, places)
   for _ = 1, 25 do
     local kind = random(9)
     COMMANDS[kind == 9 and 4 or kind % 3 + 1](sim, fsm, random)
-    local place, expected = drive.place(sim.fsm), drive.place(fsm)
-    if place ~= expected then
-      return "commands: " .. place .. "\ncalls: " .. expected
-    end
-    if kind ~= 9 and kind % 3 + 1 ~= 1 then
-      places[#places + 1] = { place = place, at = sim.history.at,
+    local problem = drive.difference(sim.fsm, fsm)
+    if problem then return problem end
+    local is_sent = kind ~= 9 and kind % 3 + 1 == 1 -- what waits then is forgotten
+    places.at_end = not is_sent and drive.place(fsm)
+    if kind ~= 9 and not is_sent then
+      places[#places + 1] = { place = drive.place(fsm), at = sim.history.at,
         count = sim.history.count }
     end
   end
@@ -61,9 +61,8 @@ local function check_way_back(sim, places)
   end
   while sim.history.at < #sim.history.marks do sim.env.forward() end
   local place = drive.place(sim.fsm)
-  if count > 0 and sim.history.count == places[count].count
-    and place ~= places[count].place then
-    return "forward: " .. place .. "\nwas: " .. places[count].place
+  if places.at_end and place ~= places.at_end then
+    return "forward: " .. place .. "\nwas: " .. places.at_end
   end
 end
 
@@ -80,18 +79,32 @@ local function check_jumps(sim, random, places)
   end
 end
 
+-- Goes back, and on in another way: what was undone is gone, the new way is kept.
+local function check_new_way(sim, random, places)
+  local stop = places[1] and random:pick(places)
+  if not stop then return end
+  sim.env.go_to(stop.count)
+  sim.env.ses(random:pick(drive.EVENTS))
+  local place, count = drive.place(sim.fsm), sim.history.count
+  if sim.history.last ~= count then return "what was undone can be reached" end
+  for n = 0, count do sim.env.go_to(n) end
+  if drive.place(sim.fsm) ~= place then
+    return "the end: " .. drive.place(sim.fsm) .. "\nwas: " .. place
+  end
+end
+
 local function check(seed)
-  local random, name, places = new_random(seed), drive.file(seed), {}
-  local chunk = history.CHUNK
+  local random, places, chunk = new_random(seed), {}, history.CHUNK
   history.CHUNK = random(12)
-  local sim = assert(session.open(name, false))
+  local sim = assert(drive.with_file(seed, function(name)
+    return (session.open(name, false))
+  end))
   prompt.install(sim)
-  local fsm = assert(rfsm.init(kept.model(seed)))
-  local problem = wander(sim, fsm, random, places) or check_way_back(sim, places)
-    or check_jumps(sim, random, places)
+  local problem = wander(sim, assert(rfsm.init(kept.model(seed))), random, places)
+    or check_way_back(sim, places) or check_jumps(sim, random, places)
+    or check_new_way(sim, random, places)
   history.CHUNK = chunk
   sim.history.recorder:stop()
-  os.remove(name)
   return problem
 end
 

@@ -40,11 +40,9 @@ local COMMANDS = {
 local function wander(session, fsm, random, places)
   for _ = 1, 15 do
     COMMANDS[random(4)](session, fsm, random)
-    local place, expected = drive.place(session.view.fsm), drive.place(fsm)
-    if place ~= expected then
-      return "commands: " .. place .. "\ncalls: " .. expected
-    end
-    places[session.turn] = place
+    local problem = drive.difference(session.view.fsm, fsm)
+    if problem then return problem end
+    places[session.turn] = drive.place(fsm)
   end
 end
 
@@ -61,10 +59,11 @@ local function check_back(session, random, places)
 end
 
 local function check(seed)
-  local random, name, places = new_random(seed), drive.file(seed), {}
-  local steps = Session.MAX_STEPS
+  local random, places, steps = new_random(seed), {}, Session.MAX_STEPS
   Session.MAX_STEPS = 30
-  local session = Session.open(name, function() return 0 end)
+  local session = drive.with_file(seed, function(name)
+    return Session.open(name, function() return 0 end)
+  end)
   local model = kept.model(seed)
   model.err = false
   local fsm = assert(rfsm.init(model))
@@ -74,7 +73,6 @@ local function check(seed)
     or check_back(session, random, places)
   Session.MAX_STEPS = steps
   if session.recorder then session.recorder:stop() end
-  os.remove(name)
   return problem
 end
 
