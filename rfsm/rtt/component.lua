@@ -349,7 +349,6 @@ end
 -- on utils: both are loaded if they can be had.
 --
 -- @raise with the name of the chart
----@param launch rfsm.rtt.Launched
 ---@return any? hook to enable as the last act; nil if there is none
 function component.launch(launch)
   local where = "launch of '" .. launch.fsmfile .. "': "

@@ -57,9 +57,7 @@ function Port:find()
 end
 
 --- Hold a port that is made later.
----@param component any
 ---@param facts table<string, any> name, type, porttype, desc
----@return rfsm.rtt.Port
 function port.reserve(component, facts)
   return setmetatable({ name = facts.name, component = component, facts = facts,
     real = false, was_found = true, last = nil, samples = {} }, Port)
@@ -68,7 +66,6 @@ end
 --- Hold a port of this Lua's component. One that is held stays as it is.
 ---@param real any a port, or what is read and written like one
 ---@param facts table<string, any> its information
----@return rfsm.rtt.Port
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt

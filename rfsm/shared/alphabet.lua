@@ -47,11 +47,9 @@ local function collect(machines)
 end
 
 --- Collect the events that the transitions of a machine name.
----@return rfsm.Alphabet
 function alphabet.of(fsm) return collect { { machine = fsm } } end
 
 --- Collect the events that the transitions of a machine and its regions name.
----@return rfsm.Alphabet
 function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
 
 return alphabet

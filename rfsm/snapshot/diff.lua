@@ -167,8 +167,6 @@ function diff.compare(old, new)
 end
 
 --- Return a report as text.
----@param difference string[]
----@param fates rfsm.snapshot.Fate[]
 ---@return string text
 ---@return boolean is_safe each machine moves
 function diff.report(difference, fates)
