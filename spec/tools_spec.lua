@@ -262,7 +262,7 @@ describe("rfsm-viz", function()
       "rfsm viz: examples/on_off.lua: active: no state is named 'dim'"
         .. hint(" (there are 'root', 'root.off', 'root.on')") .. "\n")
     refuses("rfsm viz --depth 1.5 examples/on_off.lua",
-      "Error: depth: a whole number from 1 expected, got '1.5'")
+      "Error: --depth: whole number above 0 expected, got '1.5'")
     refuses("rfsm viz --direction UP examples/on_off.lua",
       "Error: argument for option '--direction' must be one of 'TB', 'LR'")
   end)
