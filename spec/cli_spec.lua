@@ -5,6 +5,8 @@ local cli = require "rfsm.cli.main"
 local common = require "rfsm.cli.common"
 local helper = require "spec.helper"
 
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
 after_each(helper.remove_files)
 
 -- A stream that appends to a text.
@@ -48,10 +50,10 @@ end
 
 -- Returns a function that notes its arguments, and returns these values.
 local function noting(list, ...)
-  local results = { ... }
+  local results, n = { ... }, select("#", ...)
   return function(...)
     list[#list + 1] = { ... }
-    return (rawget(table, "unpack") or rawget(_G, "unpack"))(results)
+    return unpack(results, 1, n)
   end
 end
 
