@@ -424,22 +424,6 @@ local function changes(fsm, snap)
   return most or count > 0 and "kept" or nil, by_prefix
 end
 
--- Returns the snapshot with new names, and as `migrate` returns it, in a copy.
-local function change(fsm, snap, list, options)
-  if options.rename then snap = rename_states(snap, options.rename) end
-  return options.migrate and migrate(fsm, copy_all(snap), list, options) or snap
-end
-
--- A region that no machine has is refused.
-local function check_regions(places, snap)
-  local is_known = {}
-  for _, at in ipairs(places) do is_known[at.prefix] = at.machine end
-  for prefix in each(snap.regions) do -- any order: each stands alone
-    if not is_known[prefix] then fail("no region is '%s'", text_of(prefix)) end
-  end
-  return snap
-end
-
 -- Returns a snapshot of another chart as one for that of a machine, and as `to`.
 local function move_snapshot(fsm, snap, options, most, is_format_1)
   local lost = move.lost(fsm, snap)
@@ -451,7 +435,8 @@ local function move_snapshot(fsm, snap, options, most, is_format_1)
   if most == "structure" and not (options.rename or options.migrate) then
     refuse("the snapshot is of another chart", list)
   end
-  snap = change(fsm, snap, list, options)
+  if options.rename then snap = rename_states(snap, options.rename) end
+  if options.migrate then snap = migrate(fsm, copy_all(snap), list, options) end
   lost = move.lost(fsm, snap)
   if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
   return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
@@ -469,7 +454,7 @@ function move.to(fsm, snap, options)
   if is_alone and given.chart == own.chart.name then return given end
   local most = changes(fsm, given)
   if most then return move_snapshot(fsm, given, options, most, is_format_1) end
-  return given.regions and check_regions(own.places, given) or given
+  return given
 end
 
 return move
