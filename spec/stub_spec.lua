@@ -109,6 +109,22 @@ describe("a chart finds beside its file", function()
     end)
   end
 
+  it("its module before one of that name elsewhere", function()
+    local path = package.path
+    write_files { ["parts/part.lua"] = "return 7", ["part.lua"] = LEAF }
+    package.path = folder .. "/robot/parts/?.lua;" .. path
+    local model = open { ["chart.lua"] = 'return require "part"' }
+    package.path = path
+    assert.equal("found", model.doc)
+  end)
+
+  it("no other file in place of one that is there from the working directory",
+    function()
+      local model = open({ ["on_off.lua"] = LEAF,
+        ["chart.lua"] = 'return rfsm.load "examples/on_off.lua"' }, true)
+      assert.is_true(rfsm.is_state(model.on))
+    end)
+
   it("files, whose functions are replaced once", function()
     open { ["chart.lua"] = LEAF }
     local replaced = { rfsm.load, rawget(_G, "dofile"), rawget(_G, "loadfile") }
@@ -140,8 +156,17 @@ describe("a stub", function()
   end)
 
   it("is 0 in arithmetic, and less than nothing", function()
-    assert.same({ 0, 0, 0, 0 }, { stub + 1, 2 * stub, -stub, stub / stub })
-    assert.is_false(stub < stub)
+    assert.same({ 0, 0, 0, 0, 0, 0, 0 },
+      { stub + 1, 1 - stub, 2 * stub, -stub, stub / stub, stub % 2, stub ^ 2 })
+    assert.same({ false, false }, { stub < stub, stub <= stub })
+  end)
+
+  it("is 0 with the operators of a newer Lua", function()
+    local load = rawget(_G, "load")
+    local operators = "return function(s) return #s + s // 2 + (s & 1) + (s | 1) "
+      .. "+ (s ~ 1) + (s << 1) + (s >> 1) + ~s end"
+    local compiled = _VERSION > "Lua 5.2" and load(operators)
+    assert.equal(0, compiled and compiled()(stub) or 0)
   end)
 
   it("has no end in no loop", function()
@@ -236,6 +261,17 @@ describe("a chart of a robot", function()
 end)
 
 describe("loading a chart", function()
+  it("leaves the debug hook and the compiler as they were", function()
+    local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
+    local function hook() end
+    debug.sethook(hook, "", 1000000)
+    open { ["chart.lua"] = "return rfsm.state {}" }
+    local found, mask, count = debug.gethook()
+    debug.sethook()
+    assert.same({ hook, "", 1000000 }, { found, mask, count })
+    assert.is_true(not jit or jit.status())
+  end)
+
   local seconds = chart.SECONDS
 
   teardown(function() chart.SECONDS = seconds end)
