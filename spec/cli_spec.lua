@@ -1,52 +1,14 @@
 -- The commands: their command lines, and what each hands to the module that does the
 -- work, which is replaced here. spec/tools_spec.lua runs the tools themselves.
 
-local cli = require "rfsm.cli.main"
+local commands = require "spec.support.commands"
 local common = require "rfsm.cli.common"
 local helper = require "spec.helper"
 
+local new_stream, run = commands.new_stream, commands.run
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 after_each(helper.remove_files)
-
--- A stream that appends to a text.
-local function new_stream()
-  local stream = { text = "" }
-  function stream.write(self, ...)
-    self.text = self.text .. table.concat(helper.texts(...))
-    return self
-  end
-  function stream.flush(self) return self end
-  function stream.setvbuf() end
-  return stream
-end
-
--- Runs a command line while these modules are replaced; returns stdout, stderr and the
--- status.
-local function run(command, modules)
-  local out, err, argv, default = new_stream(), new_stream(), {}, nil
-  for word in command:gmatch("%S+") do argv[#argv + 1] = word end
-  local function exit(status) error({ status = status }, 0) end
-  local function output(stream)
-    default = stream or default
-    return default
-  end
-  local function print_out(...)
-    out:write(table.concat(helper.texts(...), "\t"), "\n")
-  end
-  local ok, status = pcall(helper.with, package.loaded, modules or {}, function()
-    return helper.with(os, { exit = exit }, function()
-      return helper.with(io, { stdout = out, stderr = err, output = output }, function()
-        return helper.with(_G, { print = print_out }, function()
-          return cli.main(argv)
-        end)
-      end)
-    end)
-  end)
-  if ok then return out.text, err.text, status end
-  if type(status) ~= "table" then error(status, 0) end
-  return out.text, err.text, status.status
-end
 
 -- Returns a function that notes its arguments, and returns these values.
 local function noting(list, ...)

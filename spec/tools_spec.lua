@@ -1,6 +1,7 @@
 -- The command line: rfsm check, viz, json, plantuml, dot, mermaid, and the tools of
 -- their own names.
 
+local commands = require "spec.support.commands"
 local charts = require "rfsm.shared.chart"
 local helper = require "spec.helper"
 
@@ -16,12 +17,13 @@ local function write_file(name, text)
 end
 
 -- Runs a command line that begins with a tool: stdout, stderr and the status. `rfsm x`
--- runs without the shell part of the tool, which `rfsm-x` needs.
+-- runs in this process, unless the shell connects it with files.
 local function run(command)
+  local inside = command:match("^rfsm ([^<>]*)$")
+  if inside then return commands.run(inside) end
   local err, status = folder .. "/stderr", folder .. "/status"
-  local program = command:find("^rfsm ") and "%s tools/%s" or "LUA=%s tools/%s"
-  local pipe = io.popen(("{ %s; echo $? >'%s'; } 2>'%s'"):format(
-    program:format(lua, command), status, err))
+  local pipe = io.popen(("{ LUA=%s tools/%s; echo $? >'%s'; } 2>'%s'"):format(lua,
+    command, status, err))
   local out = pipe:read("*a")
   pipe:close()
   return out, content(err), tonumber(content(status))
@@ -149,7 +151,7 @@ describe("the command line", function()
     local expected = run("rfsm viz '" .. plain .. "'")
     write_file("chart.lua", "print('one', nil, 2) io.write('two\\n') "
       .. "io.stdout:write('three\\n')\n" .. CHART)
-    check("rfsm viz '" .. plain .. "'", expected, "one\tnil\t2\ntwo\nthree\n")
+    check("rfsm-viz '" .. plain .. "'", expected, "one\tnil\t2\ntwo\nthree\n")
   end)
 
   it("is silent about the machines inside a state", function()
@@ -176,7 +178,7 @@ describe("the command line", function()
     end
     local file = write_file("no.lua", "rfsm.preproc[1] = function() error('no', 0) end "
       .. "return rfsm.state {}")
-    fails("rfsm viz '" .. file .. "'", "rfsm viz: " .. file .. ": no\n")
+    fails("rfsm-viz '" .. file .. "'", "rfsm viz: " .. file .. ": no\n")
     fails("rfsm viz '" .. folder .. "/none'", "rfsm viz: cannot open " .. folder
       .. "/none: No such file or directory\n")
   end)
@@ -623,7 +625,7 @@ m = rfsm_ext.gen_monitor_state { montab = { e_low = print } }]], OK, "")
     for first, expected in pairs { -- any order: each stands alone
       [""] = '"e_after(3)"', ["_ = rfsm_timeevent"] = '"e_after(3)@root.m"',
     } do
-      local out = run("rfsm json -o - " .. write_file("unread.lua", first .. [[
+      local out = run("rfsm2json -o - " .. write_file("unread.lua", first .. [[
 
 local rfsm = require "rfsm"
 local m = rfsm_ext.gen_monitor_state { montab = { e_low = rfsmpp.fsm2str } }
