@@ -213,6 +213,13 @@ describe("a recording", function()
       problem(function() end))
   end)
 
+  it("needs a file that can be opened", function()
+    local fsm = helper.init(worker({}, yes))
+    assert.equal("rfsm.record.record: /nowhere/x: No such file or directory",
+      helper.refusal(record.record, fsm, "/nowhere/x"))
+    rfsm.run(fsm)
+  end)
+
   it("in a file has a line for each record; one that was cut does not count", function()
     local file, sink = helper.file_with(""), {}
     recorded(file)

@@ -448,10 +448,7 @@ end
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new
 function move.to(fsm, snap, options)
-  local own = charts.of(fsm)
   local given, is_format_1 = check_shape(snap)
-  local is_alone = not (own.places[2] or given.regions)
-  if is_alone and given.chart == own.chart.name then return given end
   local most = changes(fsm, given)
   if most then return move_snapshot(fsm, given, options, most, is_format_1) end
   return given
