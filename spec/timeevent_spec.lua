@@ -437,6 +437,19 @@ describe("a clock that fails", function()
     return fsm, errors
   end
 
+  it("is reported when a state is entered, and when a timer is merged", function()
+    set_gettime_hook(broken)
+    local fsm = init(chart { "e_after(3)" })
+    local errors = said(fsm, "err")
+    rfsm.step(fsm)
+    assert.same({ "TIMEEVENT the clock failed:  battery empty" }, errors)
+    fsm, errors = with_clocks(clock, broken)
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, another("a", "b", "e_after(2)")))
+    assert.same({ "TIMEEVENT the clock failed:  battery empty" }, errors)
+    set_gettime_hook(clock)
+    check(fsm, "+2=a +0,1=a +3=b")
+  end)
+
   it("is reported to err, and the step goes on; no armed timer is lost", function()
     local fsm, errors = with_clocks(clock, broken)
     rfsm.step(fsm)
@@ -948,6 +961,15 @@ describe("a snapshot", function()
     end
   end)
 
+  it("has the nanoseconds of a time that is far away", function()
+    local fsm = started(chart { "e_at(2000000000.000000001)", "e_after(1000000)",
+      "e_after(0.5)" })
+    advance(0, 1)
+    assert.same({ ["e_at(2000000000.000000001)@root.a"] = { 2000000000, 1 },
+      ["e_after(1000000)@root.a"] = 999999.999999999,
+      ["e_after(0.5)@root.a"] = 0.499999999 }, snapshot.take(fsm).ext.timers)
+  end)
+
   it("of a machine without armed timers has none", function()
     local fsm = started(model)
     check(fsm, "+9=b")
@@ -994,6 +1016,16 @@ describe("rfsm.clock", function()
     clock_module.set_hook(fail)
     assert.same({ n = 2, nil, "out of order" },
       { n = select("#", clock_module.read(true)), clock_module.read(false) })
+  end)
+
+  it("knows no timer without time events, nor with a clock that fails", function()
+    local fsm = started(chart { "e_after(3)" })
+    assert.is_true(clock_module.until_timer(fsm) > 3)
+    set_gettime_hook(fail)
+    assert.is_nil(clock_module.until_timer(fsm))
+    helper.with(package.loaded, { rfsm_timeevent = false }, function()
+      assert.is_nil(clock_module.until_timer(fsm))
+    end)
   end)
 
   it("without any clock raises an error", function()
