@@ -962,12 +962,11 @@ describe("a snapshot", function()
   end)
 
   it("has the nanoseconds of a time that is far away", function()
-    local fsm = started(chart { "e_at(2000000000.000000001)", "e_after(1000000)",
-      "e_after(0.5)" })
+    local fsm = started(chart { "e_at(2000000000.000000001)", "e_after(2000000)" })
     advance(0, 1)
     assert.same({ ["e_at(2000000000.000000001)@root.a"] = { 2000000000, 1 },
-      ["e_after(1000000)@root.a"] = 999999.999999999,
-      ["e_after(0.5)@root.a"] = 0.499999999 }, snapshot.take(fsm).ext.timers)
+      ["e_after(2000000)@root.a"] = { 1999999, 999999999 } },
+      snapshot.take(fsm).ext.timers)
   end)
 
   it("of a machine without armed timers has none", function()
