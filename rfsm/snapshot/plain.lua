@@ -25,8 +25,6 @@ local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
 
-local plain = {}
-
 -- How many tables may be inside each other: in the value of a field; in packed data.
 local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
 
@@ -34,22 +32,20 @@ local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
 -- deeper than 16, and a number of two parts is a table, too.
 local MAX_DIRECT = 15
 
---- Stands for nil in a field that is not nil at first.
-plain.NIL = {}
+-- Stands for nil in a field that is not nil at first.
+local NIL = {}
 
 --- Raise an error that the public functions of the caller turn into one line.
-function plain.fail(form, ...) error({ text = form:format(...) }, 0) end
-
-local fail = plain.fail
+local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
 --- Return the text of an error, also of one that was raised by `fail`.
-function plain.reason(failure)
+local function reason(failure)
   return type(failure) == "table" and failure.text or text_of(failure)
 end
 
 --- Call a function of the chart; its error is one of `fail`.
 ---@param what string in front of the error
-function plain.try(what, f, ...)
+local function try(what, f, ...)
   local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
   return result
@@ -67,7 +63,7 @@ end
 --- Return the location of a value.
 ---@param depth integer how many of its keys count
 ---@return string text such as "root.a.list[2]"
-function plain.place_of(path, depth)
+local function place_of(path, depth)
   local place = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
     local key = path[i]
@@ -77,18 +73,14 @@ function plain.place_of(path, depth)
   return place
 end
 
-local place_of = plain.place_of
-
 --- Is a value a text, a number or a boolean?
-function plain.is_scalar(value)
+local function is_scalar(value)
   local kind = type(value)
   return kind == "string" or kind == "number" or kind == "boolean"
 end
 
-local is_scalar = plain.is_scalar
-
 --- Is a value what decoders of JSON return for null?
-function plain.is_null(value)
+local function is_null(value)
   local kind = type(value)
   if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
   local class = kind == "table" and getmetatable(value)
@@ -98,18 +90,16 @@ function plain.is_null(value)
   return ok and text == "null"
 end
 
-local is_null = plain.is_null
-
 --- Return a value; a plain table as a copy, and those in it.
 ---@param copies? table<table, table> those that were made
-function plain.copy_of(value, copies)
+local function copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   copies = copies or {}
   if copies[value] then return copies[value] end
   local copy = {}
   copies[value] = copy
   for key, inner in each(value) do -- any order: a copy
-    copy[key] = plain.copy_of(inner, copies)
+    copy[key] = copy_of(inner, copies)
   end
   return copy
 end
@@ -117,7 +107,7 @@ end
 -- Pack --------------------------------------------------------------------------
 
 --- Does JSON with 14 digits give back a number, as the integer or float that it is?
-function plain.is_safe(n)
+local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
   if math_type then
@@ -128,8 +118,6 @@ function plain.is_safe(n)
   if is_whole then return n < 1e14 and n > -1e14 end
   return tonumber(("%.14g"):format(n)) == n
 end
-
-local is_safe = plain.is_safe
 
 -- Returns digits from which any Lua reads the number; a whole float has a point.
 local function digits_of(n)
@@ -169,7 +157,7 @@ local function is_plain(t)
 end
 
 --- Return a table of packed values as plain data.
-function plain.as_table(packed, path, depth)
+local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
@@ -195,7 +183,7 @@ local function pack_table(t, path, depth)
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
-  return plain.as_table(copy, path, depth)
+  return as_table(copy, path, depth)
 end
 
 -- Appends a packed table to a flat list, see above.
@@ -217,7 +205,7 @@ end
 -- a metatable or one that comes twice
 ---@param value any null of JSON is nil
 ---@param depth integer how many of its keys lead to the value
-function plain.pack(value, path, depth)
+function pack(value, path, depth)
   local kind = type(value)
   if kind == "string" or kind == "boolean" then return value end
   if kind == "number" then
@@ -227,7 +215,7 @@ function plain.pack(value, path, depth)
   elseif kind ~= "table" then
     fail("%s: a %s cannot be saved", place_of(path, depth), kind)
   end
-  if rawequal(value, plain.NIL) then return { "%z" } end
+  if rawequal(value, NIL) then return { "%z" } end
   if path.base + depth <= MAX_DIRECT then return pack_table(value, path, depth) end
   local base = path.base
   path.base = -MAX_DEPTH -- the tables in it are part of the list
@@ -236,17 +224,15 @@ function plain.pack(value, path, depth)
   return flatten(packed, { "%s" })
 end
 
-pack = plain.pack
-
 --- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
 -- that JSON has not as texts.
-function plain.to_json(value)
+local function to_json(value)
   if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
   if type(value) ~= "table" then return value end
   local copy, count = {}, 0
   for key, inner in each(value) do -- any order: a copy
     count = count + 1
-    if not rawequal(inner, plain.NIL) then copy[key] = plain.to_json(inner) end
+    if not rawequal(inner, NIL) then copy[key] = to_json(inner) end
   end
   if count == #value then return copy end
   local texts = {}
@@ -311,7 +297,7 @@ local function unpack_table(packed, depth)
   elseif first == "%p" then
     return packed[2]
   elseif first == "%z" then
-    return plain.NIL
+    return NIL
   end
   local t = {}
   for key, value in each(packed) do -- any order: each stands alone
@@ -322,7 +308,7 @@ local function unpack_table(packed, depth)
 end
 
 --- Does a table stand for itself, and hold no others?
-function plain.is_flat(packed)
+local function is_flat(packed)
   if type(packed) ~= "table" or getmetatable(packed) ~= nil or packed[1] ~= nil then
     return false
   end
@@ -338,7 +324,7 @@ end
 --- Return the value that plain data stands for, in new tables.
 -- @raise if it is none
 ---@param depth integer how many tables there are around it
-function plain.unpack(packed, depth)
+function unpack(packed, depth)
   local kind = type(packed)
   if kind == "table" then
     if is_null(packed) then return nil end
@@ -354,6 +340,8 @@ function plain.unpack(packed, depth)
   return to_integer and to_integer(packed) or packed -- some decoders know only floats
 end
 
-unpack = plain.unpack
-
-return plain
+return {
+  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
+  is_null = is_null, is_safe = is_safe, is_scalar = is_scalar, pack = pack,
+  place_of = place_of, reason = reason, to_json = to_json, try = try, unpack = unpack,
+}
