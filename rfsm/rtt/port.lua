@@ -49,7 +49,6 @@ function Port:info() return self.facts end
 
 --- Look the port up in its component.
 function Port:find()
-  if not self.component then return self.real and true end
   local found = port.of(self.component, self.name)
   if found or self.was_found then self.real = found or false end
   self.was_found = self.was_found or found ~= nil
@@ -71,7 +70,7 @@ function port.hold(real, facts)
   local rtt = package.loaded.rtt
   local held = port.reserve(rtt and facts.name and rtt.getTC() or false, facts)
   held.real = real
-  held.was_found = held.component and port.of(held.component, held.name) ~= nil
+  held.was_found = port.of(held.component, held.name) ~= nil
   return held
 end
 
