@@ -503,14 +503,14 @@ describe("rfsm-check", function()
   end)
 
   it("opens a chart with stubs in place of what is not here, and names them", function()
-    local name = write_file("arm.lua", 'require "rttlib"\n' .. CHART)
+    local name = write_file("arm.lua", 'require "armlib"\n' .. CHART)
     fails("rfsm viz " .. name, "rfsm viz: " .. name
-      .. ":1: module 'rttlib' not found\n")
-    local line = name .. ": stubbed: rttlib\n"
+      .. ":1: module 'armlib' not found\n")
+    local line = name .. ": stubbed: armlib\n"
     check("rfsm check --static --stub " .. name, name .. ": ok\n" .. line)
     local out, err = run("rfsm viz --stub -T mermaid " .. name)
     assert.equal("rfsm viz: " .. line, err)
-    assert.matches('title: "arm %(stubbed: rttlib%)"', out)
+    assert.matches('title: "arm %(stubbed: armlib%)"', out)
   end)
 
   it("reports the warnings of init, and undefined globals of the file, once", function()
