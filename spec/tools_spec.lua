@@ -499,7 +499,7 @@ describe("rfsm-check", function()
   end)
 
   it("finds nothing in the examples that is not expected there", function()
-    assert.equal("", (run("rfsm check examples/*.lua"):gsub("[^\n]*: ok\n", "")))
+    assert.equal("", (run("rfsm-check examples/*.lua"):gsub("[^\n]*: ok\n", "")))
   end)
 
   it("opens a chart with stubs in place of what is not here, and names them", function()
