@@ -279,7 +279,8 @@ describe("service_launch_rfsm", function()
     end)
 
   it("refuses to halt and to resume what was not launched", function()
-    assert.matches("machine in its Lua service expected, got",
+    assert.matches("^rfsm.rtt.service_halt_rfsm: component with a machine in its Lua "
+      .. "service expected, got ",
       refusal(rfsm_rtt.service_halt_rfsm, host))
     assert.equal("rfsm.rtt.service_resume_rfsm: RTT's log has the reason",
       refusal(rfsm_rtt.service_resume_rfsm, exec_str))
