@@ -63,9 +63,6 @@ local function plain(word) return (word:lower():gsub("_", "")) end
 --- Are two words the same but for case and underscores, for one letter too many or too
 --- few, or for two letters in reverse? One letter in place of another makes another
 --- word: exit, edit.
----@param a string
----@param b string
----@return boolean
 function advice.is_near(a, b)
   a, b = plain(a), plain(b)
   if #a ~= #b then return edit_distance(a, b) == 1 end
@@ -77,9 +74,7 @@ function advice.is_near(a, b)
 end
 
 --- Return the field that was probably meant.
----@param kind "root"|"state"|"transition"|"connector"
 ---@param key string the key in the model
----@return string field
 function advice.field_meant(kind, key)
   for _, field in ipairs(FIELDS[kind]) do
     if key == field then return "" end
@@ -93,7 +88,6 @@ end
 
 --- Return the hint that the model has another word for a field that is missing.
 ---@param model table a transition of a model
----@param field string
 ---@return string hint " (there is 'from', did you mean 'src'?)"
 function advice.other_word(model, field)
   local words = {}
@@ -122,7 +116,6 @@ local function find_nearest(name, names)
 end
 
 --- Return the hint for a name that does not exist.
----@param name string
 ---@param names any[] those that exist
 ---@return string hint " (did you mean 'on'?)", or all of them if they are few
 function advice.nearest_name(name, names)
@@ -136,7 +129,6 @@ function advice.nearest_name(name, names)
 end
 
 --- Return the hint for a node that does not exist in a composite.
----@param name string
 ---@param def rfsm.Def the composite
 ---@param all rfsm.Def[] nodes to look at for the same name elsewhere
 ---@return string hint as `nearest_name`
@@ -164,7 +156,6 @@ local MODULE_OF = {
 }
 
 --- Return the hint for an event with a blank, comma or bar in its name.
----@param event string
 ---@return string hint " (did you mean 'e_after(2)'?)"
 function advice.event_meant(event)
   local meant = event:match("^%s*(.-)%s*$")

@@ -70,7 +70,6 @@ local FINDERS = {
 
 --- Return the best clock that is installed.
 ---@param is_monotonic boolean prefer a clock that is never set to the time of day?
----@return fun(): number, number? gettime
 function clock.find(is_monotonic)
   for i = 1, #FINDERS do
     local found = FINDERS[i](is_monotonic)
@@ -108,7 +107,6 @@ function Twofold:__call(id) return self[id ~= "CLOCK_REALTIME"]() end
 --- Return a clock for the field `gettime` of a machine from two functions.
 ---@param relative fun(): number, number? for e_after
 ---@param time_of_day fun(): number, number? for e_at
----@return function gettime
 function clock.twofold(relative, time_of_day)
   return setmetatable({ [true] = relative, [false] = time_of_day }, Twofold)
 end
@@ -118,7 +116,6 @@ end
 -- If it wants a clock id, it is given one. The time of RTT is not the time of day. Any
 -- other clock is for both.
 --
----@param gettime function
 ---@return table<boolean, function> clocks true: for e_after
 function clock.split(gettime)
   local rtt = rawget(_G, "rtt")
@@ -147,7 +144,6 @@ function clock.read(is_monotonic)
 end
 
 --- Return the seconds until the next timer of a machine can fire.
----@param fsm rfsm.Machine
 ---@return number? seconds nil if none is armed, or if the clock fails
 function clock.until_timer(fsm)
   local timeevent = rawget(_G, "package").loaded.rfsm_timeevent
@@ -157,7 +153,6 @@ function clock.until_timer(fsm)
 end
 
 --- Return a clock of seconds that begins now.
----@return fun(): number seconds
 function clock.from_now()
   local sec, nsec = clock.read(true)
   return function()

@@ -104,30 +104,22 @@ local function noting_getevents(track, own)
   end
 end
 
--- Notes the data that the chart keeps in a field of the record, if it has changed.
-local function note_kept(track, field)
-  if not tracks.may_have_changed(track.watched) then return end
+-- Returns the data that the chart keeps if it has changed; nil if not.
+local function changed_data(track)
+  if not tracks.may_have_changed(track.watched) then return nil end
   local ok, kept = calls.try(snapshot.take_data, track.fsm)
-  if not ok or tracks.same(kept, track.kept) then return end
-  track.kept, track.rec[field] = kept, kept
+  if not ok or tracks.same(kept, track.kept) then return nil end
+  track.kept = kept
+  return kept
 end
 
--- Notes the data of regions that has changed while they were left or reset.
-local function note_regions(recorder, rec)
-  for _, track in ipairs(recorder.tracks) do
-    if track.m and tracks.may_have_changed(track.watched) then
-      local kept = snapshot.take_data(track.fsm)
-      if not tracks.same(kept, track.kept) then
-        track.kept = kept
-        tracks.note(rec, "regions", track.m, kept)
-      end
-    end
-  end
-end
-
+-- Notes data that has changed; also that of regions while they were left or reset.
 local function note_data(recorder, track)
-  note_kept(track, "kept")
-  if track.m == nil then note_regions(recorder, track.rec) end
+  track.rec.kept = changed_data(track)
+  for _, region in ipairs(track.m == nil and recorder.tracks or {}) do
+    local kept = region.m and changed_data(region)
+    if kept then tracks.note(track.rec, "regions", region.m, kept) end
+  end
 end
 
 -- Is a doo resumed in the iteration that begins?
@@ -137,7 +129,7 @@ local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" e
 local function begin(recorder, track, events)
   track.rec = { m = track.m, fresh = track.is_fresh or nil, got = track.got,
     events = tracks.pack_events(events) }
-  note_kept(track, "had")
+  track.rec.had = changed_data(track)
   track.got, track.is_fresh, track.first, track.last = nil, false, 1, 0
   tracks.wrap(track)
   if track.m ~= nil then return end
@@ -293,20 +285,21 @@ function Recorder:back(n)
   return true
 end
 
--- Returns the header of a recording, or the text of its problem.
-local function check_recording(recording)
+-- Returns the records of a recording or of a file; nil and the problem if it is none.
+local function records_of(recording)
+  if type(recording) == "string" then recording = record.read(recording) end
   local header = type(recording) == "table" and recording[1]
   local version = type(header) == "table" and header.record
   if version ~= record.VERSION then
-    return "rfsm.record: a recording of format 1 expected"
+    return nil, "rfsm.record: a recording of format 1 expected"
   end
   for i = 2, #recording do
     if type(recording[i]) ~= "table" then
-      return ("rfsm.record: record %d: table expected, got %s"):format(i,
+      return nil, ("rfsm.record: record %d: table expected, got %s"):format(i,
         type(recording[i]))
     end
   end
-  return header
+  return recording
 end
 
 -- Returns the machine at the end of a replay, with its own clock.
@@ -344,10 +337,9 @@ function record.replay(model, recording, options)
     error("rfsm.record.replay: state expected, got " .. type(model), 2)
   end
   if rfsm.is_initialized_root(model) then model = model._plan.model end
-  if type(recording) == "string" then recording = record.read(recording) end
-  local header = check_recording(recording)
-  if type(header) == "string" then return false, header end
-  local session = replay(model, recording, options or {})
+  local records, problem = records_of(recording)
+  if not records then return false, problem end
+  local session = replay(model, records, options or {})
   if session.problem then
     return false, session.problem, session.fsm and session.at
   end
@@ -399,12 +391,11 @@ end)
 ---@nodiscard
 function record.to_spec(recording, options)
   options = options or {}
-  if type(recording) == "string" then recording = record.read(recording) end
-  local header = check_recording(recording)
-  if type(header) == "string" then error(header, 0) end
-  local chart, texts, mark = options.chart or header.file, {}, "="
+  local records, problem = records_of(recording)
+  if not records then error(problem, 0) end
+  local chart, texts, mark = options.chart or records[1].file, {}, "="
   if not chart then error("rfsm.record.to_spec: the file of the chart expected", 2) end
-  for i, rec in ipairs(recording) do texts[i] = lines.encode(rec) end
+  for i, rec in ipairs(records) do texts[i] = lines.encode(rec) end
   local text = concat(texts, "\n")
   while text:find("]" .. mark .. "]", 1, true) do mark = mark .. "=" end
   return SPEC:format(chart, ("[%s[\n%s\n]%s]"):format(mark, text, mark),

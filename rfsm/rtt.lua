@@ -233,13 +233,9 @@ end
 
 -- Launchers: loaded when they are used ---------------------------------------------
 
-local ELSEWHERE = {
-  service_launch_rfsm = true, component_launch_rfsm = true,
-  service_halt_rfsm = true, service_resume_rfsm = true,
-}
-
 setmetatable(rfsm_rtt, { __index = function(_, name)
-  return ELSEWHERE[name] and require("rfsm.rtt.launch")[name] or nil
+  if type(name) ~= "string" or not name:find("_rfsm$") then return nil end
+  return require("rfsm.rtt.launch")[name]
 end })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_rtt", rfsm_rtt) end

@@ -13,19 +13,17 @@
 local try = require("rfsm.shared.calls").try
 local charts = require "rfsm.snapshot.chart"
 local move = require "rfsm.snapshot.move"
+local each = require("rfsm.shared.order").each
 local opts = require "rfsm.shared.options"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
-local error, ipairs, next, pairs, pcall = error, ipairs, next, pairs, pcall
+local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, rawset, type = rawequal, rawget, rawset, type
 local concat = table.concat
 local fail, is_scalar, pack = plain.fail, plain.is_scalar, plain.pack
 local copy_of, place_of, reason = plain.copy_of, plain.place_of, plain.reason
 local text_of, unpack = rfsm.text_of, plain.unpack
-
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end -- see rfsm/snapshot/plain.lua
 
 local snapshot = { VERSION = move.VERSION }
 
@@ -194,7 +192,7 @@ end
 local function unpack_queue(part)
   if not part.queue then return part.leaf and {} or { "e_init_fsm" } end
   local queue, count = {}, 0
-  for _ in pairs(part.queue) do count = count + 1 end -- any order: a number
+  for _ in each(part.queue) do count = count + 1 end -- any order: a number
   for i = 1, count do
     local event = unpack(part.queue[i], 2)
     if not is_scalar(event) or event ~= event then
@@ -215,11 +213,11 @@ end
 -- Returns the fields of each state, checked: only what `keep` names may be set.
 local function unpack_data(own, packed)
   local data, keepers = {}, own.chart.keeper
-  for fqn, fields in pairs(packed) do -- any order: each stands alone
+  for fqn, fields in each(packed) do -- any order: each stands alone
     local keeper = keepers[fqn]
     data[fqn] = plain.is_flat(fields) and fields or unpack_table("data", fqn, fields)
       or NONE
-    for name in next, data[fqn] do -- any order: each stands alone
+    for name in each(data[fqn]) do -- any order: each stands alone
       if not (keeper and keeper.kept[name]) then
         fail("data: no state '%s' keeps a field '%s'", text_of(fqn), text_of(name))
       end
@@ -230,7 +228,7 @@ end
 
 local function unpack_saved(fsm, packed)
   local saved = {}
-  for fqn, value in pairs(packed) do -- any order: each stands alone
+  for fqn, value in each(packed) do -- any order: each stands alone
     local state = charts.find_state(fsm, fqn)
     if not state or type(state.load) ~= "function" then
       fail("saved: no state '%s' has a function 'load'", text_of(fqn))
@@ -244,7 +242,7 @@ end
 -- may be without a place there if the snapshot is of another one.
 local function unpack_extensions(fsm, packed, is_migrated)
   local values, hooks = {}, charts.hooks(fsm)
-  for name, value in pairs(packed) do -- any order: each stands alone
+  for name, value in each(packed) do -- any order: each stands alone
     local is_known = is_migrated
     for i = 1, #hooks do is_known = is_known or hooks[i].name == name end
     if not is_known then
@@ -276,7 +274,7 @@ local function set_targets(own, targets)
   for i = 1, #transitions do
     if transitions[i].tgt ~= first[i] then transitions[i].tgt = first[i] end
   end
-  for tr, node in next, targets do tr.tgt = node end -- any order
+  for tr, node in each(targets) do tr.tgt = node end -- any order
 end
 
 local function set_fields(state, keeper, fields)
@@ -470,7 +468,7 @@ local function is_table(x) return type(x) == "table" end
 
 local function is_renaming(x)
   if not is_table(x) then return false end
-  for old, new in pairs(x) do -- any order: all of them
+  for old, new in each(x) do -- any order: all of them
     if type(old) ~= "string" or type(new) ~= "string" then return false end
   end
   return true

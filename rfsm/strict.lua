@@ -10,7 +10,6 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
-local calls = require "rfsm.shared.calls"
 
 local getmetatable, ipairs, rawget = getmetatable, ipairs, rawget
 local select, setmetatable, type = select, setmetatable, type
@@ -39,15 +38,6 @@ local function names_of(known)
   for _, event in ipairs(known.list) do names[#names + 1] = text_of(event) end
   for _, event in ipairs(known.awaited) do names[#names + 1] = event end
   return names
-end
-
-local function is_accepted(known, event)
-  if known.set[event] then return true end
-  for _, predicate in ipairs(known.predicates) do
-    local ok, answer = calls.try(predicate, event)
-    if ok and answer then return true end
-  end
-  return false
 end
 
 local function is_state_name(fsm, event)
@@ -83,7 +73,7 @@ local function check_events(fsm, at, ...)
     local event = select(i, ...)
     if event == nil then
       warn(fsm, ("%sargument %d is nil, which is no event"):format(at, i))
-    elseif not is_accepted(known, event) then
+    elseif not alphabet.has(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
     elseif rfsm.get_sta_mode(fsm) == "inactive" then
       warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")

@@ -359,3 +359,81 @@ it("the launchers are fields of the module, loaded when they are used", function
   assert.is_function(again.service_launch_rfsm)
   assert.is_nil(again.others)
 end)
+
+describe("the memory of a component", function()
+  local update = require "rfsm.rtt.update"
+
+  -- Runs f while this Lua seems to have a pool of 100 KiB. `asked` counts how often the
+  -- pool is asked for its figures.
+  local function in_pool(pool, f)
+    local function stats()
+      pool.asked = (pool.asked or 0) + 1
+      return pool.used * 1024, pool.most * 1024, 100 * 1024
+    end
+    return helper.with(_G, { tlsf = { stats = stats } }, f)
+  end
+
+  it("is in the attributes: what is alive, and the most", function()
+    local pool, values = { used = 40, most = 50 }, {}
+    local function variable(name)
+      return { assign = function(_, value) values[name] = value end }
+    end
+    in_pool(pool, function()
+      local meter = update.new_meter { variables = { rfsm_live = variable "live",
+        rfsm_peak = variable "peak" } }
+      for _, case in ipairs {
+        { used = 40, most = 50, live = 40, peak = 50 },
+        { used = 45, most = 60, live = 40, peak = 60 }, -- garbage
+        { used = 42, most = 60, live = 42, peak = 60 }, -- it was collected
+        { used = 41, most = 55, live = 41, peak = 60 },
+      } do
+        pool.used, pool.most = case.used, case.most
+        meter()
+        assert.same({ live = case.live, peak = case.peak }, values)
+      end
+    end)
+  end)
+
+  it("is collected when nine tenths of the rest of the pool are in use", function()
+    local pool = { used = 40, most = 50 }
+    local none = { assign = function() end }
+    local meter = in_pool(pool, function()
+      return update.new_meter { variables = { rfsm_live = none, rfsm_peak = none } }
+    end)
+    for _, case in ipairs { { used = 40, asked = 1 }, { used = 94, asked = 1 },
+      { used = 94.1, asked = 2 } } do
+      pool.used, pool.asked = case.used, 0
+      meter()
+      assert.equal(case.asked, pool.asked)
+    end
+  end)
+
+  it("is short when more than three quarters of the pool are in use", function()
+    for used, is_short in pairs { [75] = false, [75.1] = true } do
+      in_pool({ used = used, most = used }, function()
+        assert.equal(is_short, update.is_short_of_memory())
+      end)
+    end
+    assert.is_false(update.is_short_of_memory())
+  end)
+
+  it("is collected when a text that is logged says that there was none", function()
+    local logged = {}
+    local function logl(...) logged[#logged + 1] = { ... } end
+    local log = update.printer({ logl = logl }, "Error")
+    collectgarbage("stop")
+    for i, case in ipairs {
+      { texts = { "a", "b" }, is_kept = true },
+      { texts = { "not enough memory", "b" }, is_kept = false },
+      { texts = { "a", "x.lua:1: not enough memory" }, is_kept = false },
+      { texts = { "a", {} }, is_kept = true },
+    } do
+      local weak = setmetatable({ {} }, { __mode = "v" })
+      log(case.texts[1], case.texts[2])
+      assert.equal(case.is_kept, weak[1] ~= nil)
+      assert.same({ "Error", case.texts[1] .. " " .. rfsm.text_of(case.texts[2]) },
+        logged[i])
+    end
+    collectgarbage("restart")
+  end)
+end)

@@ -1,11 +1,16 @@
--- What several products share: calls, the alphabet of a machine, traversals.
+-- What several products share: calls, the alphabet of a machine, traversals, options,
+-- hints, messages about charts, fields that are replaced for a while.
 
 local rfsm = require "rfsm"
 require "rfsm.await"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
+local chart = require "rfsm.shared.chart"
+local helper = require "spec.helper"
+local options = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
+local swap = require "rfsm.shared.swap"
 
 local state, trans = rfsm.state, rfsm.trans
 
@@ -62,6 +67,9 @@ describe("the alphabet of a machine", function()
       assert.is_true(known.set[event])
     end
     assert.is_nil(known.set.e_3)
+    for event, is_in in pairs { e_2 = true, odd = true, e_3 = false, e_x = true } do
+      assert.equal(is_in, alphabet.has(known, event))
+    end
     assert.is_false(known.takes_any)
   end)
 
@@ -90,6 +98,27 @@ describe("a traversal", function()
     end
     assert.same(t, seen)
   end)
+
+  local jit = rawget(_G, "jit")
+  if jit then
+    it("is not compiled on LuaJIT, nor is a loop around it", function()
+      local compiled, t = 0, { a = 1, b = 2, c = 3 }
+      local function traverse()
+        local sum = 0
+        for _ = 1, 300 do
+          for _, value in order.each(t) do sum = sum + value end
+        end
+        return sum
+      end
+      local function note(what, _, f)
+        if what == "stop" and f == traverse then compiled = compiled + 1 end
+      end
+      jit.attach(note, "trace")
+      local sum = traverse()
+      jit.attach(note)
+      assert.same({ 1800, 0 }, { sum, compiled })
+    end)
+  end
 end)
 
 describe("two words", function()
@@ -106,4 +135,234 @@ describe("two words", function()
       assert.equal(is_near, advice.is_near(first, second))
     end)
   end
+end)
+
+describe("the field that is meant", function()
+  local MEANT = {
+    state = "enter=entry on_entry=entry onEnter=entry OnExit=exit leave=exit "
+      .. "onleave=exit do=doo during=doo activity=doo do_activity=doo entyr=entry "
+      .. "pre_hook=- exits=exit entry=- mine=-",
+    root = "prehook=pre_step_hook post_hook=post_step_hook pre_step_hok=pre_step_hook "
+      .. "get_events=getevents idlehook=idle_hook debg=dbg inf=info warning=- "
+      .. "warnn=warn er=err enter=entry exti=exit dooo=doo",
+    transition = "source=src from=src target=tgt to=tgt dst=tgt dest=tgt on=events "
+      .. "trigger=events triggers=events condition=guard cond=guard when=guard "
+      .. "action=effect actions=effect priority=pn prio=pn event=events gaurd=guard "
+      .. "efect=effect pn=- name=-",
+    connector = "entry=- enter=-",
+  }
+  for _, kind in ipairs { "connector", "root", "state", "transition" } do
+    it("of a " .. kind .. " is found by its other names, and by what looks alike",
+      function()
+        local found = MEANT[kind]:gsub("(%S+)=%S+", function(key)
+          local field = advice.field_meant(kind, key)
+          return key .. "=" .. (field ~= "" and field or "-")
+        end)
+        assert.equal(MEANT[kind], found)
+      end)
+  end
+end)
+
+describe("a hint", function()
+  it("names the nearest name, or all if they are few", function()
+    for _, case in ipairs {
+      { name = "lamp", names = { "door", "lam", "lamps" },
+        hint = "did you mean 'lam'?" },
+      { name = "Lamp", names = { "lamp" }, hint = "did you mean 'lamp'?" },
+      { name = "inital", names = {}, hint = "did you mean 'initial'?" },
+      { name = "initial", names = { "a" }, hint = "there is 'a'" },
+      { name = "x", names = { "abc", "b" }, hint = "there are 'abc', 'b'" },
+      { name = "abc", names = { 7, "abd" }, hint = "did you mean 'abd'?" },
+      { name = "abcdef", names = { "abcxyz" }, hint = "did you mean 'abcxyz'?" },
+      { name = "abcdef", names = { "abwxyz" }, hint = "there is 'abwxyz'" },
+      { name = "x", names = { "a", "b", "c", "d", "e", "f" },
+        hint = "there are 'a', 'b', 'c', 'd', 'e', 'f'" },
+      { name = "x", names = { "a", "b", "c", "d", "e", "f", "g" } },
+      { name = "x", names = {} },
+    } do
+      assert.equal(case.hint and " (" .. case.hint .. ")" or "",
+        advice.nearest_name(case.name, case.names))
+    end
+  end)
+
+  it("names the module of an event that looks like a call", function()
+    helper.with(package.loaded, { rfsm_timeevent = false, rfsm_await = {} }, function()
+      for word, hint in pairs { -- any order: each stands alone
+        e_after = ' (require "rfsm_timeevent")', e_at = ' (require "rfsm_timeevent")',
+        e_aftr = " (did you mean 'e_after(...)'?)",
+        awiat = " (did you mean 'await(...)'?)", e_att = " (did you mean 'e_at(...)'?)",
+        other = "",
+      } do
+        assert.equal(hint, advice.module_of(word))
+      end
+      assert.is_nil(advice.module_of("await"))
+    end)
+  end)
+end)
+
+describe("options", function()
+  local KNOWN = {
+    count = { "whole number from 1 to 9", options.is_whole(1, 9), 3 },
+    name = { "text", options.is_text },
+    wait = { "seconds", options.is_seconds, 0.5 },
+    even = { "even number", function(x) return x % 2 == 0, "odd" end },
+  }
+
+  it("have their defaults", function()
+    assert.same({ count = 3, wait = 0.5 }, options.read(KNOWN, {}))
+    assert.same({ count = 9, wait = 0, name = "x", even = 2 },
+      options.read(KNOWN, { count = 9, wait = 0, name = "x", even = 2 }))
+  end)
+
+  for _, case in ipairs {
+    { given = 7, problem = "table of options expected, got 7" },
+    { given = "x", problem = "table of options expected, got string 'x'" },
+    { given = { cuont = 1 },
+      problem = "unknown option 'cuont', expected: count, even, name, wait" },
+    { given = { [2] = 1, zz = 1 },
+      problem = "unknown option '2', expected: count, even, name, wait" },
+    { given = { count = 0 },
+      problem = "count: whole number from 1 to 9 expected, got 0" },
+    { given = { count = 10 },
+      problem = "count: whole number from 1 to 9 expected, got 10" },
+    { given = { count = 1.5 },
+      problem = "count: whole number from 1 to 9 expected, got 1.5" },
+    { given = { count = "1" },
+      problem = "count: whole number from 1 to 9 expected, got string '1'" },
+    { given = { name = "" }, problem = "name: text expected, got string ''" },
+    { given = { name = false }, problem = "name: text expected, got boolean" },
+    { given = { wait = -1 }, problem = "wait: seconds expected, got -1" },
+    { given = { wait = math.huge }, problem = "wait: seconds expected, got inf" },
+    { given = { even = 3 }, problem = "even: odd" },
+  } do
+    it("are refused: " .. case.problem, function()
+      assert.same({ nil, case.problem }, { options.read(KNOWN, case.given) })
+    end)
+  end
+
+  it("name the package of a module that is missing", function()
+    local text = "the package %s is missing (on Debian: apt-get install %s)"
+    assert.same({ nil, text:format("no.such", "lua-no") },
+      { options.find_package("no.such", "lua-no") })
+    assert.equal("rfsm.x: " .. text:format("no.such", "lua-no"),
+      select(2, pcall(options.need, "rfsm.x", "no.such", "lua-no")))
+    helper.with(package.loaded, { socket = "no table" }, function()
+      assert.equal(text:format("luasocket", "lua-socket"),
+        select(2, options.find_package("socket", "lua-socket")))
+    end)
+    assert.equal(rfsm, options.need("rfsm.x", "rfsm", "lua-rfsm"))
+  end)
+end)
+
+describe("a message about a chart", function()
+  for _, case in ipairs {
+    { file = "a b.lua", text = "a b.lua:3: x", line = "a b.lua:3: warning: x" },
+    { file = "a.lua", text = "other.lua:3: x", line = "other.lua:3: warning: x" },
+    { file = "a.lua", text = "root: x", line = "a.lua: warning: root: x" },
+    { file = "a.lua", text = "a.lua has no line",
+      line = "a.lua: warning: a.lua has no line" },
+    { file = "-", text = "root: x", line = "stdin: warning: root: x" },
+  } do
+    it("has the location once: " .. case.line, function()
+      assert.equal(case.line, chart.line(case.file, case.text, "warning: "))
+      assert.equal((case.line:gsub("warning: ", "")), chart.line(case.file, case.text))
+    end)
+  end
+
+  for failure, reason in pairs { -- any order: each stands alone
+    ["x\nstack traceback"] = "a.lua: x",
+    [""] = "a.lua: failed without a message",
+    ["a.lua:1: x"] = "a.lua:1: x",
+    ["rfsm.json: x"] = "a.lua: x",
+    ["rfsm.load_str: failed to load chunk: x"] = "a.lua: x",
+    ["rfsm.dot.encode: depth: x"] = "a.lua: depth: x",
+    ["module 'x' not found:\n no field"] = "a.lua: module 'x' not found",
+    ["<no error object>"] = "a.lua: failed without a message",
+  } do
+    it("has the reason of a failure: " .. reason, function()
+      assert.equal(reason, chart.reason("a.lua", failure))
+    end)
+  end
+
+  it("has the type of a failure that is no text", function()
+    assert.equal("a.lua: failed with a table", chart.reason("a.lua", {}))
+    assert.equal("a.lua: failed without a message", chart.reason("a.lua", nil))
+    assert.equal("a.lua: 7", chart.reason("a.lua", 7))
+  end)
+end)
+
+describe("swapped fields", function()
+  it("are given back, unless a program has set them meanwhile", function()
+    local swaps, t = {}, { a = 1, b = 2 }
+    assert.same({ obj = t, field = "a", own = 1, new = 5 }, swap.put(swaps, t, "a", 5))
+    swap.put(swaps, t, "a", 6)
+    swap.put(swaps, t, "b", 7)
+    swap.put(swaps, t, "c", 8)
+    assert.same({ a = 6, b = 7, c = 8 }, t)
+    t.b = 9
+    swap.give_back(swaps)
+    assert.same({ a = 1, b = 9 }, t)
+    assert.same({}, swaps)
+  end)
+
+  it("let a tool listen to a printer, which goes on", function()
+    local said = {}
+    local function say(...) said[#said + 1] = calls.text(" ", ...) end
+    for _, case in ipairs {
+      { own = say, said = { "a b" } },
+      { own = true, printed = { "a\tb" } },
+      { own = false },
+    } do
+      local fsm, swaps = { warn = case.own }, {}
+      local heard = {}
+      said = {}
+      swap.listen(swaps, fsm, "warn", function(...) heard[#heard + 1] = { ... } end)
+      local printed = helper.printed(function() fsm.warn("a", "b") end)
+      assert.same({ { { "a", "b" } }, case.said or {}, case.printed or {} },
+        { heard, said, printed })
+      swap.give_back(swaps)
+      assert.equal(case.own, fsm.warn)
+    end
+  end)
+
+  it("are the functions of a chart, but for guards, doos and getevents", function()
+    local called, swaps = {}, {}
+    local function noting(text, result)
+      return function()
+        called[text] = true
+        return result
+      end
+    end
+    local fsm = assert(rfsm.init(state { info = false, warn = false,
+      getevents = noting("getevents"),
+      pre_step_hook = noting "pre", post_step_hook = noting "post",
+      entry = noting "root",
+      a = state { entry = noting "entry", exit = noting "exit",
+        doo = noting("doo", true) },
+      par = rfsm.seqand { entry = noting "par", arm = state { info = false,
+        warn = false, r = state {}, trans { src = "initial", tgt = "r" } } },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "par", events = { "e" }, guard = noting "guard",
+        effect = noting "effect", likely = noting "likely" } }))
+    local function run()
+      called = {}
+      rfsm.reset(fsm)
+      rfsm.step(fsm, 9)
+      rfsm.send_events(fsm, "e")
+      rfsm.step(fsm, 9)
+      assert.equal("root.par", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.r", rfsm.get_actleaf_fqn(rfsm.regions(fsm.par)[1]))
+      return called
+    end
+    local likely, all = fsm[2].likely, { getevents = true, pre = true, post = true,
+      root = true, entry = true, exit = true, doo = true, par = true, guard = true,
+      effect = true }
+    assert.same(all, run())
+    assert.same({ fsm.a }, swap.take_functions(swaps, fsm))
+    assert.same({ getevents = true, doo = true, guard = true }, run())
+    assert.is_falsy(fsm[2].likely)
+    swap.give_back(swaps)
+    assert.same(all, run())
+    assert.equal(likely, fsm[2].likely)
+  end)
 end)

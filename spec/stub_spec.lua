@@ -89,6 +89,49 @@ describe("a chart finds beside its file", function()
     assert.equal("other", model.doc)
   end)
 
+  it("a module that a callback requires later", function()
+    local model = open { ["part.lua"] = "ran = 1", ["chart.lua"] = [[
+      return rfsm.state { info = false, entry = function() require "part" end,
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" } }
+    ]] }
+    model.warn, model.err = false, false
+    rfsm.run((assert(rfsm.init(model))))
+    assert.equal(1, rawget(_G, "ran"))
+    rawset(_G, "ran", nil)
+  end)
+
+  for _, place in ipairs { "", "./", "parts/../" } do
+    it(("a module in the folder above, as %schart.lua"):format(place), function()
+      write_files { ["../above.lua"] = LEAF, ["chart.lua"] = 'return require "above"',
+        ["part.lua"] = LEAF }
+      local model = chart.load(folder .. "/robot/" .. place .. "chart.lua")
+      assert.equal("found", model.doc)
+    end)
+  end
+
+  it("its module before one of that name elsewhere", function()
+    local path = package.path
+    write_files { ["parts/part.lua"] = "return 7", ["part.lua"] = LEAF }
+    package.path = folder .. "/robot/parts/?.lua;" .. path
+    local model = open { ["chart.lua"] = 'return require "part"' }
+    package.path = path
+    assert.equal("found", model.doc)
+  end)
+
+  it("no other file in place of one that is there from the working directory",
+    function()
+      local model = open({ ["on_off.lua"] = LEAF,
+        ["chart.lua"] = 'return rfsm.load "examples/on_off.lua"' }, true)
+      assert.is_true(rfsm.is_state(model.on))
+    end)
+
+  it("files, whose functions are replaced once", function()
+    open { ["chart.lua"] = LEAF }
+    local replaced = { rfsm.load, rawget(_G, "dofile"), rawget(_G, "loadfile") }
+    open { ["chart.lua"] = LEAF }
+    assert.same(replaced, { rfsm.load, rawget(_G, "dofile"), rawget(_G, "loadfile") })
+  end)
+
   it("nothing for code that is not a chart's", function()
     write_files { ["part.lua"] = LEAF }
     open { ["chart.lua"] = LEAF }
@@ -113,8 +156,17 @@ describe("a stub", function()
   end)
 
   it("is 0 in arithmetic, and less than nothing", function()
-    assert.same({ 0, 0, 0, 0 }, { stub + 1, 2 * stub, -stub, stub / stub })
-    assert.is_false(stub < stub)
+    assert.same({ 0, 0, 0, 0, 0, 0, 0 },
+      { stub + 1, 1 - stub, 2 * stub, -stub, stub / stub, stub % 2, stub ^ 2 })
+    assert.same({ false, false }, { stub < stub, stub <= stub })
+  end)
+
+  it("is 0 with the operators of a newer Lua", function()
+    local load = rawget(_G, "load")
+    local operators = "return function(s) return #s + s // 2 + (s & 1) + (s | 1) "
+      .. "+ (s ~ 1) + (s << 1) + (s >> 1) + ~s end"
+    local compiled = _VERSION > "Lua 5.2" and load(operators)
+    assert.equal(0, compiled and compiled()(stub) or 0)
   end)
 
   it("has no end in no loop", function()
@@ -209,9 +261,82 @@ describe("a chart of a robot", function()
 end)
 
 describe("loading a chart", function()
+  it("leaves the debug hook and the compiler as they were", function()
+    local debug, jit = rawget(_G, "debug"), rawget(_G, "jit")
+    local function hook() end
+    debug.sethook(hook, "", 1000000)
+    open { ["chart.lua"] = "return rfsm.state {}" }
+    local found, mask, count = debug.gethook()
+    debug.sethook()
+    assert.same({ hook, "", 1000000 }, { found, mask, count })
+    assert.is_true(not jit or jit.status())
+  end)
+
   local seconds = chart.SECONDS
 
   teardown(function() chart.SECONDS = seconds end)
+
+  it("warns once of a global that its own code reads, not of those of a module",
+    function()
+      local file = write_files { ["part.lua"] = "local _ = of_part return {}",
+        ["chart.lua"] = "local _, _ = of_chart, of_chart\nrequire 'part' "
+          .. "return rfsm.state { x = of_chart, y = e_go }" }
+      local _, warnings = chart.load(file)
+      assert.same({ file .. ":1: warning: undefined global 'of_chart'",
+        file .. ":2: warning: undefined global 'e_go' (an event is a string, in "
+          .. "quotes)" }, warnings)
+      assert.is_nil(getmetatable(_G))
+    end)
+
+  it("leaves a metatable of the globals as it is, of a host or of the chart", function()
+    local file = write_files { ["chart.lua"] = "return rfsm.state { x = of_chart }" }
+    local class = { __index = function() return "the host's" end }
+    setmetatable(_G, class)
+    local model, warnings = chart.load(file)
+    assert.same({ "the host's", {} }, { model.x, warnings })
+    assert.equal(class, getmetatable(_G))
+    setmetatable(_G, nil)
+    chart.load((write_files { ["chart.lua"] =
+      "getmetatable(_G).__newindex = rawset return rfsm.state {}" }))
+    assert.same({ __newindex = rawset }, getmetatable(_G))
+  end)
+
+  it("finds rfsmpp and rfsm_ext for callbacks, rfsm_timeevent if it is read", function()
+    assert.equal("true\ttrue\tfalse", helper.output_of(([[
+      package.path = "./?.lua;" .. package.path
+      require("rfsm.shared.chart").load("%s")
+      local function has(name) return rawget(_G, name) ~= nil end
+      print(has "rfsmpp", has "rfsm_ext", has "rfsm_timeevent")
+    ]]):format(write_files { ["chart.lua"] = "return rfsm.state {}" })))
+    helper.remove_files()
+  end)
+
+  it("returns the problems of the model, each with its file", function()
+    local file = write_files { ["chart.lua"] = "local x = of_chart\nreturn "
+      .. "rfsm.state { err = false, entry = 7 }" }
+    local lines = {}
+    local fsm, problems = chart.open(file, rfsm.init, function(line)
+      lines[#lines + 1] = line
+    end)
+    assert.is_false(fsm)
+    assert.same({ file .. ":2: root.entry: function expected, got number 7" },
+      problems)
+    assert.same({ file .. ":1: warning: undefined global 'of_chart'" }, lines)
+  end)
+
+  it("returns the machine and its model, or the failure", function()
+    local file = write_files { ["chart.lua"] = 'return rfsm.state { info = false, '
+      .. 'a = rfsm.state { final = true, entry = lib.f }, '
+      .. 'rfsm.trans { src = "initial", tgt = "a" } }' }
+    local lines = {}
+    local function warn(line) lines[#lines + 1] = line end
+    local fsm, model = chart.open(file, rfsm.init, warn, true)
+    assert.is_true(rfsm.is_root(fsm))
+    assert.is_true(rfsm.is_state(model))
+    assert.same({ file .. ": stubbed: lib" }, lines)
+    assert.same({ false, { file .. ": no" } },
+      { chart.open(file, function() error("no", 0) end, warn, true) })
+  end)
 
   it("has an end", function()
     chart.SECONDS = 0.05

@@ -437,6 +437,19 @@ describe("a clock that fails", function()
     return fsm, errors
   end
 
+  it("is reported when a state is entered, and when a timer is merged", function()
+    set_gettime_hook(broken)
+    local fsm = init(chart { "e_after(3)" })
+    local errors = said(fsm, "err")
+    rfsm.step(fsm)
+    assert.same({ "TIMEEVENT the clock failed:  battery empty" }, errors)
+    fsm, errors = with_clocks(clock, broken)
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, another("a", "b", "e_after(2)")))
+    assert.same({ "TIMEEVENT the clock failed:  battery empty" }, errors)
+    set_gettime_hook(clock)
+    check(fsm, "+2=a +0,1=a +3=b")
+  end)
+
   it("is reported to err, and the step goes on; no armed timer is lost", function()
     local fsm, errors = with_clocks(clock, broken)
     rfsm.step(fsm)
@@ -948,6 +961,23 @@ describe("a snapshot", function()
     end
   end)
 
+  it("has the time of day of e_at, whatever the clock shows", function()
+    local chart_at = chart { "e_at(1005)" }
+    local snap = snapshot.take(started(chart_at))
+    now = { 1002, 0 }
+    local fsm = assert(snapshot.restore(chart_at, snap))
+    assert.equal(3 + 1e-9, next_deadline(fsm))
+    check(fsm, "+3=a +0,1=b")
+  end)
+
+  it("has the nanoseconds of a time that is far away", function()
+    local fsm = started(chart { "e_at(2000000000.000000001)", "e_after(2000000)" })
+    advance(0, 1)
+    assert.same({ ["e_at(2000000000.000000001)@root.a"] = { 2000000000, 1 },
+      ["e_after(2000000)@root.a"] = { 1999999, 999999999 } },
+      snapshot.take(fsm).ext.timers)
+  end)
+
   it("of a machine without armed timers has none", function()
     local fsm = started(model)
     check(fsm, "+9=b")
@@ -994,6 +1024,35 @@ describe("rfsm.clock", function()
     clock_module.set_hook(fail)
     assert.same({ n = 2, nil, "out of order" },
       { n = select("#", clock_module.read(true)), clock_module.read(false) })
+  end)
+
+  it("counts from now on, by the clock that is never set", function()
+    clock_module.set_hook(clock, fail)
+    local elapsed = clock_module.from_now()
+    advance(2, 500000000)
+    assert.equal(2.5, elapsed())
+    advance(0, 600000000)
+    assert.equal(3.1, elapsed())
+  end)
+
+  it("has two functions for a clock: that of RTT is not for the time of day", function()
+    helper.with(_G, { rtt = { getTime = clock } }, function()
+      local clocks = clock_module.split(clock)
+      assert.equal(clock, clocks[true])
+      assert.is_function(clocks[false])
+      assert.is_not_equal(clock, clocks[false])
+      assert.same({ [true] = fail, [false] = fail }, clock_module.split(fail))
+    end)
+  end)
+
+  it("knows no timer without time events, nor with a clock that fails", function()
+    local fsm = started(chart { "e_after(3)" })
+    assert.is_true(clock_module.until_timer(fsm) > 3)
+    set_gettime_hook(fail)
+    assert.is_nil(clock_module.until_timer(fsm))
+    helper.with(package.loaded, { rfsm_timeevent = false }, function()
+      assert.is_nil(clock_module.until_timer(fsm))
+    end)
   end)
 
   it("without any clock raises an error", function()

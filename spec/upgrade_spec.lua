@@ -181,6 +181,28 @@ describe("a region", function()
     snap.regions["root.w.b"] = 5
     assert.equal("rfsm.snapshot: regions: table expected for 'root.w.b', got number",
       (select(2, snapshot.put(fsm, snap))))
+    snap.regions["root.w.b"] = { leaf = "root.x" }
+    assert.equal("rfsm.snapshot: the snapshot holds what the chart lacks:\n"
+      .. "  region root.w.b", (select(2, snapshot.put(fsm, snap))))
+    snap.regions["root.w.a"] = nil
+    assert.is_false((snapshot.put(fsm, snap)))
+  end)
+end)
+
+describe("data for encoders of JSON", function()
+  it("has texts as keys, or is a list; numbers that JSON has not are texts", function()
+    local plain = require "rfsm.snapshot.plain"
+    for _, case in ipairs {
+      { value = { 1, { 2 }, "x" }, json = { 1, { 2 }, "x" } },
+      { value = { 1, nil, 3 }, json = { ["1"] = 1, ["3"] = 3 } },
+      { value = { a = 1, [true] = 2 }, json = { a = 1, ["true"] = 2 } },
+      { value = { 1, a = { [7] = 0 } }, json = { ["1"] = 1, a = { ["7"] = 0 } } },
+      { value = { a = plain.NIL, b = 1 }, json = { b = 1 } },
+      { value = { 1 / 0, -1 / 0, 0 / 0 }, json = { "inf", "-inf", "nan" } },
+      { value = 7, json = 7 }, { value = "x", json = "x" }, { value = {}, json = {} },
+    } do
+      assert.same(case.json, plain.to_json(case.value))
+    end
   end)
 end)
 
@@ -204,6 +226,33 @@ describe("a region that was not entered", function()
       local again = restored(model(), snap)
       assert.same(snap, snapshot.take(again))
     end)
+end)
+
+describe("the structure of a chart", function()
+  it("has states, transitions, what is kept, and regions by their location", function()
+    local inner = region(1, { save = function() end, load = function() end })
+    assert.same({
+      "state root", "root.initial -> root.w", "connector root.initial", "state root.w",
+      "field n of root", "region root.w.a", "region root.w.b",
+      "root.w.a: state root", "root.w.a: root.initial -> root.x",
+      "root.w.a: connector root.initial", "root.w.a: state root.x",
+      "root.w.a: field m of root", "root.w.a: save and load of root",
+      "root.w.b: state root", "root.w.b: root.initial -> root.x",
+      "root.w.b: connector root.initial", "root.w.b: state root.x",
+      "root.w.b: field m of root",
+    }, snapshot.structure((function()
+      local model = regions { a = inner, b = region(2) }
+      model.keep = { "n" }
+      return model
+    end)()))
+  end)
+
+  it("is the same with regions, so that migrate is not called", function()
+    local model = regions { a = region(1), b = region(2) }
+    local snap = snapshot.take(helper.started(model))
+    assert(snap.regions["root.w.a"] and snap.regions["root.w.b"])
+    restored(model, snap, { migrate = error })
+  end)
 end)
 
 describe("the list of what differs", function()
@@ -441,6 +490,26 @@ describe("a machine into which a snapshot cannot be put", function()
     return root
   end
 
+  it("is reset if it could not be saved before", function()
+    local bad = helper.started(model())
+    bad.w.substates.a.secret = "bad"
+    local fsm = helper.started(model())
+    fsm.w.substates.a.secret = print
+    assert.same({ false, "rfsm.snapshot: load of root: no good" },
+      { snapshot.put(fsm, snapshot.take(bad)) })
+    assert.same({ false, { "e_init_fsm" } }, { rfsm.get_actleaf_fqn(fsm), fsm._intq })
+  end)
+
+  it("has to be between two steps", function()
+    local fsm, text
+    local root = model()
+    local snap = snapshot.take(helper.started(root))
+    root.entry = function() text = select(2, pcall(snapshot.put, fsm, snap)) end
+    fsm = helper.init(root)
+    rfsm.run(fsm)
+    assert.matches("rfsm.snapshot.put: the machine is in the middle of a step", text)
+  end)
+
   it("is where it was, with what it had", function()
     local bad = helper.started(model())
     bad.n, bad.w.substates.a.secret = 7, "bad"
@@ -586,8 +655,18 @@ describe("what a state keeps", function()
   end)
 end)
 
+-- Returns what cjson has for null; nil where plain Lua cannot make such a value.
+local function new_userdata()
+  local newproxy = rawget(_G, "newproxy")
+  local null = newproxy and newproxy(true)
+  if not null then return nil end
+  getmetatable(null).__tostring = function() return "userdata: NULL" end
+  return null
+end
+
 describe("null of JSON", function()
   for name, null in pairs {
+    ["that of cjson"] = new_userdata(),
     ["that of dkjson"] = json.null,
     ["that of a decoder in C"] = rawget(_G, "ngx") and rawget(_G, "ngx").null
       or setmetatable({}, { __tojson = function() return "null" end }),
@@ -658,6 +737,20 @@ describe("13 tables inside each other", function()
       for _ = 1, level do fsm = fsm.w.substates.r end
       assert.same(nested(13), fsm.m)
     end)
+
+    it("are a flat list where MessagePack of Redis ends, with " .. level .. " regions",
+      function()
+        local snap = snapshot.take(helper.started(wrapped(level, nested(13))))
+        local function check(value)
+          for key, inner in pairs(type(value) == "table" and value or {}) do
+            if value[1] == "%s" and key ~= 1 then
+              assert.is_false(type(inner) == "table" or inner == "%s")
+            end
+            check(inner)
+          end
+        end
+        check(snap)
+      end)
 
     it("are the most, and the field is named, with " .. level .. " regions", function()
       assert.equal("rfsm.snapshot.take: root" .. (".w.r"):rep(level)

@@ -49,7 +49,7 @@ local ROOMS = {
     specs = { "postgres_client", "postgres" } },
   { name = "rtt", files = { "rfsm/rtt.lua", "rfsm/rtt/*.lua" },
     specs = { "rtt_standin", "rtt", "rtt_launch" } },
-  { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "tools" } },
+  { name = "cli", files = { "rfsm/cli/*.lua" }, specs = { "cli", "tools" } },
   { name = "pp", files = { "rfsmpp.lua" }, specs = { "pp" } },
   { name = "shared", files = { "rfsm/advice.lua", "rfsm/shared/*.lua" },
     specs = { "shared", "stub", "mistakes", "checks", "tools" } },

@@ -21,15 +21,6 @@ local function print_codes()
 end
 
 function check.add_arguments(command)
-  local function add_number(names, description, is_right, expected)
-    command:option(names, description):argname("N"):convert(function(text)
-      local number = tonumber(text)
-      if number and is_right(number) then return number end
-      return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"), expected,
-        text)
-    end)
-  end
-  local is_count = opts.is_whole(1, math.huge)
   common.add_files(command)
   common.add_stub(command)
   command:flag("-a --all", "print notes, too")
@@ -38,11 +29,10 @@ function check.add_arguments(command)
   command:flag("--codes", "list the codes of findings and end"):action(print_codes)
   command:flag("-x --explore", "print the numbers of the exploration, too")
   command:flag("--static", "do not explore: check the structure only")
-  add_number("-k --together", "events in one step, at most", is_count,
-    "whole number above 0")
-  add_number("--configurations", "explore so many, at most (10000)", is_count,
-    "whole number above 0")
-  add_number("--seconds", "explore so long, at most", opts.is_seconds, "seconds")
+  common.add_number(command, "-k --together", "events in one step, at most")
+  common.add_number(command, "--configurations", "explore so many, at most (10000)")
+  common.add_number(command, "--seconds", "explore so long, at most", opts.is_seconds,
+    "seconds")
   command:option("--record", "write the runs that show findings: FILE, FILE.2, ...")
     :argname("FILE")
   command:option("--tests", "write a spec that takes every transition")

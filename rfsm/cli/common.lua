@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local diagram = require "rfsm.pictures.diagram"
+local opts = require "rfsm.shared.options"
 
 local concat = table.concat
 
@@ -116,6 +117,18 @@ local function load_machine(file, has_stubs)
 end
 
 -- Options ---------------------------------------------------------------------
+
+local is_count = opts.is_whole(1, math.huge)
+
+-- Adds an option with a number, by default a whole one above 0.
+function common.add_number(command, names, description, is_right, expected)
+  return command:option(names, description):argname("N"):convert(function(text)
+    local number = tonumber(text)
+    if number and (is_right or is_count)(number) then return number end
+    return nil, ("%s: %s expected, got '%s'"):format(names:match("%S+$"),
+      expected or "whole number above 0", text)
+  end)
+end
 
 -- Returns the number in the text of an option; nil if there is none.
 function common.number_of(parser, name, text)

@@ -17,9 +17,6 @@ function command.add_arguments(parser)
 end
 
 --- Print the report on two chart files; return whether all machines move.
----@param old string
----@param new string
----@return boolean is_safe
 function command.compare(old, new)
   require "rfsm_timeevent"
   require "rfsm.await"

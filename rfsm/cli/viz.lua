@@ -15,12 +15,6 @@ local BY_ENDING = { gv = "dot", puml = "plantuml", mmd = "mermaid" }
 local viz = { summary = "Draw charts.",
   epilog = "Graphviz lays out svg, png and pdf; dot is the graph without positions." }
 
-local function to_depth(text)
-  local depth = tonumber(text)
-  if depth and depth >= 1 and depth % 1 == 0 then return depth end
-  return nil, "depth: a whole number from 1 expected, got '" .. text .. "'"
-end
-
 function viz.add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
@@ -30,7 +24,7 @@ function viz.add_arguments(command)
   command:option("-o --output", "file to write; - is stdout", "-"):argname("FILE")
   command:option("--active", "draw state FQN as active; may be given for each region")
     :argname("FQN"):count("*")
-  command:option("--depth", "draw N levels of states"):argname("N"):convert(to_depth)
+  common.add_number(command, "--depth", "draw N levels of states")
   command:option("--coverage", "mark how often a run came to each place: JSON, as "
     .. "rfsm_checks.coverage writes it"):argname("JSON")
   command:option("--trace", "number the steps of a run: JSON lines, as rfsm.record "

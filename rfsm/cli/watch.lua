@@ -12,9 +12,8 @@ local watch = {
 
 function watch.add_arguments(command)
   command:argument("address", "where it answers"):argname("HOST[:PORT]")
-  command:option("-m --machine", "its number at that port", "1"):argname("N")
-    :convert(tonumber)
-  command:option("-n --count", "end after N lines"):argname("N"):convert(tonumber)
+  common.add_number(command, "-m --machine", "its number at that port"):default("1")
+  common.add_number(command, "-n --count", "end after N lines")
 end
 
 function watch.run(options, parser)

@@ -69,7 +69,6 @@ local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "g
 local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") end
 
 --- Return a record as a line of JSON.
----@param rec table
 function lines.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
 
 local MAX_QUOTED = 1000 -- texts that are remembered
@@ -127,8 +126,6 @@ local function plain_line(short, quote)
 end
 
 --- Return a function that writes the records of a run to a stream.
----@param stream { write: function, flush: function? }
----@return fun(rec: table) write
 function lines.writer(stream)
   local quote, before = new_quote(), {}
   return function(rec)
@@ -149,8 +146,6 @@ function lines.writer(stream)
 end
 
 --- Open a file for one run more. An incomplete last line gets an end.
----@return file*? file
----@return string? problem
 function lines.open(name)
   local old = io.open(name, "rb")
   local is_cut = old and old:seek("end", -1) and old:read(1) ~= "\n"
@@ -217,8 +212,6 @@ end
 --- Return the records of a run in a file.
 -- @raise if the file cannot be read, a line is no record, or there is no such run
 ---@param number? integer of the run; the last one if it is absent
----@return table[] recording
----@return { runs: integer, is_cut: boolean } about
 function lines.read(name, number)
   local file, problem = io.open(name, "rb")
   if not file then error(problem, 0) end

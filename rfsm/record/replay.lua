@@ -301,9 +301,6 @@ local function go_through(session)
 end
 
 --- Run a machine through a recording, which was checked.
----@param model rfsm.State
----@param recording table[]
----@param options rfsm.record.Options
 ---@return rfsm.record.Session session with a machine, a snapshot of it, or a problem
 return function(model, recording, options)
   local session = new_session(recording, options)

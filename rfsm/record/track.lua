@@ -102,8 +102,6 @@ function track.watch_data(fsm)
 end
 
 --- May the data have changed since the last call? A table may, at any time.
----@param watched table
----@return boolean
 function track.may_have_changed(watched)
   local may, values, names = watched.is_deep, watched.values, watched.names
   for i, state in ipairs(watched.states) do
@@ -145,7 +143,6 @@ end
 
 --- Replace getevents and the clock of a machine. A region without a clock reads that of
 -- its parent machine.
----@param own rfsm.record.Track
 function track.wrap(own)
   local fsm = own.fsm
   if own.m == nil or rawget(fsm, "gettime") then wrap(own, "gettime", own.clock) end

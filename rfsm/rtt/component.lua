@@ -200,49 +200,33 @@ local function enter(launch, fsm)
   if not ok then new_reporter(launch)(problem) end
 end
 
-local function is_time_event(event)
-  return type(event) == "string"
-    and (event:find("e_after(", 1, true) == 1 or event:find("e_at(", 1, true) == 1)
-end
-
 -- Logs that time events wait for other events if nothing wakes the component.
 local function warn_of_timers(launch)
   if launch.timer or launch.component:getOperation("getPeriod")() > 0 then return end
   for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
-      if is_time_event(event) then
+      local name = rfsm.text_of(event)
+      if name:find("^e_after%(") or name:find("^e_at%(") then
         local text = "%s is late: a component without a period needs timer = true"
-        return printer(launch.rtt, "Warning")(text:format(event))
+        return printer(launch.rtt, "Warning")(text:format(name))
       end
     end
   end
 end
 
--- Has RTT's hook `name` call that of the program, if there is one, and then `ours`.
--- Nothing is done when it fails or returns false.
-local function wrap(launch, name, ours)
+-- Has RTT's hook `name` call that of the program, if there is one, and then `ours`:
+-- also after a failure or false if it is to come `always`.
+local function wrap(launch, name, ours, always)
   local theirs = rawget(_G, name)
   if theirs == launch.hooks[name] and theirs then return end
   launch.hooks[name] = function()
-    local result = true
-    if theirs then result = theirs() end
-    if result ~= false then ours() end
+    local ok, result = true, true
+    if theirs then ok, result = pcall(theirs) end
+    if always or ok and result ~= false then ours() end
+    if not ok then error(result, 0) end
     return result
   end
-  set_globals { [name] = launch.hooks[name] }
-end
-
--- The ports may be gone even if the program's hook fails.
-local function wrap_cleanup(launch)
-  local theirs = rawget(_G, "cleanupHook")
-  if theirs == launch.hooks.cleanupHook and theirs then return end
-  function launch.hooks.cleanupHook()
-    local ok, problem = pcall(theirs or type, nil)
-    launch.is_ready = false
-    find_ports(launch, false)
-    if not ok then error(problem, 0) end
-  end
-  set_globals { cleanupHook = launch.hooks.cleanupHook }
+  rawset(_G, name, launch.hooks[name])
 end
 
 local function wrap_hooks(launch)
@@ -252,7 +236,10 @@ local function wrap_hooks(launch)
     warn_of_timers(launch)
     enter(launch, launch.fsm)
   end)
-  wrap_cleanup(launch)
+  wrap(launch, "cleanupHook", function() -- the ports may be gone
+    launch.is_ready = false
+    find_ports(launch, false)
+  end, true)
 end
 
 -- Makes the ports and attributes that are not there, and wraps hooks which a `lua_file`
@@ -362,7 +349,6 @@ end
 -- on utils: both are loaded if they can be had.
 --
 -- @raise with the name of the chart
----@param launch rfsm.rtt.Launched
 ---@return any? hook to enable as the last act; nil if there is none
 function component.launch(launch)
   local where = "launch of '" .. launch.fsmfile .. "': "

@@ -12,6 +12,12 @@ local setmetatable = setmetatable
 
 local port = {}
 
+--- Return the port of a component, nil if it has none of that name.
+function port.of(component, name)
+  local ok, found = pcall(function() return component:getPort(name) end)
+  return ok and found or nil
+end
+
 --- Holds a port. It is read and written like one.
 ---@class rfsm.rtt.Port
 ---@field name string
@@ -43,43 +49,29 @@ function Port:info() return self.facts end
 
 --- Look the port up in its component.
 function Port:find()
-  if not self.component then return self.real and true end
   local found = port.of(self.component, self.name)
   if found or self.was_found then self.real = found or false end
-  self.was_found = self.was_found or found and true or false
-  return found and true or false
+  self.was_found = self.was_found or found ~= nil
+  return found ~= nil
 end
 
---- Return the port of a component, nil if it has none of that name.
----@param component any
----@return any? port
-function port.of(component, name)
-  local ok, found = pcall(function() return component:getPort(name) end)
-  return ok and found or nil
+--- Hold a port that is made later.
+---@param facts table<string, any> name, type, porttype, desc
+function port.reserve(component, facts)
+  return setmetatable({ name = facts.name, component = component, facts = facts,
+    real = false, was_found = true, last = nil, samples = {} }, Port)
 end
 
 --- Hold a port of this Lua's component. One that is held stays as it is.
 ---@param real any a port, or what is read and written like one
 ---@param facts table<string, any> its information
----@return rfsm.rtt.Port
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt
-  local component = rtt and facts.name and rtt.getTC() or false
-  return setmetatable({
-    name = facts.name, component = component, facts = facts, real = real,
-    was_found = component and port.of(component, facts.name) ~= nil, last = nil,
-    samples = {},
-  }, Port)
-end
-
---- Hold a port that is made later.
----@param component any
----@param facts table<string, any> name, type, porttype, desc
----@return rfsm.rtt.Port
-function port.reserve(component, facts)
-  return setmetatable({ name = facts.name, component = component, facts = facts,
-    real = false, was_found = true, last = nil, samples = {} }, Port)
+  local held = port.reserve(rtt and facts.name and rtt.getTC() or false, facts)
+  held.real = real
+  held.was_found = port.of(held.component, held.name) ~= nil
+  return held
 end
 
 return port

@@ -5,11 +5,12 @@
 -- @module rfsm.rtt.update
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
 local collectgarbage, ipairs, pcall, rawget = collectgarbage, ipairs, pcall, rawget
 local require, select, type = require, select, type
-local concat, huge, max = table.concat, math.huge, math.max
+local huge, max = math.huge, math.max
 
 local update = {}
 
@@ -113,10 +114,8 @@ end
 -- whole process at an error that is no text.
 function update.printer(rtt, level)
   return function(...)
-    local texts = {}
     for i = 1, select("#", ...) do make_room((select(i, ...))) end
-    for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end
-    rtt.logl(level, concat(texts, " "))
+    rtt.logl(level, calls.text(" ", ...))
   end
 end
 
@@ -151,13 +150,6 @@ local function new_alarm(launch, fsm)
   end
 end
 
--- Returns a function that triggers the next update of a component, which would
--- otherwise wait for an event.
-local function new_again(launch)
-  return launch.is_component and launch.component:getOperation("trigger")
-    or function() end
-end
-
 -- Returns a function that makes the steps of an update.
 local function new_update(launch, fsm, again, make_ready)
   local count, alarm = new_counter(launch, "rfsm_overruns"), new_alarm(launch, fsm)
@@ -178,7 +170,10 @@ end
 -- next update finishes a step that was cut short, and the one behind it reads what came
 -- meanwhile: so one is triggered when failures begin and when they end.
 function update.new_trigger(launch, fsm, make_ready)
-  local again, report = new_again(launch), update.new_reporter(launch)
+  -- triggers the next update of a component, which otherwise waits for an event
+  local again = launch.is_component and launch.component:getOperation("trigger")
+    or function() end
+  local report = update.new_reporter(launch)
   local advance = new_update(launch, fsm, again, make_ready)
   local meter, target = launch.meter, launch.component
   local running_only, has_failed = launch.running_only, false

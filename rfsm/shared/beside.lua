@@ -160,8 +160,6 @@ end
 
 --- Begin to load a chart; `beside.leave` ends that.
 ---@param source string of its code
----@param has_stubs? boolean
----@return rfsm.shared.World world
 function beside.enter(file, source, has_stubs)
   install()
   local folder = file:match("^.*/") or ""
@@ -179,7 +177,6 @@ function beside.leave() current = nil end
 
 --- Return the chart to which code belongs; nil if there is none.
 ---@param source string of the code
----@return rfsm.shared.World? world
 function beside.world_of(source) return world_of_source[source] end
 
 return beside

@@ -29,7 +29,6 @@ function calls.init_apart(model)
 end
 
 --- Return the texts of any values in one, as a printer shows them.
----@param separator string
 function calls.text(separator, ...)
   local texts = {}
   for i = 1, select("#", ...) do texts[i] = rfsm.text_of((select(i, ...))) end

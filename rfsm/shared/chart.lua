@@ -212,7 +212,6 @@ function chart.load(file, has_stubs)
 end
 
 --- Return the line that names the stubs of a chart; nil if it has none.
----@return string? line
 function chart.stub_line(file, world)
   return world.names[1] and chart.line(file, "stubbed: " .. concat(world.names, ", "))
 end
@@ -220,7 +219,6 @@ end
 --- Make the machine of the chart in a file.
 ---@param init fun(model: rfsm.State): rfsm.Machine|false, string?, string[]?
 ---@param warn fun(line: string) called for each undefined global, and for the stubs
----@param has_stubs? boolean
 ---@return rfsm.Machine|false fsm
 ---@return rfsm.State|string[] model or the problems, a line each
 function chart.open(file, init, warn, has_stubs)

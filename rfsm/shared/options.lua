@@ -16,9 +16,6 @@ local options = {}
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
 --- Return a test for whole numbers within bounds.
----@param least number
----@param most number
----@return fun(x: any): boolean
 function options.is_whole(least, most)
   return function(x)
     return type(x) == "number" and x >= least and x <= most and x == floor(x)
@@ -29,7 +26,6 @@ end
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
 --- Return the end of a message: "got string 'x'".
----@return string
 function options.got(value)
   if type(value) == "string" then return ("got string '%s'"):format(value) end
   return "got " .. (type(value) == "number" and rfsm.text_of(value) or type(value))
@@ -38,7 +34,6 @@ end
 --- Return the options with their defaults.
 ---@param known table<string, any[]> description, test, default of each; a test may
 -- return false and the problem
----@param given table
 ---@return table? settings nil if one is wrong
 ---@return string? problem in one line
 function options.read(known, given)
@@ -79,7 +74,6 @@ end
 --- Load a module that an extension needs.
 -- @raise if it is missing
 ---@param where string the name of the extension
----@param package string
 function options.need(where, name, package)
   local module, problem = options.find_package(name, package)
   return module or error(where .. ": " .. problem, 0)

@@ -4,7 +4,8 @@
 -- which the order does not matter.
 --
 -- LuaJIT 2.1.0-beta3 compiles a traversal inside of another wrongly: it skips keys, or
--- crashes. A loop over `order.each` is not compiled, nor is a loop around it.
+-- crashes. A loop over `order.each` is not compiled, nor is a loop around it. The other
+-- Luas traverse by `next` itself.
 --
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause
@@ -14,14 +15,13 @@ local jit = rawget(_G, "jit")
 
 local order = {}
 
-local function step(t, key) return next(t, key) end
-
-if jit then jit.off(step) end
+local step = next
+if jit then
+  function step(t, key) return next(t, key) end
+  jit.off(step)
+end
 
 --- Traverse a table as `pairs` does; no metatable is asked.
----@param t table
----@return fun(t: table, key: any): any, any
----@return table t
 function order.each(t) return step, t end
 
 return order

@@ -27,7 +27,6 @@ function stubs.new(name)
 end
 
 --- Return the name of a stub; nil for all other values.
----@return string? name
 function stubs.name_of(value)
   return type(value) == "table" and getmetatable(value) == Stub and names[value] or nil
 end
@@ -75,7 +74,6 @@ Stub.__lt, Stub.__le = no, no
 local is_stubbed = setmetatable({}, { __mode = "k" }) -- states
 
 --- Return a state in place of a missing one.
----@return rfsm.State state
 function stubs.new_state(name)
   local state = rfsm.state { doc = name .. " is a stub" }
   is_stubbed[state] = true

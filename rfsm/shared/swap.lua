@@ -13,8 +13,6 @@ local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 local swap = {}
 
 --- Replace a field.
----@param obj table
----@param field string
 ---@return { own: any, new: any } done the value before, and that of now
 function swap.put(swaps, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
@@ -24,7 +22,6 @@ function swap.put(swaps, obj, field, value)
 end
 
 --- Have a printer of a machine call a function first.
----@param name "dbg"|"info"|"warn"|"err"
 ---@param note fun(...)
 function swap.listen(swaps, fsm, name, note)
   local own = fsm[name]

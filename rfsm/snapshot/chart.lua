@@ -25,13 +25,9 @@ local function structure_of(fsm) return fsm._plan end
 local function nodes_of(fsm) return fsm._nodes end
 
 --- Return the transitions of a machine, likewise.
----@param fsm rfsm.Machine
----@return rfsm.Transition[] transitions
 function chart.transitions(fsm) return fsm._transitions end
 
 --- Return the hooks of extensions that keep something of a machine.
----@param fsm rfsm.Machine
----@return { name: string, save: function, load: function }[] hooks
 function chart.hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 -- Returns the FQN of the target that the model names.
@@ -59,9 +55,6 @@ local function line_of(obj)
 end
 
 --- Does a line of a transition name an event?
----@param line string
----@param event string
----@return boolean
 function chart.has_event(line, event)
   local events = line:match(" on (.*)$")
   if not events then return false end
@@ -222,14 +215,9 @@ local function chart_of(fsm)
 end
 
 --- Return a chart that is known by the name in a snapshot; nil if it is not.
----@param name string
----@return rfsm.snapshot.Chart?
 function chart.named(name) return by_name[name] end
 
 --- Append lines of the machine at a place.
----@param list string[]
----@param prefix string
----@param more string[]
 function chart.append(list, prefix, more)
   local head = prefix == "root" and "" or prefix .. ": "
   for _, line in ipairs(more) do list[#list + 1] = head .. line end
@@ -259,8 +247,6 @@ end
 ---@field path rfsm.snapshot.Path for `take`
 
 --- Return what is known of a machine.
----@param fsm rfsm.Machine
----@return rfsm.snapshot.Own
 function chart.of(fsm)
   local own, key = fsm._kept, structure_of(fsm)
   if own and own.key == key then return own end
@@ -276,18 +262,12 @@ function chart.of(fsm)
 end
 
 --- Return the node that an FQN names; nil if there is none.
----@param fsm rfsm.Machine
----@param fqn any
----@return table? node
 function chart.find_node(fsm, fqn)
   local index = chart.of(fsm).chart.index[fqn]
   return index and nodes_of(fsm)[index]
 end
 
 --- Return the state that an FQN names; nil if there is none.
----@param fsm rfsm.Machine
----@param fqn any
----@return rfsm.State? state
 function chart.find_state(fsm, fqn)
   local node = chart.find_node(fsm, fqn)
   return node and rfsm.is_state(node) and node or nil

@@ -24,21 +24,8 @@ diff.PREMISES = "not looked at: values of fields (migrate had the first ones, or
   .. "\n  what save returns, targets that programs set, events in queues,"
   .. "\n  states of several regions at once"
 
-local PRINTERS = { "info", "warn", "err" }
-
--- Calls f(model, ...) while the model prints nothing; returns three results.
-local function quietly(model, f, ...)
-  local printers = {}
-  for _, name in ipairs(PRINTERS) do
-    printers[name], model[name] = model[name], false
-  end
-  local first, second, third = f(model, ...)
-  for _, name in ipairs(PRINTERS) do model[name] = printers[name] end
-  return first, second, third
-end
-
 local function new_machine(model)
-  local fsm, text = quietly(model, calls.init_apart)
+  local fsm, text = calls.init_apart(model)
   return fsm or error(text, 0)
 end
 
@@ -126,7 +113,7 @@ local function location_of(at, leaf) return at.prefix .. leaf._fqn:sub(5) end
 -- Returns the fate of the machines that are in a leaf of the machine or region `at`.
 local function fate_of(places, at, leaf, model, options)
   enter_at(places, at, leaf)
-  local fsm, problem, list = quietly(model, snapshot.restore,
+  local fsm, problem, list = snapshot.restore(model,
     snapshot.take(places[1].machine), options)
   local fate = { leaf = location_of(at, leaf), to = false, notes = {} }
   if not fsm then
@@ -145,7 +132,7 @@ local function fate_of(places, at, leaf, model, options)
   return fate
 end
 
---- Compare two versions of a chart.
+--- Compare two versions of a chart, whose models should print nothing.
 -- @raise if one of them is no valid chart
 ---@param old rfsm.State model
 ---@param new rfsm.State model; its root may have `rename` and `migrate`
@@ -167,8 +154,6 @@ function diff.compare(old, new)
 end
 
 --- Return a report as text.
----@param difference string[]
----@param fates rfsm.snapshot.Fate[]
 ---@return string text
 ---@return boolean is_safe each machine moves
 function diff.report(difference, fates)

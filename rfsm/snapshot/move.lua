@@ -5,10 +5,11 @@
 -- @license BSD-3-Clause
 
 local charts = require "rfsm.snapshot.chart"
+local each = require("rfsm.shared.order").each
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
-local error, ipairs, next, pairs = error, ipairs, next, pairs
+local error, ipairs, next = error, ipairs, next
 local rawequal, select, type = rawequal, select, type
 local concat = table.concat
 local fail, text_of = plain.fail, rfsm.text_of
@@ -24,12 +25,12 @@ local PART = {
 }
 
 local WHOLE = { version = "number", regions = "table", structure = "table" }
-for field, kind in pairs(PART) do WHOLE[field] = kind end -- any order: a copy
+for field, kind in each(PART) do WHOLE[field] = kind end -- any order: a copy
 
 -- Returns a copy without the fields that are null.
 local function copy_fields(t)
   local copy = {}
-  for key, value in pairs(t) do -- any order: a copy
+  for key, value in each(t) do -- any order: a copy
     if not plain.is_null(value) then copy[key] = value end
   end
   return copy
@@ -37,7 +38,7 @@ end
 
 local function check_fields(snap, fields, where)
   local wrong = nil
-  for field, value in pairs(snap) do -- any order: the least one is named
+  for field, value in each(snap) do -- any order: the least one is named
     if type(value) ~= fields[field] then
       wrong = wrong or {}
       wrong[field] = true
@@ -64,9 +65,9 @@ end
 local function add_regions(regions, snap, prefix, depth)
   if not snap.ext then return end
   if depth > 40 then fail("regions: at most 40 inside each other expected") end
-  for fqn, list in pairs(take_extension(snap, "seqand")) do -- any order: a set
+  for fqn, list in each(take_extension(snap, "seqand")) do -- any order: a set
     if type(list) ~= "table" then fail("ext: table of snapshots expected") end
-    for name, inner in pairs(list) do -- any order: likewise
+    for name, inner in each(list) do -- any order: likewise
       if type(inner) ~= "table" then fail("ext: table of snapshots expected") end
       local part = copy_fields(inner)
       local place = prefix .. text_of(fqn):sub(5) .. "." .. text_of(name)
@@ -99,7 +100,7 @@ local function check_shape(snap)
   if not snap.chart then fail("chart: string expected, got nil") end
   check_fields(snap, WHOLE, "")
   snap.regions = snap.regions and copy_fields(snap.regions)
-  for prefix, part in pairs(snap.regions or NONE) do -- any order: each stands alone
+  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
     if type(part) ~= "table" then
       fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
     end
@@ -113,9 +114,6 @@ end
 -- Parts: a machine and its regions --------------------------------------------------
 
 --- Return what a snapshot holds of the machine at a place.
----@param snap rfsm.snapshot.Snapshot
----@param prefix string
----@return table part
 function move.part_of(snap, prefix)
   if prefix == "root" then return snap end
   return (snap.regions or NONE)[prefix] or NONE
@@ -181,9 +179,6 @@ local function note_extensions(list, machine, part, prefix)
 end
 
 --- List what a snapshot holds, and a machine has no place for.
----@param fsm rfsm.Machine
----@param snap rfsm.snapshot.Snapshot
----@return string[] list
 function move.lost(fsm, snap)
   local list, is_known = {}, {}
   for _, at in ipairs(charts.of(fsm).places) do
@@ -204,9 +199,6 @@ end
 
 --- Return the new name for the FQN of a state that has moved, or of one in it; also in
 -- an event such as e_done@root.a.
----@param text string
----@param rename table<string, string>
----@return string text
 function move.renamed(text, rename)
   local event, fqn = text:match("^(.*@)(root.*)$")
   local head, tail = fqn or text, ""
@@ -226,7 +218,7 @@ local function renamed(value, rename, depth)
   if type(value) == "string" then return renamed_text(value, rename) end
   if type(value) ~= "table" then return value end
   local copy = {}
-  for key, inner in pairs(value) do -- any order: each stands alone
+  for key, inner in each(value) do -- any order: each stands alone
     copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
   end
   return copy
@@ -237,7 +229,7 @@ local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 
 
 local function rename_part(part, rename)
   local copy = {}
-  for field, value in pairs(part) do -- any order: each stands alone
+  for field, value in each(part) do -- any order: each stands alone
     copy[field] = renamed(value, rename, NAMED[field] or 0)
   end
   return copy
@@ -246,7 +238,7 @@ end
 -- Returns the new names inside of a region, where its own FQN begin with root.
 local function inside(rename, prefix)
   local inner, new_prefix = {}, renamed_text(prefix, rename)
-  for old, new in pairs(rename) do -- any order: each stands alone
+  for old, new in each(rename) do -- any order: each stands alone
     if old:sub(1, #prefix + 1) == prefix .. "."
       and new:sub(1, #new_prefix + 1) == new_prefix .. "." then
       inner["root" .. old:sub(#prefix + 1)] = "root" .. new:sub(#new_prefix + 1)
@@ -258,7 +250,7 @@ end
 local function rename_states(snap, rename)
   local copy = rename_part(snap, rename)
   copy.regions = snap.regions and {}
-  for prefix, part in pairs(snap.regions or NONE) do -- any order: each stands alone
+  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
     local inner, new_prefix = inside(rename, prefix)
     copy.regions[new_prefix] = rename_part(part, inner)
   end
@@ -268,9 +260,6 @@ end
 -- The way from another chart --------------------------------------------------------
 
 --- List what differs between two structures.
----@param old string[]
----@param new string[]
----@return string[] list
 function move.difference(old, new)
   local counts, list = {}, {}
   for _, line in ipairs(old) do counts[line] = (counts[line] or 0) + 1 end
@@ -350,14 +339,14 @@ end
 local function copy_all(value)
   if type(value) ~= "table" or plain.is_null(value) then return value end
   local copy = {}
-  for key, inner in pairs(value) do copy[key] = copy_all(inner) end -- any order: a copy
+  for key, inner in each(value) do copy[key] = copy_all(inner) end -- any order: a copy
   return copy
 end
 
 -- Calls f(part, prefix) for what a snapshot holds of the machine and each region.
 local function each_part(snap, f)
   f(snap, "root")
-  for prefix, part in pairs(snap.regions or NONE) do f(part, prefix) end -- any order
+  for prefix, part in each(snap.regions or NONE) do f(part, prefix) end -- any order
 end
 
 -- Unpacks what states keep: `migrate` gets the values that callbacks know. Returns the
@@ -365,16 +354,16 @@ end
 local function unpack_kept(snap)
   local nils = {}
   each_part(snap, function(part, prefix)
-    for fqn, packed in pairs(part.data or NONE) do -- any order: each stands alone
+    for fqn, packed in each(part.data or NONE) do -- any order: each stands alone
       local fields = plain.unpack(packed, 2)
       part.data[fqn] = fields
-      for name, value in pairs(type(fields) == "table" and fields or NONE) do
+      for name, value in each(type(fields) == "table" and fields or NONE) do
         if rawequal(value, plain.NIL) then
           nils[#nils + 1], fields[name] = { prefix, fqn, name }, nil
         end
       end
     end
-    for fqn, packed in pairs(part.saved or NONE) do -- likewise
+    for fqn, packed in each(part.saved or NONE) do -- likewise
       part.saved[fqn] = plain.unpack(packed, 2)
     end
   end)
@@ -382,7 +371,7 @@ local function unpack_kept(snap)
 end
 
 local function pack_all(values, owner)
-  for fqn, value in pairs(values or NONE) do -- any order: each stands alone
+  for fqn, value in each(values or NONE) do -- any order: each stands alone
     values[fqn] = plain.pack(value, { owner = owner .. text_of(fqn):sub(5), base = 0,
       seen = false }, 0)
   end
@@ -424,7 +413,7 @@ end
 -- by prefix.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
-  for _ in pairs(snap.regions or NONE) do count = count + 1 end -- any order: a number
+  for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: a number
   for _, at in ipairs(charts.of(fsm).places) do
     local part = move.part_of(snap, at.prefix)
     local change = change_of(at.machine, part)
@@ -433,22 +422,6 @@ local function changes(fsm, snap)
     if part ~= NONE and part ~= snap then count = count - 1 end
   end
   return most or count > 0 and "kept" or nil, by_prefix
-end
-
--- Returns the snapshot with new names, and as `migrate` returns it, in a copy.
-local function change(fsm, snap, list, options)
-  if options.rename then snap = rename_states(snap, options.rename) end
-  return options.migrate and migrate(fsm, copy_all(snap), list, options) or snap
-end
-
--- A region that no machine has is refused.
-local function check_regions(places, snap)
-  local is_known = {}
-  for _, at in ipairs(places) do is_known[at.prefix] = at.machine end
-  for prefix in pairs(snap.regions) do -- any order: each stands alone
-    if not is_known[prefix] then fail("no region is '%s'", text_of(prefix)) end
-  end
-  return snap
 end
 
 -- Returns a snapshot of another chart as one for that of a machine, and as `to`.
@@ -462,7 +435,8 @@ local function move_snapshot(fsm, snap, options, most, is_format_1)
   if most == "structure" and not (options.rename or options.migrate) then
     refuse("the snapshot is of another chart", list)
   end
-  snap = change(fsm, snap, list, options)
+  if options.rename then snap = rename_states(snap, options.rename) end
+  if options.migrate then snap = migrate(fsm, copy_all(snap), list, options) end
   lost = move.lost(fsm, snap)
   if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
   return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
@@ -470,20 +444,14 @@ end
 
 --- Return a snapshot as one for the chart of a machine, a copy in today's format.
 -- @raise what is wrong with its fields; the list of what differs, or would be lost
----@param fsm rfsm.Machine
----@param snap any
----@param options rfsm.snapshot.Options
 ---@return rfsm.snapshot.Snapshot snap
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new
 function move.to(fsm, snap, options)
-  local own = charts.of(fsm)
   local given, is_format_1 = check_shape(snap)
-  local is_alone = not (own.places[2] or given.regions)
-  if is_alone and given.chart == own.chart.name then return given end
   local most = changes(fsm, given)
   if most then return move_snapshot(fsm, given, options, most, is_format_1) end
-  return given.regions and check_regions(own.places, given) or given
+  return given
 end
 
 return move

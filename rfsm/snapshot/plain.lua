@@ -15,21 +15,15 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
+local each = require("rfsm.shared.order").each
 local rfsm = require "rfsm"
 
-local error, getmetatable, ipairs, next = error, getmetatable, ipairs, next
-local pairs, pcall, rawequal, rawget = pairs, pcall, rawequal, rawget
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local pcall, rawequal, rawget = pcall, rawequal, rawget
 local tonumber, type = tonumber, type
 local floor, huge, min = math.floor, math.huge, math.min
 local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
 local text_of = rfsm.text_of
-
--- LuaJIT 2.1.0-beta3 compiles traversals inside of others wrongly: it skips keys, or
--- crashes. So nothing here is compiled.
-local jit = rawget(_G, "jit")
-if jit then jit.off(true, true) end
-
-local plain = {}
 
 -- How many tables may be inside each other: in the value of a field; in packed data.
 local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
@@ -38,29 +32,20 @@ local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
 -- deeper than 16, and a number of two parts is a table, too.
 local MAX_DIRECT = 15
 
---- Stands for nil in a field that is not nil at first.
-plain.NIL = {}
+-- Stands for nil in a field that is not nil at first.
+local NIL = {}
 
 --- Raise an error that the public functions of the caller turn into one line.
----@param form string
----@param ... any
-function plain.fail(form, ...) error({ text = form:format(...) }, 0) end
-
-local fail = plain.fail
+local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
 --- Return the text of an error, also of one that was raised by `fail`.
----@param failure any
----@return string text
-function plain.reason(failure)
+local function reason(failure)
   return type(failure) == "table" and failure.text or text_of(failure)
 end
 
 --- Call a function of the chart; its error is one of `fail`.
 ---@param what string in front of the error
----@param f function
----@param ... any
----@return any result
-function plain.try(what, f, ...)
+local function try(what, f, ...)
   local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
   return result
@@ -76,10 +61,9 @@ end
 ---@field [integer] any keys
 
 --- Return the location of a value.
----@param path rfsm.snapshot.Path
 ---@param depth integer how many of its keys count
 ---@return string text such as "root.a.list[2]"
-function plain.place_of(path, depth)
+local function place_of(path, depth)
   local place = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
     local key = path[i]
@@ -89,22 +73,14 @@ function plain.place_of(path, depth)
   return place
 end
 
-local place_of = plain.place_of
-
 --- Is a value a text, a number or a boolean?
----@param value any
----@return boolean
-function plain.is_scalar(value)
+local function is_scalar(value)
   local kind = type(value)
   return kind == "string" or kind == "number" or kind == "boolean"
 end
 
-local is_scalar = plain.is_scalar
-
 --- Is a value what decoders of JSON return for null?
----@param value any
----@return boolean
-function plain.is_null(value)
+local function is_null(value)
   local kind = type(value)
   if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
   local class = kind == "table" and getmetatable(value)
@@ -114,20 +90,16 @@ function plain.is_null(value)
   return ok and text == "null"
 end
 
-local is_null = plain.is_null
-
 --- Return a value; a plain table as a copy, and those in it.
----@param value any
 ---@param copies? table<table, table> those that were made
----@return any copy
-function plain.copy_of(value, copies)
+local function copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   copies = copies or {}
   if copies[value] then return copies[value] end
   local copy = {}
   copies[value] = copy
-  for key, inner in pairs(value) do -- any order: a copy
-    copy[key] = plain.copy_of(inner, copies)
+  for key, inner in each(value) do -- any order: a copy
+    copy[key] = copy_of(inner, copies)
   end
   return copy
 end
@@ -135,9 +107,7 @@ end
 -- Pack --------------------------------------------------------------------------
 
 --- Does JSON with 14 digits give back a number, as the integer or float that it is?
----@param n number
----@return boolean
-function plain.is_safe(n)
+local function is_safe(n)
   if n - n ~= 0 then return false end -- not finite
   local is_whole = floor(n) == n
   if math_type then
@@ -148,8 +118,6 @@ function plain.is_safe(n)
   if is_whole then return n < 1e14 and n > -1e14 end
   return tonumber(("%.14g"):format(n)) == n
 end
-
-local is_safe = plain.is_safe
 
 -- Returns digits from which any Lua reads the number; a whole float has a point.
 local function digits_of(n)
@@ -177,7 +145,7 @@ end
 -- Does a table stand for itself: as a list, or with texts as keys?
 local function is_plain(t)
   local count, has_texts, has_others = 0, false, false
-  for key in pairs(t) do -- any order: all of them count
+  for key in each(t) do -- any order: all of them count
     count = count + 1
     if type(key) == "string" then has_texts = true else has_others = true end
   end
@@ -189,11 +157,7 @@ local function is_plain(t)
 end
 
 --- Return a table of packed values as plain data.
----@param packed table
----@param path rfsm.snapshot.Path
----@param depth integer
----@return table
-function plain.as_table(packed, path, depth)
+local function as_table(packed, path, depth)
   return is_plain(packed) and packed or to_pairs(packed, path, depth)
 end
 
@@ -215,11 +179,11 @@ end
 local function pack_table(t, path, depth)
   check_table(t, path, depth)
   local copy = {}
-  for key, inner in pairs(t) do -- any order: each stands alone
+  for key, inner in each(t) do -- any order: each stands alone
     path[depth + 1] = key
     copy[key] = pack(inner, path, depth + 1)
   end
-  return plain.as_table(copy, path, depth)
+  return as_table(copy, path, depth)
 end
 
 -- Appends a packed table to a flat list, see above.
@@ -240,10 +204,8 @@ end
 -- @raise what cannot be saved, with its location: a function, a userdata, a table with
 -- a metatable or one that comes twice
 ---@param value any null of JSON is nil
----@param path rfsm.snapshot.Path
 ---@param depth integer how many of its keys lead to the value
----@return any packed
-function plain.pack(value, path, depth)
+function pack(value, path, depth)
   local kind = type(value)
   if kind == "string" or kind == "boolean" then return value end
   if kind == "number" then
@@ -253,7 +215,7 @@ function plain.pack(value, path, depth)
   elseif kind ~= "table" then
     fail("%s: a %s cannot be saved", place_of(path, depth), kind)
   end
-  if rawequal(value, plain.NIL) then return { "%z" } end
+  if rawequal(value, NIL) then return { "%z" } end
   if path.base + depth <= MAX_DIRECT then return pack_table(value, path, depth) end
   local base = path.base
   path.base = -MAX_DEPTH -- the tables in it are part of the list
@@ -262,23 +224,19 @@ function plain.pack(value, path, depth)
   return flatten(packed, { "%s" })
 end
 
-pack = plain.pack
-
 --- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
 -- that JSON has not as texts.
----@param value any
----@return any value
-function plain.to_json(value)
+local function to_json(value)
   if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
   if type(value) ~= "table" then return value end
   local copy, count = {}, 0
-  for key, inner in pairs(value) do -- any order: a copy
+  for key, inner in each(value) do -- any order: a copy
     count = count + 1
-    if not rawequal(inner, plain.NIL) then copy[key] = plain.to_json(inner) end
+    if not rawequal(inner, NIL) then copy[key] = to_json(inner) end
   end
   if count == #value then return copy end
   local texts = {}
-  for key, inner in pairs(copy) do texts[text_of(key)] = inner end -- any order: a copy
+  for key, inner in each(copy) do texts[text_of(key)] = inner end -- any order: a copy
   return texts
 end
 
@@ -339,10 +297,10 @@ local function unpack_table(packed, depth)
   elseif first == "%p" then
     return packed[2]
   elseif first == "%z" then
-    return plain.NIL
+    return NIL
   end
   local t = {}
-  for key, value in pairs(packed) do -- any order: each stands alone
+  for key, value in each(packed) do -- any order: each stands alone
     if not is_scalar(key) then fail("a text as key expected, got %s", type(key)) end
     t[key] = unpack(value, depth + 1)
   end
@@ -350,13 +308,11 @@ local function unpack_table(packed, depth)
 end
 
 --- Does a table stand for itself, and hold no others?
----@param packed any
----@return boolean
-function plain.is_flat(packed)
+local function is_flat(packed)
   if type(packed) ~= "table" or getmetatable(packed) ~= nil or packed[1] ~= nil then
     return false
   end
-  for _, value in next, packed do -- any order: all of them
+  for _, value in each(packed) do -- any order: all of them
     local kind = type(value)
     if kind ~= "string" and kind ~= "boolean" and (kind ~= "number" or to_integer) then
       return false
@@ -367,10 +323,8 @@ end
 
 --- Return the value that plain data stands for, in new tables.
 -- @raise if it is none
----@param packed any
 ---@param depth integer how many tables there are around it
----@return any value
-function plain.unpack(packed, depth)
+function unpack(packed, depth)
   local kind = type(packed)
   if kind == "table" then
     if is_null(packed) then return nil end
@@ -386,6 +340,8 @@ function plain.unpack(packed, depth)
   return to_integer and to_integer(packed) or packed -- some decoders know only floats
 end
 
-unpack = plain.unpack
-
-return plain
+return {
+  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
+  is_null = is_null, is_safe = is_safe, is_scalar = is_scalar, pack = pack,
+  place_of = place_of, reason = reason, to_json = to_json, try = try, unpack = unpack,
+}

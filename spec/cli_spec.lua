@@ -1,0 +1,364 @@
+-- The commands: their command lines, and what each hands to the module that does the
+-- work, which is replaced here. spec/tools_spec.lua runs the tools themselves.
+
+local commands = require "spec.support.commands"
+local common = require "rfsm.cli.common"
+local helper = require "spec.helper"
+
+local new_stream, run = commands.new_stream, commands.run
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+after_each(helper.remove_files)
+
+-- Returns a function that notes its arguments, and returns these values.
+local function noting(list, ...)
+  local results, n = { ... }, select("#", ...)
+  return function(...)
+    list[#list + 1] = { ... }
+    return unpack(results, 1, n)
+  end
+end
+
+local function last_line(text) return text:match("([^\n]*)\n$") end
+
+describe("the usage of rfsm", function()
+  local USAGES = {
+    check = "[--stub] [-a] [-q] [-s] [--codes] [-x] [--static] [-k N] "
+      .. "[--configurations N] [--seconds N] [--record FILE] [--tests KIND] "
+      .. "[--callbacks] [-o FILE] [-v] FILE [FILE] ...",
+    sim = "[--stub] [-e CODE] [-i] [-r FILE] [-d] [-q] [-v] FILE",
+    viz = "[--stub] [-T FORMAT] [-o FILE] [--active FQN] [--depth N] "
+      .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [-v] FILE "
+      .. "[FILE] ...",
+    snapshot = "[-v] {diff} OLD NEW",
+    redis = "[-o FILE] [-l URL] [--index] [--history N] [--ids N] [--ids-for S] "
+      .. "[--diff] [--stats URL] [-v] [[NAME=]FILE] ...",
+    postgres = "[-o FILE] [--history] [--notify] [--ids N] [--ids-for S] [-v] "
+      .. "[NAME=]FILE [[NAME=]FILE] ...",
+    json = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
+    plantuml = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
+    dot = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
+    mermaid = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
+    web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [-v] [FILE]",
+    watch = "[-m N] [-n N] [-v] HOST[:PORT]",
+  }
+  for name, usage in pairs(USAGES) do -- any order: each stands alone
+    it(name .. " is " .. usage, function()
+      local out, err, status = run("help " .. name)
+      local text = out:match("^Usage: (.-)\n\n"):gsub("%s+", " ")
+      assert.same({ "rfsm " .. name .. " [-h] " .. usage, "", 0 },
+        { text, err, status })
+      assert.equal(out, (run(name .. " --help")))
+    end)
+  end
+
+  it("is printed without a command", function()
+    local out, err, status = run ""
+    assert.matches("\n   watch +Print a machine", out)
+    assert.same({ "", 0 }, { err, status })
+    assert.equal(out, (run "help"))
+  end)
+
+  it("names argparse if that is missing", function()
+    local preload = { argparse = function() error("no argparse") end }
+    helper.with(package.preload, preload, function()
+      assert.same({ "", "rfsm: the package argparse is missing (on Debian: apt-get "
+        .. "install lua-argparse)\n", 1 }, { run("help", { argparse = false }) })
+    end)
+  end)
+
+  for command, problem in pairs { -- any order: each stands alone
+    ["help chekc"] = "Error: no command is named 'chekc' (did you mean 'check'?), rfsm "
+      .. "lists them",
+    ["check -k 0 x"] = "Error: --together: whole number above 0 expected, got '0'",
+    ["check --seconds=-1 x"] = "Error: --seconds: seconds expected, got '-1'",
+    ["check --tests busted - -"] = "Error: one FILE expected, tests are those of one "
+      .. "chart, got 2",
+    ["viz --depth x y"] = "Error: --depth: whole number above 0 expected, got 'x'",
+    ["viz -T svg a b"] = "Error: one FILE expected, svg holds one chart, got 2",
+    ["viz x.lua -o y.gif"] = "Error: the ending of 'y.gif' is no format, -T expected "
+      .. "(dot, svg, png, pdf, plantuml, mermaid, json)",
+    ["watch -n 1.5 host"] = "Error: --count: whole number above 0 expected, got '1.5'",
+    ["watch -m 0 host"] = "Error: --machine: whole number above 0 expected, got '0'",
+    ["watch a:b"] = "Error: HOST or HOST:PORT expected, got 'a:b'",
+    ["watch a:65536"] = "Error: HOST or HOST:PORT expected, got 'a:65536'",
+    ["web"] = "Error: FILE or --attach expected",
+    ["web x.lua --attach a"] = "Error: FILE or --attach expected",
+    ["redis"] = "Error: a chart expected",
+    ["redis --ids 0 x"] = "Error: --ids: a whole number above 0 expected, got '0'",
+    ["redis --ids 1000001 x"]
+      = "Error: --ids: a whole number above 0 expected, got '1000001'",
+    ["redis --history 1.5 x"]
+      = "Error: --history: a whole number above 0 expected, got '1.5'",
+    ["postgres --ids-for x y"]
+      = "Error: --ids-for: a whole number above 0 expected, got 'x'",
+    ["x.lua"] = "rfsm: 'x.lua' is no command. To step through that chart, type: rfsm "
+      .. "sim x.lua",
+  } do
+    it("refuses " .. command, function()
+      local out, err, status = run(command)
+      assert.same({ "", problem, 2 }, { out, last_line(err), status })
+    end)
+  end
+end)
+
+describe("rfsm check", function()
+  local CHART = "local rfsm = require 'rfsm'\nreturn rfsm.state { info = false, "
+    .. "a = rfsm.state {%s}, rfsm.trans { src = 'initial', tgt = 'a' } }\n"
+
+  it("shows the lines of tests that a new version of the chart changes", function()
+    local file, spec = helper.file_with(CHART:format ""), helper.file_with ""
+    local command = ("check --tests busted -o %s %s"):format(spec, file)
+    os.remove(spec)
+    local summary = "rfsm check: 1 of 1 transitions in 3 steps\n"
+    assert.same({ "", summary, 0 }, { run(command) })
+    local old = helper.content(spec)
+    assert.same({ "", summary, 0 }, { run(command) })
+    helper.write(file, (CHART:format "":gsub("a =", "b ="):gsub("'a'", "'b'")))
+    local _, err = run(command)
+    local new, count = helper.content(spec), { ["-"] = 0, ["+"] = 0 }
+    for sign, line in err:gsub("^[^\n]*\n", "", 1):gmatch("([-+])([^\n]*)\n") do
+      local from, to = old, new
+      if sign == "+" then from, to = new, old end
+      assert.is_truthy(from:find(line, 1, true))
+      assert.is_nil(("\n" .. to):find("\n" .. line .. "\n", 1, true))
+      count[sign] = count[sign] + 1
+    end
+    assert.is_true(count["+"] > 0 and count["-"] == count["+"])
+  end)
+
+  it("ends with the gravest of several charts", function()
+    local good, odd = CHART:format "final = true", CHART:format ""
+    for _, case in ipairs {
+      { charts = { good, good }, status = 0 },
+      { charts = { good, odd }, status = 0, strict = 1 },
+      { charts = { "return 7", good }, status = 1 },
+    } do
+      local names = {}
+      for i, text in ipairs(case.charts) do names[i] = helper.file_with(text) end
+      local files = table.concat(names, " ")
+      local out, err, status = run("check --static " .. files)
+      assert.same({ "", case.status }, { err, status })
+      assert.is_true(out:find(names[2], 1, true) > out:find(names[1], 1, true))
+      assert.equal(case.strict or case.status,
+        (select(3, run("check --static -s " .. files))))
+    end
+  end)
+end)
+
+describe("rfsm sim", function()
+  it("hands its options to the simulator, and returns its status", function()
+    local calls = {}
+    local _, _, status = run("sim -e run -e step -i -r rec -d -q --stub x.lua",
+      { ["rfsm.sim"] = { main = noting(calls, 3) } })
+    assert.equal(3, status)
+    assert.same({ command = "sim", sim = true, file = "x.lua",
+      execute = { "run", "step" }, interactive = true, replay = "rec", dry = true,
+      quiet = true, stub = true },
+      calls[1][1])
+  end)
+end)
+
+describe("rfsm viz", function()
+  it("reads a coverage and a trace, and prints nothing of the chart", function()
+    local chart = helper.file_with("local rfsm = require 'rfsm'\nreturn rfsm.state { "
+      .. "dbg = print, warn = print, a = rfsm.state {}, b = rfsm.state {}, "
+      .. "rfsm.trans { src = 'initial', tgt = 'a' } }")
+    local coverage = helper.file_with('{"states":{"root.a":1},"transitions":{}}')
+    local trace = helper.file_with('["root.a"]')
+    local looks
+    local encoder = { encode = function(fsm, given)
+      fsm.dbg("x")
+      looks = given
+      return "drawn"
+    end }
+    local out, err, status = run(("viz -T mermaid --direction LR --depth 2 --active "
+      .. "root.a --coverage %s --trace %s %s"):format(coverage, trace, chart),
+      { ["rfsm.mermaid"] = encoder })
+    assert.same({ "drawn\n", "", 0 }, { out, err, status })
+    assert.same({ title = chart:match("[^/]+$"), depth = 2, direction = "LR",
+      active = { "root.a" }, trace = { "root.a" },
+      coverage = { states = { ["root.a"] = 1 }, transitions = {} } }, looks)
+  end)
+
+  it("refuses what is no coverage, and a file that is not there", function()
+    local chart = helper.file_with "return 7"
+    for text, problem in pairs { -- any order: each stands alone
+      ['{"states":{}}'] = 'an object with "states" and "transitions" expected',
+      ['{"states":{},"transitions":1}']
+        = 'an object with "states" and "transitions" expected',
+      ['{"states":1,"transitions":{}}']
+        = 'an object with "states" and "transitions" expected',
+    } do
+      local file = helper.file_with(text)
+      assert.same({ "", "rfsm viz: " .. file .. ": " .. problem .. "\n", 1 },
+        { run(("viz --coverage %s %s"):format(file, chart)) })
+    end
+    assert.same({ "", "rfsm viz: /no/file: No such file or directory\n", 1 },
+      { run("viz --trace /no/file " .. chart) })
+  end)
+end)
+
+describe("rfsm snapshot diff", function()
+  local OLD = "return require('rfsm').state { info = false, warn = false, "
+    .. "a = rfsm.state {}, rfsm.trans { src = 'initial', tgt = 'a' }%s }"
+
+  it("ends with status 0 if all machines move, else with 1", function()
+    local old = helper.file_with(OLD:format "")
+    local same = helper.file_with(OLD:format "")
+    local other = helper.file_with(OLD:format ", rfsm.trans { src = 'a', tgt = 'a' }")
+    local out, err, status = run(("snapshot diff %s %s"):format(old, same))
+    assert.same({ "", 0 }, { err, status })
+    assert.matches("nothing moves\n$", out)
+    out, err, status = run(("snapshot diff %s %s"):format(old, other))
+    assert.same({ "", 1 }, { err, status })
+    assert.matches("^new: root.a %-> root.a\nin root.a: stays a machine", out)
+    assert.equal(2, (select(3, run("snapshot diff /no/file " .. other))))
+  end)
+end)
+
+describe("rfsm redis", function()
+  local function modules(calls)
+    return {
+      ["rfsm.redis"] = { bundle = noting(calls, "the library", { "a warning" }),
+        name_of = function(text) return text:match("^(.*)=(.*)$") end },
+      ["rfsm.fleet"] = { connect = noting(calls, {
+        load = function(_, text)
+          calls[#calls + 1] = { "load", text }
+          return true
+        end,
+        stats = function() return "numbers\n" end,
+      }) },
+    }
+  end
+
+  it("bundles charts with its options, and prints warnings", function()
+    local calls = {}
+    local out, err, status = run("redis --index --history 5 --ids 6 --ids-for 7 a b",
+      modules(calls))
+    assert.same({ "the library", "rfsm redis: a warning\n", 0 }, { out, err, status })
+    local options = { index = true, history = 5, ids = 6, ids_for = 7 }
+    assert.same({ { { "a", "b" }, options } }, calls)
+  end)
+
+  it("loads the library into a server, and prints it if it is asked to", function()
+    for options, expected in pairs { [""] = "", ["-o - "] = "the library" } do
+      local calls = {}
+      local out = run("redis " .. options .. "-l redis://x a", modules(calls))
+      assert.equal(expected, out)
+      assert.same({ { { "a" }, {} }, { "redis://x" }, { "load", "the library" } },
+        calls)
+    end
+  end)
+
+  it("prints the numbers of a server", function()
+    local calls = {}
+    assert.same({ "numbers\n", "", 0 }, { run("redis --stats redis://x",
+      modules(calls)) })
+    assert.same({ { "redis://x" } }, calls)
+  end)
+
+  it("says in a line why it cannot connect or bundle", function()
+    local function fail() error("no server\nhere", 0) end
+    assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis --stats x",
+      { ["rfsm.fleet"] = { connect = fail } }) })
+    assert.same({ "", "rfsm redis: no server\n", 1 }, { run("redis a",
+      { ["rfsm.redis"] = { bundle = fail } }) })
+  end)
+
+  it("compares the last two versions of a chart", function()
+    local compared = {}
+    local all = modules {}
+    for _, case in ipairs { { is_safe = true, status = 0 }, { is_safe = false,
+      status = 1 } } do
+      all["rfsm.cli.snapshot"] = { compare = noting(compared, case.is_safe),
+        add_arguments = function(parser) parser:argument "x" end }
+      local out, _, status = run("redis --diff a=1 b=2 a=3 a=4", all)
+      assert.same({ "a: 1 -> 3\na: 3 -> 4\n", case.status }, { out, status })
+    end
+    assert.same({ { "1", "3" }, { "3", "4" }, { "1", "3" }, { "3", "4" } }, compared)
+    assert.same({ "", "rfsm redis: --diff: two versions of a chart expected\n", 2 },
+      { run("redis --diff a=1 b=2", all) })
+  end)
+end)
+
+describe("rfsm postgres", function()
+  it("bundles charts with its options, and prints warnings", function()
+    local calls = {}
+    local bundle = { sql = noting(calls, "the schema", { "a warning" }) }
+    assert.same({ "the schema", "rfsm postgres: a warning\n", 0 },
+      { run("postgres --history --notify --ids 6 --ids-for 7 a b",
+        { ["rfsm.postgres.bundle"] = bundle }) })
+    assert.same({ { { "a", "b" },
+      { history = true, notify = true, ids = 6, ids_for = 7 } } }, calls)
+  end)
+end)
+
+describe("rfsm web", function()
+  local function modules(calls, failure)
+    local server = { url = "http://x", run = function() error(failure, 0) end }
+    return { ["rfsm.web"] = { open = noting(calls, server),
+      attach = noting(calls, server) } }
+  end
+
+  it("opens the page of a chart", function()
+    local calls, file = {}, helper.file_with ""
+    local out, err, status = run("web --stub -p 0 --host 0.0.0.0 " .. file,
+      modules(calls, "interrupted!"))
+    assert.same({ "http://x\n", "", 0 }, { out, err, status })
+    assert.same({ { file, { host = "0.0.0.0", port = 0, stub = true } } }, calls)
+    assert.equal(2, (select(3, run("web /no/file", modules(calls)))))
+  end)
+
+  it("attaches to a machine elsewhere", function()
+    local calls = {}
+    run("web -a robot -m 2", modules(calls, "interrupted!"))
+    run("web -a robot:7", modules(calls, "interrupted!"))
+    local page = { host = "127.0.0.1", port = 8044, machine = 2 }
+    assert.same({ "robot", 44044, page }, calls[1])
+    page.machine = nil
+    assert.same({ "robot", 7, page }, calls[2])
+  end)
+
+  it("raises what is no interrupt", function()
+    assert.same({ false, "no page" }, { pcall(run, "web -a robot", modules({},
+      "no page")) })
+  end)
+end)
+
+describe("rfsm watch", function()
+  it("prints what comes from host and port", function()
+    local calls = {}
+    local _, err, status = run("watch -m 2 -n 3 robot:65535", {
+      ["rfsm.proto.subscriber"] = { connect = noting(calls, "client") },
+      ["rfsm.web.watch"] = { run = noting(calls) },
+      ["rfsm.sim.terminal"] = { is_terminal = noting(calls, true) },
+    })
+    assert.same({ "", 0 }, { err, status })
+    assert.same({ { "robot", 65535 }, { 1 },
+      { "client", { number = 2, count = 3, is_terminal = true } } }, calls)
+  end)
+
+  it("says why it cannot", function()
+    assert.same({ "", "rfsm watch: no socket\n", 1 }, { run("watch robot",
+      { ["rfsm.proto.subscriber"] = { connect = noting({}, nil, "no socket") } }) })
+  end)
+end)
+
+describe("what commands share", function()
+  it("gives the streams back after a call", function()
+    local stream, out, err = new_stream(), io.stdout, io.stderr
+    local printer, default = rawget(_G, "print"), io.output()
+    local function write(a, b)
+      rawget(_G, "print")(a, nil, b)
+      io.stdout:write("o")
+      io.stderr:write("e")
+      return 1, 2, 3
+    end
+    assert.same({ true, 1, 2, 3 }, { common.with_streams(stream, write, "a", 7) })
+    assert.equal("a\tnil\t7\noe", stream.text)
+    assert.is_false((common.with_streams(stream, error, "x")))
+    assert.same({ out, err, printer, default },
+      { io.stdout, io.stderr, rawget(_G, "print"), io.output() })
+  end)
+end)
