@@ -25,7 +25,8 @@ local stubs = require "rfsm.checks.stubs"
 local timing = require "rfsm.checks.timing"
 local zones = require "rfsm.checks.zones"
 
-local assert, error, ipairs, math = assert, error, ipairs, math
+local assert, error, getmetatable = assert, error, getmetatable
+local ipairs, math = ipairs, math
 local rawget, require = rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
@@ -51,11 +52,15 @@ local explore = {}
 ---@field configurations? integer stop after so many (1,000,000)
 ---@field depth? integer stop after so many steps
 ---@field seconds? number stop after so long
+---@field multiply? boolean explore regions together that nothing joins
 ---@field progress? fun(configurations: integer, depth: integer) called now and then
 
 --- A walk over the configurations.
 ---@class rfsm_checks.Walk
 ---@field puppet rfsm_checks.Puppet
+---@field model rfsm.State
+---@field options rfsm_checks.Options
+---@field way rfsm_checks.Way
 ---@field keys string[] of the configurations, the first one is not entered
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one it was first reached from
@@ -432,6 +437,7 @@ local KNOWN = {
   alphabet = { "list", stubs.check_list },
   sends = { "table of lists", stubs.check_sends, {} },
   dry_run = { "boolean", is_boolean, false },
+  multiply = { "boolean", is_boolean, false },
   flags = { "table of flags", stubs.check_flags, {} },
   vars = { "table of ranges", data.check_vars },
   run = { "list of functions", data.check_functions },
@@ -454,11 +460,13 @@ end
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
 ---@param prepare? fun(walk: rfsm_checks.Walk) called before it begins
+---@param way? rfsm_checks.Way
 ---@return rfsm_checks.Walk walk
-function explore.walk(model, options, prepare)
+function explore.walk(model, options, prepare, way)
   local settings = assert(opts.read(KNOWN, options))
-  local own = puppet.new(model, settings)
-  local walk = setmetatable({ puppet = own, together = settings.together or 1,
+  local own = puppet.new(model, settings, way)
+  local walk = setmetatable({ puppet = own, model = model, options = settings,
+    way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
@@ -490,18 +498,20 @@ local function text_of_event(occurrence)
   return part.owner and text .. " in " .. part.prefix or text
 end
 
---- Run a step again.
----@param from integer
----@param label string
----@return rfsm_checks.WitnessStep step what it did
----@return rfsm_checks.Try|false try
-function Walk:rerun(from, label)
-  local own = self.puppet
-  local step = { events = {}, values = {}, inside = {}, choices = {} }
-  local events, choices, number = read_label(self, label)
-  local conf = self:configuration(from)
-  put(self, conf)
-  own:step(events, choices)
+-- Sets in the step of a witness what the puppet has done in it.
+local function note_outcome(own, step)
+  step.choices = {}
+  for i = 1, own.asked do
+    step.choices[i] = { who = own.askers[i], answer = own.choices[i],
+      is_doo = own.is_doo[i] }
+  end
+  step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+end
+
+-- Returns the step of a witness with events. Those of timers in order come by
+-- themselves.
+local function new_step(events)
+  local step = { events = {}, values = {}, inside = {} }
   for i, occurrence in ipairs(events) do
     local part, event = occurrence.part, occurrence.event
     step.events[i] = text_of_event(occurrence)
@@ -512,11 +522,44 @@ function Walk:rerun(from, label)
       step.values[#step.values + 1] = event
     end
   end
-  for i = 1, own.asked do
-    step.choices[i] = { who = own.askers[i], answer = choices[i],
-      is_doo = own.is_doo[i] }
+  return step
+end
+
+-- Takes a step of a way on a puppet that has all parts: guards of the others are false,
+-- and their doos go on.
+local function repeat_on(own, events, step)
+  local at, choices, list = 0, step.choices, {}
+  function own:choose(who, is_doo)
+    local choice = choices[at + 1]
+    local is_same = choice ~= nil and choice.who == who
+    if is_same then at = at + 1 end
+    return getmetatable(own).choose(self, who, is_doo, is_same and choice.answer)
   end
-  step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+  for i, occurrence in ipairs(events) do
+    for _, part in ipairs(own.parts) do
+      if part.prefix == occurrence.part.prefix then
+        list[i] = own:occurrence(part, occurrence.event)
+      end
+    end
+  end
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+  own:step(list, {})
+  note_outcome(own, step)
+end
+
+--- Run a step again.
+---@param from integer
+---@param label string
+---@param whole? rfsm_checks.Puppet takes it, too, if the walk has left out parts
+---@return rfsm_checks.WitnessStep step what it did
+---@return rfsm_checks.Try|false try
+local function rerun(self, from, label, whole)
+  local events, choices, number = read_label(self, label)
+  local conf, step = self:configuration(from), new_step(events)
+  put(self, conf)
+  self.puppet:step(events, choices)
+  note_outcome(self.puppet, step)
+  if whole then repeat_on(whole, events, step) end
   return step, self.timing and { from = from, conf = conf, events = events,
     group = groups_of(self, conf)[number] }
 end
@@ -536,9 +579,10 @@ function Walk:witness(number, label, cycle)
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
   local moments = timing.new_moments()
+  local whole = self.way and puppet.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try
-    steps[i], try = self:rerun(step.from, step.label)
+    steps[i], try = rerun(self, step.from, step.label, whole)
     if try then
       local _, sources = key_after(self, try, function() return step.label end)
       timing.add_moment(moments, try.group, sources)

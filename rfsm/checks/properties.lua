@@ -239,6 +239,7 @@ end
 ---@field holds boolean|nil nil if something was not tried and nothing was found
 ---@field vacuous? string why nothing was there to be judged
 ---@field is_monitored boolean
+---@field way rfsm_checks.Way
 ---@field walk rfsm_checks.Walk
 ---@field is_open? boolean it is not known, though everything was tried
 ---@field at? integer configuration that shows that it does not
@@ -409,27 +410,39 @@ local function want_event(walk, judged)
   end
 end
 
---- Prepare a walk for properties, but for those that have a monitor.
----@param walk rfsm_checks.Walk
+--- List the properties of an exploration.
+-- @raise if one of them names what is not there
+---@param own rfsm_checks.Puppet
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list sorted by name
-function properties.watch(walk, given)
-  local list, afters, own = properties.list_of("rfsm_checks.explore", given), {},
-    walk.puppet
+function properties.list_for(own, given)
+  local where = "rfsm_checks.explore"
+  local list = properties.list_of(where, given)
   local active = own:view(own:configuration(own:read()))
+  for _, judged in ipairs(list) do
+    properties.check_names(where, judged, active)
+    if judged.property.event ~= nil then check_maker(own, judged) end
+    judged.is_monitored = not JUDGES[judged.property.kind]
+  end
+  return list
+end
+
+--- Prepare a walk for the properties that are judged on it, but for those that have a
+--- monitor. All walks have as many events in a step.
+---@param walk rfsm_checks.Walk
+---@param list rfsm_checks.Judged[]
+function properties.watch(walk, list)
+  local afters = {}
   walk.owed = {}
   for _, judged in ipairs(list) do
-    local kind, event = judged.property.kind, judged.property.event
-    properties.check_names("rfsm_checks.explore", judged, active)
-    if event ~= nil then check_maker(own, judged) end
-    if kind == "after" then
+    local is_after = judged.property.kind == "after"
+    if is_after and not walk.is_together_given then walk.together = 2 end
+    if is_after and judged.way == walk.way then
       want_event(walk, judged)
       afters[#afters + 1], walk.owed[judged] = judged, {}
     end
-    judged.is_monitored = not JUDGES[kind]
   end
   if afters[1] then watch_steps(walk, afters) end
-  return list
 end
 
 --- Prepare a walk for the monitor of a property. Each has one of its own: what the

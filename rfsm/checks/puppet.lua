@@ -40,6 +40,7 @@ local puppet = {}
 ---@field parts rfsm_checks.Part[] the machine itself first
 ---@field transitions table[] `tr`, `path`, and `part` with its `prefix`
 ---@field names table<string, rfsm.State> states by path
+---@field part_of table<string, rfsm_checks.Part> the same for their parts
 ---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
@@ -66,6 +67,7 @@ Puppet.__index = Puppet
 ---@field prefix string see `rfsm.machines`
 ---@field owner rfsm_checks.Part|false the part around it
 ---@field leaf rfsm.State|false where it is in that part
+---@field is_bound boolean a callback is called, or there is a rule for a guard
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
 ---@field stands rfsm_checks.Stand[] where it can stand
 ---@field ids table<string, integer> their numbers
@@ -194,11 +196,18 @@ local function note_moment(self, state)
     flags = concat(self.flags) }
 end
 
+-- Returns the stub of a callback.
+local function new_stub(self, what, path, part, obj, callback)
+  if callback and self.runs[callback] then part.is_bound = true end
+  return stubs.new(self, what, path, part, obj, callback)
+end
+
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
   self.names[path], self.paths[#self.paths + 1] = state, path
+  self.part_of[path] = part
   local own = state._regions or state -- the callbacks of such a state are the library's
-  local entry = stubs.new(self, "entry", path, part.fsm, state, own.entry)
+  local entry = new_stub(self, "entry", path, part, state, own.entry)
   own.entry = entry
   if part.owner or not rfsm.is_root(state) and rfsm.is_composite(state)
     and is_passable(state) then
@@ -207,7 +216,7 @@ local function make_state(self, part, state)
       note_moment(self, state)
     end
   end
-  own.exit = stubs.new(self, "exit", path, part.fsm, state, own.exit)
+  own.exit = new_stub(self, "exit", path, part, state, own.exit)
   if state.doo and not state._regions then
     stubs.note_writer(self, "doo " .. path, state.doo)
     state.doo, self.free.doos = new_doo(self, part, path), true
@@ -236,9 +245,10 @@ local function make_transition(self, part, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)
     if not self.runs[tr.guard] then self.free.guards = true end
+    if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
     tr.guard = data.new_guard(self, path, tr.guard)
   end
-  local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
+  local stub = new_stub(self, "effect", path, part, tr, tr.effect)
   tr.likely = nil
   tr.effect = function(...)
     self.taken[#self.taken + 1] = number
@@ -286,6 +296,7 @@ local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "d
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.stands, part.ids, part.stand = {}, {}, {}, false
+  part.is_bound = false
   part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
@@ -637,15 +648,39 @@ function Puppet:outside_events()
   return list
 end
 
--- Adds the machines, each before those inside of it.
-local function add_parts(self, fsm)
+-- Takes a region out of its state.
+local function leave_out(entry)
+  local regions = entry.state._regions
+  for i = #regions, 1, -1 do
+    if regions[i] == entry.machine then
+      table.remove(regions, i)
+      table.remove(regions.names, i)
+    end
+  end
+end
+
+-- Adds the machines, each before those inside of it; those alone that are in the way.
+local function add_parts(self, fsm, way)
   local part_of = { [false] = false }
   for _, entry in ipairs(rfsm.machines(fsm)) do
-    local part = { fsm = entry.machine, prefix = entry.prefix, leaf = entry.state,
-      owner = part_of[entry.owner] }
-    part_of[entry.machine] = part
-    add_part(self, part)
+    if not way or way[entry.prefix] then
+      local part = { fsm = entry.machine, prefix = entry.prefix, leaf = entry.state,
+        owner = part_of[entry.owner] }
+      part_of[entry.machine] = part
+      add_part(self, part)
+    elseif part_of[entry.owner] then
+      leave_out(entry)
+    end
   end
+end
+
+-- Raises an error if the options name what the chart does not have.
+local function check_options(self, options)
+  stubs.check_flag_names(self)
+  stubs.check_names(self, self.flags_of, "flags")
+  stubs.check_names(self, self.sends, "sends")
+  check_alphabet(self, options.alphabet)
+  data.check_met(self, options)
 end
 
 --- Make a puppet of a model, in the configuration before the first entry.
@@ -653,10 +688,11 @@ end
 ---@param model rfsm.State
 ---@param options table `alphabet`, `flags`, `sends`, `dry_run` as in an exploration;
 -- `callbacks`: call entries, exits and effects
+---@param way? rfsm_checks.Way
 ---@return rfsm_checks.Puppet
-function puppet.new(model, options)
+function puppet.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
-    names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
+    names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {}, free = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
@@ -666,12 +702,8 @@ function puppet.new(model, options)
     notes_events = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
   data.read_options(self, options)
-  add_parts(self, new_machine(self, model))
-  stubs.check_flag_names(self)
-  stubs.check_names(self, self.flags_of, "flags")
-  stubs.check_names(self, self.sends, "sends")
-  check_alphabet(self, options.alphabet)
-  data.check_met(self, options)
+  add_parts(self, new_machine(self, model), way)
+  if not way then check_options(self, options) end
   data.check_first(self)
   return self
 end

@@ -182,13 +182,13 @@ end
 ---@param self rfsm_checks.Puppet
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
----@param fsm rfsm.Machine
+---@param part rfsm_checks.Part
 ---@param obj rfsm.State|rfsm.Transition
 ---@param callback function|nil
 ---@return function? stub nil if it has nothing to do
-function stubs.new(self, what, path, fsm, obj, callback)
+function stubs.new(self, what, path, part, obj, callback)
   local name = what .. " " .. path
-  self.callbacks[name] = true
+  self.callbacks[name] = part
   stubs.note_writer(self, name, callback)
   if self.calls_callbacks then
     local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
@@ -197,7 +197,7 @@ function stubs.new(self, what, path, fsm, obj, callback)
   if callback then self.is_met[callback] = true end
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
-    or dry_events(self, callback, fsm, obj, what)
+    or dry_events(self, callback, part.fsm, obj, what)
   return new_stub(self, run, self.flags_of[name] or {}, events)
 end
 
