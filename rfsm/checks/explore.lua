@@ -124,9 +124,9 @@ local function key_of_beside(walk, states, time)
   return "|" .. id
 end
 
--- Has the puppet stand in a configuration.
-local function put(walk, conf)
-  walk.puppet:put(conf)
+-- Has the puppet stand in a configuration, to take a step with events.
+local function put(walk, conf, events)
+  walk.puppet:put(conf, events)
   if conf.beside then data.put(walk.puppet, conf.beside.values) end
 end
 
@@ -134,6 +134,15 @@ end
 ---@param number integer
 ---@return boolean
 function Walk:is_driven(number) return puppet.is_driven(self:configuration(number)) end
+
+--- Is the machine entered in some configuration?
+---@return boolean
+function Walk:is_entered()
+  for _, stand in ipairs(self.puppet.parts[1].stands) do
+    if stand.leaf then return true end
+  end
+  return false
+end
 
 -- Returns the number of a configuration that is there: of the same key, or of one whose
 -- clocks may have all values that they have here, and more. Without one, the second
@@ -261,7 +270,7 @@ end
 local function each_choice(walk, try, f)
   local own, choices, tries = walk.puppet, {}, 0
   repeat
-    put(walk, try.conf)
+    put(walk, try.conf, try.events)
     local ended, asked, text = own:step(try.events, choices), own.asked, nil
     local function label()
       text = text or label_of(try, choices, asked)
@@ -475,6 +484,7 @@ function explore.walk(model, options, prepare, way)
   check_writers(walk)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
+  own.leaves_out = not (walk.timing or own.notes_events)
   walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
     or own.var_names[1] ~= nil
   find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
@@ -553,10 +563,10 @@ end
 ---@param whole? rfsm_checks.Puppet takes it, too, if the walk has left out parts
 ---@return rfsm_checks.WitnessStep step what it did
 ---@return rfsm_checks.Try|false try
-local function rerun(self, from, label, whole)
+function Walk:rerun(from, label, whole)
   local events, choices, number = read_label(self, label)
   local conf, step = self:configuration(from), new_step(events)
-  put(self, conf)
+  put(self, conf, events)
   self.puppet:step(events, choices)
   note_outcome(self.puppet, step)
   if whole then repeat_on(whole, events, step) end
@@ -582,7 +592,7 @@ function Walk:witness(number, label, cycle)
   local whole = self.way and puppet.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try
-    steps[i], try = rerun(self, step.from, step.label, whole)
+    steps[i], try = self:rerun(step.from, step.label, whole)
     if try then
       local _, sources = key_after(self, try, function() return step.label end)
       timing.add_moment(moments, try.group, sources)

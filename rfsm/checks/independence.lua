@@ -47,7 +47,7 @@ end
 -- Can any event trigger the transition? Not if a path leads to it whose events count.
 local function is_any(tr)
   local triggers = match.triggers(tr, NOTHING)
-  return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard and true or false)
+  return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
 end
 
 local function add_events(own, traits, tr)

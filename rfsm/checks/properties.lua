@@ -288,7 +288,7 @@ local function find_first(walk, judged, set, others)
   end
 end
 
-local ALL, NONE = setmetatable({}, { __index = function() return true end }), {}
+local NONE = {}
 
 local function is_empty(set)
   for _, is_in in pairs(set) do -- any order: is one there?
@@ -312,7 +312,11 @@ function JUDGES.never(walk, judged)
 end
 
 function JUDGES.always(walk, judged)
-  find_first(walk, judged, ALL, set_of(walk, judged.property.what))
+  local entered = {}
+  for number = 2, #walk.keys do
+    entered[number] = walk:configuration(number)[1].leaf ~= false
+  end
+  find_first(walk, judged, entered, set_of(walk, judged.property.what))
 end
 
 -- With a bound nothing is known against it: the way may lead through the rest.
@@ -380,7 +384,10 @@ end
 local function is_taken(own, event)
   for _, number in ipairs(own.taken) do
     local tr = own.transitions[number].tr
-    if match.triggers(tr, event) ~= false then return true end
+    if match.names(tr, event) or rfsm.is_state(tr.src)
+      and match.triggers(tr, event) ~= false then
+      return true
+    end
   end
   return false
 end
@@ -467,7 +474,7 @@ end
 function properties.judge(walk, judged)
   local judge = JUDGES[judged.property.kind] or judge_monitored
   judge(walk, judged)
-  if walk.expanded < 2 and not walk.keys[2] then
+  if not (walk.bound or walk:is_entered()) then
     judged.holds, judged.vacuous = nil, "the machine is never entered"
   end
   if judged.holds == nil and not (walk.bound or judged.is_open) then

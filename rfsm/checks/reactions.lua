@@ -12,7 +12,7 @@ local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 
-local ipairs, type = ipairs, type
+local ipairs, pairs, type = ipairs, pairs, type
 local is_conn = rfsm.is_conn
 
 local reactions = {}
@@ -26,6 +26,8 @@ local reactions = {}
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events without which a path cannot be taken
 ---@field is_cut boolean there are more than MANY_SETS of them
+---@field own table<any, boolean>|false the set without events of regions in the leaf;
+-- false: any event
 
 local add_reactions, add_regions
 
@@ -79,6 +81,10 @@ end
 -- have an effect now are listed for the regions themselves.
 local function add_own_regions(found, leaf)
   local count = #found
+  found.own = not (found.any or found.has_predicate) and {}
+  for event in pairs(found.own and found.set or {}) do -- any order: a set
+    found.own[event] = true
+  end
   add_regions(found, leaf)
   for i = #found, count + 1, -1 do found[i] = nil end
 end
@@ -137,7 +143,7 @@ end
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
-    is_cut = false }
+    is_cut = false, own = false }
   local seen, nodes = {}, place.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do

@@ -201,7 +201,9 @@ end
 local function find_endless(walk, findings)
   local is_idle, step = {}, walk.endless
   for number = 1, #walk.keys do
-    is_idle[number] = number > walk.expanded or not walk:is_driven(number)
+    local conf = walk:configuration(number)
+    is_idle[number] = number > walk.expanded or not (conf[1].leaf
+      and puppet.is_driven(conf))
   end
   local ends = graph.can_reach(walk, is_idle, true)
   for number = 2, walk.expanded do
@@ -503,7 +505,7 @@ end
 local function find_others(walks, findings)
   find_endless(walks[1], findings)
   for i, walk in ipairs(walks) do
-    if not walk.bound and walk.keys[2] then
+    if not walk.bound and walk:is_entered() then
       local met = met_by(walk)
       find_unreachable(walk, findings, met)
       find_untaken(walk, findings, met, find_closed(walk, findings, met))
