@@ -8,9 +8,8 @@ local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 
-local claim = { name = "timers in order, and random hosts", runs = 60 }
-
-local BOUND = 200 -- configurations: charts that have more are left out
+local claim = { name = "timers in order, and random hosts", runs = 60,
+  bound = 200 } -- configurations: charts that have more are left out
 
 local FOLLOWED = 30 -- witnesses of each chart
 
@@ -147,7 +146,7 @@ function claim.run_at_random(chart, properties, options, seed)
     broken[tostring(text):match("^property '(.-)'") or "another error"] = true
   end
   local watched = rfsm_checks.watch_properties(fsm, properties)
-  for _ = 1, claim.runs do
+  for _ = 1, options.runs or claim.runs do
     fsm.tries = 0
     for _ = 1, 2 + world.random(20) do
       if fsm._act_leaf then
@@ -198,7 +197,7 @@ end
 
 local function explore_chart(chart, properties, options)
   local model = claim.model_of(chart, options)
-  options.properties, options.configurations = properties, BOUND
+  options.properties, options.configurations = properties, claim.bound
   return rfsm_checks.explore(model, options), explore.walk(model, options)
 end
 
