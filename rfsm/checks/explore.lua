@@ -498,6 +498,7 @@ end
 ---@field events string[] that came, as texts
 ---@field values any[] those that came to the machine itself
 ---@field inside { prefix: string, event: any }[] time events of machines inside of it
+---@field sent { prefix: string, event: any }[] by callbacks, as options say
 ---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
 ---@field taken string[] paths of the transitions that it takes
@@ -516,6 +517,7 @@ local function note_outcome(own, step)
       is_doo = own.is_doo[i] }
   end
   step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+  step.sent = match.joined({}, own.sent)
 end
 
 -- Returns the step of a witness with events. Those of timers in order come by

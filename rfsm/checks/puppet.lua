@@ -49,6 +49,7 @@ local puppet = {}
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
+---@field sent { prefix: string, event: any }[] by stubs, in the last step
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -605,6 +606,7 @@ function Puppet:step(events, choices)
   clear(self.taken)
   clear(self.moments)
   clear(self.last_events)
+  clear(self.sent)
   clear(self.called)
   for guard in pairs(self.answers) do self.answers[guard] = nil end -- any order: all
   for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
@@ -802,7 +804,7 @@ end
 function puppet.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
-    free = {},
+    free = {}, sent = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,

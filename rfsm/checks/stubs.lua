@@ -169,12 +169,15 @@ end
 
 -- Returns a stub that calls a callback to be run, sets flags and sends events; nil if
 -- there is nothing to do.
-local function new_stub(self, run, flags, events)
+local function new_stub(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   return function(own, ...)
     if run then calls.try(run, own, ...) end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
-    for i = 1, #events do rfsm.send_events(own, events[i]) end
+    for i = 1, #events do
+      rfsm.send_events(own, events[i])
+      self.sent[#self.sent + 1] = { prefix = part.prefix, event = events[i] }
+    end
   end
 end
 
@@ -198,7 +201,7 @@ function stubs.new(self, what, path, part, obj, callback)
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
     or dry_events(self, callback, part.fsm, obj, what)
-  return new_stub(self, run, self.flags_of[name] or {}, events)
+  return new_stub(self, part, run, self.flags_of[name] or {}, events)
 end
 
 -- Has the stubs that are named set a flag.
