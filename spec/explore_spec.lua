@@ -185,8 +185,9 @@ describe("explore", function()
       chart { [4] = go(nil, "a") } },
     { { depth = "x" }, "explore_spec.lua:%d+: rfsm_checks.explore: depth: number "
       .. "expected, got string" },
-    { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept', "
-      .. "expected: alphabet, complementary, configurations, depth, dry_run, " },
+    { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept' "
+      .. "%(did you mean 'depth'%?%), expected: alphabet, complementary, "
+      .. "configurations, depth, dry_run, " },
     { { sends = { ["entry root.bb"] = { "e" } } },
       "^sends: no callback 'entry root.bb' %(did you mean 'entry root.b'%?%)$" },
     { { flags = { lit = { on = { "enter root.b" } } } }, "^flags: no callback 'enter "

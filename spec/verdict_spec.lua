@@ -485,7 +485,7 @@ describe("a witness of any finding", function()
     return assert(require("rfsm.record").replay(model, list, { dry = true }))
   end
 
-  it("replays what a callback in a region sends, unless that takes more steps", function()
+  it("replays what a callback in a region sends, unless it takes steps", function()
     assert.equal("root.s2", rfsm.get_actleaf_fqn(record(sending {}).par.substates.r))
     assert.error_matches(function() record(sending { step = 2 }) end,
       "^rfsm_checks.record_witness: a callback in root.par.r sends 'e_s' while the "
