@@ -5,6 +5,7 @@
 local charts = require "spec.support.claims.explore"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
+local run_seeds = require "spec.support.run_seeds"
 local rfsm_checks = require "rfsm_checks"
 local timing = require "spec.support.claims.timing"
 
@@ -184,15 +185,6 @@ local function compare(seed, list)
   return true
 end
 
---- Tries the charts of so many seeds. Returns how many of them have no more
---- configurations than the bound, and what is wrong.
-function claim.run(n, seed)
-  local list, compared = {}, 0
-  for i = seed or 1, (seed or 1) + n - 1 do
-    if compare(i, list) then compared = compared + 1 end
-  end
-  table.sort(list)
-  return compared, list[1] and table.concat(list, "\n") or nil
-end
+claim.run = run_seeds(compare)
 
 return claim
