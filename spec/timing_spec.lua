@@ -55,6 +55,16 @@ describe("timers of active states", function()
       { rfsm_timeevent.e_after(function() return 5 end) })))
   end)
 
+  it("of one state come one after the other, also with a period", function()
+    local model = chart { [2] = go("a", "internal", "e_after(1)"),
+      [4] = go("a", "b", "e_after(3)") }
+    for seconds, holds in pairs { [3.2] = true, [2.9] = false } do -- any order
+      local result = rfsm_checks.explore(model, { period = 0.1,
+        properties = { from "root.a".left_within(seconds) } })
+      assert.equal(holds, result.properties[1].holds)
+    end
+  end)
+
   it("of a composite and of a state in it run side by side", function()
     local function nested(outer, inner)
       return chart { [4] = go("c", "b", outer), [2] = go("a", "c", "e_x"),

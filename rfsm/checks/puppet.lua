@@ -516,7 +516,9 @@ end
 local function leave_out_quiet(self, conf, events)
   local leaf = self.leaves_out and conf[1].leaf
   local stays = leaf and leaf._regions and is_deaf(self, self.parts[1], conf[1], events)
-  if self.trimmed then set_regions(self, self.trimmed, true) end
+  if self.trimmed and not (stays and self.trimmed == leaf) then
+    set_regions(self, self.trimmed, true)
+  end
   for i = 2, #self.parts do
     local part = self.parts[i]
     part.is_quiet = stays and is_quiet(self, part, conf[i], leaf, events) or false
