@@ -889,7 +889,7 @@ function startHook() return true end]])
 
     for _, case in ipairs { -- what is reported, fields
       { "name: string expected, got 3", { name = 3 } },
-      { "unknown option 'fsm_file'", { fsm_file = "x" } },
+      { "unknown option 'fsm_file' (did you mean 'fsmfile'?)", { fsm_file = "x" } },
       { "unknown option '1'", { "x" } },
       { "luatype: string expected, got boolean", { luatype = true } },
       { "sync: boolean expected, got string 'yes'", { sync = "yes" } },
