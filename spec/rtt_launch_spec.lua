@@ -293,7 +293,8 @@ describe("service_launch_rfsm", function()
         ["exec_str: operation exec_str expected, got nil"] = { chart, nil, true },
         ["eehook: boolean expected, got string 'x'"] = { chart, print, "x" },
         ["env: table of globals by name expected, got 3"] = { chart, print, true, 3 },
-        ["unknown option 'runs'"] = { chart, print, true, nil, { runs = true } },
+        ["unknown option 'runs' (did you mean 'run'?)"] =
+          { chart, print, true, nil, { runs = true } },
         ["options: table expected, got boolean"] = { chart, print, true, nil, true },
         ["unknown option 'enter'"] = { chart, print, true, nil, { enter = "start" } },
         ["steps: expected without sync and run, which are numbers of steps"] = {
