@@ -311,7 +311,8 @@ local function sets_of(list, most)
   local sets, last, at = { {} }, { 0 }, 1
   while sets[at] and #sets[at] < most do
     for i = last[at] + 1, #list do
-      sets[#sets + 1], last[#sets + 1] = match.with(sets[at], list[i]), i
+      local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
+      sets[#sets + 1], last[#sets + 1] = set, i
     end
     at = at + 1
   end

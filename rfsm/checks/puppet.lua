@@ -90,6 +90,7 @@ Puppet.__index = Puppet
 ---@field part rfsm_checks.Part
 ---@field event any
 ---@field number integer
+---@field alone rfsm_checks.Occurrence[] a list of this one
 
 --- A moment in a step: the entry of a state that the same step leaves again.
 ---@class rfsm_checks.Moment
@@ -170,7 +171,8 @@ end
 function Puppet:occurrence(part, event)
   local found = part.occurrences[event]
   if not found then
-    found = { part = part, event = event, number = #self.occurrences + 1 }
+    found = { part = part, event = event, number = #self.occurrences + 1, alone = {} }
+    found.alone[1] = found
     part.occurrences[event], self.occurrences[found.number] = found, found
   end
   return found
