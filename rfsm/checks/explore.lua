@@ -84,6 +84,10 @@ local explore = {}
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
 -- deadlines may be first
+---@field seen table<integer, integer> step -> the configuration that has had it
+---@field try rfsm_checks.Try the step that is taken
+---@field choices boolean[] in that step
+---@field label fun(): string of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
@@ -265,23 +269,21 @@ local function key_after(walk, try, label)
   return nil, sources
 end
 
--- Takes a step once for each choice, and calls f(key, label) after it; `key` is nil if
--- the step does not end.
+-- Takes a step once for each choice, and calls f(walk, try, key, label) after it; `key`
+-- is nil if the step does not end. `label` is of use until f returns.
 local function each_choice(walk, try, f)
   local own, choices, tries = walk.puppet, {}, 0
   repeat
     put(walk, try.conf, try.events)
-    local ended, asked, text = own:step(try.events, choices), own.asked, nil
-    local function label()
-      text = text or label_of(try, choices, asked)
-      return text
-    end
+    walk.try, walk.choices = try, choices
+    local ended = own:step(try.events, choices)
+    local asked, label = own.asked, walk.label
     walk.count, tries = walk.count + 1, tries + 1
     if ended then
       local key = key_after(walk, try, label)
-      if key then f(key, label) end
+      if key then f(walk, try, key, label) end
     else
-      f(nil, label)
+      f(walk, try, nil, label)
     end
     if tries == MANY_CHOICES then
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
@@ -289,21 +291,19 @@ local function each_choice(walk, try, f)
   until tries == MANY_CHOICES or not puppet.next_choices(choices, asked, own.is_known)
 end
 
--- Takes a step, once for each choice, and notes what it does.
-local function try_step(walk, try, seen)
-  local own, from = walk.puppet, try.from
-  each_choice(walk, try, function(key, label)
-    note(walk, from, label)
-    if not key then
-      walk.endless = walk.endless or { from = from, label = label() }
-      return
-    end
-    local tgt = find_configuration(walk, key, from, label)
-    add_step(walk, seen, try, tgt)
-    if tgt ~= from or own.taken[1] then walk.moves[from] = true end
-    note_passed(walk, from, tgt, label)
-    walk:look(from, tgt, try.events, label)
-  end)
+-- Notes what a step has done.
+local function note_step(walk, try, key, label)
+  local from = try.from
+  note(walk, from, label)
+  if not key then
+    walk.endless = walk.endless or { from = from, label = label() }
+    return
+  end
+  local tgt = find_configuration(walk, key, from, label)
+  add_step(walk, walk.seen, try, tgt)
+  if tgt ~= from or walk.puppet.taken[1] then walk.moves[from] = true end
+  note_passed(walk, from, tgt, label)
+  walk:look(from, tgt, try.events, label)
 end
 
 -- Lists the sets of up to `most` of the events, smaller ones first.
@@ -319,14 +319,15 @@ local function sets_of(list, most)
   return sets
 end
 
--- Calls f(try) for the sets of events from outside that come together with the
--- deadlines of a group.
-local function each_set(from, conf, group, sets, f)
+-- Takes steps with the sets of events from outside that come together with the
+-- deadlines of a group; see `each_choice`.
+local function each_set(walk, from, conf, group, sets, f)
   local timers = group and group.events or {}
   for _, set in ipairs(sets) do
     if set[1] ~= nil or group and group.is_over or puppet.is_busy(conf) then
-      f { from = from, conf = conf, group = group, events = match.joined(set, timers),
-        is_internal = set[1] == nil and not (group and group.is_over) }
+      each_choice(walk, { from = from, conf = conf, group = group,
+        events = match.joined(set, timers),
+        is_internal = set[1] == nil and not (group and group.is_over) }, f)
     end
   end
 end
@@ -341,7 +342,7 @@ local function groups_of(walk, conf)
   return groups
 end
 
--- Calls f(try) for each set of events and deadlines from a configuration.
+-- Takes a step for each set of events and deadlines from a configuration.
 local function each_try(walk, from, f)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.puppet, conf)
@@ -355,24 +356,22 @@ local function each_try(walk, from, f)
     if #set > walk.together then sets[#sets + 1] = set end
   end
   for _, group in ipairs(groups_of(walk, conf)) do
-    each_set(from, conf, group, sets, f)
+    each_set(walk, from, conf, group, sets, f)
   end
 end
 
 -- Takes all steps from a configuration.
-local function expand(walk, from, seen)
+local function expand(walk, from)
   walk.first[from] = #walk.steps + 1
-  each_try(walk, from, function(try) try_step(walk, try, seen) end)
+  each_try(walk, from, note_step)
 end
 
 --- Take all steps from a configuration again, and call f(try, tgt, label) after each.
 ---@param from integer
 ---@param f fun(try: rfsm_checks.Try, tgt: integer?, label: fun(): string)
 function Walk:each_step_again(from, f)
-  each_try(self, from, function(try)
-    each_choice(self, try, function(key, label)
-      f(try, key and find_known(self, key), label)
-    end)
+  each_try(self, from, function(_, try, key, label)
+    f(try, key and find_known(self, key), label)
   end)
 end
 
@@ -387,7 +386,7 @@ local function find_bound(walk, options, at, began)
 end
 
 local function walk_all(walk, options)
-  local at, seen, began = 1, {}, os_clock()
+  local at, began = 1, os_clock()
   local judged = walk.monitored[1] or {}
   while walk.keys[at] and judged.holds == nil do
     local bound = find_bound(walk, options, at, began)
@@ -398,10 +397,10 @@ local function walk_all(walk, options)
     if options.progress and at % EVERY == 0 then
       options.progress(#walk.keys, walk.depths[at])
     end
-    expand(walk, at, seen)
+    expand(walk, at)
     at = at + 1
   end
-  walk.expanded = at - 1
+  walk.expanded, walk.seen = at - 1, {}
   walk.first[at] = #walk.steps + 1
 end
 
@@ -481,7 +480,8 @@ function explore.walk(model, options, prepare, way)
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
     expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
-    beside_ids = {}, kin = {}, unsure = {}, timing = false }, Walk)
+    beside_ids = {}, kin = {}, unsure = {}, timing = false, seen = {} }, Walk)
+  function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
