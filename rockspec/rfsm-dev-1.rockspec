@@ -43,6 +43,7 @@ build = {
     ["rfsm.checks.explore"] = "rfsm/checks/explore.lua",
     ["rfsm.checks.fairness"] = "rfsm/checks/fairness.lua",
     ["rfsm.checks.graph"] = "rfsm/checks/graph.lua",
+    ["rfsm.checks.independence"] = "rfsm/checks/independence.lua",
     ["rfsm.checks.loops"] = "rfsm/checks/loops.lua",
     ["rfsm.checks.match"] = "rfsm/checks/match.lua",
     ["rfsm.checks.monitors"] = "rfsm/checks/monitors.lua",

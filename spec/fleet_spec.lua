@@ -497,8 +497,9 @@ describe("the client", function()
 
   it("refuses an option that is not known", function()
     local _, problem = pcall(fleet.connect, nil, { tag = 1 })
-    assert.matches("rfsm.fleet.connect: unknown option 'tag', expected: name, "
-      .. "patience, tags, timeout, tls", problem)
+    assert.matches("rfsm.fleet.connect: unknown option 'tag' "
+      .. "%(did you mean 'tags'%?%), expected: name, patience, tags, "
+      .. "timeout, tls", problem)
   end)
 end)
 

@@ -629,9 +629,9 @@ describe("install", function()
 
   it("blames its caller for a wrong option", function()
     for options, text in pairs { -- any order: each alone
-      [{ prot = 1 }] = "unknown option 'prot', expected: allow_send, clock, fsm, "
-        .. "host, max_datagram, max_events, max_reads, max_received, max_silence, "
-        .. "max_subscribers, port, read_timeout",
+      [{ prot = 1 }] = "unknown option 'prot' (did you mean 'port'?), expected: "
+        .. "allow_send, clock, fsm, host, max_datagram, max_events, max_reads, "
+        .. "max_received, max_silence, max_subscribers, port, read_timeout",
       [{ port = "44" }] = "port: whole number from 0 to 65535 expected, "
         .. "got string '44'",
       [{ port = 65536 }] = "port: whole number from 0 to 65535 expected, got 65536",

@@ -315,7 +315,8 @@ describe("service_launch_rfsm", function()
         ["exec_str: operation exec_str expected, got nil"] = { chart, nil, true },
         ["eehook: boolean expected, got string 'x'"] = { chart, print, "x" },
         ["env: table of globals by name expected, got 3"] = { chart, print, true, 3 },
-        ["unknown option 'runs'"] = { chart, print, true, nil, { runs = true } },
+        ["unknown option 'runs' (did you mean 'run'?)"] =
+          { chart, print, true, nil, { runs = true } },
         ["options: table expected, got boolean"] = { chart, print, true, nil, true },
         ["unknown option 'enter'"] = { chart, print, true, nil, { enter = "start" } },
         ["steps: expected without sync and run, which are numbers of steps"] = {
@@ -918,7 +919,7 @@ function startHook() return true end]])
 
     for _, case in ipairs { -- what is reported, fields
       { "name: string expected, got 3", { name = 3 } },
-      { "unknown option 'fsm_file'", { fsm_file = "x" } },
+      { "unknown option 'fsm_file' (did you mean 'fsmfile'?)", { fsm_file = "x" } },
       { "unknown option '1'", { "x" } },
       { "luatype: string expected, got boolean", { luatype = true } },
       { "sync: boolean expected, got string 'yes'", { sync = "yes" } },

@@ -348,7 +348,7 @@ describe("a rehearsal", function()
       return (rfsm_checks.rehearsal(busy(), { callback = true }))
     end)
     assert.matches("tests_spec.lua:%d+: rfsm_checks.rehearsal: unknown option "
-      .. "'callback', expected: callbacks, fakes$", text)
+      .. "'callback' %(did you mean 'callbacks'%?%), expected: callbacks, fakes$", text)
   end)
 
   it("refuses names of what is not there", function()

@@ -55,6 +55,27 @@ describe("timers of active states", function()
       { rfsm_timeevent.e_after(function() return 5 end) })))
   end)
 
+  it("of one state come one after the other, also with a period", function()
+    local model = chart { [2] = go("a", "internal", "e_after(1)"),
+      [4] = go("a", "b", "e_after(3)") }
+    for seconds, holds in pairs { [3.2] = true, [2.9] = false } do -- any order
+      local result = rfsm_checks.explore(model, { period = 0.1,
+        properties = { from "root.a".left_within(seconds) } })
+      assert.equal(holds, result.properties[1].holds)
+    end
+  end)
+
+  it("are not waited for while an event waits, if there is a period", function()
+    local model = chart { chain = state { c = state {}, d = state {}, e = state {},
+      go("initial", "c"), go("c", "d", "e_done"), go("d", "e", "e_done") },
+      [2] = go("a", "chain", "e_x"), [4] = go("root.chain.e", "b", "e_done") }
+    for seconds, holds in pairs { [0.35] = true, [0.15] = false } do -- any order
+      local result = rfsm_checks.explore(model, { period = 0.1,
+        properties = { from "root.chain".left_within(seconds) } })
+      assert.equal(holds, result.properties[1].holds)
+    end
+  end)
+
   it("of a composite and of a state in it run side by side", function()
     local function nested(outer, inner)
       return chart { [4] = go("c", "b", outer), [2] = go("a", "c", "e_x"),
@@ -241,6 +262,8 @@ end)
 
 -- Small models of textbooks on timed automata, as charts. A timer of a chart comes
 -- after its time, and not at it, so the train and its gate need a period and room.
+-- tchecker's tck-reach has the same verdicts for all but the last one, which is about
+-- runs without an end, of automata whose timers come in the period behind their time.
 describe("a textbook model", function()
   local function silent(members)
     members.warn, members.info = false, false
@@ -353,7 +376,7 @@ end)
 
 describe(claim.name, function()
   it("agree on random charts", function()
-    claim.runs = 10
-    assert.is_nil((select(2, claim.run(8, 2))))
+    claim.runs, claim.bound = 10, 30
+    assert.is_nil((select(2, claim.run(16, 2))))
   end)
 end)

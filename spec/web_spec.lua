@@ -1093,8 +1093,9 @@ describe("rfsm.web.serve", function()
     local used = opened(web.serve(fsm, { port = 0 }))
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
-      ["unknown option 'prot', expected: allow_send, allow_why, clock, history, host, "
-        .. "machine, port, stub, title"] = { prot = 1 },
+      ["unknown option 'prot' (did you mean 'port'?), expected: allow_send, "
+        .. "allow_why, clock, history, host, machine, port, stub, title"] =
+        { prot = 1 },
       ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },
       ["cannot listen on 127.0.0.1, port " .. ("%d"):format(used.port)

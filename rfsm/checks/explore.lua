@@ -25,7 +25,8 @@ local stubs = require "rfsm.checks.stubs"
 local timing = require "rfsm.checks.timing"
 local zones = require "rfsm.checks.zones"
 
-local assert, error, ipairs, math = assert, error, ipairs, math
+local assert, error, getmetatable = assert, error, getmetatable
+local ipairs, math = ipairs, math
 local rawget, require = rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local concat = table.concat
@@ -51,11 +52,15 @@ local explore = {}
 ---@field configurations? integer stop after so many (1,000,000)
 ---@field depth? integer stop after so many steps
 ---@field seconds? number stop after so long
+---@field multiply? boolean explore regions together that nothing joins
 ---@field progress? fun(configurations: integer, depth: integer) called now and then
 
 --- A walk over the configurations.
 ---@class rfsm_checks.Walk
 ---@field puppet rfsm_checks.Puppet
+---@field model rfsm.State
+---@field options rfsm_checks.Options
+---@field way rfsm_checks.Way
 ---@field keys string[] of the configurations, the first one is not entered
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one it was first reached from
@@ -79,6 +84,10 @@ local explore = {}
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
 -- deadlines may be first
+---@field seen table<integer, integer> step -> the configuration that has had it
+---@field try rfsm_checks.Try the step that is taken
+---@field choices boolean[] in that step
+---@field label fun(): string of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
 Walk.__index = Walk
@@ -119,9 +128,9 @@ local function key_of_beside(walk, states, time)
   return "|" .. id
 end
 
--- Has the puppet stand in a configuration.
-local function put(walk, conf)
-  walk.puppet:put(conf)
+-- Has the puppet stand in a configuration, to take a step with events.
+local function put(walk, conf, events)
+  walk.puppet:put(conf, events)
   if conf.beside then data.put(walk.puppet, conf.beside.values) end
 end
 
@@ -129,6 +138,15 @@ end
 ---@param number integer
 ---@return boolean
 function Walk:is_driven(number) return puppet.is_driven(self:configuration(number)) end
+
+--- Is the machine entered in some configuration?
+---@return boolean
+function Walk:is_entered()
+  for _, stand in ipairs(self.puppet.parts[1].stands) do
+    if stand.leaf then return true end
+  end
+  return false
+end
 
 -- Returns the number of a configuration that is there: of the same key, or of one whose
 -- clocks may have all values that they have here, and more. Without one, the second
@@ -251,23 +269,21 @@ local function key_after(walk, try, label)
   return nil, sources
 end
 
--- Takes a step once for each choice, and calls f(key, label) after it; `key` is nil if
--- the step does not end.
+-- Takes a step once for each choice, and calls f(walk, try, key, label) after it; `key`
+-- is nil if the step does not end. `label` is of use until f returns.
 local function each_choice(walk, try, f)
   local own, choices, tries = walk.puppet, {}, 0
   repeat
-    put(walk, try.conf)
-    local ended, asked, text = own:step(try.events, choices), own.asked, nil
-    local function label()
-      text = text or label_of(try, choices, asked)
-      return text
-    end
+    put(walk, try.conf, try.events)
+    walk.try, walk.choices = try, choices
+    local ended = own:step(try.events, choices)
+    local asked, label = own.asked, walk.label
     walk.count, tries = walk.count + 1, tries + 1
     if ended then
       local key = key_after(walk, try, label)
-      if key then f(key, label) end
+      if key then f(walk, try, key, label) end
     else
-      f(nil, label)
+      f(walk, try, nil, label)
     end
     if tries == MANY_CHOICES then
       note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
@@ -275,21 +291,19 @@ local function each_choice(walk, try, f)
   until tries == MANY_CHOICES or not puppet.next_choices(choices, asked, own.is_known)
 end
 
--- Takes a step, once for each choice, and notes what it does.
-local function try_step(walk, try, seen)
-  local own, from = walk.puppet, try.from
-  each_choice(walk, try, function(key, label)
-    note(walk, from, label)
-    if not key then
-      walk.endless = walk.endless or { from = from, label = label() }
-      return
-    end
-    local tgt = find_configuration(walk, key, from, label)
-    add_step(walk, seen, try, tgt)
-    if tgt ~= from or own.taken[1] then walk.moves[from] = true end
-    note_passed(walk, from, tgt, label)
-    walk:look(from, tgt, try.events, label)
-  end)
+-- Notes what a step has done.
+local function note_step(walk, try, key, label)
+  local from = try.from
+  note(walk, from, label)
+  if not key then
+    walk.endless = walk.endless or { from = from, label = label() }
+    return
+  end
+  local tgt = find_configuration(walk, key, from, label)
+  add_step(walk, walk.seen, try, tgt)
+  if tgt ~= from or walk.puppet.taken[1] then walk.moves[from] = true end
+  note_passed(walk, from, tgt, label)
+  walk:look(from, tgt, try.events, label)
 end
 
 -- Lists the sets of up to `most` of the events, smaller ones first.
@@ -297,21 +311,23 @@ local function sets_of(list, most)
   local sets, last, at = { {} }, { 0 }, 1
   while sets[at] and #sets[at] < most do
     for i = last[at] + 1, #list do
-      sets[#sets + 1], last[#sets + 1] = match.with(sets[at], list[i]), i
+      local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
+      sets[#sets + 1], last[#sets + 1] = set, i
     end
     at = at + 1
   end
   return sets
 end
 
--- Calls f(try) for the sets of events from outside that come together with the
--- deadlines of a group.
-local function each_set(from, conf, group, sets, f)
+-- Takes steps with the sets of events from outside that come together with the
+-- deadlines of a group; see `each_choice`.
+local function each_set(walk, from, conf, group, sets, f)
   local timers = group and group.events or {}
   for _, set in ipairs(sets) do
     if set[1] ~= nil or group and group.is_over or puppet.is_busy(conf) then
-      f { from = from, conf = conf, group = group, events = match.joined(set, timers),
-        is_internal = set[1] == nil and not (group and group.is_over) }
+      each_choice(walk, { from = from, conf = conf, group = group,
+        events = match.joined(set, timers),
+        is_internal = set[1] == nil and not (group and group.is_over) }, f)
     end
   end
 end
@@ -326,7 +342,7 @@ local function groups_of(walk, conf)
   return groups
 end
 
--- Calls f(try) for each set of events and deadlines from a configuration.
+-- Takes a step for each set of events and deadlines from a configuration.
 local function each_try(walk, from, f)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.puppet, conf)
@@ -340,24 +356,22 @@ local function each_try(walk, from, f)
     if #set > walk.together then sets[#sets + 1] = set end
   end
   for _, group in ipairs(groups_of(walk, conf)) do
-    each_set(from, conf, group, sets, f)
+    each_set(walk, from, conf, group, sets, f)
   end
 end
 
 -- Takes all steps from a configuration.
-local function expand(walk, from, seen)
+local function expand(walk, from)
   walk.first[from] = #walk.steps + 1
-  each_try(walk, from, function(try) try_step(walk, try, seen) end)
+  each_try(walk, from, note_step)
 end
 
 --- Take all steps from a configuration again, and call f(try, tgt, label) after each.
 ---@param from integer
 ---@param f fun(try: rfsm_checks.Try, tgt: integer?, label: fun(): string)
 function Walk:each_step_again(from, f)
-  each_try(self, from, function(try)
-    each_choice(self, try, function(key, label)
-      f(try, key and find_known(self, key), label)
-    end)
+  each_try(self, from, function(_, try, key, label)
+    f(try, key and find_known(self, key), label)
   end)
 end
 
@@ -372,7 +386,7 @@ local function find_bound(walk, options, at, began)
 end
 
 local function walk_all(walk, options)
-  local at, seen, began = 1, {}, os_clock()
+  local at, began = 1, os_clock()
   local judged = walk.monitored[1] or {}
   while walk.keys[at] and judged.holds == nil do
     local bound = find_bound(walk, options, at, began)
@@ -383,10 +397,10 @@ local function walk_all(walk, options)
     if options.progress and at % EVERY == 0 then
       options.progress(#walk.keys, walk.depths[at])
     end
-    expand(walk, at, seen)
+    expand(walk, at)
     at = at + 1
   end
-  walk.expanded = at - 1
+  walk.expanded, walk.seen = at - 1, {}
   walk.first[at] = #walk.steps + 1
 end
 
@@ -432,6 +446,7 @@ local KNOWN = {
   alphabet = { "list", stubs.check_list },
   sends = { "table of lists", stubs.check_sends, {} },
   dry_run = { "boolean", is_boolean, false },
+  multiply = { "boolean", is_boolean, false },
   flags = { "table of flags", stubs.check_flags, {} },
   vars = { "table of ranges", data.check_vars },
   run = { "list of functions", data.check_functions },
@@ -454,19 +469,23 @@ end
 ---@param model rfsm.State
 ---@param options rfsm_checks.Options
 ---@param prepare? fun(walk: rfsm_checks.Walk) called before it begins
+---@param way? rfsm_checks.Way
 ---@return rfsm_checks.Walk walk
-function explore.walk(model, options, prepare)
+function explore.walk(model, options, prepare, way)
   local settings = assert(opts.read(KNOWN, options))
-  local own = puppet.new(model, settings)
-  local walk = setmetatable({ puppet = own, together = settings.together or 1,
+  local own = puppet.new(model, settings, way)
+  local walk = setmetatable({ puppet = own, model = model, options = settings,
+    way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
     steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
     expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
-    beside_ids = {}, kin = {}, unsure = {}, timing = false }, Walk)
+    beside_ids = {}, kin = {}, unsure = {}, timing = false, seen = {} }, Walk)
+  function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, settings)
+  own.leaves_out = not (walk.timing or own.notes_events)
   walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
     or own.var_names[1] ~= nil
   find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
@@ -480,6 +499,7 @@ end
 ---@field events string[] that came, as texts
 ---@field values any[] those that came to the machine itself
 ---@field inside { prefix: string, event: any }[] time events of machines inside of it
+---@field sent { prefix: string, event: any }[] by callbacks, as options say
 ---@field at? number seconds since the first step, if timers come in order
 ---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
 ---@field taken string[] paths of the transitions that it takes
@@ -490,18 +510,21 @@ local function text_of_event(occurrence)
   return part.owner and text .. " in " .. part.prefix or text
 end
 
---- Run a step again.
----@param from integer
----@param label string
----@return rfsm_checks.WitnessStep step what it did
----@return rfsm_checks.Try|false try
-function Walk:rerun(from, label)
-  local own = self.puppet
-  local step = { events = {}, values = {}, inside = {}, choices = {} }
-  local events, choices, number = read_label(self, label)
-  local conf = self:configuration(from)
-  put(self, conf)
-  own:step(events, choices)
+-- Sets in the step of a witness what the puppet has done in it.
+local function note_outcome(own, step)
+  step.choices = {}
+  for i = 1, own.asked do
+    step.choices[i] = { who = own.askers[i], answer = own.choices[i],
+      is_doo = own.is_doo[i] }
+  end
+  step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+  step.sent = match.joined({}, own.sent)
+end
+
+-- Returns the step of a witness with events. Those of timers in order come by
+-- themselves.
+local function new_step(events)
+  local step = { events = {}, values = {}, inside = {} }
   for i, occurrence in ipairs(events) do
     local part, event = occurrence.part, occurrence.event
     step.events[i] = text_of_event(occurrence)
@@ -512,11 +535,44 @@ function Walk:rerun(from, label)
       step.values[#step.values + 1] = event
     end
   end
-  for i = 1, own.asked do
-    step.choices[i] = { who = own.askers[i], answer = choices[i],
-      is_doo = own.is_doo[i] }
+  return step
+end
+
+-- Takes a step of a way on a puppet that has all parts: guards of the others are false,
+-- and their doos go on.
+local function repeat_on(own, events, step)
+  local at, choices, list = 0, step.choices, {}
+  function own:choose(who, is_doo)
+    local choice = choices[at + 1]
+    local is_same = choice ~= nil and choice.who == who
+    if is_same then at = at + 1 end
+    return getmetatable(own).choose(self, who, is_doo, is_same and choice.answer)
   end
-  step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+  for i, occurrence in ipairs(events) do
+    for _, part in ipairs(own.parts) do
+      if part.prefix == occurrence.part.prefix then
+        list[i] = own:occurrence(part, occurrence.event)
+      end
+    end
+  end
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+  own:step(list, {})
+  note_outcome(own, step)
+end
+
+--- Run a step again.
+---@param from integer
+---@param label string
+---@param whole? rfsm_checks.Puppet takes it, too, if the walk has left out parts
+---@return rfsm_checks.WitnessStep step what it did
+---@return rfsm_checks.Try|false try
+function Walk:rerun(from, label, whole)
+  local events, choices, number = read_label(self, label)
+  local conf, step = self:configuration(from), new_step(events)
+  put(self, conf, events)
+  self.puppet:step(events, choices)
+  note_outcome(self.puppet, step)
+  if whole then repeat_on(whole, events, step) end
   return step, self.timing and { from = from, conf = conf, events = events,
     group = groups_of(self, conf)[number] }
 end
@@ -536,9 +592,10 @@ function Walk:witness(number, label, cycle)
   steps.again = cycle and #way + 1
   way = match.joined(way, cycle or {})
   local moments = timing.new_moments()
+  local whole = self.way and puppet.new(self.model, self.options)
   for i, step in ipairs(way) do
     local try
-    steps[i], try = self:rerun(step.from, step.label)
+    steps[i], try = self:rerun(step.from, step.label, whole)
     if try then
       local _, sources = key_after(self, try, function() return step.label end)
       timing.add_moment(moments, try.group, sources)

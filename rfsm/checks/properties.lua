@@ -239,6 +239,7 @@ end
 ---@field holds boolean|nil nil if something was not tried and nothing was found
 ---@field vacuous? string why nothing was there to be judged
 ---@field is_monitored boolean
+---@field way rfsm_checks.Way
 ---@field walk rfsm_checks.Walk
 ---@field is_open? boolean it is not known, though everything was tried
 ---@field at? integer configuration that shows that it does not
@@ -287,7 +288,7 @@ local function find_first(walk, judged, set, others)
   end
 end
 
-local ALL, NONE = setmetatable({}, { __index = function() return true end }), {}
+local NONE = {}
 
 local function is_empty(set)
   for _, is_in in pairs(set) do -- any order: is one there?
@@ -311,7 +312,11 @@ function JUDGES.never(walk, judged)
 end
 
 function JUDGES.always(walk, judged)
-  find_first(walk, judged, ALL, set_of(walk, judged.property.what))
+  local entered = {}
+  for number = 2, #walk.keys do
+    entered[number] = walk:configuration(number)[1].leaf ~= false
+  end
+  find_first(walk, judged, entered, set_of(walk, judged.property.what))
 end
 
 -- With a bound nothing is known against it: the way may lead through the rest.
@@ -379,7 +384,10 @@ end
 local function is_taken(own, event)
   for _, number in ipairs(own.taken) do
     local tr = own.transitions[number].tr
-    if match.triggers(tr, event) ~= false then return true end
+    if match.names(tr, event) or rfsm.is_state(tr.src)
+      and match.triggers(tr, event) ~= false then
+      return true
+    end
   end
   return false
 end
@@ -409,27 +417,39 @@ local function want_event(walk, judged)
   end
 end
 
---- Prepare a walk for properties, but for those that have a monitor.
----@param walk rfsm_checks.Walk
+--- List the properties of an exploration.
+-- @raise if one of them names what is not there
+---@param own rfsm_checks.Puppet
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list sorted by name
-function properties.watch(walk, given)
-  local list, afters, own = properties.list_of("rfsm_checks.explore", given), {},
-    walk.puppet
+function properties.list_for(own, given)
+  local where = "rfsm_checks.explore"
+  local list = properties.list_of(where, given)
   local active = own:view(own:configuration(own:read()))
+  for _, judged in ipairs(list) do
+    properties.check_names(where, judged, active)
+    if judged.property.event ~= nil then check_maker(own, judged) end
+    judged.is_monitored = not JUDGES[judged.property.kind]
+  end
+  return list
+end
+
+--- Prepare a walk for the properties that are judged on it, but for those that have a
+--- monitor. All walks have as many events in a step.
+---@param walk rfsm_checks.Walk
+---@param list rfsm_checks.Judged[]
+function properties.watch(walk, list)
+  local afters = {}
   walk.owed = {}
   for _, judged in ipairs(list) do
-    local kind, event = judged.property.kind, judged.property.event
-    properties.check_names("rfsm_checks.explore", judged, active)
-    if event ~= nil then check_maker(own, judged) end
-    if kind == "after" then
+    local is_after = judged.property.kind == "after"
+    if is_after and not walk.is_together_given then walk.together = 2 end
+    if is_after and judged.way == walk.way then
       want_event(walk, judged)
       afters[#afters + 1], walk.owed[judged] = judged, {}
     end
-    judged.is_monitored = not JUDGES[kind]
   end
   if afters[1] then watch_steps(walk, afters) end
-  return list
 end
 
 --- Prepare a walk for the monitor of a property. Each has one of its own: what the
@@ -454,7 +474,7 @@ end
 function properties.judge(walk, judged)
   local judge = JUDGES[judged.property.kind] or judge_monitored
   judge(walk, judged)
-  if walk.expanded < 2 and not walk.keys[2] then
+  if not (walk.bound or walk:is_entered()) then
     judged.holds, judged.vacuous = nil, "the machine is never entered"
   end
   if judged.holds == nil and not (walk.bound or judged.is_open) then

@@ -40,6 +40,8 @@ local puppet = {}
 ---@field parts rfsm_checks.Part[] the machine itself first
 ---@field transitions table[] `tr`, `path`, and `part` with its `prefix`
 ---@field names table<string, rfsm.State> states by path
+---@field part_of table<string, rfsm_checks.Part> the same for their parts
+---@field path_of table<rfsm.State, string>
 ---@field paths string[] of the states, in the order of the tree
 ---@field flags ("+"|"-")[] see `options.flags`
 ---@field writers string[] callbacks that may write the targets of transitions
@@ -47,9 +49,12 @@ local puppet = {}
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
+---@field sent { prefix: string, event: any }[] by stubs, in the last step
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
+---@field leaves_out boolean leave out of steps the regions in which nothing happens?
+---@field trimmed rfsm.State|false the state that lacks regions now
 ---@field notes_events boolean keep in `last_events` those that iterations had?
 ---@field choices boolean[] in the order in which they were asked
 ---@field askers string[] who asked: the path of a transition or leaf
@@ -66,22 +71,31 @@ Puppet.__index = Puppet
 ---@field prefix string see `rfsm.machines`
 ---@field owner rfsm_checks.Part|false the part around it
 ---@field leaf rfsm.State|false where it is in that part
+---@field is_bound boolean a callback is called, or there is a rule for a guard
 ---@field known table<rfsm.State|false, rfsm_checks.Leaf>
 ---@field stands rfsm_checks.Stand[] where it can stand
 ---@field ids table<string, integer> their numbers
 ---@field timed table<string, boolean> time events whose order is known
 ---@field stand rfsm_checks.Stand where it was put
 ---@field rounds integer iterations since then
+---@field plain table<rfsm.State, table<string, rfsm_checks.Stand>> by leaf and mode:
+-- stands in which nothing waits
+---@field inner rfsm_checks.Part[] the regions, by the order of the tree
+---@field is_single boolean it takes one step at most in a step: no state but a
+-- composite is entered and left again
+---@field is_quiet boolean the step leaves it out, since nothing would happen in it
 
 --- An event that comes to a part of a puppet in a step.
 ---@class rfsm_checks.Occurrence
 ---@field part rfsm_checks.Part
 ---@field event any
 ---@field number integer
+---@field alone rfsm_checks.Occurrence[] a list of this one
 
 --- A moment in a step: the entry of a state that the same step leaves again.
 ---@class rfsm_checks.Moment
----@field active table<string, boolean> paths of states
+---@field active table<string, boolean> paths of states, if the step has left it
+---@field nodes rfsm.State[]
 ---@field flags string
 
 --- What is known of a leaf, or of a machine that was not entered.
@@ -157,7 +171,8 @@ end
 function Puppet:occurrence(part, event)
   local found = part.occurrences[event]
   if not found then
-    found = { part = part, event = event, number = #self.occurrences + 1 }
+    found = { part = part, event = event, number = #self.occurrences + 1, alone = {} }
+    found.alone[1] = found
     part.occurrences[event], self.occurrences[found.number] = found, found
   end
   return found
@@ -180,34 +195,54 @@ local function is_passable(state)
   return is_found
 end
 
--- Notes the moment in which a state is entered.
+-- Notes the nodes that are active in the moment in which a state is entered.
 local function note_moment(self, state)
-  local active = {}
+  local nodes, count = {}, 0
   for _, part in ipairs(self.parts) do
-    local node = part.fsm._mode ~= "inactive" and part.fsm
+    local node = not part.is_quiet and part.fsm._mode ~= "inactive" and part.fsm
     while node do
-      active[place.path(node, part.prefix)] = true
+      count = count + 1
+      nodes[count] = node
       node = rfsm.actchild_get(node)
     end
   end
-  self.moments[#self.moments + 1] = { state = state, active = active,
-    flags = concat(self.flags) }
+  self.moments[#self.moments + 1] = { state = state, nodes = nodes,
+    flags = self.flags[1] and concat(self.flags) or "" }
+end
+
+-- Returns the paths that are active in a moment.
+local function paths_in(self, moment)
+  local active = {}
+  for _, node in ipairs(moment.nodes) do active[self.path_of[node]] = true end
+  for _, part in ipairs(self.parts) do
+    for _, path in ipairs(part.is_quiet and part.stand.known.paths or NOTHING) do
+      active[path] = true
+    end
+  end
+  return active
+end
+
+-- Returns the stub of a callback.
+local function new_stub(self, what, path, part, obj, callback)
+  if callback and self.runs[callback] then part.is_bound = true end
+  return stubs.new(self, what, path, part, obj, callback)
 end
 
 local function make_state(self, part, state)
   local path = place.path(state, part.prefix)
   self.names[path], self.paths[#self.paths + 1] = state, path
+  self.part_of[path], self.path_of[state] = part, path
   local own = state._regions or state -- the callbacks of such a state are the library's
-  local entry = stubs.new(self, "entry", path, part.fsm, state, own.entry)
+  local entry = new_stub(self, "entry", path, part, state, own.entry)
   own.entry = entry
-  if part.owner or not rfsm.is_root(state) and rfsm.is_composite(state)
+  if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
     and is_passable(state) then
     function own.entry(...)
       if entry then entry(...) end
       note_moment(self, state)
     end
   end
-  own.exit = stubs.new(self, "exit", path, part.fsm, state, own.exit)
+  own.exit = new_stub(self, "exit", path, part, state, own.exit)
   if state.doo and not state._regions then
     stubs.note_writer(self, "doo " .. path, state.doo)
     state.doo, self.free.doos = new_doo(self, part, path), true
@@ -236,9 +271,10 @@ local function make_transition(self, part, tr)
   if tr.guard then
     stubs.note_writer(self, "guard " .. path, tr.guard)
     if not self.runs[tr.guard] then self.free.guards = true end
+    if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
     tr.guard = data.new_guard(self, path, tr.guard)
   end
-  local stub = stubs.new(self, "effect", path, part.fsm, tr, tr.effect)
+  local stub = new_stub(self, "effect", path, part, tr, tr.effect)
   tr.likely = nil
   tr.effect = function(...)
     self.taken[#self.taken + 1] = number
@@ -282,10 +318,20 @@ end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
 
+-- Does a machine take one step at most in a step of the puppet?
+local function is_single(part)
+  if not part.owner then return true end
+  local steps = part.leaf.step or 1
+  return part.owner.is_single and not part.leaf.run and steps < 2
+end
+
 -- Makes a machine a part of the puppet.
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.stands, part.ids, part.stand = {}, {}, {}, false
+  part.plain, part.inner = {}, {}
+  part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
+  if part.owner then table.insert(part.owner.inner, part) end
   part.occurrences, part.timed, part.rounds = {}, {}, 0
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
@@ -359,10 +405,33 @@ local function read_history(fsm)
   return targets, concat(names, ",")
 end
 
+-- Does none of the events that wait in a leaf have an effect?
+local function is_plain(self, part, leaf)
+  local fsm, found = part.fsm, reactions.of(part, leaf)
+  if found.any or found.has_predicate or fsm._awaits or fsm._history then
+    return false
+  end
+  for _, event in ipairs(fsm._intq) do
+    if found.set[event] or self.wanted[event] ~= nil then return false end
+  end
+  return true
+end
+
+local find_stand
+
 -- Returns where a machine stands, with the events that wait: always the same table.
 local function read_stand(self, part)
-  local leaf, numbers = part.fsm._act_leaf, {}
+  local leaf = part.fsm._act_leaf
   local mode = leaf and leaf._mode or "inactive"
+  if not is_plain(self, part, leaf) then return find_stand(self, part, leaf, mode) end
+  local by_mode = part.plain[leaf] or {}
+  part.plain[leaf] = by_mode
+  by_mode[mode] = by_mode[mode] or find_stand(self, part, leaf, mode)
+  return by_mode[mode]
+end
+
+function find_stand(self, part, leaf, mode)
+  local numbers = {}
   local waiting = relevant(self, part, leaf, part.fsm._intq)
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   sort(numbers)
@@ -382,7 +451,10 @@ end
 ---@return string key
 function Puppet:read()
   local parts, ids = self.parts, self.ids
-  for i = 1, #parts do ids[i] = read_stand(self, parts[i]).id end
+  for i = 1, #parts do
+    local part = parts[i]
+    ids[i] = (part.is_quiet and part.stand or read_stand(self, part)).id
+  end
   return concat(ids, ",") .. concat(self.flags)
 end
 
@@ -413,10 +485,62 @@ local function put_stand(part, stand)
   for i, tr in ipairs(fsm._history or NOTHING) do tr.tgt = stand.targets[i] end
 end
 
---- Have the machines stand in a configuration.
+-- Is there nothing that events can do to a machine, unless they are for its regions?
+local function is_deaf(self, part, stand, events)
+  local own = #stand.waiting == 0 and reactions.of(part, stand.leaf).own
+  for i = 1, own and #events or 0 do
+    if own[events[i].event] or self.wanted[events[i].event] ~= nil then return false end
+  end
+  return own and true and not (part.fsm._awaits or part.fsm._history)
+end
+
+-- Has the active leaf those regions alone in which something may happen, or all.
+local function set_regions(self, leaf, are_all)
+  local regions, count = leaf._regions, 0
+  for _, part in ipairs(self.parts[1].inner) do
+    if part.leaf == leaf and (are_all or not part.is_quiet) then
+      count = count + 1
+      regions[count] = part.fsm
+    end
+  end
+  for i = #regions, count + 1, -1 do regions[i] = nil end
+end
+
+-- Would nothing happen in a region, while events come and a leaf around it stays?
+local function is_quiet(self, part, stand, leaf, events)
+  if part.owner ~= self.parts[1] or part.inner[1] then return false end
+  return part.leaf ~= leaf
+    or stand.mode == "done" and is_deaf(self, part, stand, events)
+end
+
+-- Leaves out of the next step the regions of the active leaf in which nothing would
+-- happen: no doo goes on, and no event has an effect. Not if the leaf may be left.
+local function leave_out_quiet(self, conf, events)
+  local leaf = self.leaves_out and conf[1].leaf
+  local stays = leaf and leaf._regions and is_deaf(self, self.parts[1], conf[1], events)
+  if self.trimmed and not (stays and self.trimmed == leaf) then
+    set_regions(self, self.trimmed, true)
+  end
+  for i = 2, #self.parts do
+    local part = self.parts[i]
+    part.is_quiet = stays and is_quiet(self, part, conf[i], leaf, events) or false
+  end
+  self.trimmed = stays and leaf
+  if stays then set_regions(self, leaf, false) end
+end
+
+--- Have the machines stand in a configuration, to take a step with events.
 ---@param conf rfsm_checks.Configuration
-function Puppet:put(conf)
-  for i = 1, #self.parts do put_stand(self.parts[i], conf[i]) end
+---@param events rfsm_checks.Occurrence[]
+function Puppet:put(conf, events)
+  leave_out_quiet(self, conf, events)
+  for i = 1, #self.parts do
+    if self.parts[i].is_quiet then
+      self.parts[i].stand = conf[i]
+    else
+      put_stand(self.parts[i], conf[i])
+    end
+  end
   for i = 1, #self.flags do self.flags[i] = conf.flags:sub(i, i) end
 end
 
@@ -470,6 +594,7 @@ local function keep_passed(self)
   clear(self.passed)
   for _, moment in ipairs(self.moments) do
     if moment.state._mode == "inactive" then
+      moment.active = paths_in(self, moment)
       self.passed[#self.passed + 1] = moment
     end
   end
@@ -485,6 +610,7 @@ function Puppet:step(events, choices)
   clear(self.taken)
   clear(self.moments)
   clear(self.last_events)
+  clear(self.sent)
   clear(self.called)
   for guard in pairs(self.answers) do self.answers[guard] = nil end -- any order: all
   for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
@@ -637,15 +763,39 @@ function Puppet:outside_events()
   return list
 end
 
--- Adds the machines, each before those inside of it.
-local function add_parts(self, fsm)
+-- Takes a region out of its state.
+local function leave_out(entry)
+  local regions = entry.state._regions
+  for i = #regions, 1, -1 do
+    if regions[i] == entry.machine then
+      table.remove(regions, i)
+      table.remove(regions.names, i)
+    end
+  end
+end
+
+-- Adds the machines, each before those inside of it; those alone that are in the way.
+local function add_parts(self, fsm, way)
   local part_of = { [false] = false }
   for _, entry in ipairs(rfsm.machines(fsm)) do
-    local part = { fsm = entry.machine, prefix = entry.prefix, leaf = entry.state,
-      owner = part_of[entry.owner] }
-    part_of[entry.machine] = part
-    add_part(self, part)
+    if not way or way[entry.prefix] then
+      local part = { fsm = entry.machine, prefix = entry.prefix, leaf = entry.state,
+        owner = part_of[entry.owner] }
+      part_of[entry.machine] = part
+      add_part(self, part)
+    elseif part_of[entry.owner] then
+      leave_out(entry)
+    end
   end
+end
+
+-- Raises an error if the options name what the chart does not have.
+local function check_options(self, options)
+  stubs.check_flag_names(self)
+  stubs.check_names(self, self.flags_of, "flags")
+  stubs.check_names(self, self.sends, "sends")
+  check_alphabet(self, options.alphabet)
+  data.check_met(self, options)
 end
 
 --- Make a puppet of a model, in the configuration before the first entry.
@@ -653,25 +803,23 @@ end
 ---@param model rfsm.State
 ---@param options table `alphabet`, `flags`, `sends`, `dry_run` as in an exploration;
 -- `callbacks`: call entries, exits and effects
+---@param way? rfsm_checks.Way
 ---@return rfsm_checks.Puppet
-function puppet.new(model, options)
+function puppet.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
-    names = {}, paths = {}, callbacks = {}, writers = {}, free = {},
+    names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
+    free = {}, sent = {},
     flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
     is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
-    notes_events = false }, Puppet)
+    notes_events = false, leaves_out = false, trimmed = false }, Puppet)
   stubs.read_flags(self, options.flags or {})
   data.read_options(self, options)
-  add_parts(self, new_machine(self, model))
-  stubs.check_flag_names(self)
-  stubs.check_names(self, self.flags_of, "flags")
-  stubs.check_names(self, self.sends, "sends")
-  check_alphabet(self, options.alphabet)
-  data.check_met(self, options)
+  add_parts(self, new_machine(self, model), way)
+  if not way then check_options(self, options) end
   data.check_first(self)
   return self
 end

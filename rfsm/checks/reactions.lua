@@ -12,7 +12,7 @@ local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
 local place = require "rfsm.checks.place"
 
-local ipairs, type = ipairs, type
+local ipairs, pairs, type = ipairs, pairs, type
 local is_conn = rfsm.is_conn
 
 local reactions = {}
@@ -26,6 +26,9 @@ local reactions = {}
 ---@field timers string[] time events of states that are active
 ---@field sets any[][] sets of several events without which a path cannot be taken
 ---@field is_cut boolean there are more than MANY_SETS of them
+---@field outside rfsm_checks.Occurrence[]|false the events from outside, when known
+---@field own table<any, boolean>|false the set without events of regions in the leaf;
+-- false: any event
 
 local add_reactions, add_regions
 
@@ -79,6 +82,10 @@ end
 -- have an effect now are listed for the regions themselves.
 local function add_own_regions(found, leaf)
   local count = #found
+  found.own = not (found.any or found.has_predicate) and {}
+  for event in pairs(found.own and found.set or {}) do -- any order: a set
+    found.own[event] = true
+  end
   add_regions(found, leaf)
   for i = #found, count + 1, -1 do found[i] = nil end
 end
@@ -137,7 +144,7 @@ end
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
-    is_cut = false }
+    is_cut = false, own = false, outside = false }
   local seen, nodes = {}, place.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do
@@ -165,8 +172,10 @@ local function is_allowed(self, event)
   return not self.alphabet or match.has(self.alphabet, event)
 end
 
--- Appends the events from outside that can have an effect in a stand.
-local function add_outside(self, list, is_listed, found)
+-- Lists the events from outside that can have an effect in a leaf, once for each leaf.
+local function outside_of(self, found)
+  if found.outside then return found.outside end
+  local list, is_listed = {}, {}
   local function add(event)
     if not (is_listed[event] or self:maker_of(event)) and is_allowed(self, event) then
       is_listed[event] = true
@@ -176,6 +185,8 @@ local function add_outside(self, list, is_listed, found)
   for _, event in ipairs(found) do add(event) end
   for _, event in ipairs(found.any and self.alphabet or {}) do add(event) end
   if found.any then add(reactions.OTHER) end
+  found.outside = list
+  return list
 end
 
 -- Adds a set of several events, but for those that the machine makes itself; not if one
@@ -209,7 +220,11 @@ function reactions.that_may_come(self, conf)
     leaf_of[part] = conf[i].leaf
     if not part.owner or leaf_of[part.owner] == part.leaf then
       local found = reactions.of(part, conf[i].leaf)
-      add_outside(self, list, is_listed, found)
+      for _, event in ipairs(outside_of(self, found)) do
+        if not is_listed[event] then
+          is_listed[event], list[#list + 1] = true, event
+        end
+      end
       for _, timer in ipairs(found.timers) do
         if not part.timed[timer] then
           list[#list + 1] = self:occurrence(part, timer)

@@ -247,6 +247,17 @@ function Rehearsal:step(what)
   return outcome(own)
 end
 
+-- Sends what a callback has sent in a step. The next step sees it, as in a machine,
+-- unless that takes several steps in one.
+local function send_after(part, event)
+  if not part.is_single then
+    error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "
+      .. "takes several steps in one: no recording has that"):format(part.prefix,
+      rfsm.text_of(event)), 0)
+  end
+  rfsm.send_events(part.fsm, event)
+end
+
 -- Takes the step of a witness again, with its choices one after the other.
 function Rehearsal:repeat_step(step)
   local own, what, choices = self.puppet, events_of(step), {}
@@ -255,6 +266,11 @@ function Rehearsal:repeat_step(step)
   for _, part in ipairs(own.parts) do part.rounds = 0 end
   own:step(occurrences_of(own, what), choices)
   own.choose = answer
+  for _, sent in ipairs(step.sent) do
+    for _, part in ipairs(own.parts) do
+      if part.prefix == sent.prefix then send_after(part, sent.event) end
+    end
+  end
 end
 
 -- Witnesses: the run that shows a finding, for the simulator and for pictures ........

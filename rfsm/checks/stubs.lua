@@ -169,12 +169,15 @@ end
 
 -- Returns a stub that calls a callback to be run, sets flags and sends events; nil if
 -- there is nothing to do.
-local function new_stub(self, run, flags, events)
+local function new_stub(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   return function(own, ...)
     if run then calls.try(run, own, ...) end
     for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
-    for i = 1, #events do rfsm.send_events(own, events[i]) end
+    for i = 1, #events do
+      rfsm.send_events(own, events[i])
+      self.sent[#self.sent + 1] = { prefix = part.prefix, event = events[i] }
+    end
   end
 end
 
@@ -182,13 +185,13 @@ end
 ---@param self rfsm_checks.Puppet
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
----@param fsm rfsm.Machine
+---@param part rfsm_checks.Part
 ---@param obj rfsm.State|rfsm.Transition
 ---@param callback function|nil
 ---@return function? stub nil if it has nothing to do
-function stubs.new(self, what, path, fsm, obj, callback)
+function stubs.new(self, what, path, part, obj, callback)
   local name = what .. " " .. path
-  self.callbacks[name] = true
+  self.callbacks[name] = part
   stubs.note_writer(self, name, callback)
   if self.calls_callbacks then
     local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
@@ -197,8 +200,8 @@ function stubs.new(self, what, path, fsm, obj, callback)
   if callback then self.is_met[callback] = true end
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
-    or dry_events(self, callback, fsm, obj, what)
-  return new_stub(self, run, self.flags_of[name] or {}, events)
+    or dry_events(self, callback, part.fsm, obj, what)
+  return new_stub(self, part, run, self.flags_of[name] or {}, events)
 end
 
 -- Has the stubs that are named set a flag.

@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
 local explore = require "rfsm.checks.explore"
 local graph = require "rfsm.checks.graph"
+local independence = require "rfsm.checks.independence"
 local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
 local place = require "rfsm.checks.place"
@@ -15,7 +16,7 @@ local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
 
-local ipairs, pairs, setmetatable = ipairs, pairs, setmetatable
+local ipairs, next, pairs, setmetatable = ipairs, next, pairs, setmetatable
 local table, tostring, type = table, tostring, type
 local concat = table.concat
 
@@ -155,22 +156,43 @@ local function add_run(walk, findings, code, state, path, text, number, label)
   return finding or {}
 end
 
--- Configurations in which nothing happens any more, one for each set of leaves.
-local function find_dead_ends(walk, findings)
-  local is_told = {}
+-- Returns the configurations of a walk in which nothing happens any more, and the
+-- leaves of the machine itself in these.
+local function find_stuck(walk)
+  local numbers, is_stuck = {}, {}
   for number = 1, walk.expanded do
     if not walk.moves[number] then
-      local leaves, text, are_final = leaves_of(walk, number)
-      local state = leaves[1] and leaves[1].state
-      if not state then
-        add_run(walk, findings, "dead-end", walk.puppet.parts[1].fsm, "root",
-          "the machine cannot be entered", number)
-      elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
-        is_told[text] = true
-        local finding = add_run(walk, findings, "dead-end", state, text,
-          "nothing happens any more in this configuration", number)
-        if codes.means(state, "an end") then finding.severity = "note" end
-      end
+      local leaf = walk:configuration(number)[1].known.path
+      numbers[#numbers + 1], is_stuck[leaf or "none"] = number, true
+    end
+  end
+  return numbers, is_stuck
+end
+
+local function add_dead_end(walk, findings, number, is_told)
+  local leaves, text, are_final = leaves_of(walk, number)
+  local state = leaves[1] and leaves[1].state
+  if not state then
+    add_run(walk, findings, "dead-end", walk.puppet.parts[1].fsm, "root",
+      "the machine cannot be entered", number)
+  elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
+    is_told[text] = true
+    local finding = add_run(walk, findings, "dead-end", state, text,
+      "nothing happens any more in this configuration", number)
+    if codes.means(state, "an end") then finding.severity = "note" end
+  end
+end
+
+-- Configurations in which nothing happens any more, one for each set of leaves. If
+-- regions are explored one by one, something happens unless all of them can be stuck.
+local function find_dead_ends(walks, findings)
+  local is_told, numbers, are_stuck = {}, {}, {}
+  for i, walk in ipairs(walks) do numbers[i], are_stuck[i] = find_stuck(walk) end
+  for i, walk in ipairs(walks) do
+    for _, number in ipairs(numbers[i]) do
+      local leaf, is_end = walk:configuration(number)[1].known.path or "none", true
+      for _, is_stuck in ipairs(are_stuck) do is_end = is_end and is_stuck[leaf] end
+      if is_end then add_dead_end(walk, findings, number, is_told) end
     end
   end
 end
@@ -179,7 +201,9 @@ end
 local function find_endless(walk, findings)
   local is_idle, step = {}, walk.endless
   for number = 1, #walk.keys do
-    is_idle[number] = number > walk.expanded or not walk:is_driven(number)
+    local conf = walk:configuration(number)
+    is_idle[number] = number > walk.expanded or not (conf[1].leaf
+      and puppet.is_driven(conf))
   end
   local ends = graph.can_reach(walk, is_idle, true)
   for number = 2, walk.expanded do
@@ -245,15 +269,24 @@ local function find_before(walk, numbers, others, least)
   return first, false
 end
 
+-- Does the machine itself stay in a leaf? What it does else, the first walk tells.
+local function is_in_one_leaf(walk, numbers)
+  local leaf = walk:configuration(numbers[1])[1].leaf
+  for _, number in ipairs(numbers) do
+    if walk:configuration(number)[1].leaf ~= leaf then return false end
+  end
+  return true
+end
+
 -- Configurations that lead to each other and nowhere else, while the machine waited for
 -- an event before that led there. It may have been set up for them: a note, unless
 -- there is a cycle of as many states elsewhere, or one of them is named as a fault.
-local function find_traps(walk, findings)
+local function find_traps(walk, findings, is_first)
   local bottoms, others = graph.components(walk)
   for _, numbers in ipairs(bottoms) do
     local paths, has_end, states = leaves_of_all(walk, numbers)
     local outside, is_fault = nil, false
-    if paths[2] and not has_end then
+    if paths[2] and not has_end and (is_first or is_in_one_leaf(walk, numbers)) then
       outside, is_fault = find_before(walk, numbers, others, #paths)
     end
     for _, state in ipairs(states) do
@@ -280,53 +313,56 @@ local function free_text(free)
   return names[1] and concat(names, ", ") .. " and " .. last or last
 end
 
--- Returns the premises of a walk: "one event a step; guards and timers free".
-local function premises_of(walk, options)
-  local free = free_text(walk.puppet.free)
+-- Appends the premises about time.
+local function add_times(texts, walks, period)
+  local is_timed = false
+  for _, walk in ipairs(walks) do is_timed = is_timed or walk.timing ~= false end
+  if not is_timed then return end
+  texts[#texts + 1] = period and ("stepped every %s s"):format(rfsm.text_of(period))
+    or "stepped between any two deadlines"
+  texts[#texts + 1] = "steps take no time"
+end
+
+-- Returns the premises of walks: "one event a step; guards and timers free".
+local function premises_of(walks, options)
+  local walk, free = walks[1], {}
+  for _, each in ipairs(walks) do
+    for name in pairs(each.puppet.free) do free[name] = true end -- a set
+  end
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
-  if walk.timing and options.period then
-    texts[#texts + 1] = ("stepped every %s s"):format(rfsm.text_of(options.period))
-  elseif walk.timing then
-    texts[#texts + 1] = "stepped between any two deadlines"
-  end
-  if walk.timing then texts[#texts + 1] = "steps take no time" end
+  if walk.way then texts[#texts + 1] = "independent regions one by one" end
+  add_times(texts, walks, options.period)
   for _, text in ipairs(walk.puppet.rule_texts) do texts[#texts + 1] = text end
-  if free then texts[#texts + 1] = free .. " free" end
+  texts[#texts + 1] = next(free) and free_text(free) .. " free" or nil
   return concat(texts, "; ")
 end
 
--- Notes what the walk of a property has not tried.
-local function note_bound(result, judged)
-  if judged.holds ~= nil then return end
-  result.bound = result.bound or judged.walk.bound
-  for _, text in ipairs(judged.walk.untried) do
+-- Notes what a walk has not tried.
+local function note_bound(result, walk)
+  result.bound = result.bound or walk.bound
+  for _, text in ipairs(walk.untried) do
     if not match.has(result.untried, text) then
       result.untried[#result.untried + 1] = text
     end
   end
 end
 
--- Judges the properties, those with monitors on walks of their own.
-local function find_violations(walk, result, list, model, options)
-  for i, judged in ipairs(list) do
-    judged.walk = not judged.is_monitored and walk
-      or explore.walk(model, options, function(new) properties.monitor(new, judged) end)
-    properties.judge(judged.walk, judged)
-    local witness = judged.at
-      and judged.walk:witness(judged.at, judged.label, judged.cycle)
-    result.properties[i] = { name = judged.name, holds = judged.holds,
-      vacuous = judged.holds and judged.vacuous or nil, witness = witness,
-      reason = judged.is_open and ", it depends on when timers expire" or "",
-      premises = premises_of(judged.walk, options)
-        .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
-    note_bound(result, judged)
-    if judged.holds == false then
-      witness.rests = judged.rests
-      result.findings:add("violated", nil, judged.name, "does not hold").witness =
-        witness
-    end
+-- Judges a property on its walk.
+local function judge(result, judged, options)
+  local walk = judged.walk
+  properties.judge(walk, judged)
+  local witness = judged.at and walk:witness(judged.at, judged.label, judged.cycle)
+  if judged.holds == nil then note_bound(result, walk) end
+  if judged.holds == false then
+    witness.rests = judged.rests
+    result.findings:add("violated", nil, judged.name, "does not hold").witness = witness
   end
+  return { name = judged.name, holds = judged.holds,
+    vacuous = judged.holds and judged.vacuous or nil, witness = witness,
+    reason = judged.is_open and ", it depends on when timers expire" or "",
+    premises = premises_of({ walk }, options)
+      .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
 end
 
 -- Text ............................................................................
@@ -419,10 +455,63 @@ local function properties_of(model, options)
   return given
 end
 
-local function count_of(set)
-  local count = 0
-  for _ in pairs(set) do count = count + 1 end -- any order: a number
+-- Counts the transitions that some walk takes.
+local function count_taken(walks)
+  local is_taken, count = {}, 0
+  for _, walk in ipairs(walks) do
+    for number in pairs(walk.taken) do -- any order: a set
+      local path = walk.puppet.transitions[number].path
+      if not is_taken[path] then is_taken[path], count = true, count + 1 end
+    end
+  end
   return count
+end
+
+-- Returns walks over a model, by way; and those for findings, one for each of `ways`.
+local function walks_in(model, options, ways, list)
+  local by_way, walks = {}, {}
+  setmetatable(by_way, { __index = function(_, way)
+    by_way[way] = explore.walk(model, options, function(walk)
+      properties.watch(walk, list)
+    end, way)
+    return by_way[way]
+  end })
+  for i, way in ipairs(ways) do walks[i] = by_way[way] end
+  return by_way, walks
+end
+
+local function has_endless(walks)
+  for _, walk in ipairs(walks) do
+    if walk.endless then return true end
+  end
+  return false
+end
+
+-- Returns the result without findings.
+local function new_result(own, walks, options)
+  local result = setmetatable({ configurations = 0, steps = 0,
+    transitions = #own.transitions, taken = count_taken(walks), bound = nil,
+    untried = {}, findings = static.new_list(), properties = {},
+    premises = premises_of(walks, options) }, Exploration)
+  for _, walk in ipairs(walks) do
+    result.configurations = result.configurations + #walk.keys
+    result.steps = result.steps + walk.count
+    note_bound(result, walk)
+  end
+  return result
+end
+
+-- Finds what is neither a property nor a dead end.
+local function find_others(walks, findings)
+  find_endless(walks[1], findings)
+  for i, walk in ipairs(walks) do
+    if not walk.bound and walk:is_entered() then
+      local met = met_by(walk)
+      find_unreachable(walk, findings, met)
+      find_untaken(walk, findings, met, find_closed(walk, findings, met))
+      find_traps(walk, findings, i == 1)
+    end
+  end
 end
 
 --- Explore a model and judge what was found.
@@ -430,24 +519,24 @@ end
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration
 function verdict.of(model, options)
-  local list
-  local walk = explore.walk(model, options, function(new)
-    list = properties.watch(new, properties_of(model, options))
-  end)
-  local result = setmetatable({ configurations = #walk.keys, steps = walk.count,
-    transitions = #walk.puppet.transitions, taken = count_of(walk.taken),
-    bound = walk.bound, untried = walk.untried, findings = static.new_list(),
-    properties = {}, premises = premises_of(walk, options) }, Exploration)
-  local findings = result.findings
-  find_violations(walk, result, list, model, options)
-  find_dead_ends(walk, findings)
-  find_endless(walk, findings)
-  if not walk.bound and walk.keys[2] then
-    local met = met_by(walk)
-    find_unreachable(walk, findings, met)
-    find_untaken(walk, findings, met, find_closed(walk, findings, met))
-    find_traps(walk, findings)
+  local own = puppet.new(model, options)
+  local list = properties.list_for(own, properties_of(model, options))
+  local ways = independence.ways(own, list, options)
+  local by_way, walks = walks_in(model, options, ways, list)
+  if walks[2] and has_endless(walks) then -- a step of one that does not end ends all
+    options.multiply = true
+    return verdict.of(model, options)
   end
+  local result = new_result(own, walks, options)
+  for i, judged in ipairs(list) do
+    judged.walk = not judged.is_monitored and by_way[judged.way]
+      or explore.walk(model, options, function(walk)
+        properties.monitor(walk, judged)
+      end, judged.way)
+    result.properties[i] = judge(result, judged, options)
+  end
+  find_dead_ends(walks, result.findings)
+  find_others(walks, result.findings)
   return result
 end
 

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local require, type = require, type
@@ -44,8 +45,10 @@ function options.read(known, given)
   for _, name in ipairs(rfsm.sorted_keys(given)) do
     local option, value = known[name], given[name]
     if not option then
-      return nil, ("unknown option '%s', expected: %s"):format(rfsm.text_of(name),
-        concat(rfsm.sorted_keys(known), ", "))
+      local text, names = rfsm.text_of(name), rfsm.sorted_keys(known)
+      local hint = advice.nearest_name(text, names):match("^ %(did you mean.*") or ""
+      return nil, ("unknown option '%s'%s, expected: %s"):format(text, hint,
+        concat(names, ", "))
     end
     local is_right, why = option[2](value)
     if not is_right then

@@ -6,6 +6,7 @@ local charts = require "spec.support.charts"
 local new_random = require "spec.support.random"
 local place = require "rfsm.checks.place"
 local rfsm = require "rfsm"
+local run_seeds = require "spec.support.run_seeds"
 local rfsm_checks = require "rfsm_checks"
 
 local claim = { name = "checks and what the engine does" }
@@ -121,13 +122,9 @@ local function compare(seed, list)
   end
   compare_coverage(fsm, record, seen, expect)
   compare_findings(model, number_of, seen, expect)
+  return true
 end
 
---- Tries the charts of so many seeds. Returns their number, and what is wrong.
-function claim.run(n, seed)
-  local list = {}
-  for i = seed or 1, (seed or 1) + n - 1 do compare(i, list) end
-  return n, list[1] and table.concat(list, "\n") or nil
-end
+claim.run = run_seeds(compare)
 
 return claim

@@ -10,6 +10,7 @@ local new_random = require "spec.support.random"
 local place = require "rfsm.checks.place"
 local puppet = require "rfsm.checks.puppet"
 local rfsm = require "rfsm"
+local run_seeds = require "spec.support.run_seeds"
 local rfsm_timeevent = require "rfsm_timeevent"
 require "rfsm.await"
 require "rfsm.history"
@@ -395,15 +396,6 @@ local function compare(seed, list)
   return true
 end
 
---- Explores the charts of so many seeds. Returns how many of them have no more
---- configurations than the bound, and what is wrong.
-function claim.run(n, seed)
-  local list, compared = {}, 0
-  for i = seed or 1, (seed or 1) + n - 1 do
-    if compare(i, list) then compared = compared + 1 end
-  end
-  table.sort(list)
-  return compared, list[1] and table.concat(list, "\n") or nil
-end
+claim.run = run_seeds(compare)
 
 return claim

@@ -6,11 +6,11 @@ local charts = require "spec.support.claims.explore"
 local explore = require "rfsm.checks.explore"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
+local run_seeds = require "spec.support.run_seeds"
 local rfsm_checks = require "rfsm_checks"
 
-local claim = { name = "timers in order, and random hosts", runs = 60 }
-
-local BOUND = 200 -- configurations: charts that have more are left out
+local claim = { name = "timers in order, and random hosts", runs = 60,
+  bound = 200 } -- configurations: charts that have more are left out
 
 local FOLLOWED = 30 -- witnesses of each chart
 
@@ -20,8 +20,9 @@ local MS = 1000 -- in a second
 
 -- Properties --------------------------------------------------------------------------
 
-local function random_property(random, paths)
-  local a, b, event = random:pick(paths), random:pick(paths), random:pick(EVENTS)
+-- Returns a property of states, or of conditions, and events.
+function claim.random_property(random, paths, events)
+  local a, b, event = random:pick(paths), random:pick(paths), random:pick(events)
   local seconds = random:below(8) / 2
   local kinds = {
     function() return rfsm_checks.after(event).reach(a).within(seconds) end,
@@ -51,7 +52,7 @@ local function properties_of(chart, random)
     end
   end
   for i = 1, paths[1] and random:below(3) or 0 do
-    properties["p" .. i] = random_property(random, paths)
+    properties["p" .. i] = claim.random_property(random, paths, EVENTS)
   end
   return properties
 end
@@ -132,7 +133,8 @@ local function no_flags() return {} end
 
 -- Runs the chart so often. Returns a set of texts of what was seen, and of the names of
 -- properties that were broken.
-local function run_at_random(chart, properties, options, seed)
+function claim.run_at_random(chart, properties, options, seed)
+  local events = chart.events or EVENTS
   local fsm, now, seen, broken = nil, 0, {}, {}
   local world = { random = new_random(seed), seen = seen, sends = {}, flags = {},
     sets = {} }
@@ -145,14 +147,14 @@ local function run_at_random(chart, properties, options, seed)
     broken[tostring(text):match("^property '(.-)'") or "another error"] = true
   end
   local watched = rfsm_checks.watch_properties(fsm, properties)
-  for _ = 1, claim.runs do
+  for _ = 1, options.runs or claim.runs do
     fsm.tries = 0
     for _ = 1, 2 + world.random(20) do
       if fsm._act_leaf then
         now = next_moment(fsm, watched, now, world.random, options.period)
       end
       if world.random(2) == 1 then
-        rfsm.send_events(fsm, EVENTS[world.random(#EVENTS)])
+        rfsm.send_events(fsm, events[world.random(#events)])
       end
       rfsm.step(fsm)
       for _, text in ipairs(charts.stands_of(fsm, no_flags())) do seen[text] = true end
@@ -182,7 +184,8 @@ local function is_shown(chart, witness, name, property)
   return is_broken
 end
 
-local function explore_chart(chart, properties, options)
+-- Returns a model of a chart to explore, and sets the options for its data.
+function claim.model_of(chart, options)
   local function yes() return true end
   local function make() return yes end
   local runs = {}
@@ -190,13 +193,19 @@ local function explore_chart(chart, properties, options)
     doo = make }, runs), "")
   model.tries = 0
   options.vars, options.run = { tries = { 0, 3 } }, runs[1] and runs or nil
-  options.properties, options.configurations = properties, BOUND
+  return model
+end
+
+local function explore_chart(chart, properties, options)
+  local model = claim.model_of(chart, options)
+  options.properties, options.configurations = properties, claim.bound
   return rfsm_checks.explore(model, options), explore.walk(model, options)
 end
 
 claim.counts = { holds = 0, broken = 0, open = 0, configurations = 0 }
 
-local function check_properties(seed, chart, properties, result, broken, list)
+-- Appends verdicts that random runs break, and witnesses that show nothing.
+function claim.check_properties(seed, chart, properties, result, broken, list)
   for _, judged in ipairs(result.properties) do
     local property = properties[judged.name]
     local verdict = judged.holds and "holds" or judged.holds == false and "broken"
@@ -219,7 +228,7 @@ local function compare(seed, list)
   local options = { together = 1, period = random:chance(30) and 0.75 or nil }
   local result, walk = explore_chart(chart, properties, options)
   if result.bound then return end
-  local seen, broken = run_at_random(chart, properties, options, seed)
+  local seen, broken = claim.run_at_random(chart, properties, options, seed)
   local shown = charts.explored(walk)
   for text in pairs(seen) do -- any order: sorted
     if shown[text] == nil then
@@ -238,19 +247,10 @@ local function compare(seed, list)
       end
     end
   end
-  check_properties(seed, chart, properties, result, broken, list)
+  claim.check_properties(seed, chart, properties, result, broken, list)
   return true
 end
 
---- Tries the charts of so many seeds. Returns how many of them have no more
---- configurations than the bound, and what is wrong.
-function claim.run(n, seed)
-  local list, compared = {}, 0
-  for i = seed or 1, (seed or 1) + n - 1 do
-    if compare(i, list) then compared = compared + 1 end
-  end
-  table.sort(list)
-  return compared, list[1] and table.concat(list, "\n") or nil
-end
+claim.run = run_seeds(compare)
 
 return claim

@@ -1,0 +1,221 @@
+-- Regions of sequential AND states that nothing joins: explored one by one.
+
+local claim = require "spec.support.claims.independence"
+local records = require "rfsm.record"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+require "rfsm_timeevent"
+
+local state, trans = rfsm.state, rfsm.trans
+local never, after = rfsm_checks.never, rfsm_checks.after
+
+-- a region: a ring of so many states, on one event
+local function ring(count, event, fields)
+  local region = { trans { src = "initial", tgt = "s1" } }
+  for i = 1, count do
+    region["s" .. i] = state {}
+    region[i + 1] = trans { src = "s" .. i, tgt = "s" .. i % count + 1,
+      events = { event } }
+  end
+  for name, value in pairs(fields or {}) do region[name] = value end
+  return state(region)
+end
+
+-- off --e_on--> par --e_off--> off
+local function chart(regions, members)
+  local model = { info = false, warn = false, off = state {},
+    par = rfsm.seqand(regions), trans { src = "initial", tgt = "off" },
+    trans { src = "off", tgt = "par", events = { "e_on" } },
+    trans { src = "par", tgt = "off", events = { "e_off" } } }
+  for key, value in pairs(members or {}) do model[key] = value end
+  return state(model)
+end
+
+local function rings(count, states)
+  local regions = {}
+  for i = 1, count do regions["r" .. i] = ring(states, "e" .. i) end
+  return chart(regions)
+end
+
+local function is_apart(model, options)
+  local result = rfsm_checks.explore(model, options)
+  return result.premises:find("; independent regions one by one", 1, true) ~= nil
+end
+
+describe("regions that nothing joins", function()
+  it("are not multiplied", function()
+    local result = rfsm_checks.explore(rings(5, 10))
+    assert.equal(65, result.configurations)
+    assert.equal("one event a step; independent regions one by one", result.premises)
+    assert.equal(58, result.taken)
+    assert.equal(58, result.transitions)
+    assert.equal(0, #result.findings)
+  end)
+
+  it("are multiplied on demand", function()
+    local result = rfsm_checks.explore(rings(2, 3), { multiply = true })
+    assert.equal(12, result.configurations)
+    assert.equal("one event a step", result.premises)
+  end)
+
+  it("may be inside of regions", function()
+    local inner = state { info = false, warn = false,
+      par = rfsm.seqand { a = ring(4, "e_a"), b = ring(4, "e_b") },
+      trans { src = "initial", tgt = "par" } }
+    local result = rfsm_checks.explore(chart { inner, ring(4, "e_c") })
+    assert.equal(25, result.configurations)
+    assert.equal(result.transitions, result.taken)
+  end)
+
+  local function yes() return true end
+
+  local JOINED = {
+    { name = "an event of both", ring(3, "e_x"), ring(3, "e_x") },
+    { name = "any event", ring(3, "e_x"), ring(3, "e_y", { [2] =
+      trans { src = "s1", tgt = "s2" } }) },
+    { name = "a predicate", ring(3, "e_x"), ring(3, yes) },
+    { name = "timers", ring(3, "e_after(1)"), ring(3, "e_after(2)") },
+    { name = "an await", ring(3, "e_x"), ring(3, "e_y", { [2] =
+      trans { src = "s1", tgt = "s2", events = { "await(e_x, e_z)" } } }) },
+    { name = "a callback that is called", ring(3, "e_x"),
+      ring(3, "e_y", { entry = yes }), options = { run = { yes } } },
+    { name = "a rule", ring(3, "e_x"), ring(3, "e_y", { [2] =
+      trans { src = "s1", tgt = "s2", events = { "e_y" }, guard = yes } }),
+      options = { same = { yes } } },
+    { name = "a dry run", ring(3, "e_x"), ring(3, "e_y"),
+      options = { dry_run = true } },
+    { name = "a target that may be written", ring(3, "e_x"), ring(3, "e_y", {
+      entry = function(fsm) fsm[2].tgt = fsm.s1 end }) },
+  }
+  for _, case in ipairs(JOINED) do
+    it("are joined by " .. case.name, function()
+      require "rfsm.await"
+      assert.is_false(is_apart(chart { case[1], case[2] }, case.options))
+    end)
+  end
+
+  local APART = {
+    { name = "free timers", ring(3, "e_after(1)"), ring(3, "e_after(2)"),
+      options = { timers = "free" } },
+    { name = "timers of one", ring(3, "e_x"), ring(3, "e_after(2)") },
+    { name = "a callback that the machine calls", ring(3, "e_x"), ring(3, "e_y"),
+      entry = yes, options = { run = { yes } } },
+  }
+  for _, case in ipairs(APART) do
+    it("are not joined by " .. case.name, function()
+      assert.is_true(is_apart(chart({ case[1], case[2] }, { entry = case.entry }),
+        case.options))
+    end)
+  end
+
+  it("are multiplied if one of them never becomes idle", function()
+    local endless = ring(2, "e_done")
+    local model = chart({ endless, ring(2, "e_y"), run = true })
+    assert.is_false(is_apart(model))
+    assert.truthy(tostring(rfsm_checks.explore(model)):find("[endless]", 1, true))
+  end)
+end)
+
+describe("a property of regions", function()
+  local FLAGS = { f = { on = { "entry root.par.r1.s2" },
+    off = { "exit root.par.r1.s2" } } }
+  local CASES = {
+    { name = "of one is judged on that", condition = "root.par.r1.s3",
+      way = "one by one" },
+    { name = "of two is judged on both",
+      condition = { "root.par.r1.s2", "root.par.r2.s3" }, way = "one by one" },
+    { name = "of all is judged on all",
+      condition = { "root.par.r1.s2", "root.par.r2.s3", "root.par.r3.s2" } },
+    { name = "is judged with those that set a flag",
+      condition = { "f", "root.par.r3.s2" }, way = "one by one" },
+    { name = "of a function is judged on all", condition = function(active)
+      return active "root.par.r1.s2" and active "root.par.r2.s2"
+    end },
+  }
+  for _, case in ipairs(CASES) do
+    it(case.name, function()
+      local result = rfsm_checks.explore(rings(3, 3), { flags = FLAGS,
+        properties = { p = never(case.condition) } })
+      local judged = result.properties[1]
+      assert.is_false(judged.holds)
+      assert.equal(case.way, judged.premises:match("one by one"))
+    end)
+  end
+
+  it("counts the regions that react to its event", function()
+    local result = rfsm_checks.explore(rings(3, 3), {
+      properties = { p = after "e2".reach "root" } })
+    assert.is_nil(result.properties[1].vacuous)
+  end)
+
+  it("with a time has those with timers", function()
+    local model = chart { r1 = ring(3, "e_x"), r2 = ring(3, "e_after(1)"),
+      r3 = ring(3, "e_y") }
+    local p = rfsm_checks.from "root.par.r1.s2".left_within(5)
+    local result = rfsm_checks.explore(model, { properties = { p = p } })
+    assert.is_false(result.properties[1].holds)
+    assert.equal("one event a step; independent regions one by one; stepped between "
+      .. "any two deadlines; steps take no time", result.properties[1].premises)
+  end)
+
+  it("holds for a state that the regions cannot leave by themselves", function()
+    local model = chart({ ring(1, "e_x"), ring(1, "e_y") },
+      { [4] = trans { src = "par", tgt = "off", events = { "e_done" } } })
+    for _, multiply in ipairs { false, true } do
+      local result = rfsm_checks.explore(model, { multiply = multiply, properties = {
+        p = rfsm_checks.after "e_on".leads_to "root.off" } })
+      assert.is_false(result.properties[1].holds)
+      assert.equal("shadowed", result.findings[2].code)
+    end
+  end)
+end)
+
+describe("a witness of one region", function()
+  local function yes() return true end
+
+  it("has what the other regions are asked, and replays", function()
+    local busy = ring(2, "e_y", { [2] = trans { src = "s1", tgt = "s2", guard = yes,
+      events = { "e_done" } } })
+    local model = chart { a = busy, b = ring(3, "e_x") }
+    local result = rfsm_checks.explore(model, {
+      properties = { p = never "root.par.b.s3" } })
+    local witness, list = result.properties[1].witness, {}
+    assert.same({ { who = "root.par.a.trans[2]", answer = false, is_doo = false } },
+      witness[3].choices)
+    rfsm_checks.record_witness(model, witness, list)
+    local fsm = assert(records.replay(model, list, { dry = true }))
+    assert.equal("root.s3", rfsm.get_actleaf_fqn(fsm.par.substates.b))
+    assert.equal("root.s1", rfsm.get_actleaf_fqn(fsm.par.substates.a))
+  end)
+end)
+
+describe("a dead end of regions", function()
+  -- s1 --event--> s2, the end
+  local function one_way(event)
+    return state { s1 = state {}, s2 = state {}, trans { src = "initial", tgt = "s1" },
+      trans { src = "s1", tgt = "s2", events = { event } } }
+  end
+
+  local function dead_ends(b)
+    local model = chart({ a = one_way "e_x", b = b })
+    model[3] = nil
+    local places = {}
+    for i, finding in ipairs(rfsm_checks.explore(model).findings) do
+      places[i] = finding.code .. " " .. finding.place
+    end
+    return places
+  end
+
+  it("is one if nothing happens in any of them", function()
+    assert.same({ "dead-end root.par, root.par.a.s2",
+      "dead-end root.par, root.par.b.s2" }, dead_ends(one_way "e_y"))
+    assert.same({ "trap root.par, root.par.b.s1" }, dead_ends(ring(2, "e_y")))
+  end)
+end)
+
+describe(claim.name, function()
+  it("agree on random charts", function()
+    claim.runs = 5
+    assert.is_nil((select(2, claim.run(12, 3))))
+  end)
+end)
