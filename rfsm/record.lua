@@ -270,7 +270,7 @@ function Recorder:back(n)
     error("rfsm.record: back: a recording in a list expected", 2)
   end
   rfsm.check_between_steps(self.fsm, "rfsm.record.back")
-  local count, model = max(self.count - (n or 1), 0), self.fsm._plan.model
+  local count, model = max(self.count - (n or 1), 0), rfsm.model_of(self.fsm)
   local session = replay(model, self.sink, { dry = true, to = count })
   local problem = session.problem or session.unsaved
   if problem then return false, problem end
@@ -336,7 +336,7 @@ function record.replay(model, recording, options)
   if not rfsm.is_state(model) then
     error("rfsm.record.replay: state expected, got " .. type(model), 2)
   end
-  if rfsm.is_initialized_root(model) then model = model._plan.model end
+  model = rfsm.model_of(model)
   local records, problem = records_of(recording)
   if not records then return false, problem end
   local session = replay(model, records, options or {})

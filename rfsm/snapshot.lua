@@ -113,7 +113,7 @@ local function take_targets(own, snap)
 end
 
 local function take_extensions(fsm, snap, path)
-  local hooks = charts.hooks(fsm)
+  local hooks = rfsm.snapshot_hooks(fsm)
   for i = 1, #hooks do
     local hook = hooks[i]
     local value = hook.save(fsm)
@@ -183,8 +183,7 @@ end
 
 local function find_leaf(fsm, own, fqn)
   if fqn == nil then return false end
-  local index = own.chart.leaves[fqn]
-  if index then return own.nodes[index] end
+  if own.chart.leaves[fqn] then return own.nodes[fqn] end
   fail(charts.find_state(fsm, fqn) and "leaf: '%s' is a composite"
     or "leaf: no state is '%s'", fqn)
 end
@@ -241,7 +240,7 @@ end
 -- Returns what extensions kept, by their names. What those keep that follow the chart
 -- may be without a place there if the snapshot is of another one.
 local function unpack_extensions(fsm, packed, is_migrated)
-  local values, hooks = {}, charts.hooks(fsm)
+  local values, hooks = {}, rfsm.snapshot_hooks(fsm)
   for name, value in each(packed) do -- any order: each stands alone
     local is_known = is_migrated
     for i = 1, #hooks do is_known = is_known or hooks[i].name == name end
@@ -258,7 +257,7 @@ local function unpack_targets(fsm, list)
   local targets = {}
   for i = 1, #list, 3 do
     local state = charts.find_state(fsm, list[i])
-    local node, id = charts.find_node(fsm, list[i + 2]), unpack(list[i + 1], 2)
+    local node, id = charts.of(fsm).nodes[list[i + 2]], unpack(list[i + 1], 2)
     local tr = state and is_scalar(id) and rawget(state, id)
     if not (rfsm.is_trans(tr) and node) then
       fail("targets: a transition and a node expected, got '%s' in '%s', '%s'",
@@ -364,7 +363,7 @@ end
 -- called, which may fail.
 local function load_part(part)
   set_data(part)
-  local hooks = charts.hooks(part.fsm)
+  local hooks = rfsm.snapshot_hooks(part.fsm)
   for i = 1, #hooks do
     hooks[i].load(part.fsm, part.values[hooks[i].name], part.how)
   end
@@ -381,7 +380,7 @@ end
 -- May loading into a machine or its regions fail?
 local function can_fail(parts)
   for _, part in ipairs(parts) do
-    if part.own.chart.has_load or charts.hooks(part.fsm)[1] then return true end
+    if part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1] then return true end
   end
   return false
 end
@@ -398,10 +397,9 @@ end
 -- changed nothing, if it does not know the way.
 local function put_directly(fsm, snap, is_tidy)
   local own, data, ext = charts.of(fsm), snap.data or NONE, snap.ext or NONE
-  local keepers, hooks = own.chart.keepers, charts.hooks(fsm)
+  local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
   if not is_usual(own, snap) then return false end
-  local leaf = own.nodes[own.chart.leaves[snap.leaf]]
-  rfsm.place(fsm, leaf, snap.done and "done" or "active", {})
+  rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active", {})
   if not is_tidy then set_targets(own, NONE) end
   for i = 1, #keepers do
     local fqn = keepers[i].fqn

@@ -18,9 +18,6 @@ local text_of = rfsm.text_of
 
 local strict = { is_watching = false }
 
-local os = rawget(_G, "os")
-local is_wanted_by_all = os and os.getenv and os.getenv("RFSM_STRICT") == "1"
-
 -- What was told, by machine.
 local told = setmetatable({}, { __mode = "k" })
 
@@ -76,6 +73,8 @@ local function check_events(fsm, at, ...)
     elseif not alphabet.has(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
     elseif rfsm.get_sta_mode(fsm) == "inactive" then
+      fsm._told_early = fsm._told_early or {} -- the core warns of the others
+      fsm._told_early[event] = true
       warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
         :format(at, text_of(event)))
     end
@@ -142,8 +141,7 @@ function strict.watch(fsm)
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)
-  local is_wanted = fsm.strict == true or is_wanted_by_all and fsm.strict ~= false
-  if is_wanted and not merged then strict.watch(fsm) end
+  if rfsm.is_strict(fsm) and not merged then strict.watch(fsm) end
 end
 
 return strict

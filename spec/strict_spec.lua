@@ -68,6 +68,20 @@ describe("a strict machine", function()
       .. "consumes it", HERE .. "argument 2 is nil, which is no event" }, warnings)
   end)
 
+  it("warns once of an early event; the core of those that were not sent", function()
+    local got = { "e_p" }
+    local fsm, warnings = watched { getevents = function()
+      local list = got
+      got = {}
+      return list
+    end }
+    rfsm.send_events(fsm, "e_x")
+    rfsm.run(fsm)
+    assert.same({ HERE .. "event 'e_x' is sent before the first step, whose entry "
+      .. "consumes it", HERE .. "sent before the machine was entered, which consumes "
+      .. "them: e_p" }, warnings)
+  end)
+
   it("names the sender's file and line, and warns once of each", function()
     local lines, model = {}, chart { strict = true }
     model.warn = function(text) lines[#lines + 1] = text end

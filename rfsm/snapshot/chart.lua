@@ -14,28 +14,7 @@ local floor = math.floor
 local concat, sort = table.concat, table.sort
 local fail, is_scalar, text_of = plain.fail, plain.is_scalar, rfsm.text_of
 
-local chart, NONE = {}, {}
-
--- Seam: what the core does not offer by a public name yet --------------------------
-
--- Returns a key for the structure, the same table for all machines of one model.
-local function structure_of(fsm) return fsm._plan end
-
--- Returns the nodes of a machine, at the same positions in all machines of a structure.
-local function nodes_of(fsm) return fsm._nodes end
-
---- Return the transitions of a machine, likewise.
-function chart.transitions(fsm) return fsm._transitions end
-
---- Return the hooks of extensions that keep something of a machine.
-function chart.hooks(fsm) return fsm._snapshot_hooks or NONE end
-
--- Returns the FQN of the target that the model names.
-local function target_of(tr) return tr["_%def"].tgt.fqn end
-
-local function is_internal(tr) return tr._is_internal end
-
-local function model_of(obj) return obj["_%def"].model end
+local chart = {}
 
 -- Lines: one for each element -------------------------------------------------------
 
@@ -48,8 +27,7 @@ local function line_of(obj)
   if rfsm.is_state(obj) then return "state " .. obj._fqn end
   local texts = {}
   for i, event in ipairs(obj.events) do texts[i] = event_text(event) end
-  return ("%s -> %s%s%s"):format(obj.src._fqn,
-    is_internal(obj) and "internal" or target_of(obj),
+  return ("%s -> %s%s%s"):format(obj.src._fqn, rfsm.target_of(obj),
     texts[1] and " on " .. concat(texts, ", ") or "",
     obj.pn and " pn " .. text_of(obj.pn) or "")
 end
@@ -105,26 +83,25 @@ end
 --- A state that keeps something.
 ---@class rfsm.snapshot.Keeper
 ---@field fqn string
----@field index integer number of the node
 ---@field names string[] of the fields
 ---@field kept table<string, true> the same as a set
 ---@field first table<string, any> their first values
 ---@field has_load boolean it has functions `save` and `load`
 
 -- Returns the keeper of a state; nil if the state keeps nothing.
-local function keeper_of(state, index)
+local function keeper_of(state)
   local saves, loads = type(state.save) == "function", type(state.load) == "function"
   if saves ~= loads then
     fail("%s: 'save' and 'load' expected, got only one of them",
       rfsm.location_of(state))
   end
-  local names, model = kept_names(state), model_of(state)
+  local names, model = kept_names(state), rfsm.model_of(state)
   if not (saves or names[1]) then return nil end
   local kept, first = {}, {}
   for _, name in ipairs(names) do
     kept[name], first[name] = true, plain.copy_of(model[name])
   end
-  return { fqn = state._fqn, index = index, names = names, kept = kept, first = first,
+  return { fqn = state._fqn, names = names, kept = kept, first = first,
     has_load = saves }
 end
 
@@ -141,9 +118,9 @@ end
 ---@field keeper table<string, rfsm.snapshot.Keeper> by FQN
 ---@field has_load boolean a keeper has functions, which may fail
 ---@field has_regions boolean
----@field index table<string, integer> numbers of the nodes, by FQN
----@field leaves table<string, integer> those of the leaves
----@field targets integer[] number of the target of each transition
+---@field leaves table<string, true> FQN of the leaves
+---@field nodes table[] `fqn`, `id` and the FQN of the `parent`, parents first
+---@field transitions table[] `id`, and the FQN of `parent` and of the `target`
 
 -- What is known of structures that are in use, and by name.
 local charts = setmetatable({}, { __mode = "k" })
@@ -153,16 +130,8 @@ local by_name = setmetatable({}, { __mode = "v" })
 local count, MAX_LATEST = 0, 64
 chart.latest = {}
 
-local function add_lines(self, fsm)
-  for i, node in ipairs(nodes_of(fsm)) do self.index[node._fqn] = i end
-  for i, tr in ipairs(chart.transitions(fsm)) do
-    self.targets[i] = self.index[target_of(tr)]
-  end
-  for i, obj in ipairs(rfsm.elements(fsm)) do self.lines[i] = line_of(obj) end
-end
-
 local function add_keeper(self, state)
-  local keeper = keeper_of(state, self.index[state._fqn])
+  local keeper = keeper_of(state)
   if not keeper then return end
   self.keepers[#self.keepers + 1], self.keeper[keeper.fqn] = keeper, keeper
   self.has_load = self.has_load or keeper.has_load
@@ -174,28 +143,34 @@ local function add_keeper(self, state)
   end
 end
 
--- Notes the names of the machines that a state runs.
-local function add_regions(self, state)
-  if not rfsm.regions(state)[1] then return end
-  self.has_regions = true
-  for _, name in ipairs(state._regions.names) do
-    self.fields[#self.fields + 1] = "region " .. state._fqn .. "." .. text_of(name)
+local function add_element(self, obj)
+  local element = { fqn = obj._fqn, id = obj._id, parent = obj._parent._fqn }
+  if rfsm.is_trans(obj) then
+    element.target = rfsm.target_of(obj)
+    if element.target == "internal" then element.target = obj.src._fqn end
+    self.transitions[#self.transitions + 1] = element
+    return
   end
+  if not rfsm.is_root(obj) then self.nodes[#self.nodes + 1] = element end
+  if rfsm.is_leaf(obj) then self.leaves[obj._fqn] = true end
+  if rfsm.is_state(obj) then add_keeper(self, obj) end
 end
 
 -- Returns what is known of the structure of a machine.
 local function chart_of(fsm)
-  local key = structure_of(fsm)
+  local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
   local self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
-    keepers = {}, keeper = {}, has_load = false, has_regions = false, index = {},
-    leaves = {}, targets = {} }
-  add_lines(self, fsm)
-  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    local fqn = state._fqn
-    self.leaves[fqn] = rfsm.is_leaf(state) and self.index[fqn] or nil
-    add_keeper(self, state)
-    add_regions(self, state)
+    keepers = {}, keeper = {}, has_load = false, has_regions = false, leaves = {},
+    nodes = {}, transitions = {} }
+  for i, obj in ipairs(rfsm.elements(fsm)) do
+    self.lines[i] = line_of(obj)
+    add_element(self, obj)
+  end
+  local places = rfsm.machines(fsm)
+  self.has_regions = places[2] ~= nil
+  for _, at in ipairs(places) do
+    if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
   end
   sort(self.fields)
   self.structure = fingerprint_of(self.lines)
@@ -206,7 +181,7 @@ local function chart_of(fsm)
   charts[key], by_name[self.structure], by_name[self.name] = self, self, self
   count = count % MAX_LATEST + 1
   chart.latest[count] = self
-  for _, at in ipairs(rfsm.machines(fsm)) do
+  for _, at in ipairs(places) do
     local known = at.machine == fsm and self or chart_of(at.machine)
     chart.append(self.all, at.prefix, known.lines)
     chart.append(self.all, at.prefix, known.fields)
@@ -241,36 +216,33 @@ end
 ---@field chart rfsm.snapshot.Chart
 ---@field places rfsm.Place[] the machine, and its regions at any depth
 ---@field states rfsm.State[] that of each keeper
----@field nodes table[]
+---@field nodes table<string, table> by FQN
 ---@field transitions rfsm.Transition[]
 ---@field targets table[] the target of each of them, as the model names it
 ---@field path rfsm.snapshot.Path for `take`
 
 --- Return what is known of a machine.
 function chart.of(fsm)
-  local own, key = fsm._kept, structure_of(fsm)
+  local own, key = fsm._kept, rfsm.structure_of(fsm)
   if own and own.key == key then return own end
-  local known, nodes = chart_of(fsm), nodes_of(fsm)
+  local known, nodes = chart_of(fsm), { [fsm._fqn] = fsm }
   own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
-    states = {}, nodes = nodes, transitions = chart.transitions(fsm), targets = {},
+    states = {}, nodes = nodes, transitions = {}, targets = {},
     path = { owner = "", keeper = false, prefix = "root", base = 0, seen = false } }
   if known.has_regions then own.places = rfsm.machines(fsm) end
-  for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.index] end
-  for i, index in ipairs(known.targets) do own.targets[i] = nodes[index] end
+  for _, at in ipairs(known.nodes) do nodes[at.fqn] = nodes[at.parent][at.id] end
+  for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.fqn] end
+  for i, at in ipairs(known.transitions) do
+    own.transitions[i], own.targets[i] = nodes[at.parent][at.id], nodes[at.target]
+  end
   fsm._kept = own
   return own
 end
 
---- Return the node that an FQN names; nil if there is none.
-function chart.find_node(fsm, fqn)
-  local index = chart.of(fsm).chart.index[fqn]
-  return index and nodes_of(fsm)[index]
-end
-
 --- Return the state that an FQN names; nil if there is none.
 function chart.find_state(fsm, fqn)
-  local node = chart.find_node(fsm, fqn)
-  return node and rfsm.is_state(node) and node or nil
+  local node = chart.of(fsm).nodes[fqn]
+  return rfsm.is_state(node) and node or nil
 end
 
 return chart

@@ -62,7 +62,7 @@ local function timers_of(fsm, leaf)
   while not is_around[state] do
     is_around[state], state = true, state._parent
   end
-  for _, tr in ipairs(charts.transitions(fsm)) do
+  for _, tr in ipairs(charts.of(fsm).transitions) do
     for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
       local name = rfsm.text_of(event)
       if name:find("^e_after%(.*@root") or name:find("^e_at%(.*@root") then

@@ -150,7 +150,7 @@ end
 
 -- Notes where a machine was, and targets that were set, that are gone.
 local function note_places(list, machine, part, prefix)
-  local index, targets = charts.of(machine).chart.index, part.targets or NONE
+  local nodes, targets = charts.of(machine).nodes, part.targets or NONE
   if part.leaf and not charts.find_state(machine, part.leaf) then
     list[#list + 1] = "state " .. prefix .. part.leaf:sub(5)
   end
@@ -158,7 +158,7 @@ local function note_places(list, machine, part, prefix)
     local state = charts.find_state(machine, targets[i])
     local id = plain.unpack(targets[i + 1], 2)
     if not (state and plain.is_scalar(id) and rfsm.is_trans(state[id])
-      and index[targets[i + 2]]) then
+      and nodes[targets[i + 2]]) then
       list[#list + 1] = ("target %s of transition %s in %s"):format(
         text_of(targets[i + 2]), text_of(id), text_of(targets[i]))
     end
@@ -170,7 +170,7 @@ local FOLLOWERS = { timers = true, emem = true, await = true }
 
 local function note_extensions(list, machine, part, prefix)
   local is_known = {}
-  for _, hook in ipairs(charts.hooks(machine)) do is_known[hook.name] = true end
+  for _, hook in ipairs(rfsm.snapshot_hooks(machine)) do is_known[hook.name] = true end
   for _, name in ipairs(rfsm.sorted_keys(part.ext or NONE)) do
     if not (is_known[name] or FOLLOWERS[name]) then
       list[#list + 1] = ("what extension %s kept of %s"):format(text_of(name), prefix)
