@@ -31,10 +31,10 @@ describe("the usage of rfsm", function()
       .. "[--coverage JSON] [--trace JSON] [--direction DIRECTION] [-v] FILE "
       .. "[FILE] ...",
     snapshot = "[-v] {diff} OLD NEW",
-    redis = "[-o FILE] [-l URL] [--index] [--history N] [--ids N] [--ids-for S] "
+    redis = "[--ids N] [--ids-for S] [-o FILE] [-l URL] [--index] [--history N] "
       .. "[--diff] [--stats URL] [-v] [[NAME=]FILE] ...",
-    postgres = "[-o FILE] [--history] [--notify] [--ids N] [--ids-for S] [-v] "
-      .. "[NAME=]FILE [[NAME=]FILE] ...",
+    postgres = "[--ids N] [--ids-for S] [-o FILE] [--client] [--history] [--notify] "
+      .. "[-v] [[NAME=]FILE] ...",
     json = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
     plantuml = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
     dot = "[--stub] [-o FILE] [-v] FILE [FILE] ...",
@@ -150,7 +150,7 @@ describe("rfsm sim", function()
   it("hands its options to the simulator, and returns its status", function()
     local calls = {}
     local _, _, status = run("sim -e run -e step -i -r rec -d -q --stub x.lua",
-      { ["rfsm.sim"] = { main = noting(calls, 3) } })
+      { ["rfsm.sim.main"] = { main = noting(calls, 3) } })
     assert.equal(3, status)
     assert.same({ command = "sim", sim = true, file = "x.lua",
       execute = { "run", "step" }, interactive = true, replay = "rec", dry = true,

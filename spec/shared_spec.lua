@@ -218,7 +218,8 @@ describe("options", function()
     { given = 7, problem = "table of options expected, got 7" },
     { given = "x", problem = "table of options expected, got string 'x'" },
     { given = { cuont = 1 },
-      problem = "unknown option 'cuont', expected: count, even, name, wait" },
+      problem = "unknown option 'cuont' (did you mean 'count'?), expected: count, "
+        .. "even, name, wait" },
     { given = { [2] = 1, zz = 1 },
       problem = "unknown option '2', expected: count, even, name, wait" },
     { given = { count = 0 },
