@@ -374,6 +374,27 @@ describe("a recording", function()
     recorder:stop()
     assert.equal("closed file", io.type(own))
     recorder:stop() -- again does no harm
+    local lines = {}
+    recorded { write = function(_, line) lines[#lines + 1] = line end }
+    local run = table.concat(lines, "\n") .. "\n"
+    assert.equal(run .. run, helper.content(file))
+  end)
+
+  it("is replayed by a chart only, whose caller is blamed", function()
+    assert.equal("rfsm.record.replay: state expected, got number",
+      helper.refusal(record.replay, 7, {}))
+  end)
+
+  it("shows a callback that leaves targets as they are", function()
+    local function model(retarget)
+      return helper.chart({ "e_b" }, { emem = false, entry = retarget })
+    end
+    local fsm = helper.init(model(function(machine) machine[2].tgt = machine.a end))
+    local changed = {}
+    record.record(fsm, changed)
+    rfsm.run(fsm)
+    local _, problem = record.replay(model(), changed)
+    assert.equal("step 1: the targets of transitions are not as they were", problem)
   end)
 
   it("holds targets that have changed, and whether that was in a step", function()
@@ -662,6 +683,18 @@ describe("data that changes between iterations", function()
     assert.same({ 2, nil, nil, "root.a", true },
       { last.had.data.root.count, last.events, last.kept, last.leaf, last.done })
     assert.equal(2, assert(record.replay(model, sink, { dry = true })).count)
+  end)
+
+  it("makes one, too, if a hook changes them in an iteration without events", function()
+    local sink = {}
+    local fsm = helper.init(chart { keep = { "count" }, count = 1 })
+    local recorder = record.record(fsm, sink)
+    rfsm.run(fsm)
+    local count = recorder.count
+    rfsm.pre_step_hook_add(fsm, function() fsm.count = fsm.count + 1 end)
+    rfsm.step(fsm)
+    assert.equal(count + 1, recorder.count)
+    assert.equal(2, sink[#sink].kept.data.root.count)
   end)
 
   it("of a region that is left is in the record of the parent machine", function()
