@@ -385,6 +385,29 @@ describe("a recording", function()
       helper.refusal(record.replay, 7, {}))
   end)
 
+  it("has what save returns whenever that has changed", function()
+    local sink, secret = {}, 1
+    local fsm = helper.init(helper.chart({ "e_b" }, { emem = false,
+      save = function() return secret end, load = function() end }))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_none")
+    secret = 2
+    helper.post_and_run(fsm, "e_b")
+    local saved = {}
+    for _, rec in ipairs(sink) do
+      saved[#saved + 1] = (rec.had or rec.kept or { saved = {} }).saved.root
+    end
+    assert.same({ 2 }, saved)
+    assert.equal(1, sink[1].snapshot.saved.root)
+  end)
+
+  it("goes back in a list only, and blames the caller", function()
+    local recorder = recorded(function() end)
+    assert.equal("rfsm.record: back: a recording in a list expected",
+      helper.refusal(recorder.back, recorder))
+  end)
+
   it("shows a callback that leaves targets as they are", function()
     local function model(retarget)
       return helper.chart({ "e_b" }, { emem = false, entry = retarget })
