@@ -402,6 +402,32 @@ describe("a recording", function()
     assert.equal(1, sink[1].snapshot.saved.root)
   end)
 
+  it("has a kept table whenever something in it has changed", function()
+    local sink = {}
+    local fsm = helper.init(helper.chart({ "e_b" }, { emem = false, keep = { "list" },
+      list = { 1 } }))
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "e_none")
+    fsm.list[2] = "more"
+    helper.post_and_run(fsm, "e_none")
+    assert.same({ nil, { 1, "more" } }, { (sink[#sink - 1].had or {}).data,
+      sink[#sink].had.data.root.list })
+  end)
+
+  it("is refused if a line of its file is no record, or the chart is wrong", function()
+    local file = helper.file_with("")
+    recorded(file):stop()
+    helper.write(file, helper.content(file) .. "7\n")
+    assert.is_truthy(select(2, pcall(record.read, file)):find(
+      ": record 11: table expected, got number", 1, true))
+    local sink = {}
+    recorded(sink)
+    assert.same({ false, "rfsm.init: the model has 1 problem" },
+      { (function(fsm, text) return fsm, text:match("^[^\n]*") end)(record.replay(
+        state { err = false, entry = 7 }, sink)) })
+  end)
+
   it("goes back in a list only, and blames the caller", function()
     local recorder = recorded(function() end)
     assert.equal("rfsm.record: back: a recording in a list expected",
