@@ -170,6 +170,28 @@ describe("a property of regions", function()
   end)
 end)
 
+describe("a watched machine", function()
+  it("looks at regions when they have had the events", function()
+    local told = {}
+    local model = chart({ r1 = ring(2, "e1") }, { err = function(text)
+      told[#told + 1] = text:match("^[^\n]*")
+    end })
+    local fsm = assert(rfsm.init(model))
+    rfsm_checks.watch_properties(fsm, {
+      left = after "e1".never "root.par.r1.s1",
+      reached = after "e1".reach "root.par.r1.s1" })
+    for _, event in ipairs { "e_on", "e1" } do
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, event)
+    end
+    rfsm.step(fsm)
+    assert.same({}, told)
+    rfsm.send_events(fsm, "e1")
+    rfsm.step(fsm)
+    assert.same({ "property 'left' does not hold" }, told)
+  end)
+end)
+
 describe("a witness of one region", function()
   local function yes() return true end
 

@@ -37,6 +37,7 @@ local watching = {}
 ---@field is_timed boolean some property has a time
 ---@field now number seconds, when the iteration began
 ---@field leaf rfsm.State|false when the iteration began
+---@field forwarded any[] events of the iteration before, which belongs to this step
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
 Watched.__index = Watched
@@ -147,9 +148,21 @@ local function begin_iteration(own)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
 end
 
+-- Do the regions of the active leaf get the events in the next iteration, which belongs
+-- to the same step?
+local function are_forwarded(own, events)
+  local leaf = own.fsm._act_leaf
+  return events[1] ~= nil and leaf and leaf == own.leaf and leaf._regions ~= nil
+end
+
 local function end_iteration(own, events)
   note_step(own, events)
   if not own.fsm._act_leaf then return end
+  if are_forwarded(own, events) then
+    own.forwarded = match.joined(own.forwarded, events)
+    return
+  end
+  events, own.forwarded = match.joined(own.forwarded, events), {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
   look.is_at_rest = look.is_idle and not has_timer(own.fsm)
@@ -173,7 +186,7 @@ end
 
 -- Has all monitors begin anew.
 local function begin(own)
-  own.trace = {}
+  own.trace, own.forwarded = {}, {}
   for _, monitor in ipairs(own.monitors) do
     monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
   end
