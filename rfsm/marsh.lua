@@ -344,7 +344,7 @@ local function transition_table(writer, tr, composite)
   local tab = {
     type = "transition", src = path_of(writer, tr.src),
     tgt = path_of(writer, target_of(tr)), pn = tr.pn, events = events,
-    internal = tr._is_internal,
+    internal = rfsm.target_of(tr) == "internal" or nil,
   }
   if not writer.callback_text then return tab end
   local name = writer.names[tr]

@@ -426,8 +426,8 @@ describe("a connection", function()
     end
     assert.equal("rfsm.postgres.connect: function expected that opens a connection, "
       .. "got string 'shop'", connecting("shop"))
-    assert.equal("rfsm.postgres.connect: unknown option 'patient', expected: patience, "
-      .. "sleep", connecting(print, { patient = 1 }))
+    assert.equal("rfsm.postgres.connect: unknown option 'patient' (did you mean "
+      .. "'patience'?), expected: patience, sleep", connecting(print, { patient = 1 }))
     assert.equal("rfsm.postgres.connect: patience: seconds expected, got -1",
       connecting(print, { patience = -1 }))
     assert.equal("rfsm.postgres.connect: sleep: function expected, got number",
@@ -519,7 +519,8 @@ describe("charts of the client", function()
     for text, arguments in pairs {
       ["list of files expected, got string 'a.lua'"] = { "a.lua" },
       ["list of files expected, got table"] = { {} },
-      ["unknown option 'id', expected: ids, ids_for"] = { { "a.lua" }, { id = 1 } },
+      ["unknown option 'id' (did you mean 'ids'?), expected: ids, ids_for"] =
+        { { "a.lua" }, { id = 1 } },
       ["ids: a whole number expected, got 0"] = { { "a.lua" }, { ids = 0 } },
       ["ids: a whole number expected, got 1000001"] = { { "a.lua" },
         { ids = 1000001 } },

@@ -32,7 +32,7 @@ local function follow(fsm, leaf)
     tr, is_open = find_taken(node._otrs, event)
     if tr or is_open then break end
   end
-  while tr and not tr._is_internal do
+  while tr and rfsm.target_of(tr) ~= "internal" do
     path[#path + 1] = tr
     if not is_conn(tr.tgt) then return tr.tgt, path end
     if path[100] then return nil end -- connectors in a circle

@@ -107,7 +107,8 @@ local function transition_name(tr, prefix)
   for i, event in ipairs(tr.events or {}) do texts[i] = event_text(event, tr) end
   sort(texts)
   return place.name_of(tr.src, prefix) .. " -" .. concat(texts, ", ") .. "-> "
-    .. (tr._is_internal and "internal" or place.name_of(tr.tgt, prefix, true))
+    .. (rfsm.target_of(tr) == "internal" and "internal"
+      or place.name_of(tr.tgt, prefix, true))
 end
 
 --- Set the field `name` of transitions. The second of those between the same states on

@@ -237,7 +237,7 @@ local function check_model(findings, model)
   add_lines(findings, warnings, nil, fsm, "root")
   for i = 2, #regions do
     local region = regions[i].machine
-    local _, _, own = init_and_listen(region._plan.model)
+    local _, _, own = init_and_listen(rfsm.model_of(region))
     add_lines(findings, own, nil, region, regions[i].prefix)
   end
   return fsm

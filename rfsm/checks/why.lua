@@ -69,7 +69,7 @@ end
 -- Returns the target of a transition, which a program may have set to a composite.
 local function target_of(tr)
   local tgt = tr.tgt
-  if tr._is_internal and rawequal(tr.src, tgt) then return tgt end
+  if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return tgt end
   if rfsm.is_composite(tgt) then return tgt.initial end
   return rfsm.is_node(tgt) and tgt or nil
 end
