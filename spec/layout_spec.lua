@@ -218,19 +218,23 @@ end)
 
 describe("columns", function()
   local picture = drawn(chain(12))
-  local shapes, xs, channel = nil, {}, nil
+  local shapes, begins_column, channel = nil, {}, nil -- channel: the second column
 
   before_each(function()
-    shapes = picture()
-    for i = 1, 12 do xs[i] = middle(shapes["root.s" .. i].box) end
+    shapes, channel = picture(), nil
+    for i = 2, 12 do
+      local here, before = shapes["root.s" .. i].box, shapes["root.s" .. i - 1].box
+      begins_column[i] = math.abs(middle(here) - middle(before)) > 30
+      channel = channel or begins_column[i] and i
+    end
   end)
 
   it("are read from top to bottom, then from left to right", function()
     local count = 1
     for i = 2, 12 do
       local here, before = shapes["root.s" .. i].box, shapes["root.s" .. i - 1].box
-      if math.abs(xs[i] - xs[i - 1]) > 30 then
-        count, channel = count + 1, channel or i
+      if begins_column[i] then
+        count = count + 1
         assert.is_true(here.left > before.right)
         assert.is_true(here.top < before.top)
       else
