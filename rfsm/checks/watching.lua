@@ -37,6 +37,7 @@ local watching = {}
 ---@field is_timed boolean some property has a time
 ---@field now number seconds, when the iteration began
 ---@field leaf rfsm.State|false when the iteration began
+---@field is_entered boolean a leaf with regions was entered in this iteration
 ---@field forwarded any[] events of the iteration before, which belongs to this step
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
@@ -146,13 +147,16 @@ end
 
 local function begin_iteration(own)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
+  own.is_entered = false
 end
 
 -- Do the regions of the active leaf get the events in the next iteration, which belongs
--- to the same step?
+-- to the same step? Not if the leaf was entered. An internal transition is not seen:
+-- what it does is judged an iteration late.
 local function are_forwarded(own, events)
   local leaf = own.fsm._act_leaf
   return events[1] ~= nil and leaf and leaf == own.leaf and leaf._regions ~= nil
+    and not own.is_entered
 end
 
 local function end_iteration(own, events)
@@ -238,6 +242,11 @@ function watching.watch_properties(fsm, given)
   end
   function own.before() begin_iteration(own) end
   function own.after(_, events) end_iteration(own, events) end
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    if leaf._regions then
+      rfsm.entry_hook_add(fsm, leaf, function() own.is_entered = true end)
+    end
+  end
   begin(own)
   rfsm.pre_step_hook_add(fsm, own.before, "before")
   rfsm.post_step_hook_add(fsm, own.after)
