@@ -516,9 +516,9 @@ local function advise(topic, ...)
 end
 
 
--- Where an element stands in the model: an FQN, or root.trans[2] (a -> b), with
+-- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
-local function place_of(def, field)
+local function name_of(def, field)
   local suffix = field and "." .. field or ""
   if def.kind ~= "transition" then return def.fqn .. suffix end
   local key, model, arrow = def.id, def.model, ""
@@ -534,7 +534,7 @@ end
 local function add(list, def, field, text, ...)
   if select("#", ...) > 0 then text = text:format(...) end
   list[#list + 1] = {
-    at = place_of(def, field), file = made_at[def.model], text = text,
+    at = name_of(def, field), file = made_at[def.model], text = text,
   }
 end
 
@@ -2295,7 +2295,7 @@ end
 function rfsm.location_of(obj, field)
   local def = obj["_%def"]
   local file = made_at[def.model]
-  return (file and file .. ": " or "") .. place_of(def, field)
+  return (file and file .. ": " or "") .. name_of(def, field)
 end
 
 local build_plan, check_ways_in, new_build, new_machine, plan_of

@@ -22,7 +22,7 @@ local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, rawset, type = rawequal, rawget, rawset, type
 local concat = table.concat
 local fail, is_scalar, pack = plain.fail, plain.is_scalar, plain.pack
-local copy_of, place_of, reason = plain.copy_of, plain.place_of, plain.reason
+local copy_of, location_of, reason = plain.copy_of, plain.location_of, plain.reason
 local text_of, unpack = rfsm.text_of, plain.unpack
 
 local snapshot = { VERSION = move.VERSION }
@@ -53,7 +53,7 @@ local function pack_queue(queue, path)
     path[1] = i
     if not is_scalar(queue[i]) then
       fail("%s: an event that is a %s cannot be saved, only text, number or boolean",
-        place_of(path, 1), type(queue[i]))
+        location_of(path, 1), type(queue[i]))
     end
     list[i] = pack(queue[i], path, 1)
   end

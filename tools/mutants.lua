@@ -29,7 +29,7 @@ local ROOMS = {
   { name = "checks", files = { "rfsm_checks.lua", "rfsm/checks/codes.lua",
     "rfsm/checks/command.lua", "rfsm/checks/coverage.lua", "rfsm/checks/loops.lua",
     "rfsm/checks/match.lua", "rfsm/checks/names.lua", "rfsm/checks/order.lua",
-    "rfsm/checks/place.lua", "rfsm/checks/source.lua", "rfsm/checks/static.lua",
+    "rfsm/checks/location.lua", "rfsm/checks/source.lua", "rfsm/checks/static.lua",
     "rfsm/checks/structure.lua", "rfsm/checks/tests.lua", "rfsm/checks/rehearsal.lua",
     "rfsm/checks/why.lua" },
     specs = { "checks", "source", "coverage", "why", "tests", "verdict", "tools" } },

@@ -7,7 +7,7 @@ local chart = require "rfsm.shared.chart"
 local exists = require("rfsm.shared.beside").exists
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local source = require "rfsm.checks.source"
@@ -167,10 +167,10 @@ local function add_missing_extensions(findings, model, required)
       for _, event in ipairs(tr.events or {}) do
         local maker = match.maker_of(event)
         if MODULES[maker] and not required[maker] then
-          findings:add("unknown-word", tr, place.path(tr, entry.prefix),
+          findings:add("unknown-word", tr, location.path(tr, entry.prefix),
             ("the chart does not load the extension that knows '%s' (require %q)")
               :format(event:gsub("@root.*$", ""), MODULES[maker]),
-            place.in_words(tr, entry.prefix))
+            location.in_words(tr, entry.prefix))
         end
       end
     end

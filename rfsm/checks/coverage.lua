@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 local opts = require "rfsm.shared.options"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 
 local error, ipairs, pairs = error, ipairs, pairs
 local setmetatable, type = setmetatable, type
@@ -58,10 +58,10 @@ end
 
 local function count_machine(own, fsm, prefix)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    count_state(own, fsm, state, place.path(state, prefix))
+    count_state(own, fsm, state, location.path(state, prefix))
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    count_transition(own, tr, place.path(tr, prefix))
+    count_transition(own, tr, location.path(tr, prefix))
   end
 end
 

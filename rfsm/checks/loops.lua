@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local structure = require "rfsm.checks.structure"
 
 local ipairs = ipairs
@@ -28,7 +28,7 @@ end
 local function follow(fsm, leaf)
   local event, path = "e_done@" .. leaf._fqn, {}
   local tr, is_open
-  for _, node in ipairs(place.line(fsm, leaf)) do
+  for _, node in ipairs(location.line(fsm, leaf)) do
     tr, is_open = find_taken(node._otrs, event)
     if tr or is_open then break end
   end
@@ -44,7 +44,7 @@ end
 local function may_be_left(fsm, leaves, taken)
   local has_callback, has_exit = false, false
   for _, leaf in ipairs(leaves) do
-    for _, node in ipairs(place.line(fsm, leaf)) do
+    for _, node in ipairs(location.line(fsm, leaf)) do
       has_callback = has_callback or node.entry or node.exit
       for _, tr in ipairs(node._otrs) do
         has_callback = has_callback or taken[tr] and tr.effect

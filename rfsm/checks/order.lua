@@ -6,7 +6,7 @@
 
 local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local structure = require "rfsm.checks.structure"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
@@ -45,7 +45,7 @@ local ALL = setmetatable({}, { __index = function() return true end })
 -- Returns a transition that is tried before `tr`, from its source or a composite around
 -- that, and always taken on the event.
 local function find_shadow(fsm, tr, event)
-  for _, node in ipairs(is_conn(tr.src) and { tr.src } or place.line(fsm, tr.src)) do
+  for _, node in ipairs(is_conn(tr.src) and { tr.src } or location.line(fsm, tr.src)) do
     for _, other in ipairs(node._otrs) do
       if other == tr then break end
       if is_enabled_by(other, event)

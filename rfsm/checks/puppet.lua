@@ -20,7 +20,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local data = require "rfsm.checks.data"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
 local stubs = require "rfsm.checks.stubs"
@@ -229,7 +229,7 @@ local function new_stub(self, what, path, part, obj, callback)
 end
 
 local function make_state(self, part, state)
-  local path = place.path(state, part.prefix)
+  local path = location.path(state, part.prefix)
   self.names[path], self.paths[#self.paths + 1] = state, path
   self.part_of[path], self.path_of[state] = part, path
   local own = state._regions or state -- the callbacks of such a state are the library's
@@ -263,7 +263,7 @@ local function note_events(self, tr)
 end
 
 local function make_transition(self, part, tr)
-  local number, path = #self.transitions + 1, place.path(tr, part.prefix)
+  local number, path = #self.transitions + 1, location.path(tr, part.prefix)
   self.number_of[tr] = number
   self.transitions[number] = { tr = tr, path = path, prefix = part.prefix,
     part = part }
@@ -309,8 +309,8 @@ end
 -- Notes a leaf, or false for a machine that was not entered.
 local function add_leaf(part, leaf, number)
   local paths = {}
-  for i, node in ipairs(leaf and place.line(part.fsm, leaf) or {}) do
-    paths[i] = place.path(node, part.prefix)
+  for i, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
+    paths[i] = location.path(node, part.prefix)
   end
   part.known[leaf] = { state = leaf, number = number, path = paths[#paths],
     paths = paths, reactions = false }
@@ -561,7 +561,7 @@ local function new_view(self, active, flags)
     local number = self.flag_numbers[name]
     if number then return flags:sub(number, number) == "+" end
     if self.names[name] then return active[name] == true end
-    place.refuse_name(name, "state or flag", match.joined(
+    location.refuse_name(name, "state or flag", match.joined(
       rfsm.sorted_keys(self.names), rfsm.sorted_keys(self.flag_numbers)))
   end
 end

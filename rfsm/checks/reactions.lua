@@ -10,7 +10,7 @@
 
 local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 
 local ipairs, pairs, type = ipairs, pairs, type
 local is_conn = rfsm.is_conn
@@ -145,7 +145,7 @@ end
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
     is_cut = false, own = false, outside = false }
-  local seen, nodes = {}, place.tried(fsm, leaf)
+  local seen, nodes = {}, location.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do
     add_reactions(found, nodes[i], seen)

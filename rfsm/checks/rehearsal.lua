@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local opts = require "rfsm.shared.options"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local puppet = require "rfsm.checks.puppet"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
@@ -41,7 +41,7 @@ end
 -- Gives each transition and doo a name, and each name what the puppet asks with.
 local function add_names(own)
   own.asker_of, own.name_of = {}, {}
-  place.add_names(own.transitions)
+  location.add_names(own.transitions)
   local function add(name, who)
     own.asker_of[name], own.name_of[who] = own.asker_of[name] or who, name
   end
@@ -51,7 +51,7 @@ local function add_names(own)
   end
   for _, part in ipairs(own.parts) do
     for _, leaf in ipairs(rfsm.elements(part.fsm, rfsm.is_leaf)) do
-      add(place.name_of(leaf, part.prefix), place.path(leaf, part.prefix))
+      add(location.name_of(leaf, part.prefix), location.path(leaf, part.prefix))
     end
   end
 end
@@ -216,7 +216,8 @@ local function outcome(own)
   local texts, leaf = {}, own.parts[1].fsm._act_leaf
   for i, number in ipairs(own.taken) do texts[i] = own.transitions[number].name end
   if not texts[1] then
-    texts[1] = leaf and "stays in " .. place.name_of(leaf, "root") or "is not entered"
+    texts[1] = leaf and "stays in " .. location.name_of(leaf, "root")
+      or "is not entered"
   end
   for _, text in ipairs(surprises(own)) do texts[#texts + 1] = text end
   local called = own.called[1] and ": " .. concat(own.called, ", ") or ""

@@ -9,7 +9,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local require, select, setmetatable = require, select, setmetatable
@@ -69,7 +69,7 @@ end
 --- Append a finding, unless its element expects it.
 ---@param code string
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector|nil
----@param path string of the element, see `place.path`
+---@param path string of the element, see `location.path`
 ---@param at? string its location
 ---@param file? string
 ---@return rfsm_checks.Finding? finding
@@ -82,7 +82,7 @@ function Findings:add(code, obj, path, text, at, file)
   if self.told[key] then return nil end
   self.told[key] = true
   local finding = { code = code, severity = known.severity, hint = known.hint,
-    file = file or obj and place.split(rfsm.location_of(obj)) or "",
+    file = file or obj and location.split(rfsm.location_of(obj)) or "",
     place = at or path, text = text }
   self[#self + 1] = finding
   return finding
@@ -113,10 +113,10 @@ function Findings:add_idle_silences(model)
   for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
     for _, obj in ipairs(rfsm.elements(entry.machine)) do
       for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
-        local path = place.path(obj, entry.prefix)
+        local path = location.path(obj, entry.prefix)
         if is_silenced(obj, code) and not self.silenced[path .. " " .. code] then
           self:add("silence", obj, path, ("checks['%s']: there is nothing to silence "
-            .. "any more"):format(code), place.in_words(obj, entry.prefix))
+            .. "any more"):format(code), location.in_words(obj, entry.prefix))
         end
       end
     end
@@ -152,8 +152,8 @@ local function check_machine(entry, findings, checks)
   for _, obj in ipairs(elements) do
     check_silences(obj, add)
     for _, found in ipairs(by_element[obj]) do
-      local finding = findings:add(found.code, obj, place.path(obj, entry.prefix),
-        found.text, place.in_words(obj, entry.prefix))
+      local finding = findings:add(found.code, obj, location.path(obj, entry.prefix),
+        found.text, location.in_words(obj, entry.prefix))
       if finding then finding.severity = found.severity or finding.severity end
     end
   end
@@ -192,9 +192,9 @@ end
 local function elements_by_place(fsm)
   local found = {}
   for _, obj in ipairs(fsm and rfsm.elements(fsm) or {}) do
-    for _, location in ipairs { rfsm.location_of(obj), rfsm.location_of(obj, "events") }
+    for _, text in ipairs { rfsm.location_of(obj), rfsm.location_of(obj, "events") }
     do
-      found[select(2, place.split(location))] = obj
+      found[select(2, location.split(text))] = obj
     end
   end
   return found
@@ -204,13 +204,13 @@ end
 local function add_lines(findings, lines, code, fsm, prefix)
   local by_place = elements_by_place(fsm)
   for _, line in ipairs(lines) do
-    local file, rest = place.split(line)
+    local file, rest = location.split(line)
     local at, text = rest:match("^(root.-): (.*)$")
     local obj = by_place[at]
     if code or not is_detailed(text or rest) then
       findings:add(code or codes.of_warning(line), obj,
-        obj and place.path(obj, prefix), text or rest,
-        place.location_of(prefix) .. (at or "root"), file)
+        obj and location.path(obj, prefix), text or rest,
+        location.prefix(prefix) .. (at or "root"), file)
     end
   end
 end

@@ -8,7 +8,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 local concat = table.concat
@@ -40,7 +40,7 @@ function structure.reached(fsm)
 end
 
 local function has_way_out(fsm, state)
-  for _, node in ipairs(place.line(fsm, state)) do
+  for _, node in ipairs(location.line(fsm, state)) do
     if node._otrs[1] then return true end
   end
   return false

@@ -12,7 +12,7 @@
 local rfsm = require "rfsm"
 local explore = require "rfsm.checks.explore"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local rehearsal = require "rfsm.checks.rehearsal"
@@ -173,7 +173,7 @@ end
 
 -- Is a transition taken on any event in a leaf?
 local function takes_any(part, leaf)
-  for _, node in ipairs(leaf and place.line(part.fsm, leaf) or {}) do
+  for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
     for _, tr in ipairs(node._otrs) do
       if match.triggers(tr, "e_unknown") ~= false then return true end
     end
@@ -189,7 +189,7 @@ local function steps_at_rest(walk, number)
   local found = reactions.of(own.parts[1], leaf)
   local is_open = takes_any(own.parts[1], leaf) or rfsm.regions(leaf)[1]
   if puppet.is_driven(conf) or is_open then return {} end
-  local goes_on = conf[1].mode == "active" and { place.name_of(leaf, "root") } or nil
+  local goes_on = conf[1].mode == "active" and { location.name_of(leaf, "root") } or nil
   local list = { { goes_on = goes_on }, { "e_unknown" } }
   for _, event in ipairs(own:named_texts()) do
     if not (found.set[event] or own:maker_of(event)) then

@@ -10,7 +10,7 @@ local graph = require "rfsm.checks.graph"
 local independence = require "rfsm.checks.independence"
 local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
@@ -108,10 +108,10 @@ local function find_closed(walk, findings, met)
   for _, entry in ipairs(walk.puppet.transitions) do
     local connector, prefix = entry.tr.tgt, entry.prefix
     local is_met = rfsm.is_conn(connector) and not met.left[connector]
-      and met.active[place.path(entry.tr.src, prefix)]
+      and met.active[location.path(entry.tr.src, prefix)]
     if is_met and connector._id ~= "initial" and not is_closed[connector] then
       is_closed[connector] = true
-      findings:add("closed", connector, place.path(connector, prefix),
+      findings:add("closed", connector, location.path(connector, prefix),
         "no step passes this connector")
     end
   end
@@ -126,8 +126,8 @@ local function find_untaken(walk, findings, met, is_closed)
     if rfsm.is_conn(tgt) and tgt._id == "initial" then tgt = tgt._parent end
     return is_closed[tgt] or rfsm.is_conn(src) and not met.entered[src]
       and not (src._id == "initial" and rfsm.is_root(src._parent))
-      or rfsm.is_state(src) and not met.active[place.path(src, entry.prefix)]
-      or rfsm.is_state(tgt) and not met.active[place.path(tgt, entry.prefix)]
+      or rfsm.is_state(src) and not met.active[location.path(src, entry.prefix)]
+      or rfsm.is_state(tgt) and not met.active[location.path(tgt, entry.prefix)]
   end
   for number, entry in ipairs(walk.puppet.transitions) do
     if not (walk.taken[number] or is_told(entry)) then

@@ -11,7 +11,7 @@ local clock = require "rfsm.clock"
 local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
 local opts = require "rfsm.shared.options"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local properties = require "rfsm.checks.properties"
 
 local error, ipairs, package, type = error, ipairs, package, type
@@ -59,12 +59,12 @@ local function view_of(fsm)
   local states = {}
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
-      states[place.path(state, entry.prefix)] = state
+      states[location.path(state, entry.prefix)] = state
     end
   end
   return function(name)
     if not states[name] then
-      place.refuse_name(name, "state", rfsm.sorted_keys(states))
+      location.refuse_name(name, "state", rfsm.sorted_keys(states))
     end
     return states[name]._mode ~= "inactive"
   end

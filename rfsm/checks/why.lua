@@ -10,7 +10,7 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.checks.match"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 
 local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 local select, setmetatable, type = select, setmetatable, type
@@ -101,7 +101,7 @@ end
 
 local function ask(search, tr)
   local verdict, reason, connector, ways = judge(search, tr)
-  local file, at = place.split(rfsm.location_of(tr))
+  local file, at = location.split(rfsm.location_of(tr))
   return { verdict = verdict, reason = reason, place = at, file = file,
     src = tr.src._fqn, tgt = name_of(tr.tgt), connector = connector, ways = ways }
 end
@@ -128,7 +128,7 @@ end
 local function answers_of(fsm, events)
   local search, answers, winner = { events = events, found = {} }, {}, false
   search.is_mute = fsm._act_leaf and events[1] == nil
-  for _, node in ipairs(place.tried(fsm, fsm._act_leaf)) do
+  for _, node in ipairs(location.tried(fsm, fsm._act_leaf)) do
     for _, tr in ipairs(node._otrs) do
       local answer = ask(search, tr)
       if answer.verdict == "enabled" and winner then
@@ -175,7 +175,7 @@ local function explain(fsm, events)
   local answers, winner = answers_of(fsm, events)
   local result = { events = texts_of(events), fires = winner, answers = answers,
     leaf = rfsm.get_actleaf_fqn(fsm), regions = {} }
-  for i, region in ipairs(place.regions_of(fsm._act_leaf or {})) do
+  for i, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
     result.regions[i] = { name = region.name, why = explain(region.machine, events) }
   end
   return result
@@ -217,7 +217,7 @@ local function add_enabled(list, is_listed, fsm)
     end
   end
   list.any = list.any or takes_any
-  for _, region in ipairs(place.regions_of(fsm._act_leaf or {})) do
+  for _, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
     add_enabled(list, is_listed, region.machine)
   end
   return list

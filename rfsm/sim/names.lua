@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 
 local ipairs, type = ipairs, type
 
@@ -45,7 +45,7 @@ function names.nodes(fsm)
   local list, by_name = {}, {}
   for _, at in ipairs(rfsm.machines(fsm)) do
     for _, node in ipairs(rfsm.elements(at.machine, rfsm.is_nr_node)) do
-      local name = place.path(node, at.prefix)
+      local name = location.path(node, at.prefix)
       list[#list + 1], by_name[name] = name, node
     end
   end

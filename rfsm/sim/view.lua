@@ -5,7 +5,7 @@
 
 local rfsm = require "rfsm"
 local diagram = require "rfsm.pictures.diagram"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local rfsmpp = require "rfsmpp"
 
 local getmetatable, io, ipairs, print = getmetatable, io, ipairs, print
@@ -86,7 +86,7 @@ local function children_of(state)
   rfsm.mapfsm(function(child)
     if child ~= state then children[#children + 1] = { state = child } end
   end, state, rfsm.is_state, 1)
-  for _, region in ipairs(place.regions_of(state)) do
+  for _, region in ipairs(location.regions_of(state)) do
     children[#children + 1] = { state = region.machine, name = region.name }
   end
   return children

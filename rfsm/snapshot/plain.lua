@@ -63,14 +63,14 @@ end
 --- Return the location of a value.
 ---@param depth integer how many of its keys count
 ---@return string text such as "root.a.list[2]"
-local function place_of(path, depth)
-  local place = path.owner or path.prefix .. path.keeper.fqn:sub(5)
+local function location_of(path, depth)
+  local location = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
     local key = path[i]
-    place = place .. (type(key) == "number" and "[" .. text_of(key) .. "]"
-      or (place == "" and "" or ".") .. text_of(key))
+    location = location .. (type(key) == "number" and "[" .. text_of(key) .. "]"
+      or (location == "" and "" or ".") .. text_of(key))
   end
-  return place
+  return location
 end
 
 --- Is a value a text, a number or a boolean?
@@ -135,7 +135,8 @@ local function to_pairs(packed, path, depth)
   local list = { "%t" }
   for _, key in ipairs(rfsm.sorted_keys(packed)) do
     if not is_scalar(key) then
-      fail("%s: a key that is a %s cannot be saved", place_of(path, depth), type(key))
+      fail("%s: a key that is a %s cannot be saved", location_of(path, depth),
+        type(key))
     end
     list[#list + 1], list[#list + 2] = pack(key, path, depth), packed[key]
   end
@@ -165,13 +166,13 @@ end
 local function check_table(t, path, depth)
   path.seen = path.seen or {}
   if getmetatable(t) ~= nil then
-    fail("%s: a table with a metatable cannot be saved", place_of(path, depth))
+    fail("%s: a table with a metatable cannot be saved", location_of(path, depth))
   elseif path.seen[t] then
     fail("%s: this table stands elsewhere in the data, too, and can only be saved once",
-      place_of(path, depth))
+      location_of(path, depth))
   elseif depth > MAX_DEPTH then
-    fail("%s: at most %d tables inside each other expected", place_of(path, min(depth,
-      1)), MAX_DEPTH)
+    fail("%s: at most %d tables inside each other expected",
+      location_of(path, min(depth, 1)), MAX_DEPTH)
   end
   path.seen[t] = true
 end
@@ -213,7 +214,7 @@ function pack(value, path, depth)
   elseif value == nil or is_null(value) then
     return nil
   elseif kind ~= "table" then
-    fail("%s: a %s cannot be saved", place_of(path, depth), kind)
+    fail("%s: a %s cannot be saved", location_of(path, depth), kind)
   end
   if rawequal(value, NIL) then return { "%z" } end
   if path.base + depth <= MAX_DIRECT then return pack_table(value, path, depth) end
@@ -342,6 +343,7 @@ end
 
 return {
   NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
-  is_null = is_null, is_safe = is_safe, is_scalar = is_scalar, pack = pack,
-  place_of = place_of, reason = reason, to_json = to_json, try = try, unpack = unpack,
+  is_null = is_null, is_safe = is_safe, is_scalar = is_scalar,
+  location_of = location_of, pack = pack, reason = reason, to_json = to_json, try = try,
+  unpack = unpack,
 }

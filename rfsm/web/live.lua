@@ -15,7 +15,7 @@ local rfsm_checks = require "rfsm_checks"
 local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
 local outline = require "rfsm.web.outline"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local points = require "rfsm.sim.points"
 local swap = require "rfsm.shared.swap"
 local values = require "rfsm.sim.view"
@@ -61,7 +61,7 @@ local function add_transitions(view, watched)
   for _, tr in ipairs(rfsm.elements(watched.fsm, rfsm.is_trans)) do
     local text = tostring(tr)
     watched.transitions[text] = watched.transitions[text] or tr
-    watched.edges[tr] = view.outline.edge_of[place.path(tr, watched.prefix)]
+    watched.edges[tr] = view.outline.edge_of[location.path(tr, watched.prefix)]
   end
 end
 
@@ -74,14 +74,14 @@ local function new_path_texts(prefix)
   end })
 end
 
-local function add_machine(view, location)
-  local fsm, prefix = location.machine, location.prefix
+local function add_machine(view, at)
+  local fsm, prefix = at.machine, at.prefix
   local watched = { fsm = fsm, prefix = prefix, path = false, numbers = {}, by_fqn = {},
     transitions = {}, edges = {}, path_texts = new_path_texts(prefix), printers = {},
     tracer = {} }
   add_transitions(view, watched)
   for _, node in ipairs(rfsm.elements(fsm, rfsm.is_node)) do
-    local number = view.outline.number_of[place.path(node, prefix)]
+    local number = view.outline.number_of[location.path(node, prefix)]
     watched.numbers[node], watched.by_fqn[node._fqn] = number, number
     view.outline.nodes[number + 1].file = rfsm.location_of(node):match("^(.-:%d+): ")
     view.node_of[number] = node
@@ -318,8 +318,8 @@ function Live.new(fsm, clock)
   view.fsm, view.machines, view.node_of = fsm, {}, {}
   view.lost, view.last_lost, view.entered, view.is_watched = {}, {}, {}, false
   view.points, view.hit = {}, false
-  for _, location in ipairs(rfsm.machines(fsm)) do
-    listen_to_failures(view, add_machine(view, location))
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    listen_to_failures(view, add_machine(view, at))
   end
   return view
 end

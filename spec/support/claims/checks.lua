@@ -4,7 +4,7 @@
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
 local new_random = require "spec.support.random"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
 local rfsm_checks = require "rfsm_checks"
@@ -46,7 +46,7 @@ end
 local function places_of(fsm)
   local number_of = {}
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    number_of[place.of(tr)] = tr.number
+    number_of[location.of(tr)] = tr.number
   end
   return number_of
 end
@@ -85,7 +85,7 @@ local function compare_coverage(fsm, record, seen, expect)
     expect((seen.entered[state._fqn] or 0) == record.states[state._fqn], "coverage")
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    expect((seen.taken[tr.number] or 0) == record.transitions[place.path(tr)],
+    expect((seen.taken[tr.number] or 0) == record.transitions[location.path(tr)],
       "coverage of transitions")
   end
 end

@@ -7,7 +7,7 @@ local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
 local explore = require "rfsm.checks.explore"
 local new_random = require "spec.support.random"
-local place = require "rfsm.checks.place"
+local location = require "rfsm.checks.location"
 local puppet = require "rfsm.checks.puppet"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
@@ -208,7 +208,7 @@ local function paths_of(chart)
   local fsm, path_of = rfsm.init(model_of(chart, {}, "")), {}
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
-      path_of[tr.number] = place.path(tr, entry.prefix)
+      path_of[tr.number] = location.path(tr, entry.prefix)
     end
   end
   return path_of
@@ -323,7 +323,7 @@ local function callbacks_of(chart, path_of)
   local list, fsm = {}, rfsm.init(model_of(chart, {}, ""))
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
-      local path = place.path(state, entry.prefix)
+      local path = location.path(state, entry.prefix)
       list[#list + 1] = { name = "entry " .. path, id = "entry " .. path }
       list[#list + 1] = { name = "exit " .. path, id = "exit " .. path }
     end

@@ -1,6 +1,6 @@
---- Places: location, path and name of an element, its ancestors, its regions.
+--- Locations: path and name of an element, its ancestors, its regions.
 --
--- @module rfsm.checks.place
+-- @module rfsm.checks.location
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
@@ -10,33 +10,33 @@ local error, ipairs, table, type = error, ipairs, table, type
 local concat, sort = table.concat, table.sort
 local text_of = rfsm.text_of
 
-local place = {}
+local location = {}
 
 --- Split a location, or a text that begins with one, at the root.
 ---@param text string "chart.lua:7: root.trans[2]"
 ---@return string file "chart.lua:7: "; empty if it is not known
 ---@return string rest "root.trans[2]"
-function place.split(text)
+function location.split(text)
   local file, rest = text:match("^(.-:%d+: )(root.*)$")
   return file or "", rest or text
 end
 
 --- Return the location of an element without file and line.
-function place.of(obj)
-  local _, rest = place.split(rfsm.location_of(obj))
+function location.of(obj)
+  local _, rest = location.split(rfsm.location_of(obj))
   return rest
 end
 
 --- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
 ---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
 ---@param prefix? string of its machine, see `rfsm.machines`
-function place.path(obj, prefix)
-  local path = obj._fqn or place.of(obj):gsub(" %(.* %-> .*%)$", "")
+function location.path(obj, prefix)
+  local path = obj._fqn or location.of(obj):gsub(" %(.* %-> .*%)$", "")
   return prefix and prefix .. path:sub(5) or path
 end
 
 --- List the nodes from a machine, or a part of one, down to one of its nodes.
-function place.line(fsm, node)
+function location.line(fsm, node)
   local line = { node }
   while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
   return line
@@ -44,14 +44,14 @@ end
 
 --- List the nodes whose transitions are tried in a leaf, in order. If `leaf` is false,
 --- the machine was not entered.
-function place.tried(fsm, leaf)
-  if leaf then return place.line(fsm, leaf) end
+function location.tried(fsm, leaf)
+  if leaf then return location.line(fsm, leaf) end
   return { rfsm.is_composite(fsm) and fsm.initial or nil }
 end
 
 --- List the regions of a state with their names, sorted by name.
 ---@return { name: string, machine: rfsm.Machine }[] regions
-function place.regions_of(state)
+function location.regions_of(state)
   local regions, machines = {}, {}
   for i, machine in ipairs(rfsm.regions(state)) do
     machines[state._regions.names[i]] = machine
@@ -64,18 +64,18 @@ end
 
 --- Return the path of a region in front of findings about it: "root.par.left: "; empty
 --- for the machine itself.
-function place.location_of(prefix) return prefix ~= "root" and prefix .. ": " or "" end
+function location.prefix(prefix) return prefix ~= "root" and prefix .. ": " or "" end
 
 --- Return the location of an element of a machine: "root.par.left: root.a".
-function place.in_words(obj, prefix)
-  return place.location_of(prefix) .. place.of(obj)
+function location.in_words(obj, prefix)
+  return location.prefix(prefix) .. location.of(obj)
 end
 
 --- Raise an error for a name that nothing has.
 ---@param name any
 ---@param kind string "state"
 ---@param names string[] those that there are
-function place.refuse_name(name, kind, names)
+function location.refuse_name(name, kind, names)
   error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
@@ -87,11 +87,11 @@ end
 ---@param node rfsm.State|rfsm.Connector
 ---@param prefix string of its machine
 ---@param is_target? boolean
-function place.name_of(node, prefix, is_target)
+function location.name_of(node, prefix, is_target)
   if is_target and rfsm.is_conn(node) and node._id == "initial" then
     node = node._parent
   end
-  local path = place.path(node, prefix)
+  local path = location.path(node, prefix)
   return path ~= "root" and path:gsub("^root%.", "") or path
 end
 
@@ -106,15 +106,15 @@ local function transition_name(tr, prefix)
   local texts = {}
   for i, event in ipairs(tr.events or {}) do texts[i] = event_text(event, tr) end
   sort(texts)
-  return place.name_of(tr.src, prefix) .. " -" .. concat(texts, ", ") .. "-> "
+  return location.name_of(tr.src, prefix) .. " -" .. concat(texts, ", ") .. "-> "
     .. (rfsm.target_of(tr) == "internal" and "internal"
-      or place.name_of(tr.tgt, prefix, true))
+      or location.name_of(tr.tgt, prefix, true))
 end
 
 --- Set the field `name` of transitions. The second of those between the same states on
 --- the same events has " #2" behind it.
 ---@param entries { tr: rfsm.Transition, prefix: string, name: string }[]
-function place.add_names(entries)
+function location.add_names(entries)
   for _, entry in ipairs(entries) do
     local name = transition_name(entry.tr, entry.prefix)
     local rank = 1
@@ -126,4 +126,4 @@ function place.add_names(entries)
   end
 end
 
-return place
+return location
