@@ -70,8 +70,8 @@ describe("the oracle", function()
       setting = "RFSM_WITHOUT=rfsm.fast" },
     { name = "agrees where there is no debug", count = 150,
       setting = "RFSM_WITHOUT=debug" },
-    { name = "agrees with a machine whose twin was interrupted", count = 40,
-      setting = "RFSM_INTERRUPTS=1" },
+    { name = "agrees with a machine whose twin was interrupted",
+      count = jit and 120 or 30, setting = "RFSM_INTERRUPTS=1" },
   }
   for _, case in ipairs(CASES) do
     it(("%s, %d charts"):format(case.name, case.count), function()

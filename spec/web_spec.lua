@@ -385,6 +385,32 @@ describe("the server", function()
     return seconds
   end
 
+  it("leaves its port when it is closed, although Graphviz goes on", function()
+    local folder = os.tmpname()
+    os.execute(("rm %s; mkdir %s; ln -s /bin/cat %s/dot"):format(folder, folder,
+      folder))
+    local output = helper.output_of(([[
+      package.path = "./?.lua;" .. package.path
+      local popen = io.popen
+      function io.popen(command)
+        command = command:gsub("</dev/null", "<'%s/fifo'")
+        return popen("PATH='%s':$PATH; " .. command)
+      end
+      os.execute("mkfifo '%s/fifo'")
+      local web = require "rfsm.web"
+      local first = assert(web.open("examples/hello_world.lua", { port = 0 }))
+      first:step(0)
+      first.http:close()
+      local chart, options = "examples/hello_world.lua", { port = first.port }
+      local second, problem = web.open(chart, options)
+      print(first.shown[1].drawing.pid ~= nil, second ~= nil, problem)
+      first:close()
+      if second then second:close() end
+    ]]):gsub("%%s", folder))
+    os.execute("rm -r " .. folder)
+    assert.equal("true\ttrue\tnil", output)
+  end)
+
   it("waits until it has something to do: looks at the file, at Graphviz", function()
     local server = open()
     assert.equal(0.5, wait_of(server))

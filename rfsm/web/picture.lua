@@ -19,8 +19,10 @@ local CPU_SECONDS = 60 -- then a run of Graphviz is stopped
 local Picture = {}
 Picture.__index = Picture
 
--- The output has its name once it is complete, also if Graphviz has failed.
-local COMMAND = "command -v dot >/dev/null && { ulimit -t %d; { "
+-- The output has its name once it is complete, also if Graphviz has failed. Sockets of
+-- this program are closed first: a port would stay in use while Graphviz runs.
+local COMMAND = "exec 3>&- 4>&- 5>&- 6>&- 7>&- 8>&- 9>&-; "
+  .. "command -v dot >/dev/null && { ulimit -t %d; { "
   .. "nice dot -T%s '%s' >'%s.part' 2>/dev/null </dev/null & "
   .. "trap \"kill $! 2>/dev/null; rm -f '%s.part'; exit\" TERM; wait; "
   .. "mv '%s.part' '%s'; } >/dev/null & echo $!; }"
