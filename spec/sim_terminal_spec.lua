@@ -32,12 +32,14 @@ local function new_posix(world)
   }
 end
 
+-- A luv that calls the handler when it is run.
 local function new_luv(world)
-  local is_key = nil
+  local is_key, call_handler, is_typed = nil, nil, false
   local signal, poll = {}, {}
+  function world.type_control_c() is_typed = true end
   function signal.start(_, name, handler)
     world.note("signal " .. name)
-    world.type_control_c = handler
+    call_handler = handler
   end
   function poll.start(_, kind, f) world.note("start " .. kind) is_key = f end
   function poll.stop() world.note("stop") is_key = nil end
@@ -46,6 +48,9 @@ local function new_luv(world)
     new_poll = function(descriptor) world.note("watch " .. descriptor) return poll end,
     run = function(mode)
       if mode == "once" and world.next_key() then is_key() end
+      assert(mode == "once" or mode == "nowait", mode)
+      if is_typed then call_handler() end
+      is_typed = false
     end,
   } }
 end
@@ -260,6 +265,18 @@ describe("Control-C", function()
     assert.equal(INTERRUPTED, raised_in(world))
   end)
 
+  it("is raised again in the code of the callback itself", function()
+    local world = {}
+    catching(world)
+    world.type_control_c()
+    local callback = compile("local hook, catch = ... catch() local x = hook() return x",
+      CHART)
+    local call = compile("local f, hook, catch = ... local x = f(hook, catch) return x",
+      LIBRARY)
+    assert.same({ false, INTERRUPTED }, { pcall(call, callback, world.hook,
+      function() pcall(from(CHART, world.hook)) end) })
+  end)
+
   it("is over in another coroutine", function()
     local world, raised = {}, nil
     catching(world)
@@ -412,13 +429,14 @@ describe("a line of readline", function()
     local home = helper.file_with("")
     local name = home .. ".d/.rfsm_sim_history"
     os.execute("mkdir " .. home .. ".d")
+    helper.write(name, "one\n")
     world.readline = true
     world.home = world.has_no_home and "/no/folder" or home .. ".d"
     local terminal = world.counts and catching(world) or open(world)
     local result = read_line(terminal, world, { [0] = true, true })
     local file = io.open(name)
-    local lines = file and file:read("*a") or ""
-    if file then file:close() end
+    local lines = file:read("*a"):match("^one\n(.*)")
+    file:close()
     os.execute("rm -r " .. home .. ".d")
     assert.same({ "file " .. world.home .. "/.rfsm_sim_history",
       "adds lines itself: false" }, { world.trace[1], world.trace[2] })
@@ -432,9 +450,10 @@ describe("a line of readline", function()
       keys = { "o", "nothing", "n", "Enter" }, result = { "on", false }, lines = "on\n",
       expected = ("install > , %s, %s, %s, %s, remove, keep on"):gsub("%%s",
         "poll 0, 1000 ms") },
-    { does = "is read key by key with luv", counts = "luv", keys = { "o", "Enter" },
-      result = { "o", false }, lines = "o\n",
-      expected = "install > , watch 0, start r, stop, start r, stop, remove, keep o" },
+    { does = "is read key by key with luv", counts = "luv", 
+      keys = { "o", "nothing", "Enter" }, result = { "o", false }, lines = "o\n",
+      expected = "install > , watch 0, start r, stop, start r, stop, start r, stop, "
+        .. "remove, keep o" },
     { does = "is no line after Control-C with luv", counts = "luv",
       keys = { "o", "Control-C" }, result = { false, false }, lines = "",
       expected = "install > , watch 0, start r, stop, start r, stop, print" },
