@@ -269,8 +269,8 @@ describe("Control-C", function()
     local world = {}
     catching(world)
     world.type_control_c()
-    local callback = compile("local hook, catch = ... catch() local x = hook() return x",
-      CHART)
+    local callback = compile("local hook, catch = ... catch() local x = hook()\n"
+      .. "return x", CHART)
     local call = compile("local f, hook, catch = ... local x = f(hook, catch) return x",
       LIBRARY)
     assert.same({ false, INTERRUPTED }, { pcall(call, callback, world.hook,
@@ -450,7 +450,7 @@ describe("a line of readline", function()
       keys = { "o", "nothing", "n", "Enter" }, result = { "on", false }, lines = "on\n",
       expected = ("install > , %s, %s, %s, %s, remove, keep on"):gsub("%%s",
         "poll 0, 1000 ms") },
-    { does = "is read key by key with luv", counts = "luv", 
+    { does = "is read key by key with luv", counts = "luv",
       keys = { "o", "nothing", "Enter" }, result = { "o", false }, lines = "o\n",
       expected = "install > , watch 0, start r, stop, start r, stop, start r, stop, "
         .. "remove, keep o" },
