@@ -49,7 +49,7 @@ local ROOMS = {
     "rfsm/plantuml.lua", "rfsm/json.lua", "rfsm/marsh.lua", "rfsm/pictures/*.lua" },
     specs = { "export", "diagram", "layout", "pictures" } },
   { name = "sim", files = { "rfsm/sim/*.lua" },
-    specs = { "sim_terminal", "sim" } },
+    specs = { "sim_terminal", "sim_session", "sim" } },
   { name = "web", files = { "rfsm/web.lua", "rfsm/web/*.lua" },
     specs = { "view", "web" } },
   { name = "proto", files = { "rfsm/proto.lua", "rfsm/proto/*.lua" },
