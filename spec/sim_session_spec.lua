@@ -36,8 +36,10 @@ local function said(case)
   printed = {}
   local sim
   helper.with(io, { stderr = stderr }, function()
-    sim = assert(session.open(helper.file_with(case.chart), case.follows or false))
+    local file = helper.file_with(case.chart)
+    sim = assert(session.open(file, case.follows or false))
     prompt.install(sim)
+    function sim.env.change() helper.write(file, case.other) end
     for line in case.input:gmatch("[^\n]+") do
       local ok, problem = prompt.evaluate(sim, line, "=stdin")
       if not ok then printed[#printed + 1] = "! " .. problem end
@@ -440,6 +442,60 @@ fsm.n
 clock:  1 s
 at root.a(active)
 999
+]=] },
+  }
+end)
+
+describe("reload", function()
+  local function working(name, more)
+    return ring((more or "") .. ([[
+      work = rfsm.state { keep = { "n" }, n = 1,
+        NAME = rfsm.state {}, other = rfsm.state { keep = { "n" }, n = 1 },
+        rfsm.trans { src = "initial", tgt = "NAME" } },
+      rfsm.trans { src = "a", tgt = "work", events = { "e_work" } }, ]])
+      :gsub("NAME", name))
+  end
+
+  check {
+    { does = "stays in its state though data is of states that are gone",
+      chart = working("one"), other = ring(), input = [=[
+run
+change()
+reload
+]=], output = [=[
+at root.a(done)
+at root.a(done)
+]=] },
+    { does = "begins anew if the active state is gone", chart = working("one"),
+      other = working("two"), input = [=[
+run
+ser e_work
+dbg true
+dbg false
+change()
+reload
+history
+]=], output = [=[
+at root.a(done)
+at root.work.one(done)
+! rfsm.snapshot: the snapshot holds what the chart lacks:
+  state root.work.one: the machine begins anew
+at <none> e_init_fsm
+]=] },
+    { does = "keeps data", chart = working("one"), other = working("one", "d = "
+      .. "rfsm.state {}, "), input = [=[
+run
+fsm.work.n = 7
+fsm.work.other.n = 8
+change()
+reload
+fsm.work.n + fsm.work.other.n
+fsm.d
+]=], output = [=[
+at root.a(done)
+at root.a(done)
+15
+state root.d (inactive)
 ]=] },
   }
 end)
