@@ -631,33 +631,6 @@ it("the tree has 12 siblings of an active state, and counts the others", functio
   assert.matches("\n    s12\n  %* s14 %(done%)\n    and 2 more\n$", out)
 end)
 
-describe("a line that is read", function()
-  local terminal = require "rfsm.sim.terminal"
-
-  it("is dropped by an interrupt, and by nothing else", function()
-    local function read(line)
-      return terminal.read(function(prompt)
-        if line == prompt then return line end
-        error(line, 0)
-      end, "> ")
-    end
-    assert.same({ "> ", false }, { read "> " })
-    assert.same({ false, true }, { read "stdin:1: interrupted!" })
-    assert.same({ false, "no line" }, { pcall(read, "no line") })
-  end)
-
-  it("is followed by what came meanwhile: no interrupt leaves a busy function",
-    function()
-      assert.same({ false, "as itself" },
-        { pcall(terminal.uninterrupted, function() error("as itself", 0) end) })
-      local got = {}
-      terminal.uninterrupted(function(...) got = { ... } end, 1, 2)
-      assert.same({ 1, 2 }, got)
-      assert.is_false(terminal.is_caught())
-      assert.is_false(terminal.is_interrupted())
-    end)
-end)
-
 describe("a picture", function()
   it("in another format is laid out by Graphviz", function()
     local file = file_with("") .. ".svg"

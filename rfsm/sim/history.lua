@@ -214,6 +214,9 @@ end
 -- Puts the machine into its state after iteration n, at the time of a mark.
 local function move(sim, n, mark)
   local own, chunk = sim.history, find_chunk(sim.history, n)
+  if not (own.recorder or chunk) then
+    error("goto: nothing was recorded: " .. text_of(own.problem), 0)
+  end
   if own.count == own.last then own.tip = own.tip or new_mark(sim) end
   if not chunk then return end -- nothing has happened
   history.pause(sim, function()
@@ -237,8 +240,6 @@ function history.go_to(sim, n)
   if type(n) ~= "number" or n < first or n > own.last or n % 1 ~= 0 then
     error(("goto: number of an iteration from %d to %d expected, got %s"):format(first,
       own.last, text_of(n)), 0)
-  elseif not (own.recorder or own.chunks[1]) then
-    error("goto: nothing was recorded: " .. text_of(own.problem), 0)
   end
   local at = count_marks(own, n)
   local following = own.marks[at + 1]

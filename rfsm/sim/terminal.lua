@@ -77,11 +77,7 @@ end
 
 --- Has Control-C been typed since the last look?
 function terminal.is_interrupted()
-  if counter then
-    is_busy = true
-    counter.look()
-    is_busy = false
-  end
+  if counter then terminal.uninterrupted(counter.look) end
   local is_new = count > seen
   seen = count
   return is_new
@@ -200,17 +196,15 @@ local function read_keys(readline, prompt)
     line, is_done = text, true
     readline.handler_remove()
   end)
+  is_busy = true -- up to the end of `terminal.read`
   while not is_done do
-    is_busy = true
     local has_key = counter.wait()
     if terminal.is_interrupted() then -- a key behind it belongs to the next line
       print()
       return false
     end
-    is_busy = true
     if has_key then readline.read_char() end
   end
-  is_busy = false
   return line
 end
 

@@ -1,0 +1,682 @@
+-- A session of the simulator in this process: lines typed, what is printed, with small
+-- chunks of history.
+
+local helper = require "spec.helper"
+
+local MODULES = { "commands", "history", "main", "names", "points", "probe", "prompt",
+  "session", "terminal", "time", "view" }
+
+local printed = {} -- lines, those of stderr with a "!"
+
+-- Loads the modules of the simulator with another print.
+local function load_simulator()
+  local none, modules = {}, {}
+  for _, name in ipairs(MODULES) do none["rfsm.sim." .. name] = false end
+  helper.with(package.loaded, none, function()
+    helper.with(_G, { print = function(...)
+      printed[#printed + 1] = table.concat(helper.texts(...), "\t")
+    end }, function()
+      for _, name in ipairs(MODULES) do modules[name] = require("rfsm.sim." .. name) end
+    end)
+  end)
+  return modules
+end
+
+local loaded = load_simulator()
+local history, prompt, session, terminal = loaded.history, loaded.prompt,
+  loaded.session, loaded.terminal
+
+local stderr = {}
+function stderr.write(_, ...) printed[#printed + 1] = "! " .. table.concat { ... } end
+
+-- Returns what `case.input` prints with `case.chart`.
+local function said(case)
+  local chunk, limit = history.CHUNK, history.LIMIT
+  history.CHUNK, history.LIMIT = case.chunk or chunk, case.limit or limit
+  printed = {}
+  local sim
+  helper.with(io, { stderr = stderr }, function()
+    local file = helper.file_with(case.chart)
+    sim = assert(session.open(file, case.follows or false))
+    prompt.install(sim)
+    function sim.env.change() helper.write(file, case.other) end
+    for line in case.input:gmatch("[^\n]+") do
+      local ok, problem = prompt.evaluate(sim, line, "=stdin")
+      if not ok then printed[#printed + 1] = "! " .. problem end
+    end
+  end)
+  history.CHUNK, history.LIMIT = chunk, limit
+  if sim.history.recorder then sim.history.recorder:stop() end
+  local text = table.concat(printed, "\n") .. "\n"
+  text = text:gsub("\27%[[%d;]*m", "")
+  return (text:gsub("active: (%S+)\nqueue: ", "at %1"):gsub(" *\n+", "\n"))
+end
+
+local function check(cases)
+  for _, case in ipairs(cases) do
+    it(case.does, function() assert.equal(case.output, said(case)) end)
+  end
+end
+
+after_each(helper.remove_files)
+
+-- a --e_go--> b --e_go--> c --e_go--> a, and more
+local function ring(more)
+  return [[
+local rfsm = require "rfsm"
+return rfsm.state { warn = false, info = false, ]] .. (more or "") .. [[
+  a = rfsm.state {}, b = rfsm.state {}, c = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_go" } },
+  rfsm.trans { src = "b", tgt = "c", events = { "e_go" } },
+  rfsm.trans { src = "c", tgt = "a", events = { "e_go" } },
+}]]
+end
+
+describe("the history in chunks", function()
+  check {
+    { does = "ends where it was left for another way", chunk = 2, chart = ring(),
+      input = [=[
+run
+ses e_go
+ses e_go
+ses e_go
+back 2
+history
+ses e_go
+se e_go
+history
+goto 5
+goto 3
+forward
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+   1  e_init_fsm                      root.a(done)
+   2  e_done@root.a                   root.a(done)
+   3  e_go                            root.b(done)
+at root.c(done) e_done@root.c
+queue:  e_done@root.c, e_go
+   1  e_init_fsm                      root.a(done)
+   2  e_done@root.a                   root.a(done)
+   3  e_go                            root.b(done)
+   4  e_done@root.b, e_go             root.c(done)
+! goto: number of an iteration from 0 to 4 expected, got 5
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+]=] },
+    { does = "goes another way each time, over chunks that are gone", chunk = 2,
+      chart = ring(), input = [=[
+run
+for i = 1, 6 do ses 'e_go' end
+goto 4
+ses e_go
+goto 1
+step
+ses e_go
+history
+goto 2
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.a(done) e_done@root.a
+at root.a(done)
+at root.b(done) e_done@root.b
+   1  e_init_fsm                      root.a(done)
+   2  e_done@root.a                   root.a(done)
+   3  e_go                            root.b(done)
+at root.a(done)
+]=] },
+    { does = "forgets what was undone with a reset", chunk = 2, chart = ring(),
+      input = [=[
+run
+ses e_go
+ses e_go
+back 1
+reset
+goto 4
+history
+back 9
+forward 9
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.b(done) e_done@root.b
+at <none> e_init_fsm
+! goto: number of an iteration from 0 to 3 expected, got 4
+   1  e_init_fsm                      root.a(done)
+   2  e_done@root.a                   root.a(done)
+   3  e_go                            root.b(done)
+at <none> e_init_fsm
+at <none> e_init_fsm
+]=] },
+    { does = "goes back over resets", chunk = 2, chart = ring(), input = [=[
+run
+ses e_go
+reset
+reset
+run
+back
+back
+back
+back
+back
+back
+forward
+forward
+forward
+forward 2
+history
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at <none> e_init_fsm
+at <none> e_init_fsm
+at root.a(done)
+at <none> e_init_fsm
+at <none> e_init_fsm
+at root.b(done) e_done@root.b
+at root.a(done)
+at <none> e_init_fsm
+! back: nothing was done
+at root.a(done)
+at root.b(done) e_done@root.b
+at <none> e_init_fsm
+at root.a(done)
+   1  e_init_fsm                      root.a(done)
+   2  e_done@root.a                   root.a(done)
+   3  e_go                            root.b(done)
+   4  e_init_fsm                      root.a(done)
+   5  e_done@root.a                   root.a(done)
+]=] },
+    { does = "keeps a reset at the end of a chunk", chunk = 1, chart = ring(),
+      input = [=[
+run
+ses e_go
+reset
+se e_go
+step
+ses e_go
+history
+goto 3
+goto 4
+goto 5
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at <none> e_init_fsm
+queue:  e_init_fsm, e_go
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+   1  e_init_fsm                      root.a(done)
+   2  e_done@root.a                   root.a(done)
+   3  e_go                            root.b(done)
+   4  e_init_fsm, e_go                root.a(done)
+   5  e_done@root.a, e_go             root.b(done)
+at root.b(done) e_done@root.b
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+]=] },
+    { does = "forgets the oldest iterations and advances", chunk = 3, limit = 6,
+      chart = ring(), input = [=[
+run
+for i = 1, 12 do ses 'e_go' end
+history
+goto 5
+goto 6
+goto 14
+back 20
+back
+forward 20
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+   7  e_done@root.b, e_go             root.c(done)
+   8  e_done@root.c, e_go             root.a(done)
+   9  e_done@root.a, e_go             root.b(done)
+  10  e_done@root.b, e_go             root.c(done)
+  11  e_done@root.c, e_go             root.a(done)
+  12  e_done@root.a, e_go             root.b(done)
+  13  e_done@root.b, e_go             root.c(done)
+  14  e_done@root.c, e_go             root.a(done)
+! goto: number of an iteration from 6 to 14 expected, got 5
+at root.b(done) e_done@root.b
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+! back: nothing was done
+at root.a(done) e_done@root.a
+]=] },
+    { does = "grows also in advances that are one call", chunk = 3, limit = 6,
+      chart = ring("idle_hook = function() end, "), input = [=[
+step 2
+for i = 1, 12 do ses 'e_go' end
+history
+]=], output = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+   7  e_done@root.b, e_go             root.c(done)
+   8  e_done@root.c, e_go             root.a(done)
+   9  e_done@root.a, e_go             root.b(done)
+  10  e_done@root.b, e_go             root.c(done)
+  11  e_done@root.c, e_go             root.a(done)
+  12  e_done@root.a, e_go             root.b(done)
+  13  e_done@root.b, e_go             root.c(done)
+  14  e_done@root.c, e_go             root.a(done)
+]=] },
+    { does = "shows events that are no texts", chart = ring(), input = [=[
+run
+ser(true, 1.5)
+ser({ 1 })
+history 2
+]=], output = [=[
+at root.a(done)
+! no transition names the event 'true'
+! no transition names the event '1.5'
+at root.a(done)
+! no transition names the event '{ 1 }'
+at root.a(done)
+   3  true, 1.5                       root.a(done)
+   4  table                           root.a(done)
+]=] },
+  }
+end)
+
+describe("a machine that cannot be saved", function()
+  check {
+    { does = "has no history, and a reason", chart = ring "keep = { 'x' }, x = print, ",
+      input = [=[
+run
+history
+back
+forward
+goto 1
+goto 0
+fsm.x = 1
+ses e_go
+history
+back
+]=], output = (([=[
+at root.a(done)
+REASON
+! goto: nothing was recorded: REASON
+! forward: nothing was undone
+! goto: number of an iteration from 0 to 0 expected, got 1
+! goto: nothing was recorded: REASON
+at root.b(done) e_done@root.b
+   1  e_go                            root.b(done)
+REASON
+at root.a(done) e_go
+]=]):gsub("REASON", "rfsm.record.record: "
+      .. "rfsm.snapshot.take: root.x: a function cannot be saved")) },
+  }
+end)
+
+describe("the simulated clock", function()
+  check {
+    { does = "is that of each place", chart = ring(), input = [=[
+clock 0
+run
+clock 1
+ses e_go
+clock 2
+ses e_go
+back
+clock
+back
+clock
+back
+clock
+back 9
+clock
+forward
+clock
+forward 9
+clock
+goto 2
+clock
+goto 3
+clock
+goto 4
+clock
+]=], output = [=[
+clock:  0 s
+at root.a(done)
+at root.a(done)
+clock:  1 s
+at root.a(done)
+at root.b(done) e_done@root.b
+clock:  3 s
+at root.b(done)
+at root.c(done) e_done@root.c
+at root.b(done)
+clock:  3 s
+at root.b(done) e_done@root.b
+clock:  1 s
+at root.a(done)
+clock:  1 s
+at <none> e_init_fsm
+clock:  0 s
+at root.a(done)
+clock:  0 s
+at root.c(done) e_done@root.c
+clock:  3 s
+at root.a(done)
+clock:  0 s
+at root.b(done) e_done@root.b
+clock:  1 s
+at root.b(done)
+clock:  3 s
+]=] },
+    { does = "goes on from the chart's clock to a timer", chart = [[
+local rfsm = require "rfsm"
+require "rfsm_timeevent"
+local sec = 5
+return rfsm.state { warn = false, info = false,
+  gettime = function() sec = sec + 1 return sec, 7 end,
+  a = rfsm.state {}, b = rfsm.state {},
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "b", events = { "e_after(50)" } },
+}]], input = [=[
+next
+run
+next
+clock
+clock 0.5
+clock(false)
+clock
+]=], output = [=[
+! next: no timer is armed
+at root.a(done)
+clock:  50 s
+at root.b(done)
+clock:  50 s
+clock:  50.5 s
+at root.b(done)
+clock:  real time
+]=] },
+    { does = "ends after 1000 steps of a doo without end", chart = [[
+local rfsm = require "rfsm"
+return rfsm.state { warn = false, info = false,
+  a = rfsm.state { doo = function(fsm)
+    fsm.n = 0
+    while true do fsm.n = fsm.n + 1 rfsm.yield() end
+  end },
+  rfsm.trans { src = "initial", tgt = "a" },
+}]], input = [=[
+clock 1
+fsm.n
+]=], output = [=[
+clock:  1 s
+at root.a(active)
+999
+]=] },
+  }
+end)
+
+describe("reload", function()
+  local function working(name, more)
+    return ring((more or "") .. ([[
+      work = rfsm.state { keep = { "n" }, n = 1,
+        NAME = rfsm.state {}, other = rfsm.state { keep = { "n" }, n = 1 },
+        rfsm.trans { src = "initial", tgt = "NAME" } },
+      rfsm.trans { src = "a", tgt = "work", events = { "e_work" } }, ]])
+      :gsub("NAME", name))
+  end
+
+  check {
+    { does = "stays in its state though data is of states that are gone",
+      chart = working("one"), other = ring(), input = [=[
+run
+change()
+reload
+]=], output = [=[
+at root.a(done)
+at root.a(done)
+]=] },
+    { does = "begins anew if the active state is gone", chart = working("one"),
+      other = working("two"), input = [=[
+run
+ser e_work
+dbg true
+dbg false
+change()
+reload
+history
+]=], output = [=[
+at root.a(done)
+at root.work.one(done)
+! rfsm.snapshot: the snapshot holds what the chart lacks:
+  state root.work.one: the machine begins anew
+at <none> e_init_fsm
+]=] },
+    { does = "keeps data", chart = working("one"), other = working("one", "d = "
+      .. "rfsm.state {}, "), input = [=[
+run
+fsm.work.n = 7
+fsm.work.other.n = 8
+change()
+reload
+fsm.work.n + fsm.work.other.n
+fsm.d
+]=], output = [=[
+at root.a(done)
+at root.a(done)
+15
+state root.d (inactive)
+]=] },
+  }
+end)
+
+describe("what is typed", function()
+  check {
+    { does = "may be words or Lua", chart = ring(), input = [=[
+follow true
+run
+follow false
+ser e_go, e_x
+se 'e_go' 5 true
+se e_init_fsm
+goto(1)
+goto 9
+{ [{ { { 1 } } }] = 1 } == nil
+help step
+]=], output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done)
+! no transition names the event 'e_x' (did you mean 'e_go'?)
+at root.b(done)
+! no transition names the event '5'
+! no transition names the event 'true'
+queue:  e_go, 5, true
+queue:  e_go, 5, true, e_init_fsm
+at root.a(done) e_done@root.a
+! goto: number of an iteration from 0 to 4 expected, got 9
+false
+step([n])    advance by n transitions or doo cycles (1)
+Enters the machine when it is called first. Example: step 3
+]=] },
+    { does = "has complaints of its own", chart = ring(), input = [=[
+back
+forward
+history x
+watch(7)
+sho
+e_go
+events
+se(nil)
+se(nil, 'e_go')
+se(e_go)
+se(fsm.nothing)
+help(7)
+stp(1)
+]=], output = [=[
+! back: nothing was done
+! forward: nothing was undone
+! history: number expected, got string
+! watch: expression as a text expected, got number
+! nothing is named sho (did you mean 'se'?)
+! e_go is an event: 'ser e_go' sends it and runs
+step() enters the machine
+! event 1 is nil
+queue:  e_init_fsm
+! event 1 is nil
+queue:  e_init_fsm, e_go
+! nothing is named e_go, an event is in quotes (did you mean 'e_go'?)
+queue:  e_init_fsm, e_go
+! event 1 is nil
+queue:  e_init_fsm, e_go
+! help: no command is named 7, help() lists them
+! nothing is named stp (did you mean 'step'?), help() lists the commands
+]=] },
+    { does = "explains events, and lists discarded ones", chart = ring(),
+      follows = true, input = [=[
+run
+ser e_go e_x
+ser e_x
+ses e_go
+why e_go
+why
+events
+]=], output = [=[
+taken:  root.initial -> root.a
+* root
+  * a (done)
+    b
+    c
+at root.a(done)
+! no transition names the event 'e_x' (did you mean 'e_go'?)
+taken:  root.a -> root.b on e_go
+discarded: e_x ('why e_x' explains)
+* root
+    a
+  * b (done)
+    c
+at root.b(done)
+! no transition names the event 'e_x' (did you mean 'e_go'?)
+discarded: e_x
+at root.b(done)
+taken:  root.b -> root.c on e_go
+* root
+    a
+    b
+  * c (done)
+at root.c(done) e_done@root.c
+root.trans[4] (c -> a) would be taken on e_go in root.c
+  root.trans[4] (c -> a): would be taken
+no transition would be taken on e_done@root.c in root.c
+  root.trans[4] (c -> a): waits for e_go
+e_go
+]=] },
+    { does = "stops, and shows values", chart = ring(), input = [=[
+breakpoint(fsm.b)
+breakpoint a->b
+breakpoint b  ->  c
+breakpoint(7)
+watch fsm._act_leaf
+watch { fsm._mode }
+watch fsm.nothing
+run
+ser(7)
+ser e_go
+ser e_go
+breakpoint
+delete 3
+delete 0
+breakpoint root.c
+delete
+breakpoint
+]=], output = [=[
+1  state root.b
+2  transition root.a -> root.b
+3  transition root.b -> root.c
+4  event 7
+! watch: expression as a text expected, got table
+at root.a(done)
+watch:  fsm._act_leaf = state root.a (done) (was false)
+watch:  fsm.nothing = nil
+! no transition names the event '7'
+at root.a(done)
+watch:  fsm._act_leaf = state root.a (done)
+watch:  fsm.nothing = nil
+stopped at 4: event 7
+at root.b(done) e_done@root.b
+watch:  fsm._act_leaf = state root.b (done) (was state root.a (inactive))
+watch:  fsm.nothing = nil
+stopped at 1: state root.b
+stopped at 2: transition root.a -> root.b
+at root.c(done) e_done@root.c
+watch:  fsm._act_leaf = state root.c (done) (was state root.b (inactive))
+watch:  fsm.nothing = nil
+stopped at 3: transition root.b -> root.c
+1  state root.b
+2  transition root.a -> root.b
+3  transition root.b -> root.c
+4  event 7
+5  watch fsm._act_leaf
+6  watch fsm.nothing
+! delete: number of a breakpoint expected, got 0
+6  state root.c
+there is none
+]=] },
+  }
+end)
+
+describe("a line", function()
+  it("replaces the open ones if Control-C was before it", function()
+    local lines = { "for i = 1, 2 do", "x = 1", "for i = 1, 3 do", "local x = i end",
+      "if true then" }
+    local prompts, i = {}, 0
+    local function read(_, text)
+      i = i + 1
+      prompts[i] = text
+      return lines[i], i == 3
+    end
+    printed = {}
+    local sim = session.open(helper.file_with(ring()), false)
+    prompt.install(sim)
+    helper.with(io, { stderr = stderr }, function()
+      helper.with(terminal, { read = read }, function() prompt.converse(sim) end)
+    end)
+    sim.history.recorder:stop()
+    assert.same({ "> ", ">> ", ">> ", ">> ", "> ", ">> " }, prompts)
+    assert.matches("^! stdin:%d: [^\n]*<eof>'?\n$", printed[1])
+    assert.is_nil(printed[2])
+  end)
+end)
