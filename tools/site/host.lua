@@ -23,6 +23,7 @@ package.preload["rfsm.web.http"] = function()
   function Server:step(timeout) self.wait = timeout end
 
   function Server:feed(next_message)
+    if self.streams == 0 then return end
     local text = next_message(self.connections[1])
     if text then outbox[#outbox + 1] = text:match("data: (.*)\n\n$") end
   end
