@@ -88,11 +88,12 @@ end
 
 -- Hosts -------------------------------------------------------------------------------
 
--- Lists the moments at which timers of active states, or times of properties, are over.
+-- Lists the moments behind which timers of active states, or times of properties, are
+-- over. One that is now is not over yet.
 local function deadlines_of(fsm, watched, now)
   local list = {}
   local function add(ms)
-    if ms > now and ms < math.huge then list[#list + 1] = ms end
+    if ms >= now and ms < math.huge then list[#list + 1] = ms end
   end
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
