@@ -72,7 +72,7 @@ missing_for_postgres() {
   command -v lua5.3 >/dev/null 2>&1 || echo lua5.3
   has_module lua5.3 argparse || echo lua-argparse
   ls /usr/share/postgresql/*/extension/pllua.control >/dev/null 2>&1 ||
-    echo postgresql-15-pllua
+    echo '^postgresql-[0-9]+-pllua$' # Debian 12 has 15, Debian 13 has 17
 }
 
 missing_for_web() {

@@ -22,7 +22,7 @@ local AS_USER = output_of("id -u") == "0\n" and "runuser -u postgres -- " or ""
 
 --- Returns what a spec needs and this machine lacks, as a reason; nil if it is there.
 function postgres.missing()
-  return BIN == "" and "postgresql-15-pllua is missing" or nil
+  return BIN == "" and "postgresql-*-pllua is missing" or nil
 end
 
 --- A server that was started.
