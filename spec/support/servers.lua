@@ -43,13 +43,6 @@ function servers.beside(script)
   end
 end
 
---- If something is missing it is reported as pending; returns whether it is.
-function servers.lacks(missing, what)
-  if not missing then return false end
-  describe(what, function() it("runs", function() pending(missing) end) end)
-  return true
-end
-
 local running = {} -- what is to be stopped
 
 --- Starts a server in a new folder: one of a class with `launch` and `kill`.
