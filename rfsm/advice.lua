@@ -13,18 +13,21 @@ local concat, sort = table.concat, table.sort
 
 local advice = {}
 
--- How many letters to insert, drop or replace to make `b` of `a`.
+-- How many letters to insert, drop, replace, or swap with the next one, to make `b`
+-- of `a`.
 local function edit_distance(a, b)
-  local row = {}
+  local before, row = {}, {}
   for j = 0, #b do row[j] = j end
   for i = 1, #a do
-    local diagonal = row[0]
-    row[0] = i
+    local last, first, second = row, a:byte(i - 1), a:byte(i)
+    row = { [0] = i }
     for j = 1, #b do
-      local cost = a:byte(i) == b:byte(j) and diagonal or diagonal + 1
-      diagonal = row[j]
-      row[j] = min(cost, diagonal + 1, row[j - 1] + 1)
+      local cost = second == b:byte(j) and 0 or 1
+      row[j] = min(last[j] + 1, row[j - 1] + 1, last[j - 1] + cost)
+      local is_swapped = first == b:byte(j) and second == b:byte(j - 1)
+      if is_swapped and before[j - 2] then row[j] = min(row[j], before[j - 2] + 1) end
     end
+    before = last
   end
   return row[#b]
 end
@@ -105,7 +108,7 @@ end
 
 -- Returns the nearest of `names`, nil if none is near.
 local function find_nearest(name, names)
-  local nearest, least = nil, min(#name, floor(#name / 3) + 2)
+  local nearest, least = nil, min(#name, floor((#name + 1) / 3) + 1)
   for _, candidate in ipairs(names) do
     if type(candidate) == "string" then
       local distance = edit_distance(name:lower(), candidate:lower())

@@ -520,7 +520,7 @@ taken:  root.initial -> root.a
     b
     c
 at root.a(done)
-! no transition names the event 'e_x' (did you mean 'e_go'?)
+! no transition names the event 'e_x' (there is 'e_go')
 at root.b(done)
 ! no transition names the event '5'
 ! no transition names the event 'true'
@@ -551,7 +551,7 @@ stp(1)
 ! forward: nothing was undone
 ! history: number expected, got string
 ! watch: expression as a text expected, got number
-! nothing is named sho (did you mean 'se'?)
+! nothing is named sho, help() lists the commands
 ! e_go is an event: 'ser e_go' sends it and runs
 step() enters the machine
 ! event 1 is nil
@@ -563,7 +563,7 @@ queue:  e_init_fsm, e_go
 ! event 1 is nil
 queue:  e_init_fsm, e_go
 ! help: no command is named 7, help() lists them
-! nothing is named stp (did you mean 'step'?), help() lists the commands
+! nothing is named stp (did you mean 'step'?)
 ]=] },
     { does = "explains events, and lists discarded ones", chart = ring(),
       follows = true, input = [=[
@@ -581,7 +581,7 @@ taken:  root.initial -> root.a
     b
     c
 at root.a(done)
-! no transition names the event 'e_x' (did you mean 'e_go'?)
+! no transition names the event 'e_x' (there is 'e_go')
 taken:  root.a -> root.b on e_go
 discarded: e_x ('why e_x' explains)
 * root
@@ -589,7 +589,7 @@ discarded: e_x ('why e_x' explains)
   * b (done)
     c
 at root.b(done)
-! no transition names the event 'e_x' (did you mean 'e_go'?)
+! no transition names the event 'e_x' (there is 'e_go')
 discarded: e_x
 at root.b(done)
 taken:  root.b -> root.c on e_go

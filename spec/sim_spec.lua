@@ -161,8 +161,11 @@ local COMPLAINTS = {
   ["error()"] = _VERSION == "Lua 5.5" and "<no error object>\n" or "nil\n",
   ["error({})"] = "^table: %S+\n$", ["x = = 1\n"] = "^stdin:%d+: [^\n]*near '=?'\n$",
   ["stpe"] = "nothing is named stpe (did you mean 'step'?)\n",
-  ["stpe(1)"] = "nothing is named stpe (did you mean 'step'?), help() lists the "
-    .. "commands\n",
+  ["stpe(1)"] = "nothing is named stpe (did you mean 'step'?)\n",
+  ["exit"] = "nothing is named exit (did you mean 'quit'?)\n",
+  ["bye()"] = "nothing is named bye (did you mean 'quit'?)\n",
+  ["q"] = "nothing is named q (did you mean 'quit'?)\n",
+  ["xyz"] = "nothing is named xyz, help() lists the commands\n",
   ["e_restart"] = "e_restart is an event: 'ser e_restart' sends it and runs\n",
   ["help nothing"] = "help: no command is named nothing, help() lists them\n",
   ["breakpoint nowhere"] = "breakpoint: state, event or transition (off -> on) "

@@ -86,16 +86,26 @@ local function command_names(list)
   return list
 end
 
--- Returns the complaint about a line with one name that does not exist: an event, or a
+-- How other programs are left.
+local LEAVE = { bye = true, exit = true, q = true }
+
+-- Returns the complaint about a name that does not exist.
+local function problem_of_missing(name, list)
+  local hint = LEAVE[name] and " (did you mean 'quit'?)"
+    or names.hint(name, command_names(list))
+  if hint == "" then hint = ", help() lists the commands" end
+  return "nothing is named " .. name .. hint
+end
+
+-- Returns the complaint about a line with one name that has no value: an event, or a
 -- mistake.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
-  if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end
+  if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
   if alphabet.of_all(sim.fsm).set[name] then
     return ("%s is an event: 'ser %s' sends it and runs"):format(name, name)
   end
-  local hint = names.hint(name, command_names(names.events(sim.fsm)))
-  return hint ~= "" and "nothing is named " .. name .. hint or nil
+  return problem_of_missing(name, names.events(sim.fsm))
 end
 
 -- Evaluate --------------------------------------------------------------------------
@@ -103,9 +113,7 @@ end
 -- Adds the nearest command to the problem of a call whose function does not exist.
 local function explain(sim, problem)
   local name = problem:find("attempt to call", 1, true) and sim.missing[1]
-  if not name then return problem end
-  return ("nothing is named %s%s, help() lists the commands"):format(name,
-    names.hint(name, command_names {}))
+  return name and problem_of_missing(name, {}) or problem
 end
 
 -- Calls a chunk. Returns true, or false and the problem in one line.
