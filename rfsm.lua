@@ -1863,7 +1863,8 @@ local function decide(fsm, leaf, def)
   elseif fsm._curq[1] == nil or fsm._after_free then
     fsm._phase = "doo"
   else
-    fsm._outcome, fsm._phase = "free", "after"
+    fsm._outcome = "free"
+    fsm._phase = "after"
   end
 end
 
@@ -2121,12 +2122,14 @@ function PHASES.doo(fsm)
     if not events then give_up(fsm, failure) end
     if #events > 0 then fsm._joined = append(append({}, fsm._intq), events) end
   end
-  fsm._outcome, fsm._phase = idle and "idle" or "counted", "after"
+  fsm._outcome = idle and "idle" or "counted"
+  fsm._phase = "after"
 end
 
 function PHASES.take(fsm)
   engine.take(fsm)
-  fsm._outcome, fsm._phase = "counted", "after"
+  fsm._outcome = "counted"
+  fsm._phase = "after" -- last: an interrupt between both repeats the phase
 end
 
 local function call_post_hooks(fsm)

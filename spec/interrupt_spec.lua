@@ -1,73 +1,75 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- strike anywhere. Here it does so at every 37th VM instruction in turn, or at each
--- if EVERY=1. It reaches the caller as itself; after that the machine goes on, and ends
--- where it would have ended.
+-- strike at any VM instruction of the engine. Here it does so at each in turn. It
+-- reaches the caller as itself. After that the machine goes on, and each callback is
+-- called once and in order, as in a machine that is left alone.
 
 local rfsm = require "rfsm"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
 local INTERRUPT = "interrupted!"
-local EVERY = tonumber(os.getenv("EVERY")) or 37
 local LIMIT = 1e6 -- instructions: more than any of these runs needs
 
--- a.b.c --e_k--> k --> d.e (doo: one cycle, then done) --e_back--> a,
--- d --e_straight--> a.b.c
-local function new_machine(programs)
-  local function program() return programs and function() end or nil end
-  local function busy(fields)
-    fields.entry, fields.exit = program(), program()
-    return state(fields)
+-- A chart whose callbacks note their calls in `trace`; without a trace it has none.
+-- a.b.c --e_k--> k --> d.e (doo) --e_back--> a, d --e_straight--> a.b.c,
+-- a.b.c --e_stay--> internal
+local function new_machine(trace, fields)
+  local function callback(text)
+    return trace and function() trace[#trace + 1] = text end
   end
-  return assert(rfsm.init(state {
+  local function busy(name, members)
+    members.entry, members.exit = callback("entry " .. name), callback("exit " .. name)
+    return state(members)
+  end
+  local model = {
     info = false, warn = false, err = function() end,
-    a = busy {
-      b = busy {
-        c = busy {}, trans { src = "initial", tgt = "c" },
-      },
+    a = busy("a", {
+      b = busy("b", { c = busy("c", {}), trans { src = "initial", tgt = "c" } }),
       trans { src = "initial", tgt = "b" },
-    },
-    d = busy {
-      e = busy { doo = function() rfsm.yield(true) end },
+    }),
+    d = busy("d", {
+      e = busy("e", { doo = function()
+        for i = 1, 4 do
+          if trace then trace[#trace + 1] = "doo " .. i end
+          rfsm.yield(i == 4)
+        end
+      end }),
       trans { src = "initial", tgt = "e" },
-    },
+    }),
     k = conn {},
     trans { src = "initial", tgt = "a" },
-    trans { src = "a.b.c", tgt = "k", events = "e_k", effect = program() },
-    trans { src = "k", tgt = "d", guard = program(), effect = program() },
+    trans { src = "a.b.c", tgt = "k", events = "e_k", effect = callback "effect k" },
+    trans { src = "k", tgt = "d", guard = trace and function() end,
+      effect = callback "effect d" },
     trans { src = "d", tgt = "a", events = "e_back" },
     trans { src = "d", tgt = "root.a.b.c", events = "e_straight" },
-  }))
+    trans { src = "a.b.c", tgt = "internal", events = "e_stay",
+      effect = callback "effect stay" },
+  }
+  for name, value in pairs(fields or {}) do model[name] = value end -- any order: a set
+  return assert(rfsm.init(state(model)))
 end
 
--- An interrupt while rfsm/fast.lua is being loaded would leave it at that.
-local warm = new_machine()
-for _ = 1, 10 do
-  rfsm.send_events(warm, "e_k", "e_back")
-  rfsm.run(warm)
-end
-assert(package.loaded["rfsm.fast"])
-
--- Runs f(fsm) and raises INTERRUPT after `at` VM instructions; returns false when f was
--- through before, else what reached the caller.
+-- Calls f(fsm) and raises INTERRUPT in the engine after `at` VM instructions. Returns
+-- false if f was through before, else what reached the caller.
 local function interrupt(at, f, fsm)
   local is_hit = false
+  local function hook()
+    if is_hit then return debug.sethook() end
+    if not debug.getinfo(2, "S").short_src:find("^%.?/?rfsm") then
+      return debug.sethook(hook, "", 1)
+    end
+    debug.sethook()
+    is_hit = true
+    error(INTERRUPT, 0)
+  end
   local _, failure = pcall(function()
-    debug.sethook(function()
-      debug.sethook()
-      is_hit = true
-      error(INTERRUPT, 0)
-    end, "", at)
+    debug.sethook(hook, "", at)
     f(fsm)
     debug.sethook()
   end)
+  debug.sethook()
   return is_hit and tostring(failure)
-end
-
--- Runs f(fsm), which must end by itself.
-local function within_limit(f, fsm)
-  local failure = interrupt(LIMIT, f, fsm)
-  assert(not failure, "it does not end")
 end
 
 -- What is wrong with the machine between two steps; nil when nothing is.
@@ -84,73 +86,134 @@ local function defect(fsm)
   return found
 end
 
-local function sending(event, advance)
-  return function(fsm)
-    rfsm.send_events(fsm, event)
-    advance(fsm)
-  end
-end
-
 local function twice(fsm) rfsm.step(fsm, 2) end
 
-local function with_hook(fsm)
-  fsm.pre_step_hook = function() end
-  rfsm.run(fsm)
-end
-
-local function with_state_hook(fsm)
-  rfsm.entry_hook_add(fsm, fsm.d, function() end)
-  rfsm.run(fsm)
-end
-
-local function traced(fsm)
-  fsm.dbg = function() end
+-- Where a machine is before it is interrupted.
+local function in_a(fsm)
+  rfsm.reset(fsm)
   rfsm.run(fsm)
 end
 
 local function in_d(fsm)
-  rfsm.run(fsm)
+  in_a(fsm)
   rfsm.send_events(fsm, "e_k")
-  rfsm.run(fsm)
+  rfsm.step(fsm)
+end
+
+local function in_doo(fsm)
+  in_d(fsm)
+  rfsm.step(fsm)
 end
 
 local function nothing() end
 
-local CASES = {
-  { "at the first entry", nothing, rfsm.run },
-  { "of a bare step at the first entry", nothing, rfsm.step },
-  { "on a path over a connector", rfsm.run, rfsm.run, "e_k", "root.d.e" },
-  { "of a bare step", rfsm.run, rfsm.step, "e_k", "root.d.e" },
-  { "of two steps", rfsm.run, twice, "e_k", "root.d.e" },
-  { "where there is a step hook", with_hook, rfsm.run, "e_k", "root.d.e" },
-  { "where there is a state hook", with_state_hook, rfsm.run, "e_k", "root.d.e" },
-  { "of a traced run", traced, rfsm.run, "e_k", "root.d.e" },
-  { "out of a composite", in_d, rfsm.run, "e_back" },
-  { "of one segment", in_d, rfsm.step, "e_straight" },
-  { "in a doo", in_d, rfsm.step },
+-- Hooks note only events: an interrupt may come when an iteration is over, and the next
+-- one has none then.
+local function noting_events(trace, text)
+  return function(_, events)
+    if events[1] ~= nil then
+      trace[#trace + 1] = text .. " " .. table.concat(events, " ")
+    end
+  end
+end
+
+local REPEATED = { TRANSITION = true, CHECKING = true, HIBERNATING = true }
+
+-- What is added to a machine that notes its callbacks.
+local ADDITIONS = {
+  hooks = function(fsm, trace)
+    fsm.pre_step_hook = noting_events(trace, "pre")
+    rfsm.pre_step_hook_add(fsm, noting_events(trace, "pre 2"))
+    fsm.post_step_hook = noting_events(trace, "post")
+  end,
+  ["an added post step hook"] = function(fsm, trace)
+    rfsm.post_step_hook_add(fsm, noting_events(trace, "post"))
+  end,
+  ["state hooks"] = function(fsm, trace)
+    for _, s in ipairs { fsm.a.b, fsm.d } do
+      rfsm.entry_hook_add(fsm, s, function() trace[#trace + 1] = "hook" end)
+      rfsm.exit_hook_add(fsm, s, function() trace[#trace + 1] = "exit hook" end)
+    end
+  end,
+  ["a getevents"] = function(fsm, trace)
+    fsm.getevents = function()
+      if not fsm.is_waiting then return {} end
+      fsm.is_waiting = false
+      trace[#trace + 1] = "getevents"
+      return { "e_more" }
+    end
+  end,
+  dbg = function(fsm, trace)
+    fsm.dbg = function(id, text)
+      if not REPEATED[id] then trace[#trace + 1] = id .. " " .. text end
+    end
+  end,
 }
 
+local CASES = {
+  { name = "at the first entry", from = rfsm.reset, advance = rfsm.run },
+  { name = "of a bare step at the first entry", from = rfsm.reset },
+  { name = "on a path over a connector", from = in_a, event = "e_k",
+    advance = rfsm.run },
+  { name = "of a bare step", from = in_a, event = "e_k" },
+  { name = "of two steps", from = in_a, event = "e_k", advance = twice },
+  { name = "on an internal transition", from = in_a, event = "e_stay" },
+  { name = "out of a composite", from = in_d, event = "e_back" },
+  { name = "of one segment", from = in_d, event = "e_straight" },
+  { name = "in the first cycle of a doo", from = in_d, is_cycle = true },
+  { name = "in another cycle", from = in_doo, is_cycle = true },
+  { name = "of two cycles", from = in_doo, advance = twice },
+  { name = "on an event that nothing waits for", from = in_d, event = "e_other" },
+}
+for _, addition in ipairs(rfsm.sorted_keys(ADDITIONS)) do
+  for _, event in ipairs { "e_k", "e_straight", "e_other" } do
+    CASES[#CASES + 1] = { name = ("with %s, on %s"):format(addition, event),
+      from = event == "e_straight" and in_d or in_a, event = event,
+      addition = ADDITIONS[addition] }
+  end
+end
+
+-- Brings the machine where the case begins.
+local function begin(case, fsm, trace)
+  fsm.is_waiting = false
+  case.from(fsm)
+  fsm.is_waiting = true
+  if case.event then rfsm.send_events(fsm, case.event) end
+  for i = #trace, 1, -1 do trace[i] = nil end
+end
+
+-- Lets the machine go on, which must end by itself, and returns where it is then. A doo
+-- shows its cycle only if the iteration alone is finished.
+local function finish(fsm, trace, is_cycle)
+  if is_cycle and trace[1] and fsm._phase == "idle" then return trace[1] end
+  local go_on = is_cycle and rfsm.step or rfsm.run
+  assert(not interrupt(LIMIT, go_on, fsm), "it does not end")
+  if is_cycle then return table.concat(trace, ", ") end
+  return table.concat(trace, ", ") .. " | " .. rfsm.get_actleaf_fqn(fsm)
+end
+
 -- Interrupts the case everywhere and lets the machine go on.
-local function check_everywhere(case, programs)
-  local prepare, advance, event, leaf = case[2], case[3], case[4], case[5]
-  local at, failure = 1 - EVERY, false
-  if event then advance = sending(event, advance) end
-  while failure ~= nil do
-    at = at + EVERY
-    local fsm = new_machine(programs)
-    prepare(fsm)
-    failure = interrupt(at, advance, fsm) or nil
+local function check_everywhere(case, has_callbacks)
+  local trace, advance = {}, case.advance or rfsm.step
+  local fsm = new_machine(has_callbacks and trace)
+  if case.addition then case.addition(fsm, trace) end
+  for _ = 1, 10 do -- loads and compiles what is needed
+    begin(case, fsm, trace)
+    finish(fsm, trace)
+  end
+  begin(case, fsm, trace)
+  advance(fsm)
+  local expected, at, failure = finish(fsm, trace, case.is_cycle), 0, nil
+  repeat
+    at = at + 1
+    begin(case, fsm, trace)
+    failure = interrupt(at, advance, fsm)
     local where = ("at instruction %d"):format(at)
     if failure then assert.equal(INTERRUPT, failure, where) end
-    local is_between = event and not rfsm.get_actleaf_fqn(fsm)
-    if is_between then assert(fsm._phase ~= "idle", where) end
-    within_limit(rfsm.run, fsm)
+    assert.equal(expected, finish(fsm, trace, case.is_cycle), where)
     assert.is_nil(defect(fsm), where)
-    if leaf and rfsm.get_actleaf_fqn(fsm) ~= leaf then -- it was not even sent
-      within_limit(sending(event, rfsm.run), fsm)
-    end
-    if leaf then assert.equal(leaf, rfsm.get_actleaf_fqn(fsm), where) end
-  end
+  until not failure
+  assert.is_true(at > 20)
 end
 
 local function with_interpreter(f, ...)
@@ -165,10 +228,14 @@ end
 
 describe("an interrupt", function()
   for _, case in ipairs(CASES) do
-    it("leaves a machine that goes on, " .. case[1], function()
-      for _, programs in ipairs({ false, true }) do
-        with_interpreter(check_everywhere, case, programs)
-      end
+    it("leaves a machine that calls each callback once, " .. case.name, function()
+      with_interpreter(check_everywhere, case, true)
+    end)
+  end
+
+  for i = 1, 4 do
+    it("leaves a machine without callbacks that goes on, " .. CASES[i].name, function()
+      with_interpreter(check_everywhere, CASES[i], false)
     end)
   end
 
@@ -181,8 +248,16 @@ describe("an interrupt", function()
       trans { src = "a", tgt = "b", events = "e" },
     }))
     rfsm.run(fsm)
+    rfsm.send_events(fsm, "e")
     with_interpreter(function()
-      assert.equal(INTERRUPT, interrupt(50000, sending("e", rfsm.run), fsm))
+      local ok, failure = pcall(function()
+        debug.sethook(function()
+          debug.sethook()
+          error(INTERRUPT, 0)
+        end, "", 50000)
+        rfsm.run(fsm)
+      end)
+      assert.same({ false, INTERRUPT }, { ok, failure })
     end)
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
   end)
