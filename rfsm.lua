@@ -1098,8 +1098,9 @@ do
   end
 
   -- Lists the states that a transition enters, outermost first, and notes the fields
-  -- that a run reads.
+  -- that a run reads, once. Returns the definition.
   function compile_transition(def)
+    if def.connector ~= nil then return def end
     local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
     local state = tgt.kind == "state" and tgt or tgt.parent
     if def.is_internal then lca, state = tgt, tgt end
@@ -1753,8 +1754,7 @@ end
 -- segment, which is another one if the machine has changed the target.
 local function enabled_with(fsm, def, tgt, events, depth)
   if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
-  if def and def.connector == nil then compile_transition(def) end
-  local connector = def and def.connector
+  local connector = def and compile_transition(def).connector
   if connector and not find_way(fsm, connector, events, depth) then return nil end
   return def
 end

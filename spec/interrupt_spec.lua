@@ -203,8 +203,8 @@ local function check_everywhere(case, has_callbacks)
   end
   begin(case, fsm, trace)
   advance(fsm)
-  local expected, at, failure = finish(fsm, trace, case.is_cycle), 0, nil
-  repeat
+  local expected, at, failure = finish(fsm, trace, case.is_cycle), 0, true
+  while failure do
     at = at + 1
     begin(case, fsm, trace)
     failure = interrupt(at, advance, fsm)
@@ -212,7 +212,7 @@ local function check_everywhere(case, has_callbacks)
     if failure then assert.equal(INTERRUPT, failure, where) end
     assert.equal(expected, finish(fsm, trace, case.is_cycle), where)
     assert.is_nil(defect(fsm), where)
-  until not failure
+  end
   assert.is_true(at > 20)
 end
 
