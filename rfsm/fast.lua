@@ -655,14 +655,15 @@ local function choice_of(core, leaf, event)
 end
 
 -- Lists the segments of a path that is taken whenever its first one is, if no guard or
--- other target has been set: each connector has a single transition, without events.
--- Guards are looked at in the run. Nil if the path is another one, or too long.
+-- other target has been set since: each connector has a single transition, without
+-- events and guard. Nil if the path is another one, or too long.
 local function straight_path(core, def)
   local path = { core.compile_transition(def) }
   while def.connector do
     local otrs = def.connector.otrs
+    if #otrs ~= 1 or #path == MAX_SEGMENTS then return nil end
     def = otrs[1]
-    if #otrs ~= 1 or def.events or #path == MAX_SEGMENTS then return nil end
+    if def.events or def.guard then return nil end
     path[#path + 1] = core.compile_transition(def)
   end
   return path
@@ -793,11 +794,7 @@ local function new_prepare(core, prepare_paths, quick_of)
     if not leaf.quick then prepare_leaf(core, leaf) end
     for event, candidates in pairs(leaf.choices) do -- any order: each stands alone
       quick_of(fsm, leaf, event, is_hooked)
-      for _, def in ipairs(candidates) do
-        if def.connector and not straight_path(core, def) then
-          prepare_paths(def, leaf, is_hooked)
-        end
-      end
+      for _, def in ipairs(candidates) do prepare_paths(def, leaf, is_hooked) end
     end
   end
 
