@@ -515,7 +515,6 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
-
 -- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
 local function name_of(def, field)
@@ -790,7 +789,6 @@ do
       def.pn = nil
     end
     parent.members[key] = def
-    return def
   end
 
   local function clone_connector(build, def)
@@ -848,7 +846,7 @@ end
 
 -- Resolve: names become nodes, `e_done` gets the name of its source -------------
 
-local resolve
+local find_entrance, resolve
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
@@ -942,8 +940,9 @@ do
     }
   end
 
-  -- A composite is entered at its `initial`.
-  local function find_entrance(build, def, node)
+  -- Returns the node at which `def` ends: a composite is entered at its `initial`. Nil,
+  -- and a problem, if it has none.
+  function find_entrance(build, def, node)
     if node.kind == "connector" or node.is_leaf then return node end
     local initial = node.members.initial
     if initial and initial.kind == "connector" then return initial end
@@ -2301,7 +2300,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(def, field)
 end
 
-local build_plan, check_ways_in, new_build, new_machine, plan_of
+local build_plan, new_build, new_machine, plan_of
 
 do
   -- The plans of models, kept by their machines; the latest one in any case, for
@@ -2329,10 +2328,8 @@ do
   end
 
   -- A path into a composite ends at an `initial` that nothing leaves.
-  function check_ways_in(build, first)
-    local nodes = build.plan.nodes
-    for i = first, #nodes do
-      local def = nodes[i]
+  local function check_ways_in(build)
+    for _, def in ipairs(build.plan.nodes) do
       if def.id == "initial" and def.kind == "connector" and not def.is_left then
         add(build.problems, def, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
@@ -2362,7 +2359,7 @@ do
     local root = new_node(build, "state", model, nil, "root")
     clone_below(build, 1)
     resolve(build, 1)
-    check_ways_in(build, 1)
+    check_ways_in(build)
     drop_taken_names(build, root)
     check_root(build, root)
     return build
@@ -2941,27 +2938,19 @@ end
 
 local function itself(element) return element end
 
--- Lists the elements of a machine that is being prepared, all of its plan. The order is
--- found once: positive numbers are nodes, negative ones transitions.
+-- Lists the elements of a machine that is being prepared, all of its plan, which has
+-- the order of their definitions then.
 local function planned_elements(fsm, pred)
-  local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
-  if not order then
-    order = rfsm.mapfsm(itself, fsm)
-    for i, obj in ipairs(order) do
-      local index = obj["_%def"].index
-      order[i] = rfsm.is_trans(obj) and -index or index
-    end
-    fsm._plan.order = order
+  local plan, list = fsm._plan, {}
+  if not plan.order then
+    plan.order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
   end
-  local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
-  for i = 1, #order do
-    local index = order[i]
-    if is_simple then
-      if index < 0 then list[#list + 1] = transitions[-index] end
-    else
-      local element = index > 0 and nodes[index] or transitions[-index]
-      if not pred or pred(element) then list[#list + 1] = element end
-    end
+  for _, def in ipairs(plan.order) do
+    local is_transition = def.kind == "transition"
+    local element = (is_transition and fsm._transitions or fsm._nodes)[def.index]
+    local is_wanted = is_transition -- most preproc functions want transitions
+    if pred ~= rfsm.is_trans then is_wanted = not pred or pred(element) end
+    if is_wanted then list[#list + 1] = element end
   end
   return list
 end
@@ -3399,12 +3388,7 @@ do
     for i = 1, first - 1 do
       local def = build.plan.transitions[i]
       if def.tgt == parent and not def.is_internal then
-        local initial = parent.members.initial
-        if not initial then
-          add(build.problems, def, nil, "tgt '%s': the composite has no initial "
-            .. "transition (rfsm.trans{ src='initial', tgt=... })", parent.fqn)
-        end
-        moved[i], def.tgt = true, initial
+        moved[i], def.tgt = true, find_entrance(build, def, parent)
       end
     end
     return moved

@@ -224,6 +224,26 @@ describe("a text", function()
     end)
   end)
 
+  it("is forgotten if no machine uses it", function()
+    counting(function(core, count)
+      local function prepare()
+        core.prepare(assert(core.init(core.state { info = false, warn = false,
+          a = core.state {}, core.trans { src = "initial", tgt = "a" },
+          core.trans { src = "a", tgt = "a", events = "e", effect = callback } })))
+      end
+      local function drop()
+        core.prepare(core.init(core.state {})) -- the latest model is kept
+        collectgarbage()
+        collectgarbage()
+        count()
+      end
+      prepare()
+      drop()
+      prepare()
+      assert.is_true(count() > 0)
+    end)
+  end)
+
   it("is not compiled in the run of a prepared machine, 100 charts", function()
     counting(function(core, count)
       local prepare, compiled = core.prepare, 0
