@@ -1050,10 +1050,7 @@ local function new_iterate_rest(core)
   return function(fsm, ok, result)
     if not ok and result ~= GO_ON then error(result, 0) end
     if not ok then return plain(fsm, false) end
-    if result == SEARCH then
-      fsm._phase = "begin"
-      return plain(fsm, false)
-    elseif result ~= REST then
+    if result ~= SEARCH and result ~= REST then
       fsm._outcome = "counted"
       fsm._phase = "after"
     end

@@ -101,6 +101,12 @@ local CASES = {
   { name = "has an alternative", calls = "core 1, fast 2, path 1, search 1",
     members = { [2] = go("a", "c", "e", { guard = refuse }),
       [5] = go("a", "b", "e") } },
+  { name = "is refused by a guard", calls = "core 3, fast 7, search 1",
+    members = { [2] = go("a", "b", "e", { guard = refuse }) } },
+  { name = "is refused by a guard where there is a hook",
+    calls = "core 13, fast 22, hooks 2, search 1",
+    members = { [2] = go("a", "b", "e", { guard = refuse }),
+      post_step_hook = callback } },
   { name = "is wanted by a predicate", calls = "core 2, fast 3, path 1, search 1",
     members = { [2] = go("a", "b", function(event) return event == "e" end) } },
   { name = "goes over four connectors", members = over(4),
@@ -261,6 +267,27 @@ describe("a text", function()
   end)
 end)
 
+if jit then
+  it("a text accesses fields without metamethods on LuaJIT", function()
+    local lines = {}
+    compiling.with(function(text, name)
+      for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
+      return compiling.strictly(text, name)
+    end, function(core)
+      local on_core = dofile("spec/support/runs.lua").on_core
+      core.prepare(core.init(core.state {}))
+      for seed = 1, 10 do on_core(charts.generate(seed)) end
+    end)
+    for _, line in ipairs(lines) do
+      for _, access in ipairs { "^fsm%._%w+ =", "^s[01]%._%w+ =", "%f[%w]tr%.[eg]",
+        "s[01]%.e", "s[01]%._?doo[_co]* then" } do
+        assert.is_nil(line:match(access) and line)
+      end
+    end
+    assert.is_true(#lines > 100)
+  end)
+end
+
 describe("a machine", function()
   it("is prepared soon, whatever the number of its paths", function()
     local members, used = { [2] = go("a", "k1", "e"), k31 = state {} }, 0
@@ -307,6 +334,46 @@ describe("a machine in use", function()
     check(new_machine { k = conn {}, m = conn {}, [2] = go("a", "k", "e"),
       [5] = go("k", "m"), [6] = go("m", "k") }, "root.a")
   end)
+
+  -- Where a function is called, and how it gets there.
+  local PLACES = {
+    entry = function(fsm, f) fsm.b.entry = f end,
+    exit = function(fsm, f) fsm.a.exit = f end,
+    effect = function(fsm, f) fsm[2].effect = f end,
+    guard = function(fsm, f) fsm[2].guard = f end,
+    doo = function(fsm, f) fsm.b.doo = f end,
+    getevents = function(fsm, f) fsm.getevents = f end,
+    pre_step_hook = function(fsm, f) fsm.pre_step_hook = f end,
+    post_step_hook = function(fsm, f) fsm.post_step_hook = f end,
+    entry_hook = function(fsm, f) rfsm.entry_hook_add(fsm, fsm.b, f) end,
+    ["an entry behind an exit that sets dbg"] = function(fsm, f)
+      fsm.a.exit = function() fsm.dbg = callback end
+      fsm.b.entry = f
+    end,
+    ["an entry on two events"] = function(fsm, f)
+      fsm.b.entry = f
+      rfsm.send_events(fsm, "other")
+    end,
+    ["an entry behind a guard that sets dbg"] = function(fsm, f)
+      fsm[2].guard = function() fsm.dbg = callback end
+      fsm.b.entry = f
+    end,
+  }
+  for _, place in ipairs(rfsm.sorted_keys(PLACES)) do
+    it("refuses a step from inside: " .. place, function()
+      local fsm, problems = new_machine { [5] = go("a", "c", "e", { pn = -1 }) }, {}
+      warm(fsm, "e")
+      PLACES[place](fsm, function()
+        local _, problem = pcall(rfsm.step, fsm)
+        problems[#problems + 1] = problem
+        return nil
+      end)
+      rfsm.step(fsm)
+      if place == "doo" then rfsm.step(fsm) end
+      assert.matches("rfsm.step: the machine is in the middle of a step$", problems[1])
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    end)
+  end
 
   it("gets children for a leaf from its post step hook", function()
     local fsm, is_merged = new_machine(), nil

@@ -1,7 +1,8 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
 -- strike at any VM instruction of the engine. Here it does so at each in turn, or at
--- each 7th if the machine is traced. It reaches the caller as itself. After that the machine goes on, and each callback is
--- called once and in order, as in a machine that is left alone.
+-- each 7th if the machine is traced. It reaches the caller as itself. After that the
+-- machine goes on, and each callback is called once and in order, as in a machine that
+-- is left alone.
 
 local rfsm = require "rfsm"
 
@@ -239,6 +240,21 @@ describe("an interrupt", function()
       with_interpreter(check_everywhere, CASES[i], false)
     end)
   end
+
+  it("is followed by the rest of the step before an extension works", function()
+    local trace = {}
+    local fsm = new_machine(trace)
+    local case = { from = in_a, event = "e_k" }
+    with_interpreter(function()
+      for at = 1, 2000, 11 do
+        begin(case, fsm, trace)
+        if not interrupt(at, rfsm.step, fsm) then break end
+        local is_under_way = fsm._phase ~= "idle"
+        rfsm.check_between_steps(fsm, "an extension")
+        if is_under_way then assert.equal("root.d.e", rfsm.get_actleaf_fqn(fsm)) end
+      end
+    end)
+  end)
 
   it("of an entry that never ends reaches the caller", function()
     local fsm = assert(rfsm.init(state {
