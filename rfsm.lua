@@ -1601,7 +1601,8 @@ local function run_state_hooks(protect, fsm, state, hooks)
   end
 end
 
--- The current events come first in the queue again. It may be cut short anywhere.
+-- The current events come first in the queue again. It may be cut short anywhere, and
+-- is done again by the phase "refuse".
 local function put_back(fsm)
   if not rawequal(fsm._joined, fsm._intq) then
     fsm._joined = append(append({}, fsm._curq), fsm._intq)
@@ -1613,7 +1614,9 @@ end
 
 -- Ends an iteration early: a hook or getevents has failed.
 local function give_up(fsm, failure)
-  if fsm._phase == "after" then fsm._curq = {} else put_back(fsm) end
+  fsm._outcome = "refused"
+  if fsm._phase ~= "after" then fsm._phase = "refuse" end
+  if fsm._phase == "refuse" then put_back(fsm) else fsm._curq = {} end
   fsm._phase = "idle"
   error(failure, 0)
 end

@@ -51,13 +51,24 @@ local function new_machine(trace, fields)
   return assert(rfsm.init(state(model)))
 end
 
--- Calls f(fsm) and raises INTERRUPT in the engine after `at` VM instructions. Returns
--- false if f was through before, else what reached the caller.
+-- Has `f` called the function that a hook interrupts, or the one that has called that?
+local function is_called_by(f)
+  for level = 4, 7 do
+    local info = debug.getinfo(level, "f")
+    if info and info.func == f then return true end
+  end
+  return false
+end
+
+-- Calls f(fsm) and raises INTERRUPT in the engine after `at` VM instructions, but not
+-- while another error is handled: there is one at a time. Returns false if f was
+-- through before, else what reached the caller.
 local function interrupt(at, f, fsm)
   local is_hit = false
   local function hook()
     if is_hit then return debug.sethook() end
-    if not debug.getinfo(2, "S").short_src:find("^%.?/?rfsm") then
+    if not debug.getinfo(2, "S").short_src:find("^%.?/?rfsm")
+      or is_called_by(error) then
       return debug.sethook(hook, "", 1)
     end
     debug.sethook()
@@ -238,6 +249,35 @@ describe("an interrupt", function()
   for i = 1, 4 do
     it("leaves a machine without callbacks that goes on, " .. CASES[i].name, function()
       with_interpreter(check_everywhere, CASES[i], false)
+    end)
+  end
+
+  -- An iteration that ends early: its events stay pending.
+  local REFUSALS = {
+    { name = "an entry that is refused", from = rfsm.reset, addition = function(fsm)
+      fsm[1].guard = function() return false end
+    end, pending = "e_init_fsm, e_1, e_2, e_3" },
+    { name = "a pre step hook that fails", from = in_a, addition = function(fsm)
+      rfsm.pre_step_hook_add(fsm, function(_, events)
+        if events[2] == "e_2" then error("on purpose", 0) end
+      end)
+    end, pending = "e_1, e_2, e_3" },
+  }
+  for _, case in ipairs(REFUSALS) do
+    it("loses and repeats no event at " .. case.name, function()
+      local fsm, failure, at = new_machine(), true, 0
+      rfsm.run(fsm)
+      with_interpreter(function()
+        while failure do
+          at = at + 1
+          case.from(fsm)
+          if at == 1 then case.addition(fsm) end
+          rfsm.send_events(fsm, "e_1", "e_2", "e_3")
+          failure = interrupt(at, rfsm.step, fsm)
+          if fsm._phase ~= "idle" then pcall(rfsm.step, fsm) end
+          assert.equal(case.pending, table.concat(fsm._intq, ", "))
+        end
+      end)
     end)
   end
 
