@@ -2944,16 +2944,20 @@ local function itself(element) return element end
 -- Lists the elements of a machine that is being prepared, all of its plan, which has
 -- the order of their definitions then.
 local function planned_elements(fsm, pred)
-  local plan, list = fsm._plan, {}
-  if not plan.order then
-    plan.order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
+  local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
+  if not order then
+    order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
+    fsm._plan.order = order
   end
-  for _, def in ipairs(plan.order) do
-    local is_transition = def.kind == "transition"
-    local element = (is_transition and fsm._transitions or fsm._nodes)[def.index]
-    local is_wanted = is_transition -- most preproc functions want transitions
-    if pred ~= rfsm.is_trans then is_wanted = not pred or pred(element) end
-    if is_wanted then list[#list + 1] = element end
+  local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
+  for i = 1, #order do
+    local def = order[i]
+    if def.kind == "transition" then
+      list[#list + 1] = (is_simple or not pred or pred(transitions[def.index]))
+        and transitions[def.index] or nil
+    elseif not is_simple and (not pred or pred(nodes[def.index])) then
+      list[#list + 1] = nodes[def.index]
+    end
   end
   return list
 end
