@@ -1466,7 +1466,7 @@ local PHASES = {}
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
   begin = 0, collect = 0, before = 1e6, search = 2e6, refuse = 2e6, take = SEGMENT,
-  doo = 1e15, after = 2e15,
+  doo = 1e15, resume = 1e15 + 1, after = 2e15,
 }
 
 -- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
@@ -2024,20 +2024,52 @@ local function new_doo(doo)
   return coroutine.create(function(...) return doo(...) end)
 end
 
+-- The coroutine is dropped last: if a doo's end is cut short, it is done again.
 local function fail_doo(fsm, leaf, failure)
-  leaf._doo_co, leaf._mode = nil, "done"
-  if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
-  print_by(call, fsm, "err", "DOO",
-    "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+  leaf._mode = "done"
+  if rfsm.is_interrupt(failure) then
+    keep_failure(fsm, failure)
+  else
+    print_by(call, fsm, "err", "DOO",
+      "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+  end
+  leaf._doo_co = nil
 end
 
 local function end_doo(fsm, leaf)
   complete(fsm, leaf)
-  leaf._doo_co = nil
   if is_traced(fsm) then
     print_by(call, fsm, "dbg", "DOO",
       "removing completed coroutine of " .. leaf._fqn .. " doo")
   end
+  leaf._doo_co = nil
+end
+
+-- Makes the coroutine of a leaf's doo. Returns nil, and the doo has failed, if there
+-- are no coroutines.
+local function start_doo(fsm, leaf)
+  if is_traced(fsm) then
+    print_by(call, fsm, "dbg", "DOO",
+      "created coroutine for " .. leaf._fqn .. " doo")
+  end
+  if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
+  leaf._doo_co = new_doo(leaf.doo)
+  return leaf._doo_co
+end
+
+-- Resumes a doo; true when it is idle or over.
+local function resume_doo(fsm, leaf, co)
+  fsm._calls.count = FIRST.resume
+  local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
+  if ok == false then
+    fsm._outcome = "failed"
+  elseif ok then -- nil if later calls have been made, which depend on `_outcome`
+    fsm._outcome = coroutine.status(co) == "dead" and "ended" or "counted"
+  end
+  if fsm._outcome == "counted" then return idle and true or false end
+  local finish_doo = fsm._outcome == "failed" and fail_doo or end_doo
+  finish_doo(fsm, leaf, idle)
+  return true
 end
 
 -- One cycle of the active leaf's doo; true when it is idle or done.
@@ -2047,27 +2079,9 @@ local function run_doo(fsm, leaf)
   if not (co or leaf.doo) then
     complete(fsm, leaf)
     return true
-  elseif not co then
-    if is_traced(fsm) then
-      print_by(call, fsm, "dbg", "DOO",
-        "created coroutine for " .. leaf._fqn .. " doo")
-    end
-    if not coroutine then
-      fail_doo(fsm, leaf, "there are no coroutines here")
-      return true
-    end
-    co = new_doo(leaf.doo)
-    leaf._doo_co = co
   end
-  local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
-  if not ok then
-    fail_doo(fsm, leaf, idle)
-  elseif coroutine.status(co) == "dead" then
-    end_doo(fsm, leaf)
-  else
-    return idle and true or false
-  end
-  return true
+  co = co or start_doo(fsm, leaf)
+  return not co or resume_doo(fsm, leaf, co)
 end
 
 -- Iterate ........................................................................
@@ -2180,7 +2194,7 @@ end
 
 -- One iteration, or the rest of one that was cut short. Returns nil if the machine
 -- cannot be entered, else whether it counts as a step and whether the machine is idle.
--- `after_free`: the last iteration did not count.
+-- `after_free`: the last iteration did not count; not looked at in the rest of one.
 function iterate(fsm, after_free)
   if fsm._phase == "idle" then
     fsm._after_free = after_free
@@ -2784,7 +2798,7 @@ end
 function rfsm.check_between_steps(fsm, where)
   check_machine(fsm, where, 4)
   check_no_step(fsm, where, 4)
-  if fsm._phase ~= "idle" then iterate(fsm, false) end
+  if fsm._phase ~= "idle" then iterate(fsm) end
 end
 
 local check_between_steps = rfsm.check_between_steps

@@ -861,13 +861,13 @@ end
 
 -- Makes the functions of an iteration without events.
 local function new_doo_cycle(core)
-  local first_call, handler, plain = core.FIRST.doo + 1, core.handler, core.iterate
+  local handler, plain, resumed = core.handler, core.iterate, core.FIRST.resume + 1
   local doos = {}
 
   -- Notes that the doo has been resumed, with these results.
   function doos.note_resumed(calls, ok, idle)
     calls.ok, calls.result, calls.more = true, ok, idle
-    calls.begun, calls.noted = first_call, first_call
+    calls.begun, calls.noted = resumed, resumed
   end
 
   -- Resumes a doo that has been started before. `note_cycle` reads the locals; `DOO` is
@@ -896,11 +896,11 @@ local function new_doo_cycle(core)
     fsm._calls.begun = 0
     if not co then
       fsm._phase = "doo"
-      return plain(fsm, false)
+      return plain(fsm)
     end
     local ok, failure = protect(cycle, fsm, handler)
     if not ok then error(failure, 0) end
-    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm, false) end
+    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm) end
     fsm._phase = "idle"
     return true, fsm._outcome == "idle" and fsm._intq[1] == nil
       and fsm._act_leaf ~= false
@@ -1049,12 +1049,12 @@ local function new_iterate_rest(core)
   local plain, GO_ON = core.iterate, core.GO_ON
   return function(fsm, ok, result)
     if not ok and result ~= GO_ON then error(result, 0) end
-    if not ok then return plain(fsm, false) end
+    if not ok then return plain(fsm) end
     if result ~= SEARCH and result ~= REST then
       fsm._outcome = "counted"
       fsm._phase = "after"
     end
-    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm, false) end
+    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm) end
     end_iteration(fsm, true)
     return fsm._outcome == "counted", false
   end

@@ -177,6 +177,25 @@ local CASES = {
   { name = "of two cycles", from = in_doo, advance = twice },
   { name = "on an event that nothing waits for", from = in_d, event = "e_other" },
 }
+-- A doo whose second cycle ends it.
+for name, ending in pairs { -- any order: each stands alone
+  fails = function() error("on purpose", 0) end, ["is the last one"] = nothing,
+} do
+  for _, addition in ipairs { "none", "dbg" } do
+    CASES[#CASES + 1] = { name = ("in a cycle that %s, with %s"):format(name, addition),
+      from = in_doo, is_cycle = true, addition = function(fsm, trace)
+        fsm.err = function(_, text) trace[#trace + 1] = text end
+        fsm.d.e.doo = function()
+          rfsm.yield()
+          ending()
+        end
+        if addition == "dbg" then ADDITIONS.dbg(fsm, trace) end
+      end }
+  end
+end
+CASES[#CASES + 1] = { name = "in the first cycle of a doo, with dbg", from = in_d,
+  is_cycle = true, addition = ADDITIONS.dbg }
+
 for _, addition in ipairs(rfsm.sorted_keys(ADDITIONS)) do
   for _, event in ipairs { "e_k", "e_straight", "e_other" } do
     CASES[#CASES + 1] = { name = ("with %s, on %s"):format(addition, event),
@@ -197,11 +216,13 @@ end
 -- Lets the machine go on, which must end by itself, and returns where it is then. A doo
 -- shows its cycle only if the iteration alone is finished.
 local function finish(fsm, trace, is_cycle)
-  if is_cycle and trace[1] and fsm._phase == "idle" then return trace[1] end
-  local go_on = is_cycle and rfsm.step or rfsm.run
-  assert(not interrupt(LIMIT, go_on, fsm), "it does not end")
-  if is_cycle then return table.concat(trace, ", ") end
-  return table.concat(trace, ", ") .. " | " .. rfsm.get_actleaf_fqn(fsm)
+  local is_over = is_cycle and (trace[1] or fsm.d.e._mode == "done")
+  if not (is_over and fsm._phase == "idle") then
+    assert(not interrupt(LIMIT, is_cycle and rfsm.step or rfsm.run, fsm),
+      "it does not end")
+  end
+  return ("%s%s, %d events, %s"):format(is_cycle and fsm.d.e._mode .. " " or "",
+    rfsm.get_actleaf_fqn(fsm), #fsm._intq, table.concat(trace, ", "))
 end
 
 -- Interrupts the case everywhere and lets the machine go on.
