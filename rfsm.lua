@@ -515,7 +515,6 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
-
 -- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
 local function name_of(def, field)
@@ -790,7 +789,6 @@ do
       def.pn = nil
     end
     parent.members[key] = def
-    return def
   end
 
   local function clone_connector(build, def)
@@ -848,7 +846,7 @@ end
 
 -- Resolve: names become nodes, `e_done` gets the name of its source -------------
 
-local resolve
+local find_entrance, resolve
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
@@ -942,8 +940,9 @@ do
     }
   end
 
-  -- A composite is entered at its `initial`.
-  local function find_entrance(build, def, node)
+  -- Returns the node at which `def` ends: a composite is entered at its `initial`. Nil,
+  -- and a problem, if it has none.
+  function find_entrance(build, def, node)
     if node.kind == "connector" or node.is_leaf then return node end
     local initial = node.members.initial
     if initial and initial.kind == "connector" then return initial end
@@ -1098,8 +1097,9 @@ do
   end
 
   -- Lists the states that a transition enters, outermost first, and notes the fields
-  -- that a run reads.
+  -- that a run reads, once. Returns the definition.
   function compile_transition(def)
+    if def.connector ~= nil then return def end
     local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
     local state = tgt.kind == "state" and tgt or tgt.parent
     if def.is_internal then lca, state = tgt, tgt end
@@ -1466,7 +1466,7 @@ local PHASES = {}
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
   begin = 0, collect = 0, before = 1e6, search = 2e6, refuse = 2e6, take = SEGMENT,
-  doo = 1e15, after = 2e15,
+  doo = 1e15, resume = 1e15 + 1, after = 2e15,
 }
 
 -- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
@@ -1601,7 +1601,8 @@ local function run_state_hooks(protect, fsm, state, hooks)
   end
 end
 
--- The current events come first in the queue again. It may be cut short anywhere.
+-- The current events come first in the queue again. It may be cut short anywhere, and
+-- is done again by the phase "refuse".
 local function put_back(fsm)
   if not rawequal(fsm._joined, fsm._intq) then
     fsm._joined = append(append({}, fsm._curq), fsm._intq)
@@ -1613,7 +1614,9 @@ end
 
 -- Ends an iteration early: a hook or getevents has failed.
 local function give_up(fsm, failure)
-  if fsm._phase == "after" then fsm._curq = {} else put_back(fsm) end
+  fsm._outcome = "refused"
+  if fsm._phase ~= "after" then fsm._phase = "refuse" end
+  if fsm._phase == "refuse" then put_back(fsm) else fsm._curq = {} end
   fsm._phase = "idle"
   error(failure, 0)
 end
@@ -1753,8 +1756,7 @@ end
 -- segment, which is another one if the machine has changed the target.
 local function enabled_with(fsm, def, tgt, events, depth)
   if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
-  if def and def.connector == nil then compile_transition(def) end
-  local connector = def and def.connector
+  local connector = def and compile_transition(def).connector
   if connector and not find_way(fsm, connector, events, depth) then return nil end
   return def
 end
@@ -1863,7 +1865,8 @@ local function decide(fsm, leaf, def)
   elseif fsm._curq[1] == nil or fsm._after_free then
     fsm._phase = "doo"
   else
-    fsm._outcome, fsm._phase = "free", "after"
+    fsm._outcome = "free"
+    fsm._phase = "after"
   end
 end
 
@@ -2021,20 +2024,52 @@ local function new_doo(doo)
   return coroutine.create(function(...) return doo(...) end)
 end
 
+-- The coroutine is dropped last: if a doo's end is cut short, it is done again.
 local function fail_doo(fsm, leaf, failure)
-  leaf._doo_co, leaf._mode = nil, "done"
-  if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
-  print_by(call, fsm, "err", "DOO",
-    "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+  leaf._mode = "done"
+  if rfsm.is_interrupt(failure) then
+    keep_failure(fsm, failure)
+  else
+    print_by(call, fsm, "err", "DOO",
+      "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+  end
+  leaf._doo_co = nil
 end
 
 local function end_doo(fsm, leaf)
   complete(fsm, leaf)
-  leaf._doo_co = nil
   if is_traced(fsm) then
     print_by(call, fsm, "dbg", "DOO",
       "removing completed coroutine of " .. leaf._fqn .. " doo")
   end
+  leaf._doo_co = nil
+end
+
+-- Makes the coroutine of a leaf's doo. Returns nil, and the doo has failed, if there
+-- are no coroutines.
+local function start_doo(fsm, leaf)
+  if is_traced(fsm) then
+    print_by(call, fsm, "dbg", "DOO",
+      "created coroutine for " .. leaf._fqn .. " doo")
+  end
+  if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
+  leaf._doo_co = new_doo(leaf.doo)
+  return leaf._doo_co
+end
+
+-- Resumes a doo; true when it is idle or over.
+local function resume_doo(fsm, leaf, co)
+  fsm._calls.count = FIRST.resume
+  local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
+  if ok == false then
+    fsm._outcome = "failed"
+  elseif ok then -- nil if later calls have been made, which depend on `_outcome`
+    fsm._outcome = coroutine.status(co) == "dead" and "ended" or "counted"
+  end
+  if fsm._outcome == "counted" then return idle and true or false end
+  local finish_doo = fsm._outcome == "failed" and fail_doo or end_doo
+  finish_doo(fsm, leaf, idle)
+  return true
 end
 
 -- One cycle of the active leaf's doo; true when it is idle or done.
@@ -2044,27 +2079,9 @@ local function run_doo(fsm, leaf)
   if not (co or leaf.doo) then
     complete(fsm, leaf)
     return true
-  elseif not co then
-    if is_traced(fsm) then
-      print_by(call, fsm, "dbg", "DOO",
-        "created coroutine for " .. leaf._fqn .. " doo")
-    end
-    if not coroutine then
-      fail_doo(fsm, leaf, "there are no coroutines here")
-      return true
-    end
-    co = new_doo(leaf.doo)
-    leaf._doo_co = co
   end
-  local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
-  if not ok then
-    fail_doo(fsm, leaf, idle)
-  elseif coroutine.status(co) == "dead" then
-    end_doo(fsm, leaf)
-  else
-    return idle and true or false
-  end
-  return true
+  co = co or start_doo(fsm, leaf)
+  return not co or resume_doo(fsm, leaf, co)
 end
 
 -- Iterate ........................................................................
@@ -2121,12 +2138,14 @@ function PHASES.doo(fsm)
     if not events then give_up(fsm, failure) end
     if #events > 0 then fsm._joined = append(append({}, fsm._intq), events) end
   end
-  fsm._outcome, fsm._phase = idle and "idle" or "counted", "after"
+  fsm._outcome = idle and "idle" or "counted"
+  fsm._phase = "after"
 end
 
 function PHASES.take(fsm)
   engine.take(fsm)
-  fsm._outcome, fsm._phase = "counted", "after"
+  fsm._outcome = "counted"
+  fsm._phase = "after" -- last: an interrupt between both repeats the phase
 end
 
 local function call_post_hooks(fsm)
@@ -2175,7 +2194,7 @@ end
 
 -- One iteration, or the rest of one that was cut short. Returns nil if the machine
 -- cannot be entered, else whether it counts as a step and whether the machine is idle.
--- `after_free`: the last iteration did not count.
+-- `after_free`: the last iteration did not count; not looked at in the rest of one.
 function iterate(fsm, after_free)
   if fsm._phase == "idle" then
     fsm._after_free = after_free
@@ -2298,7 +2317,7 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(def, field)
 end
 
-local build_plan, check_ways_in, new_build, new_machine, plan_of
+local build_plan, new_build, new_machine, plan_of
 
 do
   -- The plans of models, kept by their machines; the latest one in any case, for
@@ -2326,10 +2345,8 @@ do
   end
 
   -- A path into a composite ends at an `initial` that nothing leaves.
-  function check_ways_in(build, first)
-    local nodes = build.plan.nodes
-    for i = first, #nodes do
-      local def = nodes[i]
+  local function check_ways_in(build)
+    for _, def in ipairs(build.plan.nodes) do
       if def.id == "initial" and def.kind == "connector" and not def.is_left then
         add(build.problems, def, nil,
           "no transition leaves it (rfsm.trans{ src='initial', tgt=... })")
@@ -2359,7 +2376,7 @@ do
     local root = new_node(build, "state", model, nil, "root")
     clone_below(build, 1)
     resolve(build, 1)
-    check_ways_in(build, 1)
+    check_ways_in(build)
     drop_taken_names(build, root)
     check_root(build, root)
     return build
@@ -2781,7 +2798,7 @@ end
 function rfsm.check_between_steps(fsm, where)
   check_machine(fsm, where, 4)
   check_no_step(fsm, where, 4)
-  if fsm._phase ~= "idle" then iterate(fsm, false) end
+  if fsm._phase ~= "idle" then iterate(fsm) end
 end
 
 local check_between_steps = rfsm.check_between_steps
@@ -2938,26 +2955,22 @@ end
 
 local function itself(element) return element end
 
--- Lists the elements of a machine that is being prepared, all of its plan. The order is
--- found once: positive numbers are nodes, negative ones transitions.
+-- Lists the elements of a machine that is being prepared, all of its plan, which has
+-- the order of their definitions then.
 local function planned_elements(fsm, pred)
   local nodes, transitions, order = fsm._nodes, fsm._transitions, fsm._plan.order
   if not order then
-    order = rfsm.mapfsm(itself, fsm)
-    for i, obj in ipairs(order) do
-      local index = obj["_%def"].index
-      order[i] = rfsm.is_trans(obj) and -index or index
-    end
+    order = rfsm.mapfsm(function(element) return element["_%def"] end, fsm)
     fsm._plan.order = order
   end
   local list, is_simple = {}, pred == rfsm.is_trans -- as most preproc functions ask
   for i = 1, #order do
-    local index = order[i]
-    if is_simple then
-      if index < 0 then list[#list + 1] = transitions[-index] end
-    else
-      local element = index > 0 and nodes[index] or transitions[-index]
-      if not pred or pred(element) then list[#list + 1] = element end
+    local def = order[i]
+    if def.kind == "transition" then
+      list[#list + 1] = (is_simple or not pred or pred(transitions[def.index]))
+        and transitions[def.index] or nil
+    elseif not is_simple and (not pred or pred(nodes[def.index])) then
+      list[#list + 1] = nodes[def.index]
     end
   end
   return list
@@ -3396,12 +3409,7 @@ do
     for i = 1, first - 1 do
       local def = build.plan.transitions[i]
       if def.tgt == parent and not def.is_internal then
-        local initial = parent.members.initial
-        if not initial then
-          add(build.problems, def, nil, "tgt '%s': the composite has no initial "
-            .. "transition (rfsm.trans{ src='initial', tgt=... })", parent.fqn)
-        end
-        moved[i], def.tgt = true, initial
+        moved[i], def.tgt = true, find_entrance(build, def, parent)
       end
     end
     return moved

@@ -40,6 +40,9 @@ local MAX_VALUES = 50
 -- So many connectors of a path are looked up without a loop.
 local MAX_LOOKUPS = 8
 
+-- So many segments are taken without a search.
+local MAX_SEGMENTS = 5
+
 -- So many paths through connectors are prepared for one transition.
 local MAX_PATHS = 100
 
@@ -168,7 +171,6 @@ local NOTE_WAY = [[
   fsm._ways[c$k] = d$k]]
 
 local TAKE = [[
-  calls.begun = 0
   fsm._phase = "take"]]
 
 local SEGMENT_BEGIN = [[
@@ -210,15 +212,15 @@ local EFFECT = [[
   end]]
 
 local ENTER_HOOKED = [[
-  $b = nodes[i$k]
+  $b = nodes[i$action]
   if fsm._entry_hooks and fsm._entry_hooks[$b] then
   calls.count = $action
-  enter(fsm, $b, d$k)
+  enter(fsm, $b, d$action)
   if fsm.dbg ~= silent then return resume(fsm) end
   else]]
 
 local ENTER = [[
-  $b = nodes[i$k]
+  $b = nodes[i$action]
   $b._mode = "active"
   $a._actchild = $b
   callback = $b.entry
@@ -243,7 +245,6 @@ local COMPLETE = [[
 ---@field ACTION integer how far apart the numbers of actions are, as in the core
 ---@field SEGMENT integer the same of segments
 ---@field at integer how many states have been left or entered: s0 and s1 in turn
----@field count integer how many values with a number have been bound
 ---@field is_hooked boolean states may have hooks
 
 local Path = {}
@@ -283,14 +284,13 @@ end
 function Path:enter(def)
   local entries = def.entries
   for i = 1, #entries do
-    self.count = self.count + 1
     self:act()
-    self:bind("i", self.count, entries[i].index)
+    self:bind("i", ("%d"):format(self.number), entries[i].index)
     if self.is_hooked then
-      self:bind("d", self.count, entries[i])
-      self:write(ENTER_HOOKED, self.count)
+      self:bind("d", ("%d"):format(self.number), entries[i])
+      self:write(ENTER_HOOKED)
     end
-    self:write(ENTER, self.count)
+    self:write(ENTER)
     if i == #entries and not def.connector then self:write(COMPLETE) end
     if self.is_hooked then self:write("end") end
     self.at = self.at + 1
@@ -327,7 +327,6 @@ end
 
 local SEARCH_BEGIN = [[
   return function(fsm)
-  fsm._calls.begun = 0
   fsm._phase = "search"
   local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
   local events, s0, lent = fsm._curq, fsm._from, nil]]
@@ -425,7 +424,7 @@ end
 function Search:connector(connector, level, n)
   local otrs, text, pn = connector.otrs, self.text, nil
   local places = { n = n, level = level }
-  if self.seen[connector] or text:is_full() or level > 12 then
+  if self.seen[connector] or text:is_full() then
     self.is_too_much = true
     return
   end
@@ -437,7 +436,7 @@ function Search:connector(connector, level, n)
   for i = 1, #otrs do -- those of one priority are asked together, for conflicts
     if (otrs[i].pn or 0) ~= pn then text:write("end\nif not w$level then", places) end
     pn = otrs[i].pn or 0
-    self.prepare(otrs[i])
+    self.compile_transition(otrs[i])
     self:transition(otrs[i], level)
   end
   text:write("end")
@@ -462,41 +461,21 @@ end
 
 -- Take: functions of paths -----------------------------------------------------------
 
--- Makes the part that takes paths; returns what the others use.
-local function new_takes(core)
-  local silent, FIRST = core.silent, core.FIRST
-
-  local function prepared(def)
-    if def.connector == nil then core.compile_transition(def) end
-    return def
-  end
-
-  -- In place of a function that is too large.
-  local function take_plainly(fsm)
-    fsm._calls.begun = 0
-    fsm._phase = "take"
-    core.take(fsm)
-    return LENT
-  end
-
-  local function resume(fsm)
-    core.take(fsm)
-    return LENT
-  end
-
+-- Makes the function that compiles a path.
+local function new_run_maker(core, take_plainly)
   local kit = new_kit("path", core.loadstring, {
-    "silent", silent, "resume", resume, "leave", core.leave, "enter", core.enter,
-    "call", core.call, "LENT", LENT, "SEARCH", SEARCH, "rawget", rawget,
-    "rawset", rawset, "borrowers", core.borrowers,
+    "silent", core.silent, "resume", take_plainly, "leave", core.leave,
+    "enter", core.enter, "call", core.call, "LENT", LENT, "SEARCH", SEARCH,
+    "rawget", rawget, "rawset", rawset, "borrowers", core.borrowers,
   })
 
   -- Returns the function that takes the segments of `path` from a state `exits` levels
   -- below what stays active; with a check if the path has not been searched. Nil if
   -- that is too much for one function.
-  local function make_run(path, exits, is_hooked, is_checked)
+  return function(path, exits, is_hooked, is_checked)
     local text = new_text(kit)
     local own = setmetatable({
-      text = text, number = FIRST.take, at = 0, count = 0, is_hooked = is_hooked,
+      text = text, number = core.FIRST.take, at = 0, is_hooked = is_hooked,
       ACTION = core.ACTION, SEGMENT = core.SEGMENT,
     }, Path)
     text:bind("done_event", path[#path].tgt.done_event)
@@ -513,37 +492,37 @@ local function new_takes(core)
     text:write("return lent\nend")
     return text:compile()
   end
+end
 
-  -- Lists the segments of the path that a search has found: `ways` are those out of its
-  -- connectors.
-  local function path_of(def, ways)
-    local path = { def }
-    while def.connector do
-      def = ways[def.connector]
-      path[#path + 1] = def
-    end
-    return path
+-- Lists the segments of the path that a search has found: `ways` are those out of its
+-- connectors.
+local function path_of(def, ways)
+  local path = { def }
+  while def.connector do
+    def = ways[def.connector]
+    path[#path + 1] = def
   end
+  return path
+end
 
-  -- Makes the function for that path.
+-- Makes the function that returns the function of a path. They are kept in a tree: by
+-- the levels that are left, then by the transitions behind the first one. A machine
+-- that was prepared compiles no more. Without a loop up to MAX_LOOKUPS connectors, for
+-- LuaJIT.
+local function new_run_lookup(core, make_run, take_plainly)
   local function note_run(first, ways, exits, is_hooked)
-    local def, name = first, is_hooked and "hooked_runs" or "runs"
+    local name, path = is_hooked and "hooked_runs" or "runs", path_of(first, ways)
     first[name] = first[name] or {}
     first[name][exits] = first[name][exits] or { run = false }
     local at = first[name][exits]
-    while def.connector do
-      def = ways[def.connector]
-      at[def] = at[def] or { run = false }
-      at = at[def]
+    for i = 2, #path do
+      at[path[i]] = at[path[i]] or { run = false }
+      at = at[path[i]]
     end
-    at.run = at.run or make_run(path_of(first, ways), exits, is_hooked, false)
-      or take_plainly
+    at.run = at.run or make_run(path, exits, is_hooked, false) or take_plainly
     return at.run
   end
 
-  -- Returns the function for that path. They are kept in a tree: by the levels that are
-  -- left, then by the transitions behind the first one. A machine that was prepared
-  -- compiles no more. Without a loop up to MAX_LOOKUPS connectors, for LuaJIT.
   local lookup = new_text(new_kit("lookup", core.loadstring, {
     "note_run", note_run, "take_plainly", take_plainly,
   }))
@@ -564,7 +543,39 @@ local function new_takes(core)
     if is_prepared and not at then return take_plainly end
     return note_run(first, ways, exits, is_hooked)
     end]]
-  local run_of = lookup:compile()
+  return lookup:compile()
+end
+
+-- Calls f() for each path through `def`, at most `left` of them; `ways` has the ways
+-- out of its connectors then. Returns how many are left.
+local function each_path(core, def, ways, f, left)
+  local connector = core.compile_transition(def).connector
+  if left < 1 then return 0 end
+  if not connector then
+    f()
+    return left - 1
+  end
+  for _, out in ipairs(ways[connector] == nil and connector.otrs or NONE) do
+    ways[connector] = out
+    left = each_path(core, out, ways, f, left)
+    ways[connector] = nil
+  end
+  return left
+end
+
+-- Makes the part that takes paths; returns what the others use.
+local function new_takes(core)
+  local silent, FIRST = core.silent, core.FIRST
+
+  -- In place of a function that is too large, or goes on where one was left.
+  local function take_plainly(fsm)
+    fsm._phase = "take"
+    core.take(fsm)
+    return LENT
+  end
+
+  local make_run = new_run_maker(core, take_plainly)
+  local run_of = new_run_lookup(core, make_run, take_plainly)
 
   -- Takes the path that the machine has noted; returns what its function returns.
   local function take(fsm)
@@ -579,33 +590,17 @@ local function new_takes(core)
     return run(fsm)
   end
 
-  -- Calls f() for each path through `def`, at most MAX_PATHS of them; `ways` has the
-  -- ways out of its connectors then. Returns how many are left.
-  local function each_path(def, ways, f, left)
-    local connector = prepared(def).connector
-    if not connector or left < 1 then
-      if left > 0 then f() end
-      return left - 1
-    end
-    for _, out in ipairs(ways[connector] == nil and connector.otrs or NONE) do
-      ways[connector] = out
-      left = each_path(out, ways, f, left)
-      ways[connector] = nil
-    end
-    return left
-  end
-
   -- Compiles the paths through a transition from a leaf.
   local function prepare_paths(def, leaf, is_hooked)
     local ways = {}
-    each_path(def, ways, function()
+    each_path(core, def, ways, function()
       run_of(def, ways, exits_of(def, leaf.depth), is_hooked)
     end, MAX_PATHS)
   end
 
   return {
-    make_run = make_run, prepare_paths = prepare_paths, prepared = prepared,
-    resume = resume, take = take, take_plainly = take_plainly,
+    make_run = make_run, prepare_paths = prepare_paths, take = take,
+    take_plainly = take_plainly,
   }
 end
 
@@ -615,35 +610,95 @@ end
 -- order. leaf.quick[event] is false if that is nothing; otherwise `run` searches and
 -- takes the path. leaf.hooked has the same for machines with hooks.
 
-local function new_choices(core, takes)
-  local matches, enabled, silent = core.matches, core.enabled, core.silent
-  local make_run, prepared, take = takes.make_run, takes.prepared, takes.take
-  local append = core.append
+-- Lists the transitions that each event may trigger while the leaf is active, in
+-- order. OTHER stands for the events that none of them names.
+local function list_choices(core, leaf)
+  local choices, lists = { [OTHER] = {} }, {}
+  lists[1] = choices[OTHER]
+  local function add(list, def)
+    if list[#list] ~= def then list[#list + 1] = def end
+  end
+  local function add_def(def)
+    if not def.events or has_predicate(def) then
+      for _, list in ipairs(lists) do add(list, def) end
+      return
+    end
+    for _, event in ipairs(def.events) do
+      if not choices[event] then
+        choices[event] = core.append({}, choices[OTHER])
+        lists[#lists + 1] = choices[event]
+      end
+      add(choices[event], def)
+    end
+  end
+  for _, node in ipairs(core.line_to(leaf)) do
+    for _, def in ipairs(node.otrs) do add_def(core.compile_transition(def)) end
+  end
+  return choices
+end
 
-  -- Takes what a search has found in the leaf, which may be nothing.
-  local function take_found(fsm, leaf, def, lent)
+-- Notes what a run reads of a leaf. `ignored`: the leaf's e_done if no transition
+-- uses it, else NaN, which equals no event. It may be interrupted anywhere.
+local function prepare_leaf(core, leaf)
+  local choices = list_choices(core, leaf)
+  local done = choices[leaf.done_event] or choices[OTHER]
+  leaf.choices = choices
+  leaf.ignored = done[1] and 0 / 0 or leaf.done_event
+  leaf.hooked = {}
+  leaf.quick = {} -- last: it is looked at first
+end
+
+-- Returns the candidates of an event.
+local function choice_of(core, leaf, event)
+  if not leaf.quick then prepare_leaf(core, leaf) end
+  return leaf.choices[event] or leaf.choices[OTHER]
+end
+
+-- Lists the segments of a path that is taken whenever its first one is, if no guard or
+-- other target has been set since: each connector has a single transition, without
+-- events and guard. Nil if the path is another one, or too long.
+local function straight_path(core, def)
+  local path = { core.compile_transition(def) }
+  while def.connector do
+    local otrs = def.connector.otrs
+    if #otrs ~= 1 or #path == MAX_SEGMENTS then return nil end
+    def = otrs[1]
+    if def.events or def.guard then return nil end
+    path[#path + 1] = core.compile_transition(def)
+  end
+  return path
+end
+
+-- Makes the function that goes on behind a search, with what it has found in the leaf,
+-- which may be nothing.
+local function new_take_found(core, take)
+  return function(fsm, leaf, def, lent)
     core.decide(fsm, leaf, def)
     if fsm._phase ~= "take" then return REST end
     fsm._calls.count = core.FIRST.take
     return take(fsm) or lent
   end
+end
 
+-- Makes the function that compiles a search.
+local function new_search_maker(core, takes, take_found)
   local kit = new_kit("search", core.loadstring, {
-    "pcall", pcall, "refuse", core.refuse_guard, "matches", matches, "renew", renew,
-    "warn_of_conflict", core.warn_of_conflict, "enabled_with", core.enabled_with,
-    "rawget", rawget, "rawset", rawset, "borrowers", core.borrowers, "LENT", LENT,
-    "SEARCH", SEARCH, "take_found", take_found, "silent", silent,
+    "pcall", pcall, "refuse", core.refuse_guard, "matches", core.matches,
+    "renew", renew, "warn_of_conflict", core.warn_of_conflict,
+    "enabled_with", core.enabled_with, "rawget", rawget, "rawset", rawset,
+    "borrowers", core.borrowers, "LENT", LENT, "SEARCH", SEARCH,
+    "take_found", take_found, "silent", core.silent,
   })
 
   -- Returns a function that takes the path of the first of the candidates that is
   -- enabled; nil if that is too much for one function.
-  local function make_search(plan, depth, candidates, is_hooked)
+  return function(plan, depth, candidates, is_hooked)
     local text = new_text(kit)
     local own = setmetatable({
       text = text, count = 0, seen = {}, connectors = {}, is_predicate = {},
-      prepare = prepared,
+      compile_transition = core.compile_transition,
       run_of = function(def)
-        return make_run({ def }, exits_of(def, depth), is_hooked, false)
+        return takes.make_run({ def }, exits_of(def, depth), is_hooked, false)
           or takes.take_plainly
       end,
     }, Search)
@@ -663,92 +718,28 @@ local function new_choices(core, takes)
     text:write(SEARCH_END)
     return text:compile()
   end
+end
 
-  -- Lists the transitions that each event may trigger while the leaf is active, in
-  -- order. OTHER stands for the events that none of them names.
-  local function list_choices(leaf)
-    local choices, lists = { [OTHER] = {} }, {}
-    lists[1] = choices[OTHER]
-    local function add(list, def)
-      if list[#list] ~= def then list[#list + 1] = def end
-    end
-    local function add_def(def)
-      if not def.events or has_predicate(def) then
-        for _, list in ipairs(lists) do add(list, def) end
-        return
-      end
-      for _, event in ipairs(def.events) do
-        if not choices[event] then
-          choices[event] = append({}, choices[OTHER])
-          lists[#lists + 1] = choices[event]
-        end
-        add(choices[event], def)
-      end
-    end
-    for _, node in ipairs(core.line_to(leaf)) do
-      for _, def in ipairs(node.otrs) do add_def(prepared(def)) end
-    end
-    return choices
-  end
-
-  -- Notes what a run reads of a leaf. `ignored`: the leaf's e_done if no transition
-  -- uses it, else NaN, which equals no event. It may be interrupted anywhere.
-  local function prepare_leaf(leaf)
-    local choices = list_choices(leaf)
-    local done = choices[leaf.done_event] or choices[OTHER]
-    leaf.choices = choices
-    leaf.ignored = done[1] and 0 / 0 or leaf.done_event
-    leaf.hooked = {}
-    leaf.quick = {} -- last: it is looked at first
-  end
-
-  -- Returns the candidates of an event.
-  local function choice_of(leaf, event)
-    if not leaf.quick then prepare_leaf(leaf) end
-    return leaf.choices[event] or leaf.choices[OTHER]
-  end
-
-  -- Returns the transition that a path through `def` always takes next: the only one
-  -- of its connector, without events. Its guard is looked at in the run.
-  local function behind(def)
-    local connector = def.connector
-    local otrs = connector and connector.otrs
-    if otrs and #otrs == 1 and not otrs[1].events then return prepared(otrs[1]) end
-  end
-
-  -- Lists the segments of a path that is taken whenever its first one is, if no guard
-  -- or other target has been set; nil where that is not so.
-  local function straight_path(def)
-    local path, seen = { prepared(def) }, {}
-    while def.connector do
-      def = behind(def)
-      if not def or seen[def] or #path > 4 then return nil end
-      seen[def] = true
-      path[#path + 1] = def
-    end
-    return path
-  end
-
+-- Makes the function that knows what an event leads to.
+local function new_quick_of(core, make_run, make_search)
   -- In place of a function that is too large, or that was not prepared.
-  local function give_up_quick() return SEARCH end
-
-  local GIVEN_UP = { run = give_up_quick, def = false }
+  local GIVEN_UP = { run = function() return SEARCH end, def = false }
 
   -- Makes the function for an event.
   local function make_quick(plan, leaf, event, is_hooked)
-    local candidates = choice_of(leaf, event)
+    local candidates = choice_of(core, leaf, event)
     local def = candidates[1]
     if not def then return false end
     local is_alone = not (candidates[2] or def.guard or has_predicate(def))
-    local path = is_alone and straight_path(def)
+    local path = is_alone and straight_path(core, def)
     local run = path and make_run(path, exits_of(def, leaf.depth), is_hooked, true)
       or make_search(plan, leaf.depth, candidates, is_hooked)
     return run and { run = run, def = def } or GIVEN_UP
   end
 
   -- Returns what is known of that event; false if nothing waits for it.
-  local function quick_of(fsm, leaf, event, is_hooked)
-    if not leaf.quick then prepare_leaf(leaf) end
+  return function(fsm, leaf, event, is_hooked)
+    if not leaf.quick then prepare_leaf(core, leaf) end
     local known = is_hooked and leaf.hooked or leaf.quick
     if not leaf.choices[event] then event = OTHER end
     local quick = known[event]
@@ -759,12 +750,15 @@ local function new_choices(core, takes)
     end
     return quick
   end
+end
 
+-- Makes the function that searches for several events.
+local function new_choose(core)
   -- Returns the candidates of all events, nil if there are several lists of them.
   local function common_choice(leaf, events)
     local common = NONE
     for i = 1, #events do
-      local candidates = choice_of(leaf, events[i])
+      local candidates = choice_of(core, leaf, events[i])
       if candidates[1] and candidates ~= common then
         if common ~= NONE then return nil end
         common = candidates
@@ -777,56 +771,48 @@ local function new_choices(core, takes)
   local function choose(fsm, events)
     local plan = fsm._plan
     local common = common_choice(fsm._act_leaf["_%def"], events)
-    if not common or fsm.dbg ~= silent then return core.choose(fsm, events) end
+    if not common or fsm.dbg ~= core.silent then return core.choose(fsm, events) end
     if common == NONE then return nil end
     fsm._ways = {}
     for i = 1, #common do
       local def = common[i]
-      local found = (not has_predicate(def) or matches(def, events))
-        and enabled(fsm, def, events, 0)
+      local found = (not has_predicate(def) or core.matches(def, events))
+        and core.enabled(fsm, def, events, 0)
       if fsm._plan ~= plan then return choose(fsm, events) end
       if found then return found end
     end
   end
 
-  -- Compiles what may be wanted while the leaf is active.
+  return choose
+end
+
+-- Makes the function that compiles what would be compiled while the machine runs. A
+-- path that has not been foreseen is taken by the core then.
+local function new_prepare(core, prepare_paths, quick_of)
   local function prepare_run(fsm, leaf)
     local is_hooked = fsm._is_hooked
-    if not leaf.quick then prepare_leaf(leaf) end
+    if not leaf.quick then prepare_leaf(core, leaf) end
     for event, candidates in pairs(leaf.choices) do -- any order: each stands alone
       quick_of(fsm, leaf, event, is_hooked)
-      for _, def in ipairs(candidates) do
-        if def.connector and not straight_path(def) then
-          takes.prepare_paths(def, leaf, is_hooked)
-        end
-      end
+      for _, def in ipairs(candidates) do prepare_paths(def, leaf, is_hooked) end
     end
   end
 
   core.interpret(prepare_run)
 
-  -- Compiles what would be compiled while the machine runs. A path that has not been
-  -- foreseen is taken by the core then.
-  local function prepare(fsm)
+  return function(fsm)
     fsm._is_prepared = false
     for _, leaf in ipairs(fsm._plan.nodes) do
       if leaf.is_leaf then prepare_run(fsm, leaf) end
     end
     fsm._is_prepared = true
   end
-
-  return {
-    choose = choose, prepare = prepare, quick_of = quick_of, take_found = take_found,
-  }
 end
 
 -- Iterate ----------------------------------------------------------------------------
 
 local resume_coroutine = coroutine and coroutine.resume
 local status, DOO = coroutine and coroutine.status, "doo"
-
--- Does `xpcall` pass arguments?
-local has_arguments = xpcall(rawequal, type, 1, 1)
 
 -- Calls f(fsm) in protected mode. Lua 5.1 passes no arguments.
 local function protect_51(f, fsm, handler)
@@ -836,7 +822,7 @@ end
 
 local function protect(f, fsm, handler) return xpcall(f, handler, fsm) end
 
-if not has_arguments then protect = protect_51 end
+if not xpcall(rawequal, type, 1, 1) then protect = protect_51 end
 
 -- Calls the hooks of a list, the first with the number `count` + 1. A hook is the
 -- eighth local, as in the function of a path.
@@ -859,37 +845,50 @@ local function clear(list)
   for i = #list, 1, -1 do list[i] = nil end
 end
 
--- Makes the part that iterates.
-local function new_iterates(core, choices)
-  local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
-  local no_events, OWN_ONLY, borrowers = core.no_events, core.OWN_ONLY, core.borrowers
-  local append, FIRST, silent = core.append, core.FIRST, core.silent
-  local BEFORE, AFTER, quick_of = FIRST.before, FIRST.after, choices.quick_of
+-- The events of the last iteration are used again for the next one, unless a callback
+-- may have kept them.
+local function end_iteration(fsm, is_lent)
+  local events = fsm._curq
+  if is_lent then
+    fsm._curq = {}
+  else
+    if events[3] ~= nil then clear(events) end
+    events[2] = nil
+    events[1] = nil
+  end
+  fsm._phase = "idle"
+end
 
-  local hooks_text = new_text(new_kit("hooks", core.loadstring, { "OWN", OWN_ONLY[1] }))
-  hooks_text:write(CALL_HOOKS)
-  local call_hooks = hooks_text:compile()
+-- Makes the functions of an iteration without events.
+local function new_doo_cycle(core)
+  local handler, plain, resumed = core.handler, core.iterate, core.FIRST.resume + 1
+  local doos = {}
 
   -- Notes that the doo has been resumed, with these results.
-  local function note_resumed(calls, ok, idle)
+  function doos.note_resumed(calls, ok, idle)
     calls.ok, calls.result, calls.more = true, ok, idle
-    calls.begun, calls.noted = FIRST.doo + 1, FIRST.doo + 1
+    calls.begun, calls.noted = resumed, resumed
   end
 
   -- Resumes a doo that has been started before. `note_cycle` reads the locals; `DOO` is
   -- read where `ok` will be, which is therefore a boolean only after the call.
-  local function cycle(fsm)
+  function doos.cycle(fsm)
     local leaf = fsm._from
     local co = leaf._doo_co
     fsm._phase = DOO
     local ok, idle = resume_coroutine(co, fsm, leaf, "doo")
-    if ok and status(co) ~= "dead" then return idle and "idle" or "counted" end
-    note_resumed(fsm._calls, ok, idle)
-    return nil
+    if ok and status(co) ~= "dead" then
+      fsm._outcome = idle and "idle" or "counted"
+      fsm._phase = "after"
+    else
+      doos.note_resumed(fsm._calls, ok, idle)
+    end
   end
 
+  local cycle = doos.cycle
+
   -- A doo cycle, or none if the doo is over.
-  local function iterate_quietly(fsm, leaf, events)
+  function doos.iterate_quietly(fsm, leaf, events)
     if events[1] ~= nil then events[1] = nil end
     local co = leaf._doo_co
     if leaf._mode == "done" and not co then return true, true end
@@ -897,50 +896,23 @@ local function new_iterates(core, choices)
     fsm._calls.begun = 0
     if not co then
       fsm._phase = "doo"
-      return plain(fsm, false)
+      return plain(fsm)
     end
-    local ok, outcome = protect(cycle, fsm, handler)
-    if not ok then error(outcome, 0) end
-    if outcome and fsm._is_usual then
-      fsm._phase = "idle"
-      return true, outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
-    elseif outcome then
-      fsm._outcome = outcome
-      fsm._phase = "after"
-    end
-    return plain(fsm, false)
-  end
-
-  -- The events of the last iteration are used again for the next one, unless a callback
-  -- may have kept them.
-  local function end_iteration(fsm, is_lent)
-    local events = fsm._curq
-    if is_lent then
-      fsm._curq = {}
-    else
-      if events[3] ~= nil then clear(events) end
-      events[2] = nil
-      events[1] = nil
-    end
+    local ok, failure = protect(cycle, fsm, handler)
+    if not ok then error(failure, 0) end
+    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm) end
     fsm._phase = "idle"
+    return true, fsm._outcome == "idle" and fsm._intq[1] == nil
+      and fsm._act_leaf ~= false
   end
 
-  -- Goes on where a path was not just taken: a search is needed, a callback or the
-  -- engine failed, or there is more to do at the end.
-  local function iterate_rest(fsm, ok, result)
-    if not ok and result ~= GO_ON then error(result, 0) end
-    if not ok then return plain(fsm, false) end
-    if result == SEARCH then
-      fsm._phase = "begin"
-      return plain(fsm, false)
-    elseif result ~= REST then
-      fsm._outcome = "counted"
-      fsm._phase = "after"
-    end
-    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm, false) end
-    end_iteration(fsm, true)
-    return fsm._outcome == "counted", false
-  end
+  return doos
+end
+
+-- Makes the function for the phases "collect" and "before".
+local function new_collect(core, call_hooks)
+  local no_events, OWN_ONLY, FIRST = core.no_events, core.OWN_ONLY, core.FIRST
+  local append, BEFORE = core.append, FIRST.before
 
   -- Joins the events of getevents to those of the iteration, in a list that is used
   -- again. `_spare` is a third one: no callback ever gets it.
@@ -956,8 +928,7 @@ local function new_iterates(core, choices)
     fsm._spare = events
   end
 
-  -- The phases "collect" and "before".
-  local function collect(fsm, pre)
+  return function(fsm, pre)
     local intq, events = fsm._curq, fsm._intq
     fsm._phase = "collect"
     fsm._curq = events
@@ -969,16 +940,13 @@ local function new_iterates(core, choices)
     fsm._phase = "before"
     call_hooks(fsm, fsm._pre_hooks, "pre_step_hook", BEFORE)
   end
+end
 
-  -- Does a hook of this iteration get the list of events, and may keep it?
-  local function lends(fsm, pre, post)
-    return fsm._lends_events or pre and not borrowers[pre]
-      or post and not borrowers[post]
-  end
-
-  -- Takes the path that one event leads straight to, if there is such; returns what the
-  -- function of the path returns, or what is to be done.
-  local function take_quick(fsm)
+-- Makes the function that takes the path that one event leads straight to, if there is
+-- such. It returns what the function of the path returns, or what is to be done.
+local function new_take_quick(core, quick_of)
+  local silent = core.silent
+  return function(fsm)
     local leaf, events = fsm._act_leaf, fsm._curq
     if not leaf or fsm.dbg ~= silent then return SEARCH end
     local leaf_def, event, next_event = leaf["_%def"], events[1], events[2]
@@ -994,6 +962,23 @@ local function new_iterates(core, choices)
     fsm._path = path.def
     fsm._from = leaf
     return path.run(fsm)
+  end
+end
+
+-- Makes the function for the phases of an iteration in a machine with getevents or
+-- hooks.
+local function new_go_through(core, quick_of)
+  local OWN_ONLY, AFTER, borrowers = core.OWN_ONLY, core.FIRST.after, core.borrowers
+  local hooks = new_text(new_kit("hooks", core.loadstring, { "OWN", OWN_ONLY[1] }))
+  hooks:write(CALL_HOOKS)
+  local call_hooks = hooks:compile()
+  local collect = new_collect(core, call_hooks)
+  local take_quick = new_take_quick(core, quick_of)
+
+  -- Does a hook of this iteration get the list of events, and may keep it?
+  local function lends(fsm, pre, post)
+    return fsm._lends_events or pre and not borrowers[pre]
+      or post and not borrowers[post]
   end
 
   -- Does what is left after `take_quick`, up to the phase "after". Returns whether a
@@ -1014,9 +999,8 @@ local function new_iterates(core, choices)
     end
   end
 
-  -- The phases of an iteration in a machine with getevents or hooks. Returns whether it
-  -- counts, and nothing else is left to be done.
-  local function go_through(fsm)
+  -- Returns whether the iteration counts, and nothing else is left to be done.
+  return function(fsm)
     local calls, pre = fsm._calls, fsm.pre_step_hook
     if fsm._phase ~= "begin" or fsm._curq[1] ~= nil then
       core.go_on(fsm)
@@ -1038,10 +1022,13 @@ local function new_iterates(core, choices)
     end_iteration(fsm, lent or lends(fsm, pre, post))
     return fsm._outcome == "counted" and not (fsm._failure or fsm._reset_wanted)
   end
+end
 
-  -- An iteration of a machine that has hooks or a getevents, is being traced, entered
-  -- or reset, or whose iteration was cut short.
-  local function iterate_unusual(fsm, after_free)
+-- Makes the function for an iteration of a machine that has hooks or a getevents, is
+-- being traced, entered or reset, or whose iteration was cut short.
+local function new_iterate_unusual(core, go_through)
+  local handler, plain, GO_ON = core.handler, core.iterate, core.GO_ON
+  return function(fsm, after_free)
     fsm._is_usual = not fsm._is_hooked
     if not fsm._is_hooked or fsm._phase ~= "idle" or fsm._reset_wanted then
       return plain(fsm, after_free)
@@ -1054,10 +1041,32 @@ local function new_iterates(core, choices)
     if is_counted ~= GO_ON then error(is_counted, 0) end
     return plain(fsm, after_free)
   end
+end
 
-  -- One iteration. What is written out is one event, apart from an e_done that nothing
-  -- waits for, and nobody who traces or has hung in hooks.
-  local function iterate(fsm, after_free) -- luacheck: ignore 561 (so long for speed)
+-- Makes the function that goes on where a path was not just taken: a search is needed,
+-- a callback or the engine failed, or there is more to do at the end.
+local function new_iterate_rest(core)
+  local plain, GO_ON = core.iterate, core.GO_ON
+  return function(fsm, ok, result)
+    if not ok and result ~= GO_ON then error(result, 0) end
+    if not ok then return plain(fsm) end
+    if result ~= SEARCH and result ~= REST then
+      fsm._outcome = "counted"
+      fsm._phase = "after"
+    end
+    if fsm._phase ~= "after" or not fsm._is_usual then return plain(fsm) end
+    end_iteration(fsm, true)
+    return fsm._outcome == "counted", false
+  end
+end
+
+-- Makes the function for one iteration. What is written out is one event, apart from an
+-- e_done that nothing waits for, and nobody who traces or has hung in hooks.
+local function new_iterate(core, quick_of, iterate_quietly, iterate_unusual)
+  local handler, plain, silent = core.handler, core.iterate, core.silent
+  local iterate_rest = new_iterate_rest(core)
+
+  return function(fsm, after_free) -- luacheck: ignore 561 (so long for speed)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
       return iterate_unusual(fsm, after_free)
@@ -1077,19 +1086,14 @@ local function new_iterates(core, choices)
       events[1] = nil
       return false, false
     end
+    fsm._calls.begun = 0
     fsm._after_free = false
     fsm._phase = "begin"
     fsm._curq = events
     fsm._intq = spare
-    local run, ok, result = path.run
     fsm._path = path.def
     fsm._from = leaf
-    if has_arguments then
-      ok, result = xpcall(run, handler, fsm)
-    else
-      fsm._run = run
-      ok, result = xpcall(fsm._act, handler)
-    end
+    local ok, result = protect(path.run, fsm, handler)
     if not (ok and fsm._is_usual) then
       return iterate_rest(fsm, ok, result)
     elseif result == nil then
@@ -1103,34 +1107,28 @@ local function new_iterates(core, choices)
     fsm._phase = "idle"
     return true, false
   end
-
-  return {
-    cycle = cycle, go_through = go_through, iterate = iterate,
-    note_resumed = note_resumed,
-  }
 end
 
 -- What the core asks for -------------------------------------------------------------
 
 -- Makes the function that is told of an error while a function of this file ran.
-local function new_note_failure(core, iterates)
+local function new_note_failure(core, doos)
   -- `cycle` was cut short. Has it resumed the doo? Then the results are noted.
   local function note_cycle(level)
     local values = {}
     for i = 1, 5 do
-      local _, value = getlocal(level + 1, i)
+      local _, value = getlocal(level, i)
       values[i] = value
     end
     if type(values[4]) == "boolean" then
-      iterates.note_resumed(values[1]._calls, values[4], values[5])
+      doos.note_resumed(values[1]._calls, values[4], values[5])
     end
-    return false
   end
 
   -- An error comes from a function that takes a segment, or from a callback that it has
   -- called. The latter is noted as the result of the call; returns true then.
   return function(f, level, failure)
-    if f == iterates.cycle then return note_cycle(level) end
+    if f == doos.cycle then note_cycle(level + 1) end
     local maker = maker_of[f]
     if not (maker and maker.call_lines[getinfo(level, "l").currentline]) then
       return false
@@ -1165,14 +1163,17 @@ end
 ---@param core table the functions of the core
 return function(engine, core)
   if not core.loadstring then return end -- no text can be compiled
-  local takes = new_takes(core)
-  local choices = new_choices(core, takes)
-  local iterates = new_iterates(core, choices)
-  engine.choose, engine.prepare = choices.choose, choices.prepare
-  engine.iterate, engine.take = iterates.iterate, takes.take
-  engine.note_failure = new_note_failure(core, iterates)
+  local takes, doos = new_takes(core), new_doo_cycle(core)
+  local take_found = new_take_found(core, takes.take)
+  local quick_of = new_quick_of(core, takes.make_run,
+    new_search_maker(core, takes, take_found))
+  local go_through = new_go_through(core, quick_of)
+  engine.choose, engine.take = new_choose(core), takes.take
+  engine.prepare = new_prepare(core, takes.prepare_paths, quick_of)
+  engine.iterate = new_iterate(core, quick_of, doos.iterate_quietly,
+    new_iterate_unusual(core, go_through))
+  engine.note_failure = new_note_failure(core, doos)
   engine.is_taking = new_is_taking {
-    [iterates.cycle] = true, [iterates.go_through] = true, [takes.resume] = true,
-    [takes.take] = true, [choices.take_found] = true, [takes.take_plainly] = true,
+    [go_through] = true, [take_found] = true, [takes.take_plainly] = true,
   }
 end

@@ -155,7 +155,7 @@ local MISTAKES = [[
 --> T.events (a -> b): LIST, got boolean
   rfsm.trans { src = "a", tgt = "b", events = { nil, "e" } },
 --> T.events (a -> b): list of events expected, got a table with holes or keys
-  rfsm.trans { src = "a", tgt = "b", events = { go = "e" } },
+  rfsm.trans { src = "a", tgt = "b", events = { go = "e", back = "f" } },
 --> T.events (a -> b): list of events expected, got a table with holes or keys
   rfsm.trans { src = "a", tgt = "b", events = { 0/0 } },
 --> T.events[1] (a -> b): an event cannot be NaN

@@ -2,6 +2,7 @@
 -- them each Lua has charts of its own.
 
 local charts = require "spec.support.charts"
+local compiling = require "spec.support.compiling"
 local rfsm = require "rfsm"
 local runs = require "spec.support.runs"
 local shrink = require "spec.support.shrink"
@@ -28,20 +29,6 @@ local function find_difference(from)
     local chart = charts.generate(s)
     if differs(chart) then return chart end
   end
-end
-
--- Runs `f` with the core loaded anew on a Lua without `load`.
-local function without_compiler(f)
-  local load, loadstring = rawget(_G, "load"), rawget(_G, "loadstring")
-  package.loaded.rfsm = nil
-  rawset(_G, "load", nil)
-  rawset(_G, "loadstring", nil)
-  local ok, problem = pcall(f)
-  rawset(_G, "load", load)
-  rawset(_G, "loadstring", loadstring)
-  package.loaded.rfsm = rfsm
-  rawset(_G, "rfsm", rfsm)
-  if not ok then error(problem, 0) end
 end
 
 local function keep_one_event(right, fsm, first) right(fsm, first) end
@@ -71,7 +58,7 @@ describe("the oracle", function()
     { name = "agrees where there is no debug", count = 150,
       setting = "RFSM_WITHOUT=debug" },
     { name = "agrees with a machine whose twin was interrupted",
-      count = jit and 120 or 30, setting = "RFSM_INTERRUPTS=1" },
+      count = 30, setting = "RFSM_INTERRUPTS=1" },
   }
   for _, case in ipairs(CASES) do
     it(("%s, %d charts"):format(case.name, case.count), function()
@@ -86,7 +73,7 @@ describe("the oracle", function()
   end
 
   it("agrees with a core on a Lua without compiler, 200 charts", function()
-    without_compiler(function()
+    compiling.with(nil, function()
       local compare = dofile("spec/support/runs.lua").compare
       for s = seed, seed + 199 do assert.is_nil((compare(charts.generate(s)))) end
     end)

@@ -1,0 +1,388 @@
+-- rfsm/fast.lua does what the core does. Here: that it is used, that it compiles once,
+-- and that it knows its limits.
+
+local charts = require "spec.support.charts"
+local compiling = require "spec.support.compiling"
+local helper = require "spec.helper"
+local rfsm = require "rfsm"
+
+local conn, state, trans = rfsm.conn, rfsm.state, rfsm.trans
+
+local jit = rawget(_G, "jit")
+setup(function() if jit then jit.off() end end) -- compiled code calls no hook
+teardown(function() if jit then jit.on() end end)
+
+local FILES = { "core", "fast", "hooks", "lookup", "path", "search" }
+
+-- Returns how many functions of the core, of rfsm/fast.lua and of each kind of text
+-- f(fsm) calls. Lua 5.1 needs one more of the core to pass an argument: left out.
+local function calls_of(f, fsm)
+  local counts, texts = {}, {}
+  debug.sethook(function()
+    local info = debug.getinfo(2, "Sf")
+    local file = info.short_src:match("^rfsm (%a+)$")
+      or info.short_src:find("fast%.lua$") and "fast"
+      or info.short_src:find("rfsm%.lua$") and info.func ~= fsm._act and "core"
+    if file then counts[file] = (counts[file] or 0) + 1 end
+  end, "c")
+  f(fsm)
+  debug.sethook()
+  for _, file in ipairs(FILES) do
+    texts[#texts + 1] = counts[file] and file .. " " .. counts[file]
+  end
+  return table.concat(texts, ", ")
+end
+
+local function callback() end
+
+local function refuse() return false end
+
+local function go(src, tgt, event, fields)
+  fields = fields or {}
+  fields.src, fields.tgt, fields.events = src, tgt, event and { event }
+  return trans(fields)
+end
+
+-- (initial) -> a --e--> b --back--> a, with callbacks, and more members.
+local function new_machine(members)
+  local model = {
+    info = false, warn = false, emem = false, checkevents = false,
+    a = state { entry = callback, exit = callback }, b = state { entry = callback },
+    c = state {}, go("initial", "a"), go("a", "b", "e", { effect = callback }),
+    go("b", "a", "back"), go("c", "a", "back"),
+  }
+  for key, value in pairs(members or {}) do model[key] = value end -- any order: a set
+  return assert(rfsm.init(state(model)))
+end
+
+local function send(fsm, events)
+  for _, event in ipairs(events) do rfsm.send_events(fsm, event) end
+end
+
+-- Uses the machine until all is compiled, and sends the events once more.
+local function warm(fsm, ...)
+  rfsm.run(fsm)
+  for _ = 1, 12 do
+    send(fsm, { ... })
+    rfsm.run(fsm)
+    helper.post_and_run(fsm, "back")
+  end
+  send(fsm, { ... })
+end
+
+-- A path over `count` connectors to b.
+local function over(count, last)
+  local members = { [2] = go("a", count > 0 and "k1" or "b", "e") }
+  for i = 1, count do
+    members["k" .. i] = conn {}
+    members[4 + i] = go("k" .. i, i < count and "k" .. i + 1 or "b", nil,
+      i == count and last or nil)
+  end
+  return members
+end
+
+local function with(members, more)
+  for key, value in pairs(more) do members[key] = value end -- any order: a set
+  return members
+end
+
+local function busy()
+  while true do rfsm.yield() end
+end
+
+-- What one event calls in the steady state.
+local CASES = {
+  { name = "leads straight to a leaf", calls = "core 1, fast 2, path 1" },
+  { name = "has an internal transition", calls = "core 1, fast 2, path 1",
+    members = { [2] = go("a", "internal", "e", { effect = callback }) } },
+  { name = "nothing waits for", event = "other", calls = "core 2, fast 4" },
+  { name = "has a guard", calls = "core 1, fast 2, path 1, search 1",
+    members = { [2] = go("a", "b", "e", { guard = callback }) } },
+  { name = "has an alternative", calls = "core 1, fast 2, path 1, search 1",
+    members = { [2] = go("a", "c", "e", { guard = refuse }),
+      [5] = go("a", "b", "e") } },
+  { name = "is refused by a guard", calls = "core 3, fast 7, search 1",
+    members = { [2] = go("a", "b", "e", { guard = refuse }) } },
+  { name = "is refused by a guard where there is a hook",
+    calls = "core 13, fast 22, hooks 2, search 1",
+    members = { [2] = go("a", "b", "e", { guard = refuse }),
+      post_step_hook = callback } },
+  { name = "is wanted by a predicate", calls = "core 2, fast 3, path 1, search 1",
+    members = { [2] = go("a", "b", function(event) return event == "e" end) } },
+  { name = "goes over four connectors", members = over(4),
+    calls = "core 1, fast 2, path 1" },
+  { name = "goes over five connectors", members = over(5),
+    calls = "core 2, fast 5, lookup 1, path 1, search 1" },
+  { name = "goes over eight connectors", members = over(8),
+    calls = "core 2, fast 5, lookup 1, path 1, search 1" },
+  { name = "goes over nine connectors", members = over(9),
+    calls = "core 73, fast 12, lookup 1, path 1" },
+  { name = "goes over a connector with a guard",
+    members = over(1, { guard = callback }),
+    calls = "core 2, fast 5, lookup 1, path 1, search 1" },
+  { name = "goes over a connector with two ways",
+    calls = "core 2, fast 5, lookup 1, path 1, search 1",
+    members = with(over(1, { guard = callback, pn = 1 }), { [6] = go("k1", "c") }) },
+  { name = "goes over a connector with a predicate",
+    calls = "core 3, fast 5, lookup 1, path 1, search 1",
+    members = with(over(1), { [5] = go("k1", "b", refuse), [6] = go("k1", "c") }) },
+  { name = "is pending with another", more = "other",
+    calls = "core 19, fast 8, lookup 1, path 1" },
+  { name = "finds a pre step hook", calls = "core 1, fast 8, hooks 1, path 1",
+    members = { pre_step_hook = callback } },
+  { name = "finds a post step hook", calls = "core 1, fast 8, hooks 1, path 1",
+    members = { post_step_hook = callback } },
+  { name = "finds a getevents", calls = "core 4, fast 9, path 1",
+    members = { getevents = function() return {} end } },
+  { name = "finds hooks of states", calls = "core 16, fast 8, path 1",
+    change = function(fsm)
+      rfsm.entry_hook_add(fsm, fsm.b, callback)
+      rfsm.exit_hook_add(fsm, fsm.a, callback)
+    end },
+  { name = "finds a hook and an alternative",
+    calls = "core 1, fast 8, hooks 1, path 1, search 1",
+    members = { post_step_hook = callback, [5] = go("a", "b", "e"),
+      [2] = go("a", "c", "e", { guard = refuse }) } },
+}
+
+describe("an event that", function()
+  for _, case in ipairs(CASES) do
+    it(case.name .. " calls few functions, also in a prepared machine", function()
+      for _, is_prepared in ipairs { false, true } do
+        local fsm = new_machine(case.members)
+        if case.change then case.change(fsm) end
+        if is_prepared then rfsm.prepare(fsm) end
+        warm(fsm, case.event or "e", case.more)
+        assert.equal(case.calls, calls_of(rfsm.step, fsm))
+      end
+    end)
+  end
+end)
+
+describe("a doo cycle", function()
+  local function rest(members)
+    local fsm = new_machine(members)
+    rfsm.step(fsm, 20)
+    return calls_of(rfsm.step, fsm)
+  end
+
+  it("calls few functions", function()
+    assert.equal("core 1, fast 4", rest { a = state { doo = busy } })
+    assert.equal("core 1, fast 2", rest())
+  end)
+
+  it("gives the doo its three arguments again", function()
+    local seen = {}
+    local fsm = new_machine { a = state { doo = function()
+      while true do seen = { rfsm.yield() } end
+    end } }
+    rfsm.step(fsm, 20)
+    assert.equal(3, #seen)
+    assert.is_true(seen[1] == fsm and seen[2] == fsm.a and seen[3] == "doo")
+  end)
+end)
+
+describe("a text", function()
+  it("uses no global", function()
+    compiling.with(compiling.strictly, function()
+      local compare = dofile("spec/support/runs.lua").compare
+      for seed = 1, 200 do assert.is_nil((compare(charts.generate(seed)))) end
+    end)
+  end)
+
+  -- Runs f(core, count), in which count() returns how many texts were compiled since it
+  -- was last called.
+  local function counting(f)
+    local count = 0
+    compiling.with(function(...)
+      count = count + 1
+      return compiling.strictly(...)
+    end, function(core)
+      f(core, function()
+        local last = count
+        count = 0
+        return last
+      end)
+    end)
+  end
+
+  it("is compiled once for all models of the same shape", function()
+    counting(function(core, count)
+      local function make(a, b)
+        local fsm = assert(core.init(core.state { info = false, warn = false,
+          [a] = core.state {}, [b] = core.state { entry = callback },
+          core.trans { src = "initial", tgt = a },
+          core.trans { src = a, tgt = b, events = "e" },
+          core.trans { src = a, tgt = b, events = "e_guarded", guard = callback },
+        }))
+        core.prepare(fsm)
+        return fsm
+      end
+      local first = make("a", "b")
+      assert.is_true(count() > 0)
+      local second = make("c", "d")
+      assert.equal(0, count())
+      first.post_step_hook, second.post_step_hook = callback, callback
+      core.prepare(first)
+      assert.is_true(count() > 0)
+      core.prepare(second)
+      assert.equal(0, count())
+    end)
+  end)
+
+  it("is forgotten if no machine uses it", function()
+    counting(function(core, count)
+      local function prepare()
+        core.prepare(assert(core.init(core.state { info = false, warn = false,
+          a = core.state {}, core.trans { src = "initial", tgt = "a" },
+          core.trans { src = "a", tgt = "a", events = "e", effect = callback } })))
+      end
+      local function drop()
+        core.prepare(core.init(core.state {})) -- the latest model is kept
+        collectgarbage()
+        collectgarbage()
+        count()
+      end
+      prepare()
+      drop()
+      prepare()
+      assert.is_true(count() > 0)
+    end)
+  end)
+
+  it("is not compiled in the run of a prepared machine, 100 charts", function()
+    counting(function(core, count)
+      local prepare, compiled = core.prepare, 0
+      core.prepare = function(fsm)
+        prepare(fsm)
+        count()
+      end
+      local on_core = dofile("spec/support/runs.lua").on_core
+      for seed = 5, 500, 5 do
+        on_core(charts.generate(seed))
+        compiled = compiled + count()
+      end
+      assert.equal(0, compiled)
+    end)
+  end)
+end)
+
+if jit then
+  it("a text accesses fields without metamethods on LuaJIT", function()
+    local lines = {}
+    compiling.with(function(text, name)
+      for line in text:gmatch("[^\n]+") do lines[#lines + 1] = line end
+      return compiling.strictly(text, name)
+    end, function(core)
+      local on_core = dofile("spec/support/runs.lua").on_core
+      core.prepare(core.init(core.state {}))
+      for seed = 1, 10 do on_core(charts.generate(seed)) end
+    end)
+    for _, line in ipairs(lines) do
+      for _, access in ipairs { "^fsm%._%w+ =", "^s[01]%._%w+ =", "%f[%w]tr%.[eg]",
+        "s[01]%.e", "s[01]%._?doo[_co]* then" } do
+        assert.is_nil(line:match(access) and line)
+      end
+    end
+    assert.is_true(#lines > 100)
+  end)
+end
+
+describe("a machine", function()
+  it("is prepared soon, whatever the number of its paths", function()
+    local members, used = { [2] = go("a", "k1", "e"), k31 = state {} }, 0
+    for i = 1, 30 do
+      members["k" .. i] = conn {}
+      for j = 1, 2 do
+        members[5 + 2 * i + j] = go("k" .. i, "k" .. i + 1, "e", { pn = j })
+      end
+    end
+    local fsm = new_machine(members)
+    debug.sethook(function()
+      used = used + 1
+      if used > 1e4 then error("it takes too long", 0) end
+    end, "", 1000)
+    local ok, problem = pcall(rfsm.prepare, fsm)
+    debug.sethook()
+    assert.is_true(ok, problem)
+    rfsm.run(fsm)
+    assert.equal("root.k31", helper.leaf_after(fsm, "e"))
+  end)
+end)
+
+describe("a machine in use", function()
+  local function check(fsm, expected)
+    rfsm.run(fsm)
+    for _ = 1, 12 do
+      assert.equal(expected, helper.leaf_after(fsm, "e"))
+      assert.equal("root.a", helper.leaf_after(fsm, "back"))
+    end
+  end
+
+  it("enters states that are too many for one text", function()
+    local inner, path = state {}, "b" .. (".s"):rep(80)
+    for _ = 1, 80 do inner = state { s = inner } end
+    check(new_machine { b = inner, [2] = go("a", path, "e") }, "root." .. path)
+  end)
+
+  it("takes a path over 3,000 connectors", function()
+    check(new_machine(over(3000)), "root.b")
+    check(new_machine(over(3000, { guard = callback })), "root.b")
+  end)
+
+  it("stays in a ring of connectors", function()
+    check(new_machine { k = conn {}, m = conn {}, [2] = go("a", "k", "e"),
+      [5] = go("k", "m"), [6] = go("m", "k") }, "root.a")
+  end)
+
+  -- Where a function is called, and how it gets there.
+  local PLACES = {
+    entry = function(fsm, f) fsm.b.entry = f end,
+    exit = function(fsm, f) fsm.a.exit = f end,
+    effect = function(fsm, f) fsm[2].effect = f end,
+    guard = function(fsm, f) fsm[2].guard = f end,
+    doo = function(fsm, f) fsm.b.doo = f end,
+    getevents = function(fsm, f) fsm.getevents = f end,
+    pre_step_hook = function(fsm, f) fsm.pre_step_hook = f end,
+    post_step_hook = function(fsm, f) fsm.post_step_hook = f end,
+    entry_hook = function(fsm, f) rfsm.entry_hook_add(fsm, fsm.b, f) end,
+    ["an entry behind an exit that sets dbg"] = function(fsm, f)
+      fsm.a.exit = function() fsm.dbg = callback end
+      fsm.b.entry = f
+    end,
+    ["an entry on two events"] = function(fsm, f)
+      fsm.b.entry = f
+      rfsm.send_events(fsm, "other")
+    end,
+    ["an entry behind a guard that sets dbg"] = function(fsm, f)
+      fsm[2].guard = function() fsm.dbg = callback end
+      fsm.b.entry = f
+    end,
+  }
+  for _, place in ipairs(rfsm.sorted_keys(PLACES)) do
+    it("refuses a step from inside: " .. place, function()
+      local fsm, problems = new_machine { [5] = go("a", "c", "e", { pn = -1 }) }, {}
+      warm(fsm, "e")
+      PLACES[place](fsm, function()
+        local _, problem = pcall(rfsm.step, fsm)
+        problems[#problems + 1] = problem
+        return nil
+      end)
+      rfsm.step(fsm)
+      if place == "doo" then rfsm.step(fsm) end
+      assert.matches("rfsm.step: the machine is in the middle of a step$", problems[1])
+      assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    end)
+  end
+
+  it("gets children for a leaf from its post step hook", function()
+    local fsm, is_merged = new_machine(), nil
+    warm(fsm)
+    fsm.post_step_hook = function()
+      is_merged = rfsm.fsm_merge(fsm, fsm.c, conn {}, "initial")
+      fsm.post_step_hook = nil
+    end
+    helper.post_and_run(fsm, "e")
+    assert.is_true(is_merged)
+  end)
+end)
