@@ -190,8 +190,7 @@ local key_of, shown = keys_of.machine, keys_of.shown
 
 -- Returns the text of an error in one line.
 local function reason_of(failure)
-  local text = type(failure) == "table" and failure.err or plain.reason(failure)
-  return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
+  return calls.line(type(failure) == "table" and failure.err or plain.reason(failure))
 end
 
 local function versions_of(name)

@@ -28,6 +28,11 @@ function calls.init_apart(model)
   return (rfsm.seqand and rfsm.seqand.init_apart or rfsm.init)(model)
 end
 
+--- Return a text of several lines, such as a problem and a list, as one line.
+function calls.line(text)
+  return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
+end
+
 --- Return the texts of any values in one, as a printer shows them.
 function calls.text(separator, ...)
   local texts = {}

@@ -269,7 +269,9 @@ function Session:reload()
   if self.level then self:set_level(self.level) end
   points.renew(self, complain)
   history.start(self)
-  if problem then complain(text_of(problem) .. ": the machine begins anew") end
+  if problem then
+    complain(calls.line(text_of(problem)) .. ": the machine begins anew")
+  end
   self:show()
 end
 
