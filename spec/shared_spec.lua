@@ -7,6 +7,7 @@ local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
+local files = require "rfsm.shared.files"
 local helper = require "spec.helper"
 local options = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
@@ -42,6 +43,51 @@ describe("the text of arguments", function()
     assert.equal("1, nil, x, 2.5, false, nil",
       calls.text(", ", 1.0, nil, "x", 2.5, false, nil))
     assert.equal("", calls.text(", "))
+  end)
+end)
+
+describe("a text in one line", function()
+  it("has a list behind its colon, and other lines behind semicolons", function()
+    assert.equal("lost: a; b; c", calls.line("lost:\n  a\n  b\r\nc"))
+    assert.equal("one", calls.line("one"))
+  end)
+end)
+
+describe("a file", function()
+  local NAME = "/tmp/rfsm_shared_spec.txt"
+
+  after_each(function() os.remove(NAME) end)
+
+  it("is read as it was written", function()
+    local text = "a\r\n\0b"
+    assert.is_true(files.write(NAME, text))
+    assert.same({ text }, { files.read(NAME) })
+  end)
+
+  it("that cannot be read or written has a problem in one line", function()
+    local missing = "/nothing/x: No such file or directory"
+    assert.same({ nil, missing }, { files.read("/nothing/x") })
+    assert.same({ false, missing }, { files.write("/nothing/x", "") })
+    assert.same({ nil, "/tmp: Is a directory" }, { files.read("/tmp") })
+    assert.same({ false, "/dev/full: No space left on device" },
+      { files.write("/dev/full", "x") })
+  end)
+
+  it("is found as modules are, unless it is bytecode", function()
+    local path = package.path
+    package.path = "/nothing/?.lua;/tmp/?.lua;" .. path
+    finally(function() package.path = path end)
+    files.write(NAME, "x")
+    assert.equal("x", files.find("rfsm_shared_spec", ".txt"))
+    files.write(NAME, "\27Lua")
+    assert.is_nil(files.find("rfsm_shared_spec", ".txt"))
+    assert.matches("^%-%-%- Files", files.find("rfsm/shared/files"))
+  end)
+
+  it("of random bytes gives digits, others each time", function()
+    local one, other = files.random(4), files.random(4)
+    assert.matches("^" .. ("%x"):rep(8) .. "$", one)
+    assert.not_equal(one, other)
   end)
 end)
 

@@ -5,6 +5,7 @@
 
 local chart = require "rfsm.shared.chart"
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 
 local concat = table.concat
@@ -67,9 +68,7 @@ local function write_tests(options, parser)
       .. #options.files)
   end
   local model = common.try(common.load_model(file, options.stub))
-  local old = options.output ~= "-" and io.open(options.output)
-  local old_text = old and old:read("*a")
-  if old then old:close() end
+  local old_text = options.output ~= "-" and files.read(options.output)
   local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
     model, options.callbacks, options.output, old_text)
   common.write(options.output, text)

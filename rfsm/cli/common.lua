@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 
 local concat = table.concat
@@ -88,11 +88,8 @@ end
 -- Ends the program with status 2 if a file cannot be read.
 function common.check_readable(file)
   if file == "-" then return end
-  local handle, problem = io.open(file)
-  if not handle then common.fail(problem, 2) end
-  local text, why = handle:read(1) -- a directory opens, too
-  if not text and why then common.fail(file .. ": " .. why, 2) end
-  handle:close()
+  local text, problem = files.read(file)
+  if not text then common.fail(problem, 2) end
 end
 
 -- Returns the model in a file, its warnings, and where it comes from; nil and the
@@ -178,7 +175,7 @@ function common.write(file, text)
     if ok then ok, problem = io.stdout:flush() end
     problem = problem and "stdout: " .. problem
   else
-    ok, problem = diagram.write(file, text)
+    ok, problem = files.write(file, text)
   end
   if not ok then common.fail(problem) end
 end

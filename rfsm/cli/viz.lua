@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 
 local concat = table.concat
 
@@ -35,9 +36,8 @@ end
 
 -- Returns the JSON values in a file.
 local function read_values(file)
-  local handle = common.try(io.open(file, "rb"))
-  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
-  handle:close()
+  local text = common.try(files.read(file))
+  local ok, values = pcall(require("rfsm.json").decode_all, text)
   if not ok then common.fail(file .. ": " .. values) end
   return values
 end

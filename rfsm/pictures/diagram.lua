@@ -8,12 +8,12 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
+local files = require "rfsm.shared.files"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
-local io = rawget(_G, "io") -- absent in a browser
 local rawset, select = rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat, max = table.concat, math.max
@@ -435,18 +435,6 @@ function diagram.add(lines, depth, text)
   lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
---- Write a text to a file.
----@return boolean is_written
----@return string? problem in one line
-function diagram.write(file, text)
-  local handle, problem = io.open(file, "wb")
-  if not handle then return false, problem end
-  local is_written, why = handle:write(text)
-  local is_closed, why_not = handle:close()
-  if is_written and is_closed then return true end
-  return false, file .. ": " .. (why or why_not)
-end
-
 --- The module of a language. Both functions take an initialised fsm, or a description;
 -- options that are a string are the title.
 ---@class rfsm.pictures.Exporter
@@ -470,7 +458,7 @@ function diagram.exporter(name, global, draw)
     if type(file) ~= "string" then
       error(where .. "file name expected, got " .. type(file), 2)
     end
-    local ok, problem = diagram.write(file, draw(chart))
+    local ok, problem = files.write(file, draw(chart))
     if not ok then error(where .. problem, 2) end
   end
 

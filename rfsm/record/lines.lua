@@ -7,6 +7,7 @@
 -- @module rfsm.record.lines
 -- @license BSD-3-Clause
 
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local tracks = require "rfsm.record.track"
@@ -213,10 +214,8 @@ end
 -- @raise if the file cannot be read, a line is no record, or there is no such run
 ---@param number? integer of the run; the last one if it is absent
 function lines.read(name, number)
-  local file, problem = io.open(name, "rb")
-  if not file then error(problem, 0) end
-  local text = file:read("*a") or ""
-  file:close()
+  local text, problem = files.read(name)
+  if not text then error(problem, 0) end
   local runs = split(text)
   local run = runs[number or #runs]
   if not run then

@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local location = require "rfsm.checks.location"
 local rfsmpp = require "rfsmpp"
 
@@ -125,7 +125,7 @@ function view.draw(fsm, file)
   if not picture then
     picture, problem = dot.render(dot.layout(fsm) or dot.encode(fsm), format)
   end
-  if picture then problem = select(2, diagram.write(file, picture)) end
+  if picture then problem = select(2, files.write(file, picture)) end
   return problem
 end
 

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local layout = require "rfsm.pictures.layout"
 
 local coroutine, io, os, setmetatable = coroutine, io, os, setmetatable
@@ -29,10 +30,8 @@ local COMMAND = "exec 3>&- 4>&- 5>&- 6>&- 7>&- 8>&- 9>&-; "
 
 -- Begins a run of Graphviz.
 local function begin(picture, graph, format)
-  local handle, output = io.open(picture.input, "wb"), picture.output
-  if not handle then return end
-  handle:write(graph)
-  handle:close()
+  local output = picture.output
+  if not files.write(picture.input, graph) then return end
   os.remove(output)
   local pipe = io.popen(COMMAND:format(CPU_SECONDS, format, picture.input, output,
     output, output, output))
@@ -46,12 +45,8 @@ end
 function Picture:run(graph, format)
   begin(self, graph, format)
   while self.pid do
-    local handle = io.open(self.output, "rb")
-    if handle then
-      local text = handle:read("*a")
-      handle:close()
-      return text ~= "" and text or nil
-    end
+    local text = files.read(self.output)
+    if text then return text ~= "" and text or nil end
     coroutine.yield()
   end
 end

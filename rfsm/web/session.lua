@@ -14,13 +14,14 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
+local files = require "rfsm.shared.files"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 local points = require "rfsm.sim.points"
 local utf8 = require("rfsm.marsh").utf8
 
-local io, ipairs, os, pcall = io, ipairs, os, pcall
+local ipairs, os, pcall = ipairs, os, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
@@ -88,12 +89,7 @@ local function init(session, model)
   return fsm, text, problems
 end
 
-local function read(file)
-  local handle = io.open(file, "rb")
-  local text = handle and handle:read("*a") or ""
-  if handle then handle:close() end
-  return text
-end
+local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
