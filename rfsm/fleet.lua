@@ -46,7 +46,7 @@ local OPTIONS = {
   tags = { "a whole number from 1 to 16384", opts.is_whole(1, 16384), 64 },
   timeout = { "seconds above 0", is_positive, 5 },
   patience = { "seconds", opts.is_seconds, 10 },
-  tls = { "table", function(x) return type(x) == "table" end, nil },
+  tls = { "table", opts.is_a "table" },
 }
 
 --- Connect to a server, or to any node of a cluster.

@@ -136,7 +136,7 @@ local is_limit = opts.is_whole(1, 10000)
 
 local OPTIONS = {
   patience = { "seconds", opts.is_seconds, 10 },
-  sleep = { "function", function(x) return type(x) == "function" end, nil },
+  sleep = { "function", opts.is_a "function" },
 }
 
 --- Connect to a server that has the tables of `rfsm postgres --client`, or all.
@@ -199,7 +199,7 @@ end
 
 -- Waits for a moment; returns false if that is not known how.
 local function pause(self)
-  local socket = not self.options.sleep and opts.find_package("socket", "lua-socket")
+  local socket = not self.options.sleep and opts.find_package("socket")
   local sleep = self.options.sleep or socket and socket.sleep
   if not sleep then return false end
   sleep(0.1)

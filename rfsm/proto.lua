@@ -33,7 +33,7 @@ local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writ
 
 -- Description, test, default of each.
 local OPTIONS = {
-  allow_send = { "boolean", function(x) return type(x) == "boolean" end, false },
+  allow_send = { "boolean", opts.is_a "boolean", false },
   clock = { "function that returns seconds", rfsm.is_callable },
   fsm = { "initialised fsm", rfsm.is_initialized_root },
   host = { "name or address", is_text, "localhost" },
@@ -78,12 +78,9 @@ end
 
 -- Opens the port; `server` is the table of settings.
 local function open_server(server)
-  local socket, json, udp, problem
-  socket, problem = opts.find_package("socket", "lua-socket")
-  if not socket then return nil, problem end
-  json, problem = opts.find_package("dkjson", "lua-dkjson")
-  if not json then return nil, problem end
-  udp, problem = bind(socket, server.host, server.port)
+  local socket, json = opts.find_package("socket", "dkjson")
+  if not socket then return nil, json end
+  local udp, problem = bind(socket, server.host, server.port)
   if not udp then return nil, problem end
   local host, port = udp:getsockname()
   server.host, server.port, server.clock = host, tonumber(port),

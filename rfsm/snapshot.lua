@@ -460,9 +460,7 @@ end
 --- reset the machine, or set less. Faster, for one machine that serves many.
 ---@field is_tidy? boolean nothing has run since `take`, and then no target was set
 
-local function is_boolean(x) return type(x) == "boolean" end
-
-local function is_table(x) return type(x) == "table" end
+local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 
 local function is_renaming(x)
   if not is_table(x) then return false end

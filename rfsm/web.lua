@@ -28,7 +28,7 @@ local huge, min = math.huge, math.min
 
 local web = {}
 
-local function is_boolean(x) return type(x) == "boolean" end
+local is_boolean = opts.is_a "boolean"
 
 local function is_title(x) return opts.is_text(x) or type(x) == "table" end
 
@@ -304,10 +304,9 @@ end
 -- Returns the options and the packages; nil and a problem.
 local function prepare(options)
   local settings, problem = opts.read(OPTIONS, options or {})
-  local json, socket
-  if settings then json, problem = opts.find_package("dkjson", "lua-dkjson") end
-  if json then socket, problem = opts.find_package("socket", "lua-socket") end
-  if not socket then return nil, problem end
+  if not settings then return nil, problem end
+  local json, socket = opts.find_package("dkjson", "socket")
+  if not json then return nil, socket end
   settings.json, settings.gettime = json, socket.gettime
   return settings
 end

@@ -289,15 +289,18 @@ describe("options", function()
 
   it("name the package of a module that is missing", function()
     local text = "the package %s is missing (on Debian: apt-get install %s)"
-    assert.same({ nil, text:format("no.such", "lua-no") },
-      { options.find_package("no.such", "lua-no") })
-    assert.equal("rfsm.x: " .. text:format("no.such", "lua-no"),
-      select(2, pcall(options.need, "rfsm.x", "no.such", "lua-no")))
+    assert.same({ nil, text:format("none", "lua-none") },
+      { options.find_package("none") })
+    assert.same({ nil, text:format("none", "lua-none") },
+      { options.find_package("rfsm", "none") })
+    assert.same({ rfsm, advice }, { options.find_package("rfsm", "rfsm.advice") })
+    assert.equal("rfsm.x: " .. text:format("none", "lua-none"),
+      select(2, pcall(options.need, "rfsm.x", "none")))
     helper.with(package.loaded, { socket = "no table" }, function()
       assert.equal(text:format("luasocket", "lua-socket"),
-        select(2, options.find_package("socket", "lua-socket")))
+        select(2, options.find_package("socket")))
     end)
-    assert.equal(rfsm, options.need("rfsm.x", "rfsm", "lua-rfsm"))
+    assert.equal(rfsm, options.need("rfsm.x", "rfsm"))
   end)
 end)
 

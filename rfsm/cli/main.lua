@@ -57,7 +57,7 @@ end
 ---@param argv string[] the command line without the name of the program
 ---@return integer status for the shell
 function cli.main(argv)
-  local argparse, problem = opts.find_package("argparse", "lua-argparse")
+  local argparse, problem = opts.find_package("argparse")
   if not argparse then
     io.stderr:write("rfsm: ", problem, "\n")
     os.exit(1)

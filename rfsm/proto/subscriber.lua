@@ -69,10 +69,8 @@ end
 ---@return string? problem in one line
 ---@param has_path? boolean ask for the paths that are taken
 function subscriber.connect(host, port, has_path)
-  local socket, problem = opts.find_package("socket", "lua-socket")
-  if not socket then return nil, problem end
-  local json, missing = opts.find_package("dkjson", "lua-dkjson")
-  if not json then return nil, missing end
+  local socket, json = opts.find_package("socket", "dkjson")
+  if not socket then return nil, json end
   local udp = (socket.udp4 or socket.udp)()
   local is_set, why = udp:setpeername(host, port)
   if not is_set then return nil, ("%s: %s"):format(host, why) end

@@ -67,7 +67,7 @@ end
 local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got",
   "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions" }
 
-local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") end
+local function json() return opts.need("rfsm.record", "dkjson") end
 
 --- Return a record as a line of JSON.
 function lines.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end

@@ -18,7 +18,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local connection = {}
 
-local function need(name) return opts.need("rfsm.fleet", name, "lua-" .. name) end
+local function need(name) return opts.need("rfsm.fleet", name) end
 
 -- Addresses -----------------------------------------------------------------------
 

@@ -21,7 +21,6 @@ local rtt_launch = {}
 
 -- Arguments, and the text that the other Lua executes ------------------------------
 
-local function is(kind) return function(value) return type(value) == kind end end
 local function is_anything() return true end
 local function is_env(value) return type(value) == "table" and value[1] == nil end
 local function is_file(value)
@@ -32,14 +31,16 @@ local function is_word(word)
   return function(value) return value == word end
 end
 
-local BOOLEAN, STRING = { "boolean", is "boolean" }, { "string", is "string" }
+local BOOLEAN = { "boolean", options.is_a "boolean" }
+local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 
 -- Fields of both launches, for options.read.
 local COMMON = {
   env = { "table of globals by name", is_env, {} },
   fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
-  fqn_port = { "string", is "string", "fqn" }, ev_inport = NAME, ev_outport = NAME,
+  fqn_port = { "string", options.is_a "string", "fqn" },
+  ev_inport = NAME, ev_outport = NAME,
   run = BOOLEAN, running_only = BOOLEAN, sync = BOOLEAN,
   steps = { "whole number, at least 1", options.is_whole(1, huge) },
 }

@@ -11,7 +11,7 @@ local math_type = rawget(math, "type")
 
 local json = {}
 
-local function need() return opts.need("rfsm.server", "dkjson", "lua-dkjson") end
+local function need() return opts.need("rfsm.server", "dkjson") end
 
 -- Returns a value that dkjson encodes as this text.
 local function as(text)
