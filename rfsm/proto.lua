@@ -329,17 +329,13 @@ end
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
     path = false, tracer = {} }
-  local before_step, after_step, after_reset
+  local hooks = {}
 
-  local function detach()
-    trace_path(feed, false)
-    rfsm.pre_step_hook_rm(fsm, before_step)
-    rfsm.post_step_hook_rm(fsm, after_step)
-    rfsm.reset_hook_rm(fsm, after_reset)
-  end
-
-  function before_step()
-    if server.is_closed then return detach() end
+  local function before_step()
+    if server.is_closed then
+      trace_path(feed, false)
+      return swap.give_back(hooks)
+    end
     if feed.number == 0 then
       server.count = server.count + 1
       feed.number, server.feeds[server.count] = server.count, feed
@@ -350,18 +346,18 @@ local function attach(fsm, server)
     if failure then rfsm.report(fsm, "err", "PROTO", "the clock failed: ", failure) end
   end
 
-  function after_step()
+  local function after_step()
     if not server.is_closed then send_state(feed) end
   end
 
-  function after_reset()
+  local function after_reset()
     if feed.number > 0 then after_step() end
   end
 
   -- other hooks come after events
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(before_step), "before")
-  rfsm.post_step_hook_add(fsm, rfsm.borrows(after_step))
-  rfsm.reset_hook_add(fsm, after_reset)
+  swap.hook(hooks, fsm, "pre_step", before_step, "before")
+  swap.hook(hooks, fsm, "post_step", after_step)
+  swap.hook(hooks, fsm, "reset", after_reset)
 end
 
 -- Public functions ------------------------------------------------------------

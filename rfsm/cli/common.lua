@@ -127,35 +127,28 @@ function common.add_number(command, names, description, is_right, expected)
   end)
 end
 
--- Returns the number in the text of an option; nil if there is none.
-function common.number_of(parser, name, text)
-  local number = tonumber(text)
-  if text and not (number and number >= 1 and number % 1 == 0 and number <= 1e6) then
-    parser:error(("--%s: a whole number above 0 expected, got '%s'"):format(name, text))
-  end
-  return number
-end
-
 -- Libraries of charts ---------------------------------------------------------
 
 common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives another "
   .. "one. Of charts with one name the last is the newest."
 
+common.is_size = opts.is_whole(1, 1e6) -- of a list in a server
+
 -- Adds the charts of a library, and how long it knows ids of events.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE")
-  command:option("--ids", "keep so many ids of events of each machine, default 16; "
-    .. "with --ids-for 1000"):argname("N")
-  command:option("--ids-for", "keep ids of events for so many seconds"):argname("S")
+  common.add_number(command, "--ids", "keep so many ids of events of each machine, "
+    .. "default 16; with --ids-for 1000", common.is_size)
+  common.add_number(command, "--ids-for", "keep ids of events for so many seconds",
+    common.is_size):argname("S")
 end
 
 -- Returns the text of a library, bundle(files, settings), or ends the program with
 -- what is wrong with a chart, in one line.
 function common.library_of(bundle, options, parser, settings)
   if not options.files[1] then parser:error("a chart expected") end
-  settings.ids = common.number_of(parser, "ids", options.ids)
-  settings.ids_for = common.number_of(parser, "ids-for", options.ids_for)
+  settings.ids, settings.ids_for = options.ids, options.ids_for
   local ok, text, warnings = common.with_streams(io.stderr, bundle, options.files,
     settings)
   if not ok then common.fail(chart.first_line(text)) end

@@ -188,9 +188,9 @@ function track.attach(fsm, add, ...)
     add(own, ...)
     track.wrap(own)
     replace_guards(own)
-    rfsm.pre_step_hook_add(machine, rfsm.borrows(own.begin), "before")
-    rfsm.post_step_hook_add(machine, rfsm.borrows(own.finish), "before")
-    rfsm.reset_hook_add(machine, own.reset)
+    swap.hook(own.swaps, machine, "pre_step", own.begin, "before")
+    swap.hook(own.swaps, machine, "post_step", own.finish, "before")
+    swap.hook(own.swaps, machine, "reset", own.reset)
     tracks[i] = own
   end
   return tracks
@@ -198,12 +198,7 @@ end
 
 --- Leave the machines as they were.
 function track.detach(tracks)
-  for _, own in ipairs(tracks) do
-    swap.give_back(own.swaps)
-    rfsm.pre_step_hook_rm(own.fsm, own.begin)
-    rfsm.post_step_hook_rm(own.fsm, own.finish)
-    rfsm.reset_hook_rm(own.fsm, own.reset)
-  end
+  for _, own in ipairs(tracks) do swap.give_back(own.swaps) end
 end
 
 return track

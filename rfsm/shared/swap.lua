@@ -1,4 +1,5 @@
---- Swaps: fields of machines and their elements that a tool replaces for a while.
+--- Swaps: fields of machines and their elements that a tool replaces for a while, and
+-- hooks that it adds.
 --
 -- Each function takes a list, in which it notes what `give_back` needs.
 --
@@ -32,6 +33,13 @@ function swap.listen(swaps, fsm, name, note)
   end)
 end
 
+--- Add a hook to a machine: before or after each step ("pre_step", "post_step"), or
+-- when it is reset ("reset"). The hook keeps no list of events.
+function swap.hook(swaps, fsm, kind, hook, where)
+  rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
+  swaps[#swaps + 1] = { fsm = fsm, hook = hook, remove = rfsm[kind .. "_hook_rm"] }
+end
+
 local ROOT_FIELDS = { "idle_hook", "pre_step_hook", "post_step_hook" }
 local STATE_FIELDS, TRANSITION_FIELDS = { "entry", "exit" }, { "effect", "likely" }
 
@@ -60,11 +68,13 @@ function swap.take_functions(swaps, fsm)
   return doers
 end
 
---- Restore the fields, unless a program has set them meanwhile.
+--- Restore the fields, unless a program has set them meanwhile; remove the hooks.
 function swap.give_back(swaps)
   for i = #swaps, 1, -1 do
     local done = swaps[i]
-    if rawequal(rawget(done.obj, done.field), done.new) then
+    if done.remove then
+      done.remove(done.fsm, done.hook)
+    elseif rawequal(rawget(done.obj, done.field), done.new) then
       done.obj[done.field] = done.own
     end
     swaps[i] = nil

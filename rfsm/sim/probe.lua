@@ -126,17 +126,13 @@ end
 
 function Probe:attach(machine)
   swap.listen(self.swaps, machine.fsm, "dbg", function(...) self:note(machine, ...) end)
-  function machine.hook(_, events) self:note_events(machine, events) end
-  rfsm.pre_step_hook_add(machine.fsm, rfsm.borrows(machine.hook), "after")
+  swap.hook(self.swaps, machine.fsm, "pre_step", function(_, events)
+    self:note_events(machine, events)
+  end, "after")
 end
 
 --- Stop watching. A `dbg` that was set meanwhile stays.
-function Probe:detach()
-  swap.give_back(self.swaps)
-  for _, machine in ipairs(self.machines) do
-    rfsm.pre_step_hook_rm(machine.fsm, machine.hook)
-  end
-end
+function Probe:detach() swap.give_back(self.swaps) end
 
 --- List the events that no transition has taken and that no queue holds.
 ---@return any[] events in the order in which they came

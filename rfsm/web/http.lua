@@ -99,7 +99,7 @@ local REASONS = {
   [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
   [404] = "Not Found", [405] = "Method Not Allowed", [413] = "Content Too Large",
   [431] = "Request Header Fields Too Large", [500] = "Internal Server Error",
-  [501] = "Not Implemented", [503] = "Service Unavailable",
+  [501] = "Not Implemented",
 }
 
 local COMMON = "Cache-Control: no-store\r\nConnection: close\r\n"

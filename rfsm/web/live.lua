@@ -54,7 +54,7 @@ Live.__index = Live
 ---@field path_texts table<string, string> for a reader
 ---@field path string|false of the transition in the current iteration
 ---@field printers table[] swaps of err and warn
----@field tracer table[] swap of dbg, while it is watched
+---@field tracer table[] swap of dbg, and hooks, while it is watched
 
 -- Adds the transitions of a machine, by their texts, and their numbers.
 local function add_transitions(view, watched)
@@ -199,18 +199,11 @@ local function attach(view, watched)
     local take = RECORDS[id]
     if take then take(view, watched, text) end
   end)
-  function watched.after_step(_, events) note_step(view, watched, events) end
-  function watched.after_reset() view:touch() end
   -- before the user's hooks, which may fail
-  rfsm.post_step_hook_add(fsm, rfsm.borrows(watched.after_step), "before")
-  rfsm.reset_hook_add(fsm, watched.after_reset)
-end
-
-local function detach(_, watched)
-  local fsm = watched.fsm
-  swap.give_back(watched.tracer)
-  rfsm.post_step_hook_rm(fsm, watched.after_step)
-  rfsm.reset_hook_rm(fsm, watched.after_reset)
+  swap.hook(watched.tracer, fsm, "post_step", function(_, events)
+    note_step(view, watched, events)
+  end, "before")
+  swap.hook(watched.tracer, fsm, "reset", function() view:touch() end)
 end
 
 --- Begin or end to note what the machine does.
@@ -218,7 +211,7 @@ function Live:watch(is_wanted)
   if self.is_watched == is_wanted then return end
   self.is_watched, self.lost = is_wanted, {}
   for _, watched in ipairs(self.machines) do
-    (is_wanted and attach or detach)(self, watched)
+    if is_wanted then attach(self, watched) else swap.give_back(watched.tracer) end
     watched.path = false
     for _, number in ipairs(add_active({}, watched)) do self:see_node(number) end
   end
