@@ -53,9 +53,7 @@ local function refuse_file(commands, name)
   os.exit(2)
 end
 
---- Run a command.
----@param argv string[] the command line without the name of the program
----@return integer status for the shell
+--- Run a command line, without the name of the program; return its status.
 function cli.main(argv)
   local argparse, problem = opts.find_package("argparse")
   if not argparse then

@@ -116,7 +116,6 @@ local MOST = 6 -- arrows between columns, for each channel
 
 --- Return the number of the column for each node of a level, nil if columns do not fit:
 -- if too many arrows would lead from one to the other.
----@return integer[]? numbers
 function columns.plan(level)
   local across, direction, label = 0, level.direction, label_width(level)
   for _, box in ipairs(level.boxes) do
@@ -138,9 +137,8 @@ function columns.plan(level)
   return best
 end
 
---- Put the nodes of a level into columns.
----@param numbers integer[] of the columns
----@return rfsm.pictures.Level[] levels those of the columns
+--- Put the nodes of a level into columns, of which each node has the number; return the
+-- levels of the columns.
 function columns.split(chart, level, numbers)
   local composite, nodes, levels = level.composite, {}, {}
   for i, node in ipairs(composite.nodes) do
@@ -271,8 +269,8 @@ local function corners_of(grid, link)
     at(tgt, top) }
 end
 
---- Place the columns of a level, and the arrows between them.
----@param header? rfsm.pictures.Box size of name and rows
+--- Place the columns of a level, and the arrows between them; `header` is the size of
+-- its name and rows.
 function columns.arrange(level, header)
   local grid = new_grid(level)
   local is_beside = place_header(grid, header)

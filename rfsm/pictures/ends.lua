@@ -143,9 +143,8 @@ local function mend_loops(level)
   return has_mended
 end
 
---- Find ends of lines that should be elsewhere, and say where.
----@param level rfsm.pictures.Level laid out
----@return boolean has_mended then it must be laid out again
+--- Find ends of lines that should be elsewhere in a level that is laid out, and say
+-- where; return if it must be laid out again.
 function ends.mend(level) return mend_frames(level) or mend_loops(level) end
 
 return ends

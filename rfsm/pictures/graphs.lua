@@ -371,9 +371,7 @@ function graphs.measure(level)
   if is_centred then level.header.x = level.inner_width / 2 end
 end
 
---- Have Graphviz lay out levels.
----@param list rfsm.pictures.Level[]
----@return string? problem
+--- Have Graphviz lay out levels; return a problem if there is one.
 function graphs.lay_out(list, run)
   local texts = {}
   for i, level in ipairs(list) do texts[i] = graph_of(level) end
@@ -387,10 +385,7 @@ function graphs.lay_out(list, run)
   end
 end
 
---- Have Graphviz measure texts.
----@param labels string[] in its language
----@return rfsm.pictures.Box[]? boxes
----@return string? problem
+--- Have Graphviz measure labels; return their boxes, or nil and the problem.
 function graphs.sizes_of(labels, run)
   local lines = { "digraph {", looks.head("TB"), '  node [shape=plain, style=""]' }
   for i, label in ipairs(labels) do add(lines, 1, ("n%d [%s]"):format(i, label)) end

@@ -99,9 +99,7 @@ local function add_arrow(texts, arrow, chart)
       looks.arrow_label(arrow)) or ""))
 end
 
---- Return the graph of a chart, with positions.
----@return string? graph
----@return string? problem
+--- Return the graph of a chart, with positions; nil and the problem if there is one.
 function layout.draw(chart, run)
   local root = chart.root
   root.name = chart.title or root.name

@@ -290,8 +290,7 @@ local function levels_by_height(chart)
   return list
 end
 
---- Lay out all levels of a chart.
----@return string? problem
+--- Lay out all levels of a chart; return a problem if there is one.
 function levels.lay_out(chart, run)
   links.prepare(chart)
   local problem = find_loops(chart, run)

@@ -132,8 +132,7 @@ function looks.frame_text(node)
 end
 
 --- Add a node, and those in it; a composite is a cluster, unless it is a column.
----@param position_of? fun(node: rfsm.pictures.Node): string attributes
----@param add_labels? fun(lines: string[], depth: integer, node: rfsm.pictures.Node)
+-- `position_of(node)` returns attributes, `add_labels(lines, depth, node)` adds lines.
 function looks.add_node(lines, depth, node, position_of, add_labels)
   local function add_members(inner)
     for _, subnode in ipairs(node.nodes) do

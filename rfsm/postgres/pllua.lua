@@ -56,13 +56,8 @@ local function new_json(pgtype)
   return json
 end
 
---- Return what a library needs of Redis, and the function `rfsm.call`.
----@param host table `rfsm.postgres.host`
----@param spi table
----@param pgtype table
----@param id string of the library
----@return table globals
----@return fun(name: string, key: string, args: any, id: string?): string[]? answer
+--- Return what a library needs of Redis, and the function `rfsm.call`. `host` is
+-- `rfsm.postgres.host`, `id` that of the library.
 return function(host, spi, pgtype, id)
   local newest, call, given
   local server = { execute = executor(spi, host.STATEMENTS), log = spi.elog,

@@ -210,9 +210,8 @@ local function expand(run)
   return list
 end
 
---- Return the records of a run in a file.
--- @raise if the file cannot be read, a line is no record, or there is no such run
----@param number? integer of the run; the last one if it is absent
+--- Return the records of a run in a file, the last one if there is no number. Raises an
+-- error if the file cannot be read, a line is no record, or there is no such run.
 function lines.read(name, number)
   local text, problem = files.read(name)
   if not text then error(problem, 0) end

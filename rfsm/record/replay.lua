@@ -300,8 +300,8 @@ local function go_through(session)
   if ok then session.snap = snap else session.unsaved = text_of(snap) end
 end
 
---- Run a machine through a recording, which was checked.
----@return rfsm.record.Session session with a machine, a snapshot of it, or a problem
+--- Run a machine through a recording, which was checked; the session has the machine, a
+-- snapshot of it, or a problem.
 return function(model, recording, options)
   local session = new_session(recording, options)
   begin(session, model, recording[1], options)

@@ -161,9 +161,8 @@ local function replace_guards(own)
   end
 end
 
---- Return the numbers and texts of the guards of a machine and its regions, nil if it
--- has none.
----@return any[]? texts a list for each machine: number, text, number, text ...
+--- Return the guards of a machine and its regions, nil if there are none: for each
+-- machine a list { number, text, number, text ... }.
 function track.guard_texts(fsm)
   local lists, has_some = {}, false
   for i, at in ipairs(rfsm.machines(fsm)) do

@@ -343,13 +343,11 @@ local function undo(launch)
   end
 end
 
---- Launch a machine in this Lua.
+--- Launch a machine in this Lua; return the hook to enable as the last act, if there is
+-- one. Raises an error with the name of the chart.
 --
 -- Charts rely on rttlib, which makes constructors callable and operations methods, and
 -- on utils: both are loaded if they can be had.
---
--- @raise with the name of the chart
----@return any? hook to enable as the last act; nil if there is none
 function component.launch(launch)
   local where = "launch of '" .. launch.fsmfile .. "': "
   if not rfsm.prepare then error(where .. "another rfsm is loaded in this Lua", 0) end

@@ -26,11 +26,8 @@ end
 
 ]]
 
---- Append a module to the parts of a text.
----@param parts string[]
----@param name string
----@param as? string the name in the bundle, default `name`
----@return string? source nil if it is not found
+--- Append a module to the parts of a text, under its name or another one; return its
+-- source, nil if it is not found.
 function bundle.add(parts, name, as)
   local text = files.find((name:gsub("%.", "/")))
   if not text then return nil end

@@ -757,11 +757,10 @@ function functions.rfsm_history(keys, args)
   return reply
 end
 
---- Return the functions for Redis, by name, as it calls them.
+--- Return the functions for Redis, by name, as it calls them. Of charts with one name
+-- in the list of { name =, make = }, the last is the newest.
 ---@param redis rfsm.server.Host
----@param list { name: string, make: function }[] later ones of a name are newer
 ---@param settings? rfsm.server.Options
----@return table<string, fun(keys: string[], args: string[]): any>
 return function(redis, list, settings)
   local made = {}
   host, charts, options = redis, {}, settings or {}

@@ -39,8 +39,6 @@ local function end_of_token(text, at)
 end
 
 --- Return the code of a text: blanks in place of comments and strings.
----@param text string
----@return string code
 function sandbox.code_of(text)
   local parts, at = {}, 1
   while true do
@@ -120,9 +118,7 @@ local function is_endless(code, at)
   return false
 end
 
---- List the lines of a code in which a loop has no end.
----@param code string see `code_of`
----@return integer[] lines
+--- List the lines of a code, as `code_of` returns it, in which a loop has no end.
 function sandbox.endless(code)
   local lines = {}
   for _, pattern in ipairs { "%f[%w_]while[%s(]+true[%s)]+()do%f[^%w_]",
@@ -167,12 +163,8 @@ local function load_with(text, name, globals)
   return load(text, name, "t", globals)
 end
 
---- Load the chart in a text as a server will.
----@param text string
----@param file string
----@param server? string default "Redis"; or "PostgreSQL"
----@return rfsm.State? model nil if it cannot run there
----@return string? problem with file and line
+--- Load the chart in a text as a server ("Redis" or "PostgreSQL") will; nil and the
+-- problem, with file and line, if it cannot run there.
 function sandbox.load(text, file, server)
   server = server or "Redis"
   local from, name = find_missing(sandbox.code_of(text), server)
@@ -188,10 +180,7 @@ function sandbox.load(text, file, server)
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run a library in this process.
----@param text string
----@param here table<string, any> globals in place of those of the server
----@param server string its name, for messages
+--- Run a library in this process, with other globals in place of those of the server.
 function sandbox.run(text, here, server)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
@@ -203,8 +192,6 @@ function sandbox.run(text, here, server)
 end
 
 --- List the modules that a text requires by name, and the line of each.
----@param text string
----@return { name: string, line: integer }[] modules
 function sandbox.required(text)
   local modules, code = {}, sandbox.code_of(text)
   for at, name in text:gmatch("%f[%w_]()require%s*%(?%s*[\"']([%w_.%-]+)[\"']") do

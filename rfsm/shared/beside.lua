@@ -158,8 +158,7 @@ end
 
 -- Public functions ----------------------------------------------------------------
 
---- Begin to load a chart; `beside.leave` ends that.
----@param source string of its code
+--- Begin to load a chart, whose code has this source; `beside.leave` ends that.
 function beside.enter(file, source, has_stubs)
   install()
   local folder = file:match("^.*/") or ""
@@ -175,8 +174,7 @@ end
 --- End the loading of a chart.
 function beside.leave() current = nil end
 
---- Return the chart to which code belongs; nil if there is none.
----@param source string of the code
+--- Return the chart to which code with this source belongs; nil if there is none.
 function beside.world_of(source) return world_of_source[source] end
 
 return beside

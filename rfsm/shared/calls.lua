@@ -16,14 +16,10 @@ local function pass(ok, ...)
 end
 
 --- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
----@return boolean ok
----@return any ... results, or the failure
 function calls.try(f, ...) return pass(pcall(f, ...)) end
 
---- Make a machine of a model for a tool; machines given as regions stay as they are.
----@return rfsm.Machine? fsm as `rfsm.init`
----@return string? text
----@return string[]? problems
+--- Make a machine of a model for a tool, as `rfsm.init`; machines given as regions stay
+-- as they are.
 function calls.init_apart(model)
   return (rfsm.seqand and rfsm.seqand.init_apart or rfsm.init)(model)
 end

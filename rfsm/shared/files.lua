@@ -7,10 +7,7 @@ local io, package = rawget(_G, "io"), rawget(_G, "package") -- no `io` in a brow
 
 local files = {}
 
---- Return the content of a file.
----@param name string
----@return string? text
----@return string? problem in one line
+--- Return the content of a file; nil and the problem in one line if it cannot be read.
 function files.read(name)
   local handle, problem = io.open(name, "rb")
   if not handle then return nil, problem end
@@ -19,11 +16,7 @@ function files.read(name)
   return text, why and name .. ": " .. why
 end
 
---- Write a text to a file.
----@param name string
----@param text string
----@return boolean is_written
----@return string? problem in one line
+--- Write a text to a file; return true, or false and the problem in one line.
 function files.write(name, text)
   local handle, problem = io.open(name, "wb")
   if not handle then return false, problem end
@@ -33,10 +26,8 @@ function files.write(name, text)
   return false, name .. ": " .. (why or why_not)
 end
 
---- Return the content of a file that is found as modules are.
----@param name string with slashes, and without its ending
----@param ending? string default ".lua"
----@return string? text nil if it is not found, or is bytecode
+--- Return the content of a file that is found as modules are, by a name with slashes
+-- and without its ending (".lua"); nil if it is not found, or is bytecode.
 function files.find(name, ending)
   for template in package.path:gmatch("[^;]+") do
     local file = template:gsub("%?", name):gsub("%.lua$", ending or ".lua")
@@ -45,9 +36,7 @@ function files.find(name, ending)
   end
 end
 
---- Return random bytes as hexadecimal digits.
----@param count integer of the bytes
----@return string? digits nil if the system has none
+--- Return random bytes as hexadecimal digits; nil if the system has none.
 function files.random(count)
   local handle = io.open("/dev/urandom", "rb")
   local bytes = handle and handle:read(count)

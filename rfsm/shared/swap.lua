@@ -13,8 +13,7 @@ local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 
 local swap = {}
 
---- Replace a field.
----@return { own: any, new: any } done the value before, and that of now
+--- Replace a field; the swap returned has the values before and now: `own`, `new`.
 function swap.put(swaps, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
   swaps[#swaps + 1] = done
@@ -23,7 +22,6 @@ function swap.put(swaps, obj, field, value)
 end
 
 --- Have a printer of a machine call a function first.
----@param note fun(...)
 function swap.listen(swaps, fsm, name, note)
   local own = fsm[name]
   swap.put(swaps, fsm, name, function(...)
@@ -50,8 +48,7 @@ local function take_away(swaps, obj, fields)
 end
 
 --- Take the functions of a chart away from its machine, except guards, doos and
--- getevents.
----@return rfsm.State[] doers the states that have a doo
+-- getevents; return the states that have a doo.
 function swap.take_functions(swaps, fsm)
   local doers = {}
   take_away(swaps, fsm, ROOT_FIELDS)

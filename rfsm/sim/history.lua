@@ -304,8 +304,7 @@ local function each_record(own, f)
   end
 end
 
---- Write the history to a file, and all that follows; nil ends that.
----@param name? string
+--- Write the history to a file, and all that follows; without a name, end that.
 function history.save(sim, name)
   local own = sim.history
   if own.file then own.file:close() end
@@ -325,9 +324,8 @@ local function count_iterations(list)
   return count
 end
 
---- Run the chart through a recording.
--- @raise if the run departs from the recording; the machine stays at that iteration
----@param name string of the file
+--- Run the chart through the recording in a file. Raises an error if the run departs
+-- from it; the machine stays at that iteration.
 function history.replay(sim, name)
   local list, about = record.read(name)
   local own, is_dry = sim.history, sim.saved ~= nil
@@ -355,8 +353,7 @@ local function add_texts(texts, events)
   return texts
 end
 
---- Print the last iterations.
----@param last integer how many
+--- Print so many of the last iterations.
 function history.show(sim, last)
   local own = sim.history
   local n = first_of(own)

@@ -63,8 +63,7 @@ local function of_text(fsm, text)
   return { kind = "event", name = text, value = text }
 end
 
---- Add a breakpoint. Returns its number.
----@param what any state, transition, event, or a name
+--- Add a breakpoint: state, transition, event or the name of one; return its number.
 function points.add(sim, what)
   local point
   if rfsm.is_trans(what) then
@@ -78,11 +77,8 @@ function points.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint in a list that is reached.
----@param list rfsm.sim.Point[]
----@param kind "state"|"transition"|"event"
----@param value any its name, the transition, the event
----@param f fun(i: integer, point: rfsm.sim.Point)
+--- Call f(i, point) for each breakpoint of a kind in a list that is reached: its value
+-- is the name of the state, the transition, or the event.
 function points.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and rawequal(point.value, value) then f(i, point) end
@@ -119,7 +115,6 @@ function points.list(sim)
 end
 
 --- Remove a breakpoint or expression, or all.
----@param n? integer
 function points.delete(sim, n)
   if n ~= nil and not sim.points[n] then
     error("delete: number of a breakpoint expected, got " .. text_of(n), 0)
@@ -127,8 +122,8 @@ function points.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Find the states and transitions of all breakpoints in a new machine, by name.
----@param complain fun(line: string) called for each breakpoint that is gone
+--- Find the states and transitions of all breakpoints in a new machine, by name;
+-- `complain` is called with a line for each that is gone.
 function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

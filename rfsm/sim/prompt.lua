@@ -119,10 +119,7 @@ local function call(sim, chunk)
   return false, explain(sim, problem)
 end
 
---- Run a text.
----@return boolean ok
----@return string? problem in one line
----@return boolean? is_incomplete may more text mend it?
+--- Run a text; return true, or false, the problem, and if more text may mend it.
 function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
   -- `view /tmp/x.svg` would be a division
@@ -139,9 +136,7 @@ function prompt.evaluate(sim, text, chunkname)
   return false, first_line(problem), is_incomplete(problem)
 end
 
---- Return the value of an expression.
----@return boolean ok
----@return any value the problem, in one line, if it is not ok
+--- Return true and the value of an expression, or false and the problem in one line.
 function prompt.value_of(sim, text)
   local chunk, problem = load_in(sim.env, "return " .. text, "=watch")
   if not chunk then return false, first_line(problem) end

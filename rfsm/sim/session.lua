@@ -93,7 +93,6 @@ function Session:show()
 end
 
 --- Keep a picture up to date from now on; false ends that.
----@param file string|false
 function Session:draw(file)
   local problem = nil
   history.pause(self, function() problem = file and view.draw(self.fsm, file) end)
@@ -176,7 +175,6 @@ function Session:send(...)
 end
 
 --- Have Control-C end a doo that never yields, until the function returned is called.
----@return fun() release
 function Session:guard_doos()
   local swaps = {}
   for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
@@ -198,7 +196,6 @@ for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED
 end
 
 --- Choose the trace records that are shown.
----@param level? boolean|"full"
 function Session:set_level(level)
   if level == nil then level = true end
   if level ~= true and level ~= false and level ~= "full" then
@@ -279,10 +276,7 @@ end
 
 local session = {}
 
---- Open a chart.
----@param has_stubs? boolean
----@return rfsm.sim.Session? sim
----@return string[]? problems
+--- Open a chart; nil and the problems if it is wrong.
 function session.open(file, follows, has_stubs)
   local fsm, result = chart.open(file, init_quietly, complain, has_stubs)
   if not fsm then return nil, result end

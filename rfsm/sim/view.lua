@@ -113,9 +113,8 @@ end
 
 local FORMATS = { svg = true, png = true, pdf = true, dot = true }
 
---- Draw a machine with its active states into a file.
----@param file string its ending is the format
----@return string? problem in one line
+--- Draw a machine with its active states into a file, in the format of its ending;
+-- return the problem in one line if there is one.
 function view.draw(fsm, file)
   local dot, format = require "rfsm.dot", (file:match("%.(%w+)$") or ""):lower()
   if not FORMATS[format] then

@@ -198,9 +198,8 @@ function chart.append(list, prefix, more)
   for _, line in ipairs(more) do list[#list + 1] = head .. line end
 end
 
---- Return the structure of a chart as lines.
----@param model rfsm.State|string[] a model, a machine, or such lines
----@return string[] lines none if the model is wrong
+--- Return the structure of a model or a machine as lines, none if it is wrong; such
+-- lines as they are.
 function chart.structure(model)
   if not rfsm.is_state(model) then return model end
   local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)

@@ -132,10 +132,8 @@ local function fate_of(places, at, leaf, model, options)
   return fate
 end
 
---- Compare two versions of a chart, whose models should print nothing.
--- @raise if one of them is no valid chart
----@param old rfsm.State model
----@param new rfsm.State model; its root may have `rename` and `migrate`
+--- Compare two versions of a chart: models, which should print nothing. The root of the
+-- new one may have `rename` and `migrate`. Raises an error if one is no valid chart.
 ---@return string[] difference empty if the structure and what is kept are the same
 ---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
@@ -153,9 +151,7 @@ function diff.compare(old, new)
   return move.difference(was, is), fates
 end
 
---- Return a report as text.
----@return string text
----@return boolean is_safe each machine moves
+--- Return a report as text, and if each machine moves.
 function diff.report(difference, fates)
   if not difference[1] then
     return "the charts have the same structure and keep the same: nothing moves\n", true

@@ -443,7 +443,7 @@ local function move_snapshot(fsm, snap, options, most, is_format_1)
 end
 
 --- Return a snapshot as one for the chart of a machine, a copy in today's format.
--- @raise what is wrong with its fields; the list of what differs, or would be lost
+-- Raises what is wrong with its fields, or the list of what differs, or would be lost.
 ---@return rfsm.snapshot.Snapshot snap
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new

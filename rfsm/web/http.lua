@@ -277,8 +277,8 @@ function Server:step(timeout)
 end
 
 --- Send a message to each stream that has taken its last one. A stream that lags behind
--- gets no message now: `next_message` is called for it later.
----@param next_message fun(connection: rfsm.web.Connection): string? nil: there is none
+-- gets no message now: `next_message(connection)` is called for it later. It returns a
+-- text, nil if there is none.
 function Server:feed(next_message)
   if self.streams == 0 then return end
   local now = self.clock()
@@ -302,12 +302,9 @@ function Server:close()
   self.socket:close()
 end
 
---- Open a port.
----@param port integer 0: one that is free
+--- Open a port, 0: one that is free; nil and the problem if that fails. The clock is
+-- for the time limits.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
----@param clock? fun(): number seconds, for the time limits
----@return rfsm.web.HttpServer? server
----@return string? problem in one line
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)
   if not listening then

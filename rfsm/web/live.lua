@@ -278,8 +278,7 @@ local function data_of(state)
   return texts
 end
 
---- Return what is known of a state.
----@return table? about nil if there is none
+--- Return what is known of a state; nil if there is none of that number.
 function Live:inspect(number)
   local node = self.node_of[number]
   if not node then return nil end
@@ -294,18 +293,13 @@ function Live:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page.
----@param source { view: rfsm.web.Live }
----@param message { node: any }
----@return string? problem
----@return table? about
+--- Answer the command `inspect` of a page: a problem, or nil and what is known.
 function Live.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- View a machine; `watch` begins to follow it.
----@param clock fun(): number seconds, for the log
+--- View a machine; `watch` begins to follow it. The clock returns seconds, for the log.
 function Live.new(fsm, clock)
   local view = View.create(Live, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.node_of = fsm, {}, {}

@@ -39,9 +39,8 @@ local function begin(picture, graph, format)
   pipe:close()
 end
 
---- Have Graphviz run, and yield until it is done. The playground has its own.
----@param format string "dot" or "svg"
----@return string? output nil if Graphviz is missing or fails
+--- Have Graphviz run, and yield until it is done; return its output, nil if it is
+-- missing or fails. The playground has its own.
 function Picture:run(graph, format)
   begin(self, graph, format)
   while self.pid do
@@ -61,9 +60,8 @@ local function draw(picture, graph, description)
   return picture:run(graph, "svg")
 end
 
---- Begin a picture of a graph; without Graphviz it never comes.
----@param graph string in Graphviz's language
----@param description? rfsm.marsh.Node laid out level by level, in place of the graph
+--- Begin a picture of a graph in Graphviz's language, or of a description, which is
+-- laid out level by level, in its place; without Graphviz it never comes.
 function Picture.start(graph, description)
   local picture = setmetatable({ input = os.tmpname(), output = os.tmpname(),
     work = coroutine.create(draw), is_pending = true }, Picture)
@@ -81,7 +79,6 @@ function Picture:advance(...)
 end
 
 --- Return the picture, once it is complete; nil before.
----@return string? svg
 function Picture:take()
   return self.is_pending and self:advance() or nil
 end

@@ -309,9 +309,7 @@ function Session:describe(message)
   message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
 end
 
---- Open a chart, also one with mistakes.
----@param real fun(): number seconds of the wall's clock
----@param has_stubs boolean modules and globals that are not here do nothing
+--- Open a chart, also one with mistakes; `real` is the clock of the wall, in seconds.
 function Session.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},

@@ -83,7 +83,6 @@ local function note_silence(self, client)
 end
 
 --- Print a machine as it changes; without an end, unless `count` is given.
----@param options { number: integer, count: integer?, is_terminal: boolean }
 function watch.run(client, options)
   local self = setmetatable({
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,
