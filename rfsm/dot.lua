@@ -84,7 +84,6 @@ local function is_loop(arrow)
   return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
 end
 
--- Does an arrow lead to a node that comes earlier in the walk?
 local function leads_back(arrow)
   return index_in(arrow.src, arrow.home) > index_in(arrow.tgt, arrow.home)
 end

@@ -206,7 +206,6 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
--- Returns an entry of a stream as a table.
 local function entry_of(raw)
   local entry = { id = raw[1] }
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
@@ -281,7 +280,6 @@ local function retry(work, f)
   end
 end
 
--- Splits the id of an entry: milliseconds, and a number.
 local function split(id)
   local ms, number = id:match("^(%d+)%-(%d+)$")
   return tonumber(ms), tonumber(number)

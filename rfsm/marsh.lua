@@ -291,7 +291,6 @@ end
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
 ---@field has_history? boolean rfsm.history is at work in the machine
 
--- Returns the regions in each state of a machine, at any depth.
 local function regions_by_state(fsm)
   local regions_of = {}
   for _, region in ipairs(rfsm.machines(fsm)) do
@@ -318,7 +317,6 @@ end
 
 local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) end
 
--- Adds texts of some fields of an element.
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
     local f = element[field]

@@ -117,7 +117,6 @@ local function reason_of(problem)
   return text:match("ERROR:%s+([^\n]*)") or text:match("[^\n]+") or text
 end
 
--- Opens a connection if there is none.
 local function connect(self)
   if self.query then return end
   local made, problem = self.open()
@@ -125,7 +124,6 @@ local function connect(self)
   self.query = type(made) == "function" and made or of_luasql(made)
 end
 
--- Runs a statement.
 local function query(self, sql, ...)
   local rows, problem = self.query(sql, ...)
   if not rows then error(reason_of(problem), 0) end

@@ -178,7 +178,6 @@ end
 
 local MESSAGES = {}
 
--- Returns the feed of the machine in a message; nil and the problem.
 local function feed_of(server, message, number)
   local feed = server.feeds[number]
   if feed then return feed end
@@ -230,7 +229,6 @@ end
 
 -- Receive ---------------------------------------------------------------------
 
--- Returns the message in a datagram; nil if there is none.
 local function decode(server, data)
   if #data > server.max_received or not data:find("^%s*{") then return nil end
   local ok, message, after = pcall(server.json.decode, data, 1, nil, nil, nil)

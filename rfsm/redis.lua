@@ -149,7 +149,6 @@ local function read_chart(file)
   return (text:gsub("^#[^\n]*", ""))
 end
 
--- Raises what is wrong with a chart, here or in the server.
 local function check_chart(file, text, server)
   local model, problem = chart.load(file)
   if not model then error(problem, 0) end

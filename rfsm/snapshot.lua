@@ -78,7 +78,6 @@ local function pack_fields(state, keeper, path)
   return fields and plain.as_table(fields, path, 0)
 end
 
--- Notes the data of the states that keep some.
 local function take_data(fsm, own, snap, path)
   for i, keeper in ipairs(own.chart.keepers) do
     local state, fqn = own.states[i], keeper.fqn
@@ -98,7 +97,6 @@ local function take_data(fsm, own, snap, path)
   end
 end
 
--- Notes the targets that programs have set.
 local function take_targets(own, snap)
   local first, transitions, list = own.targets, own.transitions, nil
   for i = 1, #transitions do
@@ -377,7 +375,6 @@ local function set_parts(parts)
   for _, part in ipairs(parts) do load_part(part) end
 end
 
--- May loading into a machine or its regions fail?
 local function can_fail(parts)
   for _, part in ipairs(parts) do
     if part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1] then return true end

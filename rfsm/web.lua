@@ -125,7 +125,6 @@ end
 
 -- Commands from the page ---------------------------------------------------------
 
--- Returns the command in a request; nil if there is none.
 local function decode(server, text)
   local ok, message = pcall(server.json.decode, text, 1, nil, nil, nil)
   return ok and type(message) == "table" and message or nil
@@ -159,7 +158,6 @@ local function start_picture(shown)
   shown.drawing = graph ~= "" and Picture.start(graph, view.description)
 end
 
--- Takes a picture that is complete.
 local function update_picture(shown)
   if shown.drawn ~= shown.source.generation then start_picture(shown) end
   local picture = shown.drawing and shown.drawing:take()

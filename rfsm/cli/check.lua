@@ -60,7 +60,6 @@ local function report_difference(old, new)
   end
 end
 
--- Writes tests of one chart.
 local function write_tests(options, parser)
   local file = options.files[1]
   if options.files[2] then

@@ -190,7 +190,6 @@ end
 
 local PROTO_PORT = 44044 -- of rfsm.proto
 
--- Returns host and port of "HOST:PORT" or "HOST".
 function common.address_of(parser, text)
   local host, port = text:match("^(.*):(%d+)$")
   port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)

@@ -34,7 +34,6 @@ local function prepare(parser)
   parser:flag("-v --version", "print the version and end"):action(print_version)
 end
 
--- Prints the list of commands, or the help of one.
 local function print_help(parser, parsers, argv)
   local command = argv[2] and parsers[argv[2]]
   if argv[2] and not command then

@@ -34,7 +34,6 @@ function viz.add_arguments(command)
     :choices { "TB", "LR" }
 end
 
--- Returns the JSON values in a file.
 local function read_values(file)
   local text = common.try(files.read(file))
   local ok, values = pcall(require("rfsm.json").decode_all, text)
@@ -57,7 +56,6 @@ local function read_trace(file)
     or values
 end
 
--- Returns the format that the options ask for.
 local function format_of(options, parser)
   local file = options.output
   local ending = (file:match("%.(%w+)$") or ""):lower()

@@ -42,7 +42,6 @@ end
 local GAP, START, CHANNEL, PASS, TRACKS, CHARACTER, LINE = 35, 18, 20, 30, 60, 5.5, 14
 local PITCH = 8 -- between tracks
 
--- Returns the width of the widest label in a level, about.
 local function label_width(level)
   local most = 0
   for _, link in ipairs(level.links) do
@@ -231,7 +230,6 @@ local function place_header(grid, header)
   return from > 0
 end
 
--- Returns a point in the level.
 local function point_at(grid, u, v)
   if grid.direction == "TB" then return { u, grid.along - v } end
   return { v, grid.across - u }

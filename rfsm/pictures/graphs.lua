@@ -344,7 +344,6 @@ end
 
 local MARGIN = 10 -- points between a frame and what is in it
 
--- Gives a gate its position at the frame.
 local function place_gate(level, gate)
   local x, y = gate.at[1] + level.x, gate.at[2] + level.y
   if level.direction == "TB" then

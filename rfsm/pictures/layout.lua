@@ -35,7 +35,6 @@ end
 
 -- Lines: the links of an arrow, joined ----------------------------------------
 
--- Returns the line from one leg of an arch to the other, around the label.
 local function arch_line(box, from, to, direction)
   if direction == "TB" then
     local top = box.y + box.height / 2

@@ -26,7 +26,6 @@ local function step_of(link)
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
 end
 
--- Makes room for a loop at its node.
 local function add_loop(link)
   local node, box = link.upper.node, link.arrow.label_box
   local is_down, room = link.level.direction == "TB",
@@ -52,7 +51,6 @@ local function measure_labels(owners, run)
   return problem
 end
 
--- Makes room for all loops.
 local function find_loops(chart, run)
   local list = {}
   for _, arrow in ipairs(chart.all) do
@@ -127,7 +125,6 @@ local function is_misfit(chart, level)
   return composite == chart.root or level.height > TALLEST or level.width > WIDEST
 end
 
--- Puts levels into columns.
 local function divide(chart, list, run)
   local parts, owners = {}, {}
   for _, level in ipairs(list) do

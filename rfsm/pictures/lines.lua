@@ -13,7 +13,6 @@ local function between(a, b, share)
   return { a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share }
 end
 
--- Adds a straight part up to a point.
 local function add_straight(line, point)
   local last = line[#line]
   if last and distance(last, point) < 0.01 then return end

@@ -102,7 +102,6 @@ local LOOKS = {
   traced = ', color="#D55E00", penwidth=2',
 }
 
--- Returns class and look of a state or an arrow.
 local function look_of(element, kind)
   return ('class="%s%s%s%s"%s%s'):format(kind, element.is_region and " region" or "",
     element.mode and " " .. element.mode or "",

@@ -11,7 +11,6 @@ local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
 local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
 local CALL = "SELECT rfsm.call($1, $2, $3, $4) AS reply"
 
--- Returns a function that executes statements.
 local function executor(spi, statements)
   local prepared = {}
   return function(name, ...)

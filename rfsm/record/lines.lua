@@ -47,7 +47,6 @@ end
 
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
 
--- Returns the whole record of a short one.
 local function lengthen(short, before)
   local rec = {}
   for key, value in pairs(short) do rec[key] = value end -- any order: a copy
@@ -181,7 +180,6 @@ local function add_line(runs, line, number)
   runs.problem = nil
 end
 
--- Lists the runs in a text.
 local function split(text)
   local runs, number = {}, 0
   for line in (text .. "\n"):gmatch("(.-)\r?\n") do
@@ -192,7 +190,6 @@ local function split(text)
   return runs
 end
 
--- Returns the whole records of a run.
 local function expand(run)
   local header, before, list = run[1], {}, {}
   for i, rec in ipairs(run) do

@@ -90,7 +90,6 @@ local function begin_again(session, track, events)
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
 end
 
--- Returns data for a reader.
 local function data_text(value)
   if value == nil or rawequal(value, plain.NIL) then return "nothing" end
   if type(value) == "string" then return ("'%s'"):format(value) end
@@ -273,7 +272,6 @@ end
 
 local function itself(snap) return snap end
 
--- Makes a machine in the state of the header.
 local function begin(session, model, header, options)
   local fsm, problem = rfsm.init(session.is_dry and quiet(model) or model)
   if not fsm then
@@ -292,7 +290,6 @@ local function begin(session, model, header, options)
   session.fsm, session.problem = ok and fsm or nil, problem
 end
 
--- Advances the machine, and takes a snapshot at the end of the recording.
 local function go_through(session)
   run(session, session.tracks[1])
   if session.problem then return end

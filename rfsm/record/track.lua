@@ -149,7 +149,6 @@ function track.wrap(own)
   if rawget(fsm, "getevents") then wrap(own, "getevents", own.getevents) end
 end
 
--- Replaces the guards of a machine.
 local function replace_guards(own)
   for number, tr in ipairs(rfsm.elements(own.fsm, rfsm.is_trans)) do
     local guard = tr.guard

@@ -84,7 +84,6 @@ local function secured(self, socket)
   error("TLS: " .. tostring(problem), 0)
 end
 
--- Returns a connection that is authenticated and has its database.
 local function open(self, host, port)
   local socket, settings = need("socket").tcp(), self.settings
   socket:settimeout(self.options.timeout)
@@ -241,7 +240,6 @@ local function request(...)
   return concat(parts)
 end
 
--- Reads one reply.
 local function read(client)
   commands.READ = commands.READ or need("redis").command("READ",
     { request = function() end })

@@ -280,7 +280,6 @@ end
 
 -- Launch -------------------------------------------------------------------------
 
--- Runs a file or a text, if there is one.
 local function run(load, source, name)
   if source then assert(load(source, name))() end
 end

@@ -45,7 +45,6 @@ local COMMON = {
   steps = { "whole number, at least 1", options.is_whole(1, huge) },
 }
 
--- Returns COMMON with more fields.
 local function with_common(fields)
   for name, field in pairs(COMMON) do fields[name] = field end -- any order: a set
   return fields
@@ -118,7 +117,6 @@ local function read(fields, args, ...)
   return launch
 end
 
--- Returns the text that launches a machine.
 local function program(launch)
   return PROGRAM:format(to_text(launch, ""), own_template(), ";" .. package.path)
 end
@@ -223,7 +221,6 @@ local function unload(deployer, name)
   pcall(deployer:getOperation("unloadComponent"), name)
 end
 
--- Loads the component, and launches the machine in it.
 local function launch_component(args)
   local launch = read(COMPONENT, args, "name", "fsmfile")
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"

@@ -35,7 +35,6 @@ function Client.new_id()
   return files.random(5) or ("%.0f-%s"):format(os.time(), tostring({}):match("%x+$"))
 end
 
--- Returns a new id for an event.
 local function next_id(self)
   self.count = self.count + 1
   return self.id .. "-" .. ("%d"):format(self.count)
@@ -63,7 +62,6 @@ function Client:create(id, chart, data)
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
--- Returns the texts of events, then an id.
 local function texts_of(id, ...)
   local texts = {}
   for i = 1, select("#", ...) do

@@ -71,7 +71,6 @@ local host, charts, options
 ---@field events table<string, any> what it knows, by text
 ---@field takes_all boolean a transition that any event triggers, or a predicate
 
--- Notes the events that a chart knows.
 local function note_events(chart, fsm)
   local known = alphabet.of_all(fsm)
   chart.events = {}
@@ -130,7 +129,6 @@ local function new_fields(tables)
   return { objs = {}, keys = {}, values = {}, tables = tables }
 end
 
--- Notes the fields of an element.
 local function note_fields(fields, obj)
   local known, is_kept = {}, { keep = true }
   for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
@@ -188,7 +186,6 @@ end
 
 local key_of, shown = keys_of.machine, keys_of.shown
 
--- Returns the text of an error in one line.
 local function reason_of(failure)
   return calls.line(type(failure) == "table" and failure.err or plain.reason(failure))
 end
@@ -198,7 +195,6 @@ local function versions_of(name)
     advice.nearest_name(shown(name), rfsm.sorted_keys(charts)))
 end
 
--- Returns the events that texts stand for.
 local function events_of(chart, texts)
   local events = {}
   for i, text in ipairs(texts) do
@@ -275,7 +271,6 @@ end
 ---@field moved_by string the events of this call
 ---@field notes string[]|nil for the log
 
--- Returns the list in the value of a key, see above.
 local function list_of(key, value)
   local ok, list = pcall(host.pack.unpack, value)
   if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
@@ -502,7 +497,6 @@ end
 
 local functions = {}
 
--- Gives a new machine the data that its chart keeps in the root.
 local function set_data(fsm, text)
   if not text then return end
   if #text > MAX_DATA then
@@ -699,7 +693,6 @@ function functions.rfsm_why(keys, args)
   return lines
 end
 
--- Lists the members of the index from one text to another.
 local function members(key, from, to, limit)
   return host.call("ZRANGEBYLEX", key, "[" .. from, "(" .. to, "LIMIT", 0, limit)
 end

@@ -7,13 +7,13 @@
 -- @module rfsm.server.sandbox
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local error, ipairs, load, pairs = error, ipairs, load, pairs
+local error, ipairs, pairs = error, ipairs, pairs
 local os, pcall, rawget, require = os, pcall, rawget, require
 local select, setmetatable, type = select, setmetatable, type
 local concat, sort = table.concat, table.sort
-local loadstring, setfenv = rawget(_G, "loadstring"), rawget(_G, "setfenv")
 
 local sandbox = {}
 
@@ -83,7 +83,6 @@ local function is_key(code, from, behind)
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
--- Returns the first use of something that is missing, and its name.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -155,14 +154,6 @@ local function new_globals(server)
   })
 end
 
-local function load_with(text, name, globals)
-  if setfenv then
-    local f, problem = loadstring(text, name)
-    return f and setfenv(f, globals), problem
-  end
-  return load(text, name, "t", globals)
-end
-
 --- Load the chart in a text as a server ("Redis" or "PostgreSQL") will; nil and the
 -- problem, with file and line, if it cannot run there.
 function sandbox.load(text, file, server)
@@ -172,7 +163,7 @@ function sandbox.load(text, file, server)
     return nil, ("%s:%d: '%s' does not exist in %s"):format(file, line_at(text, from),
       name, server)
   end
-  local f, problem = load_with(text, "@" .. file, new_globals(server))
+  local f, problem = calls.load(text, "@" .. file, new_globals(server))
   if not f then return nil, problem end
   local ok, model = pcall(f, file)
   if not ok then return nil, rfsm.text_of(model) end
@@ -186,7 +177,7 @@ function sandbox.run(text, here, server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
   rawset(globals, "jit", rawget(_G, "jit")) -- the core asks for it
   for name, value in pairs(here) do globals[name] = value end -- any order: a copy
-  local f, problem = load_with(text, "=rfsm", globals)
+  local f, problem = calls.load(text, "=rfsm", globals)
   if not f then error(problem, 0) end
   f()
 end

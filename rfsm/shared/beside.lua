@@ -60,7 +60,6 @@ local function parent_of(folder)
   return folder .. "../"
 end
 
--- Returns the file of a name beside a chart; nil if there is none.
 local function find(world, name)
   if name:find("^/") then return exists(name) and name or nil end
   for _, folder in ipairs(world.folders) do
@@ -106,7 +105,6 @@ end
 
 -- Modules -------------------------------------------------------------------------
 
--- Returns a loader for a module that is beside the chart.
 local function load_beside(world, name)
   local file = name:gsub("%.", "/")
   local path = find(world, file .. ".lua") or find(world, file .. "/init.lua")

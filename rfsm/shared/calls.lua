@@ -1,4 +1,4 @@
---- Calls: of functions that may fail, and the texts of arguments.
+--- Calls: of functions that may fail, programs in texts, and the texts of arguments.
 --
 -- @module rfsm.shared.calls
 -- @license BSD-3-Clause
@@ -7,6 +7,8 @@ local rfsm = require "rfsm"
 
 local error, pcall, select = error, pcall, select
 local concat = table.concat
+local load = rawget(_G, "loadstring") or rawget(_G, "load")
+local setfenv = rawget(_G, "setfenv")
 
 local calls = {}
 
@@ -17,6 +19,14 @@ end
 
 --- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
 function calls.try(f, ...) return pass(pcall(f, ...)) end
+
+--- Load a text so that its globals are those of a table, on every Lua; nil and the
+-- problem if it is no program.
+function calls.load(text, name, globals)
+  local chunk, problem = load(text, name, "t", globals)
+  if chunk and setfenv then setfenv(chunk, globals) end
+  return chunk, problem
+end
 
 --- Make a machine of a model for a tool, as `rfsm.init`; machines given as regions stay
 -- as they are.

@@ -59,10 +59,8 @@ local function stop(own)
   own.recorder = nil
 end
 
--- The number of the last iteration that is forgotten.
 local function first_of(own) return own.chunks[1] and own.chunks[1].first or 0 end
 
--- Drops the oldest chunks.
 local function forget(own)
   while own.chunks[2] and own.last - first_of(own) > history.LIMIT do
     remove(own.chunks, 1)
@@ -73,7 +71,6 @@ local function forget(own)
   end
 end
 
--- Drops the iterations that were undone.
 local function drop_future(own)
   for i = #own.marks, own.at + 1, -1 do own.marks[i] = nil end
   own.tip = nil
@@ -90,7 +87,6 @@ local function drop_future(own)
   own.last = own.count
 end
 
--- Takes a record.
 local function add(own, rec)
   if rec.record then
     own.fresh = { first = own.count, count = 0, list = { rec } }
@@ -194,7 +190,6 @@ local function replay_list(sim, list, options)
   return session.snap, session.problem or session.unsaved, session.fsm and session.at
 end
 
--- Puts a snapshot into the machine of a session.
 local function put(sim, snap)
   local ok, problem, difference = snapshot.put(sim.fsm, snap)
   if ok then return end

@@ -24,7 +24,6 @@ local function is_called(node, name)
   return fqn == name or fqn == "root." .. name
 end
 
--- Returns the transition from one state to another by their names.
 local function find_transition(fsm, src, tgt)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     if is_called(tr.src, src) and is_called(tr.tgt, tgt) then return tr end
@@ -36,7 +35,6 @@ local function new_transition(tr)
     name = text_of(tr.src._fqn) .. " -> " .. text_of(tr.tgt._fqn) }
 end
 
--- Raises an error that names the nearest state or event.
 local function fail(fsm, text)
   local list = names.events(fsm)
   for _, name in ipairs((names.nodes(fsm))) do
@@ -48,7 +46,6 @@ local function fail(fsm, text)
     :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
 end
 
--- Returns the breakpoint for a text.
 local function of_text(fsm, text)
   local by_name = select(2, names.nodes(fsm))
   local name = by_name[text] and text or "root." .. text

@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local alphabet = require "rfsm.shared.alphabet"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local commands = require "rfsm.sim.commands"
 local names = require "rfsm.sim.names"
@@ -18,19 +19,16 @@ local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
 local setmetatable, tonumber = setmetatable, tonumber
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
-local setfenv = rawget(_G, "setfenv")
 local complain, first_line = view.complain, chart.first_line
 
 local prompt = {}
 
 -- Compile ---------------------------------------------------------------------------
 
--- Loads a text so that its globals are those of `env`, on every Lua. The blank is for
--- 5.1, which takes what starts with an escape (an arrow key) for a compiled chunk.
+-- The blank is for 5.1, which takes what starts with an escape (an arrow key) for a
+-- compiled chunk.
 local function load_in(env, text, chunkname)
-  local chunk, problem = load(" " .. text, chunkname, "t", env)
-  if chunk and setfenv then setfenv(chunk, env) end
-  return chunk, problem
+  return calls.load(" " .. text, chunkname, env)
 end
 
 -- Compiles an expression to a chunk that calls a function with its values: after a tail
@@ -80,7 +78,6 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
--- Appends the names of the commands to a list.
 local function command_names(list)
   for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
   return list
@@ -179,7 +176,6 @@ local function words_after(sim, before)
   return words
 end
 
--- Lists the completions of a word behind `before`.
 local function complete(sim, word, before)
   local set = {}
   for _, name in ipairs(words_after(sim, before)) do

@@ -228,7 +228,6 @@ end
 
 local function let_pass() return true end
 
--- Takes the functions of a chart away; returns the swaps.
 local function take_functions(fsm)
   local swaps = {}
   for _, at in ipairs(rfsm.machines(fsm)) do

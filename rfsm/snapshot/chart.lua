@@ -88,7 +88,6 @@ end
 ---@field first table<string, any> their first values
 ---@field has_load boolean it has functions `save` and `load`
 
--- Returns the keeper of a state; nil if the state keeps nothing.
 local function keeper_of(state)
   local saves, loads = type(state.save) == "function", type(state.load) == "function"
   if saves ~= loads then
@@ -156,7 +155,6 @@ local function add_element(self, obj)
   if rfsm.is_state(obj) then add_keeper(self, obj) end
 end
 
--- Returns what is known of the structure of a machine.
 local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end

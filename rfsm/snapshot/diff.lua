@@ -29,7 +29,6 @@ local function new_machine(model)
   return fsm or error(text, 0)
 end
 
--- Gives a value to all that a machine keeps.
 local function fill(fsm)
   local own = charts.of(fsm)
   for i, keeper in ipairs(own.chart.keepers) do
@@ -87,7 +86,6 @@ end
 ---@field to string|false location in the new chart; false: it is not moved
 ---@field notes string[] timers that change; or why it is not moved
 
--- Returns why a snapshot was refused.
 local function reasons(problem, list, options)
   local reason = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
   if not (options.rename or options.migrate) and reason:find("another chart") then

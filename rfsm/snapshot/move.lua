@@ -27,7 +27,6 @@ local PART = {
 local WHOLE = { version = "number", regions = "table", structure = "table" }
 for field, kind in each(PART) do WHOLE[field] = kind end -- any order: a copy
 
--- Returns a copy without the fields that are null.
 local function copy_fields(t)
   local copy = {}
   for key, value in each(t) do -- any order: a copy
@@ -77,7 +76,6 @@ local function add_regions(regions, snap, prefix, depth)
   end
 end
 
--- Makes a snapshot of format 1 one of today's.
 local function convert_format_1(snap)
   local regions = {}
   snap.version = move.VERSION
@@ -129,7 +127,6 @@ end
 
 -- What would be lost ----------------------------------------------------------------
 
--- Notes the fields of a part that no state keeps.
 local function note_data(list, chart, part, prefix)
   for _, fqn in ipairs(rfsm.sorted_keys(part.data or NONE)) do
     local keeper = chart.keeper[fqn]
@@ -306,7 +303,6 @@ local function lines_of(fsm, snap, given)
   return snap.structure, has_fields and chart.all or chart.lines
 end
 
--- Lists what a snapshot names and the chart lacks.
 local function missing(lost)
   local list = {}
   for i, text in ipairs(lost) do list[i] = "gone: " .. text end

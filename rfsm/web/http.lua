@@ -220,7 +220,6 @@ end
 local Server = {}
 Server.__index = Server
 
--- Drops the oldest connection that is no stream.
 local function drop_oldest(server)
   for _, connection in ipairs(server.connections) do
     if connection.phase ~= "stream" then return drop(server, connection) end

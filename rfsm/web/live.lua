@@ -56,7 +56,6 @@ Live.__index = Live
 ---@field printers table[] swaps of err and warn
 ---@field tracer table[] swap of dbg, and hooks, while it is watched
 
--- Adds the transitions of a machine, by their texts, and their numbers.
 local function add_transitions(view, watched)
   for _, tr in ipairs(rfsm.elements(watched.fsm, rfsm.is_trans)) do
     local text = tostring(tr)

@@ -28,7 +28,6 @@ local COMMAND = "exec 3>&- 4>&- 5>&- 6>&- 7>&- 8>&- 9>&-; "
   .. "trap \"kill $! 2>/dev/null; rm -f '%s.part'; exit\" TERM; wait; "
   .. "mv '%s.part' '%s'; } >/dev/null & echo $!; }"
 
--- Begins a run of Graphviz.
 local function begin(picture, graph, format)
   local output = picture.output
   if not files.write(picture.input, graph) then return end

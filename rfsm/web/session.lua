@@ -96,7 +96,6 @@ local function read(file) return files.read(file) or "" end
 -- Starts the clock of the machine at its own time.
 local function start_clock(session) session.since = session.real() - session.now end
 
--- Records a machine from now on.
 local function start_recorder(session)
   if session.recorder then session.recorder:stop() end
   local ok, recorder = pcall(record.record, session.view.fsm, {})
@@ -133,7 +132,6 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
 end
 
--- Returns a snapshot of a machine; nil if it cannot be saved.
 local function take_snapshot(fsm)
   local ok, snap = pcall(snapshot.take, fsm)
   return ok and snap or nil
@@ -230,7 +228,6 @@ function commands.clock(session, message)
   start_clock(session)
 end
 
--- Lets time pass, then runs.
 local function pass(session, seconds)
   begin_turn(session)
   session.now = session.now + seconds

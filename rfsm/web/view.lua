@@ -159,7 +159,6 @@ function View:chart()
   return { nodes = lists.nodes, edges = lists.edges, events = lists.events }
 end
 
--- Returns an entry of the log for a message.
 local function sent(view, entry)
   return { number = entry.number, at = entry.at, kind = entry.kind, turn = entry.turn,
     active = entry.active, text = marsh.utf8(entry.text:sub(1, MAX_TEXT)),

@@ -60,7 +60,6 @@ function TAKE.rfsm_active_state(self, message)
   self.leaf = leaf
 end
 
--- Clears the screen, and prints the tree and the log.
 local function draw(self)
   local tree = self.graph and add_tree({}, self.graph, "root", self.leaf) or {}
   local status = self.status ~= "" and "\n" .. self.status or ""
