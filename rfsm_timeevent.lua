@@ -287,8 +287,7 @@ local function time_of(gettime)
   return sec < huge and time - time == 0 and time, sec, nsec
 end
 
--- Returns the time of a clock that returns one number, or that fails: it is read once
--- more and reported.
+-- A clock that returns one number, or that fails, is read once more and reported.
 local function read_unusual(fsm, time, nsec)
   if time then
     check_unit(fsm, nsec)
@@ -621,8 +620,7 @@ local function remaining(fsm, is_relative)
   return max(sec + nsec / 1e9, 0)
 end
 
--- Returns the seconds until the first timer of a machine or its active regions can
--- fire; huge: there is none.
+-- Likewise of a machine and its active regions.
 local function earliest_deadline(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   local own = fsm._timeevent

@@ -58,8 +58,7 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target that a transition has in the model, as far as rfsm/history.lua has
--- changed it.
+-- Returns the target that a transition has without rfsm/history.lua.
 local function target_of(tr) return tr._initial or tr.tgt end
 
 -- Notes which child of a composite a transition leads to, and from which one; a child
@@ -79,8 +78,6 @@ local function note_links(tr, links, entries)
   end
 end
 
--- Returns the transitions and the nodes in each composite, and the name of each
--- transition.
 local function members_of(fsm)
   local transitions, nodes, names, links, entries = {}, {}, {}, {}, {}
   rfsm.mapfsm(function(element, composite, name)
@@ -176,8 +173,7 @@ local function body_in_field(line, field)
   return is_only and compile and compile(body) and body or nil
 end
 
--- Returns the body of a function that has one line: in its first line, or between the
--- first and the last one.
+-- Returns the body of a function if it has one line: the first, or the one behind it.
 local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body

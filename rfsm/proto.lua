@@ -105,8 +105,7 @@ local function drop(server, ip, port)
   if i then remove(server.subscribers, i) end
 end
 
--- Sends a text. A full buffer loses it, as UDP may. An unreachable subscriber is
--- dropped.
+-- A full buffer loses the text, as UDP may. An unreachable subscriber is dropped.
 local function send(server, ip, port, text)
   local sent, problem = server.udp:sendto(text, ip, port)
   if not sent and problem ~= "timeout" then drop(server, ip, port) end
@@ -125,8 +124,7 @@ local function message_text(feed, kind, body)
   return error_text(feed.server, kind .. ": too long for a datagram")
 end
 
--- Calls f(sub) for each subscriber to a machine. The last comes first: sending may drop
--- the current one.
+-- Calls f(sub), the last one first: sending may drop the current one.
 local function each_subscriber(feed, f)
   local subscribers = feed.server.subscribers
   for i = #subscribers, 1, -1 do

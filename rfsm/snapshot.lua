@@ -329,8 +329,7 @@ local function is_never_new() return false end
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Returns the parts for a machine and its regions. Timers follow the chart if its
--- structure has changed.
+-- Timers follow the chart if its structure has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = move.to(fsm, snap, options)
@@ -357,8 +356,7 @@ local function run_entry(fsm, state)
   end
 end
 
--- Gives a machine its data. From here on functions of the chart and of extensions are
--- called, which may fail.
+-- From here on functions of the chart and of extensions are called, which may fail.
 local function load_part(part)
   set_data(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
@@ -411,8 +409,7 @@ local function put_directly(fsm, snap, is_tidy)
   return true
 end
 
--- Moves a machine to a snapshot; back to where it was if a load fails, unless it may be
--- reset.
+-- If a load fails the machine moves back to where it was, unless it may be reset.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
   if not may_reset and can_fail(parts) then has_before, before = pcall(take, fsm) end

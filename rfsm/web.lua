@@ -89,8 +89,7 @@ local function shown_in(server, request)
   return server.shown[tonumber(request.query:match("machine=(%d+)") or 1)]
 end
 
--- Returns a name for the chart and its picture; a page that has another one fetches
--- them.
+-- A page that has another version fetches chart and picture.
 local function version_of(server, shown)
   return ("%s-%d-%d-%d-%d"):format(server.id, shown.number, #server.shown,
     shown.source.generation, shown.picture_count)

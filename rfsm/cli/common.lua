@@ -28,8 +28,7 @@ local function set_streams(printer, out, err, default)
   io.output(default)
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
--- pcall.
+-- Calls f(...) as pcall does, while `print`, stdout and stderr are `stream`.
 function common.with_streams(stream, f, ...)
   local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -92,8 +91,7 @@ function common.check_readable(file)
   if not text then common.fail(problem, 2) end
 end
 
--- Returns the model in a file, its warnings, and where it comes from; nil and the
--- problem in one line.
+-- As chart.load; output goes to stderr.
 function common.load_model(file, has_stubs)
   return select(2, common.with_streams(io.stderr, chart.load, file, has_stubs))
 end

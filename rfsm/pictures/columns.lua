@@ -95,8 +95,7 @@ local function deal(lengths, count)
   return fill(lengths, most), most
 end
 
--- Returns how many arrows lead from column to column, and how many times these run
--- beside other nodes in a column.
+-- Counts the arrows from column to column, and the nodes in columns that these pass.
 local function crossing_of(level, numbers)
   local crossing, passing = 0, 0
   for _, link in ipairs(level.links) do

@@ -37,8 +37,7 @@ local function across(level, point)
   return level.direction == "TB" and point[1] or -point[2]
 end
 
--- Lists the sides of frames at which lines end: each has `level`, `is_upper`, `length`
--- and the ends.
+-- Lists the sides of frames at which lines end, each with these ends.
 local function sides_of(level)
   local list, by_key = {}, {}
   each_end(level, function(finish, point, middle, is_upper)

@@ -154,8 +154,7 @@ local function targets_in(level)
   return is_target
 end
 
--- Puts a composite in a column, and what no arrow there leads to, below what is before;
--- composites in one line.
+-- Puts a composite in a column, and what no arrow there leads to, below what is before.
 local function add_stack(lines, level)
   local is_target, before = targets_in(level), nil
   for i, node in ipairs(level.composite.nodes) do

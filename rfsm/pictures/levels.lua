@@ -37,8 +37,7 @@ local function add_loop(link)
     .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
 end
 
--- Has Graphviz measure labels: those of arrows, and name and rows of levels. Each gets
--- the size as its `label_box`.
+-- Gives arrows and levels the size of their labels as `label_box`.
 local function measure_labels(owners, run)
   local labels = {}
   for i, owner in ipairs(owners) do
@@ -158,8 +157,7 @@ local function swap(link)
   if link.head then link.head = link.head == "upper" and "lower" or "upper" end
 end
 
--- Returns the links of each leaf of a level that is linked to one other node only, by
--- that node.
+-- Returns the links of leaves that are linked to one other node only, by that node.
 local function rays_of(level)
   local hub_of, links_of, rays, hubs = {}, {}, {}, {}
   for _, link in ipairs(level.links) do

@@ -121,8 +121,7 @@ local function in_sql(text)
     :gsub("^ERR ", ""))
 end
 
--- Writes a row; `view` is what rfsm_get shows of it. Returns false if a new one is
--- there already.
+-- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.
 local function save(server, row, view)
   local execute, fields = row.execute or server.execute, {}
   for i = 1, #view, 2 do fields[view[i]] = view[i + 1] end

@@ -163,8 +163,7 @@ local function finish_again(session, track)
   if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
--- Returns the recorded result of a guard; with `is_called` the guard is called, and its
--- result compared.
+-- Returns the recorded result of a guard; with `is_called` that of now is compared.
 local function answer_again(session, track, is_called, number, guard, tr, events)
   if not track.rec then return guard(tr, events) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
@@ -194,8 +193,7 @@ local function doo_again(session, track)
   end
 end
 
--- Returns the present numbers of guards by their numbers in the recording, for a chart
--- that has changed.
+-- Returns the present numbers of guards by those then: the chart may have changed.
 local function numbers_of(track, session)
   local now, numbers = {}, {}
   local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}

@@ -177,8 +177,8 @@ local function sleep(seconds) need("socket").sleep(seconds) end
 
 local function time() return need("socket").gettime() end
 
--- Returns the address to ask after an error, and whether it is asked once only; nil if
--- the error is for the caller.
+-- Returns the address to ask after an error (false: any other one; nil: none), and
+-- whether it is asked once only.
 local function redirected(self, tag, address, text)
   local kind, host, port = text:match("^(%u+) %d+ ([^ ]*):(%d+)$")
   if kind == "MOVED" or kind == "ASK" then

@@ -188,8 +188,7 @@ end
 
 local make_ready
 
--- Enters the machine. Events that wait in ports stay there: the entry would not name
--- them.
+-- Events that wait in ports stay there: the entry would not name them.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")
@@ -284,8 +283,7 @@ local function run(load, source, name)
   if source then assert(load(source, name))() end
 end
 
--- Adds the ports to which the machine writes, and their functions. Returns the one that
--- writes the FQN.
+-- Adds ports to which the machine writes; returns the function that writes the FQN.
 local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
   add_port(launch, "timer")

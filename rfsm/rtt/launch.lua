@@ -59,8 +59,7 @@ local COMPONENT = with_common {
   ports = { "'configure'", is_word "configure" },
 }
 
--- Returns a value as Lua writes it; raises if there is something in it that Lua cannot
--- write, or if it has no end.
+-- Returns a value as Lua writes it; raises if Lua cannot write it, or if it has no end.
 local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end
@@ -101,8 +100,7 @@ local function own_template()
   return folder and folder .. "?.lua;" or ""
 end
 
--- Returns the settings of a launch. Raises if an argument is wrong, or one of those
--- named is missing.
+-- Returns the settings of a launch; raises if one is wrong, or one that is named missing.
 local function read(fields, args, ...)
   local launch, problem = options.read(fields, args)
   if not launch then error(problem, 0) end

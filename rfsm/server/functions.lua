@@ -361,8 +361,7 @@ local function send(machine, texts)
     .. concat(texts, " ")
 end
 
--- Sends the events whose time has come. One that the chart does not know any more is
--- noted in the log.
+-- Sends events whose time has come. One that is not known any more goes to the log.
 local function send_later(machine)
   local later = machine.list[LATER]
   while later and later[1] and later[1][1] <= now() do

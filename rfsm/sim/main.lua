@@ -33,8 +33,7 @@ local function run_code(sim, texts)
   return true
 end
 
--- Runs the machine through a recording, up to where it departs. Returns false if the
--- recording cannot be read.
+-- Runs the machine through a recording; returns false if that cannot be read.
 local function replay(sim, file)
   local ok, problem = pcall(history.replay, sim, file)
   if not ok then complain("rfsm sim: " .. rfsm.text_of(problem)) end

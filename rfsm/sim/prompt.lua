@@ -83,8 +83,7 @@ local function command_names(list)
   return list
 end
 
--- Returns the complaint about a line with one name that does not exist: an event, or a
--- mistake.
+-- Returns the complaint about a line with one name, of an event or of nothing.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("return " .. name) then return nil end

@@ -100,8 +100,7 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances up to a breakpoint, or in parts, so that a long run gets several chunks of
--- the history.
+-- Advances up to a breakpoint, or in parts, one for each chunk of the history.
 local function advance_in_parts(watcher, sim, n)
   local fsm, left, part = sim.fsm, n, sim.points[1] and 1 or history.CHUNK
   local is_idle
@@ -208,8 +207,7 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Moves a machine to the state in which a machine of an older chart is. Returns the
--- problem if that fails.
+-- Moves a machine to the state of one of an older chart; returns the problem, if any.
 local function put_in_place(fsm, old)
   local ok, snap = pcall(snapshot.take, old)
   if not ok then return snap end

@@ -117,8 +117,7 @@ function move.part_of(snap, prefix)
   return (snap.regions or NONE)[prefix] or NONE
 end
 
--- Returns what differs between a machine and the part of a snapshot: nil, "kept" or
--- "structure".
+-- Returns what differs between a machine and a part: nil, "kept" or "structure".
 local function change_of(machine, part)
   local chart = charts.of(machine).chart
   if part.chart == nil or part.chart == chart.name then return nil end
@@ -405,8 +404,7 @@ local function migrate(fsm, snap, list, options)
   return moved
 end
 
--- Returns what differs for a machine and its regions: nil, "kept" or "structure"; and
--- by prefix.
+-- Returns what differs for a machine and its regions, in all and by prefix.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
   for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: a number

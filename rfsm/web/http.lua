@@ -65,8 +65,7 @@ local function body_length(headers)
   return length
 end
 
--- Returns the request in `text`; nil while it is incomplete; nil and the status of a
--- refusal.
+-- Returns the request in `text`; nil while it is incomplete, or the status as well.
 local function parse_request(text)
   local stop, body_start = text:find("\r\n\r\n", 1, true)
   if not stop then return nil, #text > MAX_HEAD and 431 or nil end

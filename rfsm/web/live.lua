@@ -96,8 +96,7 @@ local function line_of(...)
   return (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": "))
 end
 
--- Returns the number of the node in a report: "error executing entry of root.a: ". For
--- a guard or an effect it is the source.
+-- Returns the number of the node in a report; for a guard or an effect the source.
 local function node_in(watched, line)
   local fqn = line:match("src='(root[^']*)'") or line:match("'(root[^']*)' failed")
     or line:match(" of (root.-): ")
