@@ -100,7 +100,7 @@ local function own_template()
   return folder and folder .. "?.lua;" or ""
 end
 
--- Returns the settings of a launch; raises if one is wrong, or one that is named missing.
+-- Returns the settings of a launch; raises if one is wrong, or a named one is missing.
 local function read(fields, args, ...)
   local launch, problem = options.read(fields, args)
   if not launch then error(problem, 0) end
