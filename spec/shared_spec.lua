@@ -416,3 +416,34 @@ describe("swapped fields", function()
     assert.equal(likely, fsm[2].likely)
   end)
 end)
+
+describe("hooks that a tool adds", function()
+  it("are called where it says, and are gone when the swaps are given back", function()
+    local trace, swaps = {}, {}
+    local function note(text) return function() trace[#trace + 1] = text end end
+    local fsm = rfsm.init(state { info = false, warn = false, a = state {},
+      pre_step_hook = note "own", trans { src = "initial", tgt = "a" } })
+    swap.hook(swaps, fsm, "pre_step", note "first", "before")
+    swap.hook(swaps, fsm, "pre_step", note "last", "after")
+    swap.hook(swaps, fsm, "post_step", note "post")
+    swap.hook(swaps, fsm, "reset", note "reset")
+    rfsm.step(fsm)
+    rfsm.reset(fsm)
+    assert.same({ "first", "own", "last", "post", "reset" }, trace)
+    swap.give_back(swaps)
+    rfsm.step(fsm)
+    rfsm.reset(fsm)
+    assert.same({ "first", "own", "last", "post", "reset", "own" }, trace)
+    assert.same({}, swaps)
+  end)
+end)
+
+describe("a text loaded with globals", function()
+  it("has these and no others; a mistake is returned", function()
+    local globals = { x = 7 }
+    assert.same({ 7, nil }, { calls.load("y = x return x, print", "=t", globals)() })
+    assert.equal(7, globals.y)
+    assert.same({ nil, "t:1" }, { nil,
+      (select(2, calls.load("return return", "=t", {})):match("^t:1")) })
+  end)
+end)
