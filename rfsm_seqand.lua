@@ -53,7 +53,6 @@ local function list_text(names, quote)
   return concat(texts, ", ")
 end
 
--- Returns a wrong field and its problem.
 local function check_order(order, regions)
   if order == nil then return nil end
   if type(order) ~= "table" or is_state(order) then
@@ -341,7 +340,6 @@ local RESERVED = {
   entry = true, exit = true, andseqdbg = true, seqanddbg = true,
 }
 
--- Returns the problem of a member; nil if there is none.
 local function obstacle(key, value)
   if key == "doo" or key == "substates" then
     return key .. ": is the state's own, and cannot be set"

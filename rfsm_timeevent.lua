@@ -64,7 +64,6 @@ end
 -- Each is a pair of functions: `true` for e_after, which wants a clock that is never
 -- set, `false` for e_at, which wants the time of day.
 
--- Reads the clock that the standard library has.
 local function read_standard()
   local os = rawget(_G, "os")
   if not (os and os.time) then error("no clock is installed", 0) end
@@ -237,7 +236,6 @@ local function note_deadline(fsm, is_relative, sec, nsec)
   own[is_relative] = min(own[is_relative], sec + nsec * 1e-9 - MARGIN)
 end
 
--- Sets a timer alone.
 local function set(fsm, timer, sec, nsec)
   timer.entry, timer.sec, timer.nsec = timer.timers.entry, sec, nsec
   note_deadline(fsm, timer.is_relative, sec or -huge, nsec)
@@ -289,8 +287,7 @@ local function time_of(gettime)
   return sec < huge and time - time == 0 and time, sec, nsec
 end
 
--- Returns the time of a clock that returns one number, or that fails: it is read once
--- more and reported.
+-- A clock that returns one number, or that fails, is read once more and reported.
 local function read_unusual(fsm, time, nsec)
   if time then
     check_unit(fsm, nsec)
@@ -314,7 +311,6 @@ local function note_entry(fsm, timers, own)
   if time < own[true] then own[true] = time end
 end
 
--- Arms the timers of a state that is entered.
 local function enter_state(fsm, state)
   local timers, own = state._timers, fsm._timeevent
   timers.entry = timers.entry + 1
@@ -326,7 +322,6 @@ local function enter_state(fsm, state)
   end
 end
 
--- Lists the timers of active states.
 local function list_timers(fsm)
   local list, state = {}, fsm._mode ~= "inactive" and fsm
   while state do
@@ -498,7 +493,6 @@ local function note_shortest(timers, event)
   if event.timeout then timers.time = timers.time or huge end
 end
 
--- Do two events of one source always expire together?
 local function is_same(a, b)
   if a.timeout or b.timeout then return a == b end
   return a.is_relative == b.is_relative and a.sec == b.sec and a.nsec == b.nsec
@@ -626,8 +620,7 @@ local function remaining(fsm, is_relative)
   return max(sec + nsec / 1e9, 0)
 end
 
--- Returns the seconds until the first timer of a machine or its active regions can
--- fire; huge: there is none.
+-- Likewise of a machine and its active regions.
 local function earliest_deadline(fsm)
   local least, state = huge, fsm._mode ~= "inactive" and fsm
   local own = fsm._timeevent

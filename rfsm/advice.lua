@@ -106,7 +106,6 @@ end
 
 -- Names -------------------------------------------------------------------------
 
--- Returns the nearest of `names`, nil if none is near.
 local function find_nearest(name, names)
   local nearest, least = nil, min(#name, floor((#name + 1) / 3) + 1)
   for _, candidate in ipairs(names) do

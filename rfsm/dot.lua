@@ -15,10 +15,11 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local layout = require "rfsm.pictures.layout"
 local looks = require "rfsm.pictures.looks"
 
-local io, ipairs, os = rawget(_G, "io"), ipairs, rawget(_G, "os")
+local ipairs, os = ipairs, rawget(_G, "os")
 local max, min = math.max, math.min
 local concat, add = table.concat, diagram.add
 local id_of = looks.id_of
@@ -83,7 +84,6 @@ local function is_loop(arrow)
   return arrow.src == arrow.tgt or diagram.is_inside(arrow.tgt, arrow.src)
 end
 
--- Does an arrow lead to a node that comes earlier in the walk?
 local function leads_back(arrow)
   return index_in(arrow.src, arrow.home) > index_in(arrow.tgt, arrow.home)
 end
@@ -167,11 +167,9 @@ end
 
 -- Returns the content of a temporary file, and removes it.
 local function take(file)
-  local handle = io.open(file, "rb")
-  local text = handle and handle:read("*a") or ""
-  if handle then handle:close() end
+  local text = files.read(file)
   os.remove(file)
-  return text
+  return text or ""
 end
 
 -- Public functions ------------------------------------------------------------
@@ -189,7 +187,7 @@ function dot.render(text, format)
     return nil, "Graphviz is missing (on Debian: apt-get install graphviz)"
   end
   local graph, picture, log = os.tmpname(), os.tmpname(), os.tmpname()
-  local ok, problem = diagram.write(graph, text)
+  local ok, problem = files.write(graph, text)
   if ok then
     ok = succeeds(("dot -T%s '%s' >'%s' 2>'%s' </dev/null"):format(format, graph,
       picture, log))

@@ -46,7 +46,7 @@ local OPTIONS = {
   tags = { "a whole number from 1 to 16384", opts.is_whole(1, 16384), 64 },
   timeout = { "seconds above 0", is_positive, 5 },
   patience = { "seconds", opts.is_seconds, 10 },
-  tls = { "table", function(x) return type(x) == "table" end, nil },
+  tls = { "table", opts.is_a "table" },
 }
 
 --- Connect to a server, or to any node of a cluster.
@@ -206,7 +206,6 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
--- Returns an entry of a stream as a table.
 local function entry_of(raw)
   local entry = { id = raw[1] }
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
@@ -281,7 +280,6 @@ local function retry(work, f)
   end
 end
 
--- Splits the id of an entry: milliseconds, and a number.
 local function split(id)
   local ms, number = id:match("^(%d+)%-(%d+)$")
   return tonumber(ms), tonumber(number)

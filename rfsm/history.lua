@@ -39,7 +39,6 @@ local function remember(fsm, leaf)
   end
 end
 
--- Returns what is wrong with the history of a state.
 local function check(state)
   local value, where = state.history, rfsm.location_of(state, "history") .. ": "
   if value ~= "shallow" and value ~= "deep" then

@@ -19,9 +19,7 @@ local KEY_ORDER = {
   "transitions", "subnodes", "regions", "graph", "active_leaf", "active_leaf_state",
 }
 
-local function find_dkjson()
-  return opts.need("rfsm.json", "dkjson", "lua-dkjson")
-end
+local function find_dkjson() return opts.need("rfsm.json", "dkjson") end
 
 --- Return the full description of a machine, and its active leaf, as JSON.
 --

@@ -58,8 +58,7 @@ local function append(lists, key, value)
   list[#list + 1] = value
 end
 
--- Returns the target that a transition has in the model, as far as rfsm/history.lua has
--- changed it.
+-- Returns the target that a transition has without rfsm/history.lua.
 local function target_of(tr) return tr._initial or tr.tgt end
 
 -- Notes which child of a composite a transition leads to, and from which one; a child
@@ -79,8 +78,6 @@ local function note_links(tr, links, entries)
   end
 end
 
--- Returns the transitions and the nodes in each composite, and the name of each
--- transition.
 local function members_of(fsm)
   local transitions, nodes, names, links, entries = {}, {}, {}, {}, {}
   rfsm.mapfsm(function(element, composite, name)
@@ -176,8 +173,7 @@ local function body_in_field(line, field)
   return is_only and compile and compile(body) and body or nil
 end
 
--- Returns the body of a function that has one line: in its first line, or between the
--- first and the last one.
+-- Returns the body of a function if it has one line: the first, or the one behind it.
 local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
@@ -291,7 +287,6 @@ end
 ---@field regions_of table<rfsm.State, rfsm.Place[]> of the whole machine
 ---@field has_history? boolean rfsm.history is at work in the machine
 
--- Returns the regions in each state of a machine, at any depth.
 local function regions_by_state(fsm)
   local regions_of = {}
   for _, region in ipairs(rfsm.machines(fsm)) do
@@ -318,7 +313,6 @@ end
 
 local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) end
 
--- Adds texts of some fields of an element.
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
     local f = element[field]

@@ -101,7 +101,6 @@ local function add_members(lines, depth, composite, diamonds)
   add_arrows(lines, depth, composite, diamonds)
 end
 
--- Marks the states that are active.
 local function add_class(lines, chart)
   local ids = {}
   for _, node in ipairs(chart.nodes) do

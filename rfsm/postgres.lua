@@ -117,7 +117,6 @@ local function reason_of(problem)
   return text:match("ERROR:%s+([^\n]*)") or text:match("[^\n]+") or text
 end
 
--- Opens a connection if there is none.
 local function connect(self)
   if self.query then return end
   local made, problem = self.open()
@@ -125,7 +124,6 @@ local function connect(self)
   self.query = type(made) == "function" and made or of_luasql(made)
 end
 
--- Runs a statement.
 local function query(self, sql, ...)
   local rows, problem = self.query(sql, ...)
   if not rows then error(reason_of(problem), 0) end
@@ -136,7 +134,7 @@ local is_limit = opts.is_whole(1, 10000)
 
 local OPTIONS = {
   patience = { "seconds", opts.is_seconds, 10 },
-  sleep = { "function", function(x) return type(x) == "function" end, nil },
+  sleep = { "function", opts.is_a "function" },
 }
 
 --- Connect to a server that has the tables of `rfsm postgres --client`, or all.
@@ -199,7 +197,7 @@ end
 
 -- Waits for a moment; returns false if that is not known how.
 local function pause(self)
-  local socket = not self.options.sleep and opts.find_package("socket", "lua-socket")
+  local socket = not self.options.sleep and opts.find_package("socket")
   local sleep = self.options.sleep or socket and socket.sleep
   if not sleep then return false end
   sleep(0.1)

@@ -33,7 +33,7 @@ local VERSION = 2 -- of the messages and of the graph in them, as rfsm.json writ
 
 -- Description, test, default of each.
 local OPTIONS = {
-  allow_send = { "boolean", function(x) return type(x) == "boolean" end, false },
+  allow_send = { "boolean", opts.is_a "boolean", false },
   clock = { "function that returns seconds", rfsm.is_callable },
   fsm = { "initialised fsm", rfsm.is_initialized_root },
   host = { "name or address", is_text, "localhost" },
@@ -78,12 +78,9 @@ end
 
 -- Opens the port; `server` is the table of settings.
 local function open_server(server)
-  local socket, json, udp, problem
-  socket, problem = opts.find_package("socket", "lua-socket")
-  if not socket then return nil, problem end
-  json, problem = opts.find_package("dkjson", "lua-dkjson")
-  if not json then return nil, problem end
-  udp, problem = bind(socket, server.host, server.port)
+  local socket, json = opts.find_package("socket", "dkjson")
+  if not socket then return nil, json end
+  local udp, problem = bind(socket, server.host, server.port)
   if not udp then return nil, problem end
   local host, port = udp:getsockname()
   server.host, server.port, server.clock = host, tonumber(port),
@@ -108,8 +105,7 @@ local function drop(server, ip, port)
   if i then remove(server.subscribers, i) end
 end
 
--- Sends a text. A full buffer loses it, as UDP may. An unreachable subscriber is
--- dropped.
+-- A full buffer loses the text, as UDP may. An unreachable subscriber is dropped.
 local function send(server, ip, port, text)
   local sent, problem = server.udp:sendto(text, ip, port)
   if not sent and problem ~= "timeout" then drop(server, ip, port) end
@@ -128,8 +124,7 @@ local function message_text(feed, kind, body)
   return error_text(feed.server, kind .. ": too long for a datagram")
 end
 
--- Calls f(sub) for each subscriber to a machine. The last comes first: sending may drop
--- the current one.
+-- Calls f(sub), the last one first: sending may drop the current one.
 local function each_subscriber(feed, f)
   local subscribers = feed.server.subscribers
   for i = #subscribers, 1, -1 do
@@ -181,7 +176,6 @@ end
 
 local MESSAGES = {}
 
--- Returns the feed of the machine in a message; nil and the problem.
 local function feed_of(server, message, number)
   local feed = server.feeds[number]
   if feed then return feed end
@@ -233,7 +227,6 @@ end
 
 -- Receive ---------------------------------------------------------------------
 
--- Returns the message in a datagram; nil if there is none.
 local function decode(server, data)
   if #data > server.max_received or not data:find("^%s*{") then return nil end
   local ok, message, after = pcall(server.json.decode, data, 1, nil, nil, nil)
@@ -332,17 +325,13 @@ end
 local function attach(fsm, server)
   local feed = { server = server, fsm = fsm, number = 0, cnt = 0, graph = false,
     path = false, tracer = {} }
-  local before_step, after_step, after_reset
+  local hooks = {}
 
-  local function detach()
-    trace_path(feed, false)
-    rfsm.pre_step_hook_rm(fsm, before_step)
-    rfsm.post_step_hook_rm(fsm, after_step)
-    rfsm.reset_hook_rm(fsm, after_reset)
-  end
-
-  function before_step()
-    if server.is_closed then return detach() end
+  local function before_step()
+    if server.is_closed then
+      trace_path(feed, false)
+      return swap.give_back(hooks)
+    end
     if feed.number == 0 then
       server.count = server.count + 1
       feed.number, server.feeds[server.count] = server.count, feed
@@ -353,18 +342,18 @@ local function attach(fsm, server)
     if failure then rfsm.report(fsm, "err", "PROTO", "the clock failed: ", failure) end
   end
 
-  function after_step()
+  local function after_step()
     if not server.is_closed then send_state(feed) end
   end
 
-  function after_reset()
+  local function after_reset()
     if feed.number > 0 then after_step() end
   end
 
   -- other hooks come after events
-  rfsm.pre_step_hook_add(fsm, rfsm.borrows(before_step), "before")
-  rfsm.post_step_hook_add(fsm, rfsm.borrows(after_step))
-  rfsm.reset_hook_add(fsm, after_reset)
+  swap.hook(hooks, fsm, "pre_step", before_step, "before")
+  swap.hook(hooks, fsm, "post_step", after_step)
+  swap.hook(hooks, fsm, "reset", after_reset)
 end
 
 -- Public functions ------------------------------------------------------------

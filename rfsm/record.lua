@@ -65,7 +65,6 @@ local record = { VERSION = 1 }
 local Recorder = {}
 Recorder.__index = Recorder
 
--- Returns a function that appends a record to the sink.
 local function writer_to(sink)
   if type(sink) == "function" then return sink end
   if type(sink) == "table" and type(sink.write) ~= "function" then
@@ -87,13 +86,11 @@ local function noting(recorder, clocks, is_relative)
   end
 end
 
--- Returns a clock that notes its readings.
 local function noting_clock(recorder, own)
   local clocks = own and clock.split(own) or clock.in_use
   return clock.twofold(noting(recorder, clocks, true), noting(recorder, clocks, false))
 end
 
--- Returns a getevents whose events are noted.
 local function noting_getevents(track, own)
   return function()
     local events, waiting = own(), #track.fsm._intq
@@ -122,10 +119,8 @@ local function note_data(recorder, track)
   end
 end
 
--- Is a doo resumed in the iteration that begins?
 local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" end
 
--- Begins the record of an iteration.
 local function begin(recorder, track, events)
   track.rec = { m = track.m, fresh = track.is_fresh or nil, got = track.got,
     events = tracks.pack_events(events) }

@@ -8,11 +8,11 @@
 
 local bundle = require "rfsm.server.bundle"
 local chart = require "rfsm.shared.chart"
+local files = require "rfsm.shared.files"
 local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
 
 local error, ipairs, pcall, require = error, ipairs, pcall, require
-local io = io
 local concat = table.concat
 
 local redis = {}
@@ -144,14 +144,11 @@ function redis.name_of(argument)
 end
 
 local function read_chart(file)
-  local handle, problem = io.open(file)
-  if not handle then error("cannot open " .. problem, 0) end
-  local text = handle:read("*a"):gsub("^#[^\n]*", "")
-  handle:close()
-  return text
+  local text, problem = files.read(file)
+  if not text then error("cannot open " .. problem, 0) end
+  return (text:gsub("^#[^\n]*", ""))
 end
 
--- Raises what is wrong with a chart, here or in the server.
 local function check_chart(file, text, server)
   local model, problem = chart.load(file)
   if not model then error(problem, 0) end

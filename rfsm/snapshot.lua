@@ -78,7 +78,6 @@ local function pack_fields(state, keeper, path)
   return fields and plain.as_table(fields, path, 0)
 end
 
--- Notes the data of the states that keep some.
 local function take_data(fsm, own, snap, path)
   for i, keeper in ipairs(own.chart.keepers) do
     local state, fqn = own.states[i], keeper.fqn
@@ -98,7 +97,6 @@ local function take_data(fsm, own, snap, path)
   end
 end
 
--- Notes the targets that programs have set.
 local function take_targets(own, snap)
   local first, transitions, list = own.targets, own.transitions, nil
   for i = 1, #transitions do
@@ -331,8 +329,7 @@ local function is_never_new() return false end
 local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
   is_new = is_never_new }
 
--- Returns the parts for a machine and its regions. Timers follow the chart if its
--- structure has changed.
+-- Timers follow the chart if its structure has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
   local moved, changes, is_new = move.to(fsm, snap, options)
@@ -359,8 +356,7 @@ local function run_entry(fsm, state)
   end
 end
 
--- Gives a machine its data. From here on functions of the chart and of extensions are
--- called, which may fail.
+-- From here on functions of the chart and of extensions are called, which may fail.
 local function load_part(part)
   set_data(part)
   local hooks = rfsm.snapshot_hooks(part.fsm)
@@ -377,7 +373,6 @@ local function set_parts(parts)
   for _, part in ipairs(parts) do load_part(part) end
 end
 
--- May loading into a machine or its regions fail?
 local function can_fail(parts)
   for _, part in ipairs(parts) do
     if part.own.chart.has_load or rfsm.snapshot_hooks(part.fsm)[1] then return true end
@@ -414,8 +409,7 @@ local function put_directly(fsm, snap, is_tidy)
   return true
 end
 
--- Moves a machine to a snapshot; back to where it was if a load fails, unless it may be
--- reset.
+-- If a load fails the machine moves back to where it was, unless it may be reset.
 local function put(fsm, snap, options, may_reset)
   local parts, has_before, before = new_parts(fsm, snap, options), false, nil
   if not may_reset and can_fail(parts) then has_before, before = pcall(take, fsm) end
@@ -460,9 +454,7 @@ end
 --- reset the machine, or set less. Faster, for one machine that serves many.
 ---@field is_tidy? boolean nothing has run since `take`, and then no target was set
 
-local function is_boolean(x) return type(x) == "boolean" end
-
-local function is_table(x) return type(x) == "table" end
+local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
 
 local function is_renaming(x)
   if not is_table(x) then return false end

@@ -29,7 +29,6 @@ end
 
 -- Events ............................................................................
 
--- Returns the texts of events that a machine and its regions name.
 local function names_of(known)
   local names = {}
   for _, event in ipairs(known.list) do names[#names + 1] = text_of(event) end
@@ -44,7 +43,6 @@ local function is_state_name(fsm, event)
   return false
 end
 
--- Returns what is wrong with an event that nothing names.
 local function oddness_of(fsm, known, event)
   if type(event) == "table" and not getmetatable(event) then
     return event[1] ~= nil and "a list is one event (did you mean "
@@ -81,7 +79,6 @@ local function check_events(fsm, at, ...)
   end
 end
 
--- Returns where the caller of `send_events` stands.
 local function sender()
   local info = getinfo and getinfo(3, "Sl")
   return info and info.currentline > 0

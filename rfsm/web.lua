@@ -7,7 +7,7 @@
 -- The server listens on loopback. It answers requests that name it by an address, and
 -- commands with the token of its page.
 --
--- The file reads in this order: the page, messages, commands, pictures, routes, public
+-- The file reads in this order: messages, commands, pictures, routes, public
 -- functions.
 --
 -- @module rfsm.web
@@ -16,18 +16,19 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local dot = require "rfsm.dot"
+local files = require "rfsm.shared.files"
 local Hosted = require "rfsm.web.hosted"
 local opts = require "rfsm.shared.options"
 local Picture = require "rfsm.web.picture"
 
-local error, io, ipairs, package, pcall = error, io, ipairs, package, pcall
+local error, ipairs, pcall = error, ipairs, pcall
 local rawget, rawset, require, setmetatable = rawget, rawset, require, setmetatable
 local tonumber, type = tonumber, type
 local huge, min = math.huge, math.min
 
 local web = {}
 
-local function is_boolean(x) return type(x) == "boolean" end
+local is_boolean = opts.is_a "boolean"
 
 local function is_title(x) return opts.is_text(x) or type(x) == "table" end
 
@@ -51,31 +52,6 @@ local LINGER = 5 -- seconds that a machine is watched after the last page has go
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
   .. "frame-ancestors 'none'"
-
--- The page ---------------------------------------------------------------------
-
--- Returns the text of the page, whose file is beside the modules.
-local function find_page()
-  for template in package.path:gmatch("[^;]+") do
-    local name = template:gsub("%?", "rfsm/web/page"):gsub("%.lua$", ".html")
-    local handle = io.open(name, "rb")
-    if handle then
-      local text = handle:read("*a")
-      handle:close()
-      return text
-    end
-  end
-  return nil, "rfsm/web/page.html is not beside the modules"
-end
-
--- Returns random bytes as text.
-local function new_secret(count)
-  local handle = io.open("/dev/urandom", "rb")
-  local bytes = handle and handle:read(count)
-  if handle then handle:close() end
-  if not bytes then return nil, "/dev/urandom cannot be read" end
-  return (bytes:gsub(".", function(c) return ("%02x"):format(c:byte()) end))
-end
 
 -- Messages to the page -----------------------------------------------------------
 
@@ -113,8 +89,7 @@ local function shown_in(server, request)
   return server.shown[tonumber(request.query:match("machine=(%d+)") or 1)]
 end
 
--- Returns a name for the chart and its picture; a page that has another one fetches
--- them.
+-- A page that has another version fetches chart and picture.
 local function version_of(server, shown)
   return ("%s-%d-%d-%d-%d"):format(server.id, shown.number, #server.shown,
     shown.source.generation, shown.picture_count)
@@ -149,7 +124,6 @@ end
 
 -- Commands from the page ---------------------------------------------------------
 
--- Returns the command in a request; nil if there is none.
 local function decode(server, text)
   local ok, message = pcall(server.json.decode, text, 1, nil, nil, nil)
   return ok and type(message) == "table" and message or nil
@@ -183,7 +157,6 @@ local function start_picture(shown)
   shown.drawing = graph ~= "" and Picture.start(graph, view.description)
 end
 
--- Takes a picture that is complete.
 local function update_picture(shown)
   if shown.drawn ~= shown.source.generation then start_picture(shown) end
   local picture = shown.drawing and shown.drawing:take()
@@ -328,30 +301,29 @@ end
 -- Returns the options and the packages; nil and a problem.
 local function prepare(options)
   local settings, problem = opts.read(OPTIONS, options or {})
-  local json, socket
-  if settings then json, problem = opts.find_package("dkjson", "lua-dkjson") end
-  if json then socket, problem = opts.find_package("socket", "lua-socket") end
-  if not socket then return nil, problem end
+  if not settings then return nil, problem end
+  local json, socket = opts.find_package("dkjson", "socket")
+  if not json then return nil, socket end
   settings.json, settings.gettime = json, socket.gettime
   return settings
 end
 
 -- Opens the port and reads the page; nil and a problem.
 local function open_server(sources, settings)
-  local page, token, problem
-  page, problem = find_page()
-  if page then token, problem = new_secret(16) end
-  if not token then return nil, problem end
+  local page, token = files.find("rfsm/web/page", ".html"), files.random(16)
+  if not page then return nil, "rfsm/web/page.html is not beside the modules" end
+  if not token then return nil, "/dev/urandom cannot be read" end
   local server = setmetatable({
     sources = sources, shown = {}, json = settings.json, gettime = settings.gettime,
-    token = token, id = new_secret(4), name = settings.host, is_late = false,
+    token = token, id = files.random(4), name = settings.host, is_late = false,
   }, Server)
   update_shown(server)
   server.page = page:gsub("{{token}}", token)
   server.policy = CSP:format(token)
-  local listener
-  listener, problem = require("rfsm.web.http").listen(settings.host, settings.port,
-    function(request) return handle_safely(server, request) end, settings.clock)
+  local listen = require("rfsm.web.http").listen
+  local listener, problem = listen(settings.host, settings.port, function(request)
+    return handle_safely(server, request)
+  end, settings.clock)
   if not listener then return nil, problem end
   server.http, server.host, server.port = listener, listener.host, listener.port
   local name = server.host:find(":", 1, true) and "[" .. server.host .. "]"

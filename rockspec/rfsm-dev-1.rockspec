@@ -129,6 +129,7 @@ build = {
     ["rfsm.shared.beside"] = "rfsm/shared/beside.lua",
     ["rfsm.shared.calls"] = "rfsm/shared/calls.lua",
     ["rfsm.shared.chart"] = "rfsm/shared/chart.lua",
+    ["rfsm.shared.files"] = "rfsm/shared/files.lua",
     ["rfsm.shared.options"] = "rfsm/shared/options.lua",
     ["rfsm.shared.order"] = "rfsm/shared/order.lua",
     ["rfsm.shared.stubs"] = "rfsm/shared/stubs.lua",

@@ -85,13 +85,13 @@ describe("the usage of rfsm", function()
     ["web"] = "Error: FILE or --attach expected",
     ["web x.lua --attach a"] = "Error: FILE or --attach expected",
     ["redis"] = "Error: a chart expected",
-    ["redis --ids 0 x"] = "Error: --ids: a whole number above 0 expected, got '0'",
+    ["redis --ids 0 x"] = "Error: --ids: whole number above 0 expected, got '0'",
     ["redis --ids 1000001 x"]
-      = "Error: --ids: a whole number above 0 expected, got '1000001'",
+      = "Error: --ids: whole number above 0 expected, got '1000001'",
     ["redis --history 1.5 x"]
-      = "Error: --history: a whole number above 0 expected, got '1.5'",
+      = "Error: --history: whole number above 0 expected, got '1.5'",
     ["postgres --ids-for x y"]
-      = "Error: --ids-for: a whole number above 0 expected, got 'x'",
+      = "Error: --ids-for: whole number above 0 expected, got 'x'",
     ["x.lua"] = "rfsm: 'x.lua' is no command. To step through that chart, type: rfsm "
       .. "sim x.lua",
   } do

@@ -644,7 +644,7 @@ describe("install", function()
         .. "below 0 expected, got inf",
       [{ allow_send = "yes" }] = "allow_send: boolean expected, got string 'yes'",
       [{ clock = 3 }] = "clock: function that returns seconds expected, got 3",
-      [{ fsm = lamp() }] = "fsm: initialised fsm expected, got table",
+      [{ fsm = lamp() }] = "fsm: initialised fsm expected, got state",
       [{ max_subscribers = 0 }] = "max_subscribers: whole number from 1 on expected, "
         .. "got 0",
       [{ max_datagram = 1e6 }] = "max_datagram: bytes from 1024 to 65507 expected, "

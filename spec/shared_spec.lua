@@ -7,6 +7,7 @@ local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
+local files = require "rfsm.shared.files"
 local helper = require "spec.helper"
 local options = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
@@ -42,6 +43,51 @@ describe("the text of arguments", function()
     assert.equal("1, nil, x, 2.5, false, nil",
       calls.text(", ", 1.0, nil, "x", 2.5, false, nil))
     assert.equal("", calls.text(", "))
+  end)
+end)
+
+describe("a text in one line", function()
+  it("has a list behind its colon, and other lines behind semicolons", function()
+    assert.equal("lost: a; b; c", calls.line("lost:\n  a\n  b\r\nc"))
+    assert.equal("one", calls.line("one"))
+  end)
+end)
+
+describe("a file", function()
+  local NAME = "/tmp/rfsm_shared_spec.txt"
+
+  after_each(function() os.remove(NAME) end)
+
+  it("is read as it was written", function()
+    local text = "a\r\n\0b"
+    assert.is_true(files.write(NAME, text))
+    assert.same({ text }, { files.read(NAME) })
+  end)
+
+  it("that cannot be read or written has a problem in one line", function()
+    local missing = "/nothing/x: No such file or directory"
+    assert.same({ nil, missing }, { files.read("/nothing/x") })
+    assert.same({ false, missing }, { files.write("/nothing/x", "") })
+    assert.same({ nil, "/tmp: Is a directory" }, { files.read("/tmp") })
+    assert.same({ false, "/dev/full: No space left on device" },
+      { files.write("/dev/full", "x") })
+  end)
+
+  it("is found as modules are, unless it is bytecode", function()
+    local path = package.path
+    package.path = "/nothing/?.lua;/tmp/?.lua;" .. path
+    finally(function() package.path = path end)
+    files.write(NAME, "x")
+    assert.equal("x", files.find("rfsm_shared_spec", ".txt"))
+    files.write(NAME, "\27Lua")
+    assert.is_nil(files.find("rfsm_shared_spec", ".txt"))
+    assert.matches("^%-%-%- Files", files.find("rfsm/shared/files"))
+  end)
+
+  it("of random bytes gives digits, others each time", function()
+    local one, other = files.random(4), files.random(4)
+    assert.matches("^" .. ("%x"):rep(8) .. "$", one)
+    assert.not_equal(one, other)
   end)
 end)
 
@@ -248,15 +294,18 @@ describe("options", function()
 
   it("name the package of a module that is missing", function()
     local text = "the package %s is missing (on Debian: apt-get install %s)"
-    assert.same({ nil, text:format("no.such", "lua-no") },
-      { options.find_package("no.such", "lua-no") })
-    assert.equal("rfsm.x: " .. text:format("no.such", "lua-no"),
-      select(2, pcall(options.need, "rfsm.x", "no.such", "lua-no")))
+    assert.same({ nil, text:format("none", "lua-none") },
+      { options.find_package("none") })
+    assert.same({ nil, text:format("none", "lua-none") },
+      { options.find_package("rfsm", "none") })
+    assert.same({ rfsm, advice }, { options.find_package("rfsm", "rfsm.advice") })
+    assert.equal("rfsm.x: " .. text:format("none", "lua-none"),
+      select(2, pcall(options.need, "rfsm.x", "none")))
     helper.with(package.loaded, { socket = "no table" }, function()
       assert.equal(text:format("luasocket", "lua-socket"),
-        select(2, options.find_package("socket", "lua-socket")))
+        select(2, options.find_package("socket")))
     end)
-    assert.equal(rfsm, options.need("rfsm.x", "rfsm", "lua-rfsm"))
+    assert.equal(rfsm, options.need("rfsm.x", "rfsm"))
   end)
 end)
 
@@ -370,5 +419,36 @@ describe("swapped fields", function()
     swap.give_back(swaps)
     assert.same(all, run())
     assert.equal(likely, fsm[2].likely)
+  end)
+end)
+
+describe("hooks that a tool adds", function()
+  it("are called where it says, and are gone when the swaps are given back", function()
+    local trace, swaps = {}, {}
+    local function note(text) return function() trace[#trace + 1] = text end end
+    local fsm = rfsm.init(state { info = false, warn = false, a = state {},
+      pre_step_hook = note "own", trans { src = "initial", tgt = "a" } })
+    swap.hook(swaps, fsm, "pre_step", note "first", "before")
+    swap.hook(swaps, fsm, "pre_step", note "last", "after")
+    swap.hook(swaps, fsm, "post_step", note "post")
+    swap.hook(swaps, fsm, "reset", note "reset")
+    rfsm.step(fsm)
+    rfsm.reset(fsm)
+    assert.same({ "first", "own", "last", "post", "reset" }, trace)
+    swap.give_back(swaps)
+    rfsm.step(fsm)
+    rfsm.reset(fsm)
+    assert.same({ "first", "own", "last", "post", "reset", "own" }, trace)
+    assert.same({}, swaps)
+  end)
+end)
+
+describe("a text loaded with globals", function()
+  it("has these and no others; a mistake is returned", function()
+    local globals = { x = 7 }
+    assert.same({ 7, nil }, { calls.load("y = x return x, print", "=t", globals)() })
+    assert.equal(7, globals.y)
+    assert.same({ nil, "t:1" }, { nil,
+      (select(2, calls.load("return return", "=t", {})):match("^t:1")) })
   end)
 end)

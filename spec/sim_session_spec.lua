@@ -478,8 +478,8 @@ history
 ]=], output = [=[
 at root.a(done)
 at root.work.one(done)
-! rfsm.snapshot: the snapshot holds what the chart lacks:
-  state root.work.one: the machine begins anew
+! rfsm.snapshot: the snapshot holds what the chart lacks: ]=] .. [=[
+state root.work.one: the machine begins anew
 at <none> e_init_fsm
 ]=] },
     { does = "keeps data", chart = working("one"), other = working("one", "d = "

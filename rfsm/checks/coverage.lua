@@ -94,7 +94,7 @@ end
 
 --- Return the record as JSON, for other runs and for pictures.
 function Coverage:json()
-  local dkjson, problem = opts.find_package("dkjson", "lua-dkjson")
+  local dkjson, problem = opts.find_package("dkjson")
   if not dkjson then error("rfsm_checks.coverage: " .. problem, 2) end
   return dkjson.encode({ states = self.states, transitions = self.transitions,
     guards = self.guards }, { indent = true, keyorder = rfsm.sorted_keys(self.states) })

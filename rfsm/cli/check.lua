@@ -5,6 +5,7 @@
 
 local chart = require "rfsm.shared.chart"
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 
 local concat = table.concat
@@ -59,7 +60,6 @@ local function report_difference(old, new)
   end
 end
 
--- Writes tests of one chart.
 local function write_tests(options, parser)
   local file = options.files[1]
   if options.files[2] then
@@ -67,9 +67,7 @@ local function write_tests(options, parser)
       .. #options.files)
   end
   local model = common.try(common.load_model(file, options.stub))
-  local old = options.output ~= "-" and io.open(options.output)
-  local old_text = old and old:read("*a")
-  if old then old:close() end
+  local old_text = options.output ~= "-" and files.read(options.output)
   local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
     model, options.callbacks, options.output, old_text)
   common.write(options.output, text)

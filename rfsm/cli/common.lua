@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
-local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 
 local concat = table.concat
@@ -28,8 +28,7 @@ local function set_streams(printer, out, err, default)
   io.output(default)
 end
 
--- Calls f(...) while `print`, stdout and stderr are `stream`. Returns the results of
--- pcall.
+-- Calls f(...) as pcall does, while `print`, stdout and stderr are `stream`.
 function common.with_streams(stream, f, ...)
   local printer, out, err, default = rawget(_G, "print"), io.stdout, io.stderr,
     io.output()
@@ -88,15 +87,11 @@ end
 -- Ends the program with status 2 if a file cannot be read.
 function common.check_readable(file)
   if file == "-" then return end
-  local handle, problem = io.open(file)
-  if not handle then common.fail(problem, 2) end
-  local text, why = handle:read(1) -- a directory opens, too
-  if not text and why then common.fail(file .. ": " .. why, 2) end
-  handle:close()
+  local text, problem = files.read(file)
+  if not text then common.fail(problem, 2) end
 end
 
--- Returns the model in a file, its warnings, and where it comes from; nil and the
--- problem in one line.
+-- As chart.load; output goes to stderr.
 function common.load_model(file, has_stubs)
   return select(2, common.with_streams(io.stderr, chart.load, file, has_stubs))
 end
@@ -130,35 +125,28 @@ function common.add_number(command, names, description, is_right, expected)
   end)
 end
 
--- Returns the number in the text of an option; nil if there is none.
-function common.number_of(parser, name, text)
-  local number = tonumber(text)
-  if text and not (number and number >= 1 and number % 1 == 0 and number <= 1e6) then
-    parser:error(("--%s: a whole number above 0 expected, got '%s'"):format(name, text))
-  end
-  return number
-end
-
 -- Libraries of charts ---------------------------------------------------------
 
 common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives another "
   .. "one. Of charts with one name the last is the newest."
 
+common.is_size = opts.is_whole(1, 1e6) -- of a list in a server
+
 -- Adds the charts of a library, and how long it knows ids of events.
 function common.add_charts(command)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE")
-  command:option("--ids", "keep so many ids of events of each machine, default 16; "
-    .. "with --ids-for 1000"):argname("N")
-  command:option("--ids-for", "keep ids of events for so many seconds"):argname("S")
+  common.add_number(command, "--ids", "keep so many ids of events of each machine, "
+    .. "default 16; with --ids-for 1000", common.is_size)
+  common.add_number(command, "--ids-for", "keep ids of events for so many seconds",
+    common.is_size):argname("S")
 end
 
 -- Returns the text of a library, bundle(files, settings), or ends the program with
 -- what is wrong with a chart, in one line.
 function common.library_of(bundle, options, parser, settings)
   if not options.files[1] then parser:error("a chart expected") end
-  settings.ids = common.number_of(parser, "ids", options.ids)
-  settings.ids_for = common.number_of(parser, "ids-for", options.ids_for)
+  settings.ids, settings.ids_for = options.ids, options.ids_for
   local ok, text, warnings = common.with_streams(io.stderr, bundle, options.files,
     settings)
   if not ok then common.fail(chart.first_line(text)) end
@@ -178,7 +166,7 @@ function common.write(file, text)
     if ok then ok, problem = io.stdout:flush() end
     problem = problem and "stdout: " .. problem
   else
-    ok, problem = diagram.write(file, text)
+    ok, problem = files.write(file, text)
   end
   if not ok then common.fail(problem) end
 end
@@ -200,7 +188,6 @@ end
 
 local PROTO_PORT = 44044 -- of rfsm.proto
 
--- Returns host and port of "HOST:PORT" or "HOST".
 function common.address_of(parser, text)
   local host, port = text:match("^(.*):(%d+)$")
   port = tonumber(port or not text:find(":", 1, true) and PROTO_PORT)

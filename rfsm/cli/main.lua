@@ -34,7 +34,6 @@ local function prepare(parser)
   parser:flag("-v --version", "print the version and end"):action(print_version)
 end
 
--- Prints the list of commands, or the help of one.
 local function print_help(parser, parsers, argv)
   local command = argv[2] and parsers[argv[2]]
   if argv[2] and not command then
@@ -53,11 +52,9 @@ local function refuse_file(commands, name)
   os.exit(2)
 end
 
---- Run a command.
----@param argv string[] the command line without the name of the program
----@return integer status for the shell
+--- Run a command line, without the name of the program; return its status.
 function cli.main(argv)
-  local argparse, problem = opts.find_package("argparse", "lua-argparse")
+  local argparse, problem = opts.find_package("argparse")
   if not argparse then
     io.stderr:write("rfsm: ", problem, "\n")
     os.exit(1)

@@ -16,7 +16,8 @@ function redis.add_arguments(command)
   command:option("-o --output", "file to write; - is stdout"):argname("FILE")
   command:option("-l --load", "load the library into this server"):argname("URL")
   command:flag("--index", "machines can be found by their state")
-  command:option("--history", "keep so many moves of each machine"):argname("N")
+  common.add_number(command, "--history", "keep so many moves of each machine",
+    common.is_size)
   command:flag("--diff", "report what a new version means for machines in each state: "
     .. "of charts with one name, the last and the one before")
   command:option("--stats", "print the numbers of machines in this server, as "
@@ -52,8 +53,7 @@ function redis.run(options, parser)
   end
   if options.diff then return compare(options.files) and 0 or 1 end
   local text = common.library_of(require("rfsm.redis").bundle, options, parser,
-    { index = options.index,
-      history = common.number_of(parser, "history", options.history) })
+    { index = options.index, history = options.history })
   if options.load then common.try(connect(options.load):load(text)) end
   if options.output or not options.load then
     common.write(options.output or "-", text)

@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 
 local concat = table.concat
 
@@ -33,11 +34,9 @@ function viz.add_arguments(command)
     :choices { "TB", "LR" }
 end
 
--- Returns the JSON values in a file.
 local function read_values(file)
-  local handle = common.try(io.open(file, "rb"))
-  local ok, values = pcall(require("rfsm.json").decode_all, handle:read("*a") or "")
-  handle:close()
+  local text = common.try(files.read(file))
+  local ok, values = pcall(require("rfsm.json").decode_all, text)
   if not ok then common.fail(file .. ": " .. values) end
   return values
 end
@@ -57,7 +56,6 @@ local function read_trace(file)
     or values
 end
 
--- Returns the format that the options ask for.
 local function format_of(options, parser)
   local file = options.output
   local ending = (file:match("%.(%w+)$") or ""):lower()

@@ -42,7 +42,6 @@ end
 local GAP, START, CHANNEL, PASS, TRACKS, CHARACTER, LINE = 35, 18, 20, 30, 60, 5.5, 14
 local PITCH = 8 -- between tracks
 
--- Returns the width of the widest label in a level, about.
 local function label_width(level)
   local most = 0
   for _, link in ipairs(level.links) do
@@ -96,8 +95,7 @@ local function deal(lengths, count)
   return fill(lengths, most), most
 end
 
--- Returns how many arrows lead from column to column, and how many times these run
--- beside other nodes in a column.
+-- Counts the arrows from column to column, and the nodes in columns that these pass.
 local function crossing_of(level, numbers)
   local crossing, passing = 0, 0
   for _, link in ipairs(level.links) do
@@ -116,7 +114,6 @@ local MOST = 6 -- arrows between columns, for each channel
 
 --- Return the number of the column for each node of a level, nil if columns do not fit:
 -- if too many arrows would lead from one to the other.
----@return integer[]? numbers
 function columns.plan(level)
   local across, direction, label = 0, level.direction, label_width(level)
   for _, box in ipairs(level.boxes) do
@@ -138,9 +135,8 @@ function columns.plan(level)
   return best
 end
 
---- Put the nodes of a level into columns.
----@param numbers integer[] of the columns
----@return rfsm.pictures.Level[] levels those of the columns
+--- Put the nodes of a level into columns, of which each node has the number; return the
+-- levels of the columns.
 function columns.split(chart, level, numbers)
   local composite, nodes, levels = level.composite, {}, {}
   for i, node in ipairs(composite.nodes) do
@@ -233,7 +229,6 @@ local function place_header(grid, header)
   return from > 0
 end
 
--- Returns a point in the level.
 local function point_at(grid, u, v)
   if grid.direction == "TB" then return { u, grid.along - v } end
   return { v, grid.across - u }
@@ -271,8 +266,8 @@ local function corners_of(grid, link)
     at(tgt, top) }
 end
 
---- Place the columns of a level, and the arrows between them.
----@param header? rfsm.pictures.Box size of name and rows
+--- Place the columns of a level, and the arrows between them; `header` is the size of
+-- its name and rows.
 function columns.arrange(level, header)
   local grid = new_grid(level)
   local is_beside = place_header(grid, header)

@@ -8,12 +8,12 @@
 -- @license BSD-3-Clause
 
 local advice = require "rfsm.advice"
+local files = require "rfsm.shared.files"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall, rawget = error, ipairs, pcall, rawget
-local io = rawget(_G, "io") -- absent in a browser
 local rawset, select = rawset, select
 local tonumber, tostring, type = tonumber, tostring, type
 local concat, max = table.concat, math.max
@@ -84,8 +84,7 @@ local diagram = {}
 
 -- Text ------------------------------------------------------------------------
 
---- Return an identifier that nothing else in the drawing has.
----@param plain string letters, digits and underscores
+--- Return an identifier that nothing else in the drawing has, `plain` or nearly so.
 function diagram.new_id(chart, plain)
   local id, count = plain, 1
   while chart.taken[id] do
@@ -146,8 +145,8 @@ local function add_line(lines, line, width, can_join)
   for i, word in ipairs(words_in(line)) do add_word(lines, word, width, i > 1) end
 end
 
---- Return texts in short lines. One that is short goes on in the line before it.
----@param width integer characters
+--- Return texts in lines of at most `width` characters. One that is short goes on in
+-- the line before it.
 function diagram.wrap(texts, width)
   local lines = {}
   for _, text in ipairs(texts) do
@@ -163,13 +162,11 @@ end
 -- Descriptions: what pictures and pages read in them --------------------------
 
 --- List what is in a node of a description: its nodes, or its regions.
----@return rfsm.marsh.Node[]
 function diagram.members(tab) return tab.regions or tab.subnodes or {} end
 
 local members = diagram.members
 
 --- Return the kind of a node in a description.
----@return "leaf"|"composite"|"connector"|"initial"
 function diagram.kind_of(tab)
   if tab.type ~= "state" then return tab.id == "initial" and tab.id or "connector" end
   return members(tab)[1] and "composite" or "leaf"
@@ -182,11 +179,8 @@ end
 
 local is_state = diagram.is_state
 
---- Call f(tr, key, words) for each transition in a description; `words` are its events
--- for a reader.
----@param text_of fun(event: any): string
----@param f fun(tr: rfsm.marsh.Transition, key: string, words: string[])
----@param fqn? string of `tab`, default "root"
+--- Call f(tr, key, words) for each transition in a description, whose FQN is "root" if
+-- none is given; `words` are its events for a reader.
 function diagram.each_transition(tab, text_of, f, fqn)
   fqn = fqn or "root"
   for i, tr in ipairs(tab.transitions or {}) do
@@ -256,8 +250,8 @@ local function find_node(chart, fqn)
   return chart.by_fqn[fqn]
 end
 
---- Return the innermost composite that has both ends of an arrow in it.
----@return rfsm.pictures.Node? home nil if one is the root
+--- Return the innermost composite that has both ends of an arrow in it; nil if one of
+-- them is the root.
 function diagram.find_home(src, tgt)
   local home = src.parent
   while home and not is_inside(tgt, home) do home = home.parent end
@@ -402,8 +396,6 @@ end
 
 --- Read a machine or a description for the public function `where`, whose caller is
 -- blamed for errors.
----@param source rfsm.Machine|rfsm.marsh.Node
----@param options? rfsm.pictures.Options|string
 function diagram.read(source, where, options)
   local is_read = is_description(source)
   if not is_read then rfsm.check_machine(source, where, 4) end
@@ -435,28 +427,13 @@ function diagram.add(lines, depth, text)
   lines[#lines + 1] = ("  "):rep(depth) .. text
 end
 
---- Write a text to a file.
----@return boolean is_written
----@return string? problem in one line
-function diagram.write(file, text)
-  local handle, problem = io.open(file, "wb")
-  if not handle then return false, problem end
-  local is_written, why = handle:write(text)
-  local is_closed, why_not = handle:close()
-  if is_written and is_closed then return true end
-  return false, file .. ": " .. (why or why_not)
-end
-
 --- The module of a language. Both functions take an initialised fsm, or a description;
 -- options that are a string are the title.
 ---@class rfsm.pictures.Exporter
 ---@field encode fun(fsm: rfsm.Machine, opts?: rfsm.pictures.Options|string): string
 ---@field save fun(fsm: rfsm.Machine, file: string, opts?: rfsm.pictures.Options|string)
 
---- Make the module of a language.
----@param name string of the module
----@param global string its older name
----@param draw fun(chart: rfsm.pictures.Chart): string
+--- Make the module of a language; `global` is its older name.
 function diagram.exporter(name, global, draw)
   local exporter = {}
 
@@ -470,7 +447,7 @@ function diagram.exporter(name, global, draw)
     if type(file) ~= "string" then
       error(where .. "file name expected, got " .. type(file), 2)
     end
-    local ok, problem = diagram.write(file, draw(chart))
+    local ok, problem = files.write(file, draw(chart))
     if not ok then error(where .. problem, 2) end
   end
 

@@ -37,8 +37,7 @@ local function across(level, point)
   return level.direction == "TB" and point[1] or -point[2]
 end
 
--- Lists the sides of frames at which lines end: each has `level`, `is_upper`, `length`
--- and the ends.
+-- Lists the sides of frames at which lines end, each with these ends.
 local function sides_of(level)
   local list, by_key = {}, {}
   each_end(level, function(finish, point, middle, is_upper)
@@ -143,9 +142,8 @@ local function mend_loops(level)
   return has_mended
 end
 
---- Find ends of lines that should be elsewhere, and say where.
----@param level rfsm.pictures.Level laid out
----@return boolean has_mended then it must be laid out again
+--- Find ends of lines that should be elsewhere in a level that is laid out, and say
+-- where; return if it must be laid out again.
 function ends.mend(level) return mend_frames(level) or mend_loops(level) end
 
 return ends

@@ -154,8 +154,7 @@ local function targets_in(level)
   return is_target
 end
 
--- Puts a composite in a column, and what no arrow there leads to, below what is before;
--- composites in one line.
+-- Puts a composite in a column, and what no arrow there leads to, below what is before.
 local function add_stack(lines, level)
   local is_target, before = targets_in(level), nil
   for i, node in ipairs(level.composite.nodes) do
@@ -344,7 +343,6 @@ end
 
 local MARGIN = 10 -- points between a frame and what is in it
 
--- Gives a gate its position at the frame.
 local function place_gate(level, gate)
   local x, y = gate.at[1] + level.x, gate.at[2] + level.y
   if level.direction == "TB" then
@@ -371,9 +369,7 @@ function graphs.measure(level)
   if is_centred then level.header.x = level.inner_width / 2 end
 end
 
---- Have Graphviz lay out levels.
----@param list rfsm.pictures.Level[]
----@return string? problem
+--- Have Graphviz lay out levels; return a problem if there is one.
 function graphs.lay_out(list, run)
   local texts = {}
   for i, level in ipairs(list) do texts[i] = graph_of(level) end
@@ -387,10 +383,7 @@ function graphs.lay_out(list, run)
   end
 end
 
---- Have Graphviz measure texts.
----@param labels string[] in its language
----@return rfsm.pictures.Box[]? boxes
----@return string? problem
+--- Have Graphviz measure labels; return their boxes, or nil and the problem.
 function graphs.sizes_of(labels, run)
   local lines = { "digraph {", looks.head("TB"), '  node [shape=plain, style=""]' }
   for i, label in ipairs(labels) do add(lines, 1, ("n%d [%s]"):format(i, label)) end

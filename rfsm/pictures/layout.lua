@@ -35,7 +35,6 @@ end
 
 -- Lines: the links of an arrow, joined ----------------------------------------
 
--- Returns the line from one leg of an arch to the other, around the label.
 local function arch_line(box, from, to, direction)
   if direction == "TB" then
     local top = box.y + box.height / 2
@@ -99,9 +98,7 @@ local function add_arrow(texts, arrow, chart)
       looks.arrow_label(arrow)) or ""))
 end
 
---- Return the graph of a chart, with positions.
----@return string? graph
----@return string? problem
+--- Return the graph of a chart, with positions; nil and the problem if there is one.
 function layout.draw(chart, run)
   local root = chart.root
   root.name = chart.title or root.name

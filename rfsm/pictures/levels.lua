@@ -26,7 +26,6 @@ local function step_of(link)
   return max(LEAST, link.level.direction == "TB" and box.height + 4 or box.width + 10)
 end
 
--- Makes room for a loop at its node.
 local function add_loop(link)
   local node, box = link.upper.node, link.arrow.label_box
   local is_down, room = link.level.direction == "TB",
@@ -38,8 +37,7 @@ local function add_loop(link)
     .. looks.number_text(max(is_down and 0.4 or 0.75, room.length / 72))
 end
 
--- Has Graphviz measure labels: those of arrows, and name and rows of levels. Each gets
--- the size as its `label_box`.
+-- Gives arrows and levels the size of their labels as `label_box`.
 local function measure_labels(owners, run)
   local labels = {}
   for i, owner in ipairs(owners) do
@@ -52,7 +50,6 @@ local function measure_labels(owners, run)
   return problem
 end
 
--- Makes room for all loops.
 local function find_loops(chart, run)
   local list = {}
   for _, arrow in ipairs(chart.all) do
@@ -127,7 +124,6 @@ local function is_misfit(chart, level)
   return composite == chart.root or level.height > TALLEST or level.width > WIDEST
 end
 
--- Puts levels into columns.
 local function divide(chart, list, run)
   local parts, owners = {}, {}
   for _, level in ipairs(list) do
@@ -161,8 +157,7 @@ local function swap(link)
   if link.head then link.head = link.head == "upper" and "lower" or "upper" end
 end
 
--- Returns the links of each leaf of a level that is linked to one other node only, by
--- that node.
+-- Returns the links of leaves that are linked to one other node only, by that node.
 local function rays_of(level)
   local hub_of, links_of, rays, hubs = {}, {}, {}, {}
   for _, link in ipairs(level.links) do
@@ -290,8 +285,7 @@ local function levels_by_height(chart)
   return list
 end
 
---- Lay out all levels of a chart.
----@return string? problem
+--- Lay out all levels of a chart; return a problem if there is one.
 function levels.lay_out(chart, run)
   links.prepare(chart)
   local problem = find_loops(chart, run)

@@ -13,7 +13,6 @@ local function between(a, b, share)
   return { a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share }
 end
 
--- Adds a straight part up to a point.
 local function add_straight(line, point)
   local last = line[#line]
   if last and distance(last, point) < 0.01 then return end
@@ -27,8 +26,8 @@ end
 local NEAR = 3 -- points: gates of a box are where Graphviz has room for a port
 
 --- Add a line to the end of another one, which may have no points yet. It begins where
--- that one ends if it is near, so that there is no bend at a gate.
----@param axis 1|2 across the direction
+-- that one ends if it is near, so that there is no bend at a gate; `axis` (1 or 2) is
+-- across the direction.
 function lines.join(line, more, axis)
   local last = line[#line]
   local shift = last and last[axis] - more[1][axis] or 0

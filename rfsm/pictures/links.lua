@@ -171,7 +171,6 @@ local function arch_links(chart, arrow, composite)
   return append(list, legs)
 end
 
--- Returns the links of an arrow, from its source to its target.
 local function links_of(chart, arrow)
   local home = arrow.home or chart.top
   local src, tgt = child_in(arrow.src, home), child_in(arrow.tgt, home)

@@ -102,7 +102,6 @@ local LOOKS = {
   traced = ', color="#D55E00", penwidth=2',
 }
 
--- Returns class and look of a state or an arrow.
 local function look_of(element, kind)
   return ('class="%s%s%s%s"%s%s'):format(kind, element.is_region and " region" or "",
     element.mode and " " .. element.mode or "",
@@ -132,8 +131,7 @@ function looks.frame_text(node)
 end
 
 --- Add a node, and those in it; a composite is a cluster, unless it is a column.
----@param position_of? fun(node: rfsm.pictures.Node): string attributes
----@param add_labels? fun(lines: string[], depth: integer, node: rfsm.pictures.Node)
+-- `position_of(node)` returns attributes, `add_labels(lines, depth, node)` adds lines.
 function looks.add_node(lines, depth, node, position_of, add_labels)
   local function add_members(inner)
     for _, subnode in ipairs(node.nodes) do

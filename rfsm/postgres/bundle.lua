@@ -68,13 +68,8 @@ end
 ---@field ids? integer as in `rfsm.server.Options`
 ---@field ids_for? integer likewise
 
---- Return the library that runs at a table of PostgreSQL.
--- @raise if a chart has a problem, in one line
----@param arguments string[] see `rfsm.redis.name_of`; a later one of a name is newer
----@param options rfsm.postgres.Options
----@return string text of Lua
----@return string[] warnings
----@nodiscard
+--- Return the library that runs at a table of PostgreSQL, and a list of warnings, for
+-- charts as `rfsm.redis.bundle` takes them. Raises an error as that does.
 function bundle.library(arguments, options)
   local text, warnings = redis.bundle(arguments, { server = "PostgreSQL", history = 1,
     ids = options.ids, ids_for = options.ids_for })
@@ -88,18 +83,10 @@ local function schema_of(functions, options)
 end
 
 --- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
----@param options? rfsm.postgres.Options
----@return string text
----@nodiscard
 function bundle.tables(options) return schema_of("", options or {}) end
 
---- Return SQL that makes the schema `rfsm`, or gives it other charts.
--- @raise as `library`
----@param arguments string[]
----@param options? rfsm.postgres.Options
----@return string text
----@return string[] warnings
----@nodiscard
+--- Return SQL that makes the schema `rfsm`, or gives it other charts, and a list of
+-- warnings. Raises an error as `library`.
 function bundle.sql(arguments, options)
   options = options or {}
   local library, warnings = bundle.library(arguments, options)

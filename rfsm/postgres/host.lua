@@ -121,8 +121,7 @@ local function in_sql(text)
     :gsub("^ERR ", ""))
 end
 
--- Writes a row; `view` is what rfsm_get shows of it. Returns false if a new one is
--- there already.
+-- Writes a row, of which `view` is what rfsm_get shows; false if a new one is there.
 local function save(server, row, view)
   local execute, fields = row.execute or server.execute, {}
   for i = 1, #view, 2 do fields[view[i]] = view[i + 1] end
@@ -140,11 +139,10 @@ local function save(server, row, view)
   return true
 end
 
---- Return what a library needs of Redis, and the function that calls it.
+--- Return what a library needs of Redis: the globals `redis`, `cjson`, `cmsgpack`; and
+-- a function `answer(name, key, args, found)` that calls a function for the machine at
+-- a key. `found` has what was read before, and `execute`.
 ---@param server rfsm.postgres.Server
----@return table globals `redis`, `cjson`, `cmsgpack`
----@return function answer `answer(name, key, args, found)` calls a function for the
---- machine at a key; `found` has what was read before, and `execute`
 function host.new(server)
   local functions, row, json = {}, nil, server.json
   local commands = new_commands(server, function() return row end)

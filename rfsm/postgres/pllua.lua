@@ -11,7 +11,6 @@ local math_type, unpack = rawget(math, "type"), rawget(table, "unpack")
 local NEWEST = "SELECT obj_description('rfsm.call'::regproc, 'pg_proc') AS library"
 local CALL = "SELECT rfsm.call($1, $2, $3, $4) AS reply"
 
--- Returns a function that executes statements.
 local function executor(spi, statements)
   local prepared = {}
   return function(name, ...)
@@ -56,13 +55,8 @@ local function new_json(pgtype)
   return json
 end
 
---- Return what a library needs of Redis, and the function `rfsm.call`.
----@param host table `rfsm.postgres.host`
----@param spi table
----@param pgtype table
----@param id string of the library
----@return table globals
----@return fun(name: string, key: string, args: any, id: string?): string[]? answer
+--- Return what a library needs of Redis, and the function `rfsm.call`. `host` is
+-- `rfsm.postgres.host`, `id` that of the library.
 return function(host, spi, pgtype, id)
   local newest, call, given
   local server = { execute = executor(spi, host.STATEMENTS), log = spi.elog,

@@ -34,7 +34,6 @@ local function beat(client)
 end
 
 --- Return the next message, if one comes within some seconds.
----@return table? message
 function Client:receive(seconds)
   beat(self)
   self.udp:settimeout(seconds)
@@ -49,12 +48,9 @@ end
 
 function Client:close() self.udp:close() end
 
---- Call the handler of a message, if there is one and the message is about a machine
--- that is followed.
----@param handlers table<string, fun(target: table, message: table)> by type of message
----@param target { number: integer } the first argument of handlers; which machine
----@param message table
----@return string? problem if the message cannot be read
+--- Call the handler for the type of a message as f(target, message), if there is one
+-- and the message is about the machine `target.number`; return a problem if the message
+-- cannot be read.
 function subscriber.handle(handlers, target, message)
   local handler = handlers[message.type]
   if not handler or (message.fsm or target.number) ~= target.number then return nil end
@@ -62,17 +58,11 @@ function subscriber.handle(handlers, target, message)
   return "unreadable message '" .. message.type .. "'"
 end
 
---- Make a client of a host.
----@param host string
----@param port integer
----@return rfsm.proto.Client? client
----@return string? problem in one line
----@param has_path? boolean ask for the paths that are taken
+--- Make a client of a host, which asks for the paths that are taken if `has_path`; nil
+-- and the problem if there is one.
 function subscriber.connect(host, port, has_path)
-  local socket, problem = opts.find_package("socket", "lua-socket")
-  if not socket then return nil, problem end
-  local json, missing = opts.find_package("dkjson", "lua-dkjson")
-  if not json then return nil, missing end
+  local socket, json = opts.find_package("socket", "dkjson")
+  if not socket then return nil, json end
   local udp = (socket.udp4 or socket.udp)()
   local is_set, why = udp:setpeername(host, port)
   if not is_set then return nil, ("%s: %s"):format(host, why) end

@@ -7,6 +7,7 @@
 -- @module rfsm.record.lines
 -- @license BSD-3-Clause
 
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local tracks = require "rfsm.record.track"
@@ -46,7 +47,6 @@ end
 
 local function list_or_nil(list) return list[1] ~= nil and list or nil end
 
--- Returns the whole record of a short one.
 local function lengthen(short, before)
   local rec = {}
   for key, value in pairs(short) do rec[key] = value end -- any order: a copy
@@ -66,7 +66,7 @@ end
 local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got",
   "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions" }
 
-local function json() return opts.need("rfsm.record", "dkjson", "lua-dkjson") end
+local function json() return opts.need("rfsm.record", "dkjson") end
 
 --- Return a record as a line of JSON.
 function lines.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
@@ -180,7 +180,6 @@ local function add_line(runs, line, number)
   runs.problem = nil
 end
 
--- Lists the runs in a text.
 local function split(text)
   local runs, number = {}, 0
   for line in (text .. "\n"):gmatch("(.-)\r?\n") do
@@ -191,7 +190,6 @@ local function split(text)
   return runs
 end
 
--- Returns the whole records of a run.
 local function expand(run)
   local header, before, list = run[1], {}, {}
   for i, rec in ipairs(run) do
@@ -209,14 +207,11 @@ local function expand(run)
   return list
 end
 
---- Return the records of a run in a file.
--- @raise if the file cannot be read, a line is no record, or there is no such run
----@param number? integer of the run; the last one if it is absent
+--- Return the records of a run in a file, the last one if there is no number. Raises an
+-- error if the file cannot be read, a line is no record, or there is no such run.
 function lines.read(name, number)
-  local file, problem = io.open(name, "rb")
-  if not file then error(problem, 0) end
-  local text = file:read("*a") or ""
-  file:close()
+  local text, problem = files.read(name)
+  if not text then error(problem, 0) end
   local runs = split(text)
   local run = runs[number or #runs]
   if not run then

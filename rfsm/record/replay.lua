@@ -90,7 +90,6 @@ local function begin_again(session, track, events)
   if rec.reset and session.is_dry then rfsm.reset(track.fsm) end
 end
 
--- Returns data for a reader.
 local function data_text(value)
   if value == nil or rawequal(value, plain.NIL) then return "nothing" end
   if type(value) == "string" then return ("'%s'"):format(value) end
@@ -164,8 +163,7 @@ local function finish_again(session, track)
   if track.m == nil and not session.problem then session.at = session.at + 1 end
 end
 
--- Returns the recorded result of a guard; with `is_called` the guard is called, and its
--- result compared.
+-- Returns the recorded result of a guard; with `is_called` that of now is compared.
 local function answer_again(session, track, is_called, number, guard, tr, events)
   if not track.rec then return guard(tr, events) end
   local list, at = track.rec.guards or {}, track.guard_at + 1
@@ -195,8 +193,7 @@ local function doo_again(session, track)
   end
 end
 
--- Returns the present numbers of guards by their numbers in the recording, for a chart
--- that has changed.
+-- Returns the present numbers of guards by those then: the chart may have changed.
 local function numbers_of(track, session)
   local now, numbers = {}, {}
   local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
@@ -273,7 +270,6 @@ end
 
 local function itself(snap) return snap end
 
--- Makes a machine in the state of the header.
 local function begin(session, model, header, options)
   local fsm, problem = rfsm.init(session.is_dry and quiet(model) or model)
   if not fsm then
@@ -292,7 +288,6 @@ local function begin(session, model, header, options)
   session.fsm, session.problem = ok and fsm or nil, problem
 end
 
--- Advances the machine, and takes a snapshot at the end of the recording.
 local function go_through(session)
   run(session, session.tracks[1])
   if session.problem then return end
@@ -300,8 +295,8 @@ local function go_through(session)
   if ok then session.snap = snap else session.unsaved = text_of(snap) end
 end
 
---- Run a machine through a recording, which was checked.
----@return rfsm.record.Session session with a machine, a snapshot of it, or a problem
+--- Run a machine through a recording, which was checked; the session has the machine, a
+-- snapshot of it, or a problem.
 return function(model, recording, options)
   local session = new_session(recording, options)
   begin(session, model, recording[1], options)

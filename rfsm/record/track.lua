@@ -149,7 +149,6 @@ function track.wrap(own)
   if rawget(fsm, "getevents") then wrap(own, "getevents", own.getevents) end
 end
 
--- Replaces the guards of a machine.
 local function replace_guards(own)
   for number, tr in ipairs(rfsm.elements(own.fsm, rfsm.is_trans)) do
     local guard = tr.guard
@@ -161,9 +160,8 @@ local function replace_guards(own)
   end
 end
 
---- Return the numbers and texts of the guards of a machine and its regions, nil if it
--- has none.
----@return any[]? texts a list for each machine: number, text, number, text ...
+--- Return the guards of a machine and its regions, nil if there are none: for each
+-- machine a list { number, text, number, text ... }.
 function track.guard_texts(fsm)
   local lists, has_some = {}, false
   for i, at in ipairs(rfsm.machines(fsm)) do
@@ -188,9 +186,9 @@ function track.attach(fsm, add, ...)
     add(own, ...)
     track.wrap(own)
     replace_guards(own)
-    rfsm.pre_step_hook_add(machine, rfsm.borrows(own.begin), "before")
-    rfsm.post_step_hook_add(machine, rfsm.borrows(own.finish), "before")
-    rfsm.reset_hook_add(machine, own.reset)
+    swap.hook(own.swaps, machine, "pre_step", own.begin, "before")
+    swap.hook(own.swaps, machine, "post_step", own.finish, "before")
+    swap.hook(own.swaps, machine, "reset", own.reset)
     tracks[i] = own
   end
   return tracks
@@ -198,12 +196,7 @@ end
 
 --- Leave the machines as they were.
 function track.detach(tracks)
-  for _, own in ipairs(tracks) do
-    swap.give_back(own.swaps)
-    rfsm.pre_step_hook_rm(own.fsm, own.begin)
-    rfsm.post_step_hook_rm(own.fsm, own.finish)
-    rfsm.reset_hook_rm(own.fsm, own.reset)
-  end
+  for _, own in ipairs(tracks) do swap.give_back(own.swaps) end
 end
 
 return track

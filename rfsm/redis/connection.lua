@@ -18,7 +18,7 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local connection = {}
 
-local function need(name) return opts.need("rfsm.fleet", name, "lua-" .. name) end
+local function need(name) return opts.need("rfsm.fleet", name) end
 
 -- Addresses -----------------------------------------------------------------------
 
@@ -28,9 +28,7 @@ local function unescaped(text)
   end))
 end
 
---- Return what is in a URL such as rediss://user:password@host:6380/1.
----@param url string
----@return table? settings nil if it is none
+--- Return what is in a URL such as rediss://user:password@host:6380/1; else nil.
 function connection.parse(url)
   local scheme, rest = url:match("^(rediss?)://(.*)$")
   local user, password, place = (rest or ""):match("^([^:@/]*):([^@/]*)@(.*)$")
@@ -86,7 +84,6 @@ local function secured(self, socket)
   error("TLS: " .. tostring(problem), 0)
 end
 
--- Returns a connection that is authenticated and has its database.
 local function open(self, host, port)
   local socket, settings = need("socket").tcp(), self.settings
   socket:settimeout(self.options.timeout)
@@ -150,11 +147,8 @@ end
 
 -- All nodes -----------------------------------------------------------------------
 
---- Connect.
--- @raise if there is no server, or a URL is wrong
----@param urls string|string[] the others are tried if the first is lost
----@param options table
----@return rfsm.redis.Connection
+--- Connect to the server of a URL; of several the others are tried if the first is
+-- lost. Raises an error if there is no server, or a URL is wrong.
 function connection.connect(urls, options)
   local self = setmetatable({ settings = false, options = options, seeds = {},
     nodes = {}, node_of = {} }, Connection)
@@ -183,8 +177,8 @@ local function sleep(seconds) need("socket").sleep(seconds) end
 
 local function time() return need("socket").gettime() end
 
--- Returns the address to ask after an error, and whether it is asked once only; nil if
--- the error is for the caller.
+-- Returns the address to ask after an error (false: any other one; nil: none), and
+-- whether it is asked once only.
 local function redirected(self, tag, address, text)
   local kind, host, port = text:match("^(%u+) %d+ ([^ ]*):(%d+)$")
   if kind == "MOVED" or kind == "ASK" then
@@ -211,12 +205,7 @@ local function ask(self, address, is_asked, name, ...)
 end
 
 --- Send a command to the node that has the keys of a hash tag. It is sent again, for
--- `patience` seconds, while that is not to be reached.
--- @raise the error of the server
----@param tag string
----@param name string
----@param ... any
----@return any reply
+-- `patience` seconds, while that is not to be reached. Raises the error of the server.
 function Connection:call(tag, name, ...)
   local address, is_asked = self.node_of[tag] or self.seeds[1], false
   local started, tries, seed = time(), 0, 1
@@ -251,7 +240,6 @@ local function request(...)
   return concat(parts)
 end
 
--- Reads one reply.
 local function read(client)
   commands.READ = commands.READ or need("redis").command("READ",
     { request = function() end })
@@ -280,11 +268,8 @@ local function ask_at_once(self, address, calls)
   return replies
 end
 
---- Send commands to the nodes of several hash tags, all at once. Each may come twice.
--- @raise the error of the server
----@param tags string[]
----@param calls any[][] one for each tag: a command and its arguments
----@return any[] replies
+--- Send calls, each { command, argument ... }, to the nodes of as many hash tags, all
+-- at once; return the replies. A call may come twice. Raises the error of the server.
 function Connection:call_all(tags, calls)
   local by_address, replies = {}, {}
   for i, tag in ipairs(tags) do
@@ -304,10 +289,8 @@ function Connection:call_all(tags, calls)
   return replies
 end
 
---- Open a further connection to the node that has a hash tag.
----@param tag string
----@return table client
----@return fun(name: string, ...): any command
+--- Open a further connection to the node that has a hash tag; return the client, and a
+-- function that sends it a command.
 function Connection:open_for(tag)
   local host, port = (self.node_of[tag] or self.seeds[1]):match("^(.*):(%d+)$")
   local client = open(self, host, tonumber(port))
@@ -316,7 +299,6 @@ function Connection:open_for(tag)
 end
 
 --- Call `f(call)` for the server, or each node of the cluster that takes writes.
----@param f fun(call: fun(name: string, ...): any)
 function Connection:each_master(f)
   local _, address = next(self.node_of)
   local ok, text = ask(self, address or self.seeds[1], false, "CLUSTER", "NODES")

@@ -188,8 +188,7 @@ end
 
 local make_ready
 
--- Enters the machine. Events that wait in ports stay there: the entry would not name
--- them.
+-- Events that wait in ports stay there: the entry would not name them.
 local function enter(launch, fsm)
   if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
   local getevents = rawget(fsm, "getevents")
@@ -280,13 +279,11 @@ end
 
 -- Launch -------------------------------------------------------------------------
 
--- Runs a file or a text, if there is one.
 local function run(load, source, name)
   if source then assert(load(source, name))() end
 end
 
--- Adds the ports to which the machine writes, and their functions. Returns the one that
--- writes the FQN.
+-- Adds ports to which the machine writes; returns the function that writes the FQN.
 local function add_outputs(launch)
   local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
   add_port(launch, "timer")
@@ -343,13 +340,11 @@ local function undo(launch)
   end
 end
 
---- Launch a machine in this Lua.
+--- Launch a machine in this Lua; return the hook to enable as the last act, if there is
+-- one. Raises an error with the name of the chart.
 --
 -- Charts rely on rttlib, which makes constructors callable and operations methods, and
 -- on utils: both are loaded if they can be had.
---
--- @raise with the name of the chart
----@return any? hook to enable as the last act; nil if there is none
 function component.launch(launch)
   local where = "launch of '" .. launch.fsmfile .. "': "
   if not rfsm.prepare then error(where .. "another rfsm is loaded in this Lua", 0) end

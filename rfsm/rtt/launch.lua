@@ -21,7 +21,6 @@ local rtt_launch = {}
 
 -- Arguments, and the text that the other Lua executes ------------------------------
 
-local function is(kind) return function(value) return type(value) == kind end end
 local function is_anything() return true end
 local function is_env(value) return type(value) == "table" and value[1] == nil end
 local function is_file(value)
@@ -32,19 +31,20 @@ local function is_word(word)
   return function(value) return value == word end
 end
 
-local BOOLEAN, STRING = { "boolean", is "boolean" }, { "string", is "string" }
+local BOOLEAN = { "boolean", options.is_a "boolean" }
+local STRING = { "string", options.is_a "string" }
 local FILE, NAME = { "file name", is_file }, { "name", is_anything }
 
 -- Fields of both launches, for options.read.
 local COMMON = {
   env = { "table of globals by name", is_env, {} },
   fsmfile = FILE, prefile = FILE, postfile = FILE, prestr = STRING, poststr = STRING,
-  fqn_port = { "string", is "string", "fqn" }, ev_inport = NAME, ev_outport = NAME,
+  fqn_port = { "string", options.is_a "string", "fqn" },
+  ev_inport = NAME, ev_outport = NAME,
   run = BOOLEAN, running_only = BOOLEAN, sync = BOOLEAN,
   steps = { "whole number, at least 1", options.is_whole(1, huge) },
 }
 
--- Returns COMMON with more fields.
 local function with_common(fields)
   for name, field in pairs(COMMON) do fields[name] = field end -- any order: a set
   return fields
@@ -59,8 +59,7 @@ local COMPONENT = with_common {
   ports = { "'configure'", is_word "configure" },
 }
 
--- Returns a value as Lua writes it; raises if there is something in it that Lua cannot
--- write, or if it has no end.
+-- Returns a value as Lua writes it; raises if Lua cannot write it, or if it has no end.
 local function to_text(value, path)
   local kind = type(value)
   if kind == "string" then return ("%q"):format(value) end
@@ -101,8 +100,7 @@ local function own_template()
   return folder and folder .. "?.lua;" or ""
 end
 
--- Returns the settings of a launch. Raises if an argument is wrong, or one of those
--- named is missing.
+-- Returns the settings of a launch; raises if one is wrong, or a named one is missing.
 local function read(fields, args, ...)
   local launch, problem = options.read(fields, args)
   if not launch then error(problem, 0) end
@@ -117,7 +115,6 @@ local function read(fields, args, ...)
   return launch
 end
 
--- Returns the text that launches a machine.
 local function program(launch)
   return PROGRAM:format(to_text(launch, ""), own_template(), ";" .. package.path)
 end
@@ -222,7 +219,6 @@ local function unload(deployer, name)
   pcall(deployer:getOperation("unloadComponent"), name)
 end
 
--- Loads the component, and launches the machine in it.
 local function launch_component(args)
   local launch = read(COMPONENT, args, "name", "fsmfile")
   local name, kind = launch.name, launch.luatype or "OCL::LuaComponent"

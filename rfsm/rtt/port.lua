@@ -55,16 +55,14 @@ function Port:find()
   return found ~= nil
 end
 
---- Hold a port that is made later.
----@param facts table<string, any> name, type, porttype, desc
+--- Hold a port that is made later, by its name, type, porttype and desc.
 function port.reserve(component, facts)
   return setmetatable({ name = facts.name, component = component, facts = facts,
     real = false, was_found = true, last = nil, samples = {} }, Port)
 end
 
---- Hold a port of this Lua's component. One that is held stays as it is.
----@param real any a port, or what is read and written like one
----@param facts table<string, any> its information
+--- Hold a port of this Lua's component, or what is read and written like one, by its
+-- information. One that is held stays as it is.
 function port.hold(real, facts)
   if getmetatable(real) == Port then return real end
   local rtt = package.loaded.rtt

@@ -46,7 +46,6 @@ local function new_gauge()
 end
 
 --- Are three quarters of the pool in use? False if this Lua has none.
----@return boolean is_short
 function update.is_short_of_memory()
   collectgarbage()
   local used, _, size = new_gauge()()

@@ -4,12 +4,13 @@
 -- @submodule rfsm.fleet
 -- @license BSD-3-Clause
 
+local files = require "rfsm.shared.files"
 local json = require "rfsm.server.json"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
 
-local error, io, next, os, select = error, io, next, os, select
+local error, next, os, select = error, next, os, select
 local rawget, tonumber, tostring = rawget, tonumber, tostring
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -31,17 +32,9 @@ local Client = {}
 --- Return a text that no other client has.
 ---@return string id
 function Client.new_id()
-  local file, text = io.open("/dev/urandom", "rb"), nil
-  if file then
-    text = file:read(5):gsub(".", function(byte)
-      return ("%02x"):format(byte:byte())
-    end)
-    file:close()
-  end
-  return text or ("%.0f-%s"):format(os.time(), tostring({}):match("%x+$"))
+  return files.random(5) or ("%.0f-%s"):format(os.time(), tostring({}):match("%x+$"))
 end
 
--- Returns a new id for an event.
 local function next_id(self)
   self.count = self.count + 1
   return self.id .. "-" .. ("%d"):format(self.count)
@@ -69,7 +62,6 @@ function Client:create(id, chart, data)
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
--- Returns the texts of events, then an id.
 local function texts_of(id, ...)
   local texts = {}
   for i = 1, select("#", ...) do

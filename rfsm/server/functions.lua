@@ -71,7 +71,6 @@ local host, charts, options
 ---@field events table<string, any> what it knows, by text
 ---@field takes_all boolean a transition that any event triggers, or a predicate
 
--- Notes the events that a chart knows.
 local function note_events(chart, fsm)
   local known = alphabet.of_all(fsm)
   chart.events = {}
@@ -130,7 +129,6 @@ local function new_fields(tables)
   return { objs = {}, keys = {}, values = {}, tables = tables }
 end
 
--- Notes the fields of an element.
 local function note_fields(fields, obj)
   local known, is_kept = {}, { keep = true }
   for _, name in ipairs(obj.keep or {}) do is_kept[name] = true end
@@ -188,10 +186,8 @@ end
 
 local key_of, shown = keys_of.machine, keys_of.shown
 
--- Returns the text of an error in one line.
 local function reason_of(failure)
-  local text = type(failure) == "table" and failure.err or plain.reason(failure)
-  return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
+  return calls.line(type(failure) == "table" and failure.err or plain.reason(failure))
 end
 
 local function versions_of(name)
@@ -199,7 +195,6 @@ local function versions_of(name)
     advice.nearest_name(shown(name), rfsm.sorted_keys(charts)))
 end
 
--- Returns the events that texts stand for.
 local function events_of(chart, texts)
   local events = {}
   for i, text in ipairs(texts) do
@@ -276,7 +271,6 @@ end
 ---@field moved_by string the events of this call
 ---@field notes string[]|nil for the log
 
--- Returns the list in the value of a key, see above.
 local function list_of(key, value)
   local ok, list = pcall(host.pack.unpack, value)
   if not ok or type(list) ~= "table" or list[1] ~= "rfsm" then
@@ -367,8 +361,7 @@ local function send(machine, texts)
     .. concat(texts, " ")
 end
 
--- Sends the events whose time has come. One that the chart does not know any more is
--- noted in the log.
+-- Sends events whose time has come. One that is not known any more goes to the log.
 local function send_later(machine)
   local later = machine.list[LATER]
   while later and later[1] and later[1][1] <= now() do
@@ -503,7 +496,6 @@ end
 
 local functions = {}
 
--- Gives a new machine the data that its chart keeps in the root.
 local function set_data(fsm, text)
   if not text then return end
   if #text > MAX_DATA then
@@ -700,7 +692,6 @@ function functions.rfsm_why(keys, args)
   return lines
 end
 
--- Lists the members of the index from one text to another.
 local function members(key, from, to, limit)
   return host.call("ZRANGEBYLEX", key, "[" .. from, "(" .. to, "LIMIT", 0, limit)
 end
@@ -758,11 +749,10 @@ function functions.rfsm_history(keys, args)
   return reply
 end
 
---- Return the functions for Redis, by name, as it calls them.
+--- Return the functions for Redis, by name, as it calls them. Of charts with one name
+-- in the list of { name =, make = }, the last is the newest.
 ---@param redis rfsm.server.Host
----@param list { name: string, make: function }[] later ones of a name are newer
 ---@param settings? rfsm.server.Options
----@return table<string, fun(keys: string[], args: string[]): any>
 return function(redis, list, settings)
   local made = {}
   host, charts, options = redis, {}, settings or {}

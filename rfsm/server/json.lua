@@ -11,7 +11,7 @@ local math_type = rawget(math, "type")
 
 local json = {}
 
-local function need() return opts.need("rfsm.server", "dkjson", "lua-dkjson") end
+local function need() return opts.need("rfsm.server", "dkjson") end
 
 -- Returns a value that dkjson encodes as this text.
 local function as(text)
@@ -33,15 +33,10 @@ local function exact(value)
   return copy
 end
 
---- Return data as JSON.
--- @raise if it has what JSON has not, or dkjson is missing
----@param data any
----@return string text
+--- Return data as JSON. Raises an error if it has what JSON has not.
 function json.encode(data) return need().encode(exact(data)) end
 
---- Return what a text of JSON stands for, in tables without metatables.
----@param text string
----@return any data nil if it is no JSON
+--- Return what a text of JSON stands for, in tables without metatables; else nil.
 function json.decode(text) return (need().decode(text, 1, nil, nil, nil)) end
 
 return json

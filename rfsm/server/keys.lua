@@ -12,8 +12,6 @@ local fail = plain.fail
 local keys = {}
 
 --- Return a name or a key for a message.
----@param text any
----@return string text
 function keys.shown(text) return (tostring(text):sub(1, 80)) end
 
 local shown = keys.shown
@@ -21,8 +19,6 @@ local shown = keys.shown
 local last_key, last_tag
 
 --- Return the hash tag of a key: the text in braces, or the whole key.
----@param key string?
----@return string tag
 function keys.tag(key)
   if key == last_key and key then return last_tag end
   if not key then fail("a key expected, got none") end
@@ -36,8 +32,6 @@ end
 
 --- Return the first key of a call, that of a machine. A cluster has to know the others
 -- that are written, too.
----@param list string[]
----@return string key
 function keys.machine(list)
   local key = list[1] or fail("the key of a machine expected, got none")
   if key:find("^rfsm:") or key:find(":log$") or key:find(":history$") then
@@ -65,15 +59,9 @@ end
 keys.log, keys.history = of_machine ":log", of_machine ":history"
 
 --- Return the channel on which the active leaf of a machine is published.
----@param key string
----@return string channel
 function keys.channel(key) return "rfsm:{" .. keys.tag(key) .. "}:" .. key end
 
 --- Return the member of the index for a machine in a leaf.
----@param chart string
----@param leaf string
----@param key string
----@return string member
 function keys.member(chart, leaf, key) return chart .. "\t" .. leaf .. "\t" .. key end
 
 return keys

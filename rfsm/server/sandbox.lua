@@ -7,13 +7,13 @@
 -- @module rfsm.server.sandbox
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
-local error, ipairs, load, pairs = error, ipairs, load, pairs
+local error, ipairs, pairs = error, ipairs, pairs
 local os, pcall, rawget, require = os, pcall, rawget, require
 local select, setmetatable, type = select, setmetatable, type
 local concat, sort = table.concat, table.sort
-local loadstring, setfenv = rawget(_G, "loadstring"), rawget(_G, "setfenv")
 
 local sandbox = {}
 
@@ -39,8 +39,6 @@ local function end_of_token(text, at)
 end
 
 --- Return the code of a text: blanks in place of comments and strings.
----@param text string
----@return string code
 function sandbox.code_of(text)
   local parts, at = {}, 1
   while true do
@@ -85,7 +83,6 @@ local function is_key(code, from, behind)
   return before == "." or before == ":" or code:find("^%s*=[^=]", behind)
 end
 
--- Returns the first use of something that is missing, and its name.
 local function find_missing(code, server)
   local first, found = nil, nil
   for _, name in ipairs(MISSING[server]) do
@@ -120,9 +117,7 @@ local function is_endless(code, at)
   return false
 end
 
---- List the lines of a code in which a loop has no end.
----@param code string see `code_of`
----@return integer[] lines
+--- List the lines of a code, as `code_of` returns it, in which a loop has no end.
 function sandbox.endless(code)
   local lines = {}
   for _, pattern in ipairs { "%f[%w_]while[%s(]+true[%s)]+()do%f[^%w_]",
@@ -159,20 +154,8 @@ local function new_globals(server)
   })
 end
 
-local function load_with(text, name, globals)
-  if setfenv then
-    local f, problem = loadstring(text, name)
-    return f and setfenv(f, globals), problem
-  end
-  return load(text, name, "t", globals)
-end
-
---- Load the chart in a text as a server will.
----@param text string
----@param file string
----@param server? string default "Redis"; or "PostgreSQL"
----@return rfsm.State? model nil if it cannot run there
----@return string? problem with file and line
+--- Load the chart in a text as a server ("Redis" or "PostgreSQL") will; nil and the
+-- problem, with file and line, if it cannot run there.
 function sandbox.load(text, file, server)
   server = server or "Redis"
   local from, name = find_missing(sandbox.code_of(text), server)
@@ -180,7 +163,7 @@ function sandbox.load(text, file, server)
     return nil, ("%s:%d: '%s' does not exist in %s"):format(file, line_at(text, from),
       name, server)
   end
-  local f, problem = load_with(text, "@" .. file, new_globals(server))
+  local f, problem = calls.load(text, "@" .. file, new_globals(server))
   if not f then return nil, problem end
   local ok, model = pcall(f, file)
   if not ok then return nil, rfsm.text_of(model) end
@@ -188,23 +171,18 @@ function sandbox.load(text, file, server)
   return nil, ("%s: a state expected, got %s"):format(file, type(model))
 end
 
---- Run a library in this process.
----@param text string
----@param here table<string, any> globals in place of those of the server
----@param server string its name, for messages
+--- Run a library in this process, with other globals in place of those of the server.
 function sandbox.run(text, here, server)
   local globals = new_globals(server)
   globals.rfsm, globals.rfsm_timeevent, globals.bit, globals.struct = nil, nil, nil, nil
   rawset(globals, "jit", rawget(_G, "jit")) -- the core asks for it
   for name, value in pairs(here) do globals[name] = value end -- any order: a copy
-  local f, problem = load_with(text, "=rfsm", globals)
+  local f, problem = calls.load(text, "=rfsm", globals)
   if not f then error(problem, 0) end
   f()
 end
 
 --- List the modules that a text requires by name, and the line of each.
----@param text string
----@return { name: string, line: integer }[] modules
 function sandbox.required(text)
   local modules, code = {}, sandbox.code_of(text)
   for at, name in text:gmatch("%f[%w_]()require%s*%(?%s*[\"']([%w_.%-]+)[\"']") do

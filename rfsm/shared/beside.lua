@@ -60,7 +60,6 @@ local function parent_of(folder)
   return folder .. "../"
 end
 
--- Returns the file of a name beside a chart; nil if there is none.
 local function find(world, name)
   if name:find("^/") then return exists(name) and name or nil end
   for _, folder in ipairs(world.folders) do
@@ -106,7 +105,6 @@ end
 
 -- Modules -------------------------------------------------------------------------
 
--- Returns a loader for a module that is beside the chart.
 local function load_beside(world, name)
   local file = name:gsub("%.", "/")
   local path = find(world, file .. ".lua") or find(world, file .. "/init.lua")
@@ -158,8 +156,7 @@ end
 
 -- Public functions ----------------------------------------------------------------
 
---- Begin to load a chart; `beside.leave` ends that.
----@param source string of its code
+--- Begin to load a chart, whose code has this source; `beside.leave` ends that.
 function beside.enter(file, source, has_stubs)
   install()
   local folder = file:match("^.*/") or ""
@@ -175,8 +172,7 @@ end
 --- End the loading of a chart.
 function beside.leave() current = nil end
 
---- Return the chart to which code belongs; nil if there is none.
----@param source string of the code
+--- Return the chart to which code with this source belongs; nil if there is none.
 function beside.world_of(source) return world_of_source[source] end
 
 return beside

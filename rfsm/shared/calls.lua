@@ -1,4 +1,4 @@
---- Calls: of functions that may fail, and the texts of arguments.
+--- Calls: of functions that may fail, programs in texts, and the texts of arguments.
 --
 -- @module rfsm.shared.calls
 -- @license BSD-3-Clause
@@ -7,6 +7,8 @@ local rfsm = require "rfsm"
 
 local error, pcall, select = error, pcall, select
 local concat = table.concat
+local load = rawget(_G, "loadstring") or rawget(_G, "load")
+local setfenv = rawget(_G, "setfenv")
 
 local calls = {}
 
@@ -16,16 +18,25 @@ local function pass(ok, ...)
 end
 
 --- Call a function as `pcall` does. An interrupt such as Control-C reaches the caller.
----@return boolean ok
----@return any ... results, or the failure
 function calls.try(f, ...) return pass(pcall(f, ...)) end
 
---- Make a machine of a model for a tool; machines given as regions stay as they are.
----@return rfsm.Machine? fsm as `rfsm.init`
----@return string? text
----@return string[]? problems
+--- Load a text so that its globals are those of a table, on every Lua; nil and the
+-- problem if it is no program.
+function calls.load(text, name, globals)
+  local chunk, problem = load(text, name, "t", globals)
+  if chunk and setfenv then setfenv(chunk, globals) end
+  return chunk, problem
+end
+
+--- Make a machine of a model for a tool, as `rfsm.init`; machines given as regions stay
+-- as they are.
 function calls.init_apart(model)
   return (rfsm.seqand and rfsm.seqand.init_apart or rfsm.init)(model)
+end
+
+--- Return a text of several lines, such as a problem and a list, as one line.
+function calls.line(text)
+  return (text:gsub(":\n%s*", ": "):gsub("[\r\n]+%s*", "; "))
 end
 
 --- Return the texts of any values in one, as a printer shows them.

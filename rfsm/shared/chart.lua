@@ -23,8 +23,8 @@ local chart = {}
 --- Return the name of a chart's file in messages; `-` is stdin.
 function chart.name_of(file) return file == "-" and "stdin" or file end
 
---- Return a problem with its file in front, unless it begins with a location.
----@param kind? string such as "warning: ", for behind the location
+--- Return a problem with its file in front, unless it begins with a location. A kind
+-- such as "warning: " comes behind the location.
 function chart.line(file, text, kind)
   local name = chart.name_of(file)
   local location, rest = text:match("^(%S+:%d+: )(.*)$")
@@ -190,11 +190,11 @@ local function try_load(file, has_stubs, insists)
   return ok, model, warnings, world
 end
 
---- Load the model in a file; `-` is stdin.
+--- Load the model in a file; `-` is stdin. With stubs, modules and globals that are not
+-- here are stubs.
 --
 -- A chart that reads the global `rfsm_timeevent` switches time events on.
 --
----@param has_stubs? boolean modules and globals that are not here are stubs
 ---@return rfsm.State? model nil if there is none
 ---@return string[]|string warnings a line for each undefined global; or the problem
 ---@return rfsm.shared.World world `names` are those of the stubs
@@ -216,11 +216,9 @@ function chart.stub_line(file, world)
   return world.names[1] and chart.line(file, "stubbed: " .. concat(world.names, ", "))
 end
 
---- Make the machine of the chart in a file.
----@param init fun(model: rfsm.State): rfsm.Machine|false, string?, string[]?
----@param warn fun(line: string) called for each undefined global, and for the stubs
----@return rfsm.Machine|false fsm
----@return rfsm.State|string[] model or the problems, a line each
+--- Make the machine of the chart in a file by a function such as `rfsm.init`; return it
+-- and the model, or false and the problems, a line each. `warn` is called with a line
+-- for each undefined global, and for the stubs.
 function chart.open(file, init, warn, has_stubs)
   local model, warnings, world = chart.load(file, has_stubs)
   if not model then return false, { warnings } end

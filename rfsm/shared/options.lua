@@ -13,6 +13,11 @@ local concat = table.concat
 
 local options = {}
 
+--- Return a test for values of a type.
+function options.is_a(kind)
+  return function(x) return type(x) == kind end
+end
+
 --- Is it a text that is not empty?
 function options.is_text(x) return type(x) == "string" and x ~= "" end
 
@@ -26,17 +31,11 @@ end
 --- Is it a finite number of seconds, not below 0?
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
---- Return the end of a message: "got string 'x'".
-function options.got(value)
-  if type(value) == "string" then return ("got string '%s'"):format(value) end
-  return "got " .. (type(value) == "number" and rfsm.text_of(value) or type(value))
-end
+--- Return the end of a message: "got string 'x'", "got 7".
+function options.got(value) return (rfsm.got(value):gsub("^got number ", "got ")) end
 
---- Return the options with their defaults.
----@param known table<string, any[]> description, test, default of each; a test may
--- return false and the problem
----@return table? settings nil if one is wrong
----@return string? problem in one line
+--- Return the options with their defaults; nil and the problem if one is wrong. `known`
+-- has description, test and default of each. A test may return false and the problem.
 function options.read(known, given)
   if type(given) ~= "table" then
     return nil, "table of options expected, " .. options.got(given)
@@ -63,22 +62,24 @@ function options.read(known, given)
   return settings
 end
 
---- Load a module that an extension needs.
----@param package string that of Debian which has it
----@return table? module nil if it is missing
----@return string? problem in one line
-function options.find_package(name, package)
+--- Load modules that an extension needs, one or two; nil and the problem if one of them
+-- is missing.
+function options.find_package(name, other)
   local ok, module = pcall(require, name)
-  if ok and type(module) == "table" then return module end
-  return nil, ("the package %s is missing (on Debian: apt-get install %s)"):format(
-    name == "socket" and "luasocket" or name, package)
+  if not ok or type(module) ~= "table" then
+    return nil, ("the package %s is missing (on Debian: apt-get install lua-%s)")
+      :format(name == "socket" and "luasocket" or name, name)
+  elseif other == nil then
+    return module
+  end
+  local second, problem = options.find_package(other)
+  if not second then return nil, problem end
+  return module, second
 end
 
---- Load a module that an extension needs.
--- @raise if it is missing
----@param where string the name of the extension
-function options.need(where, name, package)
-  local module, problem = options.find_package(name, package)
+--- Load a module that the extension `where` needs; raises an error if it is missing.
+function options.need(where, name)
+  local module, problem = options.find_package(name)
   return module or error(where .. ": " .. problem, 0)
 end
 

@@ -1,4 +1,5 @@
---- Swaps: fields of machines and their elements that a tool replaces for a while.
+--- Swaps: fields of machines and their elements that a tool replaces for a while, and
+-- hooks that it adds.
 --
 -- Each function takes a list, in which it notes what `give_back` needs.
 --
@@ -12,8 +13,7 @@ local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 
 local swap = {}
 
---- Replace a field.
----@return { own: any, new: any } done the value before, and that of now
+--- Replace a field; the swap returned has the values before and now: `own`, `new`.
 function swap.put(swaps, obj, field, value)
   local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
   swaps[#swaps + 1] = done
@@ -22,7 +22,6 @@ function swap.put(swaps, obj, field, value)
 end
 
 --- Have a printer of a machine call a function first.
----@param note fun(...)
 function swap.listen(swaps, fsm, name, note)
   local own = fsm[name]
   swap.put(swaps, fsm, name, function(...)
@@ -30,6 +29,13 @@ function swap.listen(swaps, fsm, name, note)
     if rfsm.is_callable(own) then return own(...) end
     if own then rawget(_G, "print")(calls.text("\t", ...)) end -- true prints
   end)
+end
+
+--- Add a hook to a machine: before or after each step ("pre_step", "post_step"), or
+-- when it is reset ("reset"). The hook keeps no list of events.
+function swap.hook(swaps, fsm, kind, hook, where)
+  rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
+  swaps[#swaps + 1] = { fsm = fsm, hook = hook, remove = rfsm[kind .. "_hook_rm"] }
 end
 
 local ROOT_FIELDS = { "idle_hook", "pre_step_hook", "post_step_hook" }
@@ -42,8 +48,7 @@ local function take_away(swaps, obj, fields)
 end
 
 --- Take the functions of a chart away from its machine, except guards, doos and
--- getevents.
----@return rfsm.State[] doers the states that have a doo
+-- getevents; return the states that have a doo.
 function swap.take_functions(swaps, fsm)
   local doers = {}
   take_away(swaps, fsm, ROOT_FIELDS)
@@ -60,11 +65,13 @@ function swap.take_functions(swaps, fsm)
   return doers
 end
 
---- Restore the fields, unless a program has set them meanwhile.
+--- Restore the fields, unless a program has set them meanwhile; remove the hooks.
 function swap.give_back(swaps)
   for i = #swaps, 1, -1 do
     local done = swaps[i]
-    if rawequal(rawget(done.obj, done.field), done.new) then
+    if done.remove then
+      done.remove(done.fsm, done.hook)
+    elseif rawequal(rawget(done.obj, done.field), done.new) then
       done.obj[done.field] = done.own
     end
     swaps[i] = nil

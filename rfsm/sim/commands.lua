@@ -44,7 +44,6 @@ local function add(usage, brief, text, run, more)
 end
 
 --- Return the command of a name.
----@return rfsm.sim.Command? command
 function commands.find(name) return by_name[name] end
 
 local function check(command, value, kind, what)

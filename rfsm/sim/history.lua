@@ -59,10 +59,8 @@ local function stop(own)
   own.recorder = nil
 end
 
--- The number of the last iteration that is forgotten.
 local function first_of(own) return own.chunks[1] and own.chunks[1].first or 0 end
 
--- Drops the oldest chunks.
 local function forget(own)
   while own.chunks[2] and own.last - first_of(own) > history.LIMIT do
     remove(own.chunks, 1)
@@ -73,7 +71,6 @@ local function forget(own)
   end
 end
 
--- Drops the iterations that were undone.
 local function drop_future(own)
   for i = #own.marks, own.at + 1, -1 do own.marks[i] = nil end
   own.tip = nil
@@ -90,7 +87,6 @@ local function drop_future(own)
   own.last = own.count
 end
 
--- Takes a record.
 local function add(own, rec)
   if rec.record then
     own.fresh = { first = own.count, count = 0, list = { rec } }
@@ -194,7 +190,6 @@ local function replay_list(sim, list, options)
   return session.snap, session.problem or session.unsaved, session.fsm and session.at
 end
 
--- Puts a snapshot into the machine of a session.
 local function put(sim, snap)
   local ok, problem, difference = snapshot.put(sim.fsm, snap)
   if ok then return end
@@ -304,8 +299,7 @@ local function each_record(own, f)
   end
 end
 
---- Write the history to a file, and all that follows; nil ends that.
----@param name? string
+--- Write the history to a file, and all that follows; without a name, end that.
 function history.save(sim, name)
   local own = sim.history
   if own.file then own.file:close() end
@@ -325,9 +319,8 @@ local function count_iterations(list)
   return count
 end
 
---- Run the chart through a recording.
--- @raise if the run departs from the recording; the machine stays at that iteration
----@param name string of the file
+--- Run the chart through the recording in a file. Raises an error if the run departs
+-- from it; the machine stays at that iteration.
 function history.replay(sim, name)
   local list, about = record.read(name)
   local own, is_dry = sim.history, sim.saved ~= nil
@@ -355,8 +348,7 @@ local function add_texts(texts, events)
   return texts
 end
 
---- Print the last iterations.
----@param last integer how many
+--- Print so many of the last iterations.
 function history.show(sim, last)
   local own = sim.history
   local n = first_of(own)

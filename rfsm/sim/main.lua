@@ -33,8 +33,7 @@ local function run_code(sim, texts)
   return true
 end
 
--- Runs the machine through a recording, up to where it departs. Returns false if the
--- recording cannot be read.
+-- Runs the machine through a recording; returns false if that cannot be read.
 local function replay(sim, file)
   local ok, problem = pcall(history.replay, sim, file)
   if not ok then complain("rfsm sim: " .. rfsm.text_of(problem)) end
@@ -74,9 +73,9 @@ local function prepare(sim, options)
   return (sim.is_over or code[1] and not options.interactive) and 0
 end
 
---- Open a chart, run the code given, read commands from stdin.
+--- Open a chart, run the code given, read commands from stdin; return the status for
+-- the shell: 0, or 1 for a chart or code that is wrong.
 ---@param options rfsm.sim.Options
----@return integer status for the shell: 0, or 1 for a chart or code that is wrong
 function rfsm_sim.main(options)
   local is_terminal = terminal.is_terminal(0)
   io.stdout:setvbuf("line")

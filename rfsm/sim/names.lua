@@ -15,8 +15,7 @@ local ipairs, type = ipairs, type
 
 local names = {}
 
---- Return the name of a node.
----@param prefix string the name of its machine
+--- Return the name of a node in the machine of a name.
 function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
 
 --- List the events that are texts and come from outside.
@@ -38,9 +37,7 @@ function names.is_event(fsm, event)
   return known.predicates[1] ~= nil
 end
 
---- List the states and connectors.
----@return string[] list names
----@return table<string, table> by_name the nodes
+--- List the names of states and connectors; return also the nodes by their names.
 function names.nodes(fsm)
   local list, by_name = {}, {}
   for _, at in ipairs(rfsm.machines(fsm)) do

@@ -24,7 +24,6 @@ local function is_called(node, name)
   return fqn == name or fqn == "root." .. name
 end
 
--- Returns the transition from one state to another by their names.
 local function find_transition(fsm, src, tgt)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     if is_called(tr.src, src) and is_called(tr.tgt, tgt) then return tr end
@@ -36,7 +35,6 @@ local function new_transition(tr)
     name = text_of(tr.src._fqn) .. " -> " .. text_of(tr.tgt._fqn) }
 end
 
--- Raises an error that names the nearest state or event.
 local function fail(fsm, text)
   local list = names.events(fsm)
   for _, name in ipairs((names.nodes(fsm))) do
@@ -48,7 +46,6 @@ local function fail(fsm, text)
     :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
 end
 
--- Returns the breakpoint for a text.
 local function of_text(fsm, text)
   local by_name = select(2, names.nodes(fsm))
   local name = by_name[text] and text or "root." .. text
@@ -63,8 +60,7 @@ local function of_text(fsm, text)
   return { kind = "event", name = text, value = text }
 end
 
---- Add a breakpoint. Returns its number.
----@param what any state, transition, event, or a name
+--- Add a breakpoint: state, transition, event or the name of one; return its number.
 function points.add(sim, what)
   local point
   if rfsm.is_trans(what) then
@@ -78,11 +74,8 @@ function points.add(sim, what)
   return #sim.points
 end
 
---- Call f(i, point) for each breakpoint in a list that is reached.
----@param list rfsm.sim.Point[]
----@param kind "state"|"transition"|"event"
----@param value any its name, the transition, the event
----@param f fun(i: integer, point: rfsm.sim.Point)
+--- Call f(i, point) for each breakpoint of a kind in a list that is reached: its value
+-- is the name of the state, the transition, or the event.
 function points.each_reached(list, kind, value, f)
   for i, point in ipairs(list) do
     if point.kind == kind and rawequal(point.value, value) then f(i, point) end
@@ -119,7 +112,6 @@ function points.list(sim)
 end
 
 --- Remove a breakpoint or expression, or all.
----@param n? integer
 function points.delete(sim, n)
   if n ~= nil and not sim.points[n] then
     error("delete: number of a breakpoint expected, got " .. text_of(n), 0)
@@ -127,8 +119,8 @@ function points.delete(sim, n)
   if n then remove(sim.points, n) else sim.points = {} end
 end
 
---- Find the states and transitions of all breakpoints in a new machine, by name.
----@param complain fun(line: string) called for each breakpoint that is gone
+--- Find the states and transitions of all breakpoints in a new machine, by name;
+-- `complain` is called with a line for each that is gone.
 function points.renew(sim, complain)
   for i = #sim.points, 1, -1 do
     local point = sim.points[i]

@@ -126,20 +126,15 @@ end
 
 function Probe:attach(machine)
   swap.listen(self.swaps, machine.fsm, "dbg", function(...) self:note(machine, ...) end)
-  function machine.hook(_, events) self:note_events(machine, events) end
-  rfsm.pre_step_hook_add(machine.fsm, rfsm.borrows(machine.hook), "after")
+  swap.hook(self.swaps, machine.fsm, "pre_step", function(_, events)
+    self:note_events(machine, events)
+  end, "after")
 end
 
 --- Stop watching. A `dbg` that was set meanwhile stays.
-function Probe:detach()
-  swap.give_back(self.swaps)
-  for _, machine in ipairs(self.machines) do
-    rfsm.pre_step_hook_rm(machine.fsm, machine.hook)
-  end
-end
+function Probe:detach() swap.give_back(self.swaps) end
 
---- List the events that no transition has taken and that no queue holds.
----@return any[] events in the order in which they came
+--- List the events that no transition has taken and that no queue holds, as they came.
 function Probe:discarded()
   local is_pending, list = {}, {}
   for _, machine in ipairs(self.machines) do
@@ -153,8 +148,8 @@ end
 
 local probe = {}
 
---- Watch the machine of a session and the regions in it.
----@param is_shown boolean print the transitions taken
+--- Watch the machine of a session and the regions in it; print the transitions taken if
+-- they are to be shown.
 function probe.attach(sim, is_shown)
   local self = setmetatable({ sim = sim, is_shown = is_shown, hits = {}, is_hit = false,
     is_seen = {}, seen = {}, is_used = {}, machines = {}, swaps = {} }, Probe)

@@ -7,6 +7,7 @@
 -- @license BSD-3-Clause
 
 local alphabet = require "rfsm.shared.alphabet"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local commands = require "rfsm.sim.commands"
 local names = require "rfsm.sim.names"
@@ -18,19 +19,16 @@ local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
 local setmetatable, tonumber = setmetatable, tonumber
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
-local setfenv = rawget(_G, "setfenv")
 local complain, first_line = view.complain, chart.first_line
 
 local prompt = {}
 
 -- Compile ---------------------------------------------------------------------------
 
--- Loads a text so that its globals are those of `env`, on every Lua. The blank is for
--- 5.1, which takes what starts with an escape (an arrow key) for a compiled chunk.
+-- The blank is for 5.1, which takes what starts with an escape (an arrow key) for a
+-- compiled chunk.
 local function load_in(env, text, chunkname)
-  local chunk, problem = load(" " .. text, chunkname, "t", env)
-  if chunk and setfenv then setfenv(chunk, env) end
-  return chunk, problem
+  return calls.load(" " .. text, chunkname, env)
 end
 
 -- Compiles an expression to a chunk that calls a function with its values: after a tail
@@ -80,7 +78,6 @@ local function call_of(sim, text)
   return function() sim.env[name](unpack(arguments)) end
 end
 
--- Appends the names of the commands to a list.
 local function command_names(list)
   for _, command in ipairs(commands.list) do list[#list + 1] = command.name end
   return list
@@ -97,8 +94,7 @@ local function problem_of_missing(name, list)
   return "nothing is named " .. name .. hint
 end
 
--- Returns the complaint about a line with one name that has no value: an event, or a
--- mistake.
+-- Returns the complaint about a line with one name, of an event or of nothing.
 local function problem_of_name(sim, text)
   local name = text:match("^%s*([%a_][%w_]*)%s*$")
   if not name or sim.env[name] ~= nil or not load("local " .. name) then return nil end
@@ -127,10 +123,7 @@ local function call(sim, chunk)
   return false, explain(sim, problem)
 end
 
---- Run a text.
----@return boolean ok
----@return string? problem in one line
----@return boolean? is_incomplete may more text mend it?
+--- Run a text; return true, or false, the problem, and if more text may mend it.
 function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
   -- `view /tmp/x.svg` would be a division
@@ -147,9 +140,7 @@ function prompt.evaluate(sim, text, chunkname)
   return false, first_line(problem), is_incomplete(problem)
 end
 
---- Return the value of an expression.
----@return boolean ok
----@return any value the problem, in one line, if it is not ok
+--- Return true and the value of an expression, or false and the problem in one line.
 function prompt.value_of(sim, text)
   local chunk, problem = load_in(sim.env, "return " .. text, "=watch")
   if not chunk then return false, first_line(problem) end
@@ -192,7 +183,6 @@ local function words_after(sim, before)
   return words
 end
 
--- Lists the completions of a word behind `before`.
 local function complete(sim, word, before)
   local set = {}
   for _, name in ipairs(words_after(sim, before)) do

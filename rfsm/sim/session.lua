@@ -93,7 +93,6 @@ function Session:show()
 end
 
 --- Keep a picture up to date from now on; false ends that.
----@param file string|false
 function Session:draw(file)
   local problem = nil
   history.pause(self, function() problem = file and view.draw(self.fsm, file) end)
@@ -101,8 +100,7 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances up to a breakpoint, or in parts, so that a long run gets several chunks of
--- the history.
+-- Advances up to a breakpoint, or in parts, one for each chunk of the history.
 local function advance_in_parts(watcher, sim, n)
   local fsm, left, part = sim.fsm, n, sim.points[1] and 1 or history.CHUNK
   local is_idle
@@ -176,7 +174,6 @@ function Session:send(...)
 end
 
 --- Have Control-C end a doo that never yields, until the function returned is called.
----@return fun() release
 function Session:guard_doos()
   local swaps = {}
   for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
@@ -198,7 +195,6 @@ for id in ("STATE_ENTER STATE_EXIT EFFECT DOO EXEC_PATH ERROR HIBERNATING RAISED
 end
 
 --- Choose the trace records that are shown.
----@param level? boolean|"full"
 function Session:set_level(level)
   if level == nil then level = true end
   if level ~= true and level ~= false and level ~= "full" then
@@ -211,8 +207,7 @@ function Session:set_level(level)
   self.fsm.dbg = level and rfsmpp.gen_dbgcolor(name, ids, level == "full")
 end
 
--- Moves a machine to the state in which a machine of an older chart is. Returns the
--- problem if that fails.
+-- Moves a machine to the state of one of an older chart; returns the problem, if any.
 local function put_in_place(fsm, old)
   local ok, snap = pcall(snapshot.take, old)
   if not ok then return snap end
@@ -231,7 +226,6 @@ end
 
 local function let_pass() return true end
 
--- Takes the functions of a chart away; returns the swaps.
 local function take_functions(fsm)
   local swaps = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
@@ -269,7 +263,9 @@ function Session:reload()
   if self.level then self:set_level(self.level) end
   points.renew(self, complain)
   history.start(self)
-  if problem then complain(text_of(problem) .. ": the machine begins anew") end
+  if problem then
+    complain(calls.line(text_of(problem)) .. ": the machine begins anew")
+  end
   self:show()
 end
 
@@ -277,10 +273,7 @@ end
 
 local session = {}
 
---- Open a chart.
----@param has_stubs? boolean
----@return rfsm.sim.Session? sim
----@return string[]? problems
+--- Open a chart; nil and the problems if it is wrong.
 function session.open(file, follows, has_stubs)
   local fsm, result = chart.open(file, init_quietly, complain, has_stubs)
   if not fsm then return nil, result end

@@ -178,9 +178,7 @@ end
 
 -- Lines -----------------------------------------------------------------------------
 
---- Is a file descriptor a terminal?
----@param descriptor 0|1 stdin, stdout
----@return boolean
+--- Is stdin (0) or stdout (1) a terminal?
 function terminal.is_terminal(descriptor)
   local result = os.execute("test -t " .. descriptor)
   return result == true or result == 0
@@ -254,21 +252,15 @@ end
 
 local function piped_reader() return io.read() end
 
---- Return the reader for what stdin is.
----@param complete fun(word: string, before: string): string[] for the Tab key
----@return fun(prompt: string): string|false|nil reader
+--- Return the reader for what stdin is. For the Tab key, `complete(word, before)` lists
+-- the words that begin so.
 function terminal.new_reader(complete)
   if not terminal.is_terminal(0) then return piped_reader end
   return terminal.is_terminal(1) and readline_reader(complete) or prompting_reader
 end
 
---- Read a line.
---
--- Control-C drops the lines before. A terminal drops the text before it in this line.
---
----@param read fun(prompt: string): string|false|nil
----@return string|false|nil line
----@return boolean is_interrupted
+--- Read a line; return what the reader does, and if Control-C was typed, which drops
+-- the lines before. A terminal drops the text before it in this line.
 function terminal.read(read, prompt)
   local ok, line = pcall(read, prompt)
   is_busy = false
@@ -278,7 +270,6 @@ function terminal.read(read, prompt)
 end
 
 --- Return a line that names missing packages; nil if none is missing.
----@return string? advice
 function terminal.advice()
   local packages, gains = {}, {}
   if not pcall(require, "readline") then

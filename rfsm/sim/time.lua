@@ -36,7 +36,6 @@ function time.install(sim, fsm)
     simulated(now.starts[false])))
 end
 
--- Reads a clock of the machine, or that of the process.
 local function read(fsm, is_monotonic)
   local own = rawget(fsm, "gettime")
   local ok, sec, nsec = pcall((own and clock.split(own) or clock.in_use)[is_monotonic])
@@ -68,7 +67,6 @@ function time.text(seconds)
   return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
 end
 
--- Lets seconds pass in one leap.
 local function leap(now, seconds)
   local nsec = now.nsec + floor(seconds % 1 * 1e9 + 0.5)
   now.sec = now.sec + floor(seconds) + floor(nsec / 1e9)

@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local location = require "rfsm.checks.location"
 local rfsmpp = require "rfsmpp"
 
@@ -113,9 +113,8 @@ end
 
 local FORMATS = { svg = true, png = true, pdf = true, dot = true }
 
---- Draw a machine with its active states into a file.
----@param file string its ending is the format
----@return string? problem in one line
+--- Draw a machine with its active states into a file, in the format of its ending;
+-- return the problem in one line if there is one.
 function view.draw(fsm, file)
   local dot, format = require "rfsm.dot", (file:match("%.(%w+)$") or ""):lower()
   if not FORMATS[format] then
@@ -125,7 +124,7 @@ function view.draw(fsm, file)
   if not picture then
     picture, problem = dot.render(dot.layout(fsm) or dot.encode(fsm), format)
   end
-  if picture then problem = select(2, diagram.write(file, picture)) end
+  if picture then problem = select(2, files.write(file, picture)) end
   return problem
 end
 

@@ -88,7 +88,6 @@ end
 ---@field first table<string, any> their first values
 ---@field has_load boolean it has functions `save` and `load`
 
--- Returns the keeper of a state; nil if the state keeps nothing.
 local function keeper_of(state)
   local saves, loads = type(state.save) == "function", type(state.load) == "function"
   if saves ~= loads then
@@ -156,7 +155,6 @@ local function add_element(self, obj)
   if rfsm.is_state(obj) then add_keeper(self, obj) end
 end
 
--- Returns what is known of the structure of a machine.
 local function chart_of(fsm)
   local key = rfsm.structure_of(fsm)
   if charts[key] then return charts[key] end
@@ -198,9 +196,8 @@ function chart.append(list, prefix, more)
   for _, line in ipairs(more) do list[#list + 1] = head .. line end
 end
 
---- Return the structure of a chart as lines.
----@param model rfsm.State|string[] a model, a machine, or such lines
----@return string[] lines none if the model is wrong
+--- Return the structure of a model or a machine as lines, none if it is wrong; such
+-- lines as they are.
 function chart.structure(model)
   if not rfsm.is_state(model) then return model end
   local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)

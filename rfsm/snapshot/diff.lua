@@ -29,7 +29,6 @@ local function new_machine(model)
   return fsm or error(text, 0)
 end
 
--- Gives a value to all that a machine keeps.
 local function fill(fsm)
   local own = charts.of(fsm)
   for i, keeper in ipairs(own.chart.keepers) do
@@ -87,7 +86,6 @@ end
 ---@field to string|false location in the new chart; false: it is not moved
 ---@field notes string[] timers that change; or why it is not moved
 
--- Returns why a snapshot was refused.
 local function reasons(problem, list, options)
   local reason = problem:match("^rfsm%.snapshot: ([^\n]-):?\n") or problem
   if not (options.rename or options.migrate) and reason:find("another chart") then
@@ -132,10 +130,8 @@ local function fate_of(places, at, leaf, model, options)
   return fate
 end
 
---- Compare two versions of a chart, whose models should print nothing.
--- @raise if one of them is no valid chart
----@param old rfsm.State model
----@param new rfsm.State model; its root may have `rename` and `migrate`
+--- Compare two versions of a chart: models, which should print nothing. The root of the
+-- new one may have `rename` and `migrate`. Raises an error if one is no valid chart.
 ---@return string[] difference empty if the structure and what is kept are the same
 ---@return rfsm.snapshot.Fate[] fates one for each leaf of the old chart and its regions
 function diff.compare(old, new)
@@ -153,9 +149,7 @@ function diff.compare(old, new)
   return move.difference(was, is), fates
 end
 
---- Return a report as text.
----@return string text
----@return boolean is_safe each machine moves
+--- Return a report as text, and if each machine moves.
 function diff.report(difference, fates)
   if not difference[1] then
     return "the charts have the same structure and keep the same: nothing moves\n", true

@@ -27,7 +27,6 @@ local PART = {
 local WHOLE = { version = "number", regions = "table", structure = "table" }
 for field, kind in each(PART) do WHOLE[field] = kind end -- any order: a copy
 
--- Returns a copy without the fields that are null.
 local function copy_fields(t)
   local copy = {}
   for key, value in each(t) do -- any order: a copy
@@ -77,7 +76,6 @@ local function add_regions(regions, snap, prefix, depth)
   end
 end
 
--- Makes a snapshot of format 1 one of today's.
 local function convert_format_1(snap)
   local regions = {}
   snap.version = move.VERSION
@@ -119,8 +117,7 @@ function move.part_of(snap, prefix)
   return (snap.regions or NONE)[prefix] or NONE
 end
 
--- Returns what differs between a machine and the part of a snapshot: nil, "kept" or
--- "structure".
+-- Returns what differs between a machine and a part: nil, "kept" or "structure".
 local function change_of(machine, part)
   local chart = charts.of(machine).chart
   if part.chart == nil or part.chart == chart.name then return nil end
@@ -129,7 +126,6 @@ end
 
 -- What would be lost ----------------------------------------------------------------
 
--- Notes the fields of a part that no state keeps.
 local function note_data(list, chart, part, prefix)
   for _, fqn in ipairs(rfsm.sorted_keys(part.data or NONE)) do
     local keeper = chart.keeper[fqn]
@@ -306,7 +302,6 @@ local function lines_of(fsm, snap, given)
   return snap.structure, has_fields and chart.all or chart.lines
 end
 
--- Lists what a snapshot names and the chart lacks.
 local function missing(lost)
   local list = {}
   for i, text in ipairs(lost) do list[i] = "gone: " .. text end
@@ -409,8 +404,7 @@ local function migrate(fsm, snap, list, options)
   return moved
 end
 
--- Returns what differs for a machine and its regions: nil, "kept" or "structure"; and
--- by prefix.
+-- Returns what differs for a machine and its regions, in all and by prefix.
 local function changes(fsm, snap)
   local most, by_prefix, count = nil, {}, 0
   for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: a number
@@ -443,7 +437,7 @@ local function move_snapshot(fsm, snap, options, most, is_format_1)
 end
 
 --- Return a snapshot as one for the chart of a machine, a copy in today's format.
--- @raise what is wrong with its fields; the list of what differs, or would be lost
+-- Raises what is wrong with its fields, or the list of what differs, or would be lost.
 ---@return rfsm.snapshot.Snapshot snap
 ---@return table<string, string>? changes by prefix; nil if it is of the same chart
 ---@return fun(prefix: string, event: string)? is_new

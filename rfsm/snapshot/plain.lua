@@ -43,8 +43,7 @@ local function reason(failure)
   return type(failure) == "table" and failure.text or text_of(failure)
 end
 
---- Call a function of the chart; its error is one of `fail`.
----@param what string in front of the error
+--- Call a function of the chart; its error is one of `fail`, with `what` in front.
 local function try(what, f, ...)
   local ok, result = calls.try(f, ...)
   if not ok then fail("%s: %s", what, text_of(result)) end
@@ -60,9 +59,7 @@ end
 ---@field seen table<table, true>|false tables that have come
 ---@field [integer] any keys
 
---- Return the location of a value.
----@param depth integer how many of its keys count
----@return string text such as "root.a.list[2]"
+--- Return the location of a value, such as "root.a.list[2]", by so many of its keys.
 local function location_of(path, depth)
   local location = path.owner or path.prefix .. path.keeper.fqn:sub(5)
   for i = 1, depth do
@@ -90,8 +87,7 @@ local function is_null(value)
   return ok and text == "null"
 end
 
---- Return a value; a plain table as a copy, and those in it.
----@param copies? table<table, table> those that were made
+--- Return a value; a plain table as a copy, and those in it. `copies` were made before.
 local function copy_of(value, copies)
   if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
   copies = copies or {}
@@ -200,12 +196,9 @@ local function flatten(packed, list)
   return list
 end
 
---- Return a value as plain data.
---
--- @raise what cannot be saved, with its location: a function, a userdata, a table with
--- a metatable or one that comes twice
----@param value any null of JSON is nil
----@param depth integer how many of its keys lead to the value
+--- Return a value as plain data, null of JSON as nil; `depth` of the keys in a path
+-- lead to it. Raises what cannot be saved, with its location: a function, a userdata, a
+-- table with a metatable or one that comes twice.
 function pack(value, path, depth)
   local kind = type(value)
   if kind == "string" or kind == "boolean" then return value end
@@ -322,9 +315,8 @@ local function is_flat(packed)
   return true
 end
 
---- Return the value that plain data stands for, in new tables.
--- @raise if it is none
----@param depth integer how many tables there are around it
+--- Return the value that plain data stands for, in new tables; `depth` tables are
+-- around it. Raises an error if it stands for none.
 function unpack(packed, depth)
   local kind = type(packed)
   if kind == "table" then

@@ -65,8 +65,7 @@ local function body_length(headers)
   return length
 end
 
--- Returns the request in `text`; nil while it is incomplete; nil and the status of a
--- refusal.
+-- Returns the request in `text`; nil while it is incomplete, or the status as well.
 local function parse_request(text)
   local stop, body_start = text:find("\r\n\r\n", 1, true)
   if not stop then return nil, #text > MAX_HEAD and 431 or nil end
@@ -99,7 +98,7 @@ local REASONS = {
   [200] = "OK", [204] = "No Content", [400] = "Bad Request", [403] = "Forbidden",
   [404] = "Not Found", [405] = "Method Not Allowed", [413] = "Content Too Large",
   [431] = "Request Header Fields Too Large", [500] = "Internal Server Error",
-  [501] = "Not Implemented", [503] = "Service Unavailable",
+  [501] = "Not Implemented",
 }
 
 local COMMON = "Cache-Control: no-store\r\nConnection: close\r\n"
@@ -220,7 +219,6 @@ end
 local Server = {}
 Server.__index = Server
 
--- Drops the oldest connection that is no stream.
 local function drop_oldest(server)
   for _, connection in ipairs(server.connections) do
     if connection.phase ~= "stream" then return drop(server, connection) end
@@ -277,8 +275,8 @@ function Server:step(timeout)
 end
 
 --- Send a message to each stream that has taken its last one. A stream that lags behind
--- gets no message now: `next_message` is called for it later.
----@param next_message fun(connection: rfsm.web.Connection): string? nil: there is none
+-- gets no message now: `next_message(connection)` is called for it later. It returns a
+-- text, nil if there is none.
 function Server:feed(next_message)
   if self.streams == 0 then return end
   local now = self.clock()
@@ -302,12 +300,9 @@ function Server:close()
   self.socket:close()
 end
 
---- Open a port.
----@param port integer 0: one that is free
+--- Open a port, 0: one that is free; nil and the problem if that fails. The clock is
+-- for the time limits.
 ---@param handle fun(request: rfsm.web.Request): rfsm.web.Reply
----@param clock? fun(): number seconds, for the time limits
----@return rfsm.web.HttpServer? server
----@return string? problem in one line
 function http.listen(host, port, handle, clock)
   local listening, problem = socket.bind(host, port, 128)
   if not listening then

@@ -54,9 +54,8 @@ Live.__index = Live
 ---@field path_texts table<string, string> for a reader
 ---@field path string|false of the transition in the current iteration
 ---@field printers table[] swaps of err and warn
----@field tracer table[] swap of dbg, while it is watched
+---@field tracer table[] swap of dbg, and hooks, while it is watched
 
--- Adds the transitions of a machine, by their texts, and their numbers.
 local function add_transitions(view, watched)
   for _, tr in ipairs(rfsm.elements(watched.fsm, rfsm.is_trans)) do
     local text = tostring(tr)
@@ -97,8 +96,7 @@ local function line_of(...)
   return (calls.text(" ", ...):gsub("^%u+:? ", ""):gsub(":  ", ": "))
 end
 
--- Returns the number of the node in a report: "error executing entry of root.a: ". For
--- a guard or an effect it is the source.
+-- Returns the number of the node in a report; for a guard or an effect the source.
 local function node_in(watched, line)
   local fqn = line:match("src='(root[^']*)'") or line:match("'(root[^']*)' failed")
     or line:match(" of (root.-): ")
@@ -199,18 +197,11 @@ local function attach(view, watched)
     local take = RECORDS[id]
     if take then take(view, watched, text) end
   end)
-  function watched.after_step(_, events) note_step(view, watched, events) end
-  function watched.after_reset() view:touch() end
   -- before the user's hooks, which may fail
-  rfsm.post_step_hook_add(fsm, rfsm.borrows(watched.after_step), "before")
-  rfsm.reset_hook_add(fsm, watched.after_reset)
-end
-
-local function detach(_, watched)
-  local fsm = watched.fsm
-  swap.give_back(watched.tracer)
-  rfsm.post_step_hook_rm(fsm, watched.after_step)
-  rfsm.reset_hook_rm(fsm, watched.after_reset)
+  swap.hook(watched.tracer, fsm, "post_step", function(_, events)
+    note_step(view, watched, events)
+  end, "before")
+  swap.hook(watched.tracer, fsm, "reset", function() view:touch() end)
 end
 
 --- Begin or end to note what the machine does.
@@ -218,7 +209,7 @@ function Live:watch(is_wanted)
   if self.is_watched == is_wanted then return end
   self.is_watched, self.lost = is_wanted, {}
   for _, watched in ipairs(self.machines) do
-    (is_wanted and attach or detach)(self, watched)
+    if is_wanted then attach(self, watched) else swap.give_back(watched.tracer) end
     watched.path = false
     for _, number in ipairs(add_active({}, watched)) do self:see_node(number) end
   end
@@ -285,8 +276,7 @@ local function data_of(state)
   return texts
 end
 
---- Return what is known of a state.
----@return table? about nil if there is none
+--- Return what is known of a state; nil if there is none of that number.
 function Live:inspect(number)
   local node = self.node_of[number]
   if not node then return nil end
@@ -301,18 +291,13 @@ function Live:inspect(number)
   return about
 end
 
---- Answer the command `inspect` of a page.
----@param source { view: rfsm.web.Live }
----@param message { node: any }
----@return string? problem
----@return table? about
+--- Answer the command `inspect` of a page: a problem, or nil and what is known.
 function Live.answer_inspect(source, message)
   local about = source.view:inspect(message.node)
   return not about and "node: number of a state expected" or nil, about
 end
 
---- View a machine; `watch` begins to follow it.
----@param clock fun(): number seconds, for the log
+--- View a machine; `watch` begins to follow it. The clock returns seconds, for the log.
 function Live.new(fsm, clock)
   local view = View.create(Live, marsh.model2tab(fsm, true), clock)
   view.fsm, view.machines, view.node_of = fsm, {}, {}

@@ -103,10 +103,8 @@ local function add_possible(list, found, node, is_seen)
   end
 end
 
---- List the events that a transition from an active state names. Guards are not called.
----@param active integer[] numbers of nodes
----@return integer[] numbers of events
----@return boolean any would any other event be taken?
+--- List the events that a transition from an active state names, by number, and if any
+-- other event would be taken. Guards are not called.
 function outline.possible(list, active)
   local found, is_seen, numbers = { set = {}, any = false }, {}, {}
   for _, node in ipairs(active) do add_possible(list, found, node, is_seen) end

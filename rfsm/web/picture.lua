@@ -4,6 +4,7 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local files = require "rfsm.shared.files"
 local layout = require "rfsm.pictures.layout"
 
 local coroutine, io, os, setmetatable = coroutine, io, os, setmetatable
@@ -27,12 +28,9 @@ local COMMAND = "exec 3>&- 4>&- 5>&- 6>&- 7>&- 8>&- 9>&-; "
   .. "trap \"kill $! 2>/dev/null; rm -f '%s.part'; exit\" TERM; wait; "
   .. "mv '%s.part' '%s'; } >/dev/null & echo $!; }"
 
--- Begins a run of Graphviz.
 local function begin(picture, graph, format)
-  local handle, output = io.open(picture.input, "wb"), picture.output
-  if not handle then return end
-  handle:write(graph)
-  handle:close()
+  local output = picture.output
+  if not files.write(picture.input, graph) then return end
   os.remove(output)
   local pipe = io.popen(COMMAND:format(CPU_SECONDS, format, picture.input, output,
     output, output, output))
@@ -40,18 +38,13 @@ local function begin(picture, graph, format)
   pipe:close()
 end
 
---- Have Graphviz run, and yield until it is done. The playground has its own.
----@param format string "dot" or "svg"
----@return string? output nil if Graphviz is missing or fails
+--- Have Graphviz run, and yield until it is done; return its output, nil if it is
+-- missing or fails. The playground has its own.
 function Picture:run(graph, format)
   begin(self, graph, format)
   while self.pid do
-    local handle = io.open(self.output, "rb")
-    if handle then
-      local text = handle:read("*a")
-      handle:close()
-      return text ~= "" and text or nil
-    end
+    local text = files.read(self.output)
+    if text then return text ~= "" and text or nil end
     coroutine.yield()
   end
 end
@@ -66,9 +59,8 @@ local function draw(picture, graph, description)
   return picture:run(graph, "svg")
 end
 
---- Begin a picture of a graph; without Graphviz it never comes.
----@param graph string in Graphviz's language
----@param description? rfsm.marsh.Node laid out level by level, in place of the graph
+--- Begin a picture of a graph in Graphviz's language, or of a description, which is
+-- laid out level by level, in its place; without Graphviz it never comes.
 function Picture.start(graph, description)
   local picture = setmetatable({ input = os.tmpname(), output = os.tmpname(),
     work = coroutine.create(draw), is_pending = true }, Picture)
@@ -86,7 +78,6 @@ function Picture:advance(...)
 end
 
 --- Return the picture, once it is complete; nil before.
----@return string? svg
 function Picture:take()
   return self.is_pending and self:advance() or nil
 end

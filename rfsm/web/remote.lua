@@ -165,10 +165,8 @@ function Remote.wait() return WAIT end
 
 function Remote:describe(message) message.clock = self.clock() end
 
---- Watch the machines of a port.
----@param number? integer only this one
----@return rfsm.web.Remote[]? remotes grows with the machines that are heard of
----@return string? problem in one line
+--- Watch the machines of a port, or only one; nil and the problem if that fails. The
+-- list grows with the machines that are heard of.
 function Remote.open(host, port, number)
   local client, problem = subscriber.connect(host, port, true)
   if not client then return nil, problem end

@@ -14,13 +14,14 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
+local files = require "rfsm.shared.files"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
 local Live = require "rfsm.web.live"
 local points = require "rfsm.sim.points"
 local utf8 = require("rfsm.marsh").utf8
 
-local io, ipairs, os, pcall = io, ipairs, os, pcall
+local ipairs, os, pcall = ipairs, os, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
 local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
@@ -88,19 +89,13 @@ local function init(session, model)
   return fsm, text, problems
 end
 
-local function read(file)
-  local handle = io.open(file, "rb")
-  local text = handle and handle:read("*a") or ""
-  if handle then handle:close() end
-  return text
-end
+local function read(file) return files.read(file) or "" end
 
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
 -- Starts the clock of the machine at its own time.
 local function start_clock(session) session.since = session.real() - session.now end
 
--- Records a machine from now on.
 local function start_recorder(session)
   if session.recorder then session.recorder:stop() end
   local ok, recorder = pcall(record.record, session.view.fsm, {})
@@ -137,7 +132,6 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Session.MAX_STEPS))
 end
 
--- Returns a snapshot of a machine; nil if it cannot be saved.
 local function take_snapshot(fsm)
   local ok, snap = pcall(snapshot.take, fsm)
   return ok and snap or nil
@@ -234,7 +228,6 @@ function commands.clock(session, message)
   start_clock(session)
 end
 
--- Lets time pass, then runs.
 local function pass(session, seconds)
   begin_turn(session)
   session.now = session.now + seconds
@@ -313,9 +306,7 @@ function Session:describe(message)
   message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
 end
 
---- Open a chart, also one with mistakes.
----@param real fun(): number seconds of the wall's clock
----@param has_stubs boolean modules and globals that are not here do nothing
+--- Open a chart, also one with mistakes; `real` is the clock of the wall, in seconds.
 function Session.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},

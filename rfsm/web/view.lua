@@ -61,7 +61,6 @@ local function count_states(nodes)
 end
 
 --- Make a view of a class that is derived from this one.
----@param clock fun(): number
 function View.create(class, description, clock)
   local lists = outline.read(description)
   return setmetatable({
@@ -83,11 +82,9 @@ local function trim(view)
   if #log >= 2 * MAX_LOG then view.log = { unpack(log, #log - MAX_LOG + 1) } end
 end
 
---- Add an entry to the log. Most entries of a fast machine are never sent: events
--- become texts when they are.
----@param kind string "step", "lost", "error", "warning", "output" or "note"
----@param events? any[] of a step
----@param active? integer[] the active states behind a step
+--- Add an entry to the log: "step", "lost", "error", "warning", "output" or "note". A
+-- step has events, and the active states behind it. Most entries of a fast machine are
+-- never sent: events become texts when they are.
 function View:note(kind, text, events, active)
   self.count = self.count + 1
   self.log[#self.log + 1] = {
@@ -108,8 +105,7 @@ end
 --- Note that a state was active.
 function View:see_node(number) mark(self.seen_nodes, number) end
 
---- Note that a transition was taken.
----@param number integer? nil if it is not in the chart
+--- Note that a transition was taken; nil is one that is not in the chart.
 function View:see_edge(number)
   if self.is_taken_shown then self.taken, self.is_taken_shown = {}, false end
   mark(self.seen_edges, number)
@@ -145,10 +141,8 @@ end
 
 -- Messages --------------------------------------------------------------------------
 
---- Return the event in a message: a text, or the number of an event of the chart.
----@param message { event: any }
----@return any event nil if there is none
----@return string? problem
+--- Return the event in a message: a text, or that with the number in the chart; nil and
+-- the problem if there is none.
 function View:event_of(message)
   local event = message.event
   if type(event) == "number" then
@@ -165,7 +159,6 @@ function View:chart()
   return { nodes = lists.nodes, edges = lists.edges, events = lists.events }
 end
 
--- Returns an entry of the log for a message.
 local function sent(view, entry)
   return { number = entry.number, at = entry.at, kind = entry.kind, turn = entry.turn,
     active = entry.active, text = marsh.utf8(entry.text:sub(1, MAX_TEXT)),
@@ -192,10 +185,8 @@ local function failure_list(view)
   return list
 end
 
---- Return the present state, and the changes for a page.
----@param cursor rfsm.web.Cursor? nil: the page knows nothing yet
----@return table message
----@return rfsm.web.Cursor cursor of the page once it has the message
+--- Return a message with the present state and the changes for a page, and the cursor
+-- of the page once it has the message. A page without a cursor knows nothing yet.
 function View:state(cursor)
   local message, lists = self:now(), self.outline
   message.is_full = not cursor or cursor.rewrites ~= self.rewrites

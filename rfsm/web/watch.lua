@@ -60,7 +60,6 @@ function TAKE.rfsm_active_state(self, message)
   self.leaf = leaf
 end
 
--- Clears the screen, and prints the tree and the log.
 local function draw(self)
   local tree = self.graph and add_tree({}, self.graph, "root", self.leaf) or {}
   local status = self.status ~= "" and "\n" .. self.status or ""
@@ -83,7 +82,6 @@ local function note_silence(self, client)
 end
 
 --- Print a machine as it changes; without an end, unless `count` is given.
----@param options { number: integer, count: integer?, is_terminal: boolean }
 function watch.run(client, options)
   local self = setmetatable({
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,

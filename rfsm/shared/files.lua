@@ -1,0 +1,47 @@
+--- Files: read and written whole.
+--
+-- @module rfsm.shared.files
+-- @license BSD-3-Clause
+
+local io, package = rawget(_G, "io"), rawget(_G, "package") -- no `io` in a browser
+
+local files = {}
+
+--- Return the content of a file; nil and the problem in one line if it cannot be read.
+function files.read(name)
+  local handle, problem = io.open(name, "rb")
+  if not handle then return nil, problem end
+  local text, why = handle:read("*a") -- a directory opens, too
+  handle:close()
+  return text, why and name .. ": " .. why
+end
+
+--- Write a text to a file; return true, or false and the problem in one line.
+function files.write(name, text)
+  local handle, problem = io.open(name, "wb")
+  if not handle then return false, problem end
+  local is_written, why = handle:write(text)
+  local is_closed, why_not = handle:close()
+  if is_written and is_closed then return true end
+  return false, name .. ": " .. (why or why_not)
+end
+
+--- Return the content of a file that is found as modules are, by a name with slashes
+-- and without its ending (".lua"); nil if it is not found, or is bytecode.
+function files.find(name, ending)
+  for template in package.path:gmatch("[^;]+") do
+    local file = template:gsub("%?", name):gsub("%.lua$", ending or ".lua")
+    local text = files.read(file)
+    if text and text:byte() ~= 27 then return text end
+  end
+end
+
+--- Return random bytes as hexadecimal digits; nil if the system has none.
+function files.random(count)
+  local handle = io.open("/dev/urandom", "rb")
+  local bytes = handle and handle:read(count)
+  if handle then handle:close() end
+  return bytes and bytes:gsub(".", function(c) return ("%02x"):format(c:byte()) end)
+end
+
+return files
