@@ -196,13 +196,6 @@ function helper.package(name)
   return ok and module or nil
 end
 
---- Returns the first of `n` seeds for random cases. Each Lua has seeds of its own, so
---- that all Luas together try six times as many.
-function helper.first_seed(n)
-  local version = rawget(_G, "jit") and 0 or tonumber(_VERSION:match("%d$"))
-  return 1 + n * version
-end
-
 --- Returns the interpreter that runs this, as the shell can call it.
 function helper.interpreter()
   local i = 0

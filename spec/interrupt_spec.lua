@@ -1,14 +1,15 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- strike anywhere. Here it does so at every 37th VM instruction in turn, or at each
--- if EVERY=1. It reaches the caller as itself; after that the machine goes on, and ends
--- where it would have ended.
+-- strike anywhere. Here it does so at every 37th VM instruction in turn (the share of
+-- this Lua), or at each if EVERY=1. It reaches the caller as itself; after that the
+-- machine goes on, and ends where it would have ended.
 
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
 local INTERRUPT = "interrupted!"
-local EVERY = tonumber(os.getenv("EVERY")) or 37
+local EVERY, FIRST = share.every(tonumber(os.getenv("EVERY")) or 37)
 local LIMIT = 1e6 -- instructions: more than any of these runs needs
 
 -- a.b.c --e_k--> k --> d.e (doo: one cycle, then done) --e_back--> a,
@@ -133,7 +134,7 @@ local CASES = {
 -- Interrupts the case everywhere and lets the machine go on.
 local function check_everywhere(case, programs)
   local prepare, advance, event, leaf = case[2], case[3], case[4], case[5]
-  local at, failure = 1 - EVERY, false
+  local at, failure = FIRST - EVERY, false
   if event then advance = sending(event, advance) end
   while failure ~= nil do
     at = at + EVERY
