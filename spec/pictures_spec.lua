@@ -16,10 +16,7 @@ after_each(helper.remove_files)
 -- Reads the output of a command, and its messages.
 local function run(command)
   local log = file_with("")
-  local pipe = io.popen(command .. " 2>'" .. log .. "'")
-  local text = pipe:read("*a")
-  pipe:close()
-  return text, content(log)
+  return helper.text_of(command .. " 2>'" .. log .. "'"), content(log)
 end
 
 local dot = require "rfsm.dot"

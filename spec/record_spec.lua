@@ -555,11 +555,8 @@ describe("a recording", function()
     helper.post_and_run(fsm, "e_\n")
     local function output_of(text)
       local name = helper.file_with(text)
-      local pipe = io.popen("f=" .. name .. "; mv $f $f.lua; "
+      return helper.text_of("f=" .. name .. "; mv $f $f.lua; "
         .. "busted -o TAP $f.lua 2>&1; rm $f.lua")
-      local output = pipe:read("*a")
-      pipe:close()
-      return output
     end
     local text = record.to_spec(sink)
     assert.matches("ok 1 %- .* takes the steps that were recorded", output_of(text))
