@@ -103,6 +103,7 @@ return rfsm.state {
 }]]
 
 local EVENTS = servers.EVENTS or 500
+local CLIENTS = servers.EVENTS and 20 or 10
 
 local server
 
@@ -324,7 +325,7 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
       for i = 1, machines do client:create("m" .. i, "counter") end
     end)
     for i = 1, EVENTS do
-      local key, number = "m" .. random:below(machines), i % 20 + 1
+      local key, number = "m" .. random:below(machines), i % CLIENTS + 1
       sent[key] = (sent[key] or 0) + 1
       lines[number] = lines[number] or {}
       table.insert(lines[number], ("%d %s e_tick\n"):format(i, key))
@@ -611,7 +612,7 @@ SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("COMMAND", function()
 end)
 
 describe("many clients", function()
-  local CLIENTS, MACHINES = 20, math.min(1000, EVENTS / 10)
+  local MACHINES = math.min(1000, EVENTS / 10)
 
   -- Clients wait until the gate has a row.
   local GATE = [[
