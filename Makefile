@@ -173,7 +173,7 @@ install:                ## copy modules and tools below PREFIX; STRIP=1: as byte
 	  install -d $(addprefix $$d/,$(sort $(dir $(DEEPER)))); \
 	  install -m 644 $(OUTER) $$d; \
 	  install -m 644 $(INNER) $$d/rfsm; \
-	  for f in $(DEEPER) $(PAGE); do install -m 644 $$f $$d/$$f; done; \
+	  $(foreach d,$(sort $(dir $(DEEPER))),install -m 644 $(filter $d%,$(DEEPER) $(PAGE)) $$d/$d;) \
 	  $(if $(STRIP),$(STRIP_FILES);) \
 	done
 	install -d $(DESTDIR)$(PREFIX)/bin

@@ -7,6 +7,7 @@
 
 package.path = "./?.lua;" .. package.path
 
+local helper = require "spec.helper"
 local measure = require "bench.measure"
 local record = require "rfsm.record"
 local rfsm = require "rfsm"
@@ -15,20 +16,6 @@ local web = require "rfsm.web"
 
 local ROUNDS = measure.count("ROUNDS", 5)
 local SECONDS = measure.setting("SECONDS", 0.1) -- per measurement
-
--- A ring of leaves.
-local function ring(count)
-  local model = { info = false, warn = false,
-    rfsm.trans { src = "initial", tgt = "s1" } }
-  for i = 1, count do
-    model["s" .. i] = rfsm.state {}
-    model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. i % count + 1,
-      events = { "e_push" } }
-  end
-  local fsm = assert(rfsm.init(rfsm.state(model)))
-  rfsm.run(fsm)
-  return fsm
-end
 
 -- A function of n that sends an event, runs, and calls `after`.
 local function running(fsm, after)
@@ -58,7 +45,7 @@ local function print_row(name, ...)
 end
 
 local function measure_page(count)
-  local plain, fsm = ring(count), ring(count)
+  local plain, fsm = helper.ring(count), helper.ring(count)
   local server = web.serve(fsm, { port = 0 })
   local step = function() server:step(0) end
   server:step(0) -- begins the picture
@@ -93,7 +80,7 @@ local function measure_page(count)
 end
 
 local function measure_record()
-  local name, fsm = os.tmpname(), ring(2)
+  local name, fsm = os.tmpname(), helper.ring(2)
   local recorder = record.record(fsm, name)
   local best = measure.best_in_turn({ running(fsm) }, ROUNDS, SECONDS)
   recorder:stop()

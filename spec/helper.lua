@@ -108,6 +108,17 @@ function helper.chart(events, members)
   return rfsm.state(model)
 end
 
+--- A machine of s1 --e_push--> s2 --e_push--> ... s1, with `count` leaves, that runs.
+function helper.ring(count)
+  local model = rfsm.state { rfsm.trans { src = "initial", tgt = "s1" } }
+  for i = 1, count do
+    model["s" .. i] = rfsm.state {}
+    model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. i % count + 1,
+      events = { "e_push" } }
+  end
+  return helper.started(model)
+end
+
 --- A machine that says nothing about its model.
 function helper.init(model)
   if model.warn == nil then model.warn = false end
@@ -196,18 +207,19 @@ function helper.package(name)
   return ok and module or nil
 end
 
---- Returns the first of `n` seeds for random cases. Each Lua has seeds of its own, so
---- that all Luas together try six times as many.
-function helper.first_seed(n)
-  local version = rawget(_G, "jit") and 0 or tonumber(_VERSION:match("%d$"))
-  return 1 + n * version
-end
-
 --- Returns the interpreter that runs this, as the shell can call it.
 function helper.interpreter()
   local i = 0
   while arg[i - 1] do i = i - 1 end
   return arg[i]
+end
+
+--- Runs a command of the shell; returns what it prints.
+function helper.text_of(command)
+  local pipe = assert(io.popen(command))
+  local text = pipe:read("*a")
+  pipe:close()
+  return text
 end
 
 --- Runs a command of the shell; returns the lines that it prints.

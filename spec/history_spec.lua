@@ -4,6 +4,7 @@
 local helper = require "spec.helper"
 local claim = require "spec.support.claims.history"
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 local snapshot = require "rfsm.snapshot"
 require "rfsm.history"
 
@@ -196,5 +197,5 @@ describe("the history of a state", function()
 end)
 
 it("history is as its model says #random", function()
-  assert.same({ 100 }, { claim.run(100, 1) })
+  assert.is_nil(share.problem(claim, 100))
 end)

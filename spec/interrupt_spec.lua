@@ -1,10 +1,11 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
 -- strike at any VM instruction of the engine. Here it does so at each in turn, or at
--- each 7th if the machine is traced. It reaches the caller as itself. After that the
+-- each 7th if the machine is traced (the share of this Lua). It reaches the caller as itself. After that the
 -- machine goes on, and each callback is called once and in order, as in a machine that
 -- is left alone.
 
 local rfsm = require "rfsm"
+local share = require "spec.support.share"
 
 local state, trans, conn = rfsm.state, rfsm.trans, rfsm.conn
 
@@ -237,9 +238,11 @@ local function check_everywhere(case, has_callbacks)
   end
   begin(case, fsm, trace)
   advance(fsm)
-  local expected, at, failure = finish(fsm, trace, case.is_cycle), 0, true
+  local expected, failure = finish(fsm, trace, case.is_cycle), true
+  local every, at = share.every(case.every or 1)
+  at = at - every
   while failure do
-    at = at + (case.every or 1)
+    at = at + every
     begin(case, fsm, trace)
     failure = interrupt(at, advance, fsm)
     local where = ("at instruction %d"):format(at)

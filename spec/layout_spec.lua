@@ -656,6 +656,6 @@ end)
 
 describe("the drawn graph", function()
   it("has the nodes, arrows and nesting of random charts", function()
-    assert.same({ 2 }, { claim.run(2, share.seed(2)) })
+    assert.is_nil(share.problem(claim, 6))
   end)
 end)

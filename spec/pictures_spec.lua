@@ -8,7 +8,7 @@ local rfsm = require "rfsm"
 local share = require "spec.support.share"
 
 local content, file_with = helper.content, helper.file_with
-local COUNT = 2 -- random charts
+local COUNT = share.count(4) -- random charts
 local seed = share.seed(COUNT)
 
 after_each(helper.remove_files)
@@ -16,10 +16,7 @@ after_each(helper.remove_files)
 -- Reads the output of a command, and its messages.
 local function run(command)
   local log = file_with("")
-  local pipe = io.popen(command .. " 2>'" .. log .. "'")
-  local text = pipe:read("*a")
-  pipe:close()
-  return text, content(log)
+  return helper.text_of(command .. " 2>'" .. log .. "'"), content(log)
 end
 
 local dot = require "rfsm.dot"

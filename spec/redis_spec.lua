@@ -16,22 +16,7 @@ after_each(helper.remove_files)
 
 local COUNTER = servers.COUNTER
 
--- off --e_on--> on --e_off or 50 ms--> off
-local LAMP = [[
-return rfsm.state {
-  keep = { "owner" },
-  off = rfsm.state { entry = function(fsm)
-    fsm.times = (fsm.times or 0) + 1 -- not kept
-    fsm.emit("off", { times = fsm.times, owner = fsm.owner })
-  end },
-  on = rfsm.state { entry = function() error("no bulb", 0) end },
-  busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
-  rfsm.trans { src = "initial", tgt = "off" },
-  rfsm.trans { src = "off", tgt = "on", events = { "e_on" },
-    guard = function(tr) return tr._fsm.owner ~= "ghost" end },
-  rfsm.trans { src = "on", tgt = "off", events = { "e_off", "e_after(0.05)" } },
-  rfsm.trans { src = "off", tgt = "busy", events = { "e_busy" } },
-}]]
+local LAMP = servers.lamp(0.05)
 
 -- a --e_next--> a: each entry emits what it finds in fields, and changes them
 local UNTIDY = [[

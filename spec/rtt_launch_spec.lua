@@ -6,6 +6,7 @@ local rtt_helper = require "spec.support.rtt_helper" -- before rfsm.rtt
 
 local rfsm = require "rfsm"
 local rfsm_rtt = require "rfsm.rtt"
+local share = require "spec.support.share"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -1024,8 +1025,8 @@ describe("a launched machine", function()
 
   it("writes the leaves that it writes without RTT, whatever is stopped, started and "
     .. "cleaned up", function()
-    local first = helper.first_seed(8)
-    for seed = first, first + 7 do
+    local n = share.count(8)
+    for seed = share.seed(n), share.seed(n) + n - 1 do
       local random = new_random(seed)
       local file = file_with(random_chart(random))
       local fsm, expected = without_rtt(file)

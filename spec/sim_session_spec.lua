@@ -73,6 +73,31 @@ return rfsm.state { warn = false, info = false, ]] .. (more or "") .. [[
 }]]
 end
 
+-- What is printed for twelve times e_go and `history`, of which six to eight are kept.
+local TWELVE = [=[
+at root.a(done)
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+at root.b(done) e_done@root.b
+at root.c(done) e_done@root.c
+at root.a(done) e_done@root.a
+   7  e_done@root.b, e_go             root.c(done)
+   8  e_done@root.c, e_go             root.a(done)
+   9  e_done@root.a, e_go             root.b(done)
+  10  e_done@root.b, e_go             root.c(done)
+  11  e_done@root.c, e_go             root.a(done)
+  12  e_done@root.a, e_go             root.b(done)
+  13  e_done@root.b, e_go             root.c(done)
+  14  e_done@root.c, e_go             root.a(done)
+]=]
+
 describe("the history in chunks", function()
   check {
     { does = "ends where it was left for another way", chunk = 2, chart = ring(),
@@ -239,28 +264,7 @@ goto 14
 back 20
 back
 forward 20
-]=], output = [=[
-at root.a(done)
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-   7  e_done@root.b, e_go             root.c(done)
-   8  e_done@root.c, e_go             root.a(done)
-   9  e_done@root.a, e_go             root.b(done)
-  10  e_done@root.b, e_go             root.c(done)
-  11  e_done@root.c, e_go             root.a(done)
-  12  e_done@root.a, e_go             root.b(done)
-  13  e_done@root.b, e_go             root.c(done)
-  14  e_done@root.c, e_go             root.a(done)
+]=], output = TWELVE .. [=[
 ! goto: number of an iteration from 6 to 14 expected, got 5
 at root.b(done) e_done@root.b
 at root.a(done) e_done@root.a
@@ -273,29 +277,7 @@ at root.a(done) e_done@root.a
 step 2
 for i = 1, 12 do ses 'e_go' end
 history
-]=], output = [=[
-at root.a(done)
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-at root.b(done) e_done@root.b
-at root.c(done) e_done@root.c
-at root.a(done) e_done@root.a
-   7  e_done@root.b, e_go             root.c(done)
-   8  e_done@root.c, e_go             root.a(done)
-   9  e_done@root.a, e_go             root.b(done)
-  10  e_done@root.b, e_go             root.c(done)
-  11  e_done@root.c, e_go             root.a(done)
-  12  e_done@root.a, e_go             root.b(done)
-  13  e_done@root.b, e_go             root.c(done)
-  14  e_done@root.c, e_go             root.a(done)
-]=] },
+]=], output = TWELVE },
     { does = "shows events that are no texts", chart = ring(), input = [=[
 run
 ser(true, 1.5)

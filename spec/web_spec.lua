@@ -779,8 +779,7 @@ describe("a page", function()
 end)
 
 it("random commands do what the same calls do, and back leads where it was", function()
-  local n = tonumber(os.getenv "RFSM_N") or 3
-  assert.same({ n }, { require("spec.support.claims.web").run(n, share.seed(n)) })
+  assert.is_nil(share.problem(require "spec.support.claims.web", 6))
 end)
 
 describe("a chart in a file", function()

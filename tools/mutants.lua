@@ -7,6 +7,7 @@
 -- run at once: the changes are made in a copy of the tree.
 
 package.path = "./?.lua;" .. package.path
+local helper = require "spec.helper"
 local new_random = require "spec.support.random"
 
 local compile = rawget(_G, "loadstring") or load
@@ -72,26 +73,6 @@ local ROOMS = {
 local function fail(message)
   io.stderr:write("mutants: ", message, "\n")
   os.exit(2)
-end
-
-local function output_of(command)
-  local pipe = assert(io.popen(command))
-  local text = pipe:read("*a")
-  pipe:close()
-  return text
-end
-
-local function read(name)
-  local file = assert(io.open(name, "rb"))
-  local text = file:read("*a")
-  file:close()
-  return text
-end
-
-local function write(name, text)
-  local file = assert(io.open(name, "wb"))
-  file:write(text)
-  file:close()
 end
 
 -- Tokens: text, kind, and where they are --------------------------------------
@@ -244,7 +225,7 @@ local KINDS = { replace, change_number, change_word, remove_line, negate,
 
 -- Lists the places of a file that can be changed: `file`, `line`, `changes`.
 local function sites_of(file, sites)
-  local text = read(file)
+  local text = helper.content(file)
   local tokens = tokens_of(text)
   for i, token in ipairs(tokens) do
     local site = { file = file, line = token.line, changes = {} }
@@ -281,7 +262,7 @@ Copy.__index = Copy
 
 -- Copies the tree into a new folder.
 local function new_copy(lua)
-  local folder = output_of("mktemp -d"):match("%S+")
+  local folder = helper.text_of("mktemp -d"):match("%S+")
   os.execute(("{ git ls-files -co --exclude-standard 2>/dev/null || find . -type f; } |"
     .. " tar -cf - -T - 2>/dev/null | tar -xf - -C '%s'"):format(folder))
   return setmetatable({ folder = folder, lua = lua }, Copy)
@@ -291,7 +272,7 @@ function Copy:remove() os.execute("rm -rf '" .. self.folder .. "'") end
 
 -- Returns the exit code of a spec file, and what it printed.
 function Copy:run(spec, limit)
-  local text = output_of(("cd '%s' && ulimit -v 4000000; timeout -k 1 %d %s"
+  local text = helper.text_of(("cd '%s' && ulimit -v 4000000; timeout -k 1 %d %s"
     .. " --no-keep-going --lua='%s' %s 2>&1 </dev/null; echo \"exit $?\""):format(
     self.folder, limit, os.getenv("BUSTED") or "busted", self.lua, spec))
   local code = tonumber(text:match("exit (%d+)\n$"))
@@ -316,20 +297,21 @@ end
 -- Does a spec notice the mutant?
 function Copy:notices(mutant, specs)
   local name = self.folder .. "/" .. mutant.file
-  local text = read(name)
-  write(name, mutant.text)
+  local text = helper.content(name)
+  helper.write(name, mutant.text)
   local is_noticed = false
   for _, spec in ipairs(specs) do
     is_noticed = self:run(spec.file, spec.limit) ~= 0
     if is_noticed then break end
   end
-  write(name, text)
+  helper.write(name, text)
   return is_noticed
 end
 
 local function show(mutant)
   print(("%s:%d: %s -> %s"):format(mutant.file, mutant.line,
-    line_of(read(mutant.file), mutant.line), line_of(mutant.text, mutant.line)))
+    line_of(helper.content(mutant.file), mutant.line),
+    line_of(mutant.text, mutant.line)))
   io.stdout:flush()
 end
 
@@ -384,10 +366,10 @@ end
 local room = room_named(arg[1])
 local count, seed = number_of(arg[2], "N", 100), number_of(arg[3], "SEED", 1)
 local sites = {}
-local list = output_of("ls " .. table.concat(room.files, " ") .. " 2>/dev/null")
+local list = helper.text_of("ls " .. table.concat(room.files, " ") .. " 2>/dev/null")
 for file in list:gmatch("%S+") do sites_of(file, sites) end
 
-local copy = new_copy(output_of("command -v '" .. arg[-1] .. "'"):match("[^\n]+"))
+local copy = new_copy(helper.text_of("command -v '" .. arg[-1] .. "'"):match("[^\n]+"))
 local is_done, problem = pcall(try, copy, room, sites, count, seed)
 copy:remove()
 if not is_done then fail(problem) end

@@ -1,13 +1,14 @@
 #!/bin/sh
-# Runs the specs on each interpreter named, as many spec files at a time as there are
-# cores. A line is printed as an interpreter ends, after the output of its failures. The
+# Runs the specs on each interpreter named, one spec file at a time more than there are
+# cores, because some wait for what they started. A line is printed as an interpreter ends, after the output of its failures. The
 # last line is the sum: "N passed, N failed, N pending". What is pending lacks a program
 # or a package; each is listed before the sum. With PENDING=no they count as failures.
 # On stderr, every tenth of the files is announced, with the time that the rest will take.
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
 # sees what another has loaded. It is stopped after LIMIT seconds (300).
-# FILES names other spec files than spec/*_spec.lua.
+# FILES names other spec files than spec/*_spec.lua. RFSM_SHARE tells the specs which
+# share of what is the same on all interpreters they have: see spec/support/share.lua.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 
@@ -18,6 +19,9 @@ command -v timeout >/dev/null && timeout="timeout -k 5 $limit" || timeout=
 # Python package it is skipped.
 NEEDS_C='spec/(bench|documents|extensions|fleet|project|proto|redis|web)_spec'
 
+# This one is about LuaJIT's compiler.
+NEEDS_JIT='spec/jit_spec'
+
 # Prints a line "LUA FILE" for each spec file that an interpreter can run.
 list_files() { # list_files LUA
   # shellcheck disable=SC2086
@@ -26,6 +30,7 @@ list_files() { # list_files LUA
     why=$("$1" -e '' 2>&1) || { echo "$1: skipped, $why" >&2; return 0; }
     files=$(echo "$files" | grep -vE "$NEEDS_C")
   fi
+  case $1 in *luajit*) ;; *) files=$(echo "$files" | grep -v "$NEEDS_JIT") ;; esac
   echo "$files" | sed "s|^|$1 |"
 }
 
@@ -47,33 +52,47 @@ list_pending() { # list_pending LOG ...
 
 # Announces each tenth of the files, and the time that the rest will take.
 announce() { # announce LOGS
-  done=$(ls "$1"/*/ | grep -c '\.done$') all=$(grep -c . "$1/files")
-  mkdir "$1/announced$((done * 10 / all))" 2>/dev/null || return 0
-  time=$(($(date +%s) - $(cat "$1/time")))
+  logs=$1
+  read -r all <"$logs/count"
+  set -- "$logs"/*/*.done
+  done=$#
+  [ -d "$logs/announced$((done * 10 / all))" ] && return 0
+  mkdir "$logs/announced$((done * 10 / all))" 2>/dev/null || return 0
+  time=$(($(date +%s) - $(cat "$logs/time")))
   echo "$done of $all files, about $((time * (all - done) / done)) s to go" >&2
 }
 
 # Runs a file; the last one of an interpreter prints the line.
 run_file() { # run_file LOGS LUA FILE
-  logs=$1/$(basename "$2") log=$1/$(basename "$2")/$(basename "$3") options=
-  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=misses --filter-out=at.a.terminal"
-  mkdir "$logs/began" 2>/dev/null && date +%s >"$logs/time"
-  if ! $timeout $busted --lua="$(command -v "$2")" $options "$3" >"$log" 2>&1; then
-    grep -qE '^[0-9]+ success' "$log" || {
-      echo "$2: $3 did not end within $limit s, or crashed"
+  logs=$1/${2##*/} log=$1/${2##*/}/${3##*/} options=
+  [ "$2" = tools/lua5.5 ] && options="--filter-out=Graphviz --filter-out=at.a.terminal"
+  [ -d "$logs/began" ] || { mkdir "$logs/began" 2>/dev/null && date +%s >"$logs/time"; }
+  read -r RFSM_SHARE <"$logs/share"
+  export RFSM_SHARE
+  $timeout $busted --lua="$(command -v "$2")" $options "$3" >"$log" 2>&1
+  status=$? why=
+  case $(grep -E '^[0-9]+ success' "$log") in
+    "") why="did not end within $limit s, or crashed" ;;
+    "0 successes / 0 failures / 0 errors / 0 pending"*) why="has no test" ;;
+  esac
+  if [ "$status" != 0 ] || [ -n "$why" ]; then
+    [ -z "$why" ] || {
+      echo "$2: $3 $why"
       echo "0 successes / 0 failures / 1 error / 0 pending"
     } >>"$log"
+    echo "$2: $3 failed with RFSM_SHARE=$RFSM_SHARE" >>"$log"
     cat "$log"
   fi
   mv "$log" "$log.done"
-  announce "$1"
-  # shellcheck disable=SC2012
-  [ "$(ls "$logs" | grep -c '\.done$')" = "$(grep -c . "$logs/files")" ] || return 0
-  mkdir "$logs/ended" 2>/dev/null || return 0
+  (announce "$1")
+  lua=$2
+  read -r all <"$logs/count"
+  set -- "$logs"/*.done
+  [ $# = "$all" ] && mkdir "$logs/ended" 2>/dev/null || return 0
   time=$(($(date +%s) - $(cat "$logs/time")))
   # shellcheck disable=SC2046
-  set -- "$2" $(count "$logs"/*.done)
-  echo "$1: $2 passed, $3 failed, $4 pending, $time s"
+  set -- $(count "$@")
+  echo "$lua: $1 passed, $2 failed, $3 pending, $time s"
 }
 
 if [ "${1:-}" = --one ]; then
@@ -83,13 +102,19 @@ fi
 
 logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
+number=0
 for lua in "$@"; do
   command -v "$lua" >/dev/null || { echo "$lua: not installed" >&2; exit 1; }
-  mkdir "$logs/$(basename "$lua")"
-  list_files "$lua" | tee "$logs/$(basename "$lua")/files"
+  own=$logs/${lua##*/} number=$((number + 1))
+  mkdir "$own"
+  echo "$number/$#" >"$own/share"
+  list_files "$lua" >"$own/files"
+  grep -c . "$own/files" >"$own/count"
+  cat "$own/files"
 done >"$logs/files"
+grep -c . "$logs/files" >"$logs/count"
 date +%s >"$logs/time"
-xargs -P "$(getconf _NPROCESSORS_ONLN || echo 2)" -n 2 "$0" --one "$logs" <"$logs/files"
+xargs -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) + 1))" -n 2 "$0" --one "$logs" <"$logs/files"
 list_pending "$logs"/*/*.done
 # shellcheck disable=SC2046
 set -- $(count "$logs"/*/*.done)

@@ -354,19 +354,6 @@ local function visit_hosted(fsm, options)
   return server
 end
 
-local function ring(count)
-  local model = { info = false, warn = false,
-    rfsm.trans { src = "initial", tgt = "s1" } }
-  for i = 1, count do
-    model["s" .. i] = rfsm.state {}
-    model[#model + 1] = rfsm.trans { src = "s" .. i, tgt = "s" .. i % count + 1,
-      events = { "e_push" } }
-  end
-  local fsm = rfsm.init(rfsm.state(model))
-  rfsm.run(fsm)
-  return fsm
-end
-
 describe("the diagram", function()
   local function width()
     return window:run [[
@@ -516,19 +503,11 @@ describe("a keyboard", function()
   end)
 
   it("finds no fault by axe", function()
-    local axe = os.getenv "AXE"
-    if not axe or axe == "" then
-      assert(os.getenv "PENDING" ~= "no", "npm cannot fetch axe-core")
-      return pending("npm cannot fetch axe-core, and AXE=axe.min.js is not set")
-    end
+    if not webdriver.AXE then return pending(webdriver.no_axe()) end
     visit_picture(CHART)
     window:type "452"
     window:wait "now.leaf == 'root.stopped'"
-    window:run(helper.content(axe) .. "\nwindow.axe = axe;")
-    assert.same({}, window:run_async [[
-      const done = arguments[0];
-      axe.run().then(r => done(r.violations.map(v => v.id + ": "
-        + v.nodes.map(n => n.target.join(" ")).join(", "))))]])
+    assert.same({}, window:faults_by_axe())
   end)
 
   it("sends nothing when its keys are off", function()
@@ -547,7 +526,7 @@ end)
 
 describe("two machines", function()
   it("have a tab each", function()
-    local left, right = ring(2), ring(3)
+    local left, right = helper.ring(2), helper.ring(3)
     local server = visit_hosted({ left, right }, { title = { "left", "right" } })
     assert.same({ "left", "right" }, texts "#machines button")
     window:click "#machines button:nth-of-type(2)"
@@ -565,7 +544,7 @@ end)
 
 describe("a machine that is fast", function()
   it("is followed at 10,000 events a second, a frozen page beside", function()
-    local fsm = ring(2)
+    local fsm = helper.ring(2)
     local server = visit_hosted(fsm)
     local frozen = assert(socket.connect("127.0.0.1", server.port))
     frozen:send("GET /events?token=" .. server.token .. " HTTP/1.1\r\n"

@@ -22,6 +22,15 @@ local driven = {}
 --- Notes what is wrong; the first problem counts.
 function driven.fail(run, text, ...) run.problem = run.problem or text:format(...) end
 
+--- Returns the factory of doos that yield by chance.
+function driven.yielding(random)
+  return function()
+    return function()
+      while random(3) > 1 do rfsm.yield(random(2) == 1) end
+    end
+  end
+end
+
 local function callbacks(run)
   local random = run.random
   local function note(field, is_active)
@@ -40,11 +49,7 @@ local function callbacks(run)
         if random:chance(10) then rfsm.send_events(fsm, "e" .. random(4)) end
       end
     end,
-    doo = function()
-      return function()
-        while random(3) > 1 do rfsm.yield(random(2) == 1) end
-      end
-    end,
+    doo = driven.yielding(random),
   }
 end
 

@@ -20,18 +20,24 @@ local LuaState = {}
 LuaState.__index = LuaState
 
 -- Compiles a text whose globals are those of `globals`; nil and why when it is wrong.
-local function compile(globals, text, name)
-  local chunk, problem = load_text(text, name, "t", globals)
+local function compile(globals, text, name, mode)
+  local chunk, problem = load_text(text, name, mode or "t", globals)
   if chunk and setfenv then setfenv(chunk, globals) end
   return chunk, problem
 end
+
+local compiled = {} -- name and text of a file -> its bytecode: many states load the same
 
 local function load_file(globals, name)
   local file, problem = io.open(name)
   if not file then return nil, "cannot open " .. problem end
   local text = file:read("*a")
   file:close()
-  return compile(globals, text, "@" .. name)
+  local key = name .. "\n" .. text
+  if compiled[key] then return compile(globals, compiled[key], "@" .. name, "b") end
+  local chunk, problem = compile(globals, text, "@" .. name)
+  compiled[key] = chunk and string.dump(chunk)
+  return chunk, problem
 end
 
 -- Returns the file of a module, or nil and the text of the error.

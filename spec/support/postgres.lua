@@ -54,8 +54,8 @@ end
 
 --- Kills all its processes as a power cut would. Stopped, it begins no others.
 function Server:kill()
-  output_of(("pid=$(head -n 1 %s/data/postmaster.pid); kill -STOP $pid; "
-    .. "kill -9 $(pgrep -P $pid) $pid"):format(self.folder))
+  output_of(("cd %s && pid=$(head -n 1 data/postmaster.pid); kill -STOP $pid; "
+    .. "kill -9 $(pgrep -P $pid) $pid; rm -f .s.PGSQL.*"):format(self.folder))
 end
 
 --- Returns the command for a program of PostgreSQL that reaches the server.
@@ -81,12 +81,14 @@ function Server:storm(lists)
       n=0 tries=0
       while [ $n -lt %d ] && [ -e %s ]; do
         [ $tries -lt 2000 ] || { echo gave up; break; }
+        [ $tries = 0 ] || sleep 0.1
+        tries=$((tries + 1))
+        [ "$(echo %s/.s.PGSQL.*)" = "%s/.s.PGSQL.*" ] && continue # it is not there yet
         tail -n +$((n + 1)) %s | %s 2>&1 >>%s.out
-        n=$(wc -l <%s.out) tries=$((tries + 1))
-        [ $tries = 1 ] || sleep 0.1
+        n=$(wc -l <%s.out)
       done
-      rm %s.out]]):format(#lines, file, file, self:command("psql",
-      "-XAqt -v ON_ERROR_STOP=1"), file, file, file))
+      rm %s.out]]):format(#lines, file, self.folder, self.folder, file,
+      self:command("psql", "-XAqt -v ON_ERROR_STOP=1"), file, file, file))
   end
   return function()
     local errors = {}
@@ -97,10 +99,12 @@ end
 
 --- Waits until a query returns true. It does within seconds, or not at all.
 function Server:wait_for(query)
-  for _ = 1, 3000 do
-    if self:sql(query) == "t\n" then return end
-  end
-  error("not so: " .. query)
+  local output = self:sql(([[
+SET statement_timeout = 60000;
+DO $$ BEGIN
+  WHILE (%s) IS NOT TRUE LOOP PERFORM pg_sleep(0.01); END LOOP;
+END $$;]]):format(query))
+  assert(output == "", output .. query)
 end
 
 --- Runs SQL as one session; returns what psql prints, errors without their context.

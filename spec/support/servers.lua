@@ -1,5 +1,7 @@
 -- Servers that specs start and stop again; charts that they run.
 
+local helper = require "spec.helper"
+
 local servers = {}
 
 -- even --e_tick--> odd --e_tick--> even, counted
@@ -19,18 +21,34 @@ function servers.counter(by, more)
     .. "odd = "))
 end
 
+--- Returns off --e_on--> on --e_off or so many seconds--> off --e_busy--> busy; `more`
+-- are states and transitions.
+function servers.lamp(seconds, more)
+  return ([[
+return rfsm.state {
+  keep = { "owner" },
+  off = rfsm.state { entry = function(fsm)
+    fsm.times = (fsm.times or 0) + 1 -- not kept
+    fsm.emit("off", { times = fsm.times, owner = fsm.owner })
+  end },
+  on = rfsm.state { entry = function() error("no bulb", 0) end },
+  busy = rfsm.state { doo = function() while true do rfsm.yield() end end },
+  rfsm.trans { src = "initial", tgt = "off" },
+  rfsm.trans { src = "off", tgt = "on", events = { "e_on" },
+    guard = function(tr) return tr._fsm.owner ~= "ghost" end },
+  rfsm.trans { src = "on", tgt = "off", events = { "e_off", "e_after(%s)" } },
+  rfsm.trans { src = "off", tgt = "busy", events = { "e_busy" } },
+  %s
+}]]):format(seconds, more or "")
+end
+
 -- RFSM_EVENTS=100000 makes the storms longer. They run under one Lua: what matters is
 -- that many come at once.
 servers.EVENTS = tonumber(os.getenv("RFSM_EVENTS"))
 servers.HAS_STORMS = servers.EVENTS ~= nil or rawget(_G, "jit") ~= nil
 
 --- Runs a command of the shell; returns its output.
-function servers.output_of(command)
-  local pipe = assert(io.popen(command .. " 2>&1"))
-  local output = pipe:read("*a")
-  pipe:close()
-  return output
-end
+function servers.output_of(command) return helper.text_of(command .. " 2>&1") end
 
 --- Runs a script of the shell at the same time; returns a function that waits for its
 -- end, and returns the output.

@@ -1,20 +1,36 @@
--- The share of each Lua in what is slow and the same on all of them: `make test` runs
--- them all, and each checks other cases.
+-- What a Lua checks of cases that are slow and the same on all Luas. RFSM_SHARE=2/6 is
+-- the second share of six: tools/test.sh gives each of the Luas that it runs its own.
+-- Without it, as for one spec by hand, all cases are checked.
 
-local LUAS = { "Lua 5.1", "LuaJIT", "Lua 5.2", "Lua 5.3", "Lua 5.4", "Lua 5.5" }
+local number, luas = (os.getenv("RFSM_SHARE") or "1/1"):match("^(%d+)/(%d+)$")
+number, luas = assert(tonumber(number), "RFSM_SHARE: 2/6 expected"), tonumber(luas)
 
-local own = rawget(_G, "jit") and "LuaJIT" or _VERSION
-local number = 0
-for i, name in ipairs(LUAS) do number = name == own and i or number end
+local PARTS = math.max(math.floor(luas / 2), 1) -- each case is checked by two Luas
 
 local share = {}
 
---- Returns the seed of n random cases, which no other Lua has; `SEED` moves all.
-function share.seed(n)
-  return (tonumber(os.getenv("SEED")) or 1) + n * math.max(number - 1, 0)
-end
+--- Is case i checked here?
+function share.has(i) return (i + number) % PARTS == 0 end
 
---- Is case i checked here? Two of the six Luas check it.
-function share.has(i) return (i + number) % 3 == 0 end
+--- Returns how many of n random cases are checked here.
+function share.count(n) return math.ceil(n / PARTS) end
+
+--- Returns the first seed of the n random cases here, which no other Lua has; `SEED`
+--- moves all.
+function share.seed(n) return (tonumber(os.getenv("SEED")) or 1) + n * (number - 1) end
+
+--- For cases from a number to the next, `step` apart: returns the step here, and the
+--- first number.
+function share.every(step) return step * PARTS, 1 + step * (number % PARTS) end
+
+--- Tries a claim of spec/support/claims/ on random charts: RFSM_N, or the share of n.
+--- Returns what is wrong; nil if the claim holds. A claim that `is_partial` may leave
+--- out charts, but not all.
+function share.problem(claim, n, is_partial)
+  n = tonumber(os.getenv("RFSM_N")) or share.count(n)
+  local count, problem = claim.run(n, share.seed(n))
+  if problem or count >= (is_partial and 1 or n) then return problem end
+  return ("%d of %d charts were compared"):format(count, n)
+end
 
 return share

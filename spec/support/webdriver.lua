@@ -4,6 +4,7 @@
 -- again and again, so that the page's server can live in the same process.
 
 local dkjson = require "dkjson"
+local helper = require "spec.helper"
 local socket = require "socket"
 
 local webdriver = {}
@@ -14,6 +15,17 @@ local ARGUMENTS = {
   "--disable-dev-shm-usage", "--hide-scrollbars",
 }
 local PATIENCE = 60 -- seconds for a command, on a machine with much to do
+
+local AXE = os.getenv "AXE"
+
+--- The file of axe-core, if there is one.
+webdriver.AXE = AXE ~= "" and AXE or nil
+
+--- Returns why there is none; with PENDING=no that is an error.
+function webdriver.no_axe()
+  assert(os.getenv "PENDING" ~= "no", "npm cannot fetch axe-core")
+  return "npm cannot fetch axe-core, and AXE=axe.min.js is not set"
+end
 
 local Driver = {}
 Driver.__index = Driver
@@ -78,6 +90,15 @@ end
 function Window:run_async(script, ...)
   return self:call("POST", "/execute/async", { script = script,
     args = setmetatable({ ... }, { __jsontype = "array" }) })
+end
+
+--- Returns the faults that axe-core finds in the page.
+function Window:faults_by_axe()
+  self:run(helper.content(webdriver.AXE) .. "\nwindow.axe = axe;")
+  return self:run_async [[
+    const done = arguments[0];
+    axe.run().then(r => done(r.violations.map(v => v.id + ": "
+      + v.nodes.map(n => n.target.join(" ")).join(", "))))]]
 end
 
 --- Wait until an expression is true in the page.

@@ -5,6 +5,7 @@
 
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
+local driven = require "spec.support.driven"
 local explore = require "rfsm.checks.explore"
 local new_random = require "spec.support.random"
 local location = require "rfsm.checks.location"
@@ -149,11 +150,7 @@ local function wanderer(world, fsm_of)
     exit = function(id)
       return function() set_flags(world, "exit " .. path_of_state(id)) end
     end,
-    doo = function()
-      return function()
-        while random(3) > 1 do rfsm.yield(random(2) == 1) end
-      end
-    end,
+    doo = driven.yielding(random),
   }
 end
 

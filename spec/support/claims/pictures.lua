@@ -3,6 +3,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local dot = require "rfsm.dot"
+local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
 local pictures = require "spec.support.pictures"
 local rfsm = require "rfsm"
@@ -283,24 +284,10 @@ end
 
 -- The real parsers: each prints again what it has parsed -----------------------------
 
-local function write(name, text)
-  local file = assert(io.open(name, "wb"))
-  file:write(text)
-  file:close()
-  return name
-end
-
-local function printed_by(command)
-  local pipe = io.popen(command)
-  local text = pipe:read("*a")
-  pipe:close()
-  return text
-end
-
 -- Returns a graph as Graphviz has parsed it.
 local function parsed_by_graphviz(text)
-  local name = write(os.tmpname(), text)
-  local output = printed_by("nop '" .. name .. "'")
+  local name = helper.write(os.tmpname(), text)
+  local output = helper.text_of("nop '" .. name .. "'")
   os.remove(name)
   return (output:gsub("\\\n", ""):gsub("%s+", " "))
 end
@@ -308,10 +295,10 @@ end
 -- Returns diagrams as Mermaid has parsed them, which npm has installed in a folder.
 local function parsed_by_mermaid(texts, folder)
   local names, outputs = {}, {}
-  for i, text in ipairs(texts) do names[i] = write(os.tmpname(), text) end
+  for i, text in ipairs(texts) do names[i] = helper.write(os.tmpname(), text) end
   local script = folder .. "/print.mjs"
   os.execute(("cp spec/support/mermaid.mjs '%s'"):format(script))
-  local output = printed_by(("node '%s' --print %s"):format(script,
+  local output = helper.text_of(("node '%s' --print %s"):format(script,
     table.concat(names, " ")))
   os.remove(script)
   for i, name in ipairs(names) do
