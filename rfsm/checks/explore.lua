@@ -65,11 +65,14 @@ local explore = {}
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one it was first reached from
 ---@field labels string[] configuration -> events and choices of that step
----@field depths integer[]
+---@field depth integer steps to the configurations that are looked at
+---@field level_end integer the last one of these
 ---@field first integer[] configuration -> where its steps begin in `steps`
 ---@field steps integer[] targets; negative: without an event from outside
+---@field step_count integer
 ---@field taken table<integer, table> transition -> the first step that takes it
----@field moves table<integer, true> configurations that a step leaves or acts in
+---@field stuck integer[] configurations that no step leaves or acts in
+---@field has_moved boolean some step did so in the one that is looked at
 ---@field expanded integer configurations whose steps were all taken
 ---@field endless table? the first step in which a machine inside never becomes idle
 ---@field bound string? what was hit first
@@ -84,9 +87,8 @@ local explore = {}
 ---@field kin table<string, integer[]> configurations that differ in their times alone
 ---@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
 -- deadlines may be first
----@field seen table<integer, integer> step -> the configuration that has had it
 ---@field try rfsm_checks.Try the step that is taken
----@field choices boolean[] in that step
+---@field choices boolean[] in that step, always the same table
 ---@field label fun(): string of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
@@ -173,7 +175,6 @@ local function find_configuration(walk, key, from, label)
   if kin then kin[#kin + 1] = number end
   walk.keys[number], walk.numbers[key] = key, number
   walk.from[number], walk.labels[number] = from, label()
-  walk.depths[number] = from > 0 and walk.depths[from] + 1 or 0
   return number
 end
 
@@ -228,24 +229,24 @@ local function note_passed(walk, from, tgt, label)
 end
 
 -- Appends where a step leads, once for each configuration, and for each group of
--- deadlines that need not be the first.
-local function add_step(walk, seen, try, tgt)
-  local step, group = try.is_internal and -tgt or tgt, try.group
-  local is_unsure = group and not group.is_sure
-  if is_unsure then
-    seen[group] = seen[group] or {}
-    seen = seen[group]
+-- deadlines that need not be the first. A step that leads nowhere counts only if events
+-- that wait are why it was taken.
+local function add_step(walk, try, tgt)
+  if tgt == try.from and not puppet.is_driven(try.conf) then return end
+  local step, steps, unsure = try.is_internal and -tgt or tgt, walk.steps, walk.unsure
+  local group = try.group and not try.group.is_sure and try.group or nil
+  local last = walk.step_count
+  for at = walk.first[try.from], last do
+    if steps[at] == step and unsure[at] == group then return end
   end
-  if seen[step] == try.from then return end
-  seen[step] = try.from
-  walk.steps[#walk.steps + 1] = step
-  if is_unsure then walk.unsure[#walk.steps] = group end
+  steps[last + 1], unsure[last + 1] = step, group
+  walk.step_count = last + 1
 end
-
 
 local MANY_CHOICES = 4096
 
---- A step that is tried: its events, and deadlines that are over when it begins.
+--- A step that is tried: its events, and deadlines that are over when it begins. The
+--- next one from the configuration has the same table.
 ---@class rfsm_checks.Try
 ---@field from integer
 ---@field conf rfsm_checks.Configuration
@@ -272,10 +273,11 @@ end
 -- Takes a step once for each choice, and calls f(walk, try, key, label) after it; `key`
 -- is nil if the step does not end. `label` is of use until f returns.
 local function each_choice(walk, try, f)
-  local own, choices, tries = walk.puppet, {}, 0
+  local own, choices, tries = walk.puppet, walk.choices, 0
+  for i = #choices, 1, -1 do choices[i] = nil end
+  walk.try = try
   repeat
     put(walk, try.conf, try.events)
-    walk.try, walk.choices = try, choices
     local ended = own:step(try.events, choices)
     local asked, label = own.asked, walk.label
     walk.count, tries = walk.count + 1, tries + 1
@@ -300,8 +302,8 @@ local function note_step(walk, try, key, label)
     return
   end
   local tgt = find_configuration(walk, key, from, label)
-  add_step(walk, walk.seen, try, tgt)
-  if tgt ~= from or walk.puppet.taken[1] then walk.moves[from] = true end
+  add_step(walk, try, tgt)
+  walk.has_moved = walk.has_moved or tgt ~= from or walk.puppet.taken[1] ~= nil
   note_passed(walk, from, tgt, label)
   walk:look(from, tgt, try.events, label)
 end
@@ -322,12 +324,14 @@ end
 -- Takes steps with the sets of events from outside that come together with the
 -- deadlines of a group; see `each_choice`.
 local function each_set(walk, from, conf, group, sets, f)
-  local timers = group and group.events or {}
+  local timers, is_over = group and group.events or {}, group and group.is_over
+  local try = { from = from, conf = conf, group = group, events = false,
+    is_internal = false }
   for _, set in ipairs(sets) do
-    if set[1] ~= nil or group and group.is_over or puppet.is_busy(conf) then
-      each_choice(walk, { from = from, conf = conf, group = group,
-        events = match.joined(set, timers),
-        is_internal = set[1] == nil and not (group and group.is_over) }, f)
+    if set[1] ~= nil or is_over or puppet.is_busy(conf) then
+      try.events = match.joined(set, timers)
+      try.is_internal = set[1] == nil and not is_over
+      each_choice(walk, try, f)
     end
   end
 end
@@ -362,8 +366,9 @@ end
 
 -- Takes all steps from a configuration.
 local function expand(walk, from)
-  walk.first[from] = #walk.steps + 1
+  walk.first[from], walk.has_moved = walk.step_count + 1, false
   each_try(walk, from, note_step)
+  if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
 end
 
 --- Take all steps from a configuration again, and call f(try, tgt, label) after each.
@@ -381,7 +386,7 @@ local EVERY = 256 -- configurations between two looks at the clock
 
 local function find_bound(walk, options, at, began)
   if #walk.keys > options.configurations then return "configurations" end
-  if walk.depths[at] >= options.depth then return "depth" end
+  if walk.depth >= options.depth then return "depth" end
   if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
 end
 
@@ -389,19 +394,22 @@ local function walk_all(walk, options)
   local at, began = 1, os_clock()
   local judged = walk.monitored[1] or {}
   while walk.keys[at] and judged.holds == nil do
+    if at > walk.level_end then
+      walk.depth, walk.level_end = walk.depth + 1, #walk.keys
+    end
     local bound = find_bound(walk, options, at, began)
     if bound then
       note_untried(walk, bound, "what lies behind the bound on " .. bound)
       break
     end
     if options.progress and at % EVERY == 0 then
-      options.progress(#walk.keys, walk.depths[at])
+      options.progress(#walk.keys, walk.depth)
     end
     expand(walk, at)
     at = at + 1
   end
-  walk.expanded, walk.seen = at - 1, {}
-  walk.first[at] = #walk.steps + 1
+  walk.expanded = at - 1
+  walk.first[at] = walk.step_count + 1
 end
 
 -- Public functions ..................................................................
@@ -477,10 +485,12 @@ function explore.walk(model, options, prepare, way)
   local walk = setmetatable({ puppet = own, model = model, options = settings,
     way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
-    keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
-    steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
+    keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
+    first = {}, choices = {},
+    steps = {}, step_count = 0, taken = {}, endless = nil, bound = nil, stuck = {},
+    has_moved = false, count = 0,
     expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
-    beside_ids = {}, kin = {}, unsure = {}, timing = false, seen = {} }, Walk)
+    beside_ids = {}, kin = {}, unsure = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end
