@@ -185,6 +185,7 @@ describe("explore", function()
       chart { [4] = go(nil, "a") } },
     { { depth = "x" }, "explore_spec.lua:%d+: rfsm_checks.explore: depth: number "
       .. "expected, got string" },
+    { { seconds = -1 }, "rfsm_checks.explore: seconds: number expected, got %-1$" },
     { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept' "
       .. "%(did you mean 'depth'%?%), expected: alphabet, complementary, "
       .. "configurations, depth, dry_run, " },
@@ -221,6 +222,15 @@ describe("machines in a sequential AND state", function()
   local function both(left, right)
     return chart { b = rfsm.seqand { left = left, right = right } }
   end
+
+  it("have the event of the first entry, too", function()
+    local model = both(arm { [2] = go("open", "closed") }, arm {})
+    model[1].tgt = "b"
+    assert.equal(lines("never root.b.left.closed: does not hold [violated]",
+      "  1. no event: root.trans[1], root.b.left.trans[1], root.b.right.trans[1] -> root.b",
+      "  2. no event: root.b.left.trans[2] -> root.b"),
+      report(model, { properties = { never "root.b.left.closed" } }):match("never.*"))
+  end)
 
   it("are explored together", function()
     local slow = arm { [2] = go("open", "closed", "e_close", { guard = yes }) }

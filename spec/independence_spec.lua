@@ -58,6 +58,14 @@ describe("regions that nothing joins", function()
     assert.equal("one event a step", result.premises)
   end)
 
+  it("have as many steps as there are", function() -- more than a block of them
+    local result = rfsm_checks.explore(rings(4, 6), { multiply = true, properties = {
+      rfsm_checks.from "root.par.r1.s1".can_reach "root.par.r4.s6" } })
+    assert.equal(6 ^ 4 + 2, result.configurations)
+    assert.is_true(result.properties[1].holds)
+    assert.equal(0, #result.findings)
+  end)
+
   it("may be inside of regions", function()
     local inner = state { info = false, warn = false,
       par = rfsm.seqand { a = ring(4, "e_a"), b = ring(4, "e_b") },

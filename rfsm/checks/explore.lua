@@ -7,8 +7,8 @@
 -- doos asked.
 --
 -- A configuration is kept as its key, the number of the one it was first reached from,
--- and the label of that step. The steps are kept as numbers of configurations, those
--- without events from outside as negative ones.
+-- and the label of that step. A step is kept as the number of the configuration that it
+-- leads to, without events from outside as a negative one.
 --
 -- @module rfsm.checks.explore
 -- @license BSD-3-Clause
@@ -26,10 +26,10 @@ local timing = require "rfsm.checks.timing"
 local zones = require "rfsm.checks.zones"
 
 local assert, error, getmetatable = assert, error, getmetatable
-local ipairs, math = ipairs, math
+local ipairs, math, pcall = ipairs, math, pcall
 local rawget, require = rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat = table.concat
+local concat, floor = table.concat, math.floor
 local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
 
 local explore = {}
@@ -67,8 +67,8 @@ local explore = {}
 ---@field labels string[] configuration -> events and choices of that step
 ---@field depth integer steps to the configurations that are looked at
 ---@field level_end integer the last one of these
----@field first integer[] configuration -> where its steps begin in `steps`
----@field steps integer[] targets; negative: without an event from outside
+---@field first integer[] configuration -> the position of its first step
+---@field blocks integer[][] of steps: see `Walk:step_at`
 ---@field step_count integer
 ---@field taken table<integer, table> transition -> the first step that takes it
 ---@field stuck integer[] configurations that no step leaves or acts in
@@ -85,7 +85,7 @@ local explore = {}
 ---@field besides table[] `states` of monitors, `time`, `values` of fields, `shape`
 ---@field beside_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
----@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
+---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
 -- deadlines may be first
 ---@field try rfsm_checks.Try the step that is taken
 ---@field choices boolean[] in that step, always the same table
@@ -228,19 +228,34 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
+local BLOCK = 4096 -- steps of a block; one list would be copied whenever it grows
+
+local has_ffi, ffi = pcall(require, "ffi")
+
+-- Returns a block: on LuaJIT numbers of 4 bytes.
+local function new_block()
+  return has_ffi and ffi.new("int32_t[?]", BLOCK) or {}
+end
+
+--- Return the target of a step; negative: it has no event from outside.
+---@param at integer its position
+---@return integer
+function Walk:step_at(at) return self.blocks[floor(at / BLOCK)][at % BLOCK] end
+
 -- Appends where a step leads, once for each configuration, and for each group of
 -- deadlines that need not be the first. A step that leads nowhere counts only if events
 -- that wait are why it was taken.
 local function add_step(walk, try, tgt)
   if tgt == try.from and not puppet.is_driven(try.conf) then return end
-  local step, steps, unsure = try.is_internal and -tgt or tgt, walk.steps, walk.unsure
+  local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
   local group = try.group and not try.group.is_sure and try.group or nil
-  local last = walk.step_count
-  for at = walk.first[try.from], last do
-    if steps[at] == step and unsure[at] == group then return end
+  for at = walk.first[try.from], walk.step_count do
+    if walk:step_at(at) == step and unsure[at] == group then return end
   end
-  steps[last + 1], unsure[last + 1] = step, group
-  walk.step_count = last + 1
+  local at = walk.step_count + 1
+  local index = floor(at / BLOCK)
+  walk.blocks[index] = walk.blocks[index] or new_block()
+  walk.blocks[index][at % BLOCK], unsure[at], walk.step_count = step, group, at
 end
 
 local MANY_CHOICES = 4096
@@ -486,11 +501,10 @@ function explore.walk(model, options, prepare, way)
     way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
     keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
-    first = {}, choices = {},
-    steps = {}, step_count = 0, taken = {}, endless = nil, bound = nil, stuck = {},
-    has_moved = false, count = 0,
-    expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
-    beside_ids = {}, kin = {}, unsure = {}, timing = false }, Walk)
+    first = {}, blocks = {}, step_count = 0, choices = {}, taken = {}, endless = nil,
+    bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    monitored = {}, is_beside = false, besides = {}, beside_ids = {}, kin = {},
+    unsure = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end

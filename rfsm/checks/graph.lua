@@ -15,7 +15,7 @@ local graph = {}
 ---@param f fun(tgt: integer, is_internal: boolean, position: integer)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-    local step = walk.steps[i]
+    local step = walk:step_at(i)
     if step < 0 then f(-step, true, i) else f(step, false, i) end
   end
 end
@@ -24,7 +24,7 @@ end
 local function each_edge(walk, is_internal, is_sure, f)
   for from = 1, walk.expanded do
     for at = walk.first[from], walk.first[from + 1] - 1 do
-      local step = walk.steps[at]
+      local step = walk:step_at(at)
       if (step < 0 or not is_internal) and not (is_sure and walk.unsure[at]) then
         f(from, abs(step))
       end
@@ -160,7 +160,7 @@ local function visit_next(walk, search)
   local low, order, depth = search.low, search.order, #search.visits
   local number, at = search.visits[depth], search.at[depth]
   if at < (walk.first[number + 1] or 1) then
-    local tgt = abs(walk.steps[at])
+    local tgt = abs(walk:step_at(at))
     search.at[depth] = at + 1
     if search.set and not search.set[tgt] then
       return
@@ -182,7 +182,7 @@ local function leads_out(walk, component, index_of)
   local own = index_of[component[1]]
   for _, number in ipairs(component) do
     for at = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-      if index_of[abs(walk.steps[at])] ~= own then return true end
+      if index_of[abs(walk:step_at(at))] ~= own then return true end
     end
   end
   return false
