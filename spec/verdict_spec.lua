@@ -205,7 +205,8 @@ describe("a verdict", function()
       verdict(chart(members), after "e_x".reach "root"))
   end)
 
-  it("is not vacuous if a transition on any event, or from a connector, has it", function()
+  it("is not vacuous if a transition on any event or behind a connector has it",
+    function()
     assert.equal("p: holds (two events a step)", verdict(chart { [4] = go("b", "b") },
       after "e_nobody".reach "root"))
     assert.equal("p: holds (two events a step)", verdict(chart { k = rfsm.conn {},
