@@ -198,6 +198,25 @@ describe("a watched machine", function()
     rfsm.step(fsm)
     assert.same({ "property 'left' does not hold" }, told)
   end)
+
+  it("does not wait for the regions if a transition was taken", function()
+    local effects = 0
+    local function effect() effects = effects + 1 end
+    for _, tgt in ipairs { "internal", "par" } do
+      local told = {}
+      local fsm = assert(rfsm.init(chart({ r1 = ring(2, "e1") }, {
+        [4] = trans { src = "par", tgt = tgt, events = { "e_in" }, effect = effect },
+        err = function(text) told[#told + 1] = text:match("^[^\n]*") end })))
+      rfsm_checks.watch_properties(fsm, { p = after "e_in".never "root.par" })
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, "e_on")
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, "e_in")
+      rfsm.step(fsm)
+      assert.same({ "property 'p' does not hold" }, told)
+    end
+    assert.equal(2, effects)
+  end)
 end)
 
 describe("a witness of one region", function()
