@@ -5,8 +5,9 @@
 
 package.path = "./?.lua;" .. package.path
 
+local measure = require "bench.measure"
 local rfsm = require "rfsm"
-local explore = require "rfsm.checks.explore"
+local rfsm_checks = require "rfsm_checks"
 
 local regions, leaves = tonumber(arg[1]) or 5, tonumber(arg[2]) or 10
 
@@ -29,14 +30,15 @@ local model = rfsm.state {
   rfsm.trans { src = "initial", tgt = "all" },
 }
 
-collectgarbage()
-collectgarbage()
-local kib, began = collectgarbage("count"), os.clock()
-local walk = explore.walk(model, {})
-local seconds = os.clock() - began
-collectgarbage()
-collectgarbage()
-kib = collectgarbage("count") - kib
-print(("%s: %d configurations, %d steps, %.1f s of processor, %.0f bytes each"):format(
-  (rawget(_G, "jit") or {}).version or _VERSION, #walk.keys, walk.count, seconds,
-  kib * 1024 / #walk.keys))
+-- The most memory that the process has had, where Linux tells.
+local function peak()
+  local file = io.open("/proc/self/status")
+  local kib = file and file:read("*a"):match("VmHWM:%s*(%d+)")
+  if file then file:close() end
+  return kib and ("%.0f MB at the peak"):format(kib * 1024 / 1e6) or "peak not known"
+end
+
+local began = os.clock()
+local result = rfsm_checks.explore(model, { multiply = true, configurations = 1e8 })
+print(("%s: %d configurations, %d steps, %.1f s of processor, %s"):format(
+  measure.engine(), result.configurations, result.steps, os.clock() - began, peak()))

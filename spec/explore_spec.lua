@@ -26,7 +26,7 @@ local function lines(...) return table.concat({ ... }, "\n") end
 
 describe("explore", function()
   it("counts configurations, transitions and steps", function()
-    assert.equal("3 configurations, 3 of 3 transitions taken, 4 steps run",
+    assert.equal("3 configurations, 3 of 3 transitions taken, 3 steps run",
       tostring(rfsm_checks.explore(chart())))
   end)
 
@@ -186,6 +186,7 @@ describe("explore", function()
       chart { [4] = go(nil, "a") } },
     { { depth = "x" }, "explore_spec.lua:%d+: rfsm_checks.explore: depth: number "
       .. "expected, got string" },
+    { { seconds = -1 }, "rfsm_checks.explore: seconds: number expected, got %-1$" },
     { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept' "
       .. "%(did you mean 'depth'%?%), expected: alphabet, complementary, "
       .. "configurations, depth, dry_run, " },
@@ -222,6 +223,16 @@ describe("machines in a sequential AND state", function()
   local function both(left, right)
     return chart { b = rfsm.seqand { left = left, right = right } }
   end
+
+  it("have the event of the first entry, too", function()
+    local left = state { warn = false, info = false, open = state { doo = yes },
+      closed = state {}, go("initial", "open"), go("open", "closed") }
+    local model = chart { b = rfsm.seqand { left = left }, [1] = go("initial", "b") }
+    assert.matches(lines("never root.b.left.closed: does not hold %[violated%]",
+      "  1. no event: root.trans%[1%], root.b.left.trans%[1%] %-> root.b",
+      "  2. no event: root.b.left.trans%[2%] %-> root.b"),
+      report(model, { properties = { never "root.b.left.closed" } }))
+  end)
 
   it("are explored together", function()
     local slow = arm { [2] = go("open", "closed", "e_close", { guard = yes }) }

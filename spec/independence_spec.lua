@@ -46,7 +46,7 @@ end
 describe("regions that nothing joins", function()
   it("are not multiplied", function()
     local result = rfsm_checks.explore(rings(5, 10))
-    assert.equal(65, result.configurations)
+    assert.equal(60, result.configurations)
     assert.equal("one event a step; independent regions one by one", result.premises)
     assert.equal(58, result.taken)
     assert.equal(58, result.transitions)
@@ -55,8 +55,16 @@ describe("regions that nothing joins", function()
 
   it("are multiplied on demand", function()
     local result = rfsm_checks.explore(rings(2, 3), { multiply = true })
-    assert.equal(12, result.configurations)
+    assert.equal(11, result.configurations)
     assert.equal("one event a step", result.premises)
+  end)
+
+  it("have as many steps as there are", function() -- more than a block of them
+    local result = rfsm_checks.explore(rings(4, 6), { multiply = true, properties = {
+      rfsm_checks.from "root.par.r1.s1".can_reach "root.par.r4.s6" } })
+    assert.equal(6 ^ 4 + 2, result.configurations)
+    assert.is_true(result.properties[1].holds)
+    assert.equal(0, #result.findings)
   end)
 
   it("may be inside of regions", function()
@@ -64,7 +72,7 @@ describe("regions that nothing joins", function()
       par = rfsm.seqand { a = ring(4, "e_a"), b = ring(4, "e_b") },
       trans { src = "initial", tgt = "par" } }
     local result = rfsm_checks.explore(chart { inner, ring(4, "e_c") })
-    assert.equal(25, result.configurations)
+    assert.equal(18, result.configurations)
     assert.equal(result.transitions, result.taken)
   end)
 
@@ -190,6 +198,25 @@ describe("a watched machine", function()
     rfsm.send_events(fsm, "e1")
     rfsm.step(fsm)
     assert.same({ "property 'left' does not hold" }, told)
+  end)
+
+  it("does not wait for the regions if a transition was taken", function()
+    local effects = 0
+    local function effect() effects = effects + 1 end
+    for _, tgt in ipairs { "internal", "par" } do
+      local told = {}
+      local fsm = assert(rfsm.init(chart({ r1 = ring(2, "e1") }, {
+        [4] = trans { src = "par", tgt = tgt, events = { "e_in" }, effect = effect },
+        err = function(text) told[#told + 1] = text:match("^[^\n]*") end })))
+      rfsm_checks.watch_properties(fsm, { p = after "e_in".never "root.par" })
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, "e_on")
+      rfsm.run(fsm)
+      rfsm.send_events(fsm, "e_in")
+      rfsm.step(fsm)
+      assert.same({ "property 'p' does not hold" }, told)
+    end
+    assert.equal(2, effects)
   end)
 end)
 

@@ -54,6 +54,8 @@ local CASES = {
   { name = "as a note, a global that the host may define",
     state = "entry = function() crane.stop() end",
     lines = { "note " .. undefined(6, "crane", "") } },
+  { name = "no global that is compared with nothing", lines = {},
+    state = "entry = function() local off = not crane crane.stop() return off end" },
   { name = "no global whose existence is asked for",
     state = "entry = function() if crane then crane.stop() end end", lines = {} },
   { name = "no global that the chart sets",

@@ -229,6 +229,15 @@ end)
 ]=]
 
 describe("the spec of a chart", function()
+  it("has no event to stay in a leaf that any event leaves", function()
+    local text = tests.busted("lamp.lua", state { warn = false, info = false,
+      a = state { doo = function() end }, b = state {},
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "b" },
+      trans { src = "b", tgt = "a", events = { "e_x" } } }, false, "lamp_spec.lua")
+    assert.matches('assert.equal%("stays in b", run:step { "e_unknown" }%)', text)
+    assert.is_nil(text:find("stays in a", 1, true))
+  end)
+
   it("has steps of events, time, guards and doos, and such that change nothing",
     function()
     local text, result = tests.busted("lamp.lua", rfsm.load_str(LAMP), false,
@@ -343,6 +352,16 @@ describe("a rehearsal", function()
     assert.equal("a -e_x-> b: exit a, effect, entry b, sends e_sent, fails: broken",
       run:step { "e_x", guards = { ["a -e_x-> b"] = true } })
     assert.same({ "off", "started" }, seen)
+  end)
+
+  it("passes on an interrupt, and takes the fakes back", function()
+    local run = rfsm_checks.rehearsal(state { info = false, warn = false,
+      a = state { entry = function() error("interrupted!", 0) end },
+      trans { src = "initial", tgt = "a" } },
+      { callbacks = true, fakes = { lamp = 1 } })
+    local ok, text = pcall(run.step, run)
+    assert.same({ false, "interrupted!" }, { ok, text })
+    assert.is_nil(rawget(_G, "lamp"))
   end)
 
   it("refuses options that are wrong", function()

@@ -263,8 +263,8 @@ end)
 
 -- Small models of textbooks on timed automata, as charts. A timer of a chart comes
 -- after its time, and not at it, so the train and its gate need a period and room.
--- tchecker's tck-reach has the same verdicts for all but the last one, which is about
--- runs without an end, of automata whose timers come in the period behind their time.
+-- tchecker has the same verdicts, of automata whose timers come in the period behind
+-- their time: tck-reach, and tck-liveness for leads_to, with beats 0.1 s apart.
 describe("a textbook model", function()
   local function silent(members)
     members.warn, members.info = false, false
@@ -306,11 +306,12 @@ describe("a textbook model", function()
     return active "root.both.gate.up" or active "root.both.gate.down"
   end
 
-  -- A heartbeat with a timeout.
-  local function heart()
+  -- A heartbeat with a timeout, and what a beat leads to.
+  local function heart(tgt, pn)
     return silent { alive = state {}, dead = state { final = true },
-      go("initial", "alive"), go("alive", "alive", "e_beat"),
-      go("alive", "dead", "e_after(1.5)") }
+      last = state {}, go("initial", "alive"), go("alive", tgt, "e_beat"),
+      go("alive", "dead", "e_after(1.5)", { pn = pn }),
+      go("last", "dead", "e_after(1.5)") }
   end
 
   local always = rfsm_checks.always
@@ -333,11 +334,19 @@ describe("a textbook model", function()
     { name = "the gate moves for 2 s at most", model = crossing(3), period = 0.1,
       property = from(function(active) return not is_down(active)
         and active "root.both" end).left_within(2), holds = false },
-    { name = "a heart without a beat is alive for 1.5 s", model = heart(),
+    { name = "a heart without a beat is alive for 1.5 s", model = heart "alive",
       holds = true, property = from "root.alive".stays(1.5) },
-    { name = "and no longer, if it beats", model = heart(), holds = false,
+    { name = "and no longer, if it beats", model = heart "alive", holds = false,
       property = from "root.alive".left_within(1.5) },
-    { name = "a heart that beats dies", model = heart(), holds = false,
+    { name = "a heart that beats dies", model = heart "alive", holds = false,
+      property = after "e_beat".leads_to "root.dead" },
+    { name = "a heart that beats once dies", model = heart "last", holds = true,
+      property = after "e_beat".leads_to "root.dead" },
+    { name = "a heart dies if its timeout does not count from the beat",
+      model = heart("internal", 1), holds = true,
+      property = after "e_beat".leads_to "root.dead" },
+    { name = "it does if a beat may come before the timeout in a step",
+      model = heart "internal", holds = false,
       property = after "e_beat".leads_to "root.dead" },
   }
   for _, case in ipairs(CASES) do

@@ -206,6 +206,15 @@ describe("a verdict", function()
       verdict(chart(members), after "e_x".reach "root"))
   end)
 
+  it("is not vacuous if a transition on any event or behind a connector has it",
+    function()
+    assert.equal("p: holds (two events a step)", verdict(chart { [4] = go("b", "b") },
+      after "e_nobody".reach "root"))
+    assert.equal("p: holds (two events a step)", verdict(chart { k = rfsm.conn {},
+      [4] = go("b", "k", { "e_y", "e_z" }), [5] = go("k", "a", "e_y"),
+      [6] = go("k", "b", "e_z", { pn = -1 }) }, after "e_y".reach { "root" }))
+  end)
+
   it("is vacuous for a machine that is never entered", function()
     local model = chart { [1] = go("initial", "a", "e_no") }
     assert.equal("p: holds vacuously, the machine is never entered (one event a step; "

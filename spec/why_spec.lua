@@ -83,6 +83,15 @@ describe("why", function()
       text_of(fsm, "e_b"))
   end)
 
+  it("explains a target that a callback has set, and that is none", function()
+    local fsm = machine()
+    for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+      if tr.src == fsm.a then tr.tgt = "bb" end
+    end
+    assert.matches("root.trans%[2%] %(a %-> b%): its target is bb, which cannot be "
+      .. "entered\n", text_of(fsm, "e_b"))
+  end)
+
   it("takes the queue if no event is given", function()
     local fsm = machine()
     rfsm.send_events(fsm, "e_b")

@@ -7,8 +7,8 @@
 -- doos asked.
 --
 -- A configuration is kept as its key, the number of the one it was first reached from,
--- and the label of that step. The steps are kept as numbers of configurations, those
--- without events from outside as negative ones.
+-- and the label of that step. A step is kept as the number of the configuration that it
+-- leads to, without events from outside as a negative one.
 --
 -- @module rfsm.checks.explore
 -- @license BSD-3-Clause
@@ -26,10 +26,10 @@ local timing = require "rfsm.checks.timing"
 local zones = require "rfsm.checks.zones"
 
 local assert, error, getmetatable = assert, error, getmetatable
-local ipairs, math = ipairs, math
+local ipairs, math, pcall = ipairs, math, pcall
 local rawget, require = rawget, require
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat = table.concat
+local concat, floor = table.concat, math.floor
 local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
 
 local explore = {}
@@ -65,11 +65,14 @@ local explore = {}
 ---@field numbers table<string, integer> key -> configuration
 ---@field from integer[] configuration -> the one it was first reached from
 ---@field labels string[] configuration -> events and choices of that step
----@field depths integer[]
----@field first integer[] configuration -> where its steps begin in `steps`
----@field steps integer[] targets; negative: without an event from outside
+---@field depth integer steps to the configurations that are looked at
+---@field level_end integer the last one of these
+---@field first integer[] configuration -> the position of its first step
+---@field blocks integer[][] of steps: see `Walk:step_at`
+---@field step_count integer
 ---@field taken table<integer, table> transition -> the first step that takes it
----@field moves table<integer, true> configurations that a step leaves or acts in
+---@field stuck integer[] configurations that no step leaves or acts in
+---@field has_moved boolean some step did so in the one that is looked at
 ---@field expanded integer configurations whose steps were all taken
 ---@field endless table? the first step in which a machine inside never becomes idle
 ---@field bound string? what was hit first
@@ -82,11 +85,10 @@ local explore = {}
 ---@field besides table[] `states` of monitors, `time`, `values` of fields, `shape`
 ---@field beside_ids table<string, integer>
 ---@field kin table<string, integer[]> configurations that differ in their times alone
----@field unsure table<integer, rfsm_checks.Group> positions in `steps` where other
+---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
 -- deadlines may be first
----@field seen table<integer, integer> step -> the configuration that has had it
 ---@field try rfsm_checks.Try the step that is taken
----@field choices boolean[] in that step
+---@field choices boolean[] in that step, always the same table
 ---@field label fun(): string of that step
 ---@field timing rfsm_checks.Timing|false clocks, if timers come in order
 local Walk = {}
@@ -173,7 +175,6 @@ local function find_configuration(walk, key, from, label)
   if kin then kin[#kin + 1] = number end
   walk.keys[number], walk.numbers[key] = key, number
   walk.from[number], walk.labels[number] = from, label()
-  walk.depths[number] = from > 0 and walk.depths[from] + 1 or 0
   return number
 end
 
@@ -227,25 +228,40 @@ local function note_passed(walk, from, tgt, label)
   end
 end
 
--- Appends where a step leads, once for each configuration, and for each group of
--- deadlines that need not be the first.
-local function add_step(walk, seen, try, tgt)
-  local step, group = try.is_internal and -tgt or tgt, try.group
-  local is_unsure = group and not group.is_sure
-  if is_unsure then
-    seen[group] = seen[group] or {}
-    seen = seen[group]
-  end
-  if seen[step] == try.from then return end
-  seen[step] = try.from
-  walk.steps[#walk.steps + 1] = step
-  if is_unsure then walk.unsure[#walk.steps] = group end
+local BLOCK = 4096 -- steps of a block; one list would be copied whenever it grows
+
+local has_ffi, ffi = pcall(require, "ffi")
+
+-- Returns a block: on LuaJIT numbers of 4 bytes.
+local function new_block()
+  return has_ffi and ffi.new("int32_t[?]", BLOCK) or {}
 end
 
+--- Return the target of a step; negative: it has no event from outside.
+---@param at integer its position
+---@return integer
+function Walk:step_at(at) return self.blocks[floor(at / BLOCK)][at % BLOCK] end
+
+-- Appends where a step leads, once for each configuration, and for each group of
+-- deadlines that need not be the first. A step that leads nowhere counts only if events
+-- that wait are why it was taken.
+local function add_step(walk, try, tgt)
+  if tgt == try.from and not puppet.is_driven(try.conf) then return end
+  local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
+  local group = try.group and not try.group.is_sure and try.group or nil
+  for at = walk.first[try.from], walk.step_count do
+    if walk:step_at(at) == step and unsure[at] == group then return end
+  end
+  local at = walk.step_count + 1
+  local index = floor(at / BLOCK)
+  walk.blocks[index] = walk.blocks[index] or new_block()
+  walk.blocks[index][at % BLOCK], unsure[at], walk.step_count = step, group, at
+end
 
 local MANY_CHOICES = 4096
 
---- A step that is tried: its events, and deadlines that are over when it begins.
+--- A step that is tried: its events, and deadlines that are over when it begins. The
+--- next one from the configuration has the same table.
 ---@class rfsm_checks.Try
 ---@field from integer
 ---@field conf rfsm_checks.Configuration
@@ -272,10 +288,11 @@ end
 -- Takes a step once for each choice, and calls f(walk, try, key, label) after it; `key`
 -- is nil if the step does not end. `label` is of use until f returns.
 local function each_choice(walk, try, f)
-  local own, choices, tries = walk.puppet, {}, 0
+  local own, choices, tries = walk.puppet, walk.choices, 0
+  for i = #choices, 1, -1 do choices[i] = nil end
+  walk.try = try
   repeat
     put(walk, try.conf, try.events)
-    walk.try, walk.choices = try, choices
     local ended = own:step(try.events, choices)
     local asked, label = own.asked, walk.label
     walk.count, tries = walk.count + 1, tries + 1
@@ -300,8 +317,8 @@ local function note_step(walk, try, key, label)
     return
   end
   local tgt = find_configuration(walk, key, from, label)
-  add_step(walk, walk.seen, try, tgt)
-  if tgt ~= from or walk.puppet.taken[1] then walk.moves[from] = true end
+  add_step(walk, try, tgt)
+  walk.has_moved = walk.has_moved or tgt ~= from or walk.puppet.taken[1] ~= nil
   note_passed(walk, from, tgt, label)
   walk:look(from, tgt, try.events, label)
 end
@@ -322,12 +339,14 @@ end
 -- Takes steps with the sets of events from outside that come together with the
 -- deadlines of a group; see `each_choice`.
 local function each_set(walk, from, conf, group, sets, f)
-  local timers = group and group.events or {}
+  local timers, is_over = group and group.events or {}, group and group.is_over
+  local try = { from = from, conf = conf, group = group, events = false,
+    is_internal = false }
   for _, set in ipairs(sets) do
-    if set[1] ~= nil or group and group.is_over or puppet.is_busy(conf) then
-      each_choice(walk, { from = from, conf = conf, group = group,
-        events = match.joined(set, timers),
-        is_internal = set[1] == nil and not (group and group.is_over) }, f)
+    if set[1] ~= nil or is_over or puppet.is_busy(conf) then
+      try.events = match.joined(set, timers)
+      try.is_internal = set[1] == nil and not is_over
+      each_choice(walk, try, f)
     end
   end
 end
@@ -362,8 +381,9 @@ end
 
 -- Takes all steps from a configuration.
 local function expand(walk, from)
-  walk.first[from] = #walk.steps + 1
+  walk.first[from], walk.has_moved = walk.step_count + 1, false
   each_try(walk, from, note_step)
+  if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
 end
 
 --- Take all steps from a configuration again, and call f(try, tgt, label) after each.
@@ -381,7 +401,7 @@ local EVERY = 256 -- configurations between two looks at the clock
 
 local function find_bound(walk, options, at, began)
   if #walk.keys > options.configurations then return "configurations" end
-  if walk.depths[at] >= options.depth then return "depth" end
+  if walk.depth >= options.depth then return "depth" end
   if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
 end
 
@@ -389,19 +409,22 @@ local function walk_all(walk, options)
   local at, began = 1, os_clock()
   local judged = walk.monitored[1] or {}
   while walk.keys[at] and judged.holds == nil do
+    if at > walk.level_end then
+      walk.depth, walk.level_end = walk.depth + 1, #walk.keys
+    end
     local bound = find_bound(walk, options, at, began)
     if bound then
       note_untried(walk, bound, "what lies behind the bound on " .. bound)
       break
     end
     if options.progress and at % EVERY == 0 then
-      options.progress(#walk.keys, walk.depths[at])
+      options.progress(#walk.keys, walk.depth)
     end
     expand(walk, at)
     at = at + 1
   end
-  walk.expanded, walk.seen = at - 1, {}
-  walk.first[at] = #walk.steps + 1
+  walk.expanded = at - 1
+  walk.first[at] = walk.step_count + 1
 end
 
 -- Public functions ..................................................................
@@ -477,10 +500,11 @@ function explore.walk(model, options, prepare, way)
   local walk = setmetatable({ puppet = own, model = model, options = settings,
     way = way or false, together = settings.together or 1,
     is_together_given = settings.together ~= nil, untried = {}, passed = {},
-    keys = {}, numbers = {}, from = {}, labels = {}, depths = {}, first = {},
-    steps = {}, taken = {}, endless = nil, bound = nil, moves = {}, count = 0,
-    expanded = 0, wanted = {}, monitored = {}, is_beside = false, besides = {},
-    beside_ids = {}, kin = {}, unsure = {}, timing = false, seen = {} }, Walk)
+    keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
+    first = {}, blocks = {}, step_count = 0, choices = {}, taken = {}, endless = nil,
+    bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    monitored = {}, is_beside = false, besides = {}, beside_ids = {}, kin = {},
+    unsure = {}, timing = false }, Walk)
   function walk.label() return label_of(walk.try, walk.choices, own.asked) end
   check_writers(walk)
   if prepare then prepare(walk) end

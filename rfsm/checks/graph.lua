@@ -3,8 +3,9 @@
 -- @module rfsm.checks.graph
 -- @license BSD-3-Clause
 
-local ipairs, table = ipairs, table
+local ipairs = ipairs
 local abs, min = math.abs, math.min
+local remove, sort = table.remove, table.sort
 
 local graph = {}
 
@@ -14,35 +15,49 @@ local graph = {}
 ---@param f fun(tgt: integer, is_internal: boolean, position: integer)
 function graph.each_step(walk, number, f)
   for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
-    local step = walk.steps[i]
+    local step = walk:step_at(i)
     if step < 0 then f(-step, true, i) else f(step, false, i) end
   end
 end
 
--- Lists for each configuration those from which a step leads there.
-local function reverse(walk, is_internal, is_sure)
-  local lists = {}
+-- Calls f(from, tgt) for each step, or for those that the flags say.
+local function each_edge(walk, is_internal, is_sure, f)
   for from = 1, walk.expanded do
-    graph.each_step(walk, from, function(tgt, is_own, at)
-      if (is_own or not is_internal) and not (is_sure and walk.unsure[at]) then
-        lists[tgt] = lists[tgt] or {}
-        lists[tgt][#lists[tgt] + 1] = from
+    for at = walk.first[from], walk.first[from + 1] - 1 do
+      local step = walk:step_at(at)
+      if (step < 0 or not is_internal) and not (is_sure and walk.unsure[at]) then
+        f(from, abs(step))
       end
-    end)
+    end
   end
-  return lists
+end
+
+-- Returns a list of the configurations from which steps lead to the first one, then to
+-- the second one, and so on; and for each the position before its own.
+local function reverse(walk, is_internal, is_sure)
+  local list, before, count = {}, { 0 }, #walk.keys
+  for number = 1, count do before[number + 1] = 0 end
+  each_edge(walk, is_internal, is_sure, function(_, tgt)
+    before[tgt], list[#list + 1] = before[tgt] + 1, 0
+  end)
+  for number = 2, count + 1 do before[number] = before[number] + before[number - 1] end
+  each_edge(walk, is_internal, is_sure, function(from, tgt)
+    list[before[tgt]], before[tgt] = from, before[tgt] - 1
+  end)
+  return list, before
 end
 
 -- Adds predecessors to a set while there are some for which `joins(from, tgt)` is true.
 -- Returns the set.
-local function spread(walk, set, lists, joins)
-  local pending = {}
+local function spread(walk, set, joins, is_internal, is_sure)
+  local pending, list, before = {}, reverse(walk, is_internal, is_sure)
   for number = 1, #walk.keys do
     if set[number] then pending[#pending + 1] = number end
   end
   while pending[1] do
-    local number = table.remove(pending)
-    for _, from in ipairs(lists[number] or {}) do
+    local number = remove(pending)
+    for at = before[number] + 1, before[number + 1] do
+      local from = list[at]
       if not set[from] and joins(from, number) then
         set[from], pending[#pending + 1] = true, from
       end
@@ -59,8 +74,7 @@ end
 function graph.can_reach(walk, goals, is_internal, is_sure)
   local set = {}
   for number = 1, #walk.keys do set[number] = goals[number] end
-  return spread(walk, set, reverse(walk, is_internal, is_sure),
-    function() return true end)
+  return spread(walk, set, function() return true end, is_internal, is_sure)
 end
 
 -- Does each group of deadlines that can be first have a step into a set?
@@ -112,64 +126,66 @@ function graph.must_reach(walk, goals)
   for number = 1, #walk.keys do -- an unknown step is no fault
     set[number] = goals[number] or number > walk.expanded
   end
-  return spread(walk, set, reverse(walk, true), function(from, tgt)
+  return spread(walk, set, function(from, tgt)
     left[from] = left[from] or count_internal(walk, from)
     if from ~= tgt then left[from] = left[from] - 1 end
     return left[from] == 0
-  end)
+  end, true)
 end
 
--- Begins a visit of Tarjan's search for strongly connected components.
-local function new_visit(walk, search, number)
+-- Tarjan's search for strongly connected components: the configurations that are
+-- visited, and the position of the step that is next in each, are two stacks.
+local function visit(walk, search, number)
+  local depth = #search.visits + 1
   search.count = search.count + 1
   search.order[number], search.low[number] = search.count, search.count
-  search.open[#search.open + 1], search.is_open[number] = number, true
-  return { number = number, at = walk.first[number] or 1,
-    last = (walk.first[number + 1] or 1) - 1 }
+  search.open[#search.open + 1] = number
+  search.visits[depth], search.at[depth] = number, walk.first[number] or 1
 end
 
 -- Takes the component of a configuration from the open configurations.
 local function take_component(search, root)
-  local component = {}
+  local component, index = {}, #search.components + 1
   repeat
-    local number = table.remove(search.open)
-    search.is_open[number] = false
+    local number = remove(search.open)
+    search.index_of[number] = index
     component[#component + 1] = number
   until number == root
-  table.sort(component)
-  search.components[#search.components + 1] = component
+  sort(component)
+  search.components[index] = component
 end
 
 -- Goes on with the visit on top of the stack: deeper, or back.
-local function visit_next(walk, search, visits)
-  local visit, low = visits[#visits], search.low
-  if visit.at <= visit.last then
-    local tgt = abs(walk.steps[visit.at])
-    visit.at = visit.at + 1
+local function visit_next(walk, search)
+  local low, order, depth = search.low, search.order, #search.visits
+  local number, at = search.visits[depth], search.at[depth]
+  if at < (walk.first[number + 1] or 1) then
+    local tgt = abs(walk:step_at(at))
+    search.at[depth] = at + 1
     if search.set and not search.set[tgt] then
       return
-    elseif not search.order[tgt] then
-      visits[#visits + 1] = new_visit(walk, search, tgt)
-    elseif search.is_open[tgt] then
-      low[visit.number] = min(low[visit.number], search.order[tgt])
+    elseif not order[tgt] then
+      visit(walk, search, tgt)
+    elseif not search.index_of[tgt] then
+      low[number] = min(low[number], order[tgt])
     end
     return
   end
-  visits[#visits] = nil
-  local above = visits[#visits]
-  if above then low[above.number] = min(low[above.number], low[visit.number]) end
-  if low[visit.number] == search.order[visit.number] then
-    take_component(search, visit.number)
-  end
+  search.visits[depth], search.at[depth] = nil, nil
+  local above = search.visits[depth - 1]
+  if above then low[above] = min(low[above], low[number]) end
+  if low[number] == order[number] then take_component(search, number) end
 end
 
-local function leads_out(walk, component)
-  local is_in, leaves = {}, false
-  for _, number in ipairs(component) do is_in[number] = true end
+-- Does a step lead from a component to another one?
+local function leads_out(walk, component, index_of)
+  local own = index_of[component[1]]
   for _, number in ipairs(component) do
-    graph.each_step(walk, number, function(tgt) leaves = leaves or not is_in[tgt] end)
+    for at = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
+      if index_of[abs(walk:step_at(at))] ~= own then return true end
+    end
   end
-  return leaves
+  return false
 end
 
 --- List the sets of configurations that lead to each other, each sorted, in the order
@@ -177,17 +193,18 @@ end
 ---@param walk rfsm_checks.Walk
 ---@param set? table<integer, boolean> look at these alone
 ---@return integer[][] components
+---@return table<integer, integer> index_of a number for each component
 function graph.components_in(walk, set)
-  local search = { count = 0, order = {}, low = {}, open = {}, is_open = {},
-    components = {}, set = set }
+  local search = { count = 0, order = {}, low = {}, open = {}, visits = {}, at = {},
+    components = {}, index_of = {}, set = set }
   for number = 1, set and walk.expanded or 1 do
     if not (search.order[number] or set and not set[number]) then
-      local visits = { new_visit(walk, search, number) }
-      while visits[1] do visit_next(walk, search, visits) end
+      visit(walk, search, number)
+      while search.visits[1] do visit_next(walk, search) end
     end
   end
-  table.sort(search.components, function(a, b) return a[1] < b[1] end)
-  return search.components
+  sort(search.components, function(a, b) return a[1] < b[1] end)
+  return search.components, search.index_of
 end
 
 --- List the sets of configurations that lead to each other.
@@ -195,8 +212,9 @@ end
 ---@return integer[][] others
 function graph.components(walk)
   local bottoms, others = {}, {}
-  for _, component in ipairs(graph.components_in(walk)) do
-    local list = leads_out(walk, component) and others or bottoms
+  local components, index_of = graph.components_in(walk)
+  for _, component in ipairs(components) do
+    local list = leads_out(walk, component, index_of) and others or bottoms
     list[#list + 1] = component
   end
   return bottoms, others

@@ -32,7 +32,6 @@ local properties = {}
 ---@field count? integer
 ---@field within? fun(seconds: number): rfsm_checks.Property
 local Property = {}
-Property.__index = Property
 
 local function check_condition(what, where)
   local names = type(what) == "table" and what or { what }

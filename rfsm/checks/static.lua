@@ -143,7 +143,6 @@ end
 -- Appends the findings about a machine, in the order of its elements.
 local function check_machine(entry, findings, checks)
   local fsm, by_element, elements = entry.machine, {}, rfsm.elements(entry.machine)
-  if elements[1] ~= fsm then table.insert(elements, 1, fsm) end -- fsm is a state
   for _, obj in ipairs(elements) do by_element[obj] = {} end
   local function add(code, obj, text, severity)
     table.insert(by_element[obj], { code = code, text = text, severity = severity })

@@ -159,14 +159,11 @@ end
 -- Returns the configurations of a walk in which nothing happens any more, and the
 -- leaves of the machine itself in these.
 local function find_stuck(walk)
-  local numbers, is_stuck = {}, {}
-  for number = 1, walk.expanded do
-    if not walk.moves[number] then
-      local leaf = walk:configuration(number)[1].known.path
-      numbers[#numbers + 1], is_stuck[leaf or "none"] = number, true
-    end
+  local is_stuck = {}
+  for _, number in ipairs(walk.stuck) do
+    is_stuck[walk:configuration(number)[1].known.path or "none"] = true
   end
-  return numbers, is_stuck
+  return walk.stuck, is_stuck
 end
 
 local function add_dead_end(walk, findings, number, is_told)
@@ -199,13 +196,14 @@ end
 
 -- Configurations from which events that wait lead on and on.
 local function find_endless(walk, findings)
-  local is_idle, step = {}, walk.endless
+  local is_idle, are_idle, step = {}, true, walk.endless
   for number = 1, #walk.keys do
     local conf = walk:configuration(number)
     is_idle[number] = number > walk.expanded or not (conf[1].leaf
       and puppet.is_driven(conf))
+    are_idle = are_idle and is_idle[number]
   end
-  local ends = graph.can_reach(walk, is_idle, true)
+  local ends = are_idle and is_idle or graph.can_reach(walk, is_idle, true)
   for number = 2, walk.expanded do
     if not ends[number] then
       local leaves, text = leaves_of(walk, number)
@@ -244,14 +242,25 @@ local function is_waiting(walk, number)
   return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
 end
 
--- Returns the first configuration of a component in which the machine waits and from
--- which some run leads to one of a set.
-local function find_waiting(walk, numbers, leads_there)
+-- Returns the first configuration of a component in which the machine waits, of those
+-- in a set if one is given.
+local function find_waiting(walk, numbers, set)
   for _, number in ipairs(numbers) do
-    if number > 1 and leads_there[number] and is_waiting(walk, number) then
+    if number > 1 and (not set or set[number]) and is_waiting(walk, number) then
       return number
     end
   end
+end
+
+-- Returns the components that nothing leaves, and others in which the machine waits;
+-- none if there are no others.
+local function find_components(walk)
+  local bottoms, others = graph.components(walk)
+  local waiting = {}
+  for _, component in ipairs(others) do
+    if find_waiting(walk, component) then waiting[#waiting + 1] = component end
+  end
+  return waiting[1] and bottoms or {}, waiting
 end
 
 -- Returns a configuration in which the machine waited before it came to `numbers`,
@@ -278,26 +287,30 @@ local function is_in_one_leaf(walk, numbers)
   return true
 end
 
+local function is_one_fault(states)
+  for _, state in ipairs(states) do
+    if codes.means(state, "a fault") then return true end
+  end
+  return false
+end
+
 -- Configurations that lead to each other and nowhere else, while the machine waited for
 -- an event before that led there. It may have been set up for them: a note, unless
 -- there is a cycle of as many states elsewhere, or one of them is named as a fault.
 local function find_traps(walk, findings, is_first)
-  local bottoms, others = graph.components(walk)
+  local bottoms, others = find_components(walk)
   for _, numbers in ipairs(bottoms) do
     local paths, has_end, states = leaves_of_all(walk, numbers)
-    local outside, is_fault = nil, false
+    local outside, is_fault
     if paths[2] and not has_end and (is_first or is_in_one_leaf(walk, numbers)) then
       outside, is_fault = find_before(walk, numbers, others, #paths)
-    end
-    for _, state in ipairs(states) do
-      is_fault = is_fault or codes.means(state, "a fault")
     end
     local _, name = leaves_of(walk, outside or 1)
     if outside and not match.has(paths, name) then -- elsewhere with another memory
       local finding = add_run(walk, findings, "trap", states[1], paths[1],
         concat(paths, " and ") .. " lead to each other, and never back to " .. name,
         numbers[1])
-      if not is_fault then finding.severity = "note" end
+      if not (is_fault or is_one_fault(states)) then finding.severity = "note" end
     end
   end
 end

@@ -37,7 +37,8 @@ local watching = {}
 ---@field is_timed boolean some property has a time
 ---@field now number seconds, when the iteration began
 ---@field leaf rfsm.State|false when the iteration began
----@field is_entered boolean a leaf with regions was entered in this iteration
+---@field is_taken boolean this iteration has entered a leaf with regions, or taken an
+-- internal transition
 ---@field forwarded any[] events of the iteration before, which belongs to this step
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
@@ -147,16 +148,15 @@ end
 
 local function begin_iteration(own)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
-  own.is_entered = false
+  own.is_taken = false
 end
 
 -- Do the regions of the active leaf get the events in the next iteration, which belongs
--- to the same step? Not if the leaf was entered. An internal transition is not seen:
--- what it does is judged an iteration late.
+-- to the same step? Not if a transition was taken.
 local function are_forwarded(own, events)
   local leaf = own.fsm._act_leaf
   return events[1] ~= nil and leaf and leaf == own.leaf and leaf._regions ~= nil
-    and not own.is_entered
+    and not own.is_taken
 end
 
 local function end_iteration(own, events)
@@ -186,6 +186,23 @@ local function monitors_of(where, given, active)
     list[i] = { name = judged.name, property = property }
   end
   return list
+end
+
+-- Has entries and effects note that a transition was taken, if the leaf stays the same.
+local function note_taken(own, fsm)
+  local function note() own.is_taken = true end
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    if leaf._regions then rfsm.entry_hook_add(fsm, leaf, note) end
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    local effect = tr.effect
+    if rfsm.target_of(tr) == "internal" then
+      function tr.effect(...)
+        note()
+        if effect then return effect(...) end
+      end
+    end
+  end
 end
 
 -- Has all monitors begin anew.
@@ -242,11 +259,7 @@ function watching.watch_properties(fsm, given)
   end
   function own.before() begin_iteration(own) end
   function own.after(_, events) end_iteration(own, events) end
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    if leaf._regions then
-      rfsm.entry_hook_add(fsm, leaf, function() own.is_entered = true end)
-    end
-  end
+  note_taken(own, fsm)
   begin(own)
   rfsm.pre_step_hook_add(fsm, own.before, "before")
   rfsm.post_step_hook_add(fsm, own.after)
