@@ -8,20 +8,9 @@
 --         +----- e_restart ----+
 --
 -- A leaf state without a doo is done when it is entered, and sends the event e_done. So
--- the second step leaves hello:
+-- the second step leaves hello.
 --
---     rfsm-sim examples/hello_world.lua
---     > step()
---     active: root.hello(done)
---     queue:  e_done@root.hello
---     > step()
---     hello
---     world
---     active: root.world(done)
---     queue:  e_done@root.world
---     > ses("e_restart")
---     active: root.hello(done)
---     queue:  e_done@root.hello
+-- In rfsm-sim:  step()  step()  ses("e_restart")
 
 local rfsm = require "rfsm"
 local state, trans = rfsm.state, rfsm.trans
