@@ -1,8 +1,8 @@
 -- An error that no function of the user raised, such as Control-C in a terminal, may
--- strike at any VM instruction of the engine. Here it does so at each in turn (the share
--- of this Lua), or at each 7th if the machine is traced. It reaches the caller as itself.
--- After that the machine goes on, and each callback is called once and in order, as in a
--- machine that is left alone.
+-- strike at any VM instruction of the engine. Here it does so at each in turn, or at
+-- each 7th if the machine is traced: the share of this Lua. It reaches the caller as
+-- itself. After that the machine goes on, and each callback is called once and in
+-- order, as in a machine that is left alone.
 
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
