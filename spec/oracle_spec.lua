@@ -9,7 +9,7 @@ local share = require "spec.support.share"
 local shrink = require "spec.support.shrink"
 
 local jit = rawget(_G, "jit")
-local count = tonumber(os.getenv("N")) or share.count(600)
+local count = tonumber(os.getenv("N")) or share.count(900)
 local seed = share.seed(count)
 
 local function differs(chart) return runs.compare(chart) ~= nil end
@@ -57,7 +57,7 @@ describe("the oracle", function()
       setting = "RFSM_WITHOUT=rfsm.fast" },
     { name = "agrees where there is no debug", count = 150,
       setting = "RFSM_WITHOUT=debug" },
-    { name = "agrees with a machine whose twin was interrupted", count = 60,
+    { name = "agrees with a machine whose twin was interrupted", count = 90,
       setting = "RFSM_INTERRUPTS=1" },
   }
   for _, case in ipairs(CASES) do

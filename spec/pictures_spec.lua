@@ -8,7 +8,7 @@ local rfsm = require "rfsm"
 local share = require "spec.support.share"
 
 local content, file_with = helper.content, helper.file_with
-local COUNT = share.count(4) -- random charts
+local COUNT = share.count(6) -- random charts
 local seed = share.seed(COUNT)
 
 after_each(helper.remove_files)

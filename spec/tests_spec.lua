@@ -138,7 +138,7 @@ describe("tests of an example", function()
       local own = try(file)
       all, all_killed = all + own.count, all_killed + own.killed
     end
-    assert.is_true(all > share.count(300) / 2)
+    assert.is_true(all > 10 * #example_files())
     assert.is_true(all_killed >= 0.9 * all)
     if os.getenv("SHOW") then print(all_killed .. " of " .. all .. " killed") end
   end)

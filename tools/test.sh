@@ -44,10 +44,8 @@ count() {
 
 # Prints what is pending and why, once for all interpreters.
 list_pending() { # list_pending LOG ...
-  for log in "$@"; do
-    awk -v lua="$(basename "$(dirname "$log")")" \
-      '/^Pending/ { getline; print "pending: " $0 " (" lua ")" }' "$log"
-  done | sort
+  awk '/^Pending/ { getline; n = split(FILENAME, folders, "/")
+    print "pending: " $0 " (" folders[n - 1] ")" }' "$@" | sort
 }
 
 # Announces each tenth of the files, and the time that the rest will take.

@@ -26,7 +26,7 @@ local function compile(globals, text, name, mode)
   return chunk, problem
 end
 
-local compiled = {} -- bytecode by name and text of a file: many states load the same
+local compiled = {} -- name and text of a file -> its bytecode, for the next state
 
 local function load_file(globals, name)
   local file, problem = io.open(name)
@@ -35,9 +35,9 @@ local function load_file(globals, name)
   file:close()
   local key = name .. "\n" .. text
   if compiled[key] then return compile(globals, compiled[key], "@" .. name, "b") end
-  local chunk, mistake = compile(globals, text, "@" .. name)
+  local chunk, why = compile(globals, text, "@" .. name)
   compiled[key] = chunk and string.dump(chunk)
-  return chunk, mistake
+  return chunk, why
 end
 
 -- Returns the file of a module, or nil and the text of the error.

@@ -5,15 +5,15 @@
 local number, luas = (os.getenv("RFSM_SHARE") or "1/1"):match("^(%d+)/(%d+)$")
 number, luas = assert(tonumber(number), "RFSM_SHARE: 2/6 expected"), tonumber(luas)
 
-local PARTS = math.max(math.floor(luas / 2), 1) -- each case is checked by two Luas
+local PARTS = math.max(math.floor(luas / 2), 1) -- two Luas check each case of a table
 
 local share = {}
 
 --- Is case i checked here?
 function share.has(i) return (i + number) % PARTS == 0 end
 
---- Returns how many of n random cases are checked here.
-function share.count(n) return math.ceil(n / PARTS) end
+--- Returns how many of n random cases are checked here: all Luas together try n.
+function share.count(n) return math.ceil(n / luas) end
 
 --- Returns the first seed of the n random cases here, which no other Lua has; `SEED`
 --- moves all.
