@@ -591,6 +591,12 @@ end
 
 local model_of = rfsm.model_of
 
+-- A node table of a model may stand in several places: notes that `def` is one of them.
+local function note_mount(build, def)
+  local mounts = build.mounts[def.model] or {}
+  mounts[#mounts + 1], build.mounts[def.model] = def, mounts
+end
+
 local clone_below, new_node, new_transition
 
 do
@@ -722,8 +728,7 @@ do
     def.depth = parent and parent.depth + 1 or 0
     def.parent = parent or def
     def.is_leaf, def.otrs, def.members = kind == "state", {}, {}
-    local mounts = build.mounts[def.model] or {}
-    mounts[#mounts + 1], build.mounts[def.model] = def, mounts
+    note_mount(build, def)
     if parent then
       parent.members[key], parent.is_leaf = def, false
       check_name(build, def)
@@ -3382,9 +3387,7 @@ do
   local function build_merge(fsm, plan, parent, obj, id)
     local build, first = new_build(plan), #plan.transitions + 1
     build.fsm = fsm
-    for _, def in ipairs(plan.nodes) do
-      build.mounts[def.model] = append(build.mounts[def.model] or {}, { def })
-    end
+    for _, def in ipairs(plan.nodes) do note_mount(build, def) end
     if rfsm.is_trans(obj) then
       new_transition(build, obj, parent, id)
       if parent.is_leaf then
