@@ -1378,7 +1378,8 @@ end
 --   collect  the pending events, then those of getevents, become the current ones
 --   before   the pre step hooks are called
 --   search   a path is chosen that the events enable
---   refuse   no path leads into the machine: the events are pending again
+--   refuse   no path leads into the machine, or a hook has failed: the events are
+--            pending again
 --   take     the states of that path are left and entered
 --   doo      there is no path: a doo cycle is run
 --   after    the post step hooks are called
@@ -1465,8 +1466,9 @@ local PHASES = {}
 -- The calls of an iteration are numbered in the order in which they are made.
 -- `_calls.count` is the number of the last one that was reached, `begun` of the last
 -- one that was made, `noted` of the last one whose results are known. Each phase,
--- segment and action begins at a number that does not depend on those before it, so
--- that a hook that is added to one of them does not change those of the next.
+-- segment and action, and the resume of a doo, begins at a number that does not depend
+-- on those before it, so that a hook that is added to one of them does not change those
+-- of the next.
 
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
