@@ -591,6 +591,12 @@ end
 
 local model_of = rfsm.model_of
 
+-- A node table of a model may stand in several places: notes that `def` is one of them.
+local function note_mount(build, def)
+  local mounts = build.mounts[def.model] or {}
+  mounts[#mounts + 1], build.mounts[def.model] = def, mounts
+end
+
 local clone_below, new_node, new_transition
 
 do
@@ -722,8 +728,7 @@ do
     def.depth = parent and parent.depth + 1 or 0
     def.parent = parent or def
     def.is_leaf, def.otrs, def.members = kind == "state", {}, {}
-    local mounts = build.mounts[def.model] or {}
-    mounts[#mounts + 1], build.mounts[def.model] = def, mounts
+    note_mount(build, def)
     if parent then
       parent.members[key], parent.is_leaf = def, false
       check_name(build, def)
@@ -1373,7 +1378,8 @@ end
 --   collect  the pending events, then those of getevents, become the current ones
 --   before   the pre step hooks are called
 --   search   a path is chosen that the events enable
---   refuse   no path leads into the machine: the events are pending again
+--   refuse   no path leads into the machine, or a hook has failed: the events are
+--            pending again
 --   take     the states of that path are left and entered
 --   doo      there is no path: a doo cycle is run
 --   after    the post step hooks are called
@@ -1460,8 +1466,9 @@ local PHASES = {}
 -- The calls of an iteration are numbered in the order in which they are made.
 -- `_calls.count` is the number of the last one that was reached, `begun` of the last
 -- one that was made, `noted` of the last one whose results are known. Each phase,
--- segment and action begins at a number that does not depend on those before it, so
--- that a hook that is added to one of them does not change those of the next.
+-- segment and action, and the resume of a doo, begins at a number that does not depend
+-- on those before it, so that a hook that is added to one of them does not change those
+-- of the next.
 
 local ACTION, SEGMENT = 1e3, 1e9
 local FIRST = {
@@ -3382,9 +3389,7 @@ do
   local function build_merge(fsm, plan, parent, obj, id)
     local build, first = new_build(plan), #plan.transitions + 1
     build.fsm = fsm
-    for _, def in ipairs(plan.nodes) do
-      build.mounts[def.model] = append(build.mounts[def.model] or {}, { def })
-    end
+    for _, def in ipairs(plan.nodes) do note_mount(build, def) end
     if rfsm.is_trans(obj) then
       new_transition(build, obj, parent, id)
       if parent.is_leaf then

@@ -223,16 +223,16 @@ end
 local KINDS = { replace, change_number, change_word, remove_line, negate,
   swap_arguments }
 
--- Lists the places of a file that can be changed: `file`, `line`, `changes`.
+-- Lists the places of a file that can be changed: `file`, `line`, `text` of the file,
+-- `changes`.
 local function sites_of(file, sites)
   local text = helper.content(file)
   local tokens = tokens_of(text)
   for i, token in ipairs(tokens) do
-    local site = { file = file, line = token.line, changes = {} }
+    local site = { file = file, line = token.line, text = text, changes = {} }
     for _, kind in ipairs(KINDS) do
       kind(token, tokens, i, function(from, to, other)
-        site.changes[#site.changes + 1] =
-          text:sub(1, from - 1) .. other .. text:sub(to + 1)
+        site.changes[#site.changes + 1] = { from = from, to = to, other = other }
       end, text)
     end
     if site.changes[1] then sites[#sites + 1] = site end
@@ -243,7 +243,9 @@ end
 local function draw(sites, random)
   while sites[1] do
     local site = table.remove(sites, random(#sites))
-    local text = random:pick(site.changes)
+    local change = random:pick(site.changes)
+    local text = site.text:sub(1, change.from - 1) .. change.other
+      .. site.text:sub(change.to + 1)
     if compile(text) then return { file = site.file, line = site.line, text = text } end
   end
 end
