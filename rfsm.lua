@@ -2025,70 +2025,74 @@ end
 
 -- Doo ............................................................................
 
--- Makes the coroutine of a doo, in which the engine runs nothing.
-local function new_doo(doo)
-  if type(doo) == "function" then return coroutine.create(doo) end
-  return coroutine.create(function(...) return doo(...) end)
-end
+local run_doo
 
--- The coroutine is dropped last: if a doo's end is cut short, it is done again.
-local function fail_doo(fsm, leaf, failure)
-  leaf._mode = "done"
-  if rfsm.is_interrupt(failure) then
-    keep_failure(fsm, failure)
-  else
-    print_by(call, fsm, "err", "DOO",
-      "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+do
+  -- Makes the coroutine of a doo, in which the engine runs nothing.
+  local function new_doo(doo)
+    if type(doo) == "function" then return coroutine.create(doo) end
+    return coroutine.create(function(...) return doo(...) end)
   end
-  leaf._doo_co = nil
-end
 
-local function end_doo(fsm, leaf)
-  complete(fsm, leaf)
-  if is_traced(fsm) then
-    print_by(call, fsm, "dbg", "DOO",
-      "removing completed coroutine of " .. leaf._fqn .. " doo")
+  -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
+  local function fail_doo(fsm, leaf, failure)
+    leaf._mode = "done"
+    if rfsm.is_interrupt(failure) then
+      keep_failure(fsm, failure)
+    else
+      print_by(call, fsm, "err", "DOO",
+        "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
+    end
+    leaf._doo_co = nil
   end
-  leaf._doo_co = nil
-end
 
--- Makes the coroutine of a leaf's doo. Returns nil, and the doo has failed, if there
--- are no coroutines.
-local function start_doo(fsm, leaf)
-  if is_traced(fsm) then
-    print_by(call, fsm, "dbg", "DOO",
-      "created coroutine for " .. leaf._fqn .. " doo")
-  end
-  if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
-  leaf._doo_co = new_doo(leaf.doo)
-  return leaf._doo_co
-end
-
--- Resumes a doo; true when it is idle or over.
-local function resume_doo(fsm, leaf, co)
-  fsm._calls.count = FIRST.resume
-  local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
-  if ok == false then
-    fsm._outcome = "failed"
-  elseif ok then -- nil if later calls have been made, which depend on `_outcome`
-    fsm._outcome = coroutine.status(co) == "dead" and "ended" or "counted"
-  end
-  if fsm._outcome == "counted" then return idle and true or false end
-  local finish_doo = fsm._outcome == "failed" and fail_doo or end_doo
-  finish_doo(fsm, leaf, idle)
-  return true
-end
-
--- One cycle of the active leaf's doo; true when it is idle or done.
-local function run_doo(fsm, leaf)
-  local co = leaf._doo_co
-  if leaf._mode == "done" and not co then return true end
-  if not (co or leaf.doo) then
+  local function end_doo(fsm, leaf)
     complete(fsm, leaf)
+    if is_traced(fsm) then
+      print_by(call, fsm, "dbg", "DOO",
+        "removing completed coroutine of " .. leaf._fqn .. " doo")
+    end
+    leaf._doo_co = nil
+  end
+
+  -- Makes the coroutine of a leaf's doo. Returns nil, and the doo has failed, if there
+  -- are no coroutines.
+  local function start_doo(fsm, leaf)
+    if is_traced(fsm) then
+      print_by(call, fsm, "dbg", "DOO",
+        "created coroutine for " .. leaf._fqn .. " doo")
+    end
+    if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
+    leaf._doo_co = new_doo(leaf.doo)
+    return leaf._doo_co
+  end
+
+  -- Resumes a doo; true when it is idle or over.
+  local function resume_doo(fsm, leaf, co)
+    fsm._calls.count = FIRST.resume
+    local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
+    if ok == false then
+      fsm._outcome = "failed"
+    elseif ok then -- nil if later calls have been made, which depend on `_outcome`
+      fsm._outcome = coroutine.status(co) == "dead" and "ended" or "counted"
+    end
+    if fsm._outcome == "counted" then return idle and true or false end
+    local finish_doo = fsm._outcome == "failed" and fail_doo or end_doo
+    finish_doo(fsm, leaf, idle)
     return true
   end
-  co = co or start_doo(fsm, leaf)
-  return not co or resume_doo(fsm, leaf, co)
+
+  -- One cycle of the active leaf's doo; true when it is idle or done.
+  function run_doo(fsm, leaf)
+    local co = leaf._doo_co
+    if leaf._mode == "done" and not co then return true end
+    if not (co or leaf.doo) then
+      complete(fsm, leaf)
+      return true
+    end
+    co = co or start_doo(fsm, leaf)
+    return not co or resume_doo(fsm, leaf, co)
+  end
 end
 
 -- Iterate ........................................................................
