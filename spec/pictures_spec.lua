@@ -274,8 +274,10 @@ describe("doc/gallery", function()
 
   it("has the pictures of its charts, drawn anew", function()
     if not is_of_gallery() then return pending("another Graphviz, or other fonts") end
-    local svgs = pictures.svgs_of(pictures.layouts_of(list))
-    for i, job in ipairs(list) do
+    local own = {}
+    for i, job in ipairs(list) do own[#own + 1] = share.has(i) and job or nil end
+    local svgs = pictures.svgs_of(pictures.layouts_of(own))
+    for i, job in ipairs(own) do
       local file = "doc/gallery/" .. job.name .. ".svg"
       assert.is_true(lines_of(svgs[i]) == lines_of(content(file)),
         file .. ": make gallery")

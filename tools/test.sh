@@ -1,8 +1,9 @@
 #!/bin/sh
-# Runs the specs on each interpreter named, one spec file at a time more than there are
-# cores, because some wait for what they started. A line is printed as an interpreter ends, after the output of its failures. The
-# last line is the sum: "N passed, N failed, N pending". What is pending lacks a program
-# or a package; each is listed before the sum. With PENDING=no they count as failures.
+# Runs the specs on each interpreter named, two spec files at a time for each core,
+# because some wait for what they started. A line is printed as an interpreter ends,
+# after the output of its failures. The last line is the sum: "N passed, N failed,
+# N pending". What is pending lacks a program or a package; each is listed before the
+# sum. With PENDING=no they count as failures.
 # On stderr, every tenth of the files is announced, with the time that the rest will take.
 #
 # Each spec file is a process of its own: collecting garbage stays cheap, and no file
@@ -112,7 +113,7 @@ for lua in "$@"; do
 done >"$logs/files"
 grep -c . "$logs/files" >"$logs/count"
 date +%s >"$logs/time"
-xargs -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) + 1))" -n 2 "$0" --one "$logs" <"$logs/files"
+xargs -P "$(($(getconf _NPROCESSORS_ONLN || echo 2) * 2))" -n 2 "$0" --one "$logs" <"$logs/files"
 list_pending "$logs"/*/*.done
 # shellcheck disable=SC2046
 set -- $(count "$logs"/*/*.done)
