@@ -31,7 +31,6 @@ local tonumber, type = tonumber, type
 local concat, sort = table.concat, table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local is_conn = rfsm.is_conn
 
 local puppet = {}
 
@@ -178,23 +177,6 @@ function Puppet:occurrence(part, event)
   return found
 end
 
--- Is a node in a composite?
-local function is_inside(node, state)
-  while node ~= state and not rfsm.is_root(node) do node = node._parent end
-  return node == state
-end
-
--- Does a connector inside of a composite lead out of it? Then a step may pass through.
-local function is_passable(state)
-  local is_found = false
-  rfsm.mapfsm(function(connector)
-    for _, tr in ipairs(connector._otrs) do
-      is_found = is_found or not is_inside(tr.tgt, state)
-    end
-  end, state, is_conn)
-  return is_found
-end
-
 -- Notes the nodes that are active in the moment in which a state is entered.
 local function note_moment(self, state)
   local nodes, count = {}, 0
@@ -236,7 +218,7 @@ local function make_state(self, part, state)
   local entry = new_stub(self, "entry", path, part, state, own.entry)
   own.entry = entry
   if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
-    and is_passable(state) then
+    and location.is_passable(state) then
     function own.entry(...)
       if entry then entry(...) end
       note_moment(self, state)
