@@ -22,10 +22,11 @@ local data = require "rfsm.checks.data"
 local match = require "rfsm.checks.match"
 local location = require "rfsm.checks.location"
 local reactions = require "rfsm.checks.reactions"
+local order = require "rfsm.shared.order"
 local static = require "rfsm.checks.static"
 local stubs = require "rfsm.checks.stubs"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local error, ipairs, next, pcall = error, ipairs, next, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
 local concat, sort = table.concat, table.sort
@@ -594,9 +595,11 @@ function Puppet:step(events, choices)
   clear(self.last_events)
   clear(self.sent)
   clear(self.called)
-  for guard in pairs(self.answers) do self.answers[guard] = nil end -- any order: all
-  for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
-  for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
+  if next(self.answers) ~= nil then self.answers = {} end
+  if next(self.entered) ~= nil then self.entered = {} end
+  if next(self.wanted) ~= nil then
+    for event in order.each(self.wanted) do self.wanted[event] = false end
+  end
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
     queue[#queue + 1] = events[i].event
