@@ -154,6 +154,8 @@ describe("guards that stay free", function()
         .. "functions expected, got table" },
       { options = { run = { yes } }, text = "run: function 1 is no callback of the "
         .. "chart" },
+      { options = { same = { { yes }, { 7 } } }, text = "rfsm_checks.explore: same: "
+        .. "list of guards expected, got table" },
       { options = { exclusive = { left, right } }, text = "exclusive: function 1 is no "
         .. "guard of the chart" },
     }

@@ -186,6 +186,7 @@ describe("explore", function()
       chart { [4] = go(nil, "a") } },
     { { depth = "x" }, "explore_spec.lua:%d+: rfsm_checks.explore: depth: number "
       .. "expected, got string" },
+    { { sends = { ["entry root.b"] = 7 } }, "rfsm_checks.explore: sends: " },
     { { seconds = -1 }, "rfsm_checks.explore: seconds: number expected, got %-1$" },
     { { dept = 3 }, "explore_spec.lua:%d+: rfsm_checks.explore: unknown option 'dept' "
       .. "%(did you mean 'depth'%?%), expected: alphabet, complementary, "

@@ -198,6 +198,23 @@ describe("a machine that is watched", function()
     end)
   end
 
+  it("sees a composite that a step passes, as an exploration does", function()
+    local members = { c = state { k = rfsm.conn {} }, d = state {},
+      [4] = go("a", "root.c.k", "e_c"), [5] = go("root.c.k", "d"), [6] = go("d", "a") }
+    local properties = { left = rfsm_checks.never { "root.a", "root.c" },
+      passed = rfsm_checks.never "root.c", before = precedes("root.c", "root.d"),
+      after = after "e_c".reach "root.c" }
+    start(members, properties)
+    send("e_c")
+    local names = {}
+    for i, text in ipairs(told) do names[i] = text:match("^property '(%l+)'") end
+    assert.same({ "passed", "after" }, names)
+    local result = rfsm_checks.explore(chart(members), { properties = properties })
+    for i, holds in ipairs { false, true, true, false } do -- sorted by name
+      assert.equal(holds, result.properties[i].holds)
+    end
+  end)
+
   it("takes the properties of its model, and watches until it is told to stop",
     function()
     start({ properties = { rfsm_checks.never "root.b" } }):stop()

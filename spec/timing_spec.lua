@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 local rfsm_timeevent = require "rfsm_timeevent"
+local zones = require "rfsm.checks.zones"
 require "rfsm.await"
 
 local state = rfsm.state
@@ -358,6 +359,21 @@ describe("a textbook model", function()
   end
 end)
 
+describe("bounds of clocks", function()
+  it("add up to one that is strict if one of them is", function()
+    local at_most, below = zones.at_most, zones.below
+    for _, case in ipairs { { at_most(2), at_most(5) }, { below(2), below(5) } } do
+      local zone = zones.up(zones.project(zones.new(), 0, { 0, 0 }), 2)
+      zone = zones.bounded(zone, 2, 1, 0, at_most(3)) -- both began at once
+      assert.same({ at_most(0), at_most(0), at_most(0), at_most(3), at_most(0),
+        at_most(0), at_most(3), at_most(0), at_most(0) }, zone)
+      zone = zones.project(zone, 2, { 1, 0 })
+      zone = zones.bounded(zones.up(zone, 2), 2, 2, 0, case[1]) -- so long ago at most
+      assert.equal(case[2], zone[4])
+    end
+  end)
+end)
+
 describe("a watched machine", function()
   it("reports what comes too late, on its clock", function()
     local now, told = 100, {}
@@ -379,6 +395,9 @@ describe("a watched machine", function()
     assert.equal(1, #told)
     assert.matches("\n  2. e_x: root.a %-> root.b\n", told[1])
     assert.matches("\n  and then %+?2.5 s$", told[1])
+    now = 105
+    rfsm.run(fsm)
+    assert.equal(2, #told) -- it has stayed there again
     rfsm.reset(fsm)
     assert.is_nil(watched:next_deadline())
   end)

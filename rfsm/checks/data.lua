@@ -12,8 +12,9 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local match = require "rfsm.checks.match"
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 
-local error, ipairs, next, pairs = error, ipairs, next, pairs
+local error, ipairs, next = error, ipairs, next
 local rawequal, type = rawequal, type
 local concat = table.concat
 
@@ -82,7 +83,7 @@ end
 -- Returns the fields that a machine has of its own, but for those of `vars`.
 local function other_fields(self)
   local fields = {}
-  for name, value in pairs(self.parts[1].fsm) do -- any order: a copy
+  for name, value in order.each(self.parts[1].fsm) do -- any order: a copy
     local is_own = type(name) == "string" and not name:find("^_")
     if is_own and not self.vars[name] then fields[name] = value end
   end

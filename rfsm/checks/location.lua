@@ -80,6 +80,25 @@ function location.refuse_name(name, kind, names)
     type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
 end
 
+-- Is a node in a composite?
+local function is_inside(node, state)
+  while node ~= state and not rfsm.is_root(node) do node = node._parent end
+  return node == state
+end
+
+--- Does a connector inside of a composite lead out of it? Then a step may pass through.
+---@param state rfsm.State
+---@return boolean
+function location.is_passable(state)
+  local is_found = false
+  rfsm.mapfsm(function(connector)
+    for _, tr in ipairs(connector._otrs) do
+      is_found = is_found or not is_inside(tr.tgt, state)
+    end
+  end, state, rfsm.is_conn)
+  return is_found
+end
+
 -- Names without positions, so that tests stay right if a chart is reordered ...........
 
 --- Return the name of a node: its FQN without "root.". As a target, `initial` has the

@@ -82,6 +82,7 @@ function see.leads_to(property, state, look)
 end
 
 function see.after(property, state, look)
+  if not look.is_end then return state end
   if holds(property.goal, look.active) then return "first" end
   if look.came then state = "owed" end
   return state == "owed" and look.is_idle and "violated" or state

@@ -22,16 +22,16 @@ local data = require "rfsm.checks.data"
 local match = require "rfsm.checks.match"
 local location = require "rfsm.checks.location"
 local reactions = require "rfsm.checks.reactions"
+local order = require "rfsm.shared.order"
 local static = require "rfsm.checks.static"
 local stubs = require "rfsm.checks.stubs"
 
-local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
+local error, ipairs, next, pcall = error, ipairs, next, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
 local concat, sort = table.concat, table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local is_conn = rfsm.is_conn
 
 local puppet = {}
 
@@ -178,23 +178,6 @@ function Puppet:occurrence(part, event)
   return found
 end
 
--- Is a node in a composite?
-local function is_inside(node, state)
-  while node ~= state and not rfsm.is_root(node) do node = node._parent end
-  return node == state
-end
-
--- Does a connector inside of a composite lead out of it? Then a step may pass through.
-local function is_passable(state)
-  local is_found = false
-  rfsm.mapfsm(function(connector)
-    for _, tr in ipairs(connector._otrs) do
-      is_found = is_found or not is_inside(tr.tgt, state)
-    end
-  end, state, is_conn)
-  return is_found
-end
-
 -- Notes the nodes that are active in the moment in which a state is entered.
 local function note_moment(self, state)
   local nodes, count = {}, 0
@@ -236,7 +219,7 @@ local function make_state(self, part, state)
   local entry = new_stub(self, "entry", path, part, state, own.entry)
   own.entry = entry
   if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
-    and is_passable(state) then
+    and location.is_passable(state) then
     function own.entry(...)
       if entry then entry(...) end
       note_moment(self, state)
@@ -612,9 +595,11 @@ function Puppet:step(events, choices)
   clear(self.last_events)
   clear(self.sent)
   clear(self.called)
-  for guard in pairs(self.answers) do self.answers[guard] = nil end -- any order: all
-  for state in pairs(self.entered) do self.entered[state] = nil end -- any order: all
-  for event in pairs(self.wanted) do self.wanted[event] = false end -- any order: all
+  if next(self.answers) ~= nil then self.answers = {} end
+  if next(self.entered) ~= nil then self.entered = {} end
+  if next(self.wanted) ~= nil then
+    for event in order.each(self.wanted) do self.wanted[event] = false end
+  end
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
     queue[#queue + 1] = events[i].event

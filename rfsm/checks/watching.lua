@@ -1,7 +1,8 @@
 --- Watching: the properties of an exploration, judged while a machine runs.
 --
--- Monitors look at the end of each iteration. Times are those of the machine's clock: a
--- clock begins when a step is over, and is read before the timers are.
+-- Monitors look at the end of each iteration, and at the states that it passes. Times
+-- are those of the machine's clock: a clock begins when a step is over, and is read
+-- before the timers are.
 --
 -- @module rfsm.checks.watching
 -- @license BSD-3-Clause
@@ -14,7 +15,7 @@ local opts = require "rfsm.shared.options"
 local location = require "rfsm.checks.location"
 local properties = require "rfsm.checks.properties"
 
-local error, ipairs, package, type = error, ipairs, package, type
+local error, ipairs, package, pairs, type = error, ipairs, package, pairs, type
 local concat, remove = table.concat, table.remove
 
 local watching = {}
@@ -40,9 +41,13 @@ local watching = {}
 ---@field is_taken boolean this iteration has entered a leaf with regions, or taken an
 -- internal transition
 ---@field forwarded any[] events of the iteration before, which belongs to this step
+---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] of this
+-- step, when a state was entered through which it may pass
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
 Watched.__index = Watched
+
+local NOTHING = {}
 
 local LONG = 10 -- steps that are kept
 
@@ -55,8 +60,9 @@ local function read_clock(own)
   return nsec and sec + nsec * 1e-9 or sec * 1e-9
 end
 
--- Returns a function that tells of a path if the state is active.
-local function view_of(fsm)
+-- Returns a function that tells of a path if the state is active; and one that returns
+-- such a function for this moment.
+local function views_of(fsm)
   local states = {}
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
@@ -68,6 +74,12 @@ local function view_of(fsm)
       location.refuse_name(name, "state", rfsm.sorted_keys(states))
     end
     return states[name]._mode ~= "inactive"
+  end, function()
+    local is_active = {}
+    for path, state in pairs(states) do -- any order: a set
+      is_active[path] = state._mode ~= "inactive"
+    end
+    return function(name) return is_active[name] end
   end
 end
 
@@ -167,6 +179,14 @@ local function end_iteration(own, events)
     return
   end
   events, own.forwarded = match.joined(own.forwarded, events), {}
+  for _, moment in ipairs(own.moments) do
+    local look = { active = moment.active, is_end = false, now = own.now }
+    local is_passed = moment.state._mode == "inactive"
+    for _, monitor in ipairs(is_passed and own.monitors or NOTHING) do
+      look_at(own, monitor, look, NOTHING)
+    end
+  end
+  own.moments = {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
   look.is_at_rest = look.is_idle and not has_timer(own.fsm)
@@ -205,9 +225,22 @@ local function note_taken(own, fsm)
   end
 end
 
+-- Has composites through which a step may pass note what is active then.
+local function note_moments(own, fsm, snapshot)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_composite)) do
+      if not rfsm.is_root(state) and location.is_passable(state) then
+        rfsm.entry_hook_add(entry.machine, state, function()
+          own.moments[#own.moments + 1] = { state = state, active = snapshot() }
+        end)
+      end
+    end
+  end
+end
+
 -- Has all monitors begin anew.
 local function begin(own)
-  own.trace, own.forwarded = {}, {}
+  own.trace, own.forwarded, own.moments = {}, {}, {}
   for _, monitor in ipairs(own.monitors) do
     monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
   end
@@ -251,7 +284,8 @@ function watching.watch_properties(fsm, given)
   if type(given) ~= "table" then
     error(where .. ": table of properties expected, " .. opts.got(given), 2)
   end
-  local own = setmetatable({ fsm = fsm, active = view_of(fsm), now = 0, leaf = false,
+  local active, snapshot = views_of(fsm)
+  local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
     is_timed = false }, Watched)
   own.monitors = monitors_of(where, given, own.active)
   for _, monitor in ipairs(own.monitors) do
@@ -260,6 +294,7 @@ function watching.watch_properties(fsm, given)
   function own.before() begin_iteration(own) end
   function own.after(_, events) end_iteration(own, events) end
   note_taken(own, fsm)
+  note_moments(own, fsm, snapshot)
   begin(own)
   rfsm.pre_step_hook_add(fsm, own.before, "before")
   rfsm.post_step_hook_add(fsm, own.after)

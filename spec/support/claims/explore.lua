@@ -133,7 +133,14 @@ local function wanderer(world, fsm_of)
   local random, seen, sends = world.random, world.seen, world.sends
   return {
     guard = function() return function() return random(2) == 1 end end,
-    predicate = function() return function() return random(2) == 1 end end,
+    predicate = function() -- one answer for an event in a step
+      local answers, count = {}, nil
+      return function(event)
+        if count ~= world.steps then answers, count = {}, world.steps end
+        if answers[event] == nil then answers[event] = random(2) == 1 end
+        return answers[event]
+      end
+    end,
     effect = function(id)
       return function(fsm)
         seen["taken " .. id] = true
@@ -157,7 +164,8 @@ end
 local LENGTH = 6 -- steps of a run, on average
 
 -- Takes a step with so many events or timers at most. Returns whether more timers came.
-local function wander_on(fsm, random, events, clock, most)
+local function wander_on(fsm, world, events, clock, most)
+  local random = world.random
   local fired = 0
   for _, entry in ipairs(rfsm.machines(fsm)) do
     entry.machine.dbg = function(id) if id == "TIMEEVENT" then fired = fired + 1 end end
@@ -172,6 +180,7 @@ local function wander_on(fsm, random, events, clock, most)
       fired = fired + 1
     end
   end
+  world.steps = (world.steps or 0) + 1
   rfsm.step(fsm)
   clock.last = clock.now
   return fired > most
@@ -190,7 +199,7 @@ local function run_at_random(chart, events, choice, seed)
   for _ = 1, claim.runs do
     for _, name in ipairs(choice.names) do world.flags[name] = "-" end
     repeat
-      if wander_on(fsm, world.random, events, clock, choice.together) then break end
+      if wander_on(fsm, world, events, clock, choice.together) then break end
       for _, text in ipairs(stands_of(fsm, world.flags)) do world.seen[text] = true end
     until world.random(LENGTH) == 1
     rfsm.reset(fsm)

@@ -157,6 +157,7 @@ function claim.run_at_random(chart, properties, options, seed)
       if world.random(2) == 1 then
         rfsm.send_events(fsm, events[world.random(#events)])
       end
+      world.steps = (world.steps or 0) + 1
       rfsm.step(fsm)
       for _, text in ipairs(charts.stands_of(fsm, no_flags())) do seen[text] = true end
     end
