@@ -16,7 +16,7 @@ local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
 local order = require "rfsm.shared.order"
 
-local error, ipairs, next = error, ipairs, next
+local error, ipairs = error, ipairs
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 
 local rfsm_emem = {}
@@ -97,7 +97,7 @@ local function save(fsm)
       counts[state._fqn][event] = state.emem[event]
     end
   end
-  return next(counts) and counts
+  return not order.is_empty(counts) and counts or nil
 end
 
 local function load(fsm, counts)

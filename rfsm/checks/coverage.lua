@@ -6,8 +6,9 @@
 local rfsm = require "rfsm"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.checks.location"
+local order = require "rfsm.shared.order"
 
-local error, ipairs, pairs = error, ipairs, pairs
+local error, ipairs = error, ipairs
 local setmetatable, type = setmetatable, type
 local concat = table.concat
 
@@ -79,7 +80,7 @@ end
 
 function Coverage:__tostring()
   local lines, outcomes = { "" }, {}
-  for path, counts in pairs(self.guards) do -- any order: each stands alone
+  for path, counts in order.each(self.guards) do -- any order: each stands alone
     for _, outcome in ipairs(OUTCOMES) do
       outcomes[path .. " " .. outcome] = counts[outcome]
     end
@@ -105,7 +106,7 @@ end
 -- Returns a copy of the counts of an earlier run.
 local function copy_of(counts)
   local copy = {}
-  for key, value in pairs(counts) do -- any order: a copy
+  for key, value in order.each(counts) do -- any order: a copy
     copy[key] = type(value) == "table" and copy_of(value) or value
   end
   return copy

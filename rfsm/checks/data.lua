@@ -14,7 +14,7 @@ local match = require "rfsm.checks.match"
 local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
-local error, ipairs, next = error, ipairs, next
+local error, ipairs = error, ipairs
 local rawequal, type = rawequal, type
 local concat = table.concat
 
@@ -108,7 +108,7 @@ end
 ---@return string text
 function data.read(self)
   local values, texts, fsm = {}, {}, self.parts[1].fsm
-  local other = next(self.runs) and find_other(self)
+  local other = not order.is_empty(self.runs) and find_other(self)
   if other then
     return nil, ("the field '%s', which vars does not name"):format(other)
   end

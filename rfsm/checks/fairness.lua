@@ -13,8 +13,9 @@ local rfsm = require "rfsm"
 local graph = require "rfsm.checks.graph"
 local match = require "rfsm.checks.match"
 local puppet = require "rfsm.checks.puppet"
+local order = require "rfsm.shared.order"
 
-local ipairs, pairs, next = ipairs, pairs, next
+local ipairs = ipairs
 
 local fairness = {}
 
@@ -41,7 +42,7 @@ local function pending_in_all(walk, numbers)
   local common
   for _, number in ipairs(numbers) do
     local pending = pending_in(walk:configuration(number))
-    for name in pairs(common or {}) do -- any order: a set
+    for name in order.each(common or {}) do -- any order: a set
       if not pending[name] then common[name] = nil end
     end
     common = common or pending
@@ -64,7 +65,7 @@ local function edges_between(walk, numbers)
     walk:each_step_again(number, function(_, tgt, label)
       if not is_in[tgt] then return end
       local edge = { from = number, tgt = tgt, label = label(), entered = {} }
-      for state in pairs(walk.puppet.entered) do -- any order: a set
+      for state in order.each(walk.puppet.entered) do -- any order: a set
         edge.entered[state] = true
       end
       edges[number][#edges[number] + 1] = edge
@@ -78,7 +79,8 @@ end
 local function find_rest(walk, numbers)
   for _, number in ipairs(numbers) do
     local conf = walk:configuration(number)
-    if not puppet.is_busy(conf) and next(pending_in(conf)) == nil then return number end
+    local is_idle = not puppet.is_busy(conf)
+    if is_idle and order.is_empty(pending_in(conf)) then return number end
   end
 end
 
@@ -86,15 +88,15 @@ end
 local function find_fair(walk, numbers)
   local pending = pending_in_all(walk, numbers)
   local edges, has_edge = edges_between(walk, numbers), false
-  for _, list in pairs(edges) do -- any order: sets
+  for _, list in order.each(edges) do -- any order: sets
     for _, edge in ipairs(list) do
       has_edge = true
-      for name, state in pairs(pending) do
+      for name, state in order.each(pending) do
         if edge.entered[state] then pending[name] = nil end
       end
     end
   end
-  return next(pending) == nil and has_edge and edges or nil
+  return order.is_empty(pending) and has_edge and edges or nil
 end
 
 -- Returns the shortest list of steps from a configuration whose last one is wanted.

@@ -17,8 +17,9 @@
 
 local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
+local order = require "rfsm.shared.order"
 
-local ipairs, next, pairs, type = ipairs, next, pairs, type
+local ipairs, type = ipairs, type
 local concat, max, min = table.concat, math.max, math.min
 
 local independence = {}
@@ -61,7 +62,7 @@ end
 
 -- Adds what a region has to the region around it.
 local function add_inner(traits, inner)
-  for event in pairs(inner.events) do traits.events[event] = true end -- a set
+  for event in order.each(inner.events) do traits.events[event] = true end -- a set
   traits.is_any = traits.is_any or inner.is_any
   traits.has_timer = traits.has_timer or inner.has_timer
   traits.is_bound = traits.is_bound or inner.is_bound
@@ -93,9 +94,9 @@ end
 
 local function are_joined(a, b)
   if a.has_timer and b.has_timer then return true end
-  if a.is_any and (b.is_any or next(b.events) ~= nil) then return true end
-  if b.is_any and next(a.events) ~= nil then return true end
-  for event in pairs(a.events) do -- any order: is there one?
+  if a.is_any and (b.is_any or not order.is_empty(b.events)) then return true end
+  if b.is_any and not order.is_empty(a.events) then return true end
+  for event in order.each(a.events) do -- any order: is there one?
     if b.events[event] then return true end
   end
   return false
@@ -221,7 +222,7 @@ end
 
 -- Appends the parts that set a flag.
 local function add_setters(own, parts, number)
-  for name, flags in pairs(own.flags_of) do -- any order: a set
+  for name, flags in order.each(own.flags_of) do -- any order: a set
     for _, flag in ipairs(flags) do
       if flag.number == number then parts[#parts + 1] = own.callbacks[name] end
     end

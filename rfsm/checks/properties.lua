@@ -14,8 +14,9 @@ local graph = require "rfsm.checks.graph"
 local match = require "rfsm.checks.match"
 local monitors = require "rfsm.checks.monitors"
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 
-local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local pcall, setmetatable, type = pcall, setmetatable, type
 local concat, sort = table.concat, table.sort
 local holds = monitors.holds
@@ -250,7 +251,7 @@ end
 ---@return rfsm_checks.Judged[] list
 function properties.list_of(where, given)
   local list = {}
-  for key, property in pairs(given) do -- any order: sorted
+  for key, property in order.each(given) do -- any order: sorted
     if getmetatable(property) ~= Property then
       error(where .. ": properties: never(...), after(...).reach(...) or another "
         .. "property expected, got " .. type(property), 0)
@@ -290,7 +291,7 @@ end
 local NONE = {}
 
 local function is_empty(set)
-  for _, is_in in pairs(set) do -- any order: is one there?
+  for _, is_in in order.each(set) do -- any order: is one there?
     if is_in then return false end
   end
   return true

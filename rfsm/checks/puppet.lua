@@ -26,7 +26,7 @@ local order = require "rfsm.shared.order"
 local static = require "rfsm.checks.static"
 local stubs = require "rfsm.checks.stubs"
 
-local error, ipairs, next, pcall = error, ipairs, next, pcall
+local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tonumber, type = tonumber, type
 local concat, sort = table.concat, table.sort
@@ -595,11 +595,9 @@ function Puppet:step(events, choices)
   clear(self.last_events)
   clear(self.sent)
   clear(self.called)
-  if next(self.answers) ~= nil then self.answers = {} end
-  if next(self.entered) ~= nil then self.entered = {} end
-  if next(self.wanted) ~= nil then
-    for event in order.each(self.wanted) do self.wanted[event] = false end
-  end
+  if not order.is_empty(self.answers) then self.answers = {} end
+  if not order.is_empty(self.entered) then self.entered = {} end
+  for event in order.each(self.wanted) do self.wanted[event] = false end
   for i = 1, #events do
     local queue = events[i].part.fsm._intq
     queue[#queue + 1] = events[i].event

@@ -11,8 +11,9 @@
 local rfsm = require "rfsm"
 local match = require "rfsm.checks.match"
 local location = require "rfsm.checks.location"
+local order = require "rfsm.shared.order"
 
-local ipairs, pairs, type = ipairs, pairs, type
+local ipairs, type = ipairs, type
 local is_conn = rfsm.is_conn
 
 local reactions = {}
@@ -84,7 +85,7 @@ end
 local function add_own_regions(found, leaf)
   local count = #found
   found.own = not (found.any or found.has_predicate) and {}
-  for event in pairs(found.own and found.set or {}) do -- any order: a set
+  for event in order.each(found.own and found.set or {}) do -- any order: a set
     found.own[event] = true
   end
   add_regions(found, leaf)

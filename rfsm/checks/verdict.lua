@@ -15,8 +15,9 @@ local properties = require "rfsm.checks.properties"
 local puppet = require "rfsm.checks.puppet"
 local reactions = require "rfsm.checks.reactions"
 local static = require "rfsm.checks.static"
+local order = require "rfsm.shared.order"
 
-local ipairs, next, pairs, setmetatable = ipairs, next, pairs, setmetatable
+local ipairs, next, setmetatable = ipairs, next, setmetatable
 local table, tostring, type = table, tostring, type
 local concat = table.concat
 
@@ -53,14 +54,14 @@ Exploration.__index = Exploration
 local function met_by(walk)
   local met = { active = {}, entered = {}, left = {} }
   for _, passed in ipairs(walk.passed) do
-    for path in pairs(passed.moment.active) do met.active[path] = true end -- a set
+    for path in order.each(passed.moment.active) do met.active[path] = true end -- a set
   end
   for _, part in ipairs(walk.puppet.parts) do
     for _, leaf in ipairs(puppet.leaves(part.stands)) do
       for _, path in ipairs(leaf.paths) do met.active[path] = true end
     end
   end
-  for number in pairs(walk.taken) do -- any order: a set
+  for number in order.each(walk.taken) do -- any order: a set
     local tr = walk.puppet.transitions[number].tr
     met.entered[tr.tgt], met.left[tr.src] = true, true
   end
@@ -340,7 +341,7 @@ end
 local function premises_of(walks, options)
   local walk, free = walks[1], {}
   for _, each in ipairs(walks) do
-    for name in pairs(each.puppet.free) do free[name] = true end -- a set
+    for name in order.each(each.puppet.free) do free[name] = true end -- a set
   end
   local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
@@ -460,7 +461,7 @@ local function properties_of(model, options)
   local given = {}
   for _, source in ipairs { model.properties or {}, options.properties or {} } do
     if type(source) == "table" and not rfsm.is_fsmobj(source) then
-      for key, property in pairs(source) do -- any order: sorted later
+      for key, property in order.each(source) do -- any order: sorted later
         given[type(key) == "string" and key or property] = property
       end
     end
@@ -472,7 +473,7 @@ end
 local function count_taken(walks)
   local is_taken, count = {}, 0
   for _, walk in ipairs(walks) do
-    for number in pairs(walk.taken) do -- any order: a set
+    for number in order.each(walk.taken) do -- any order: a set
       local path = walk.puppet.transitions[number].path
       if not is_taken[path] then is_taken[path], count = true, count + 1 end
     end

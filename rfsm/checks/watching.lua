@@ -14,8 +14,9 @@ local monitors = require "rfsm.checks.monitors"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.checks.location"
 local properties = require "rfsm.checks.properties"
+local order = require "rfsm.shared.order"
 
-local error, ipairs, package, pairs, type = error, ipairs, package, pairs, type
+local error, ipairs, package, type = error, ipairs, package, type
 local concat, remove = table.concat, table.remove
 
 local watching = {}
@@ -76,7 +77,7 @@ local function views_of(fsm)
     return states[name]._mode ~= "inactive"
   end, function()
     local is_active = {}
-    for path, state in pairs(states) do -- any order: a set
+    for path, state in order.each(states) do -- any order: a set
       is_active[path] = state._mode ~= "inactive"
     end
     return function(name) return is_active[name] end

@@ -11,8 +11,9 @@ local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local tracks = require "rfsm.record.track"
+local order = require "rfsm.shared.order"
 
-local error, io, ipairs, pairs = error, io, ipairs, pairs
+local error, io, ipairs = error, io, ipairs
 local tostring, type = tostring, type
 local concat = table.concat
 local same = tracks.same
@@ -31,7 +32,7 @@ end
 -- Returns a record without the fields that follow from the last one of its machine.
 local function shorten(rec, before)
   local short, events = {}, rec.events
-  for key, value in pairs(rec) do -- any order: each stands alone
+  for key, value in order.each(rec) do -- any order: each stands alone
     if not SHORT[key] then short[key] = value end
   end
   if not same(events, before.sent) then short.events = events or NONE end
@@ -49,7 +50,7 @@ local function list_or_nil(list) return list[1] ~= nil and list or nil end
 
 local function lengthen(short, before)
   local rec = {}
-  for key, value in pairs(short) do rec[key] = value end -- any order: a copy
+  for key, value in order.each(short) do rec[key] = value end -- any order: a copy
   local is_told = short.leaf ~= nil
   rec.events = list_or_nil(short.events or before.sent or NONE)
   if is_told then
@@ -103,7 +104,7 @@ local function plain_list(list, quote)
 end
 
 local function is_usual(short)
-  for key in pairs(short) do -- any order: all have to be
+  for key in order.each(short) do -- any order: all have to be
     if not SHORT[key] then return false end
   end
   return true

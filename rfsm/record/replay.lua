@@ -100,8 +100,8 @@ end
 local function find_difference(old, new, path)
   if type(old) ~= "table" or type(new) ~= "table" then return path, old, new end
   local all = {}
-  for key in pairs(old) do all[key] = true end -- any order: they are sorted below
-  for key in pairs(new) do all[key] = true end
+  for key in order.each(old) do all[key] = true end -- any order: they are sorted below
+  for key in order.each(new) do all[key] = true end
   for _, key in ipairs(rfsm.sorted_keys(all)) do
     if not same(old[key], new[key]) then
       return find_difference(old[key], new[key], path

@@ -8,6 +8,7 @@
 
 local try = require("rfsm.shared.calls").try
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 
 local error, ipairs, next, pairs = error, ipairs, next, pairs
 local pcall, rawget, setmetatable = try, rawget, setmetatable
@@ -120,7 +121,7 @@ local function drop(self, address)
   local client = self.nodes[address]
   if client then pcall(client.network.socket.close, client.network.socket) end
   self.nodes[address] = nil
-  for tag, place in pairs(self.node_of) do -- any order: each stands alone
+  for tag, place in order.each(self.node_of) do -- any order: each stands alone
     if place == address then self.node_of[tag] = nil end
   end
 end
@@ -278,8 +279,8 @@ function Connection:call_all(tags, calls)
     by_address[address] = group
     group.calls[#group.calls + 1], group.numbers[#group.numbers + 1] = calls[i], i
   end
-  for address, group in pairs(by_address) do -- any order: each stands alone
-    for i, reply in pairs(ask_at_once(self, address, group.calls)) do -- likewise
+  for address, group in order.each(by_address) do -- any order: each stands alone
+    for i, reply in order.each(ask_at_once(self, address, group.calls)) do -- likewise
       replies[group.numbers[i]] = reply
     end
   end

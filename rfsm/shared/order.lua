@@ -3,9 +3,11 @@
 -- `rfsm.sorted_keys` returns the keys of a table in order. `order.each` is for loops in
 -- which the order does not matter.
 --
--- LuaJIT 2.1.0-beta3 compiles a traversal inside of another wrongly: it skips keys, or
--- crashes. A loop over `order.each` is not compiled, nor is a loop around it. The other
--- Luas traverse by `next` itself.
+-- LuaJIT 2.1.0-beta3 may compile `next` wrongly: a traversal inside of another skips
+-- keys, and where the two results have to change places a pointer loses its upper half,
+-- which crashes the process. A loop over `order.each` is not compiled, nor is a loop
+-- around it; so it is for all loops that run often. The other Luas traverse by `next`
+-- itself.
 --
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause
@@ -23,5 +25,8 @@ end
 
 --- Traverse a table as `pairs` does; no metatable is asked.
 function order.each(t) return step, t end
+
+--- Has a table no keys?
+function order.is_empty(t) return step(t) == nil end
 
 return order

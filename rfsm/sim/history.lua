@@ -15,8 +15,9 @@ local replay = require "rfsm.record.replay"
 local snapshot = require "rfsm.snapshot"
 local terminal = require "rfsm.sim.terminal"
 local tracks = require "rfsm.record.track"
+local order = require "rfsm.shared.order"
 
-local error, io, ipairs, pairs = error, io, ipairs, pairs
+local error, io, ipairs = error, io, ipairs
 local max, min = math.max, math.min
 local pcall, print, type = pcall, print, type
 local concat, remove = table.concat, table.remove
@@ -280,7 +281,7 @@ end
 local function continued(rec, header)
   if header.snapshot.leaf or rec.m then return rec end
   local copy = { fresh = true }
-  for key, value in pairs(rec) do copy[key] = value end -- any order: a copy
+  for key, value in order.each(rec) do copy[key] = value end -- any order: a copy
   return copy
 end
 

@@ -5,11 +5,11 @@
 -- @license BSD-3-Clause
 
 local charts = require "rfsm.snapshot.chart"
-local each = require("rfsm.shared.order").each
+local order = require "rfsm.shared.order"
 local plain = require "rfsm.snapshot.plain"
 local rfsm = require "rfsm"
 
-local error, ipairs, next = error, ipairs, next
+local each, error, ipairs = order.each, error, ipairs
 local rawequal, select, type = rawequal, select, type
 local concat = table.concat
 local fail, text_of = plain.fail, rfsm.text_of
@@ -56,7 +56,7 @@ local function take_extension(snap, name)
   local ext = type(snap.ext) == "table" and plain.copy_of(snap.ext) or {}
   local kept = plain.unpack(ext[name], 2)
   ext[name] = nil
-  snap.ext = (next(ext) ~= nil or type(snap.ext) ~= "table") and ext or nil
+  snap.ext = (not order.is_empty(ext) or type(snap.ext) ~= "table") and ext or nil
   return type(kept) == "table" and kept or {}
 end
 
@@ -80,7 +80,7 @@ local function convert_format_1(snap)
   local regions = {}
   snap.version = move.VERSION
   add_regions(regions, snap, "root", 0)
-  snap.regions = next(regions) ~= nil and regions or nil
+  snap.regions = not order.is_empty(regions) and regions or nil
 end
 
 -- Returns a snapshot in today's format, a copy without nulls of JSON, and whether it
