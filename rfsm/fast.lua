@@ -188,7 +188,7 @@ local LEAVE_HOOKED = [[
 local LEAVE = [[
   $b = $a._parent
   $a._mode = "inactive"
-  $b._actchild = $none
+  $b._actchild = nil
   callback = $a.exit
   if callback then
   calls.begun = $number
@@ -222,13 +222,16 @@ local ENTER_HOOKED = [[
 local ENTER = [[
   $b = nodes[i$action]
   $b._mode = "active"
-  $a._actchild = $b
+  $link
   callback = $b.entry
   if callback then
   calls.begun = $number
   callback(fsm, $b, "entry")
   if fsm.dbg ~= silent then return resume(fsm) end
   end]]
+
+-- The root has a metatable, which would be asked about a field that is absent.
+local LINK, LINK_TO_ROOT = "s%d._actchild = s%d", 'rawset(s%d, "_actchild", s%d)'
 
 local COMPLETE = [[
   fsm._act_leaf = $b
@@ -254,10 +257,10 @@ Path.__index = Path
 function Path:act() self.number = self.number + self.ACTION end
 
 -- Writes a block for the action: $a is the state at which the path is, $b the next one.
-function Path:write(block, k, none)
+function Path:write(block, k, link)
   local at = self.at % 2
   self.text:write(block, {
-    a = "s" .. at, b = "s" .. (1 - at), k = k, none = none,
+    a = "s" .. at, b = "s" .. (1 - at), k = k, link = link,
     action = ("%d"):format(self.number), number = ("%d"):format(self.number + 1),
   })
 end
@@ -272,7 +275,7 @@ function Path:leave(def, exits)
     local is_leaf = i == 1 and src.kind == "state"
     self:act()
     if self.is_hooked then self:write(LEAVE_HOOKED) end
-    self:write(LEAVE, nil, top + exits == i and "false" or "nil")
+    self:write(LEAVE)
     if self.is_hooked then self:write("end") end
     if is_leaf then self:write(FORGET_LEAF) end
     if is_leaf and (src.doo or not src.is_leaf) then self:write(FORGET_DOO) end
@@ -290,7 +293,8 @@ function Path:enter(def)
       self:bind("d", ("%d"):format(self.number), entries[i])
       self:write(ENTER_HOOKED)
     end
-    self:write(ENTER)
+    local link = entries[i].depth == 1 and LINK_TO_ROOT or LINK
+    self:write(ENTER, nil, link:format(self.at % 2, (self.at + 1) % 2))
     if i == #entries and not def.connector then self:write(COMPLETE) end
     if self.is_hooked then self:write("end") end
     self.at = self.at + 1

@@ -325,6 +325,33 @@ describe("a machine in use", function()
     check(new_machine { b = inner, [2] = go("a", path, "e") }, "root." .. path)
   end)
 
+  it("shows callbacks the same of itself in each passage", function()
+    local seen = {}
+    local function id(node) return node and node._id or tostring(node) end
+    local function note(fsm, _, what)
+      local text = ("%s %s %s"):format(what, id(fsm._actchild), id(fsm.a._actchild))
+      seen[#seen + 1] = text
+    end
+    local function noting(members)
+      members.entry, members.exit = note, note
+      return state(members)
+    end
+    local fsm = assert(rfsm.init(state { info = false, warn = false,
+      a = noting { x = noting {}, go("initial", "x") }, b = noting {},
+      go("initial", "b"), go("b", "a", "e"), go("a", "b", "e"),
+    }))
+    rfsm.run(fsm)
+    for _ = 1, 12 do
+      seen = {}
+      send(fsm, { "e" })
+      rfsm.run(fsm)
+      send(fsm, { "e" })
+      rfsm.run(fsm)
+      assert.same({ "exit nil nil", "entry a nil", "entry a x", "exit a nil",
+        "exit nil nil", "entry b nil" }, seen)
+    end
+  end)
+
   it("takes a path over 3,000 connectors", function()
     check(new_machine(over(3000)), "root.b")
     check(new_machine(over(3000, { guard = callback })), "root.b")
