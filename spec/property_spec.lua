@@ -242,7 +242,7 @@ describe("a machine that is watched", function()
   end)
 
   it("does what it would do", function()
-    assert.is_nil(share.problem(watching, 60, true))
+    assert.is_nil(share.problem(watching, 30, true))
   end)
 
   it("owes nothing any more when what was waited for has come", function()
@@ -252,6 +252,16 @@ describe("a machine that is watched", function()
     send("e_x")
     send("e_x")
     assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    assert.same({}, told)
+  end)
+
+  it("looks at a state without regions before more events come in a step", function()
+    local lists = {}
+    start({ getevents = function() return table.remove(lists, 1) or {} end },
+      { p = after "e_y".reach "root.a" })
+    lists = { { "e_y" }, { "e_x" } }
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
     assert.same({}, told)
   end)
 
