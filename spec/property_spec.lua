@@ -262,6 +262,7 @@ describe("a machine that is watched", function()
     lists = { { "e_y" }, { "e_x" } }
     rfsm.step(fsm)
     assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    rfsm.run(fsm)
     assert.same({}, told)
   end)
 
