@@ -113,6 +113,17 @@ describe("explore", function()
     end)
   end
 
+  it("finds a state that nothing leaves once, however it is reached", function()
+    local result = rfsm_checks.explore(chart { c = state {}, [4] = go("a", "c", "e_c"),
+      [5] = go("b", "c", "e_c") }, { flags = { f = { on = { "entry root.b" } } },
+      properties = { p = never { "f", "root.c" }, q = never "root.c" } })
+    local places = {}
+    for i, finding in ipairs(result.findings) do
+      places[i] = finding.code .. " " .. finding.place
+    end
+    assert.same({ "violated p", "violated q", "dead-end root.c" }, places)
+  end)
+
   it("leaves out what an element expects, also by the code of the static check",
     function()
     assert.equal("", report(chart {

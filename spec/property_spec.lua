@@ -266,6 +266,15 @@ describe("a machine that is watched", function()
     assert.same({}, told)
   end)
 
+  it("begins anew when the machine is reset", function()
+    start({ [4] = go("a", "internal", "e_r", { effect = rfsm.reset }) },
+      { rfsm_checks.never "root.b" })
+    send("e_r")
+    send("e_x")
+    assert.same({ lines("property 'never root.b' does not hold",
+      "  1. e_init_fsm: root.a", "  2. e_x: root.a -> root.b") }, told)
+  end)
+
   it("tells of short times between the steps", function()
     local now = 0
     start({ gettime = function() return math.floor(now), now % 1 * 1e9 end },

@@ -106,7 +106,7 @@ local function note_step(own, events)
   if leaf == own.leaf and are_internal(events) then return end
   for i = 1, #events do texts[i] = rfsm.text_of(events[i]) end
   local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
-    .. (own.leaf and own.leaf._fqn .. " -> " or "") .. (leaf and leaf._fqn or "none")
+    .. (own.leaf and own.leaf._fqn .. " -> " or "") .. leaf._fqn
   own.trace[#own.trace + 1] = { text = text, at = own.is_timed and own.now }
   if #own.trace > LONG then remove(own.trace, 1) end
 end
@@ -168,8 +168,8 @@ local function are_forwarded(fsm)
 end
 
 local function end_iteration(own, events)
-  note_step(own, events)
   if not own.fsm._act_leaf then return end
+  note_step(own, events)
   if are_forwarded(own.fsm) then
     own.forwarded = match.joined(own.forwarded, events)
     return
