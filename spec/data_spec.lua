@@ -160,6 +160,8 @@ describe("guards that stay free", function()
         .. "values of the field 'tries' such as nil" },
       { options = { run = { "f" } }, text = "rfsm_checks.explore: run: list of "
         .. "functions expected, got table" },
+      { options = { run = {} }, text = "rfsm_checks.explore: run: list of functions "
+        .. "expected, got table" },
       { options = { run = { yes } }, text = "run: function 1 is no callback of the "
         .. "chart" },
       { options = { same = { { yes }, { 7 } } }, text = "rfsm_checks.explore: same: "
