@@ -142,16 +142,26 @@ describe("guards that stay free", function()
     assert.is_true((verdict(model, never "root.c", { same = { yes } })))
   end)
 
+  local WRONG_RANGE = "rfsm_checks.explore: vars: tries: { least, most }, list of "
+    .. "texts or 'boolean' expected, got table"
+
   it("refuse other options", function()
     local CASES_OF_ERRORS = {
       { options = { vars = { tries = 3 } }, text = "rfsm_checks.explore: vars: tries: "
         .. "{ least, most }, list of texts or 'boolean' expected, got 3" },
+      { options = { vars = { tries = { "none", 3 } } }, text = WRONG_RANGE },
+      { options = { vars = { tries = { 3, "many" } } }, text = WRONG_RANGE },
+      { options = { vars = { tries = { 3 } } }, text = WRONG_RANGE },
+      { options = { vars = { tries = { 3, 0 } } }, text = WRONG_RANGE },
+      { options = { vars = { tries = { 0, 3, 6 } } }, text = WRONG_RANGE },
       { options = { vars = { "tries" } }, text = "rfsm_checks.explore: vars: name of a "
         .. "field expected, got 1" },
       { options = { vars = { tries = { 0, 3 } } }, text = "vars: the chart begins with "
         .. "values of the field 'tries' such as nil" },
       { options = { run = { "f" } }, text = "rfsm_checks.explore: run: list of "
         .. "functions expected, got table" },
+      { options = { run = {} }, text = "rfsm_checks.explore: run: list of functions "
+        .. "expected, got table" },
       { options = { run = { yes } }, text = "run: function 1 is no callback of the "
         .. "chart" },
       { options = { same = { { yes }, { 7 } } }, text = "rfsm_checks.explore: same: "

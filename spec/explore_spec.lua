@@ -113,6 +113,17 @@ describe("explore", function()
     end)
   end
 
+  it("finds a state that nothing leaves once, however it is reached", function()
+    local result = rfsm_checks.explore(chart { c = state {}, [4] = go("a", "c", "e_c"),
+      [5] = go("b", "c", "e_c") }, { flags = { f = { on = { "entry root.b" } } },
+      properties = { p = never { "f", "root.c" }, q = never "root.c" } })
+    local places = {}
+    for i, finding in ipairs(result.findings) do
+      places[i] = finding.code .. " " .. finding.place
+    end
+    assert.same({ "violated p", "violated q", "dead-end root.c" }, places)
+  end)
+
   it("leaves out what an element expects, also by the code of the static check",
     function()
     assert.equal("", report(chart {
@@ -352,6 +363,19 @@ describe("a witness", function()
 end)
 
 -- Agreement with random runs ----------------------------------------------------
+
+describe("the transitions of a step", function()
+  it("are listed up to 20", function()
+    local puppet = require "rfsm.checks.puppet"
+    local paths = {}
+    for i = 1, 20 do paths[i] = "t" end
+    local text = table.concat(paths, ", ")
+    assert.equal(text .. " -> root.a", puppet.outcome(paths, "root.a"))
+    paths[21] = "t"
+    assert.equal(text .. " and on and on -> not entered", puppet.outcome(paths))
+    assert.equal("no transition -> root.a", puppet.outcome({}, "root.a"))
+  end)
+end)
 
 describe(claim.name, function()
   it("agree on random charts", function()

@@ -3,6 +3,8 @@
 local ab = require "spec.support.ab"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local share = require "spec.support.share"
+local watching = require "spec.support.claims.watching"
 require "rfsm_timeevent"
 
 local state = rfsm.state
@@ -220,6 +222,69 @@ describe("a machine that is watched", function()
     start({ properties = { rfsm_checks.never "root.b" } }):stop()
     send("e_x")
     assert.same({}, told)
+  end)
+
+  it("has its own effects, and when that is over its own hooks", function()
+    local effect = function() end
+    local machine = rfsm.init(chart { properties = { rfsm_checks.never "root.b" },
+      c = state { k = rfsm.conn {} }, [4] = go("a", "root.c.k", "e_c"),
+      [5] = go("root.c.k", "b"), p = rfsm.seqand { r = chart() },
+      [6] = go("p", "internal", "e_i", { effect = effect }) })
+    local before = watching.hooks_of(machine)
+    local one = rfsm_checks.watch_properties(machine)
+    local other = rfsm_checks.watch_properties(machine)
+    assert.equal(effect, machine[6].effect)
+    one:stop()
+    assert.not_equal(before, watching.hooks_of(machine))
+    other:stop()
+    assert.equal(before, watching.hooks_of(machine))
+    one:stop() -- again: nothing is left to be done
+  end)
+
+  it("does what it would do", function()
+    assert.is_nil(share.problem(watching, 30, true))
+  end)
+
+  it("owes nothing any more when what was waited for has come", function()
+    local function wait() while true do rfsm.yield(true) end end
+    start({ a = state { doo = wait }, c = state {}, [3] = go("b", "c", "e_x") },
+      { p = until_("root.a", "root.b") })
+    send("e_x")
+    send("e_x")
+    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+    assert.same({}, told)
+  end)
+
+  it("looks at a state without regions before more events come in a step", function()
+    local lists = {}
+    start({ getevents = function() return table.remove(lists, 1) or {} end },
+      { p = after "e_y".reach "root.a" })
+    lists = { { "e_y" }, { "e_x" } }
+    rfsm.step(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+    rfsm.run(fsm)
+    assert.same({}, told)
+  end)
+
+  it("begins anew when the machine is reset", function()
+    start({ [4] = go("a", "internal", "e_r", { effect = rfsm.reset }) },
+      { rfsm_checks.never "root.b" })
+    send("e_r")
+    send("e_x")
+    assert.same({ lines("property 'never root.b' does not hold",
+      "  1. e_init_fsm: root.a", "  2. e_x: root.a -> root.b") }, told)
+  end)
+
+  it("tells of short times between the steps", function()
+    local now = 0
+    start({ gettime = function() return math.floor(now), now % 1 * 1e9 end },
+      { p = from "root.b".left_within(0.5) })
+    now = 0.25
+    send("e_x")
+    now = 1
+    rfsm.run(fsm)
+    assert.same({ lines("property 'p' does not hold", "  1. e_init_fsm: root.a",
+      "  2. +0.25 s e_x: root.a -> root.b", "  and then 0.75 s") }, told)
   end)
 
   it("does not owe what comes by a timer, until that has expired", function()

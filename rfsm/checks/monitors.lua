@@ -150,8 +150,7 @@ function see.at_least(property, state, look)
     return "on", clocks
   end
   if look.expired > (look.came and 1 or 0) then return "violated", NONE end
-  if look.came then return state, clocks_from(2, look.count, true) end
-  return state
+  return state, look.came and clocks_from(2, look.count, true) or nil
 end
 
 -- Monitors of an exploration ........................................................

@@ -167,14 +167,13 @@ local function find_stuck(walk)
   return walk.stuck, is_stuck
 end
 
-local function add_dead_end(walk, findings, number, is_told)
+local function add_dead_end(walk, findings, number)
   local leaves, text, are_final = leaves_of(walk, number)
   local state = leaves[1] and leaves[1].state
   if not state then
     add_run(walk, findings, "dead-end", walk.puppet.parts[1].fsm, "root",
       "the machine cannot be entered", number)
-  elseif not (are_final or is_told[text] or rfsm.is_root(state)) then
-    is_told[text] = true
+  elseif not (are_final or rfsm.is_root(state)) then
     local finding = add_run(walk, findings, "dead-end", state, text,
       "nothing happens any more in this configuration", number)
     if codes.means(state, "an end") then finding.severity = "note" end
@@ -184,13 +183,13 @@ end
 -- Configurations in which nothing happens any more, one for each set of leaves. If
 -- regions are explored one by one, something happens unless all of them can be stuck.
 local function find_dead_ends(walks, findings)
-  local is_told, numbers, are_stuck = {}, {}, {}
+  local numbers, are_stuck = {}, {}
   for i, walk in ipairs(walks) do numbers[i], are_stuck[i] = find_stuck(walk) end
   for i, walk in ipairs(walks) do
     for _, number in ipairs(numbers[i]) do
       local leaf, is_end = walk:configuration(number)[1].known.path or "none", true
       for _, is_stuck in ipairs(are_stuck) do is_end = is_end and is_stuck[leaf] end
-      if is_end then add_dead_end(walk, findings, number, is_told) end
+      if is_end then add_dead_end(walk, findings, number) end
     end
   end
 end

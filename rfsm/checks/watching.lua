@@ -15,6 +15,7 @@ local opts = require "rfsm.shared.options"
 local location = require "rfsm.checks.location"
 local properties = require "rfsm.checks.properties"
 local order = require "rfsm.shared.order"
+local swap = require "rfsm.shared.swap"
 
 local error, ipairs, package, type = error, ipairs, package, type
 local concat, remove = table.concat, table.remove
@@ -32,18 +33,15 @@ local watching = {}
 --- What is kept of a machine that is watched.
 ---@class rfsm_checks.Watched
 ---@field fsm rfsm.Machine
----@field before function hook
----@field after function hook
 ---@field monitors rfsm_checks.Monitor[]
 ---@field active fun(name: string): boolean
 ---@field is_timed boolean some property has a time
 ---@field now number seconds, when the iteration began
 ---@field leaf rfsm.State|false when the iteration began
----@field is_taken boolean this iteration has entered a leaf with regions, or taken an
--- internal transition
 ---@field forwarded any[] events of the iteration before, which belongs to this step
 ---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] of this
 -- step, when a state was entered through which it may pass
+---@field swaps table[] the hooks
 ---@field trace { text: string, at: number|false }[] the latest steps
 local Watched = {}
 Watched.__index = Watched
@@ -108,7 +106,7 @@ local function note_step(own, events)
   if leaf == own.leaf and are_internal(events) then return end
   for i = 1, #events do texts[i] = rfsm.text_of(events[i]) end
   local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
-    .. (own.leaf and own.leaf._fqn .. " -> " or "") .. (leaf and leaf._fqn or "none")
+    .. (own.leaf and own.leaf._fqn .. " -> " or "") .. leaf._fqn
   own.trace[#own.trace + 1] = { text = text, at = own.is_timed and own.now }
   if #own.trace > LONG then remove(own.trace, 1) end
 end
@@ -161,21 +159,18 @@ end
 
 local function begin_iteration(own)
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
-  own.is_taken = false
 end
 
 -- Do the regions of the active leaf get the events in the next iteration, which belongs
--- to the same step? Not if a transition was taken.
-local function are_forwarded(own, events)
-  local leaf = own.fsm._act_leaf
-  return events[1] ~= nil and leaf and leaf == own.leaf and leaf._regions ~= nil
-    and not own.is_taken
+-- to the same step? Not if a transition was taken: the iteration counts as a step.
+local function are_forwarded(fsm)
+  return fsm._act_leaf._regions and fsm._outcome == "free"
 end
 
 local function end_iteration(own, events)
-  note_step(own, events)
   if not own.fsm._act_leaf then return end
-  if are_forwarded(own, events) then
+  note_step(own, events)
+  if are_forwarded(own.fsm) then
     own.forwarded = match.joined(own.forwarded, events)
     return
   end
@@ -209,29 +204,12 @@ local function monitors_of(where, given, active)
   return list
 end
 
--- Has entries and effects note that a transition was taken, if the leaf stays the same.
-local function note_taken(own, fsm)
-  local function note() own.is_taken = true end
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    if leaf._regions then rfsm.entry_hook_add(fsm, leaf, note) end
-  end
-  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    local effect = tr.effect
-    if rfsm.target_of(tr) == "internal" then
-      function tr.effect(...)
-        note()
-        if effect then return effect(...) end
-      end
-    end
-  end
-end
-
 -- Has composites through which a step may pass note what is active then.
 local function note_moments(own, fsm, snapshot)
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_composite)) do
       if not rfsm.is_root(state) and location.is_passable(state) then
-        rfsm.entry_hook_add(entry.machine, state, function()
+        swap.entry_hook(own.swaps, entry.machine, state, function()
           own.moments[#own.moments + 1] = { state = state, active = snapshot() }
         end)
       end
@@ -247,11 +225,8 @@ local function begin(own)
   end
 end
 
---- Watch no more.
-function Watched:stop()
-  rfsm.pre_step_hook_rm(self.fsm, self.before)
-  rfsm.post_step_hook_rm(self.fsm, self.after)
-end
+--- Watch no more: the machine has none of its hooks any longer.
+function Watched:stop() swap.give_back(self.swaps) end
 
 --- Return the seconds until the time of a property is over; nil if none is running. A
 -- host that sleeps until the next deadline of a timer may see to this one, too.
@@ -287,19 +262,18 @@ function watching.watch_properties(fsm, given)
   end
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
-    is_timed = false }, Watched)
+    is_timed = false, swaps = {} }, Watched)
   own.monitors = monitors_of(where, given, own.active)
   for _, monitor in ipairs(own.monitors) do
     own.is_timed = own.is_timed or monitor.property.seconds ~= nil
   end
-  function own.before() begin_iteration(own) end
-  function own.after(_, events) end_iteration(own, events) end
-  note_taken(own, fsm)
   note_moments(own, fsm, snapshot)
   begin(own)
-  rfsm.pre_step_hook_add(fsm, own.before, "before")
-  rfsm.post_step_hook_add(fsm, own.after)
-  rfsm.reset_hook_add(fsm, function() begin(own) end)
+  swap.hook(own.swaps, fsm, "pre_step", function() begin_iteration(own) end, "before")
+  swap.hook(own.swaps, fsm, "post_step", function(_, events)
+    end_iteration(own, events)
+  end)
+  swap.hook(own.swaps, fsm, "reset", function() begin(own) end)
   return own
 end
 

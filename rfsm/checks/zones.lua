@@ -39,7 +39,7 @@ function zones.up(zone, count)
   for at, bound in ipairs(zone) do
     later[at] = at > size and at % size == 1 and huge or bound
   end
-  return count > 0 and later or zone
+  return later
 end
 
 --- Add a bound on x_i - x_j.

@@ -89,8 +89,8 @@ function claim.chart(seed)
   return chart
 end
 
--- Returns properties, most of which name states of one region or of the machine.
-local function properties_of(chart, random)
+--- Returns properties, most of which name states of one region or of the machine.
+function claim.properties_of(chart, random)
   local lists, properties = states_of(chart, "root", {}), {}
   local function pick(list) return random:pick(list or random:pick(lists)) end
   for i = 1, 4 do
@@ -138,8 +138,8 @@ local function add_differences(seed, one, other, text, properties, list)
   end
 end
 
--- Returns the properties that a machine can be watched for.
-local function watchable(properties)
+--- Returns the properties that a machine can be watched for.
+function claim.watchable(properties)
   local list = {}
   for name, property in pairs(properties) do -- any order: a copy
     if property.kind ~= "from" then list[name] = property end
@@ -159,7 +159,7 @@ end
 local function compare(seed, list)
   local chart, random = claim.chart(seed), new_random(seed + 31)
   if not chart then return false end
-  local properties = properties_of(chart, random)
+  local properties = claim.properties_of(chart, random)
   local options = { period = random:chance(10) and 0.75 or nil,
     configurations = BOUND, properties = properties }
   local function make() return rfsm.yield end
@@ -180,7 +180,8 @@ local function compare(seed, list)
     list[#list + 1] = seed .. ": a dead end only together"
   end
   options.together, options.runs = 1, claim.runs
-  local _, broken = timing.run_at_random(chart, watchable(properties), options, seed)
+  local _, broken = timing.run_at_random(chart, claim.watchable(properties), options,
+    seed)
   timing.check_properties(seed, chart, properties, result, broken, list)
   return true
 end
