@@ -3259,6 +3259,22 @@ end
 ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
 rfsm.entry_hook_add = state_hook_adder("rfsm.entry_hook_add", "_entry_hooks")
 
+--- Remove an entry hook of a state. Return whether it was there.
+---@param fsm rfsm.Machine
+---@param state rfsm.State
+---@param hook function
+---@return boolean
+function rfsm.entry_hook_rm(fsm, state, hook)
+  check_machine(fsm, "rfsm.entry_hook_rm")
+  local hooks, others = fsm._entry_hooks and fsm._entry_hooks[state] or {}, {}
+  for i = 1, #hooks do
+    if not rawequal(hooks[i], hook) then others[#others + 1] = hooks[i] end
+  end
+  if #others == #hooks then return false end
+  fsm._entry_hooks[state] = others[1] and others
+  return true
+end
+
 --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
 ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
 rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
@@ -3285,6 +3301,15 @@ rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
 ---@type fun(fsm: rfsm.Machine, hook: function): boolean
 rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
   "post_step_hook")
+
+--- For post step hooks: does the step go on with another iteration, because events came
+-- and nothing was taken?
+---@param fsm rfsm.Machine
+---@return boolean
+function rfsm.is_free(fsm)
+  check_machine(fsm, "rfsm.is_free")
+  return fsm._outcome == "free"
+end
 
 --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
 ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")

@@ -270,7 +270,7 @@ function Path:bind(name, k, value) self.text:bind(name .. k, value) end
 
 -- Writes how the states are left, from one `exits` levels below what stays active.
 function Path:leave(def, exits)
-  local src, top = def.src, def.lca.depth
+  local src = def.src
   for i = 1, exits do
     local is_leaf = i == 1 and src.kind == "state"
     self:act()

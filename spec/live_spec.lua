@@ -171,6 +171,36 @@ describe("a step hook", function()
     rfsm.step(fsm)
     assert.same({ "once", "other", "other" }, trace)
   end)
+
+  it("of an entry can be taken out again, also by itself", function()
+    local trace, fsm = {}, started()
+    local hook = function() trace[#trace + 1] = "hook" end
+    local function once(_, node)
+      trace[#trace + 1] = "once"
+      assert.is_true(rfsm.entry_hook_rm(fsm, node, once))
+    end
+    assert.is_false(rfsm.entry_hook_rm(fsm, fsm.b, hook))
+    rfsm.entry_hook_add(fsm, fsm.b, once)
+    rfsm.entry_hook_add(fsm, fsm.b, hook)
+    assert.is_false(rfsm.entry_hook_rm(fsm, fsm.a, hook))
+    for _ = 1, 4 do post_and_run(fsm, "e") end
+    assert.is_true(rfsm.entry_hook_rm(fsm, fsm.b, hook))
+    assert.is_false(rfsm.entry_hook_rm(fsm, fsm.b, hook))
+    for _ = 1, 4 do post_and_run(fsm, "e") end
+    assert.same({ "once", "hook", "hook" }, trace)
+  end)
+
+  it("can ask if the step goes on", function()
+    local trace, fsm = {}, started()
+    rfsm.post_step_hook_add(fsm, function(_, events)
+      trace[#trace + 1] = tostring(events[1]) .. " " .. tostring(rfsm.is_free(fsm))
+    end)
+    rfsm.send_events(fsm, "e")
+    rfsm.step(fsm)
+    rfsm.send_events(fsm, "e_other")
+    rfsm.step(fsm)
+    assert.same({ "e false", "e_done@root.b true", "nil false" }, trace)
+  end)
 end)
 
 describe("a state hook", function()

@@ -162,9 +162,9 @@ local function begin_iteration(own)
 end
 
 -- Do the regions of the active leaf get the events in the next iteration, which belongs
--- to the same step? Not if a transition was taken: the iteration counts as a step.
+-- to the same step? Not if a transition was taken.
 local function are_forwarded(fsm)
-  return fsm._act_leaf._regions and fsm._outcome == "free"
+  return fsm._act_leaf._regions and rfsm.is_free(fsm)
 end
 
 local function end_iteration(own, events)

@@ -35,23 +35,13 @@ end
 -- when it is reset ("reset"). The hook keeps no list of events.
 function swap.hook(swaps, fsm, kind, hook, where)
   rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
-  swaps[#swaps + 1] = { fsm = fsm, hook = hook, remove = rfsm[kind .. "_hook_rm"] }
-end
-
--- Removes a hook from the entry of a state; a run over the list is not disturbed.
-local function remove_entry_hook(fsm, hook, state)
-  local others = {}
-  for _, other in ipairs(fsm._entry_hooks[state]) do
-    if not rawequal(other, hook) then others[#others + 1] = other end
-  end
-  fsm._entry_hooks[state] = others[1] and others
+  swaps[#swaps + 1] = { remove = function() rfsm[kind .. "_hook_rm"](fsm, hook) end }
 end
 
 --- Add a hook that is called when a state is entered.
 function swap.entry_hook(swaps, fsm, state, hook)
   rfsm.entry_hook_add(fsm, state, hook)
-  swaps[#swaps + 1] = { fsm = fsm, hook = hook, state = state,
-    remove = remove_entry_hook }
+  swaps[#swaps + 1] = { remove = function() rfsm.entry_hook_rm(fsm, state, hook) end }
 end
 
 local ROOT_FIELDS = { "idle_hook", "pre_step_hook", "post_step_hook" }
@@ -86,7 +76,7 @@ function swap.give_back(swaps)
   for i = #swaps, 1, -1 do
     local done = swaps[i]
     if done.remove then
-      done.remove(done.fsm, done.hook, done.state)
+      done.remove()
     elseif rawequal(rawget(done.obj, done.field), done.new) then
       done.obj[done.field] = done.own
     end
