@@ -3202,122 +3202,128 @@ end
 
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
--- Makes the function that adds a hook to the list `field` of a machine.
-local function hook_adder(where, field)
-  return function(fsm, hook, place)
-    check_machine(fsm, where)
-    check_function(hook, where)
-    if place ~= nil and place ~= "before" and place ~= "after" then
-      error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
+do
+  -- Makes the function that adds a hook to the list `field` of a machine.
+  local function hook_adder(where, field)
+    return function(fsm, hook, place)
+      check_machine(fsm, where)
+      check_function(hook, where)
+      if place ~= nil and place ~= "before" and place ~= "after" then
+        error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
+      end
+      local hooks = append({}, fsm[field])
+      insert(hooks, place == "before" and 1 or #hooks + 1, hook)
+      fsm[field] = hooks
+      if field == "_reset_hooks" then return end
+      fsm._is_hooked, fsm._is_usual = true, false
+      if not borrowers[hook] then fsm._lends_events = true end
     end
-    local hooks = append({}, fsm[field])
-    insert(hooks, place == "before" and 1 or #hooks + 1, hook)
-    fsm[field] = hooks
-    if field == "_reset_hooks" then return end
-    fsm._is_hooked, fsm._is_usual = true, false
-    if not borrowers[hook] then fsm._lends_events = true end
   end
-end
 
--- Makes the function that takes a hook out again, also the model's own at `slot`.
-local function hook_remover(where, field, slot)
-  return function(fsm, hook)
-    check_machine(fsm, where)
-    local hooks = append({}, fsm[field])
+  -- Returns the list without a hook; nil if that is not in it.
+  local function without(hooks, hook)
     for i = 1, #hooks do
       if rawequal(hooks[i], hook) then
-        remove(hooks, i)
+        local others = append({}, hooks)
+        remove(others, i)
+        return others
+      end
+    end
+  end
+
+  -- Makes the function that takes a hook out again, also the model's own at `slot`.
+  local function hook_remover(where, field, slot)
+    return function(fsm, hook)
+      check_machine(fsm, where)
+      local hooks = without(fsm[field], hook)
+      if hooks then
         fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
         return true
       end
+      if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
+      fsm[slot] = nil
+      return true
     end
-    if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
-    fsm[slot] = nil
-    return true
   end
-end
 
--- Makes the function that adds a hook to the list `field` of a state.
-local function state_hook_adder(where, field)
-  return function(fsm, state, hook)
-    check_machine(fsm, where)
-    check_function(hook, where)
-    if not is_node_of(fsm, state, "state") then
-      error(where .. ": state of the fsm expected, " .. got(state), 2)
+  -- Makes the function that adds a hook to the list `field` of a state.
+  local function state_hook_adder(where, field)
+    return function(fsm, state, hook)
+      check_machine(fsm, where)
+      check_function(hook, where)
+      if not is_node_of(fsm, state, "state") then
+        error(where .. ": state of the fsm expected, " .. got(state), 2)
+      end
+      fsm[field] = fsm[field] or {}
+      fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
+      fsm._is_hooked, fsm._is_usual = true, false
     end
-    fsm[field] = fsm[field] or {}
-    fsm[field][state] = append(append({}, fsm[field][state] or {}), { hook })
-    fsm._is_hooked, fsm._is_usual = true, false
   end
-end
 
---- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
---
--- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
--- Its error is raised when the iteration is over.
---
----@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-rfsm.entry_hook_add = state_hook_adder("rfsm.entry_hook_add", "_entry_hooks")
+  --- Have `hook(fsm, state)` called each time `state` is entered, before its entry.
+  --
+  -- For extensions: unlike a wrapped entry it stays when a tool replaces `state.entry`.
+  -- Its error is raised when the iteration is over.
+  --
+  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
+  rfsm.entry_hook_add = state_hook_adder("rfsm.entry_hook_add", "_entry_hooks")
 
---- Remove an entry hook of a state. Return whether it was there.
----@param fsm rfsm.Machine
----@param state rfsm.State
----@param hook function
----@return boolean
-function rfsm.entry_hook_rm(fsm, state, hook)
-  check_machine(fsm, "rfsm.entry_hook_rm")
-  local hooks, others = fsm._entry_hooks and fsm._entry_hooks[state] or {}, {}
-  for i = 1, #hooks do
-    if not rawequal(hooks[i], hook) then others[#others + 1] = hooks[i] end
+  --- Remove an entry hook of a state. Return whether it was there.
+  ---@param fsm rfsm.Machine
+  ---@param state rfsm.State
+  ---@param hook function
+  ---@return boolean
+  function rfsm.entry_hook_rm(fsm, state, hook)
+    check_machine(fsm, "rfsm.entry_hook_rm")
+    local hooks = without(fsm._entry_hooks and fsm._entry_hooks[state] or NONE, hook)
+    if hooks then fsm._entry_hooks[state] = hooks[1] and hooks end
+    return hooks ~= nil
   end
-  if #others == #hooks then return false end
-  fsm._entry_hooks[state] = others[1] and others
-  return true
+
+  --- Have `hook(fsm, state)` called each time `state` is left, after its exit.
+  ---@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
+  rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
+
+  --- Have `hook(fsm, events)` called in each iteration before anything is chosen.
+  --
+  -- It may change the list of events. The machine's own `pre_step_hook` is among the
+  -- hooks, and stays replaceable. `place`, "after" (default) or "before", is relative
+  -- to the other hooks.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
+
+  --- Remove a pre step hook. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
+  rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
+    "pre_step_hook")
+
+  --- Have `hook(fsm, events)` called at the end of each iteration.
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
+
+  --- Remove a post step hook. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
+  rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
+    "post_step_hook")
+
+  --- For post step hooks: does the step go on with another iteration, because events
+  -- came and nothing was taken?
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.is_free(fsm)
+    check_machine(fsm, "rfsm.is_free")
+    return fsm._outcome == "free"
+  end
+
+  --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
+
+  --- Remove a reset hook. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
+  rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 end
-
---- Have `hook(fsm, state)` called each time `state` is left, after its exit.
----@type fun(fsm: rfsm.Machine, state: rfsm.State, hook: function)
-rfsm.exit_hook_add = state_hook_adder("rfsm.exit_hook_add", "_exit_hooks")
-
---- Have `hook(fsm, events)` called in each iteration before anything is chosen.
---
--- It may change the list of events. The machine's own `pre_step_hook` is among the
--- hooks, and stays replaceable. `place`, "after" (default) or "before", is relative to
--- the other hooks.
---
----@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-rfsm.pre_step_hook_add = hook_adder("rfsm.pre_step_hook_add", "_pre_hooks")
-
---- Remove a pre step hook. Return whether it was there.
----@type fun(fsm: rfsm.Machine, hook: function): boolean
-rfsm.pre_step_hook_rm = hook_remover("rfsm.pre_step_hook_rm", "_pre_hooks",
-  "pre_step_hook")
-
---- Have `hook(fsm, events)` called at the end of each iteration.
----@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-rfsm.post_step_hook_add = hook_adder("rfsm.post_step_hook_add", "_post_hooks")
-
---- Remove a post step hook. Return whether it was there.
----@type fun(fsm: rfsm.Machine, hook: function): boolean
-rfsm.post_step_hook_rm = hook_remover("rfsm.post_step_hook_rm", "_post_hooks",
-  "post_step_hook")
-
---- For post step hooks: does the step go on with another iteration, because events came
--- and nothing was taken?
----@param fsm rfsm.Machine
----@return boolean
-function rfsm.is_free(fsm)
-  check_machine(fsm, "rfsm.is_free")
-  return fsm._outcome == "free"
-end
-
---- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
----@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
-rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
-
---- Remove a reset hook. Return whether it was there.
----@type fun(fsm: rfsm.Machine, hook: function): boolean
-rfsm.reset_hook_rm = hook_remover("rfsm.reset_hook_rm", "_reset_hooks")
 
 -- Snapshots: what an extension keeps of a machine, and where the machine stands ....
 
@@ -3460,16 +3466,21 @@ do
     end
   end
 
-  -- The machine is again as it was with the plan `plan`.
-  local function undo_merge(fsm, plan, moved)
-    truncate(fsm._transitions, #plan.transitions + 1)
-    truncate(fsm._nodes, #plan.nodes + 1)
+  -- Uses a plan, and its targets for the transitions in `moved`.
+  local function use_targets(fsm, plan, moved)
     for i = 1, #plan.transitions do
       if moved[i] then
         fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
       end
     end
     use_plan(fsm, plan)
+  end
+
+  -- The machine is again as it was with the plan `plan`.
+  local function undo_merge(fsm, plan, moved)
+    truncate(fsm._transitions, #plan.transitions + 1)
+    truncate(fsm._nodes, #plan.nodes + 1)
+    use_targets(fsm, plan, moved)
   end
 
   local function refuse(fsm, reason)
@@ -3505,10 +3516,7 @@ do
     if problems[1] then return refuse(fsm, summary("rfsm.fsm_merge", problems)) end
     compile(plan)
     make_elements(fsm, plan, first_node, first_transition)
-    for i in pairs(moved) do -- any order: each stands alone
-      fsm._transitions[i].tgt = fsm._nodes[plan.transitions[i].tgt.index]
-    end
-    use_plan(fsm, plan)
+    use_targets(fsm, plan, moved)
     local ok, found = pcall(preprocess, fsm, parent[id])
     if not ok then found = { "a preproc function failed: " .. text_of(found) } end
     if found[1] then
