@@ -8,9 +8,10 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local read = require("rfsm.shared.files").read
 local match = require "rfsm.checks.match"
 
-local io, ipairs, package, pcall, rawget = io, ipairs, package, pcall, rawget
+local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
 local require, setmetatable, type = require, setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 
@@ -58,10 +59,9 @@ local function note_tested(node, tested)
 end
 
 local function read_file(name)
-  local handle = name ~= "" and io.open(name)
-  if not handle then return nil end
-  local text = handle:read("*a"):gsub("^#[^\n]*", "")
-  handle:close()
+  local text = name ~= "" and read(name)
+  if not text then return nil end
+  text = text:gsub("^#[^\n]*", "")
   local ok, tree = pcall(function() return parser.parse(decoder.decode(text)) end)
   if not ok then return nil end
   local file = { functions = {}, undefined = {}, tested = {} }

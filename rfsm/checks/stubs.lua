@@ -9,6 +9,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 
 local error, getmetatable, io, ipairs = error, getmetatable, io, ipairs
@@ -88,9 +89,7 @@ local function lines_of(source)
   if sources[source] then return sources[source] end
   local text, lines = source, {}
   if source:sub(1, 1) == "@" then
-    local file = io and io.open(source:sub(2))
-    text = file and file:read("*a") or ""
-    if file then file:close() end
+    text = io and files.read(source:sub(2)) or ""
   end
   for line in (text .. "\n"):gmatch("(.-)\r?\n") do
     lines[#lines + 1] = line:gsub("%-%-.*$", "")
