@@ -239,6 +239,18 @@ describe("a machine that is watched", function()
     other:stop()
     assert.equal(before, watching.hooks_of(machine))
     one:stop() -- again: nothing is left to be done
+    for _, case in ipairs {
+      { property = rfsm_checks.never "root.b", looks = true },
+      { property = rfsm_checks.after("e_c").never "root.b", looks = true },
+      { property = rfsm_checks.precedes("root.c", "root.b"), looks = true },
+      { property = rfsm_checks.always "root.b", looks = false },
+      { property = rfsm_checks.after("e_c").reach "root.b", looks = false },
+    } do -- at states that a step passes
+      local watched = rfsm_checks.watch_properties(machine, { case.property })
+      local hooks = machine._entry_hooks and machine._entry_hooks[machine.c]
+      assert.equal(case.looks, hooks ~= nil, tostring(case.property))
+      watched:stop()
+    end
   end)
 
   it("does what it would do", function()

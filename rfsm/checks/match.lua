@@ -38,6 +38,11 @@ end
 --- Is the transition one on any event?
 function match.is_any(tr) return not tr.events or tr.events[1] == nil end
 
+--- Can a path begin with the transition, on any event? From a connector none begins.
+function match.begins_on_any(tr)
+  return match.is_any(tr) and not rfsm.is_conn(tr.src)
+end
+
 --- Does the transition name the event? A predicate names none.
 function match.names(tr, event) return match.has(tr.events or {}, event) end
 

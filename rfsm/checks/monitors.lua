@@ -58,6 +58,9 @@ local see = monitors.see
 --- The state behind a violation, if that can be one only once.
 monitors.next = { precedes = "done", ["until"] = "done" }
 
+--- The kinds that also look at the states that a step passes.
+monitors.passes = { never = true, after_never = true, precedes = true }
+
 --- In this state something has to come some time.
 monitors.owes = { leads_to = "owed", ["until"] = "first" }
 

@@ -41,9 +41,9 @@ local function add_event(found, event)
   end
 end
 
--- Adds the events of a transition. One from a connector that names none needs no event.
+-- Adds the events of a transition.
 local function add_events(found, tr)
-  if match.is_any(tr) and not is_conn(tr.src) then found.any = true end
+  if match.begins_on_any(tr) then found.any = true end
   for _, event in ipairs(tr.events or {}) do add_event(found, event) end
   for _, name in ipairs(match.awaited(tr)) do add_event(found, name) end
 end

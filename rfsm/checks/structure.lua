@@ -95,7 +95,7 @@ local function check_flags(state, flags, add)
 end
 
 local function check_transition(tr, add)
-  if match.is_any(tr) and not is_conn(tr.src) then
+  if match.begins_on_any(tr) then
     add("any-event", tr, "it has no events, and is taken on any")
   end
 end

@@ -204,8 +204,14 @@ local function monitors_of(where, given, active)
   return list
 end
 
--- Has composites through which a step may pass note what is active then.
+-- Has composites through which a step may pass note what is active then, if a monitor
+-- looks at that.
 local function note_moments(own, fsm, snapshot)
+  local is_needed = false
+  for _, monitor in ipairs(own.monitors) do
+    is_needed = is_needed or monitors.passes[monitor.property.kind]
+  end
+  if not is_needed then return end
   for _, entry in ipairs(rfsm.machines(fsm)) do
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_composite)) do
       if not rfsm.is_root(state) and location.is_passable(state) then
