@@ -16,9 +16,10 @@
 local error, getmetatable, ipairs = error, getmetatable, ipairs
 local next, pairs = next, pairs
 local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset, select
-local setmetatable, tostring, type, xpcall = setmetatable, tostring, type, xpcall
+local setmetatable, tostring, type = setmetatable, tostring, type
 local concat, insert = table.concat, table.insert
 local remove, sort = table.remove, table.sort
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local huge = 1 / 0
 
 -- Returns a global, or a field of one; nil where a sandbox lacks it.
@@ -30,9 +31,8 @@ end
 
 local coroutine, loadfile = find_global "coroutine", find_global "loadfile"
 local loadstring = find_global "loadstring" or find_global "load"
-local unpack = find_global("table", "unpack") or find_global "unpack"
+
 local getinfo = find_global("debug", "getinfo")
-local getlocal = getinfo and find_global("debug", "getlocal")
 local _, require = pcall(function() return require end) -- also one of a bundle
 
 -- LuaJIT 2.1.0-beta3 now and then skips keys in a traversal that it has compiled: those
@@ -46,59 +46,11 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 
 -- Model elements: constructors, predicates, order -----------------------------
 
---- A state as the user writes it.
---
--- Every key not named here is the user's data. Only a leaf state can have a doo, a
--- coroutine; a true value that it yields means that it is idle.
---
----@class rfsm.State
----@field entry? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "entry")
----@field exit? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "exit")
----@field doo? false|fun(fsm: rfsm.Machine, state: rfsm.State, what: "doo"): boolean?
----@field final? boolean a leaf that is meant to be the end
----@field getevents? false|fun(fsm: rfsm.Machine): any[]? this and the rest: root only
----@field dbg? boolean|fun(id: string, ...)
----@field info? boolean|fun(...)
----@field warn? boolean|fun(...)
----@field err? boolean|fun(...)
----@field idle_hook? false|fun(fsm: rfsm.Machine) called instead of returning when idle
----@field pre_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
----@field post_step_hook? false|fun(fsm: rfsm.Machine, events: any[])
----@field gettime? false|fun(): number, number the machine's clock: seconds, nanoseconds
----@field [string|integer] any
-
---- The same as a constructor returns it, which is no machine.
----@class rfsm.Model : rfsm.State
-
 local State = { rfsm = "state" }
-
---- An edge from one state or connector to another, as the user writes it.
----@class rfsm.Edge
----@field src string|rfsm.State|rfsm.Connector source; a node after init
----@field tgt string|rfsm.State|rfsm.Connector target; a node after init
----@field events? false|any[]|string any one of them triggers; none: any event does
----@field guard? false|fun(tr: rfsm.Transition, events: any[]): boolean? false inhibits
----@field effect? false|fun(m: rfsm.Machine, tr: rfsm.Transition, s: string, e: any[])
----@field pn? number priority among the transitions of a node, larger first (0)
----@field [string] any
-
---- The same in a machine.
----@class rfsm.Transition : rfsm.Edge
----@field _fsm rfsm.Machine
 
 local Transition = { rfsm = "transition" }
 
---- A point where transitions meet; never active.
----@class rfsm.Connector
----@field [string] any
-
 local Connector = { rfsm = "connector" }
-
---- A model made ready to run by `rfsm.init`; the root state of its own tree.
----@class rfsm.Machine : rfsm.State
----@field _act_leaf rfsm.State|false the innermost active state
----@field _intq any[] events that wait for the next iteration
----@field _curq any[] events of the running iteration
 
 local Machine = { rfsm = "state" }
 
@@ -121,18 +73,6 @@ function rfsm.kind_of(value)
 end
 
 local kind_of = rfsm.kind_of
-
----@class rfsm.StateConstructor
----@field new fun(self: any, t: rfsm.State): rfsm.Model
----@overload fun(t: rfsm.State): rfsm.Model
-
----@class rfsm.TransitionConstructor
----@field new fun(self: any, t: rfsm.Edge): rfsm.Transition
----@overload fun(t: rfsm.Edge): rfsm.Transition
-
----@class rfsm.ConnectorConstructor
----@field new fun(self: any, t: table): rfsm.Connector
----@overload fun(t: table): rfsm.Connector
 
 -- Where the tables of a model were made: table -> "file:line".
 local made_at = setmetatable({}, { __mode = "k" })
@@ -386,45 +326,16 @@ end
 
 -- Load ------------------------------------------------------------------------
 
-local run_chunk
-
-do
-  local open = find_global("io", "open")
-  local returned_by = setmetatable({}, { __mode = "k" }) -- root -> file
-
-  -- Returns the line at which a chart returns its root: the last of the least indented
-  -- that begin with `return`. The constructor there is a tail call, of which no frame
-  -- has the line.
-  local function line_of_root(file)
-    local handle, number, found, least = open and open(file), 0, 1, huge
-    if not handle then return found end
-    for line in handle:lines() do
-      number = number + 1
-      local indent = line:match("^(%s*)return%f[^%w_]")
-      if indent and #indent <= least then found, least = number, #indent end
-    end
-    handle:close()
-    return found
+-- Runs a chunk of a chart and returns its state. A root in a tail call has no line.
+local function run_chunk(chunk, file, where)
+  local model = chunk(file)
+  if is_state(model) then
+    made_at[model] = made_at[model] or file and file .. ":1"
+    return model
   end
-
-  getmetatable(made_at).__index = function(_, model)
-    local file = returned_by[model]
-    if not file then return nil end
-    made_at[model] = file .. ":" .. line_of_root(file)
-    return made_at[model]
-  end
-
-  -- Runs a chunk of a chart and returns its state.
-  function run_chunk(chunk, file, where)
-    local model = chunk(file)
-    if is_state(model) then
-      returned_by[model] = file
-      return model
-    end
-    local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
-      or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
-    error(where .. " found." .. hint, 0)
-  end
+  local hint = model == nil and " (a chart ends with: return rfsm.state{...})"
+    or type(model) == "table" and " (did you mean: return rfsm.state{...}?)" or ""
+  error(where .. " found." .. hint, 0)
 end
 
 --- Load a model from a file that returns it.
@@ -468,33 +379,6 @@ end
 -- A check appends to the `problems` (they fail `init`) or `warnings` of the build and
 -- never raises. They come in the order of the walk; `init` sorts them by location.
 
---- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
----@class rfsm.Build
----@field plan rfsm.Plan the result
----@field problems { at: string, file?: string, text: string }[]
----@field warnings { at: string, file?: string, text: string }[]
----@field created { line: string }[] `initial` connectors that are not declared
----@field mounts table<table, rfsm.Def[]> model node -> its clones
----@field fsm rfsm.Machine? the machine that something is merged into
-
---- The definition of a node or transition: all that is known before a machine runs.
---
--- The machines of a model share it. The table of an element in a machine holds the
--- fields of that machine, and inherits the rest from `proto`.
---
----@class rfsm.Def
----@field kind "state"|"transition"|"connector"
----@field index integer its position among the nodes or transitions of the plan
----@field id string|integer
----@field parent rfsm.Def its composite; the root is its own
----@field model table its source in the model
----@field data any[] callbacks and the user's data: key, value, key, value ...
----@field proto table metatable of the elements
----@field fqn string of a node
----@field is_leaf boolean of a state
----@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
----@field src rfsm.Def of a transition, as `tgt`, `events`, `pn`
-
 -- Returns a module that may be missing, nil then.
 local function find_module(name)
   if type(require) ~= "function" then return nil end
@@ -537,6 +421,17 @@ local function add(list, def, field, text, ...)
   }
 end
 
+local CALLBACKS = {
+  state = { entry = true, exit = true, doo = true }, connector = {},
+  transition = { guard = true, effect = true },
+}
+
+-- Adds the warning that rfsm/advice.lua has on a topic, if there is one.
+local function add_advice(list, topic, def, ...)
+  local text, field = advise(topic, def, ...)
+  if text ~= "" then add(list, def, field, text) end
+end
+
 --- Describe an unexpected value: "got string 'led'", "got state", for extensions.
 ---@param value any
 ---@return string text
@@ -549,10 +444,6 @@ end
 
 local got = rfsm.got
 
-local CALLBACKS = {
-  state = { entry = true, exit = true, doo = true }, connector = {},
-  transition = { guard = true, effect = true },
-}
 local HOOKS = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "gettime" }
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
@@ -600,9 +491,6 @@ end
 local clone_below, new_node, new_transition
 
 do
-  local CONSTRUCTORS = {
-    [State] = "state", [Transition] = "trans", [Connector] = "conn",
-  }
   local ROOT_FIELDS = {}
   for i = 1, 4 do ROOT_FIELDS[PRINTERS[i]] = true end
   for i = 1, #HOOKS do ROOT_FIELDS[HOOKS[i]] = true end
@@ -654,48 +542,6 @@ do
       list[i] = event
     end
     return count > 0 and list
-  end
-
-  -- Warns of a plain table that looks like a state or transition somebody forgot to
-  -- mark.
-  local function check_plain_table(build, def, key, t)
-    local form = rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil and "trans"
-    for _, value in pairs(t) do -- any order: one element decides
-      if not form and rfsm.is_fsmobj(value) then form = "state" end
-    end
-    if not form then return end
-    local what = form == "trans" and "has 'src' and 'tgt'"
-      or "contains states or transitions"
-    add(build.warnings, def, text_of(key),
-      "a plain table that %s is ignored (did you mean rfsm.%s{...}?)", what, form)
-  end
-
-  -- Warns of a field that looks like one of the library's in other words.
-  local function check_unknown_field(build, def, key, value)
-    if def.kind ~= "transition" and not is_callable(value) then return end
-    local meant = def.kind == "transition" and key == "event" and "events"
-      or advise("field_meant", def.parent == def and "root" or def.kind, key)
-    if meant ~= "" and def.model[meant] == nil then
-      add(build.warnings, def, nil, "a %s has no field '%s' (did you mean '%s'?)",
-        def.kind, key, meant)
-    end
-  end
-
-  -- Warns of what would be taken for the user's data, and is more likely a mistake.
-  local function check_datum(build, def, key, value)
-    local name = CONSTRUCTORS[value]
-    if type(value) == "table" and getmetatable(value) == nil then
-      check_plain_table(build, def, key, value)
-    end
-    if name then
-      add(build.warnings, def, text_of(key), "rfsm.%s is not called (rfsm.%s{...})",
-        name, name)
-    elseif def.kind == "connector" and (CALLBACKS.state[key]
-      or CALLBACKS.transition[key]) then
-      add(build.warnings, def, key, "a connector has no %s, this one is ignored", key)
-    elseif type(key) == "string" and not is_meta(key) then
-      check_unknown_field(build, def, key, value)
-    end
   end
 
   -- Returns the fields of a model element. An heir inherits callbacks and data, no
@@ -767,7 +613,7 @@ do
     elseif not API_FIELDS[key] then
       add_datum(def, key, value)
       if def.parent == def and ROOT_FIELDS[key] then return end
-      check_datum(build, def, key, value)
+      add_advice(build.warnings, "datum", def, key, value)
     end
   end
 
@@ -828,8 +674,8 @@ do
     end
   end
 
-  for _, f in ipairs({ check_events, check_plain_table, clone_connector, clone_state,
-    fields_of, new_transition }) do
+  for _, f in ipairs({ check_events, clone_connector, clone_state, fields_of,
+    new_transition }) do
     interpret(f)
   end
 
@@ -1019,16 +865,6 @@ end
 -- searched or a transition is taken for the first time, so that unused parts take
 -- neither time nor memory. Callbacks are not compiled: each is read when it is called.
 
---- The structure that machines of a model share.
----@class rfsm.Plan
----@field model rfsm.State its source
----@field nodes rfsm.Def[] parents before children, the root first
----@field transitions rfsm.Def[]
----@field events table<any, true> the events that transitions name
----@field trail table|false see `is_current`; only the plan of a model has one
----@field variants rfsm.Plan[] those made by preproc functions, the latest ones
----@field is_settled boolean? machines have been made of it
-
 local compile, compile_transition, line_to
 
 do
@@ -1066,7 +902,9 @@ do
     end
     proto.__index = proto
     def.proto = proto
-    if def.is_leaf then def.done_event = "e_done@" .. def.fqn end
+    if def.is_leaf then
+      def.done_event, def.choices = "e_done@" .. def.fqn, NONE
+    end
   end
 
   -- Gives each node the list of its outgoing transitions, in order, and removes the
@@ -1081,7 +919,10 @@ do
       local def = transitions[i]
       local otrs = def.src.otrs
       otrs[#otrs + 1] = def
-      for j = 1, def.events and #def.events or 0 do events[def.events[j]] = true end
+      for j = 1, def.events and #def.events or 0 do
+        events[def.events[j]] = true
+        def.is_asked = def.is_asked or type(def.events[j]) == "function"
+      end
       make_proto(def)
     end
     for i = 1, #nodes do
@@ -1131,7 +972,7 @@ end
 local function new_plan(model)
   return {
     model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = {}, created = {}, variants = {},
+    warnings = {}, created = {}, variant = false,
   }
 end
 
@@ -1248,8 +1089,8 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = NONE, _failure = false, _joined = false, _reset_wanted = false,
-  _preparing = false, _lends_events = false, _is_prepared = false, _spare = false,
+  _reset_hooks = NONE, _path_hooks = NONE, _failure = false, _reset_wanted = false,
+  _preparing = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1260,13 +1101,10 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run"
-    _act = false, _run = false, _phase = "idle", _path = false, _from = false,
-    _ways = {}, _outcome = "free", _after_free = false,
-    _calls = { count = 0, begun = 0, noted = 0, ok = true, result = nil, more = nil },
-    _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
-    -- for rfsm/fast.lua: are there hooks or a getevents? Is there nothing to do but to
-    -- take a path, now and at the end of the iteration?
-    _is_hooked = false, _is_usual = false,
+    _phase = "idle", _path = false, _ways = {}, _search = 0,
+    _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
+    _given = false, _is_lent = false,
+    _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
   }
 end
 
@@ -1370,25 +1208,30 @@ end
 
 -- Run: one iteration after the other ----------------------------------------------
 --
--- Between two iterations exactly one leaf is active, or none before the first entry. An
--- iteration goes through phases; `_phase` names the one that is under way:
+-- Between two iterations exactly one leaf is active, or none before the first entry.
+-- `_phase` names what is under way:
 --
---   idle     none: the machine waits for its caller
---   begin    an iteration is about to begin
---   collect  the pending events, then those of getevents, become the current ones
---   before   the pre step hooks are called
+--   idle     nothing: the machine waits for its caller
+--   gather   the pending events and those of getevents become the current ones, the
+--            pre step hooks are called
 --   search   a path is chosen that the events enable
---   refuse   no path leads into the machine, or a hook has failed: the events are
---            pending again
---   take     the states of that path are left and entered
+--   take     the actions of that path are performed
 --   doo      there is no path: a doo cycle is run
---   after    the post step hooks are called
+--   finish   the post step hooks are called
 --
--- An interrupt is an error that a debug hook raises: Control-C, a host's limit of time.
--- It may come at any instruction, and reaches the caller of `step`. The next step goes
--- on with the phase that was cut short, from its start. That is safe because only the
--- calls of the user's functions cannot be repeated, and `call` makes none of them
--- twice.
+-- Each phase ends in a call of the next one.
+--
+-- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
+-- of time. It may come at any instruction, and reaches the caller of `step`; the
+-- machine is marked as cut short. The next step repeats the phase, but for the
+-- callbacks up to the one under way. One rule makes that right:
+--
+--   An action calls callbacks of one kind at most, changes the machine before it calls
+--   them, and notes its position right before each call.
+--
+-- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
+-- callback is called at most once, and what changes the machine may be repeated. Only
+-- guards may be asked again.
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1442,118 +1285,6 @@ local function raise_failure(fsm)
   error(kept[1], 0)
 end
 
--- What rfsm/fast.lua may replace. The functions below are the specification.
---
---   choose(fsm, events)         the transition with which an enabled path begins
---   take(fsm)                   takes the path that begins with `_path`
---   iterate(fsm, after_free)    one iteration
---   prepare(fsm)                compiles what would be compiled in a run
---   note_failure(f, level)      an error was raised while the function `f` ran
---   is_taking(f, level, fsm)    is `f` a function that takes a path of this machine?
-local engine = { prepare = false, note_failure = false, is_taking = false }
-
--- What the handler of an error returns if the iteration is to go on: the error is that
--- of a callback, and has been noted as the result of its call.
-local function GO_ON() end
-
-local go_on
-
--- The functions of the phases.
-local PHASES = {}
-
--- Calls of the user's functions .....................................................
---
--- The calls of an iteration are numbered in the order in which they are made.
--- `_calls.count` is the number of the last one that was reached, `begun` of the last
--- one that was made, `noted` of the last one whose results are known. Each phase,
--- segment and action, and the resume of a doo, begins at a number that does not depend
--- on those before it, so that a hook that is added to one of them does not change those
--- of the next.
-
-local ACTION, SEGMENT = 1e3, 1e9
-local FIRST = {
-  begin = 0, collect = 0, before = 1e6, search = 2e6, refuse = 2e6, take = SEGMENT,
-  doo = 1e15, resume = 1e15 + 1, after = 2e15,
-}
-
--- Calls f(...) in protected mode; returns as `pcall` does, with at most two results.
--- A call that was made before the phase was cut short is not made again: its results
--- are returned, or none if later calls have been made.
---
--- `note_interrupt` reads the locals. The sum in `count + 1` is made where `ok` will be,
--- which is therefore a boolean only after the call.
-local function call(fsm, f, ...)
-  local calls = fsm._calls
-  local count, begun = calls.count, calls.begun
-  calls.count = count + 1
-  if begun <= count then
-    calls.begun = count + 1
-    local ok, result, more = pcall(f, ...)
-    calls.ok, calls.result, calls.more = ok, result, more
-    calls.noted = count + 1
-  end
-  if calls.noted ~= count + 1 then return true end
-  return calls.ok, calls.result, calls.more
-end
-
--- The same for a call that belongs to no phase.
-local function call_aside(_, f, ...) return pcall(f, ...) end
-
--- How many locals come before `calls`: Lua 5.1 has a hidden one for the rest of the
--- arguments.
-local FIRST_LOCAL = getlocal and (function(...) -- luacheck: ignore 212 (it has to be)
-  local mark = getlocal
-  local _, value = getlocal(1, 1)
-  return value == mark and 2 or 3
-end)()
-
--- `call` was cut short: was that before the user's function or after it? The call
--- counts as not begun, or its results are noted. `count`, `begun` and the rest are its
--- locals.
-local function note_call(calls, count, begun, ok, result, more)
-  if type(count) ~= "number" or calls.begun ~= count + 1 or calls.noted == count + 1
-    or type(begun) ~= "number" or begun > count then
-    return
-  elseif type(ok) ~= "boolean" then
-    calls.begun = count
-    return
-  end
-  calls.ok, calls.result, calls.more = ok, result, more
-  calls.noted = count + 1
-end
-
--- The handler of errors that are raised in the engine itself: none comes from inside of
--- the user's functions that `call` calls.
-local function note_interrupt(failure)
-  local level, info = 2, getinfo(2, "f")
-  while info and info.func ~= call and info.func ~= go_on do
-    local note = engine.note_failure
-    if note and note(info.func, level + 1, failure) then return GO_ON end
-    level = level + 1
-    info = getinfo(level, "f")
-  end
-  if not info or info.func ~= call then return failure end
-  local values = {}
-  for i = 1, 6 do
-    local _, value = getlocal(level, FIRST_LOCAL + i)
-    values[i] = value
-  end
-  if type(values[1]) == "table" then note_call(unpack(values, 1, 6)) end
-  return failure
-end
-
--- Calls one of the machine's printers by `protect`, which is `call` or `call_aside`.
-local function print_by(protect, fsm, name, ...)
-  local printer = printer_of(fsm, name)
-  local ok, failure = protect(fsm, printer, ...)
-  if ok then return end
-  if not is_callable(printer) then
-    failure = ("rfsm: %s: function, true or false expected, %s"):format(name,
-      got(printer))
-  end
-  keep_failure(fsm, failure)
-end
-
 --- Call one of a machine's printers, for extensions.
 --
 -- An error of the printer is kept until the iteration is over.
@@ -1561,7 +1292,16 @@ end
 ---@param fsm rfsm.Machine
 ---@param name "dbg"|"info"|"warn"|"err"
 ---@param ... any
-function rfsm.report(fsm, name, ...) return print_by(call_aside, fsm, name, ...) end
+function rfsm.report(fsm, name, ...)
+  local printer = printer_of(fsm, name)
+  local ok, failure = pcall(printer, ...)
+  if ok then return end
+  if not is_callable(printer) then
+    failure = ("rfsm: %s: function, true or false expected, %s"):format(name,
+      got(printer))
+  end
+  keep_failure(fsm, failure)
+end
 
 local report = rfsm.report
 
@@ -1583,73 +1323,67 @@ function rfsm.is_interrupt(failure)
 end
 
 -- A callback of a state or transition failed.
-local function report_callback(protect, fsm, name, owner, callback, failure)
+local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
   if not is_callable(callback) then failure = "function expected, " .. got(callback) end
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
-  print_by(protect, fsm, "err", name:upper(), text .. ": ", failure)
+  report(fsm, "err", name:upper(), text .. ": ", failure)
 end
 
--- Calls a callback of a state, if it has one.
-local function run_callback(protect, fsm, state, name)
-  local callback = state[name]
-  if not callback then return end
-  local ok, failure = protect(fsm, callback, fsm, state, name)
-  if not ok then report_callback(protect, fsm, name, state, callback, failure) end
-end
+local compiled, conclude, path_of, perform
+local PHASES, search = {}, nil
 
--- Calls the hooks of extensions for the entry or exit of a state. `hooks` is false, or
--- has a list for the state.
-local function run_state_hooks(protect, fsm, state, hooks)
-  hooks = hooks and hooks[state]
-  for i = 1, hooks and #hooks or 0 do
-    local ok, failure = protect(fsm, hooks[i], fsm, state)
-    if not ok then keep_failure(fsm, failure) end
-  end
-end
+-- Gather ..........................................................................
 
--- The current events come first in the queue again. It may be cut short anywhere, and
--- is done again by the phase "refuse".
-local function put_back(fsm)
-  if not rawequal(fsm._joined, fsm._intq) then
-    fsm._joined = append(append({}, fsm._curq), fsm._intq)
-  end
-  fsm._intq = fsm._joined
-  fsm._curq = {}
-  fsm._joined = false
-end
-
--- Ends an iteration early: a hook or getevents has failed.
+-- Ends an iteration early: a hook or getevents has failed. Events that nobody has seen
+-- are pending again.
 local function give_up(fsm, failure)
+  if fsm._phase == "gather" then
+    fsm._intq = append(append({}, fsm._curq), fsm._intq)
+  end
+  fsm._curq = {}
   fsm._outcome = "refused"
-  if fsm._phase ~= "after" then fsm._phase = "refuse" end
-  if fsm._phase == "refuse" then put_back(fsm) else fsm._curq = {} end
   fsm._phase = "idle"
   error(failure, 0)
 end
 
 -- Returns the events of getevents, a list with nils perhaps; nil and the failure.
-local function ask_getevents(fsm, protect)
+local function ask_getevents(fsm)
   local getevents = fsm.getevents
   if not getevents or getevents == no_events then return NONE end
-  local ok, events = protect(fsm, getevents)
-  if not is_callable(getevents) then
+  local ok, events = pcall(getevents)
+  if ok and type(events) == "table" then
+    return events
+  elseif not is_callable(getevents) then
     return nil, "rfsm.step: getevents: function expected, " .. got(getevents)
   elseif not ok then
     return nil, events
-  elseif events ~= nil and type(events) ~= "table" then
+  elseif events ~= nil then
     return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
   end
-  return events or NONE
+  return NONE
 end
 
--- Calls step hooks; returns false and the failure of one.
+-- Appends what getevents returns. Cut short, the answer is appended again: the events
+-- of an iteration are a set.
+local function append_getevents(fsm, list)
+  local events, failure = fsm._given, nil
+  if not events then events, failure = ask_getevents(fsm) end
+  if not events then give_up(fsm, failure) end
+  fsm._given = events
+  for i = 1, #events do list[#list + 1] = events[i] end
+  fsm._given = false
+end
+
+-- Calls the step hooks behind the one with the number `_hook`.
 local function run_hooks(fsm, hooks, slot)
-  for i = 1, #hooks do
+  for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
     if hook == OWN then hook = fsm[slot] end
     if hook then
-      local ok, failure = call(fsm, hook, fsm, fsm._curq)
+      if not borrowers[hook] then fsm._is_lent = true end
+      fsm._hook = i
+      local ok, failure = pcall(hook, fsm, fsm._curq)
       if not (ok or is_callable(hook)) then
         failure = ("rfsm.step: %s: function expected, %s"):format(slot, got(hook))
       end
@@ -1658,11 +1392,61 @@ local function run_hooks(fsm, hooks, slot)
   end
 end
 
+-- Asks getevents, if `_hook` is -1, and the pre step hooks. The list of current events
+-- holds those that were pending.
+local function ask_hooks(fsm)
+  if fsm._hook < 0 or fsm._given then
+    fsm._hook = 0
+    if fsm.getevents ~= no_events then append_getevents(fsm, fsm._curq) end
+  end
+  if fsm._pre_hooks ~= OWN_ONLY or fsm.pre_step_hook then
+    run_hooks(fsm, fsm._pre_hooks, "pre_step_hook")
+  end
+  fsm._phase = "search"
+end
+
+local function set_inactive(fsm)
+  for _, node in ipairs(fsm._nodes) do
+    if node._mode then
+      node._mode, node._doo_co = "inactive", nil
+      rawset(node, "_actchild", nil)
+    end
+  end
+  fsm._act_leaf = false
+end
+
+local function run_reset_hooks(fsm)
+  fsm._reset_wanted = false
+  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
+end
+
+-- Makes a machine as it was after init, but for the events of the current iteration.
+local function reset_now(fsm)
+  set_inactive(fsm)
+  fsm._intq = { "e_init_fsm" }
+  run_reset_hooks(fsm)
+end
+
+-- The queue and the list of the last iteration, which is empty, change places. If that
+-- was cut short, both are one list, or the one of the last iteration has the events.
+function PHASES.gather(fsm, after_free)
+  if fsm._reset_wanted then
+    fsm._curq = {}
+    reset_now(fsm)
+  end
+  local spare = fsm._curq
+  if rawequal(spare, fsm._intq) then spare = {} end
+  if fsm._hook < 0 and spare[1] == nil then
+    fsm._curq = fsm._intq
+    fsm._intq = spare
+  end
+  ask_hooks(fsm)
+  return search(fsm, after_free)
+end
+
 -- Search: the path that the events enable .........................................
 --
 -- A search may be done twice if it is cut short: guards have no side effects.
-
-local enabled
 
 -- Is one of `events` among those of the transition, or accepted by a predicate there?
 local function matches(def, events)
@@ -1679,63 +1463,6 @@ local function matches(def, events)
     end
   end
   return false
-end
-
--- A guard that fails does not let its transition pass. One that is interrupted is asked
--- again by the next step.
-local function refuse_guard(fsm, tr, guard, failure)
-  if rfsm.is_interrupt(failure) then error(failure, 0) end
-  report_callback(call_aside, fsm, "guard", tr, guard, failure)
-end
-
-local function allows(fsm, tr, guard, events)
-  local ok, answer = pcall(guard, tr, events)
-  if not ok then refuse_guard(fsm, tr, guard, answer) end
-  return ok and answer ~= false
-end
-
-local function warn_of_conflict(fsm, connector, ways)
-  report(fsm, "warn", "conflicting transitions from src " .. connector.fqn .. " to")
-  for i = 1, #ways do report(fsm, "warn", "\t" .. ways[i].tgt.fqn) end
-end
-
--- Returns the way out of a connector: the first of its transitions that is enabled, or
--- false. Further ones of the same priority are searched to warn of a conflict.
-local function choose_way(fsm, connector, events, depth)
-  local ways = {}
-  for i = 1, #connector.otrs do
-    local def = connector.otrs[i]
-    if ways[1] and (def.pn or 0) ~= (ways[1].pn or 0) then break end
-    ways[#ways + 1] = matches(def, events) and enabled(fsm, def, events, depth + 1)
-      or nil
-  end
-  if ways[2] then warn_of_conflict(fsm, connector, ways) end
-  return ways[1] or false
-end
-
--- So many connectors wait for each other on one stack; LuaJIT's has room for 1,500.
-local MAX_DEPTH = 500
-
--- The same in a new coroutine, which has an empty stack. A guard that yields there does
--- not enable.
-local function choose_way_aside(fsm, connector, events)
-  local co = coroutine.create(choose_way)
-  local ok, way = coroutine.resume(co, fsm, connector, events, 1)
-  if not ok then error(way, 0) end
-  return coroutine.status(co) == "dead" and way
-end
-
--- Returns the way out of a connector, or false. It is chosen once a search. During
--- its evaluation a connector counts as not enabled, so that cycles end.
-local function find_way(fsm, connector, events, depth)
-  local ways = fsm._ways
-  if ways[connector] == nil then
-    ways[connector] = false
-    local choose_here = depth < MAX_DEPTH and coroutine and choose_way
-      or choose_way_aside
-    ways[connector] = choose_here(fsm, connector, events, depth)
-  end
-  return ways[connector]
 end
 
 -- A transition of the machine has got another target. Returns its definition with that
@@ -1759,66 +1486,208 @@ local function retarget(fsm, def, tgt)
   return def.aimed[node]
 end
 
--- Is the path through `def` to `tgt` enabled? Returns the definition of its first
--- segment, which is another one if the machine has changed the target.
-local function enabled_with(fsm, def, tgt, events, depth)
-  if fsm._nodes[def.tgt.index] ~= tgt then def = retarget(fsm, def, tgt) end
-  local connector = def and compile_transition(def).connector
-  if connector and not find_way(fsm, connector, events, depth) then return nil end
+-- A guard that fails does not enable: returns false. One that is interrupted is asked
+-- again by the next step.
+local function refuse(fsm, tr, guard, failure)
+  if rfsm.is_interrupt(failure) then error(failure, 0) end
+  report_callback(fsm, "guard", tr, guard, failure)
+  return false
+end
+
+-- Asks the guard of a transition whose events match. Returns the definition, that of
+-- another target if the machine has set one; nil if the guard inhibits.
+local function ask(fsm, def, events)
+  local tr = fsm._transitions[def.index]
+  local guard = tr.guard
+  if guard then
+    if not borrowers[guard] then fsm._is_lent = true end
+    local ok, answer = pcall(guard, tr, events)
+    if not ok then answer = refuse(fsm, tr, guard, answer) end
+    if answer == false then return nil end
+  end
+  if def.connector == nil then compile_transition(def) end
+  if fsm._nodes[def.tgt.index] ~= tr.tgt then return retarget(fsm, def, tr.tgt) end
   return def
 end
 
--- Is the transition enabled, with a path up to a leaf? Its events match. Returns its
--- definition. `depth` counts the connectors before it.
-function enabled(fsm, def, events, depth)
-  local tr = fsm._transitions[def.index]
-  local guard = tr.guard
-  if guard and not allows(fsm, tr, guard, events) then return nil end
-  return enabled_with(fsm, def, tr.tgt, events, depth)
+-- Returns what the searches of a machine note about a connector: `search` is the number
+-- of the last one that came here, `way` the transition that leads on, false while it is
+-- looked for. The rest is for `find_way` alone.
+local function note_of(fsm, connector)
+  local note = fsm._ways[connector]
+  if not note then
+    note = { otrs = connector.otrs, search = 0, way = false, position = 0, found = false,
+      others = false, outer = false, asked = false }
+    fsm._ways[connector] = note
+  end
+  return note
 end
 
--- Returns the first transition from a node that is enabled, or nil.
-local function find_transition(fsm, node, events)
-  for i = 1, #node.otrs do
-    local def = node.otrs[i]
-    local found = matches(def, events) and enabled(fsm, def, events, 0)
-    if found then return found end
+local function add_way(note, def)
+  if not note.found then
+    note.found = def
+  else
+    note.others = append(note.others or { note.found }, { def })
   end
 end
 
--- Returns the transition that the events enable, or nil: node by node from the root
--- down to the active leaf. A guard may merge something into the machine: then it is
--- searched again.
-local function choose(fsm, events)
-  if events[1] == nil then return nil end
-  local plan, line = fsm._plan, line_to(fsm._act_leaf["_%def"])
-  local traces = is_traced(fsm)
-  fsm._ways = {}
-  if traces then
-    report(fsm, "dbg", "TRANSITION",
-      "searching transitions for events: " .. list_text(events))
-  end
-  for i = 1, #line do
-    if traces then
-      report(fsm, "dbg", "CHECKING", "depth:", i - 1,
-        "for transitions from " .. line[i].fqn)
+local function warn_of_conflict(fsm, ways)
+  report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
+  for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
+end
+
+-- Asks the next transition of a connector. Returns the note of the connector to which
+-- it leads, if the search has not been there.
+local function ask_next(fsm, note, def, events)
+  note.position = note.position + 1
+  def = matches(def, events) and ask(fsm, def, events)
+  local there = def and def.connector and note_of(fsm, def.connector)
+  note.asked = def
+  if there and there.search ~= fsm._search then return there end
+  if def and not (there and not there.way) then add_way(note, def) end
+end
+
+-- Finds the way out of a connector, and of those to which its transitions lead, each
+-- once a search: (a) begins with a connector, (b) asks its next transition, also further
+-- ones of the same priority, to warn of a conflict, (c) goes back to the connector from
+-- which it came. Until then a connector has no way out, so that cycles end.
+local function find_way(fsm, there, events)
+  local note = false
+  repeat
+    if there then -- (a)
+      there.search, there.way, there.position = fsm._search, false, 0
+      there.found, there.others, there.outer = false, false, note
+      note = there
     end
-    local def = find_transition(fsm, line[i], events)
-    if fsm._plan ~= plan then return choose(fsm, events) end
-    if def then return def end
+    local def, found = note.otrs[note.position + 1], note.found
+    if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
+      there = ask_next(fsm, note, def, events)
+    else -- (c)
+      if note.others then warn_of_conflict(fsm, note.others) end
+      note.way, note, there = found, note.outer, nil
+      if note and found then add_way(note, note.asked) end
+    end
+  until not note
+end
+
+-- Returns the definition of an open transition if there is a path on from its target.
+local function lead(fsm, def, events)
+  if not (def and def.connector) then return def end
+  local note = note_of(fsm, def.connector)
+  if note.search ~= fsm._search then find_way(fsm, note, events) end
+  return note.way and def or nil
+end
+
+-- Returns the first transition of a node that is enabled, nil if there is none, or a
+-- guard has merged something.
+local function first_enabled(fsm, otrs, events)
+  local plan = fsm._plan
+  for i = 1, #otrs do
+    local def = matches(otrs[i], events) and ask(fsm, otrs[i], events)
+    local found = def and lead(fsm, def, events)
+    if found or fsm._plan ~= plan then return found or nil end
   end
-  if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
+end
+
+-- The same for the whole configuration: node by node from the root down to the leaf.
+local function choose_by_node(fsm, leaf, events)
+  local trace = is_traced(fsm) and report or silent
+  trace(fsm, "dbg", "TRANSITION",
+    "searching transitions for events: " .. list_text(events))
+  for i, node in ipairs(line_to(leaf)) do
+    trace(fsm, "dbg", "CHECKING", "depth:", i - 1, "for transitions from " .. node.fqn)
+    local plan, def = fsm._plan, first_enabled(fsm, node.otrs, events)
+    if def or fsm._plan ~= plan then return def end
+  end
+  trace(fsm, "dbg", "TRANSITION", "no enabled paths found")
+end
+
+local OTHER = {} -- stands for all events that no transition from the leaf names
+
+-- Lists the transitions that each event may trigger while the leaf is active, in
+-- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which equals
+-- no event.
+local function list_choices(leaf)
+  local choices, lists = { [OTHER] = {} }, {}
+  lists[1] = choices[OTHER]
+  local function add_to(list, def)
+    if list[#list] ~= def then list[#list + 1] = def end
+  end
+  local function add_to_events(def)
+    for _, event in ipairs(def.events) do
+      local list = choices[event] or append({}, choices[OTHER])
+      if not choices[event] then choices[event], lists[#lists + 1] = list, list end
+      add_to(list, def)
+    end
+  end
+  for _, node in ipairs(line_to(leaf)) do
+    for _, def in ipairs(node.otrs) do
+      local is_for_all = not def.events or def.is_asked
+      if not is_for_all then add_to_events(def) end
+      for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
+    end
+  end
+  local done = choices[leaf.done_event] or choices[OTHER]
+  leaf.ignored = done[1] and 0 / 0 or leaf.done_event
+  leaf.choices = choices
+  return choices
+end
+
+-- Returns the candidates of one event.
+local function choice_of(leaf, event)
+  local choices = leaf.choices ~= NONE and leaf.choices or list_choices(leaf)
+  return choices[event] or choices[OTHER]
+end
+
+-- Returns the candidates of the events, in order; nil if they have several lists.
+local function candidates_of(leaf, events)
+  local common = NONE
+  for i = 1, #events do
+    local list = events[i] ~= leaf.ignored and choice_of(leaf, events[i]) or NONE
+    if list[1] and list ~= common then
+      if common ~= NONE then return nil end
+      common = list
+    end
+  end
+  return common
+end
+
+-- Returns the first of the candidates that is enabled; nil as `first_enabled`.
+local function first_candidate(fsm, list, events)
+  local plan = fsm._plan
+  for i = 1, #list do
+    local def = list[i]
+    def = (not def.is_asked or matches(def, events)) and ask(fsm, def, events)
+    local found = def and lead(fsm, def, events)
+    if found or fsm._plan ~= plan then return found or nil end
+  end
+end
+
+-- Returns the transition that the events enable, nil if there is none: found among the
+-- candidates in `list`, if they are known. If a guard has merged something into the
+-- machine it is searched again.
+local function choose(fsm, leaf, events, list)
+  if events[1] == nil then return nil end
+  local plan, def, find = fsm._plan, leaf["_%def"], nil
+  if not list then list = not is_traced(fsm) and candidates_of(def, events) end
+  if list and list[1] == nil then return nil end
+  if list then find = list.find or compiled(list, "find") or first_candidate end
+  fsm._search = fsm._search + 1
+  if not find then list, find = def, choose_by_node end
+  def = find(fsm, list, events)
+  if fsm._plan ~= plan then return choose(fsm, leaf, events) end
+  return def
 end
 
 -- Warns of events that were sent before the first entry, and that its path does not
 -- name: they are consumed by it.
-local function warn_of_lost_events(fsm, def, events)
-  local lost, told = {}, fsm._told_early or NONE -- by rfsm/strict.lua
+local function warn_of_lost_events(fsm, path, events)
+  local lost = {}
+  if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has told the sender
   for i = 1, #events do
-    local at, is_named = def, rawequal(events[i], "e_init_fsm") or told[events[i]]
-    while at and not is_named do
-      is_named = at.events and matches(at, { events[i] })
-      at = at.connector and fsm._ways[at.connector]
+    local is_named = rawequal(events[i], "e_init_fsm")
+    for _, def in ipairs(path.segments) do
+      is_named = is_named or def.events and matches(def, { events[i] })
     end
     if not is_named then lost[#lost + 1] = events[i] end
   end
@@ -1827,28 +1696,31 @@ local function warn_of_lost_events(fsm, def, events)
     .. "them: " .. list_text(lost))
 end
 
--- No path leads into the machine.
+-- First entry: the path from `initial`, nil if there is none.
+local function find_entry(fsm, events)
+  local root = fsm._plan.nodes[1]
+  fsm._search = fsm._search + 1
+  local def = not root.is_leaf
+    and first_enabled(fsm, root.members.initial.otrs, events)
+  if not (def or root.is_leaf) then return nil end
+  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
+  local path = path_of(root.entrance, def, fsm._ways)
+  warn_of_lost_events(fsm, path, events)
+  return path
+end
+
+-- No path leads into the machine: the events are pending again.
 local function refuse_entry(fsm, events)
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
+  fsm._intq = append(append({}, events), fsm._intq)
+  fsm._curq = {}
   fsm._outcome = "refused"
-  fsm._phase = "refuse"
-end
-
-function PHASES.refuse(fsm)
-  put_back(fsm)
   fsm._phase = "idle"
-end
-
--- First entry: the path from `initial`. It begins with the definition of the root.
-local function find_entry(fsm, events)
-  local root = fsm._plan.nodes[1]
-  fsm._ways = {}
-  local def = not root.is_leaf and find_transition(fsm, root.members.initial, events)
-  fsm._ways[root] = def
-  if not (def or root.is_leaf) then return nil end
-  warn_of_lost_events(fsm, def, events)
-  return root
+  if fsm._reset_wanted then reset_now(fsm) end
+  fsm._is_usual = true
+  raise_failure(fsm)
+  return nil
 end
 
 -- Returns the innermost active state.
@@ -1858,169 +1730,311 @@ local function innermost(fsm)
   return state
 end
 
--- Ends the phase "search", in which `def` was found or nothing. A guard may have moved
--- the machine.
-local function decide(fsm, leaf, def)
-  if def and leaf and not rawequal(fsm._act_leaf, leaf) then
-    leaf = innermost(fsm)
-    if fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
-  end
-  fsm._from = leaf or fsm
-  if def then
-    fsm._path = def
-    fsm._phase = "take"
-  elseif fsm._curq[1] == nil or fsm._after_free then
-    fsm._phase = "doo"
+-- Takes a path from a leaf, nil if the machine is in none.
+local function take_path(fsm, leaf, path)
+  local name, run = fsm._is_hooked and "run_hooked" or "run", false
+  if leaf and fsm.dbg == silent then run = path[name] or compiled(path, name) end
+  fsm._at = 0
+  if run then
+    run(fsm, true)
   else
-    fsm._outcome = "free"
-    fsm._phase = "after"
+    fsm._path = path
+    fsm._phase = "take"
+    perform(fsm)
   end
+  return conclude(fsm, "counted")
 end
 
-function PHASES.search(fsm)
+-- The phase "search". `list` has the candidates, if they are known.
+function search(fsm, after_free, list)
   local leaf, events = fsm._act_leaf, fsm._curq
-  if leaf then return decide(fsm, leaf, engine.choose(fsm, events)) end
-  local def = find_entry(fsm, events)
-  if not def then return refuse_entry(fsm, events) end
-  return decide(fsm, leaf, def)
+  if not leaf then
+    local path = find_entry(fsm, events)
+    if not path then return refuse_entry(fsm, events) end
+    return take_path(fsm, nil, path)
+  end
+  local def = choose(fsm, leaf, events, list)
+  if fsm._act_leaf ~= leaf then -- a guard has moved the machine
+    leaf = innermost(fsm)
+    if def and fsm._nodes[def.lca.index]._mode == "inactive" then def = nil end
+  end
+  if def then return take_path(fsm, leaf, path_of(leaf["_%def"], def, fsm._ways)) end
+  if events[1] == nil or after_free then
+    fsm._at = 0
+    fsm._phase = "doo"
+    return PHASES.doo(fsm)
+  end
+  return conclude(fsm, "free")
 end
 
--- Take: leave, effect, enter ......................................................
+-- Take: the actions of a path .....................................................
 --
--- A path is a sequence of actions: a state is left, an effect is run, a state is
--- entered, a record is traced. Taken again, it skips those that were completed.
+-- A path is a flat list of actions: functions f(fsm, arg, at) with an argument each, a
+-- definition as a rule, and the position `at` in the list.
 
--- Begins the next action. Returns false if a later one has called something already.
-local function begin_action(fsm)
-  local calls = fsm._calls
-  calls.count = calls.count - calls.count % ACTION + ACTION
-  return calls.begun < calls.count + ACTION
-end
-
--- Traces a record of a path; `describe` returns its parts.
-local function record(fsm, describe, def)
-  if begin_action(fsm) and is_traced(fsm) then
-    print_by(call, fsm, "dbg", describe(fsm, def))
+-- Calls hooks of extensions. With several the position is noted in fractions.
+local function call_hooks(fsm, hooks, what, at)
+  for i = 1, #hooks do
+    local number = at - 1 + i / #hooks
+    if fsm._at < number then
+      fsm._at = number
+      local ok, failure = pcall(hooks[i], fsm, what)
+      if not ok then keep_failure(fsm, failure) end
+    end
   end
 end
 
-local function leave(protect, fsm, state)
-  state._mode = "inactive"
-  state._parent._actchild = nil
-  run_callback(protect, fsm, state, "exit")
-  run_state_hooks(protect, fsm, state, fsm._exit_hooks)
-  if rawequal(fsm._act_leaf, state) then fsm._act_leaf = false end
-  state._doo_co = nil
-  if is_traced(fsm) then print_by(protect, fsm, "dbg", "STATE_EXIT", state._fqn) end
+-- Tells those who watch which transitions are about to be taken.
+local function show_path(fsm, path, at)
+  if not fsm._path_hooks[1] or not path.segments[1] then return end
+  local list = {}
+  for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
+  call_hooks(fsm, fsm._path_hooks, list, at)
 end
 
--- A leaf has done its work.
-local function complete(fsm, leaf)
-  local queue, event = fsm._intq, leaf["_%def"].done_event
-  if is_traced(fsm) then print_by(call, fsm, "dbg", "RAISED", event) end
-  if not rawequal(queue[#queue], event) then queue[#queue + 1] = event end
-  leaf._mode = "done"
+-- Traces `words`.
+local function record(fsm, words, at)
+  if fsm.dbg == silent or not fsm.dbg then return end
+  fsm._at = at
+  report(fsm, "dbg", unpack(words))
 end
 
-local function enter(fsm, state, def)
-  state._mode = "active"
-  if state ~= fsm then state._parent._actchild = state end
-  run_state_hooks(call, fsm, state, fsm._entry_hooks)
-  run_callback(call, fsm, state, "entry")
-  if def.is_leaf then
-    fsm._act_leaf = state
-    if not state.doo then complete(fsm, state) end
-  end
-  if is_traced(fsm) then print_by(call, fsm, "dbg", "STATE_ENTER", state._fqn) end
+local function record_effect(fsm, def, at)
+  if fsm.dbg == silent then return end
+  record(fsm, { "EFFECT", tostring(fsm._transitions[def.index]) }, at)
 end
 
--- What a path traces. Texts are kept with the definitions.
-local RECORDS = {}
-
-function RECORDS.exits(_, def)
-  local outermost = def.outermost or def.src
-  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-    outermost = outermost.parent
-  end
-  def.outermost = outermost
-  return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
-    def.lca.fqn
-end
-
-function RECORDS.effect(fsm, def)
-  return "EFFECT", tostring(fsm._transitions[def.index])
-end
-
-function RECORDS.entries(_, def)
-  local names, node = {}, def.tgt
-  while not def.down_path and node ~= def.lca do
-    names[#names + 1], node = node.fqn, node.parent
-  end
-  def.down_path = def.down_path or concat(names, " > ")
-  return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", def.down_path
-end
-
-local function label_of(node)
-  if node.kind == "connector" then return node.fqn .. "[c]" end
-  return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
-end
-
--- root.a[LS]->root.k[c]->root.b[LS]
-function RECORDS.path(fsm, def)
-  local text = label_of(def.src)
-  while def do
-    text = text .. "->" .. label_of(def.tgt)
-    def = def.connector and fsm._ways[def.connector]
-  end
-  return "EXEC_PATH", text
-end
-
-local function run_effect(fsm, def)
+local function run_effect(fsm, def, at)
   local tr = fsm._transitions[def.index]
   local effect = tr.effect
-  record(fsm, RECORDS.effect, def)
-  if not (begin_action(fsm) and effect) then return end
-  local ok, failure = call(fsm, effect, fsm, tr, "effect", fsm._curq)
-  if not ok then report_callback(call, fsm, "effect", tr, effect, failure) end
+  if not effect then return end
+  if not borrowers[effect] then fsm._is_lent = true end
+  fsm._at = at
+  local ok, failure = pcall(effect, fsm, tr, "effect", fsm._curq)
+  if not ok then report_callback(fsm, "effect", tr, effect, failure) end
 end
 
-local function begin_segment(calls)
-  calls.count = calls.count - calls.count % SEGMENT + SEGMENT
+local function leave(fsm, def, at)
+  local state = fsm._nodes[def.index]
+  state._mode = "inactive"
+  state._parent._actchild = nil
+  local exit = state.exit
+  if not exit then return end
+  fsm._at = at
+  local ok, failure = pcall(exit, fsm, state, "exit")
+  if not ok then report_callback(fsm, "exit", state, exit, failure) end
 end
 
--- Takes the segment `def` from the active state `state`: (a) leaves the states up to
--- the lca, (b) runs the effect, (c) enters the states down to the target.
-local function take_segment(fsm, def, state)
-  local nodes, entries = fsm._nodes, def.entries
-  begin_segment(fsm._calls)
-  if def.is_internal then return run_effect(fsm, def) end
-  record(fsm, RECORDS.exits, def)
-  while state ~= nodes[def.lca.index] do
-    if begin_action(fsm) then leave(call, fsm, state) end
-    state = state._parent
+local function run_exit_hooks(fsm, def, at)
+  local state, hooks = fsm._nodes[def.index], fsm._exit_hooks
+  if hooks and hooks[state] then call_hooks(fsm, hooks[state], state, at) end
+end
+
+local function be_left(fsm, def)
+  local state = fsm._nodes[def.index]
+  if fsm._act_leaf == state then fsm._act_leaf = false end
+  if state._doo_co then state._doo_co = nil end
+end
+
+local function become_active(fsm, def, at)
+  local state, hooks = fsm._nodes[def.index], fsm._entry_hooks
+  state._mode = "active"
+  if def.depth > 0 then state._parent._actchild = state end
+  if hooks and hooks[state] then call_hooks(fsm, hooks[state], state, at) end
+end
+
+local function enter(fsm, def, at)
+  local state = fsm._nodes[def.index]
+  local entry = state.entry
+  if not entry then return end
+  fsm._at = at
+  local ok, failure = pcall(entry, fsm, state, "entry")
+  if not ok then report_callback(fsm, "entry", state, entry, failure) end
+end
+
+local function become_leaf(fsm, def, at)
+  local leaf = fsm._nodes[def.index]
+  fsm._act_leaf = leaf
+  if not leaf.doo then record(fsm, { "RAISED", def.done_event }, at) end
+end
+
+-- A leaf without doo has done its work. Cut short it may raise its e_done twice, which
+-- is the same for a set of events.
+local function be_done(fsm, def, at)
+  local leaf, queue = fsm._nodes[def.index], fsm._intq
+  if leaf.doo then return end
+  queue[#queue + 1] = def.done_event
+  leaf._mode = "done"
+  fsm._at = at
+end
+
+-- Lists the actions of a path, and their arguments.
+local list_actions
+
+do
+  local function add_action(list, action, arg)
+    list.actions[#list.actions + 1] = action
+    list.args[#list.actions] = arg
   end
-  run_effect(fsm, def)
-  record(fsm, RECORDS.entries, def)
-  for i = 1, #entries do
-    if begin_action(fsm) then enter(fsm, nodes[entries[i].index], entries[i]) end
+
+  local function add_record(list, ...) add_action(list, record, { ... }) end
+
+  local function label_of(node)
+    if node.kind == "connector" then return node.fqn .. "[c]" end
+    return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
+  end
+
+  -- root.a[LS]->root.k[c]->root.b[LS]
+  local function add_path_record(list, segments)
+    local text = label_of(segments[1].src)
+    for _, def in ipairs(segments) do text = text .. "->" .. label_of(def.tgt) end
+    add_record(list, "EXEC_PATH", text)
+  end
+
+  -- From the state `from` up to the lca, where nothing is left.
+  local function add_exits(list, def, from)
+    local outermost = def.src
+    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+      outermost = outermost.parent
+    end
+    add_record(list, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn,
+      ", lca:", def.lca.fqn)
+    while from ~= def.lca do
+      add_action(list, leave, from)
+      add_action(list, run_exit_hooks, from)
+      add_action(list, be_left, from)
+      add_record(list, "STATE_EXIT", from.fqn)
+      from = from.parent
+    end
+  end
+
+  local function add_entry(list, state)
+    add_action(list, become_active, state)
+    add_action(list, enter, state)
+    if state.is_leaf then
+      add_action(list, become_leaf, state)
+      add_action(list, be_done, state)
+    end
+    add_record(list, "STATE_ENTER", state.fqn)
+  end
+
+  local function add_entries(list, def)
+    local names, node = {}, def.tgt
+    while node ~= def.lca do names[#names + 1], node = node.fqn, node.parent end
+    add_record(list, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ",
+      concat(names, " > "))
+    for _, state in ipairs(def.entries) do add_entry(list, state) end
+  end
+
+  -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
+  -- states down to the target are entered.
+  function list_actions(path)
+    local from, list = path.from, { actions = {}, args = {} }
+    add_action(list, show_path, path)
+    if path.entered then add_entry(list, path.entered) end
+    if path.segments[1] then add_path_record(list, path.segments) end
+    for _, def in ipairs(path.segments) do
+      if not def.is_internal then add_exits(list, def, from) end
+      add_action(list, record_effect, def)
+      add_action(list, run_effect, def)
+      if not def.is_internal then add_entries(list, def) end
+      from = def.tgt.parent
+    end
+    path.args = list.args
+    path.actions = list.actions -- last: then both are complete
   end
 end
 
--- Takes the path that begins with `_path`. At the first entry it begins with the root.
-local function take(fsm)
-  local def, state, ways = fsm._path, fsm._from, fsm._ways
-  fsm._calls.count = FIRST.take -- not when a function of rfsm/fast.lua goes on here
-  if def.kind == "state" then
-    if begin_action(fsm) then enter(fsm, fsm, def) end
-    def = ways[def]
+local function new_path(at, def)
+  local segments = append(append({}, at.segments or NONE), { compile_transition(def) })
+  local path = { from = at.from or at, entered = at.entered, segments = segments }
+  at.paths = at.paths or {}
+  at.paths[def] = path
+  return path
+end
+
+-- Returns the path from `at`, the definition of a state, with the transition `def` and
+-- those out of its connectors. They are kept in a tree, by their transitions.
+function path_of(at, def, ways)
+  if def then
+    local path = at.paths and at.paths[def] or new_path(at, def)
+    return path_of(path, def.connector and ways[def.connector].way, ways)
   end
-  if def then record(fsm, RECORDS.path, def) end
-  while def do
-    take_segment(fsm, def, state)
-    local connector = def.connector
-    if not connector then return end
-    def, state = ways[connector], fsm._nodes[connector.parent.index]
+  if not at.actions then list_actions(at) end
+  return at
+end
+
+-- Does the actions of `_path` behind the one that was begun last. Returns true.
+function perform(fsm)
+  local path, begun = fsm._path, fsm._at
+  local actions, args = path.actions, path.args
+  for at = begun - begun % 1 + 1, #actions do actions[at](fsm, args[at], at) end
+  return true
+end
+
+function PHASES.take(fsm)
+  perform(fsm)
+  return conclude(fsm, "counted")
+end
+
+local fast -- the functions of rfsm/fast.lua, false without it
+
+-- Whatever stops that file from being loaded, the machines do without.
+local function load_fast()
+  local ok, make = pcall(require, "rfsm.fast")
+  fast = ok and loadstring and make {
+    loadstring = loadstring, silent = silent, borrowers = borrowers, perform = perform,
+    failed = report_callback, call_hooks = call_hooks, show_path = show_path,
+    run_effect = run_effect, leave = leave, run_exit_hooks = run_exit_hooks,
+    be_left = be_left, become_active = become_active, enter = enter,
+    become_leaf = become_leaf, matches = matches, refuse = refuse, retarget = retarget,
+    lead = lead, note_of = note_of, warn_of_conflict = warn_of_conflict,
+    compile_transition = compile_transition,
+  } or false
+end
+
+local OFTEN = 3 -- what is used more often is compiled
+
+-- Returns the function that rfsm/fast.lua has made for a path or a list of candidates;
+-- false if there is none, or it was not used often.
+--
+--   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. It has done nothing
+--                               and returns false if a search did not choose the path,
+--                               and is needed
+--   list.find                   as `first_candidate`
+function compiled(at, name)
+  if at[name] ~= nil then return at[name] end
+  at.used = (at.used or 0) + 1
+  if fast and at.used <= OFTEN then return false end
+  local ok, f = pcall(fast and fast[name] or silent, at)
+  if not ok and f ~= "not enough memory" then error(f, 0) end
+  at[name] = ok and f or false
+  return at[name]
+end
+
+-- Returns the path that is taken whenever the transition `def` is the only candidate,
+-- if no guard or other target has been set since: each connector has a single
+-- transition, without events. Nil if there is no such path.
+local function straight_path(leaf, def)
+  local first, ways, count = compile_transition(def), {}, 1
+  while def.connector do
+    local otrs = def.connector.otrs
+    if #otrs ~= 1 or otrs[1].events or count == 10 then return nil end
+    ways[def.connector] = { way = otrs[1] }
+    def, count = compile_transition(otrs[1]), count + 1
   end
+  return path_of(leaf, first, ways)
+end
+
+-- Notes in a list of candidates, and returns, the function that takes the path to which
+-- they lead without a search; false if they may lead to several, or not yet often.
+local function quick_run(leaf, choice, is_hooked)
+  local def = choice[1]
+  local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
+  local name = is_hooked and "run_hooked" or "run"
+  local run = path and compiled(path, name) or false
+  if not path or path[name] ~= nil then choice[name] = run end
+  return run
 end
 
 -- Doo ............................................................................
@@ -2040,226 +2054,196 @@ do
     if rfsm.is_interrupt(failure) then
       keep_failure(fsm, failure)
     else
-      print_by(call, fsm, "err", "DOO",
+      report(fsm, "err", "DOO",
         "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
     end
     leaf._doo_co = nil
   end
 
+  local function complete(fsm, leaf)
+    local queue, event = fsm._intq, leaf["_%def"].done_event
+    if is_traced(fsm) then report(fsm, "dbg", "RAISED", event) end
+    queue[#queue + 1] = event
+    leaf._mode = "done"
+  end
+
   local function end_doo(fsm, leaf)
-    complete(fsm, leaf)
-    if is_traced(fsm) then
-      print_by(call, fsm, "dbg", "DOO",
-        "removing completed coroutine of " .. leaf._fqn .. " doo")
-    end
+    if leaf._mode ~= "done" then complete(fsm, leaf) end
+    record(fsm, { "DOO", "removing completed coroutine of " .. leaf._fqn .. " doo" }, 2)
     leaf._doo_co = nil
   end
 
-  -- Makes the coroutine of a leaf's doo. Returns nil, and the doo has failed, if there
-  -- are no coroutines.
+  -- Makes the coroutine of a leaf's doo. Returns nil if there is none, which completes
+  -- the leaf, or if there are no coroutines: the doo has failed then.
   local function start_doo(fsm, leaf)
+    if not leaf.doo then return complete(fsm, leaf) end
     if is_traced(fsm) then
-      print_by(call, fsm, "dbg", "DOO",
-        "created coroutine for " .. leaf._fqn .. " doo")
+      report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
     end
     if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
     leaf._doo_co = new_doo(leaf.doo)
     return leaf._doo_co
   end
 
-  -- Resumes a doo; true when it is idle or over.
-  local function resume_doo(fsm, leaf, co)
-    fsm._calls.count = FIRST.resume
-    local _, ok, idle = call(fsm, coroutine.resume, co, fsm, leaf, "doo")
-    if ok == false then
-      fsm._outcome = "failed"
-    elseif ok then -- nil if later calls have been made, which depend on `_outcome`
-      fsm._outcome = coroutine.status(co) == "dead" and "ended" or "counted"
-    end
-    if fsm._outcome == "counted" then return idle and true or false end
-    local finish_doo = fsm._outcome == "failed" and fail_doo or end_doo
-    finish_doo(fsm, leaf, idle)
-    return true
-  end
+  local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
   -- One cycle of the active leaf's doo; true when it is idle or done.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co
-    if leaf._mode == "done" and not co then return true end
-    if not (co or leaf.doo) then
-      complete(fsm, leaf)
-      return true
+    if not co then
+      if leaf._mode == "done" then return true end
+      co = start_doo(fsm, leaf)
+      if not co then return true end
     end
-    co = co or start_doo(fsm, leaf)
-    return not co or resume_doo(fsm, leaf, co)
+    local ok, idle = true, false
+    if fsm._at < 1 then
+      fsm._at = 1
+      ok, idle = resume(co, fsm, leaf, "doo")
+    end
+    if ok and status(co) ~= "dead" then return idle and true or false end
+    local finish_doo = ok and end_doo or fail_doo
+    finish_doo(fsm, leaf, idle)
+    return true
   end
 end
+
+-- The end of a doo cycle.
+local function finish_cycle(fsm, idle)
+  if idle and fsm._curq[1] == nil and fsm.getevents ~= no_events
+    and (fsm._at < 3 or fsm._given) then
+    fsm._at = 3
+    append_getevents(fsm, fsm._intq)
+  end
+  return conclude(fsm, idle and "idle" or "counted")
+end
+
+function PHASES.doo(fsm) return finish_cycle(fsm, run_doo(fsm, innermost(fsm))) end
 
 -- Iterate ........................................................................
 
-local function set_inactive(fsm)
-  for _, node in ipairs(fsm._nodes) do
-    if node._mode then
-      node._mode, node._doo_co = "inactive", nil
-      rawset(node, "_actchild", nil)
-    end
-  end
-  fsm._act_leaf = false
-end
-
--- Makes a machine as it was after init, but for the events of the current iteration.
-local function run_reset_hooks(fsm)
-  fsm._reset_wanted = false
-  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
-end
-
-local function reset_now(fsm)
-  set_inactive(fsm)
-  fsm._intq = { "e_init_fsm" }
-  run_reset_hooks(fsm)
-end
-
--- The phase "collect". If one before was cut short, or a hook failed in it, its events
--- come first.
-function PHASES.collect(fsm)
-  if fsm._reset_wanted then
-    fsm._curq = {}
-    reset_now(fsm)
-  end
-  if fsm._curq[1] == nil then fsm._curq = fsm._intq end
-  if rawequal(fsm._curq, fsm._intq) then fsm._intq = {} end
-  local events, failure = ask_getevents(fsm, call)
-  if not events then give_up(fsm, failure) end
-  if #events > 0 then fsm._joined = append(append({}, fsm._curq), events) end
-  fsm._phase = "before"
-end
-
-function PHASES.before(fsm)
-  local joined = fsm._joined
-  if joined then fsm._curq = joined end
-  fsm._joined = false
-  run_hooks(fsm, fsm._pre_hooks, "pre_step_hook")
-  fsm._phase = "search"
-end
-
-function PHASES.doo(fsm)
-  local idle = run_doo(fsm, fsm._from)
-  if idle and fsm._curq[1] == nil then
-    local events, failure = ask_getevents(fsm, call)
-    if not events then give_up(fsm, failure) end
-    if #events > 0 then fsm._joined = append(append({}, fsm._intq), events) end
-  end
-  fsm._outcome = idle and "idle" or "counted"
-  fsm._phase = "after"
-end
-
-function PHASES.take(fsm)
-  engine.take(fsm)
-  fsm._outcome = "counted"
-  fsm._phase = "after" -- last: an interrupt between both repeats the phase
-end
-
-local function call_post_hooks(fsm)
-  if fsm._joined then fsm._intq = fsm._joined end -- those of getevents
-  fsm._joined = false
+-- The list of current events is used again, unless a callback may have kept it.
+local function finish(fsm)
   if fsm._reset_wanted then reset_now(fsm) end
-  run_hooks(fsm, fsm._post_hooks, "post_step_hook")
-end
-
-function PHASES.after(fsm)
-  call_post_hooks(fsm)
-  fsm._curq = {}
+  if fsm._post_hooks ~= OWN_ONLY or fsm.post_step_hook then
+    run_hooks(fsm, fsm._post_hooks, "post_step_hook")
+  end
+  if fsm._is_lent then
+    fsm._curq = {}
+    fsm._is_lent = false
+  else
+    local events = fsm._curq
+    for i = #events, 1, -1 do events[i] = nil end
+  end
   fsm._phase = "idle"
-end
-
-function PHASES.begin(fsm)
-  local calls = fsm._calls
-  calls.begun, calls.noted = 0, 0
-  fsm._phase = "collect"
-end
-
--- Goes through the phases of an iteration, from the one that is under way on, up to
--- `last`, if it is given.
-function go_on(fsm, last)
-  repeat
-    local phase = fsm._phase
-    fsm._calls.count = FIRST[phase]
-    PHASES[phase](fsm)
-  until fsm._phase == "idle" or fsm._phase == last
-end
-
-local iterate
-
--- Without `debug` the thread that runs a step is noted: see `is_stepping`.
-local running = not getinfo and find_global("coroutine", "running")
-
-local function same(failure) return failure end
-
-local function results_of(fsm, outcome)
-  if fsm._reset_wanted and outcome == "refused" then reset_now(fsm) end
-  raise_failure(fsm)
-  if outcome == "refused" then return nil end
+  fsm._is_usual = not fsm._reset_wanted
+  if fsm._failure then raise_failure(fsm) end
+  local outcome = fsm._outcome
   return outcome ~= "free",
     outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
--- One iteration, or the rest of one that was cut short. Returns nil if the machine
--- cannot be entered, else whether it counts as a step and whether the machine is idle.
--- `after_free`: the last iteration did not count; not looked at in the rest of one.
-function iterate(fsm, after_free)
+PHASES.search, PHASES.finish = search, finish
+
+function conclude(fsm, outcome)
+  fsm._hook = 0
+  fsm._outcome = outcome
+  fsm._phase = "finish"
+  return finish(fsm)
+end
+
+-- One iteration, or the rest of one that was cut short.
+local function go_on(fsm, after_free)
+  fsm._is_cut = false
   if fsm._phase == "idle" then
-    fsm._after_free = after_free
-    fsm._phase = "begin"
+    fsm._hook = -1
+    fsm._phase = "gather"
   end
-  fsm._run = go_on
-  if running then fsm._thread = running() or true end
-  local ok, failure = xpcall(fsm._act, getlocal and note_interrupt or same)
-  if running then fsm._thread = false end
-  if not ok then
-    if failure == GO_ON then return iterate(fsm, after_free) end
-    error(failure, 0)
-  end
-  fsm._calls.noted = 0
-  return results_of(fsm, fsm._outcome)
+  return PHASES[fsm._phase](fsm, after_free)
 end
 
-engine.choose, engine.take, engine.iterate = choose, take, iterate
+-- The usual iterations are written out: the machine is in a leaf, nobody traces, and
+-- there is one event, apart from an e_done that nothing waits for, or none.
 
--- So many iterations come before rfsm/fast.lua is loaded: a program that does little
--- should not pay for it.
-local patience = 8
-
-local PARTS = {
-  ACTION = ACTION, SEGMENT = SEGMENT, append = append, ask_getevents = ask_getevents,
-  borrowers = borrowers, call = call, call_post_hooks = call_post_hooks,
-  choose = choose, compile_transition = compile_transition, decide = decide,
-  enabled = enabled, enabled_with = enabled_with, enter = enter, FIRST = FIRST,
-  give_up = give_up, go_on = go_on, GO_ON = GO_ON,
-  handler = note_interrupt, interpret = interpret, is_callable = is_callable,
-  iterate = iterate, leave = leave, line_to = line_to, loadstring = loadstring,
-  matches = matches, no_events = no_events, OWN_ONLY = OWN_ONLY,
-  refuse_guard = refuse_guard, results_of = results_of,
-  silent = silent, take = take, warn_of_conflict = warn_of_conflict,
-}
-
-local function load_fast()
-  patience = -1
-  engine.iterate = iterate -- if there is no such file
-  local make = getlocal and find_module("rfsm.fast") -- which needs the handler
-  if make then make(engine, PARTS) end
-end
-
--- The first iterations of a program, and all of them if there is no rfsm/fast.lua.
-local function iterate_patiently(fsm, after_free)
-  if patience == 0 then
-    load_fast()
-    return engine.iterate(fsm, after_free)
+-- That of a machine with hooks. The lists of events have changed places.
+local function iterate_hooked(fsm, after_free)
+  fsm._hook = -1
+  fsm._phase = "gather"
+  ask_hooks(fsm)
+  local leaf, events, choice = fsm._act_leaf, fsm._curq, nil
+  if leaf and fsm.dbg == silent then
+    local def, event, more = leaf["_%def"], events[1], events[2]
+    if event == def.ignored then event, more = more, events[3] end
+    if event ~= nil and more == nil then
+      choice = def.choices[event] or choice_of(def, event)
+      local run = choice.run_hooked
+      if run == nil then run = quick_run(def, choice, true) end
+      if run and run(fsm) then return conclude(fsm, "counted") end
+    end
   end
-  patience = patience - 1
-  return iterate(fsm, after_free)
+  return search(fsm, after_free, choice)
 end
 
-engine.iterate = iterate_patiently
+-- That without events.
+local function rest(fsm, leaf, after_free)
+  local events = fsm._curq
+  if leaf._mode == "done" and not leaf._doo_co then
+    events[1] = nil
+    return true, true
+  elseif events[1] ~= nil then
+    fsm._phase = "search"
+    return search(fsm, after_free)
+  end
+  fsm._at = 0
+  fsm._phase = "doo"
+  local idle = run_doo(fsm, leaf)
+  if not fsm._is_usual then return finish_cycle(fsm, idle) end
+  fsm._phase = "idle"
+  return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+end
+
+-- One iteration. Returns nil if the machine cannot be entered, else whether it counts
+-- as a step and whether the machine is idle. `after_free`: the last iteration did not
+-- count.
+local function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
+  local leaf = fsm._act_leaf
+  if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
+    return go_on(fsm, after_free)
+  end
+  local events = fsm._intq
+  local spare = fsm._curq
+  fsm._curq = events
+  fsm._intq = spare
+  if fsm._is_hooked then return iterate_hooked(fsm, after_free) end
+  local def, event, more = leaf["_%def"], events[1], events[2]
+  if event == def.ignored then event, more = more, events[3] end
+  if event == nil then return rest(fsm, leaf, after_free) end
+  local choice
+  if more == nil then
+    choice = def.choices[event] or choice_of(def, event)
+    local run = choice.run
+    if run == nil then run = quick_run(def, choice, false) end
+    local is_taken = run and run(fsm)
+    if is_taken and (fsm._is_lent or not fsm._is_usual) then
+      return conclude(fsm, "counted")
+    elseif is_taken or not (choice[1] or after_free) then
+      events[2] = nil
+      events[1] = nil
+      fsm._phase = "idle"
+      return is_taken or false, false
+    end
+  end
+  fsm._phase = "search"
+  return search(fsm, after_free, choice)
+end
+
+-- The iteration was ended by an error: one that was kept for its end, one of a step
+-- hook, or one that is no callback's own. Without this mark, what was cut short could
+-- not be told from a step that goes on.
+local function raise_cut(fsm, failure)
+  fsm._is_usual = false
+  fsm._is_cut = true
+  error(failure, 0)
+end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
@@ -2413,8 +2397,7 @@ do
   end
 end
 
--- Gives a machine what it cannot share: functions for its printers, and the function
--- that `xpcall` calls without arguments. Wrong printers are replaced.
+-- Gives a machine functions for its printers. Wrong ones are replaced.
 local function finish_machine(fsm)
   for i = 1, 4 do
     local name = PRINTERS[i]
@@ -2425,7 +2408,6 @@ local function finish_machine(fsm)
     fsm._is_hooked = fsm._is_hooked or fsm[name] and true or false
     fsm[name] = fsm[name] or nil
   end
-  fsm._act = function() return (fsm._run(fsm)) end -- no tail call: see `is_stepping`
   return setmetatable(fsm, Machine)
 end
 
@@ -2468,40 +2450,17 @@ local function report_dead_ends(fsm, first)
   return dead[1] == nil
 end
 
-local report_findings
-
-do
-  -- Warns of an `initial` that may not be enabled: its composite has no entry then.
-  local function check_initial(found, def)
-    for _, tr in ipairs(def.otrs) do
-      if not (tr.events or tr.guard) then return end
-    end
-    if def.id ~= "initial" or not def.otrs[1] then return end
-    add(found, def, nil, "each transition from here has events or a guard, '%s' cannot "
-      .. "be entered while none of them is enabled", def.parent.fqn)
-  end
-
-  -- Warns of events such as e_after(1) that no extension has made its own. An extension
-  -- that knows the word has warned itself.
-  local function check_words(found, def)
-    for _, event in ipairs(def.events or {}) do
-      local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
-      local hint = word and advise("module_of", word)
-      if hint then
-        add(found, def, "events", "no loaded extension knows '%s'%s", event, hint)
-      end
+-- Reports the warnings of the model, also after the preproc functions.
+local function report_findings(fsm, first_node, first_transition)
+  local plan, found = fsm._plan, append({}, fsm._plan.warnings)
+  for i = first_node, #plan.nodes do add_advice(found, "initial", plan.nodes[i]) end
+  for i = first_transition, #plan.transitions do
+    local def = plan.transitions[i]
+    for _, event in ipairs(def.events or NONE) do
+      add_advice(found, "event", def, event)
     end
   end
-
-  -- Reports the warnings of the model, also after the preproc functions.
-  function report_findings(fsm, first_node, first_transition)
-    local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-    for i = first_node, #plan.nodes do check_initial(found, plan.nodes[i]) end
-    for i = first_transition, #plan.transitions do
-      check_words(found, plan.transitions[i])
-    end
-    report_lines(fsm, "warn", found)
-  end
+  report_lines(fsm, "warn", found)
 end
 
 --- Functions `f(fsm[, merged])` that `rfsm.init` calls for each machine.
@@ -2522,7 +2481,7 @@ do
   local function hand_out(fsm, plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = plan.transitions[i]
-      tr.events = rawget(tr, "events") or append({}, def.written or def.events or NONE)
+      tr.events = rawget(tr, "events") or append({}, def.events or NONE)
       tr.pn = rawget(tr, "pn") or def.pn
     end
   end
@@ -2557,17 +2516,13 @@ do
     tr.events = type(events) == "string" and { events } or events
   end
 
-  -- Has a transition still the ends and the priority of a plan?
-  local function has_ends(tr, def, nodes)
-    return (rawget(tr, "pn") or nil) == def.pn
-      and rawequal(tr.src, nodes[def.src.index])
-      and rawequal(tr.tgt, nodes[def.tgt.index])
-  end
-
-  -- The same, and its events?
+  -- Has a transition still the ends, the priority and the events of a plan?
   local function is_as_planned(tr, def, nodes)
     local events, known = rawget(tr, "events"), def.events or NONE
-    if type(events) ~= "table" or #events ~= #known or not has_ends(tr, def, nodes) then
+    if type(events) ~= "table" or #events ~= #known
+      or (rawget(tr, "pn") or nil) ~= def.pn
+      or not rawequal(tr.src, nodes[def.src.index])
+      or not rawequal(tr.tgt, nodes[def.tgt.index]) then
       return false
     end
     for i = 1, #known do
@@ -2587,36 +2542,15 @@ do
     return true
   end
 
-  -- Returns the plan that fits a machine, one of the variants or the plan itself.
+  -- Returns the plan that fits a machine: the latest variant or the plan itself.
   local function find_plan(fsm, plan)
-    for i = #plan.variants, 1, -1 do -- the latest first
-      if fits(fsm, plan.variants[i]) then return plan.variants[i] end
-    end
+    if plan.variant and fits(fsm, plan.variant) then return plan.variant end
     return fits(fsm, plan) and plan or nil
   end
 
-  -- The first machine of a plan decides about the events in it: those of the model are
-  -- kept as `written`. Where more was changed the plan stays as it is, and the result
-  -- is nil.
-  local function settle(fsm, plan)
-    if plan.is_settled then return nil end
-    for i, tr in ipairs(fsm._transitions) do
-      if not has_ends(tr, plan.transitions[i], fsm._nodes) then return nil end
-    end
-    for i, tr in ipairs(fsm._transitions) do
-      local def = plan.transitions[i]
-      def.written = def.events or NONE
-      def.events = tr.events[1] ~= nil and append({}, tr.events)
-    end
-    use_plan(fsm, compile(plan))
-    return plan
-  end
-
-  local MAX_VARIANTS = 8 -- of a plan: machines that differ more often share less
-
   -- Returns a plan whose transitions are what the preproc functions have made of them.
   local function new_variant(fsm, plan)
-    local variant, variants = copy_plan(plan), plan.variants
+    local variant = copy_plan(plan)
     for i, tr in ipairs(fsm._transitions) do
       local def = variant.transitions[i]
       def.src = variant.nodes[tr.src["_%def"].index]
@@ -2625,9 +2559,7 @@ do
       def.events = tr.events[1] ~= nil and append({}, tr.events)
       def.is_internal = def.is_internal and def.src == def.tgt
     end
-    variant.base = plan
-    if #variants == MAX_VARIANTS then remove(variants, 1) end
-    variants[#variants + 1] = compile(variant)
+    plan.variant = compile(variant)
     return variant
   end
 
@@ -2639,12 +2571,10 @@ do
       for _, tr in ipairs(fsm._transitions) do
         problems[#problems + 1] = check_transition(fsm, tr)
       end
-      found = not problems[1] and (find_plan(fsm, plan) or settle(fsm, plan)
-        or new_variant(fsm, plan))
+      found = not problems[1] and (find_plan(fsm, plan) or new_variant(fsm, plan))
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
     if not found then return end
-    plan.is_settled = true
     if found ~= plan then use_plan(fsm, found) end
   end
 
@@ -2654,10 +2584,7 @@ do
   function preprocess(fsm, merged)
     local problems, outer = {}, fsm._preparing
     local last = outer and outer - 1 or #rfsm.preproc
-    if last < 1 then
-      fsm._plan.is_settled = true
-      return problems
-    end
+    if last < 1 then return problems end
     hand_out(fsm, fsm._plan)
     for i = 1, last do
       fsm._preparing = i
@@ -2709,6 +2636,7 @@ function rfsm.init(model)
   model = model_of(model)
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
+  if fast == nil then load_fast() end
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
   local fsm = finish_machine(new_machine(plan))
   fsm._initialized = true
@@ -2774,32 +2702,18 @@ function rfsm.send_events(fsm, event, ...)
   if select("#", ...) > 0 then return queue_more(queue, ...) end
 end
 
-local function is_on_stack(fsm)
-  local level, info, is_taking = 3, getinfo(3, "f"), engine.is_taking
-  while info do
-    local f = info.func
-    if f == fsm._act or is_taking and is_taking(f, level + 1, fsm) then return true end
-    level = level + 1
-    info = getinfo(level, "f")
-  end
-  return false
-end
-
--- Is a step of this machine under way, rather than cut short? Then `_act` is on the
--- stack, or a doo is running. Without `debug` the thread of the step has been noted.
-local function is_stepping(fsm)
-  if fsm._phase == "idle" then return false end
-  local co = fsm._act_leaf and fsm._act_leaf._doo_co or fsm._thread
-  local status = co and (co == true and "running" or coroutine.status(co))
-  if status == "running" or status == "normal" then return true end
-  return getinfo ~= nil and is_on_stack(fsm)
-end
-
+-- A step is under way unless an error has cut it short. So is one whose coroutine was
+-- suspended by a callback.
 local function check_no_step(fsm, where, level)
-  if fsm._phase == "idle" then return end
-  fsm._is_usual = false
-  if not is_stepping(fsm) then return end
+  if fsm._phase == "idle" or fsm._is_cut then return end
   error(where .. ": the machine is in the middle of a step", level)
+end
+
+-- The same iteration as by `iterate`. An error that ends it marks the machine.
+local function try(fsm, after_free)
+  local ok, counted, idle = pcall(iterate, fsm, after_free)
+  if not ok then raise_cut(fsm, counted) end
+  return counted, idle
 end
 
 --- Raise an error that blames the caller's caller while a step is under way, for
@@ -2809,7 +2723,7 @@ end
 function rfsm.check_between_steps(fsm, where)
   check_machine(fsm, where, 4)
   check_no_step(fsm, where, 4)
-  if fsm._phase ~= "idle" then iterate(fsm) end
+  if fsm._phase ~= "idle" then try(fsm) end
 end
 
 local check_between_steps = rfsm.check_between_steps
@@ -2830,7 +2744,7 @@ local function advance(fsm, left, counted, idle)
       end
       idle_hook(fsm)
     end
-    counted, idle = engine.iterate(fsm, not counted)
+    counted, idle = try(fsm, not counted)
   end
   if idle and is_traced(fsm) then
     report(fsm, "dbg", "HIBERNATING",
@@ -2853,13 +2767,14 @@ function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
   if n == nil then
-    local counted, idle = engine.iterate(fsm, false)
-    if counted then return idle end -- without a loop: LuaJIT makes one trace of it
+    local ok, counted, idle = pcall(iterate, fsm)
+    if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
+    if not ok then raise_cut(fsm, counted) end
     return advance(fsm, 1, counted, idle)
   elseif type(n) ~= "number" then
     error("rfsm.step: number of steps expected, " .. got(n), 2)
   end
-  return advance(fsm, n == n and n or 1, engine.iterate(fsm, false)) -- NaN is 1
+  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
 end
 
 --- Advance a machine until no event is pending and no doo is busy.
@@ -2868,8 +2783,9 @@ end
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.run", 3) end
-  local counted, idle = engine.iterate(fsm, false) -- the usual two without a loop
-  if counted and not idle then counted, idle = engine.iterate(fsm, false) end
+  local ok, counted, idle = pcall(iterate, fsm) -- the usual two without a loop
+  if ok and counted and not idle then ok, counted, idle = pcall(iterate, fsm) end
+  if not ok then raise_cut(fsm, counted) end
   if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
   return advance(fsm, huge, counted, idle)
 end
@@ -2883,8 +2799,9 @@ end
 function rfsm.reset(fsm)
   check_machine(fsm, "rfsm.reset")
   fsm._reset_wanted, fsm._is_usual = true, false
-  if is_stepping(fsm) then return end
-  fsm._phase, fsm._curq, fsm._joined, fsm._failure = "idle", {}, false, false
+  if fsm._phase ~= "idle" and not fsm._is_cut then return end
+  fsm._given = false
+  fsm._phase, fsm._curq, fsm._failure = "idle", {}, false
   reset_now(fsm)
 end
 
@@ -2893,7 +2810,7 @@ end
 ---@return integer waiting length of the queue
 function rfsm.check_events(fsm)
   check_machine(fsm, "rfsm.check_events")
-  local events, failure = ask_getevents(fsm, call_aside)
+  local events, failure = ask_getevents(fsm)
   if not events then error(failure, 0) end
   append(fsm._intq, events)
   return #fsm._intq
@@ -3017,13 +2934,6 @@ function rfsm.regions(state)
   return append({}, type(regions) == "table" and regions or NONE)
 end
 
---- A machine, and where it runs.
----@class rfsm.Place
----@field machine rfsm.Machine
----@field owner rfsm.Machine|false the parent machine, whose state runs it
----@field state rfsm.State|false that state
----@field prefix string "root", or the name of the region: "root.arms.left"
-
 --- List a machine and the regions in its states, at any depth; itself first.
 ---@param fsm rfsm.Machine
 ---@return rfsm.Place[] places
@@ -3048,18 +2958,20 @@ end
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
 -- Without it a machine is compiled bit by bit, as its transitions are taken for the
--- first time, and rfsm/fast.lua is loaded in one of the first iterations. What comes
--- later, by `fsm_merge` or as a first hook, is run uncompiled until the next `prepare`.
+-- first time. So is what comes later, by `fsm_merge` or as a first hook, and a path
+-- through a connector that a guard decides.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
-  if patience >= 0 then load_fast() end
   for _, at in ipairs(rfsm.machines(fsm)) do
-    local plan = at.machine._plan
-    for _, def in ipairs(plan.nodes) do if def.is_leaf then line_to(def) end end
+    local plan, is_hooked = at.machine._plan, at.machine._is_hooked
     for _, def in ipairs(plan.transitions) do compile_transition(def) end
-    if engine.prepare then engine.prepare(at.machine) end
+    for _, def in ipairs(plan.nodes) do
+      for _, choice in pairs(def.is_leaf and list_choices(def) or NONE) do -- any order
+        quick_run(def, choice, is_hooked)
+      end
+    end
   end
 end
 
@@ -3111,17 +3023,17 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways = fsm._ways -- a callback may ask while another path is searched or taken
-  fsm._ways = {}
-  local def = find_transition(fsm, node["_%def"], events)
+  local ways, number = fsm._ways, fsm._search -- a callback may ask during another search
+  fsm._ways, fsm._search = {}, 1
+  local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false
   local at = path
   while def do
     local tail = { node = fsm._nodes[def.tgt.index], nextl = false }
     at.nextl = { { trans = fsm._transitions[def.index], next = tail } }
-    at, def = tail, def.connector and fsm._ways[def.connector]
+    at, def = tail, def.connector and fsm._ways[def.connector].way
   end
-  fsm._ways = ways
+  fsm._ways, fsm._search = ways, number
   return path
 end
 
@@ -3135,7 +3047,13 @@ function rfsm.exit_state(fsm, state)
   end
   if state._mode == "inactive" then return end
   if state._actchild then rfsm.exit_state(fsm, state._actchild) end
-  leave(call_aside, fsm, state)
+  local def, at = state["_%def"], fsm._at -- a callback of a path may call this
+  fsm._at = 0
+  leave(fsm, def, 1)
+  run_exit_hooks(fsm, def, 2)
+  be_left(fsm, def)
+  record(fsm, { "STATE_EXIT", state._fqn }, 3)
+  fsm._at = at
 end
 
 -- Makes the states from the root to `state` the active ones, or those above it.
@@ -3214,9 +3132,7 @@ do
       local hooks = append({}, fsm[field])
       insert(hooks, place == "before" and 1 or #hooks + 1, hook)
       fsm[field] = hooks
-      if field == "_reset_hooks" then return end
       fsm._is_hooked, fsm._is_usual = true, false
-      if not borrowers[hook] then fsm._lends_events = true end
     end
   end
 
@@ -3316,6 +3232,17 @@ do
     return fsm._outcome == "free"
   end
 
+  --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
+  --
+  -- For those who watch. Its error is raised when the iteration is over.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.path_hook_add = hook_adder("rfsm.path_hook_add", "_path_hooks")
+
+  --- Remove a path hook. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
+  rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
+
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
   rfsm.reset_hook_add = hook_adder("rfsm.reset_hook_add", "_reset_hooks")
@@ -3361,21 +3288,10 @@ end
 
 -- Merge: a new element of a live machine ------------------------------------------
 
--- Drops the definitions of the old plan, but for those of the path that is being taken.
-local function forget_paths(fsm)
-  local old, ways, def = fsm._ways, {}, fsm._phase == "take" and fsm._path
-  while def do
-    local node = def.kind == "state" and def or def.connector
-    if node then ways[node] = old[node] end
-    def = node and old[node]
-  end
-  fsm._ways = ways
-  if fsm._phase == "idle" then fsm._path = false end
-end
-
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
-  forget_paths(fsm)
+  fsm._ways = {}
+  if fsm._phase == "idle" then fsm._path = false end
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
   for i, tr in ipairs(fsm._transitions) do

@@ -1,13 +1,16 @@
 --- Advice: the field, name or event that was probably meant.
 --
--- The core loads this file when it reports its first mistake. Without it the reports
--- are the same, and the hints are missing. Each function returns a text, which is empty
--- if there is no hint.
+-- The core loads this file when it needs the first hint. Without it all problems are
+-- reported, without hints, and some warnings are missing. Each function returns a text,
+-- which is empty if there is no hint.
 --
 -- @module rfsm.advice
 -- @license BSD-3-Clause
 
-local ipairs, pairs, type = ipairs, pairs, type
+local rfsm = require "rfsm"
+
+local getmetatable, ipairs, pairs = getmetatable, ipairs, pairs
+local rawequal, rawget, type = rawequal, rawget, type
 local floor, min = math.floor, math.min
 local concat, sort = table.concat, table.sort
 
@@ -181,6 +184,77 @@ function advice.module_of(word)
     end
   end
   return ""
+end
+
+-- Mistakes: what is allowed, and probably not what was meant ----------------------
+
+-- Returns the warning of a plain table that looks like a state or transition that
+-- somebody forgot to mark.
+local function unmarked(t)
+  if rawget(t, "src") ~= nil and rawget(t, "tgt") ~= nil then
+    return "a plain table that has 'src' and 'tgt' is ignored (did you mean "
+      .. "rfsm.trans{...}?)"
+  end
+  for _, value in pairs(t) do -- any order: one element decides
+    if rfsm.is_fsmobj(value) then
+      return "a plain table that contains states or transitions is ignored (did you "
+        .. "mean rfsm.state{...}?)"
+    end
+  end
+  return ""
+end
+
+-- Returns the warning of a field that looks like one of the library's in other words.
+local function misspelt(def, key, value)
+  if def.kind ~= "transition" and not rfsm.is_callable(value) then return "" end
+  local meant = def.kind == "transition" and key == "event" and "events"
+    or advice.field_meant(def.parent == def and "root" or def.kind, key)
+  if meant == "" or def.model[meant] ~= nil then return "" end
+  return ("a %s has no field '%s' (did you mean '%s'?)"):format(def.kind, key, meant)
+end
+
+local IS_CALLBACK = { entry = true, exit = true, doo = true, guard = true, effect = true }
+
+--- Return the warning of a field that counts as the user's data, and where it stands.
+---@param def rfsm.Def the element that has the field
+---@return string text
+---@return string? field
+function advice.datum(def, key, value)
+  local field, is_table = rfsm.text_of(key), type(value) == "table"
+  for _, name in ipairs({ "state", "trans", "conn" }) do
+    if rawequal(value, rfsm[name]) then
+      return ("rfsm.%s is not called (rfsm.%s{...})"):format(name, name), field
+    end
+  end
+  local text = is_table and getmetatable(value) == nil and unmarked(value) or ""
+  if text ~= "" then
+    return text, field
+  elseif def.kind == "connector" and IS_CALLBACK[key] then
+    return ("a connector has no %s, this one is ignored"):format(key), field
+  elseif type(key) == "string" and not rfsm.is_meta(key) then
+    return misspelt(def, key, value)
+  end
+  return ""
+end
+
+--- Return the warning of an `initial` that may not be enabled: its composite has no
+--- entry then.
+function advice.initial(def)
+  if def.id ~= "initial" or not def.otrs[1] then return "" end
+  for _, tr in ipairs(def.otrs) do
+    if not (tr.events or tr.guard) then return "" end
+  end
+  return ("each transition from here has events or a guard, '%s' cannot be entered "
+    .. "while none of them is enabled"):format(def.parent.fqn)
+end
+
+--- Return the warning of an event such as e_after(1) that no extension has made its own.
+--- An extension that knows the word has warned itself.
+function advice.event(_, event)
+  local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
+  local hint = word and advice.module_of(word)
+  if not hint then return "" end
+  return ("no loaded extension knows '%s'%s"):format(event, hint), "events"
 end
 
 return advice
