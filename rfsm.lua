@@ -2702,11 +2702,12 @@ function rfsm.send_events(fsm, event, ...)
   if select("#", ...) > 0 then return queue_more(queue, ...) end
 end
 
--- A step is under way unless an error has cut it short. So is one whose coroutine was
--- suspended by a callback.
+-- A step is under way unless an error has cut it short. So is one that a callback has
+-- suspended, with its coroutine.
 local function check_no_step(fsm, where, level)
   if fsm._phase == "idle" or fsm._is_cut then return end
-  error(where .. ": the machine is in the middle of a step", level)
+  error(where .. ": the machine is in the middle of a step; if its coroutine is never "
+    .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
 -- The same iteration as by `iterate`. An error that ends it marks the machine.
