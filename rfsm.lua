@@ -19,7 +19,6 @@ local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset,
 local setmetatable, tostring, type = setmetatable, tostring, type
 local concat, insert = table.concat, table.insert
 local remove, sort = table.remove, table.sort
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local huge = 1 / 0
 
 -- Returns a global, or a field of one; nil where a sandbox lacks it.
@@ -257,9 +256,39 @@ end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
+-- The predicates that `rfsm.named` has made: predicate -> name, and name -> predicate.
+local event_names = setmetatable({}, { __mode = "k" })
+local predicates = setmetatable({}, { __mode = "v" })
+
+--- Return a predicate for `events`: it accepts a table whose field `name` is that text.
+--
+-- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
+-- The same name gives the same predicate, whose name every tool can read.
+--
+---@param name string
+---@return fun(event: any): boolean predicate
+function rfsm.named(name)
+  if type(name) ~= "string" then
+    error("rfsm.named: name of an event expected, got " .. type(name), 2)
+  end
+  local predicate = predicates[name]
+  if not predicate then
+    predicate = function(event)
+      return type(event) == "table" and rawequal(rawget(event, "name"), name)
+    end
+    predicates[name], event_names[predicate] = predicate, name
+  end
+  return predicate
+end
+
+--- Return the name that a predicate of `rfsm.named` accepts, nil for any other value.
+---@param predicate any
+---@return string? name
+function rfsm.event_name(predicate) return event_names[predicate] end
+
 local function list_text(values)
   local texts = {}
-  for i = 1, #values do texts[i] = text_of(values[i]) end
+  for i = 1, #values do texts[i] = event_names[values[i]] or text_of(values[i]) end
   return concat(texts, ", ")
 end
 
@@ -477,7 +506,8 @@ function rfsm.structure_of(fsm) return fsm._plan end
 ---@param tr rfsm.Transition a transition of a machine
 ---@return string fqn "internal" for an internal transition
 function rfsm.target_of(tr)
-  return tr._is_internal and "internal" or tr["_%def"].tgt.fqn
+  local def = tr["_%def"]
+  return def.is_internal and "internal" or def.tgt.fqn
 end
 
 local model_of = rfsm.model_of
@@ -605,8 +635,8 @@ do
         add(build.warnings, def, nil, "its guard is false and counts as absent, it was "
           .. "made while the chart was loaded")
       end
-      def[key] = value
       if value then add_datum(def, key, value) end
+      if key == "doo" or key == "guard" then def[key] = value or nil end
     elseif key == "initial" and def.kind == "state" then
       add(build.problems, def, key, "connector expected, %s "
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
@@ -827,7 +857,7 @@ do
 
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
-    if src then src.is_left = true end
+    if src and src.kind == "connector" then src.is_left = true end
     local tgt, tgt_reason, is_internal = find_target(build, def, src)
     if not def.parent.is_leaf then -- there is a warning of those
       if src_reason then add(build.problems, def, nil, src_reason) end
@@ -880,28 +910,30 @@ do
 
   local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-  -- The events of a transition: a list of the caller's own, since machines share the
-  -- definition.
-  local Events = {}
-  function Events.__index(proto, key)
-    return key == "events" and append({}, proto["_%def"].events or NONE) or nil
+  -- What elements inherit, for each class: the methods. The events of a transition are
+  -- a list of the caller's own, since machines share the definition.
+  local INHERITED = {}
+  for kind, class in pairs(CLASSES) do -- any order: each stands alone
+    INHERITED[kind] = { __index = { type = class.type, new = class.new } }
   end
 
-  -- Makes the metatable of the elements, in which absent fields are looked up.
+  function INHERITED.transition.__index(proto, key)
+    if key == "events" then return append({}, proto["_%def"].events or NONE) end
+    return key ~= "rfsm" and CLASSES.transition[key] or nil
+  end
+
+  -- Makes the metatable of an element, in which absent fields are looked up.
   local function make_proto(def)
-    local class = CLASSES[def.kind]
     local proto = {
-      ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
-      __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
+      ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
       __eq = rawequal, -- so that no other one's is ever asked
+      __index = false, _id = def.id, _fqn = def.fqn,
     }
     if def.kind == "transition" then
-      proto.guard, proto.effect = false, false
-      proto._is_internal = def.is_internal or nil
-      setmetatable(proto, Events)
+      proto.pn, proto.guard, proto.effect = def.pn, false, false
     end
     proto.__index = proto
-    def.proto = proto
+    def.proto = setmetatable(proto, INHERITED[def.kind])
     if def.is_leaf then
       def.done_event, def.choices = "e_done@" .. def.fqn, NONE
     end
@@ -959,12 +991,10 @@ do
 
   -- Lists the states from the root to `leaf`.
   function line_to(leaf)
-    if leaf.line then return leaf.line end
     local line, def = {}, leaf
     for i = leaf.depth + 1, 1, -1 do
       line[i], def = def, def.parent
     end
-    leaf.line = line
     return line
   end
 end
@@ -1293,7 +1323,8 @@ end
 ---@param name "dbg"|"info"|"warn"|"err"
 ---@param ... any
 function rfsm.report(fsm, name, ...)
-  local printer = printer_of(fsm, name)
+  local printer = fsm[name]
+  if not printer or printer == true then printer = printer_of(fsm, name) end
   local ok, failure = pcall(printer, ...)
   if ok then return end
   if not is_callable(printer) then
@@ -1516,8 +1547,8 @@ end
 local function note_of(fsm, connector)
   local note = fsm._ways[connector]
   if not note then
-    note = { otrs = connector.otrs, search = 0, way = false, position = 0, found = false,
-      others = false, outer = false, asked = false }
+    note = { otrs = connector.otrs, search = 0, way = false,
+      position = 0, found = false, others = false, outer = false, asked = false }
     fsm._ways[connector] = note
   end
   return note
@@ -1792,16 +1823,56 @@ local function show_path(fsm, path, at)
   call_hooks(fsm, fsm._path_hooks, list, at)
 end
 
--- Traces `words`.
-local function record(fsm, words, at)
-  if fsm.dbg == silent or not fsm.dbg then return end
-  fsm._at = at
-  report(fsm, "dbg", unpack(words))
+local function label_of(node)
+  if node.kind == "connector" then return node.fqn .. "[c]" end
+  return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
 end
 
-local function record_effect(fsm, def, at)
-  if fsm.dbg == silent then return end
-  record(fsm, { "EFFECT", tostring(fsm._transitions[def.index]) }, at)
+-- What a path traces: each returns the words of a record.
+local RECORDS = {}
+
+-- root.a[LS]->root.k[c]->root.b[LS]
+function RECORDS.path(path)
+  local text = path.text or label_of(path.segments[1].src)
+  for _, def in ipairs(path.text and NONE or path.segments) do
+    text = text .. "->" .. label_of(def.tgt)
+  end
+  path.text = text
+  return "EXEC_PATH", text
+end
+
+function RECORDS.exits(def)
+  local outermost = def.src
+  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+    outermost = outermost.parent
+  end
+  return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+    def.lca.fqn
+end
+
+function RECORDS.exit(state) return "STATE_EXIT", state.fqn end
+
+function RECORDS.effect(def, fsm)
+  return "EFFECT", tostring(fsm._transitions[def.index])
+end
+
+function RECORDS.entries(def)
+  local text, node = def.tgt.fqn, def.tgt.parent
+  while node ~= def.lca do text, node = text .. " > " .. node.fqn, node.parent end
+  return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", text
+end
+
+function RECORDS.done(leaf) return "RAISED", leaf.done_event end
+
+function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
+
+local recorders = {}
+for name, words in pairs(RECORDS) do -- any order: each stands alone
+  recorders[name] = function(fsm, arg, at)
+    if fsm.dbg == silent or not fsm.dbg then return end
+    fsm._at = at
+    report(fsm, "dbg", words(arg, fsm))
+  end
 end
 
 local function run_effect(fsm, def, at)
@@ -1855,7 +1926,7 @@ end
 local function become_leaf(fsm, def, at)
   local leaf = fsm._nodes[def.index]
   fsm._act_leaf = leaf
-  if not leaf.doo then record(fsm, { "RAISED", def.done_event }, at) end
+  if not leaf.doo then recorders.done(fsm, def, at) end
 end
 
 -- A leaf without doo has done its work. Cut short it may raise its e_done twice, which
@@ -1877,33 +1948,14 @@ do
     list.args[#list.actions] = arg
   end
 
-  local function add_record(list, ...) add_action(list, record, { ... }) end
-
-  local function label_of(node)
-    if node.kind == "connector" then return node.fqn .. "[c]" end
-    return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
-  end
-
-  -- root.a[LS]->root.k[c]->root.b[LS]
-  local function add_path_record(list, segments)
-    local text = label_of(segments[1].src)
-    for _, def in ipairs(segments) do text = text .. "->" .. label_of(def.tgt) end
-    add_record(list, "EXEC_PATH", text)
-  end
-
   -- From the state `from` up to the lca, where nothing is left.
   local function add_exits(list, def, from)
-    local outermost = def.src
-    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-      outermost = outermost.parent
-    end
-    add_record(list, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn,
-      ", lca:", def.lca.fqn)
+    add_action(list, recorders.exits, def)
     while from ~= def.lca do
       add_action(list, leave, from)
       add_action(list, run_exit_hooks, from)
       add_action(list, be_left, from)
-      add_record(list, "STATE_EXIT", from.fqn)
+      add_action(list, recorders.exit, from)
       from = from.parent
     end
   end
@@ -1915,15 +1967,7 @@ do
       add_action(list, become_leaf, state)
       add_action(list, be_done, state)
     end
-    add_record(list, "STATE_ENTER", state.fqn)
-  end
-
-  local function add_entries(list, def)
-    local names, node = {}, def.tgt
-    while node ~= def.lca do names[#names + 1], node = node.fqn, node.parent end
-    add_record(list, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ",
-      concat(names, " > "))
-    for _, state in ipairs(def.entries) do add_entry(list, state) end
+    add_action(list, recorders.entry, state)
   end
 
   -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
@@ -1932,12 +1976,15 @@ do
     local from, list = path.from, { actions = {}, args = {} }
     add_action(list, show_path, path)
     if path.entered then add_entry(list, path.entered) end
-    if path.segments[1] then add_path_record(list, path.segments) end
+    if path.segments[1] then add_action(list, recorders.path, path) end
     for _, def in ipairs(path.segments) do
       if not def.is_internal then add_exits(list, def, from) end
-      add_action(list, record_effect, def)
+      add_action(list, recorders.effect, def)
       add_action(list, run_effect, def)
-      if not def.is_internal then add_entries(list, def) end
+      if not def.is_internal then add_action(list, recorders.entries, def) end
+      for _, state in ipairs(def.is_internal and NONE or def.entries) do
+        add_entry(list, state)
+      end
       from = def.tgt.parent
     end
     path.args = list.args
@@ -1995,21 +2042,26 @@ end
 
 local OFTEN = 3 -- what is used more often is compiled
 
--- Returns the function that rfsm/fast.lua has made for a path or a list of candidates;
--- false if there is none, or it was not used often.
+-- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it, or
+-- false if there is none:
 --
 --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. It has done nothing
 --                               and returns false if a search did not choose the path,
 --                               and is needed
 --   list.find                   as `first_candidate`
-function compiled(at, name)
-  if at[name] ~= nil then return at[name] end
-  at.used = (at.used or 0) + 1
-  if fast and at.used <= OFTEN then return false end
+local function compile_text(at, name)
   local ok, f = pcall(fast and fast[name] or silent, at)
   if not ok and f ~= "not enough memory" then error(f, 0) end
   at[name] = ok and f or false
   return at[name]
+end
+
+-- The same, if it is used often.
+function compiled(at, name)
+  if at[name] ~= nil then return at[name] end
+  at.used = (at.used or 0) + 1
+  if fast and at.used <= OFTEN then return false end
+  return compile_text(at, name)
 end
 
 -- Returns the path that is taken whenever the transition `def` is the only candidate,
@@ -2028,13 +2080,25 @@ end
 
 -- Notes in a list of candidates, and returns, the function that takes the path to which
 -- they lead without a search; false if they may lead to several, or not yet often.
-local function quick_run(leaf, choice, is_hooked)
+local function quick_run(leaf, choice, name)
   local def = choice[1]
   local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
-  local name = is_hooked and "run_hooked" or "run"
   local run = path and compiled(path, name) or false
   if not path or path[name] ~= nil then choice[name] = run end
   return run
+end
+
+-- Makes now what a list of candidates, and the paths to which they lead, would get in a
+-- run.
+local function prepare_choice(leaf, choice, name)
+  local is_searched = choice[2]
+  for _, def in ipairs(choice) do
+    local path = straight_path(leaf, def)
+    if path then compile_text(path, name) end
+    is_searched = is_searched or not path or def.guard or def.is_asked
+  end
+  if is_searched then compile_text(choice, "find") end
+  quick_run(leaf, choice, name)
 end
 
 -- Doo ............................................................................
@@ -2069,7 +2133,11 @@ do
 
   local function end_doo(fsm, leaf)
     if leaf._mode ~= "done" then complete(fsm, leaf) end
-    record(fsm, { "DOO", "removing completed coroutine of " .. leaf._fqn .. " doo" }, 2)
+    if is_traced(fsm) then
+      fsm._at = 2
+      report(fsm, "dbg", "DOO",
+        "removing completed coroutine of " .. leaf._fqn .. " doo")
+    end
     leaf._doo_co = nil
   end
 
@@ -2176,7 +2244,7 @@ local function iterate_hooked(fsm, after_free)
     if event ~= nil and more == nil then
       choice = def.choices[event] or choice_of(def, event)
       local run = choice.run_hooked
-      if run == nil then run = quick_run(def, choice, true) end
+      if run == nil then run = quick_run(def, choice, "run_hooked") end
       if run and run(fsm) then return conclude(fsm, "counted") end
     end
   end
@@ -2221,7 +2289,7 @@ local function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would co
   if more == nil then
     choice = def.choices[event] or choice_of(def, event)
     local run = choice.run
-    if run == nil then run = quick_run(def, choice, false) end
+    if run == nil then run = quick_run(def, choice, "run") end
     local is_taken = run and run(fsm)
     if is_taken and (fsm._is_lent or not fsm._is_usual) then
       return conclude(fsm, "counted")
@@ -2956,6 +3024,28 @@ function rfsm.machines(fsm)
   return places
 end
 
+-- Returns a node of a machine, or of one in its states, by its name, "root.par.left.a".
+local function find_by_name(fsm, name)
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, node in ipairs(at.machine._nodes) do
+      if at.prefix .. node._fqn:sub(5) == name then return node end
+    end
+  end
+end
+
+--- Is a state active, in the machine or in one that runs in its states?
+---@param fsm rfsm.Machine
+---@param state rfsm.State|string the name begins as `rfsm.machines` says
+---@return boolean
+function rfsm.is_in(fsm, state)
+  check_machine(fsm, "rfsm.is_in")
+  local node = type(state) == "string" and find_by_name(fsm, state) or state
+  if not is_state(node) or not node._mode then
+    error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+  end
+  return node._mode ~= "inactive"
+end
+
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
 -- Without it a machine is compiled bit by bit, as its transitions are taken for the
@@ -2966,11 +3056,11 @@ end
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
   for _, at in ipairs(rfsm.machines(fsm)) do
-    local plan, is_hooked = at.machine._plan, at.machine._is_hooked
+    local plan, name = at.machine._plan, at.machine._is_hooked and "run_hooked" or "run"
     for _, def in ipairs(plan.transitions) do compile_transition(def) end
     for _, def in ipairs(plan.nodes) do
       for _, choice in pairs(def.is_leaf and list_choices(def) or NONE) do -- any order
-        quick_run(def, choice, is_hooked)
+        prepare_choice(def, choice, name)
       end
     end
   end
@@ -3053,7 +3143,7 @@ function rfsm.exit_state(fsm, state)
   leave(fsm, def, 1)
   run_exit_hooks(fsm, def, 2)
   be_left(fsm, def)
-  record(fsm, { "STATE_EXIT", state._fqn }, 3)
+  recorders.exit(fsm, def, 3)
   fsm._at = at
 end
 

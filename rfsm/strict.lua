@@ -18,8 +18,9 @@ local text_of = rfsm.text_of
 
 local strict = { is_watching = false }
 
--- What was told, by machine.
+-- What was told, and of which early events, by machine.
 local told = setmetatable({}, { __mode = "k" })
+local early = setmetatable({}, { __mode = "k" })
 
 local function warn(fsm, text)
   if told[fsm][text] then return end
@@ -61,6 +62,15 @@ local function oddness_of(fsm, known, event)
     advice.nearest_name(event, names_of(known)))
 end
 
+-- Warns once of an event that comes before the machine is entered.
+local function check_early(fsm, at, event)
+  local name = text_of(event)
+  if rfsm.get_sta_mode(fsm) ~= "inactive" or early[fsm][name] then return end
+  early[fsm][name] = true
+  warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
+    :format(at, name))
+end
+
 -- Warns of what is sent to a machine. `at`: the sender, "lamp.lua:7: ".
 local function check_events(fsm, at, ...)
   local known = alphabet.of_all(fsm)
@@ -70,11 +80,8 @@ local function check_events(fsm, at, ...)
       warn(fsm, ("%sargument %d is nil, which is no event"):format(at, i))
     elseif not alphabet.has(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
-    elseif rfsm.get_sta_mode(fsm) == "inactive" then
-      fsm._told_early = fsm._told_early or {} -- the core warns of the others
-      fsm._told_early[event] = true
-      warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
-        :format(at, text_of(event)))
+    else
+      check_early(fsm, at, event)
     end
   end
 end
@@ -121,8 +128,12 @@ local function check_fields(fsm, obj)
   end
 end
 
-local function check_all_fields(fsm)
+-- The pre step hook. Events of getevents have no sender.
+local function check_machine(fsm, events)
   for _, obj in ipairs(rfsm.elements(fsm)) do check_fields(fsm, obj) end
+  for _, event in ipairs(events) do
+    if event ~= "e_init_fsm" then check_early(fsm, "", event) end
+  end
 end
 
 -- Public functions ..................................................................
@@ -133,8 +144,8 @@ function strict.watch(fsm)
   if not strict.is_watching then watch_senders() end
   strict.is_watching = true
   if told[fsm] then return end
-  told[fsm] = {}
-  rfsm.pre_step_hook_add(fsm, check_all_fields)
+  told[fsm], early[fsm] = {}, {}
+  rfsm.pre_step_hook_add(fsm, check_machine)
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)

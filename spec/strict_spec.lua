@@ -68,7 +68,7 @@ describe("a strict machine", function()
       .. "consumes it", HERE .. "argument 2 is nil, which is no event" }, warnings)
   end)
 
-  it("warns once of an early event; the core of those that were not sent", function()
+  it("warns once of an early event, also of getevents", function()
     local got = { "e_p" }
     local fsm, warnings = watched { getevents = function()
       local list = got
@@ -78,8 +78,8 @@ describe("a strict machine", function()
     rfsm.send_events(fsm, "e_x")
     rfsm.run(fsm)
     assert.same({ HERE .. "event 'e_x' is sent before the first step, whose entry "
-      .. "consumes it", HERE .. "sent before the machine was entered, which consumes "
-      .. "them: e_p" }, warnings)
+      .. "consumes it", HERE .. "event 'e_p' is sent before the first step, whose entry "
+      .. "consumes it" }, warnings)
   end)
 
   it("names the sender's file and line, and warns once of each", function()
