@@ -428,6 +428,33 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
+--- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
+---@class rfsm.Build
+---@field plan rfsm.Plan the result
+---@field problems { at: string, file?: string, text: string }[]
+---@field warnings { at: string, file?: string, text: string }[]
+---@field created { line: string }[] `initial` connectors that are not declared
+---@field mounts table<table, rfsm.Def[]> model node -> its clones
+---@field fsm rfsm.Machine? the machine that something is merged into
+
+--- The definition of a node or transition: all that is known before a machine runs.
+--
+-- The machines of a model share it. The table of an element in a machine holds the
+-- fields of that machine, and inherits the rest from `proto`.
+--
+---@class rfsm.Def
+---@field kind "state"|"transition"|"connector"
+---@field index integer its position among the nodes or transitions of the plan
+---@field id string|integer
+---@field parent rfsm.Def its composite; the root is its own
+---@field model table its source in the model
+---@field data any[] callbacks and the user's data: key, value, key, value ...
+---@field proto table metatable of the elements
+---@field fqn string of a node
+---@field is_leaf boolean of a state
+---@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
+---@field src rfsm.Def of a transition, as `tgt`, `events`, `pn`
+
 -- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
 local function name_of(def, field)
@@ -631,12 +658,13 @@ do
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
-      if key == "guard" and value == false then
+      if value then
+        add_datum(def, key, value)
+        if key == "doo" or key == "guard" then def[key] = value end
+      elseif key == "guard" then
         add(build.warnings, def, nil, "its guard is false and counts as absent, it was "
           .. "made while the chart was loaded")
       end
-      if value then add_datum(def, key, value) end
-      if key == "doo" or key == "guard" then def[key] = value or nil end
     elseif key == "initial" and def.kind == "state" then
       add(build.problems, def, key, "connector expected, %s "
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
@@ -894,6 +922,15 @@ end
 -- At init only the transitions of each node are listed. The rest is made when a leaf is
 -- searched or a transition is taken for the first time, so that unused parts take
 -- neither time nor memory. Callbacks are not compiled: each is read when it is called.
+
+--- The structure that machines of a model share.
+---@class rfsm.Plan
+---@field model rfsm.State its source
+---@field nodes rfsm.Def[] parents before children, the root first
+---@field transitions rfsm.Def[]
+---@field events table<any, true> the events that transitions name
+---@field trail table|false see `is_current`; only the plan of a model has one
+---@field variant rfsm.Plan|false what preproc functions have made of it, the latest
 
 local compile, compile_transition, line_to
 
@@ -1236,32 +1273,7 @@ local function list_otrs(fsm, plan)
   end
 end
 
--- Run: one iteration after the other ----------------------------------------------
---
--- Between two iterations exactly one leaf is active, or none before the first entry.
--- `_phase` names what is under way:
---
---   idle     nothing: the machine waits for its caller
---   gather   the pending events and those of getevents become the current ones, the
---            pre step hooks are called
---   search   a path is chosen that the events enable
---   take     the actions of that path are performed
---   doo      there is no path: a doo cycle is run
---   finish   the post step hooks are called
---
--- Each phase ends in a call of the next one.
---
--- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
--- of time. It may come at any instruction, and reaches the caller of `step`; the
--- machine is marked as cut short. The next step repeats the phase, but for the
--- callbacks up to the one under way. One rule makes that right:
---
---   An action calls callbacks of one kind at most, changes the machine before it calls
---   them, and notes its position right before each call.
---
--- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
--- callback is called at most once, and what changes the machine may be repeated. Only
--- guards may be asked again.
+-- Report: what a machine says to its printers, and errors that wait ---------------
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1360,6 +1372,33 @@ local function report_callback(fsm, name, owner, callback, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   report(fsm, "err", name:upper(), text .. ": ", failure)
 end
+
+-- Run: one iteration after the other ----------------------------------------------
+--
+-- Between two iterations exactly one leaf is active, or none before the first entry.
+-- `_phase` names what is under way:
+--
+--   idle     nothing: the machine waits for its caller
+--   gather   the pending events and those of getevents become the current ones, the
+--            pre step hooks are called
+--   search   a path is chosen that the events enable
+--   take     the actions of that path are performed
+--   doo      there is no path: a doo cycle is run
+--   finish   the post step hooks are called
+--
+-- Each phase ends in a call of the next one.
+--
+-- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
+-- of time. It may come at any instruction, and reaches the caller of `step`; the
+-- machine is marked as cut short. The next step repeats the phase, but for the
+-- callbacks up to the one under way. One rule makes that right:
+--
+--   An action calls callbacks of one kind at most, changes the machine before it calls
+--   them, and notes its position right before each call.
+--
+-- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
+-- callback is called at most once, and what changes the machine may be repeated. Only
+-- guards may be asked again.
 
 local compiled, conclude, path_of, perform
 local PHASES, search = {}, nil
@@ -1519,7 +1558,7 @@ end
 
 -- A guard that fails does not enable: returns false. One that is interrupted is asked
 -- again by the next step.
-local function refuse(fsm, tr, guard, failure)
+local function refuse_guard(fsm, tr, guard, failure)
   if rfsm.is_interrupt(failure) then error(failure, 0) end
   report_callback(fsm, "guard", tr, guard, failure)
   return false
@@ -1533,7 +1572,7 @@ local function ask(fsm, def, events)
   if guard then
     if not borrowers[guard] then fsm._is_lent = true end
     local ok, answer = pcall(guard, tr, events)
-    if not ok then answer = refuse(fsm, tr, guard, answer) end
+    if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
     if answer == false then return nil end
   end
   if def.connector == nil then compile_transition(def) end
@@ -1579,9 +1618,10 @@ local function ask_next(fsm, note, def, events)
 end
 
 -- Finds the way out of a connector, and of those to which its transitions lead, each
--- once a search: (a) begins with a connector, (b) asks its next transition, also further
--- ones of the same priority, to warn of a conflict, (c) goes back to the connector from
--- which it came. Until then a connector has no way out, so that cycles end.
+-- once a search: (a) begins with a connector, (b) asks its next transition, also
+-- further ones of the same priority, to warn of a conflict, (c) goes back to the
+-- connector from which it came. Until then a connector has no way out, so that cycles
+-- end.
 local function find_way(fsm, there, events)
   local note = false
   repeat
@@ -1609,12 +1649,12 @@ local function lead(fsm, def, events)
   return note.way and def or nil
 end
 
--- Returns the first transition of a node that is enabled, nil if there is none, or a
+-- Returns the first transition of a list that is enabled, nil if there is none, or a
 -- guard has merged something.
-local function first_enabled(fsm, otrs, events)
+local function first_enabled(fsm, list, events)
   local plan = fsm._plan
-  for i = 1, #otrs do
-    local def = matches(otrs[i], events) and ask(fsm, otrs[i], events)
+  for i = 1, #list do
+    local def = matches(list[i], events) and ask(fsm, list[i], events)
     local found = def and lead(fsm, def, events)
     if found or fsm._plan ~= plan then return found or nil end
   end
@@ -1683,17 +1723,6 @@ local function candidates_of(leaf, events)
   return common
 end
 
--- Returns the first of the candidates that is enabled; nil as `first_enabled`.
-local function first_candidate(fsm, list, events)
-  local plan = fsm._plan
-  for i = 1, #list do
-    local def = list[i]
-    def = (not def.is_asked or matches(def, events)) and ask(fsm, def, events)
-    local found = def and lead(fsm, def, events)
-    if found or fsm._plan ~= plan then return found or nil end
-  end
-end
-
 -- Returns the transition that the events enable, nil if there is none: found among the
 -- candidates in `list`, if they are known. If a guard has merged something into the
 -- machine it is searched again.
@@ -1702,7 +1731,7 @@ local function choose(fsm, leaf, events, list)
   local plan, def, find = fsm._plan, leaf["_%def"], nil
   if not list then list = not is_traced(fsm) and candidates_of(def, events) end
   if list and list[1] == nil then return nil end
-  if list then find = list.find or compiled(list, "find") or first_candidate end
+  if list then find = list.find or compiled(list, "find") or first_enabled end
   fsm._search = fsm._search + 1
   if not find then list, find = def, choose_by_node end
   def = find(fsm, list, events)
@@ -2034,21 +2063,21 @@ local function load_fast()
     failed = report_callback, call_hooks = call_hooks, show_path = show_path,
     run_effect = run_effect, leave = leave, run_exit_hooks = run_exit_hooks,
     be_left = be_left, become_active = become_active, enter = enter,
-    become_leaf = become_leaf, matches = matches, refuse = refuse, retarget = retarget,
-    lead = lead, note_of = note_of, warn_of_conflict = warn_of_conflict,
-    compile_transition = compile_transition,
+    become_leaf = become_leaf, matches = matches, refuse_guard = refuse_guard,
+    retarget = retarget, lead = lead, note_of = note_of,
+    warn_of_conflict = warn_of_conflict, compile_transition = compile_transition,
   } or false
 end
 
 local OFTEN = 3 -- what is used more often is compiled
 
--- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it, or
--- false if there is none:
+-- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
+-- or false if there is none:
 --
 --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. It has done nothing
 --                               and returns false if a search did not choose the path,
 --                               and is needed
---   list.find                   as `first_candidate`
+--   list.find                   as `first_enabled`
 local function compile_text(at, name)
   local ok, f = pcall(fast and fast[name] or silent, at)
   if not ok and f ~= "not enough memory" then error(f, 0) end
@@ -3003,6 +3032,13 @@ function rfsm.regions(state)
   return append({}, type(regions) == "table" and regions or NONE)
 end
 
+--- A machine, and where it runs.
+---@class rfsm.Place
+---@field machine rfsm.Machine
+---@field owner rfsm.Machine|false the parent machine, whose state runs it
+---@field state rfsm.State|false that state
+---@field prefix string "root", or the name of the region: "root.arms.left"
+
 --- List a machine and the regions in its states, at any depth; itself first.
 ---@param fsm rfsm.Machine
 ---@return rfsm.Place[] places
@@ -3114,7 +3150,7 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways, number = fsm._ways, fsm._search -- a callback may ask during another search
+  local ways, number = fsm._ways, fsm._search -- this may be asked during a search
   fsm._ways, fsm._search = {}, 1
   local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false

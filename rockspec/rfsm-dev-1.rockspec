@@ -152,6 +152,7 @@ build = {
     ["rfsm.snapshot.plain"] = "rfsm/snapshot/plain.lua",
     ["rfsm.strict"] = "rfsm/strict.lua",
     ["rfsm.timeevent"] = "rfsm/timeevent.lua",
+    ["rfsm.types"] = "rfsm/types.lua",
     ["rfsm.web"] = "rfsm/web.lua",
     ["rfsm.web.hosted"] = "rfsm/web/hosted.lua",
     ["rfsm.web.http"] = "rfsm/web/http.lua",
