@@ -1,9 +1,6 @@
 ---@meta
---- Types: the tables that a program writes and gets, for language servers. No program
---- loads this file.
---
--- @module rfsm.types
--- @license BSD-3-Clause
+-- Types of the tables that a program writes and gets, for the editor. No program loads
+-- this file. Licence: BSD, 3 clauses.
 
 --- A state as the user writes it.
 --

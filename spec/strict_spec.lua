@@ -78,8 +78,8 @@ describe("a strict machine", function()
     rfsm.send_events(fsm, "e_x")
     rfsm.run(fsm)
     assert.same({ HERE .. "event 'e_x' is sent before the first step, whose entry "
-      .. "consumes it", HERE .. "event 'e_p' is sent before the first step, whose entry "
-      .. "consumes it" }, warnings)
+      .. "consumes it", HERE .. "event 'e_p' is sent before the first step, whose "
+      .. "entry consumes it" }, warnings)
   end)
 
   it("names the sender's file and line, and warns once of each", function()
