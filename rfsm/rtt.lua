@@ -6,17 +6,26 @@
 -- loaded when one of them is used.
 --
 -- Variables are made once and used again, so that reading, raising and writing allocate
--- nothing in the steady state. The module loads without RTT, and needs no rttlib.
+-- nothing in the steady state. The module loads without RTT, and needs no rttlib. In a
+-- Lua with a TLSF pool, loading it sets the garbage collector.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause
 
+local collectgarbage, error, package, pcall = collectgarbage, error, package, pcall
+local rawget, rawset, require, select = rawget, rawset, require, select
+local setmetatable, tostring, type = setmetatable, tostring, type
+
+-- The pool of a TLSF component fails when it is full, and Lua 5.1 does not collect
+-- because memory is short. So the collector never pauses there, from now on: what is
+-- loaded next is large. Lua 5.5 has other parameters.
+if rawget(_G, "tlsf") then
+  pcall(collectgarbage, "setpause", 100)
+  pcall(collectgarbage, "setstepmul", 1000)
+end
+
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
-
-local error, pcall, rawget, rawset, require = error, pcall, rawget, rawset, require
-local select, setmetatable, tostring, type = select, setmetatable, tostring, type
-local package = package
 
 ---@class rfsm.rtt
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean

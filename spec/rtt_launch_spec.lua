@@ -420,17 +420,10 @@ describe("component_launch_rfsm", function()
     assert.equal("c", leaf_of(exec_str))
   end)
 
-  it("works in a TLSF component, whose collector never pauses", function()
-    local has_tuning = _VERSION ~= "Lua 5.5" -- it has other parameters
-    if has_tuning then collectgarbage("setpause", 200) end -- others have set it
-    local _, exec_leg = launched { name = "leg" }
-    local pause = has_tuning and evaluate(exec_leg, "collectgarbage('setpause', 200)")
+  it("works in a TLSF component", function()
     local send, came, _, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
     send("e_go")
     assert.equal("<none> a b table", came() .. " " .. evaluate(exec_str, "type(tlsf)"))
-    if not has_tuning then return end
-    assert.equal("200 true 1000", pause .. " " .. evaluate(exec_str,
-      "collectgarbage('setpause', 200) <= 100, collectgarbage('setstepmul', 200)"))
   end)
 
   -- Fields of a launch, fields of the chart, the port that is written.
@@ -976,6 +969,49 @@ function startHook() return true end]])
       assert.matches("getOperation", refused_with { deployer = {} })
     end)
   end)
+end)
+
+-- The collector: of a pool, and of other Luas --------------------------------------
+
+-- Lua 5.5 sets it in another way.
+describe("the collector of a component's Lua", function()
+  if _VERSION == "Lua 5.5" then return end
+  local pause, step_multiplier
+
+  before_each(function()
+    pause = collectgarbage("setpause", 200)
+    step_multiplier = collectgarbage("setstepmul", 200)
+  end)
+
+  after_each(function()
+    collectgarbage("setpause", pause)
+    collectgarbage("setstepmul", step_multiplier)
+  end)
+
+  local function loading(luatype)
+    local _, exec_str = load("arm", luatype)
+    assert(exec_str("require 'rfsm.rtt'"))
+    return exec_str
+  end
+
+  local function launching(luatype, prestr)
+    return rfsm_rtt.component_launch_rfsm { name = "arm", luatype = luatype,
+      fsmfile = chart_file(), prestr = prestr }:getOperation("exec_str")
+  end
+
+  local POOL = "OCL::LuaTLSFComponent"
+  for title, case in pairs { -- any order: each is a spec of its own
+    ["never pauses in a pool where rfsm.rtt is loaded"] = { "100 1000", loading, POOL },
+    ["never pauses in a pool after a launch"] = { "100 1000", launching, POOL },
+    ["is as a prestr sets it"] = { "120 1000", launching, POOL,
+      "collectgarbage('setpause', 120)" },
+    ["is left alone without a pool"] = { "200 200", loading, "OCL::LuaComponent" },
+  } do
+    it(title, function()
+      assert.equal(case[1], evaluate(case[2](case[3], case[4]),
+        "collectgarbage('setpause', 200), collectgarbage('setstepmul', 200)"))
+    end)
+  end
 end)
 
 -- Random charts: in a component as without RTT -------------------------------------

@@ -5,9 +5,9 @@
 -- @module rfsm.rtt.component
 -- @license BSD-3-Clause
 
+local rfsm_rtt = require "rfsm.rtt" -- first: it sets the collector of a pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
-local rfsm_rtt = require "rfsm.rtt"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
