@@ -147,6 +147,20 @@ describe("service_launch_rfsm", function()
     assert.equal("c", leaf_of(other))
   end)
 
+  it("reads 64 waiting samples at an update, and triggers none for more", function()
+    deploy("setActivity", "host", 0, 0, 0)
+    launch(chart_file(), exec_str, true)
+    local out = feed("host.events_in", 100)
+    local names = listen("host.fqn")
+    for _ = 1, 64 do out:write("e_none") end
+    out:write("e_go")
+    for _, wanted in ipairs { "<none> a", "b" } do
+      host:getOperation("trigger")()
+      settle()
+      assert.equal(wanted, leaves(names))
+    end
+  end)
+
   it("steps in every state of the component", function()
     launch(chart_file(), exec_str, true)
     settle()
@@ -377,6 +391,42 @@ describe("component_launch_rfsm", function()
     local send, came = connected("arm", spin, port)
     start(arm, spin)
     return send, came, arm, exec_str
+  end
+
+  -- A component that does without a launch.
+  local OWN = [[
+local rfsm, rfsm_rtt = require "rfsm", require "rfsm.rtt"
+local own, fsm = rtt.getTC(), nil
+local events = rtt.InputPort.new("string", "events_in")
+local calm, names = rtt.InputPort.new("string"), rtt.OutputPort.new("string", "fqn")
+own:addEventPort(events)
+own:addPort(names)
+fsm = assert(rfsm.init(rfsm.load(%q)))
+fsm.getevents = rfsm_rtt.gen_read_str_events(events, calm)
+rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(names))
+function updateHook() rfsm.run(fsm) end]]
+
+  local function own()
+    local arm, exec_str = load("arm")
+    assert(exec_str(OWN:format(chart_file("info = false,"))))
+    return arm
+  end
+
+  for title, make in pairs { -- any order: each is a spec of its own
+    ["is launched"] = launched, ["has its own program"] = own,
+    ["takes a step at each update"] = function() return launched { sync = true } end,
+  } do
+    it("reads a burst to its end without a period if it " .. title, function()
+      local arm = make()
+      local out, names = feed("arm.events_in", 300), listen("arm.fqn")
+      start(arm, spin)
+      arm:stop()
+      for _ = 1, 200 do out:write("e_none") end
+      out:write("e_go")
+      assert(arm:start())
+      spin()
+      assert.equal("<none> a b", leaves(names))
+    end)
   end
 
   it("loads a component with the machine, not configured, the deployer its peer",
