@@ -894,6 +894,21 @@ return rfsm.state { info = false, warn = false,
       end)
   end
 
+  -- A hook, and the calls of the component's methods that lead to it.
+  for _, case in ipairs {
+    { "configureHook", "configure" }, { "startHook", "configure", "start" },
+    { "updateHook", "configure", "start" }, { "cleanupHook", "configure", "cleanup" },
+    { "stopHook", "configure", "start", "stop" },
+  } do
+    it("logs a table that the program's " .. case[1] .. " raises as text", function()
+      local arm = launched { poststr = ("function %s() %s end"):format(case[1],
+        raising "no brake") }
+      for i = 2, #case do arm[case[i]](arm) end
+      spin()
+      check_logged("error calling function " .. case[1] .. ": no brake")
+    end)
+  end
+
   it("finds the ports that the program's hook has made, and refuses wrong ones",
     function()
       local arm, exec_str = launched { ports = "configure", poststr = [[
