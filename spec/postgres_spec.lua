@@ -611,6 +611,73 @@ SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("COMMAND", function()
   end)
 end)
 
+describe("a schema that is loaded again", function()
+  local BOTH = { history = true, notify = true }
+
+  -- The triggers of rfsm.machines, in the order of their names; `what` is a column.
+  local function triggers(what)
+    return server:sql(("SELECT %s FROM pg_trigger WHERE tgrelid = 'rfsm.machines'::"
+      .. "regclass ORDER BY tgname"):format(what))
+  end
+
+  local function load_counter(options)
+    load_charts(options, "counter=" .. helper.file_with(COUNTER))
+  end
+
+  for name, options in pairs { ["with a trigger for each option"] = BOTH,
+    ["without triggers"] = {} } do
+    it("waits for no client in a transaction, " .. name, function()
+      load_counter(options)
+      local library = helper.file_with((bundle.sql({ "counter="
+        .. helper.file_with(COUNTER) }, options)))
+      assert.equal("root.even\nroot.odd\nroot.even\n", sql(([[
+BEGIN;
+SELECT rfsm.create('1', 'counter');
+SELECT rfsm.send('1', 'e_tick');
+SELECT FROM rfsm.log, rfsm.out;
+\! PGOPTIONS='-c lock_timeout=2s' COMMAND
+SELECT rfsm.send('1', 'e_tick');
+COMMIT;]]):gsub("COMMAND", function()
+        return server:command("psql", "-Xq -v ON_ERROR_STOP=1 -f " .. library)
+      end)))
+    end)
+  end
+
+  it("keeps its triggers, also if its functions are found without a schema", function()
+    load_counter(BOTH)
+    local before = triggers "oid"
+    load_counter(BOTH)
+    assert.equal(before, triggers "oid")
+    server:sql("ALTER ROLE postgres SET search_path = rfsm, public")
+    load_counter(BOTH)
+    server:sql("ALTER ROLE postgres RESET search_path")
+    assert.equal(before, triggers "oid")
+  end)
+
+  it("has the triggers of its options, and those of others", function()
+    load_counter(BOTH)
+    server:sql("CREATE TRIGGER mine AFTER DELETE ON rfsm.machines FOR EACH ROW EXECUTE "
+      .. "FUNCTION rfsm.note()")
+    assert.equal("mine\nnote_move\nnote_new\nnotify_move\nnotify_new\n",
+      triggers "tgname")
+    load_counter { notify = true }
+    assert.equal("mine\nnotify_move\nnotify_new\n", triggers "tgname")
+    load_counter { history = true }
+    assert.equal("mine\nnote_move\nnote_new\n", triggers "tgname")
+    load_counter()
+    assert.equal("mine\n", triggers "tgname")
+  end)
+
+  it("makes a trigger that is different anew", function()
+    load_counter(BOTH)
+    local before = triggers "pg_get_triggerdef(oid)"
+    server:sql("DROP TRIGGER note_move ON rfsm.machines; CREATE TRIGGER note_move "
+      .. "AFTER UPDATE ON rfsm.machines FOR EACH ROW EXECUTE FUNCTION rfsm.note()")
+    load_counter(BOTH)
+    assert.equal(before, triggers "pg_get_triggerdef(oid)")
+  end)
+end)
+
 describe("many clients", function()
   local MACHINES = math.min(1000, EVENTS / 10)
 

@@ -77,9 +77,11 @@ function bundle.library(arguments, options)
 end
 
 local function schema_of(functions, options)
-  return concat { schema.HEAD, functions, schema.TRIGGERS,
-    options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
-    schema.FOOT }
+  local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
+    HISTORY = options.history and "true" or "false",
+    NOTIFY = options.notify and "true" or "false" })
+  return concat { schema.HEAD, functions, options.history and schema.HISTORY or "",
+    options.notify and schema.NOTIFY or "", triggers, schema.FOOT }
 end
 
 --- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
