@@ -383,6 +383,16 @@ describe("an operator", function()
     assert.is_nil((machines:get(3)))
   end)
 
+  it("finds and counts machines whose keys begin with any byte", function()
+    local keys = { "\1{0}", "\t{0}", "\254{0}", "\255{0}", "\255\255{0}" }
+    for _, key in ipairs(keys) do assert(machines:create(key, "timed")) end
+    assert.same(keys, machines:find("timed", "root.a"))
+    local output = servers.output_of("timeout 5 redis-cli -p " .. server.port
+      .. " FCALL rfsm_stats 1 {0}")
+    server:cli("FUNCTION KILL") -- it may go on
+    assert.equal("timed root.a 5 5 0 0 ", (output:gsub("\n", " ")))
+  end)
+
   it("sees the latest moves of a machine", function()
     assert(machines:create(1, "counter"))
     for _ = 1, 4 do machines:send(1, "e_tick") end

@@ -28,6 +28,7 @@ require "rfsm.await"
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawget, rawset, select = pcall, rawget, rawset, select
 local setmetatable, tonumber, type = setmetatable, tonumber, type
+local char = string.char
 local floor, min = math.floor, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, remove, sort = table.concat, table.remove, table.sort
@@ -692,8 +693,11 @@ function functions.rfsm_why(keys, args)
   return lines
 end
 
+-- Returns the first text behind all those with a head. A key may begin with any byte.
+local function behind(head) return head:sub(1, -2) .. char(head:byte(-1) + 1) end
+
 local function members(key, from, to, limit)
-  return host.call("ZRANGEBYLEX", key, "[" .. from, "(" .. to, "LIMIT", 0, limit)
+  return host.call("ZRANGEBYLEX", key, "[" .. from, to, "LIMIT", 0, limit)
 end
 
 -- rfsm_find KEY chart state [limit]: the machines, of those that share the hash tag of
@@ -704,8 +708,7 @@ function functions.rfsm_find(keys, args)
   if not args[2] then fail("a chart and a state expected") end
   local head, found = args[1] .. "\t" .. args[2], {}
   for _, mark in ipairs { "\t", "." } do -- the state itself, and those in it
-    local list = members(key, head .. mark, head .. mark .. "\255",
-      limit - #found)
+    local list = members(key, head .. mark, "(" .. behind(head .. mark), limit - #found)
     for _, member in ipairs(limit > #found and list or {}) do
       found[#found + 1] = member:match("^[^\t]*\t[^\t]*\t(.*)$")
     end
@@ -718,10 +721,10 @@ end
 function functions.rfsm_stats(keys)
   local key, reply, at = keys_of.index(keys[1]), {}, ""
   while options.index do
-    local member = members(key, at, "\255", 1)[1]
+    local member = members(key, at, "+", 1)[1]
     if not member then break end
     local head, name, leaf = member:match("^(([^\t]*)\t([^\t]*)\t)")
-    at = head .. "\255"
+    at = behind(head)
     for _, value in ipairs { name, leaf, host.call("ZLEXCOUNT", key, "[" .. head,
       "(" .. at) } do
       reply[#reply + 1] = value
