@@ -393,6 +393,25 @@ describe("an operator", function()
     assert.equal("timed root.a 5 5 0 0 ", (output:gsub("\n", " ")))
   end)
 
+  for name, text in pairs { rename = "{ ['root.odd'] = 'root.uneven' }",
+    migrate = "function(snap) snap.leaf = 'root.uneven' end" } do
+    it("finds a machine after a " .. name .. ", and sees that as a move", function()
+      assert(machines:create(1, "counter"))
+      machines:send(1, "e_tick")
+      local new = COUNTER:gsub("odd", "uneven")
+        :gsub("n = 0,", "%0 " .. name .. " = " .. text .. ",")
+      assert(machines:load(library({ index = true, history = 3 }, { counter = new })))
+      machines:tick(1)
+      assert.same({ {}, { (machines:key_of(1)) } }, { machines:find("counter",
+        "root.odd"), machines:find("counter", "root.uneven") })
+      local move = machines:history(1, 1)[1]
+      assert.same({ "(time)", "root.odd", "root.uneven" }, { move.event, move.from,
+        move.to })
+      machines:send(1, "e_tick")
+      assert.equal("counter root.even 1 0 0 0", call("rfsm_stats 1 {0}"))
+    end)
+  end
+
   it("sees the latest moves of a machine", function()
     assert(machines:create(1, "counter"))
     for _ = 1, 4 do machines:send(1, "e_tick") end

@@ -268,7 +268,7 @@ end
 ---@field chart rfsm.server.Chart
 ---@field fsm rfsm.Machine
 ---@field list any[] in the value of the key; the new one is made of it
----@field leaf string|false where it was
+---@field leaf string|false|nil where it was, as the index knows it: before a rename
 ---@field moved_by string the events of this call
 ---@field notes string[]|nil for the log
 
@@ -312,11 +312,11 @@ end
 
 local function load_machine(key, list)
   sec, nsec = list[SEC] or false, list[NSEC]
+  local leaf = list[SNAP].leaf
   local chart, ok, problem = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
   sec = false
-  local fsm, leaf = chart.fsm, chart.fsm._act_leaf
-  return { key = key, chart = chart, fsm = fsm, list = list, leaf = leaf and leaf._fqn,
+  return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     moved_by = "" }
 end
 
