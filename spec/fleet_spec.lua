@@ -412,6 +412,24 @@ describe("an operator", function()
     end)
   end
 
+  it("neither finds nor counts machines after DEL", function()
+    for i = 1, 3 do assert(machines:create(i, "timed")) end
+    machines:send(2, "e_b")
+    server:cli("DEL " .. key_of(1) .. " " .. key_of(2))
+    assert.same({ { (machines:key_of(3)) }, {} }, { machines:find("timed", "root.a", 1),
+      machines:find("timed", "root.b") })
+    assert.equal("timed root.a 1", call("rfsm_stats 1 {0}"):match("^%S+ %S+ %S+"))
+  end)
+
+  it("counts a machine once whose key another had before DEL", function()
+    assert(machines:create(1, "timed"))
+    machines:send(1, "e_b")
+    server:cli("DEL " .. key_of(1))
+    assert(machines:create(1, "counter"))
+    assert.same({ {}, "counter root.even 1 0 0 0" }, { machines:find("timed", "root"),
+      call("rfsm_stats 1 {0}") })
+  end)
+
   it("sees the latest moves of a machine", function()
     assert(machines:create(1, "counter"))
     for _ = 1, 4 do machines:send(1, "e_tick") end
