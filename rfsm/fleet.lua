@@ -23,7 +23,7 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat = table.concat
+local concat, min = table.concat, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
@@ -237,8 +237,10 @@ local function bury(work, raw, deliveries, problem)
 end
 
 -- Calls f with an entry. One that fails stays with the group until it fails too often.
+-- If each of its workers has died or been lost, f is not called once more.
 local function handle(work, f, raw, deliveries)
-  local ok, problem = pcall(f, entry_of(raw))
+  local tries, ok, problem = work.options.tries, false, "no worker has finished it"
+  if deliveries <= tries then ok, problem = pcall(f, entry_of(raw)) end
   if ok then
     work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
     work.count = work.count + 1
@@ -246,7 +248,7 @@ local function handle(work, f, raw, deliveries)
   end
   problem = rfsm.text_of(problem)
   work.failures[#work.failures + 1] = problem
-  if deliveries >= work.options.tries then bury(work, raw, deliveries, problem) end
+  if deliveries >= tries then bury(work, raw, min(deliveries, tries), problem) end
 end
 
 -- Makes a group that sees all entries that are there.
@@ -318,7 +320,7 @@ local WORK = {
 --
 -- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
 -- worker of the group gets the entry once more: after `idle` milliseconds, then after
--- twice as long, and so on. After `tries` times it moves to the stream rfsm:dead:{tag}.
+-- twice as long, and so on. After `tries` calls it moves to the stream rfsm:dead:{tag}.
 -- An entry that all groups have done is taken out of the stream.
 --
 ---@param group string
@@ -326,7 +328,7 @@ local WORK = {
 ---@param f fun(entry: table)
 ---@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
 ---@return integer count entries that were handled
----@return string[] failures what `f` raised
+---@return string[] failures what `f` raised, or that no worker has finished an entry
 function Fleet:work(group, worker, f, options)
   local settings, problem = opts.read(WORK, options or {})
   if not settings then error("rfsm.fleet.work: " .. problem, 2) end

@@ -246,6 +246,25 @@ describe("consumer groups", function()
     assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
   end)
 
+  it("do not try an entry again that each of its workers has died of", function()
+    emit(1)
+    local calls, output = 0, {}
+    local function die()
+      calls = calls + 1
+      error("interrupted!", 0)
+    end
+    for i = 1, 5 do
+      output[i] = { pcall(machines.work, machines, "g", "w" .. i, die, { idle = 0,
+        tries = 3 }) }
+    end
+    assert.equal(3, calls)
+    assert.same({ { false, "interrupted!" }, { true, 0, { "no worker has finished it" }
+      }, { true, 0, {} } }, { output[3], output[4], output[5] })
+    assert.matches("machine\nm:{0}:1\nwhat\ndone\n.*deliveries\n3\nerror\nno worker "
+      .. "has finished it\n$", server:cli("XRANGE rfsm:dead:{0} - +"))
+    assert.equal("0", server:cli("XPENDING rfsm:out:{0} g"):match("%d+"))
+  end)
+
   it("report a stream of another type", function()
     server:cli("SET 'rfsm:out:{0}' x")
     local _, problem = pcall(machines.work, machines, "g", "w", print)
