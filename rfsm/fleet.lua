@@ -206,13 +206,6 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
-local function entry_of(raw)
-  local entry = { id = raw[1] }
-  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
-  entry.data = entry.data and entry.data ~= "" and json.decode(entry.data) or nil
-  return entry
-end
-
 --- A worker at the stream of one hash tag.
 ---@class rfsm.fleet.Work
 ---@field fleet rfsm.fleet.Fleet
@@ -223,6 +216,15 @@ end
 ---@field options table
 ---@field count integer entries that were handled
 ---@field failures string[]
+
+-- Returns an entry for f. Its id is that of no other entry, also for another group or
+-- stream, so a machine may know events by it.
+local function entry_of(work, raw)
+  local entry = { id = concat({ work.group, work.tag, raw[1] }, ":") }
+  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
+  entry.data = entry.data and entry.data ~= "" and json.decode(entry.data) or nil
+  return entry
+end
 
 -- Moves an entry that has failed too often to the stream of such entries.
 local function bury(work, raw, deliveries, problem)
@@ -240,7 +242,7 @@ end
 -- If each of its workers has died or been lost, f is not called once more.
 local function handle(work, f, raw, deliveries)
   local tries, ok, problem = work.options.tries, false, "no worker has finished it"
-  if deliveries <= tries then ok, problem = pcall(f, entry_of(raw)) end
+  if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
   if ok then
     work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
     work.count = work.count + 1
@@ -318,10 +320,10 @@ local WORK = {
 
 --- Call `f(entry)` with what machines have emitted, at least once each, for each group.
 --
--- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
--- worker of the group gets the entry once more: after `idle` milliseconds, then after
--- twice as long, and so on. After `tries` calls it moves to the stream rfsm:dead:{tag}.
--- An entry that all groups have done is taken out of the stream.
+-- An entry has `machine`, `what`, `data`, and an `id` for `send_once`. If `f` raises,
+-- or the worker dies, a worker of the group gets the entry once more: after `idle`
+-- milliseconds, then after twice as long, and so on. After `tries` calls it moves to
+-- the stream rfsm:dead:{tag}. An entry that all groups have done leaves its stream.
 --
 ---@param group string
 ---@param worker string a name that no other worker of the group has

@@ -8,6 +8,7 @@ if missing then return it("serves a fleet", function() pending(missing) end) end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
+local load_text = require("rfsm.shared.calls").load
 local redis = require "rfsm.redis"
 
 teardown(servers.stop_all)
@@ -263,6 +264,60 @@ describe("consumer groups", function()
     assert.matches("machine\nm:{0}:1\nwhat\ndone\n.*deliveries\n3\nerror\nno worker "
       .. "has finished it\n$", server:cli("XRANGE rfsm:dead:{0} - +"))
     assert.equal("0", server:cli("XPENDING rfsm:out:{0} g"):match("%d+"))
+  end)
+
+  -- Returns the function of a worker that answers the first entry of a machine, and, if
+  -- it is to die, is killed after that.
+  local function answer(is_to_die)
+    return function(entry)
+      if entry.data.n > 1 then return end
+      assert(machines:send_once(entry.id, entry.machine, "e_emit"))
+      if is_to_die then error("interrupted!", 0) end
+    end
+  end
+
+  it("apply the answer to an entry once, each its own", function()
+    for _, group in ipairs { "a", "b" } do machines:work(group, "w", print) end
+    emit(1)
+    for i, group in ipairs { "a", "b" } do
+      assert.is_false((pcall(machines.work, machines, group, "w", answer(true))))
+      assert.equal(1 + i, count_of(1))
+      machines:work(group, "v", answer(false), { idle = 0 })
+      assert.equal(1 + i, count_of(1))
+    end
+  end)
+
+  it("have other ids for the entries of other hash tags", function()
+    local spread = fleet.connect(server:url(), { name = "m", tags = 2 })
+    local ids = {}
+    for tag = 0, 1 do
+      server:cli("XADD rfsm:out:{" .. tag .. "} 5-0 machine m what w data ''")
+    end
+    spread:work("g", "w", function(entry) ids[#ids + 1] = entry.id end)
+    assert.same({ "g:0:5-0", "g:1:5-0" }, ids)
+  end)
+
+  it("apply an answer once with the loop of doc/redis.md", function()
+    emit(1)
+    local robots, has_died = { wake = function() return 0 end }, false
+    function robots.work(_, group, worker, f)
+      return machines:work(group, worker, f, { idle = 0 })
+    end
+    for _, name in ipairs { "send", "send_once" } do
+      robots[name] = function(_, ...)
+        local reply, problem = machines[name](machines, ...)
+        if has_died then return reply, problem end
+        has_died = true
+        error("interrupted!", 0)
+      end
+    end
+    local text = helper.content("doc/redis.md"):match("\n```\n(repeat\n.-)```")
+    local loop = assert(load_text(text, "=loop", { robots = robots, assert = assert,
+      do_it = function(_, data) return data.n == 1 and "e_emit" or "e_b" end,
+      socket = { sleep = function() error("over", 0) end } }))
+    assert.same({ false, "interrupted!" }, { pcall(loop) })
+    assert.same({ false, "over" }, { pcall(loop) })
+    assert.same({ 2, "root.b" }, { count_of(1), machines:get(1).leaf })
   end)
 
   it("report a stream of another type", function()
