@@ -303,6 +303,8 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
 
   it("takes work and sends the answer at once, as doc/postgres.md shows", function()
     make_tables()
+    server:sql("INSERT INTO rfsm.out (id, key, what) OVERRIDING SYSTEM VALUE "
+      .. "VALUES (1000, 'later', 'pick')")
     local code = helper.content("doc/postgres.md"):match("\n```\n(local luasql.-)```")
     local printed = helper.printed(function()
       helper.with(package.loaded, { ["luasql.postgres"] = { postgres = function()
@@ -312,6 +314,7 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     local expected = {}
     for line in code:gmatch("%-%-> ([^\n]*)") do expected[#expected + 1] = line end
     assert.same(expected, printed)
+    assert.equal("order:7\nlater\n", server:sql("SELECT key FROM rfsm.out ORDER BY id"))
   end)
 
   if not servers.HAS_STORMS then return end
