@@ -418,6 +418,45 @@ SELECT rfsm.send('2', 'e_leak');
 SELECT regexp_replace(error, '.*:[0-9]+: ', '') FROM rfsm.log ORDER BY id;]]))
   end)
 
+  it("has no name of the host in scope, nor has a text that it loads", function()
+    local no_spi, ways, expected = "global 'spi' does not exist in PostgreSQL", {}, {}
+    for i, case in ipairs {
+      { "spi", no_spi },
+      { "answer", "global 'answer' does not exist in PostgreSQL" },
+      { "host", "global 'host' does not exist in PostgreSQL" },
+      { "self", "nil" },
+      { "load('return spi')()", no_spi },
+      { "load('return _ENV.spi')()", no_spi },
+      { "load('return spi', 'x', 't', nil)()", no_spi },
+      { "load(('return spi'):gmatch('.'))()", no_spi },
+      { "load('return load(...)()')('return spi')", no_spi },
+      { "coroutine.wrap(load('return spi'))()", no_spi },
+      { "load('return require')()", "global 'require' does not exist in PostgreSQL" },
+      { "load('leak = 1')()", "global 'leak' cannot be set in PostgreSQL" },
+      { "select(2, load(string.dump(function() end), 'x', 'b'))",
+        "attempt to load a binary chunk (mode is 't')" },
+      { "select(2, load('return +', 'x'))", "unexpected symbol near '+'" },
+      { "load('return x', 'x', 't', { x = 5 })()", "5" },
+      { "load('return math.floor(...)')(2.5)", "2" },
+    } do
+      ways[i] = ("{ %q, function() return %s end },\n"):format(case[1], case[1])
+      expected[i] = case[1] .. " -> " .. case[2] .. "\n"
+    end
+    load_charts({ history = true }, "ways=" .. helper.file_with([[
+local ways = { ]] .. table.concat(ways) .. [[ }
+return rfsm.state {
+  keep = { "found" }, a = rfsm.state { entry = function(fsm)
+    fsm.found = {}
+    for i, way in ipairs(ways) do
+      local answer = tostring(select(2, pcall(way[2]))):gsub("^.*:%d+: ", "")
+      fsm.found[i] = way[1] .. " -> " .. answer
+    end
+  end }, rfsm.trans { src = "initial", tgt = "a" } }]]))
+    assert.equal(table.concat(expected), sql([[
+SELECT rfsm.create('1', 'ways') \gset
+SELECT jsonb_array_elements_text(data->'root'->'found') FROM rfsm.machines;]]))
+  end)
+
   it("is woken by one worker when its time has come", function()
     assert.equal([[
 root.off
