@@ -14,6 +14,7 @@
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local lines = require "rfsm.record.lines"
+local plain = require "rfsm.snapshot.plain"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -101,11 +102,19 @@ local function noting_getevents(track, own)
   end
 end
 
+-- Returns the data that the chart keeps; nil if it cannot be saved. No other error is
+-- caught: a debug hook has raised it, for the caller of the step.
+local function data_of(fsm)
+  local ok, kept = pcall(snapshot.take_data, fsm)
+  if ok then return kept end
+  if not plain.text_of_fail(kept) then error(kept, 0) end
+end
+
 -- Returns the data that the chart keeps if it has changed; nil if not.
 local function changed_data(track)
   if not tracks.may_have_changed(track.watched) then return nil end
-  local ok, kept = calls.try(snapshot.take_data, track.fsm)
-  if not ok or tracks.same(kept, track.kept) then return nil end
+  local kept = data_of(track.fsm)
+  if not kept or tracks.same(kept, track.kept) then return nil end
   track.kept = kept
   return kept
 end
@@ -167,7 +176,7 @@ local function finish(recorder, track, events)
   if not rec then return end
   note_events(track, rec, events)
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
-  local is_whole, interrupt = pcall(calls.try, note_data, recorder, track)
+  local is_whole, interrupt = pcall(note_data, recorder, track)
   track.rec = false
   if track.m == nil then recorder.timed = false end
   if events[1] ~= nil or not is_empty(track, rec) then
