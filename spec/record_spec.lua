@@ -924,7 +924,7 @@ describe("an error of a debug hook while it is recorded", function()
 
   -- Calls f(result, fsm, sink) for runs that are cut short, each later.
   local function each_cut(failure, f)
-    local step, at = share.every(13)
+    local step, at = share.every(31)
     local count, result = 0, {}
     while result do
       local fsm, sink = helper.init(line()), {}
@@ -941,7 +941,38 @@ describe("an error of a debug hook while it is recorded", function()
       each_cut(failure, function(result) assert.same({ false, failure }, result) end)
     end
   end)
+
+  it("and a reset after it are replayed", function()
+    each_cut("limit", function(_, fsm, sink)
+      rfsm.reset(fsm)
+      fsm.list[3] = 7
+      helper.post_and_run(fsm, "e_x")
+      for _, is_dry in ipairs { true, false } do
+        local again = assert(record.replay(line(), sink, { dry = is_dry }))
+        assert.same({ "root.c", 7 }, { rfsm.get_actleaf_fqn(again), again.list[3] })
+      end
+    end)
+  end)
 end)
+
+it("a step whose hook has failed is not recorded, with its regions, if a reset follows",
+  function()
+    local function regions()
+      return state { info = false, warn = false,
+        both = rfsm.seqand { x = helper.chart { "e_x" } },
+        trans { src = "initial", tgt = "both" } }
+    end
+    local sink, fsm = {}, helper.init(regions())
+    record.record(fsm, sink)
+    local function fail() error("no room", 0) end
+    rfsm.post_step_hook_add(fsm, fail, "before")
+    assert.same({ false, "no room" }, { pcall(rfsm.step, fsm) })
+    rfsm.post_step_hook_rm(fsm, fail)
+    rfsm.reset(fsm)
+    helper.post_and_run(fsm, "e_x")
+    assert.same({ 1, true, 1 }, { sink[2].m, sink[3].fresh, sink[4].m })
+    assert(record.replay(regions(), sink))
+  end)
 
 describe("back", function()
   it("moves the machine, and forgets what came since", function()
