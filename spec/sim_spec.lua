@@ -38,7 +38,7 @@ end
 -- What it complains of.
 local function complaint(input)
   local _, complaints, status = sim("-q " .. HELLO, input)
-  assert.equal(0, status)
+  assert.equal(1, status)
   return complaints
 end
 
@@ -220,6 +220,17 @@ describe("the prompt", function()
   it("complains of each mistake", function()
     check_each(complaint, COMPLAINTS, "io.stderr:write('~')")
     assert.matches("^stdin:%d: [^\n]*<eof>'?\n$", complaint("for i = 1, 2 do\n"))
+  end)
+
+  it("goes on after a wrong line of a pipe, and ends with status 1", function()
+    for input, expected in pairs { -- any order: each is a process
+      ["wrong\nstep"] = 1, ["error(1)\nstep\nquit"] = 1, ["step\nfor i = 1, 2 do"] = 1,
+      ["step\nse e_wrong"] = 0, ["step\nquit\nwrong"] = 0, ["step"] = 0,
+    } do
+      local out, _, status = sim("-q " .. HELLO, input .. "\n")
+      assert.same({ input, expected, true },
+        { input, status, out:find("active: root.hello", 1, true) ~= nil })
+    end
   end)
 
   it("calls a hook after each advance", function()
