@@ -451,7 +451,7 @@ return rfsm.state {
     window:click "#stop input"
     window:wait "now.points.length == 1"
     window:type "2"
-    window:wait "now.stopped == 'root.stopped'"
+    window:wait "now.stopped == 'root.stopped' && !$('refused').hidden"
     assert.same({ "stopped at root.stopped" }, texts "#refused")
     window:run [[
       const form = document.querySelector("#points form");
