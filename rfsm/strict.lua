@@ -102,7 +102,7 @@ local CALLBACKS = { state = { "entry", "exit", "doo" },
 -- Warns of callbacks that cannot be called, and of fields that are nearly those of the
 -- library, in an element of a machine.
 local function check_fields(fsm, obj)
-  local kind = obj:type()
+  local kind = rfsm.kind_of(obj)
   for _, field in ipairs(CALLBACKS[kind]) do
     local value = obj[field]
     if value and not rfsm.is_callable(value) then
