@@ -2242,11 +2242,23 @@ local PARTS = {
   silent = silent, take = take, warn_of_conflict = warn_of_conflict,
 }
 
-local function load_fast()
-  patience = -1
-  engine.iterate = iterate -- if there is no such file
-  local make = getlocal and find_module("rfsm.fast") -- which needs the handler
-  if make then make(engine, PARTS) end
+local load_fast
+
+do
+  local faster = {}
+
+  -- Makes the functions of rfsm/fast.lua, which need the handler.
+  local function make() return getlocal and require("rfsm.fast")(faster, PARTS) end
+
+  -- Puts them in place of those here, all or none: what keeps rfsm/fast.lua from being
+  -- loaded, such as too little memory, is no failure of the machine.
+  function load_fast()
+    patience = -1
+    engine.iterate = iterate
+    local ok, failure = pcall(make)
+    if rfsm.is_interrupt(failure) then error(failure, 0) end
+    for name, f in pairs(ok and faster or NONE) do engine[name] = f end -- any order
+  end
 end
 
 -- The first iterations of a program, and all of them if there is no rfsm/fast.lua.
