@@ -118,6 +118,15 @@ describe("a strict machine", function()
     assert.same({}, warnings)
   end)
 
+  it("and a copy of its tables warn each", function()
+    local fsm, warnings = started()
+    for _, machine in ipairs { fsm, helper.copy_of(fsm) } do
+      for _ = 1, 2 do rfsm.send_events(machine, "e_q") end
+      rfsm.run(machine)
+    end
+    assert.equal(2, #warnings)
+  end)
+
   it("is none without the field, nor with false", function()
     local fsm, warnings = started { strict = false }
     rfsm.send_events(fsm, "e_y")
