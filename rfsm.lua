@@ -653,6 +653,10 @@ do
       end
       list[i] = event
     end
+    if count == 0 then
+      add(build.warnings, def, "events", "an empty list, any event triggers it (is a "
+        .. "name in it nil? if any event is meant, leave it out)")
+    end
     return count > 0 and list
   end
 
