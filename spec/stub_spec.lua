@@ -9,6 +9,7 @@ local json = require "rfsm.json"
 local mermaid = require "rfsm.mermaid"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
+local static = require "rfsm.checks.static"
 local stubs = require "rfsm.shared.stubs"
 
 local folder
@@ -218,6 +219,20 @@ describe("a chart of a robot", function()
     assert.same({ "robotlib", "rtt", "rf", "grasp.lua" }, names)
     assert.equal("none", model.colours)
     assert.is_true(rfsm.is_state(model.grasp.done))
+  end)
+
+  it("has findings about its stubs, none of which stands in the library", function()
+    local model = open({ ["chart.lua"] = [[
+      return rfsm.state { a = rfsm.load "a.lua", b = rfsm.load "b.lua",
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "b.x", tgt = "a", events = { "e" } } }
+    ]] }, true)
+    local lines = {}
+    for i, finding in ipairs(static.findings(model)) do
+      lines[i] = finding.file .. finding.place .. " " .. finding.code
+    end
+    table.sort(lines)
+    assert.same({ "root.a dead-end", "root.b unreachable" }, lines)
   end)
 
   it("is drawn with the names of its stubs", function()
