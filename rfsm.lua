@@ -653,6 +653,10 @@ do
       end
       list[i] = event
     end
+    if count == 0 then
+      add(build.warnings, def, "events", "an empty list, any event triggers it (is a "
+        .. "name in it nil? if any event is meant, leave it out)")
+    end
     return count > 0 and list
   end
 
@@ -1087,7 +1091,7 @@ do
     for i = 1, #nodes do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
-    plan.events = events
+    plan.events, nodes[1].plan = events, plan
     return plan
   end
 
@@ -2242,11 +2246,23 @@ local PARTS = {
   silent = silent, take = take, warn_of_conflict = warn_of_conflict,
 }
 
-local function load_fast()
-  patience = -1
-  engine.iterate = iterate -- if there is no such file
-  local make = getlocal and find_module("rfsm.fast") -- which needs the handler
-  if make then make(engine, PARTS) end
+local load_fast
+
+do
+  local faster = {}
+
+  -- Makes the functions of rfsm/fast.lua, which need the handler.
+  local function make() return getlocal and require("rfsm.fast")(faster, PARTS) end
+
+  -- Puts them in place of those here, all or none: what keeps rfsm/fast.lua from being
+  -- loaded, such as too little memory, is no failure of the machine.
+  function load_fast()
+    patience = -1
+    engine.iterate = iterate
+    local ok, failure = pcall(make)
+    if rfsm.is_interrupt(failure) then error(failure, 0) end
+    for name, f in pairs(ok and faster or NONE) do engine[name] = f end -- any order
+  end
 end
 
 -- The first iterations of a program, and all of them if there is no rfsm/fast.lua.
@@ -2263,12 +2279,29 @@ engine.iterate = iterate_patiently
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
+-- Gives a machine the function that `xpcall` calls without arguments.
+local function give_act(fsm)
+  fsm._act = function() return (fsm._run(fsm)) end -- no tail call: see `is_stepping`
+end
+
+-- A copy of all tables of a machine has the function of that machine, and a copy of its
+-- plan, which the metatables of its elements do not know: it gets its own and theirs.
+local function adopt_copy(fsm)
+  local node = fsm._nodes[2]
+  local root = node and node["_%def"].parent or fsm["_%def"]
+  fsm._plan, fsm["_%def"] = root.plan, root
+  give_act(fsm)
+  machines[fsm] = true
+end
+
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
 ---@param where string the public function, such as "rfsm.step"
 ---@param level? integer the function to blame: 3, the default, for the caller's caller
 function rfsm.check_machine(fsm, where, level)
-  if machines[fsm] or getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+  if machines[fsm] then return end
+  if getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+    if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2414,7 +2447,7 @@ do
 end
 
 -- Gives a machine what it cannot share: functions for its printers, and the function
--- that `xpcall` calls without arguments. Wrong printers are replaced.
+-- that `xpcall` calls. Wrong printers are replaced.
 local function finish_machine(fsm)
   for i = 1, 4 do
     local name = PRINTERS[i]
@@ -2425,7 +2458,7 @@ local function finish_machine(fsm)
     fsm._is_hooked = fsm._is_hooked or fsm[name] and true or false
     fsm[name] = fsm[name] or nil
   end
-  fsm._act = function() return (fsm._run(fsm)) end -- no tail call: see `is_stepping`
+  give_act(fsm)
   return setmetatable(fsm, Machine)
 end
 
