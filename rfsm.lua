@@ -516,18 +516,10 @@ end
 ---@return any model the value itself if it is no part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
-  if class == Machine then return value._plan.model end
+  if class == Machine then return rfsm.structure_of(value).model end
   local def = type(class) == "table" and rawget(class, "_%def")
   return def and def.model or value
 end
-
---- Return a table that machines of the same structure share, for extensions.
---
--- `fsm_merge`, and events that a preproc function changes, give a machine another one.
---
----@param fsm rfsm.Machine
----@return table structure
-function rfsm.structure_of(fsm) return fsm._plan end
 
 --- Return the name of the target that the model gives a transition, for extensions.
 ---@param tr rfsm.Transition a transition of a machine
@@ -597,6 +589,10 @@ do
         add(build.problems, def, ("events[%d]"):format(i), "an event cannot be NaN")
       end
       list[i] = event
+    end
+    if count == 0 then
+      add(build.warnings, def, "events", "an empty list, any event triggers it (is a "
+        .. "name in it nil? if any event is meant, leave it out)")
     end
     return count > 0 and list
   end
@@ -997,7 +993,7 @@ do
     for i = 1, #nodes do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
-    plan.events = events
+    plan.events, nodes[1].plan = events, plan
     return plan
   end
 
@@ -2055,10 +2051,8 @@ end
 
 local fast -- the functions of rfsm/fast.lua, false without it
 
--- Whatever stops that file from being loaded, the machines do without.
-local function load_fast()
-  local ok, make = pcall(require, "rfsm.fast")
-  fast = ok and loadstring and make {
+local function make_fast()
+  return loadstring and require("rfsm.fast") {
     loadstring = loadstring, silent = silent, borrowers = borrowers, perform = perform,
     failed = report_callback, call_hooks = call_hooks, show_path = show_path,
     run_effect = run_effect, leave = leave, run_exit_hooks = run_exit_hooks,
@@ -2066,7 +2060,15 @@ local function load_fast()
     become_leaf = become_leaf, matches = matches, refuse_guard = refuse_guard,
     retarget = retarget, lead = lead, note_of = note_of,
     warn_of_conflict = warn_of_conflict, compile_transition = compile_transition,
-  } or false
+  }
+end
+
+-- Whatever stops that file from being loaded, such as too little memory, the machines
+-- do without.
+local function load_fast()
+  local ok, made = pcall(make_fast)
+  if rfsm.is_interrupt(made) then error(made, 0) end
+  fast = ok and made or false
 end
 
 local OFTEN = 3 -- what is used more often is compiled
@@ -2344,12 +2346,23 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
+-- A copy of all tables of a machine has a copy of its plan, which the metatables of its
+-- elements do not know: it gets theirs.
+local function adopt_copy(fsm)
+  local node = fsm._nodes[2]
+  local root = node and node["_%def"].parent or fsm["_%def"]
+  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, {}
+  machines[fsm] = true
+end
+
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
 ---@param where string the public function, such as "rfsm.step"
 ---@param level? integer the function to blame: 3, the default, for the caller's caller
 function rfsm.check_machine(fsm, where, level)
-  if machines[fsm] or getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+  if machines[fsm] then return end
+  if getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+    if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2358,6 +2371,17 @@ function rfsm.check_machine(fsm, where, level)
 end
 
 local check_machine = rfsm.check_machine
+
+--- Return a table that machines of the same structure share, for extensions.
+--
+-- `fsm_merge`, and events that a preproc function changes, give a machine another one.
+--
+---@param fsm rfsm.Machine
+---@return table structure
+function rfsm.structure_of(fsm)
+  check_machine(fsm, "rfsm.structure_of")
+  return fsm._plan
+end
 
 local function check_function(f, where, level)
   if is_callable(f) then return end

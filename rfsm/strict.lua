@@ -12,19 +12,16 @@ local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 
 local getmetatable, ipairs, rawget = getmetatable, ipairs, rawget
-local select, setmetatable, type = select, setmetatable, type
+local select, type = select, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
 
 local strict = { is_watching = false }
 
--- What was told, and of which early events, by machine.
-local told = setmetatable({}, { __mode = "k" })
-local early = setmetatable({}, { __mode = "k" })
-
+-- Each warning that was given is noted in the field `_strict` of the machine.
 local function warn(fsm, text)
-  if told[fsm][text] then return end
-  told[fsm][text] = true
+  if fsm._strict[text] then return end
+  fsm._strict[text] = true
   rfsm.report(fsm, "warn", "WARNING: " .. text)
 end
 
@@ -65,8 +62,9 @@ end
 -- Warns once of an event that comes before the machine is entered.
 local function check_early(fsm, at, event)
   local name = text_of(event)
-  if rfsm.get_sta_mode(fsm) ~= "inactive" or early[fsm][name] then return end
-  early[fsm][name] = true
+  local is_told = fsm._strict["early: " .. name]
+  if is_told or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
+  fsm._strict["early: " .. name] = true
   warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
     :format(at, name))
 end
@@ -96,7 +94,7 @@ end
 local function watch_senders()
   local send_events = rfsm.send_events
   function rfsm.send_events(fsm, ...)
-    if told[fsm] then check_events(fsm, sender(), ...) end
+    if rfsm.is_root(fsm) and fsm._strict then check_events(fsm, sender(), ...) end
     return send_events(fsm, ...)
   end
 end
@@ -109,7 +107,7 @@ local CALLBACKS = { state = { "entry", "exit", "doo" },
 -- Warns of callbacks that cannot be called, and of fields that are nearly those of the
 -- library, in an element of a machine.
 local function check_fields(fsm, obj)
-  local kind = obj:type()
+  local kind = rfsm.kind_of(obj)
   for _, field in ipairs(CALLBACKS[kind]) do
     local value = obj[field]
     if value and not rfsm.is_callable(value) then
@@ -143,8 +141,8 @@ end
 function strict.watch(fsm)
   if not strict.is_watching then watch_senders() end
   strict.is_watching = true
-  if told[fsm] then return end
-  told[fsm], early[fsm] = {}, {}
+  if fsm._strict then return end
+  fsm._strict = {}
   rfsm.pre_step_hook_add(fsm, check_machine)
 end
 

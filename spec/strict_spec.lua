@@ -111,6 +111,22 @@ describe("a strict machine", function()
     }, warnings)
   end)
 
+  it("runs with a datum named `type` in a state, a transition or the root", function()
+    local fsm, warnings = started { type = "x", [2] = go("a", "b", "e_x", { type = 7 }),
+      a = state { type = "lamp" } }
+    assert.equal("root.b", helper.leaf_after(fsm, "e_x"))
+    assert.same({}, warnings)
+  end)
+
+  it("and a copy of its tables warn each", function()
+    local fsm, warnings = started()
+    for _, machine in ipairs { fsm, helper.copy_of(fsm) } do
+      for _ = 1, 2 do rfsm.send_events(machine, "e_q") end
+      rfsm.run(machine)
+    end
+    assert.equal(2, #warnings)
+  end)
+
   it("is none without the field, nor with false", function()
     local fsm, warnings = started { strict = false }
     rfsm.send_events(fsm, "e_y")
