@@ -1752,6 +1752,13 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
+-- Returns the path that enters a root without states, and begins all other first
+-- entries.
+local function entrance_of(root)
+  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
+  return root.entrance
+end
+
 -- First entry: the path from `initial`, nil if there is none.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
@@ -1759,8 +1766,7 @@ local function find_entry(fsm, events)
   local def = not root.is_leaf
     and first_enabled(fsm, root.members.initial.otrs, events)
   if not (def or root.is_leaf) then return nil end
-  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
-  local path = path_of(root.entrance, def, fsm._ways)
+  local path = path_of(entrance_of(root), def, fsm._ways)
   warn_of_lost_events(fsm, path, events)
   return path
 end
@@ -1848,55 +1854,59 @@ local function show_path(fsm, path, at)
   call_hooks(fsm, fsm._path_hooks, list, at)
 end
 
-local function label_of(node)
-  if node.kind == "connector" then return node.fqn .. "[c]" end
-  return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
-end
-
--- What a path traces: each returns the words of a record.
-local RECORDS = {}
-
--- root.a[LS]->root.k[c]->root.b[LS]
-function RECORDS.path(path)
-  local text = path.text or label_of(path.segments[1].src)
-  for _, def in ipairs(path.text and NONE or path.segments) do
-    text = text .. "->" .. label_of(def.tgt)
-  end
-  path.text = text
-  return "EXEC_PATH", text
-end
-
-function RECORDS.exits(def)
-  local outermost = def.src
-  while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-    outermost = outermost.parent
-  end
-  return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
-    def.lca.fqn
-end
-
-function RECORDS.exit(state) return "STATE_EXIT", state.fqn end
-
-function RECORDS.effect(def, fsm)
-  return "EFFECT", tostring(fsm._transitions[def.index])
-end
-
-function RECORDS.entries(def)
-  local text, node = def.tgt.fqn, def.tgt.parent
-  while node ~= def.lca do text, node = text .. " > " .. node.fqn, node.parent end
-  return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", text
-end
-
-function RECORDS.done(leaf) return "RAISED", leaf.done_event end
-
-function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
-
+-- Actions that trace a record, by its kind.
 local recorders = {}
-for name, words in pairs(RECORDS) do -- any order: each stands alone
-  recorders[name] = function(fsm, arg, at)
-    if fsm.dbg == silent or not fsm.dbg then return end
-    fsm._at = at
-    report(fsm, "dbg", words(arg, fsm))
+
+do
+  local function label_of(node)
+    if node.kind == "connector" then return node.fqn .. "[c]" end
+    return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
+  end
+
+  -- What a path traces: each returns the words of a record.
+  local RECORDS = {}
+
+  -- root.a[LS]->root.k[c]->root.b[LS]
+  function RECORDS.path(path)
+    local text = path.text or label_of(path.segments[1].src)
+    for _, def in ipairs(path.text and NONE or path.segments) do
+      text = text .. "->" .. label_of(def.tgt)
+    end
+    path.text = text
+    return "EXEC_PATH", text
+  end
+
+  function RECORDS.exits(def)
+    local outermost = def.src
+    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+      outermost = outermost.parent
+    end
+    return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+      def.lca.fqn
+  end
+
+  function RECORDS.exit(state) return "STATE_EXIT", state.fqn end
+
+  function RECORDS.effect(def, fsm)
+    return "EFFECT", tostring(fsm._transitions[def.index])
+  end
+
+  function RECORDS.entries(def)
+    local text, node = def.tgt.fqn, def.tgt.parent
+    while node ~= def.lca do text, node = text .. " > " .. node.fqn, node.parent end
+    return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", text
+  end
+
+  function RECORDS.done(leaf) return "RAISED", leaf.done_event end
+
+  function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
+
+  for name, words in pairs(RECORDS) do -- any order: each stands alone
+    recorders[name] = function(fsm, arg, at)
+      if fsm.dbg == silent or not fsm.dbg then return end
+      fsm._at = at
+      report(fsm, "dbg", words(arg, fsm))
+    end
   end
 end
 
@@ -2049,87 +2059,112 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local fast -- the functions of rfsm/fast.lua, false without it
+local load_fast, prepare_choice, prepare_entry, quick_run
 
-local function make_fast()
-  return loadstring and require("rfsm.fast") {
-    loadstring = loadstring, silent = silent, borrowers = borrowers, perform = perform,
-    failed = report_callback, call_hooks = call_hooks, show_path = show_path,
-    run_effect = run_effect, leave = leave, run_exit_hooks = run_exit_hooks,
-    be_left = be_left, become_active = become_active, enter = enter,
-    become_leaf = become_leaf, matches = matches, refuse_guard = refuse_guard,
-    retarget = retarget, lead = lead, note_of = note_of,
-    warn_of_conflict = warn_of_conflict, compile_transition = compile_transition,
-  }
-end
+do
+  local fast -- the functions of rfsm/fast.lua, false without it
 
--- Whatever stops that file from being loaded, such as too little memory, the machines
--- do without.
-local function load_fast()
-  local ok, made = pcall(make_fast)
-  if rfsm.is_interrupt(made) then error(made, 0) end
-  fast = ok and made or false
-end
-
-local OFTEN = 3 -- what is used more often is compiled
-
--- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
--- or false if there is none:
---
---   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. It has done nothing
---                               and returns false if a search did not choose the path,
---                               and is needed
---   list.find                   as `first_enabled`
-local function compile_text(at, name)
-  local ok, f = pcall(fast and fast[name] or silent, at)
-  if not ok and f ~= "not enough memory" then error(f, 0) end
-  at[name] = ok and f or false
-  return at[name]
-end
-
--- The same, if it is used often.
-function compiled(at, name)
-  if at[name] ~= nil then return at[name] end
-  at.used = (at.used or 0) + 1
-  if fast and at.used <= OFTEN then return false end
-  return compile_text(at, name)
-end
-
--- Returns the path that is taken whenever the transition `def` is the only candidate,
--- if no guard or other target has been set since: each connector has a single
--- transition, without events. Nil if there is no such path.
-local function straight_path(leaf, def)
-  local first, ways, count = compile_transition(def), {}, 1
-  while def.connector do
-    local otrs = def.connector.otrs
-    if #otrs ~= 1 or otrs[1].events or count == 10 then return nil end
-    ways[def.connector] = { way = otrs[1] }
-    def, count = compile_transition(otrs[1]), count + 1
+  local function make_fast()
+    return loadstring and require("rfsm.fast") {
+      loadstring = loadstring, silent = silent, borrowers = borrowers,
+      perform = perform, failed = report_callback, call_hooks = call_hooks,
+      show_path = show_path, run_effect = run_effect, leave = leave,
+      run_exit_hooks = run_exit_hooks, be_left = be_left, become_active = become_active,
+      enter = enter, become_leaf = become_leaf, matches = matches,
+      refuse_guard = refuse_guard, retarget = retarget, lead = lead, note_of = note_of,
+      warn_of_conflict = warn_of_conflict, compile_transition = compile_transition,
+    }
   end
-  return path_of(leaf, first, ways)
-end
 
--- Notes in a list of candidates, and returns, the function that takes the path to which
--- they lead without a search; false if they may lead to several, or not yet often.
-local function quick_run(leaf, choice, name)
-  local def = choice[1]
-  local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
-  local run = path and compiled(path, name) or false
-  if not path or path[name] ~= nil then choice[name] = run end
-  return run
-end
-
--- Makes now what a list of candidates, and the paths to which they lead, would get in a
--- run.
-local function prepare_choice(leaf, choice, name)
-  local is_searched = choice[2]
-  for _, def in ipairs(choice) do
-    local path = straight_path(leaf, def)
-    if path then compile_text(path, name) end
-    is_searched = is_searched or not path or def.guard or def.is_asked
+  -- Whatever stops that file from being loaded, such as too little memory, the machines
+  -- do without.
+  function load_fast()
+    if fast ~= nil then return end
+    local ok, made = pcall(make_fast)
+    if rfsm.is_interrupt(made) then error(made, 0) end
+    fast = ok and made or false
   end
-  if is_searched then compile_text(choice, "find") end
-  quick_run(leaf, choice, name)
+
+  --- Have all machines do without rfsm/fast.lua from now on, where memory is short.
+  function rfsm.without_fast() fast = false end
+
+  local OFTEN = 3 -- what is used more often is compiled
+
+  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
+  -- or false if there is none:
+  --
+  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path; returns false, and
+  --                               has done nothing, if the path was not chosen by a
+  --                               search, and needs one
+  --   list.find                   as `first_enabled`
+  local function compile_text(at, name)
+    local ok, f = pcall(fast and fast[name] or silent, at)
+    if not ok and f ~= "not enough memory" then error(f, 0) end
+    at[name] = ok and f or false
+    return at[name]
+  end
+
+  -- The same, if it is used often.
+  function compiled(at, name)
+    if at[name] ~= nil then return at[name] end
+    at.used = (at.used or 0) + 1
+    if fast and at.used <= OFTEN then return false end
+    return compile_text(at, name)
+  end
+
+  -- Returns the path that is taken whenever the transition `def` is the only candidate,
+  -- if no guard or other target has been set since: each connector has a single
+  -- transition, without events. Nil if there is no such path.
+  local function straight_path(leaf, def)
+    local first, ways, count = compile_transition(def), {}, 1
+    while def.connector do
+      local otrs = def.connector.otrs
+      if #otrs ~= 1 or otrs[1].events or count == 10 then return nil end
+      ways[def.connector] = { way = otrs[1] }
+      def, count = compile_transition(otrs[1]), count + 1
+    end
+    return path_of(leaf, first, ways)
+  end
+
+  -- Notes in a list of candidates, and returns, the function that takes the path to
+  -- which they lead without a search; false if they may lead to several, or not yet
+  -- often.
+  function quick_run(leaf, choice, name)
+    local def = choice[1]
+    local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
+    local run = path and compiled(path, name) or false
+    if not path or path[name] ~= nil then choice[name] = run end
+    return run
+  end
+
+  local MOST_SEGMENTS = 6 -- of paths that are compiled before they are taken
+
+  -- Makes now what the paths from `at` with the transition `def` would get in a run.
+  local function prepare_paths(at, def, name)
+    local path = at.paths and at.paths[def] or new_path(at, def)
+    if not def.connector then return compile_text(path_of(path), name) end
+    if #path.segments == MOST_SEGMENTS then return end
+    for _, way in ipairs(def.connector.otrs) do prepare_paths(path, way, name) end
+  end
+
+  -- The same for the first entry.
+  function prepare_entry(root)
+    local initial = root.members.initial
+    for _, def in ipairs(initial and initial.otrs or NONE) do
+      prepare_paths(entrance_of(root), def, "run")
+    end
+  end
+
+  -- The same for a list of candidates.
+  function prepare_choice(leaf, choice, name)
+    for _, def in ipairs(choice) do
+      prepare_paths(leaf, def, name)
+      if choice[2] or def.guard or def.is_asked or def.connector then
+        compile_text(choice, "find")
+      end
+    end
+    quick_run(leaf, choice, name)
+  end
 end
 
 -- Doo ............................................................................
@@ -2757,7 +2792,7 @@ function rfsm.init(model)
   model = model_of(model)
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
-  if fast == nil then load_fast() end
+  load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
   local fsm = finish_machine(new_machine(plan))
   fsm._initialized = true
@@ -3109,16 +3144,16 @@ end
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
 -- Without it a machine is compiled bit by bit, as its transitions are taken for the
--- first time. So is what comes later, by `fsm_merge` or as a first hook, and a path
--- through a connector that a guard decides.
+-- first times. So is what comes later, by `fsm_merge` or as a first hook.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
   for _, at in ipairs(rfsm.machines(fsm)) do
     local plan, name = at.machine._plan, at.machine._is_hooked and "run_hooked" or "run"
-    for _, def in ipairs(plan.transitions) do compile_transition(def) end
+    prepare_entry(plan.nodes[1])
     for _, def in ipairs(plan.nodes) do
+      if def.kind == "connector" then note_of(at.machine, def) end
       for _, choice in pairs(def.is_leaf and list_choices(def) or NONE) do -- any order
         prepare_choice(def, choice, name)
       end

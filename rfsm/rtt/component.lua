@@ -174,13 +174,10 @@ local function report_endless(launch, fsm)
   end
 end
 
--- Has the machine compiled now. rfsm/fast.lua takes 55 KiB and what it compiles up to 2
--- KiB a transition: a pool that is three quarters full does without it.
+-- Has the machine compiled now. A pool that is three quarters full does without text of
+-- rfsm/fast.lua, which takes up to 2 KiB a transition.
 local function prepare(fsm)
-  local name = "rfsm.fast"
-  if update.is_short_of_memory() and not package.loaded[name] then
-    package.preload[name] = function() return false end
-  end
+  if update.is_short_of_memory() then rfsm.without_fast() end
   rfsm.prepare(fsm)
 end
 
