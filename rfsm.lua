@@ -1401,15 +1401,20 @@ local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
 
--- Ends an iteration early: a hook or getevents has failed. Events that nobody has seen
--- are pending again.
-local function give_up(fsm, failure)
-  if fsm._phase == "gather" then
-    fsm._intq = append(append({}, fsm._curq), fsm._intq)
-  end
-  fsm._curq = {}
+-- The current events are pending again, before the others. The phase is idle first: cut
+-- short, the next iteration finds the events here or there.
+local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
+  fsm._intq = append(append({}, fsm._curq), fsm._intq)
+  fsm._curq = {}
+end
+
+-- Ends an iteration early: a step hook or getevents has failed. Events that nobody has
+-- seen are pending again.
+local function give_up(fsm, failure)
+  if fsm._phase ~= "gather" then fsm._curq = {} end
+  put_back(fsm)
   error(failure, 0)
 end
 
@@ -1493,19 +1498,25 @@ local function reset_now(fsm)
   run_reset_hooks(fsm)
 end
 
--- The queue and the list of the last iteration, which is empty, change places. If that
--- was cut short, both are one list, or the one of the last iteration has the events.
+-- What is pending becomes current: the queue and the list of the last iteration, which
+-- is empty, change places. If that was cut short, both are one list, or the one of the
+-- last iteration has events: they come first.
+local function take_queue(fsm)
+  local queue, spare = fsm._intq, fsm._curq
+  if rawequal(queue, spare) or spare[1] ~= nil then
+    queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
+    spare = {}
+  end
+  fsm._curq = queue
+  fsm._intq = spare
+end
+
 function PHASES.gather(fsm, after_free)
   if fsm._reset_wanted then
     fsm._curq = {}
     reset_now(fsm)
   end
-  local spare = fsm._curq
-  if rawequal(spare, fsm._intq) then spare = {} end
-  if fsm._hook < 0 and spare[1] == nil then
-    fsm._curq = fsm._intq
-    fsm._intq = spare
-  end
+  if fsm._hook < 0 then take_queue(fsm) end
   ask_hooks(fsm)
   return search(fsm, after_free)
 end
@@ -1658,15 +1669,20 @@ end
 
 -- The same for the whole configuration: node by node from the root down to the leaf.
 local function choose_by_node(fsm, leaf, events)
-  local trace = is_traced(fsm) and report or silent
-  trace(fsm, "dbg", "TRANSITION",
-    "searching transitions for events: " .. list_text(events))
+  local traces = is_traced(fsm)
+  if traces then
+    report(fsm, "dbg", "TRANSITION",
+      "searching transitions for events: " .. list_text(events))
+  end
   for i, node in ipairs(line_to(leaf)) do
-    trace(fsm, "dbg", "CHECKING", "depth:", i - 1, "for transitions from " .. node.fqn)
+    if traces then
+      report(fsm, "dbg", "CHECKING", "depth:", i - 1,
+        "for transitions from " .. node.fqn)
+    end
     local plan, def = fsm._plan, first_enabled(fsm, node.otrs, events)
     if def or fsm._plan ~= plan then return def end
   end
-  trace(fsm, "dbg", "TRANSITION", "no enabled paths found")
+  if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
 end
 
 local OTHER = {} -- stands for all events that no transition from the leaf names
@@ -1738,8 +1754,8 @@ end
 -- Warns of events that were sent before the first entry, and that its path does not
 -- name: they are consumed by it.
 local function warn_of_lost_events(fsm, path, events)
-  local lost = {}
   if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has told the sender
+  local lost = {}
   for i = 1, #events do
     local is_named = rawequal(events[i], "e_init_fsm")
     for _, def in ipairs(path.segments) do
@@ -1775,10 +1791,7 @@ end
 local function refuse_entry(fsm, events)
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
-  fsm._intq = append(append({}, events), fsm._intq)
-  fsm._curq = {}
-  fsm._outcome = "refused"
-  fsm._phase = "idle"
+  put_back(fsm)
   if fsm._reset_wanted then reset_now(fsm) end
   fsm._is_usual = true
   raise_failure(fsm)
