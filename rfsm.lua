@@ -1039,33 +1039,32 @@ local function new_plan(model)
   }
 end
 
--- Returns a plan like this one, for changes: its definitions are new ones.
+-- Returns a plan like this one, for changes: its definitions are new ones, in the same
+-- order. Parents come before children.
 local function copy_plan(plan)
-  local copies, copy = {}, new_plan(plan.model)
+  local copy = new_plan(plan.model)
+  local nodes, transitions = copy.nodes, copy.transitions
   copy.warnings, copy.created = plan.warnings, plan.created
-  for _, list in ipairs({ "nodes", "transitions" }) do
-    for i, def in ipairs(plan[list]) do
-      copies[def] = {}
-      copy[list][i] = copies[def]
-    end
+  for i, def in ipairs(plan.nodes) do
+    nodes[i] = {
+      kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
+      data = def.data, proto = false, fqn = def.fqn, depth = def.depth,
+      is_leaf = def.is_leaf, otrs = false, members = {}, doo = def.doo,
+    }
+    nodes[i].parent = nodes[def.parent.index]
+    if i > 1 then nodes[i].parent.members[def.id] = nodes[i] end
   end
-  local STRUCTURE = {
-    "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
-    "tgt", "events", "pn", "is_internal", "doo", "guard",
-  }
-  for def, new in pairs(copies) do -- any order: each stands alone
-    for _, field in ipairs(STRUCTURE) do
-      new[field] = copies[def[field]] or def[field]
-    end
-    if def.members then
-      new.members = {}
-      for key, member in pairs(def.members) do new.members[key] = copies[member] end
-    end
+  for i, def in ipairs(plan.transitions) do
+    transitions[i] = {
+      kind = def.kind, index = i, id = def.id, parent = nodes[def.parent.index],
+      model = def.model, data = def.data, proto = false, src = nodes[def.src.index],
+      tgt = nodes[def.tgt.index], events = def.events, pn = def.pn,
+      is_internal = def.is_internal, guard = def.guard,
+    }
+    transitions[i].parent.members[def.id] = transitions[i]
   end
   return copy
 end
-
-interpret(copy_plan)
 
 local make_trail, is_current
 
