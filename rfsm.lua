@@ -1417,30 +1417,30 @@ local function give_up(fsm, failure)
   error(failure, 0)
 end
 
--- Returns the events of getevents, a list with nils perhaps; nil and the failure.
+-- Returns the events of getevents, a list with nils perhaps; nil and the failure. The
+-- answer is noted at once, and stays until it is appended: cut short, it is not lost.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
+  if fsm._given then return fsm._given end
   if not getevents or getevents == no_events then return NONE end
   local ok, events = pcall(getevents)
-  if ok and type(events) == "table" then
-    return events
-  elseif not is_callable(getevents) then
+  fsm._given = ok and events or false
+  if type(fsm._given) == "table" then return events end
+  fsm._given = false
+  if ok and events == nil then return NONE end
+  if not is_callable(getevents) then
     return nil, "rfsm.step: getevents: function expected, " .. got(getevents)
   elseif not ok then
     return nil, events
-  elseif events ~= nil then
-    return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
   end
-  return NONE
+  return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends what getevents returns. Cut short, the answer is appended again: the events
--- of an iteration are a set.
+-- Appends what getevents returns. Cut short, it is appended again: the events of an
+-- iteration are a set.
 local function append_getevents(fsm, list)
-  local events, failure = fsm._given, nil
-  if not events then events, failure = ask_getevents(fsm) end
+  local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
-  fsm._given = events
   for i = 1, #events do list[#list + 1] = events[i] end
   fsm._given = false
 end
@@ -1486,8 +1486,11 @@ local function set_inactive(fsm)
 end
 
 local function run_reset_hooks(fsm)
+  for _, hook in ipairs(fsm._reset_hooks) do
+    local ok, failure = pcall(hook, fsm)
+    if not ok then keep_failure(fsm, failure) end
+  end
   fsm._reset_wanted = false
-  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
 end
 
 -- Makes a machine as it was after init, but for the events of the current iteration.
@@ -2192,7 +2195,6 @@ do
 
   -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
   local function fail_doo(fsm, leaf, failure)
-    leaf._mode = "done"
     if rfsm.is_interrupt(failure) then
       keep_failure(fsm, failure)
     else
@@ -2226,7 +2228,10 @@ do
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
     end
-    if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
+    if not coroutine then
+      leaf._mode = "done"
+      return fail_doo(fsm, leaf, "there are no coroutines here")
+    end
     leaf._doo_co = new_doo(leaf.doo)
     return leaf._doo_co
   end
@@ -2245,6 +2250,7 @@ do
     if fsm._at < 1 then
       fsm._at = 1
       ok, idle = resume(co, fsm, leaf, "doo")
+      if not ok then leaf._mode = "done" end -- at once: cut short, it must not complete
     end
     if ok and status(co) ~= "dead" then return idle and true or false end
     local finish_doo = ok and end_doo or fail_doo
@@ -2972,6 +2978,7 @@ function rfsm.reset(fsm)
   fsm._given = false
   fsm._phase, fsm._curq, fsm._failure = "idle", {}, false
   reset_now(fsm)
+  raise_failure(fsm)
 end
 
 --- Move the events of getevents to the queue.
@@ -2982,6 +2989,7 @@ function rfsm.check_events(fsm)
   local events, failure = ask_getevents(fsm)
   if not events then error(failure, 0) end
   append(fsm._intq, events)
+  fsm._given = false
   return #fsm._intq
 end
 
@@ -3482,6 +3490,7 @@ function rfsm.place(fsm, leaf, mode, queue)
     reset_now(fsm)
   end
   fsm._intq, fsm._curq = queue, {}
+  raise_failure(fsm)
 end
 
 -- Merge: a new element of a live machine ------------------------------------------
