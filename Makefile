@@ -124,8 +124,8 @@ transcript:             ## run the sessions in doc/sim.md again, with LUA
 doc:                    ## out/: HTML pages of documents and API; warnings are errors
 	@tools/deps.sh doc
 	ldoc -c doc/config.ld --fatalwarnings -q .
-	@mkdir -p out/gallery && cp -R doc/web out
-	@cd out && ls */*.html > pages
+	@mkdir -p out/gallery && cp -R doc/web out && cp LICENSE out/LICENSE.txt
+	@cd out && rm topics/README.md.html && ls */*.html > pages
 	@$(LUA) tools/site/pages.lua out $(sort $(wildcard doc/gallery/*.svg))
 
 # From npm's packages, in a cache; files of a site that is there are replaced.

@@ -19,7 +19,6 @@ local pcall, rawequal, rawget, rawset, select = pcall, rawequal, rawget, rawset,
 local setmetatable, tostring, type = setmetatable, tostring, type
 local concat, insert = table.concat, table.insert
 local remove, sort = table.remove, table.sort
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local huge = 1 / 0
 
 -- Returns a global, or a field of one; nil where a sandbox lacks it.
@@ -257,9 +256,39 @@ end
 
 local is_callable, text_of = rfsm.is_callable, rfsm.text_of
 
+-- The predicates that `rfsm.named` has made: predicate -> name, and name -> predicate.
+local event_names = setmetatable({}, { __mode = "k" })
+local predicates = setmetatable({}, { __mode = "v" })
+
+--- Return a predicate for `events`: it accepts a table whose field `name` is that text.
+--
+-- Such events carry data: `rfsm.send_events(fsm, { name = "e_paid", amount = 12 })`.
+-- The same name gives the same predicate, whose name every tool can read.
+--
+---@param name string
+---@return fun(event: any): boolean predicate
+function rfsm.named(name)
+  if type(name) ~= "string" then
+    error("rfsm.named: name of an event expected, got " .. type(name), 2)
+  end
+  local predicate = predicates[name]
+  if not predicate then
+    predicate = function(event)
+      return type(event) == "table" and rawequal(rawget(event, "name"), name)
+    end
+    predicates[name], event_names[predicate] = predicate, name
+  end
+  return predicate
+end
+
+--- Return the name that a predicate of `rfsm.named` accepts, nil for any other value.
+---@param predicate any
+---@return string? name
+function rfsm.event_name(predicate) return event_names[predicate] end
+
 local function list_text(values)
   local texts = {}
-  for i = 1, #values do texts[i] = text_of(values[i]) end
+  for i = 1, #values do texts[i] = event_names[values[i]] or text_of(values[i]) end
   return concat(texts, ", ")
 end
 
@@ -399,6 +428,33 @@ local function advise(topic, ...)
   return advice[topic](...)
 end
 
+--- The data of one `init` or `fsm_merge`. A plan is the part that machines share.
+---@class rfsm.Build
+---@field plan rfsm.Plan the result
+---@field problems { at: string, file?: string, text: string }[]
+---@field warnings { at: string, file?: string, text: string }[]
+---@field created { line: string }[] `initial` connectors that are not declared
+---@field mounts table<table, rfsm.Def[]> model node -> its clones
+---@field fsm rfsm.Machine? the machine that something is merged into
+
+--- The definition of a node or transition: all that is known before a machine runs.
+--
+-- The machines of a model share it. The table of an element in a machine holds the
+-- fields of that machine, and inherits the rest from `proto`.
+--
+---@class rfsm.Def
+---@field kind "state"|"transition"|"connector"
+---@field index integer its position among the nodes or transitions of the plan
+---@field id string|integer
+---@field parent rfsm.Def its composite; the root is its own
+---@field model table its source in the model
+---@field data any[] callbacks and the user's data: key, value, key, value ...
+---@field proto table metatable of the elements
+---@field fqn string of a node
+---@field is_leaf boolean of a state
+---@field otrs rfsm.Def[] transitions that leave the node, in the order of trying
+---@field src rfsm.Def of a transition, as `tgt`, `events`, `pn`
+
 -- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
 local function name_of(def, field)
@@ -460,24 +516,17 @@ end
 ---@return any model the value itself if it is no part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
-  if class == Machine then return value._plan.model end
+  if class == Machine then return rfsm.structure_of(value).model end
   local def = type(class) == "table" and rawget(class, "_%def")
   return def and def.model or value
 end
-
---- Return a table that machines of the same structure share, for extensions.
---
--- `fsm_merge`, and events that a preproc function changes, give a machine another one.
---
----@param fsm rfsm.Machine
----@return table structure
-function rfsm.structure_of(fsm) return fsm._plan end
 
 --- Return the name of the target that the model gives a transition, for extensions.
 ---@param tr rfsm.Transition a transition of a machine
 ---@return string fqn "internal" for an internal transition
 function rfsm.target_of(tr)
-  return tr._is_internal and "internal" or tr["_%def"].tgt.fqn
+  local def = tr["_%def"]
+  return def.is_internal and "internal" or def.tgt.fqn
 end
 
 local model_of = rfsm.model_of
@@ -541,6 +590,10 @@ do
       end
       list[i] = event
     end
+    if count == 0 then
+      add(build.warnings, def, "events", "an empty list, any event triggers it (is a "
+        .. "name in it nil? if any event is meant, leave it out)")
+    end
     return count > 0 and list
   end
 
@@ -601,12 +654,13 @@ do
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
       check_callable(build, def, key, value)
-      if key == "guard" and value == false then
+      if value then
+        add_datum(def, key, value)
+        if key == "doo" or key == "guard" then def[key] = value end
+      elseif key == "guard" then
         add(build.warnings, def, nil, "its guard is false and counts as absent, it was "
           .. "made while the chart was loaded")
       end
-      def[key] = value
-      if value then add_datum(def, key, value) end
     elseif key == "initial" and def.kind == "state" then
       add(build.problems, def, key, "connector expected, %s "
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
@@ -827,7 +881,7 @@ do
 
   local function resolve_transition(build, def)
     local src, src_reason = find_end(build, def, "src")
-    if src then src.is_left = true end
+    if src and src.kind == "connector" then src.is_left = true end
     local tgt, tgt_reason, is_internal = find_target(build, def, src)
     if not def.parent.is_leaf then -- there is a warning of those
       if src_reason then add(build.problems, def, nil, src_reason) end
@@ -865,6 +919,15 @@ end
 -- searched or a transition is taken for the first time, so that unused parts take
 -- neither time nor memory. Callbacks are not compiled: each is read when it is called.
 
+--- The structure that machines of a model share.
+---@class rfsm.Plan
+---@field model rfsm.State its source
+---@field nodes rfsm.Def[] parents before children, the root first
+---@field transitions rfsm.Def[]
+---@field events table<any, true> the events that transitions name
+---@field trail table|false see `is_current`; only the plan of a model has one
+---@field variant rfsm.Plan|false what preproc functions have made of it, the latest
+
 local compile, compile_transition, line_to
 
 do
@@ -880,28 +943,30 @@ do
 
   local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-  -- The events of a transition: a list of the caller's own, since machines share the
-  -- definition.
-  local Events = {}
-  function Events.__index(proto, key)
-    return key == "events" and append({}, proto["_%def"].events or NONE) or nil
+  -- What elements inherit, for each class: the methods. The events of a transition are
+  -- a list of the caller's own, since machines share the definition.
+  local INHERITED = {}
+  for kind, class in pairs(CLASSES) do -- any order: each stands alone
+    INHERITED[kind] = { __index = { type = class.type, new = class.new } }
   end
 
-  -- Makes the metatable of the elements, in which absent fields are looked up.
+  function INHERITED.transition.__index(proto, key)
+    if key == "events" then return append({}, proto["_%def"].events or NONE) end
+    return key ~= "rfsm" and CLASSES.transition[key] or nil
+  end
+
+  -- Makes the metatable of an element, in which absent fields are looked up.
   local function make_proto(def)
-    local class = CLASSES[def.kind]
     local proto = {
-      ["_%def"] = def, rfsm = def.kind, type = class.type, new = class.new,
-      __tostring = class.__tostring, _id = def.id, _fqn = def.fqn, pn = def.pn,
+      ["_%def"] = def, rfsm = def.kind, __tostring = CLASSES[def.kind].__tostring,
       __eq = rawequal, -- so that no other one's is ever asked
+      __index = false, _id = def.id, _fqn = def.fqn,
     }
     if def.kind == "transition" then
-      proto.guard, proto.effect = false, false
-      proto._is_internal = def.is_internal or nil
-      setmetatable(proto, Events)
+      proto.pn, proto.guard, proto.effect = def.pn, false, false
     end
     proto.__index = proto
-    def.proto = proto
+    def.proto = setmetatable(proto, INHERITED[def.kind])
     if def.is_leaf then
       def.done_event, def.choices = "e_done@" .. def.fqn, NONE
     end
@@ -928,7 +993,7 @@ do
     for i = 1, #nodes do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
-    plan.events = events
+    plan.events, nodes[1].plan = events, plan
     return plan
   end
 
@@ -959,12 +1024,10 @@ do
 
   -- Lists the states from the root to `leaf`.
   function line_to(leaf)
-    if leaf.line then return leaf.line end
     local line, def = {}, leaf
     for i = leaf.depth + 1, 1, -1 do
       line[i], def = def, def.parent
     end
-    leaf.line = line
     return line
   end
 end
@@ -1206,32 +1269,7 @@ local function list_otrs(fsm, plan)
   end
 end
 
--- Run: one iteration after the other ----------------------------------------------
---
--- Between two iterations exactly one leaf is active, or none before the first entry.
--- `_phase` names what is under way:
---
---   idle     nothing: the machine waits for its caller
---   gather   the pending events and those of getevents become the current ones, the
---            pre step hooks are called
---   search   a path is chosen that the events enable
---   take     the actions of that path are performed
---   doo      there is no path: a doo cycle is run
---   finish   the post step hooks are called
---
--- Each phase ends in a call of the next one.
---
--- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
--- of time. It may come at any instruction, and reaches the caller of `step`; the
--- machine is marked as cut short. The next step repeats the phase, but for the
--- callbacks up to the one under way. One rule makes that right:
---
---   An action calls callbacks of one kind at most, changes the machine before it calls
---   them, and notes its position right before each call.
---
--- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
--- callback is called at most once, and what changes the machine may be repeated. Only
--- guards may be asked again.
+-- Report: what a machine says to its printers, and errors that wait ---------------
 
 local DEFAULT_PRINTER, printer_of
 
@@ -1293,7 +1331,8 @@ end
 ---@param name "dbg"|"info"|"warn"|"err"
 ---@param ... any
 function rfsm.report(fsm, name, ...)
-  local printer = printer_of(fsm, name)
+  local printer = fsm[name]
+  if not printer or printer == true then printer = printer_of(fsm, name) end
   local ok, failure = pcall(printer, ...)
   if ok then return end
   if not is_callable(printer) then
@@ -1329,6 +1368,33 @@ local function report_callback(fsm, name, owner, callback, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   report(fsm, "err", name:upper(), text .. ": ", failure)
 end
+
+-- Run: one iteration after the other ----------------------------------------------
+--
+-- Between two iterations exactly one leaf is active, or none before the first entry.
+-- `_phase` names what is under way:
+--
+--   idle     nothing: the machine waits for its caller
+--   gather   the pending events and those of getevents become the current ones, the
+--            pre step hooks are called
+--   search   a path is chosen that the events enable
+--   take     the actions of that path are performed
+--   doo      there is no path: a doo cycle is run
+--   finish   the post step hooks are called
+--
+-- Each phase ends in a call of the next one.
+--
+-- An error that is no callback's own comes from a debug hook: Control-C, a host's limit
+-- of time. It may come at any instruction, and reaches the caller of `step`; the
+-- machine is marked as cut short. The next step repeats the phase, but for the
+-- callbacks up to the one under way. One rule makes that right:
+--
+--   An action calls callbacks of one kind at most, changes the machine before it calls
+--   them, and notes its position right before each call.
+--
+-- The position is `_at` on a path and in a doo, `_hook` among the step hooks. So each
+-- callback is called at most once, and what changes the machine may be repeated. Only
+-- guards may be asked again.
 
 local compiled, conclude, path_of, perform
 local PHASES, search = {}, nil
@@ -1488,7 +1554,7 @@ end
 
 -- A guard that fails does not enable: returns false. One that is interrupted is asked
 -- again by the next step.
-local function refuse(fsm, tr, guard, failure)
+local function refuse_guard(fsm, tr, guard, failure)
   if rfsm.is_interrupt(failure) then error(failure, 0) end
   report_callback(fsm, "guard", tr, guard, failure)
   return false
@@ -1502,7 +1568,7 @@ local function ask(fsm, def, events)
   if guard then
     if not borrowers[guard] then fsm._is_lent = true end
     local ok, answer = pcall(guard, tr, events)
-    if not ok then answer = refuse(fsm, tr, guard, answer) end
+    if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
     if answer == false then return nil end
   end
   if def.connector == nil then compile_transition(def) end
@@ -1516,8 +1582,8 @@ end
 local function note_of(fsm, connector)
   local note = fsm._ways[connector]
   if not note then
-    note = { otrs = connector.otrs, search = 0, way = false, position = 0, found = false,
-      others = false, outer = false, asked = false }
+    note = { otrs = connector.otrs, search = 0, way = false,
+      position = 0, found = false, others = false, outer = false, asked = false }
     fsm._ways[connector] = note
   end
   return note
@@ -1548,9 +1614,10 @@ local function ask_next(fsm, note, def, events)
 end
 
 -- Finds the way out of a connector, and of those to which its transitions lead, each
--- once a search: (a) begins with a connector, (b) asks its next transition, also further
--- ones of the same priority, to warn of a conflict, (c) goes back to the connector from
--- which it came. Until then a connector has no way out, so that cycles end.
+-- once a search: (a) begins with a connector, (b) asks its next transition, also
+-- further ones of the same priority, to warn of a conflict, (c) goes back to the
+-- connector from which it came. Until then a connector has no way out, so that cycles
+-- end.
 local function find_way(fsm, there, events)
   local note = false
   repeat
@@ -1578,12 +1645,12 @@ local function lead(fsm, def, events)
   return note.way and def or nil
 end
 
--- Returns the first transition of a node that is enabled, nil if there is none, or a
+-- Returns the first transition of a list that is enabled, nil if there is none, or a
 -- guard has merged something.
-local function first_enabled(fsm, otrs, events)
+local function first_enabled(fsm, list, events)
   local plan = fsm._plan
-  for i = 1, #otrs do
-    local def = matches(otrs[i], events) and ask(fsm, otrs[i], events)
+  for i = 1, #list do
+    local def = matches(list[i], events) and ask(fsm, list[i], events)
     local found = def and lead(fsm, def, events)
     if found or fsm._plan ~= plan then return found or nil end
   end
@@ -1652,17 +1719,6 @@ local function candidates_of(leaf, events)
   return common
 end
 
--- Returns the first of the candidates that is enabled; nil as `first_enabled`.
-local function first_candidate(fsm, list, events)
-  local plan = fsm._plan
-  for i = 1, #list do
-    local def = list[i]
-    def = (not def.is_asked or matches(def, events)) and ask(fsm, def, events)
-    local found = def and lead(fsm, def, events)
-    if found or fsm._plan ~= plan then return found or nil end
-  end
-end
-
 -- Returns the transition that the events enable, nil if there is none: found among the
 -- candidates in `list`, if they are known. If a guard has merged something into the
 -- machine it is searched again.
@@ -1671,7 +1727,7 @@ local function choose(fsm, leaf, events, list)
   local plan, def, find = fsm._plan, leaf["_%def"], nil
   if not list then list = not is_traced(fsm) and candidates_of(def, events) end
   if list and list[1] == nil then return nil end
-  if list then find = list.find or compiled(list, "find") or first_candidate end
+  if list then find = list.find or compiled(list, "find") or first_enabled end
   fsm._search = fsm._search + 1
   if not find then list, find = def, choose_by_node end
   def = find(fsm, list, events)
@@ -1696,6 +1752,13 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
+-- Returns the path that enters a root without states, and begins all other first
+-- entries.
+local function entrance_of(root)
+  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
+  return root.entrance
+end
+
 -- First entry: the path from `initial`, nil if there is none.
 local function find_entry(fsm, events)
   local root = fsm._plan.nodes[1]
@@ -1703,8 +1766,7 @@ local function find_entry(fsm, events)
   local def = not root.is_leaf
     and first_enabled(fsm, root.members.initial.otrs, events)
   if not (def or root.is_leaf) then return nil end
-  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
-  local path = path_of(root.entrance, def, fsm._ways)
+  local path = path_of(entrance_of(root), def, fsm._ways)
   warn_of_lost_events(fsm, path, events)
   return path
 end
@@ -1792,16 +1854,60 @@ local function show_path(fsm, path, at)
   call_hooks(fsm, fsm._path_hooks, list, at)
 end
 
--- Traces `words`.
-local function record(fsm, words, at)
-  if fsm.dbg == silent or not fsm.dbg then return end
-  fsm._at = at
-  report(fsm, "dbg", unpack(words))
-end
+-- Actions that trace a record, by its kind.
+local recorders = {}
 
-local function record_effect(fsm, def, at)
-  if fsm.dbg == silent then return end
-  record(fsm, { "EFFECT", tostring(fsm._transitions[def.index]) }, at)
+do
+  local function label_of(node)
+    if node.kind == "connector" then return node.fqn .. "[c]" end
+    return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
+  end
+
+  -- What a path traces: each returns the words of a record.
+  local RECORDS = {}
+
+  -- root.a[LS]->root.k[c]->root.b[LS]
+  function RECORDS.path(path)
+    local text = path.text or label_of(path.segments[1].src)
+    for _, def in ipairs(path.text and NONE or path.segments) do
+      text = text .. "->" .. label_of(def.tgt)
+    end
+    path.text = text
+    return "EXEC_PATH", text
+  end
+
+  function RECORDS.exits(def)
+    local outermost = def.src
+    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
+      outermost = outermost.parent
+    end
+    return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
+      def.lca.fqn
+  end
+
+  function RECORDS.exit(state) return "STATE_EXIT", state.fqn end
+
+  function RECORDS.effect(def, fsm)
+    return "EFFECT", tostring(fsm._transitions[def.index])
+  end
+
+  function RECORDS.entries(def)
+    local text, node = def.tgt.fqn, def.tgt.parent
+    while node ~= def.lca do text, node = text .. " > " .. node.fqn, node.parent end
+    return "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ", text
+  end
+
+  function RECORDS.done(leaf) return "RAISED", leaf.done_event end
+
+  function RECORDS.entry(state) return "STATE_ENTER", state.fqn end
+
+  for name, words in pairs(RECORDS) do -- any order: each stands alone
+    recorders[name] = function(fsm, arg, at)
+      if fsm.dbg == silent or not fsm.dbg then return end
+      fsm._at = at
+      report(fsm, "dbg", words(arg, fsm))
+    end
+  end
 end
 
 local function run_effect(fsm, def, at)
@@ -1855,7 +1961,7 @@ end
 local function become_leaf(fsm, def, at)
   local leaf = fsm._nodes[def.index]
   fsm._act_leaf = leaf
-  if not leaf.doo then record(fsm, { "RAISED", def.done_event }, at) end
+  if not leaf.doo then recorders.done(fsm, def, at) end
 end
 
 -- A leaf without doo has done its work. Cut short it may raise its e_done twice, which
@@ -1877,33 +1983,14 @@ do
     list.args[#list.actions] = arg
   end
 
-  local function add_record(list, ...) add_action(list, record, { ... }) end
-
-  local function label_of(node)
-    if node.kind == "connector" then return node.fqn .. "[c]" end
-    return node.fqn .. (node.is_leaf and "[LS]" or "[CS]")
-  end
-
-  -- root.a[LS]->root.k[c]->root.b[LS]
-  local function add_path_record(list, segments)
-    local text = label_of(segments[1].src)
-    for _, def in ipairs(segments) do text = text .. "->" .. label_of(def.tgt) end
-    add_record(list, "EXEC_PATH", text)
-  end
-
   -- From the state `from` up to the lca, where nothing is left.
   local function add_exits(list, def, from)
-    local outermost = def.src
-    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-      outermost = outermost.parent
-    end
-    add_record(list, "TRANS_EXIT", "exiting all up to (including):", outermost.fqn,
-      ", lca:", def.lca.fqn)
+    add_action(list, recorders.exits, def)
     while from ~= def.lca do
       add_action(list, leave, from)
       add_action(list, run_exit_hooks, from)
       add_action(list, be_left, from)
-      add_record(list, "STATE_EXIT", from.fqn)
+      add_action(list, recorders.exit, from)
       from = from.parent
     end
   end
@@ -1915,15 +2002,7 @@ do
       add_action(list, become_leaf, state)
       add_action(list, be_done, state)
     end
-    add_record(list, "STATE_ENTER", state.fqn)
-  end
-
-  local function add_entries(list, def)
-    local names, node = {}, def.tgt
-    while node ~= def.lca do names[#names + 1], node = node.fqn, node.parent end
-    add_record(list, "TRANS_ENTER", "lca: " .. def.lca.fqn, "down_path: ",
-      concat(names, " > "))
-    for _, state in ipairs(def.entries) do add_entry(list, state) end
+    add_action(list, recorders.entry, state)
   end
 
   -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
@@ -1932,12 +2011,15 @@ do
     local from, list = path.from, { actions = {}, args = {} }
     add_action(list, show_path, path)
     if path.entered then add_entry(list, path.entered) end
-    if path.segments[1] then add_path_record(list, path.segments) end
+    if path.segments[1] then add_action(list, recorders.path, path) end
     for _, def in ipairs(path.segments) do
       if not def.is_internal then add_exits(list, def, from) end
-      add_action(list, record_effect, def)
+      add_action(list, recorders.effect, def)
       add_action(list, run_effect, def)
-      if not def.is_internal then add_entries(list, def) end
+      if not def.is_internal then add_action(list, recorders.entries, def) end
+      for _, state in ipairs(def.is_internal and NONE or def.entries) do
+        add_entry(list, state)
+      end
       from = def.tgt.parent
     end
     path.args = list.args
@@ -1977,64 +2059,112 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local fast -- the functions of rfsm/fast.lua, false without it
+local load_fast, prepare_choice, prepare_entry, quick_run
 
--- Whatever stops that file from being loaded, the machines do without.
-local function load_fast()
-  local ok, make = pcall(require, "rfsm.fast")
-  fast = ok and loadstring and make {
-    loadstring = loadstring, silent = silent, borrowers = borrowers, perform = perform,
-    failed = report_callback, call_hooks = call_hooks, show_path = show_path,
-    run_effect = run_effect, leave = leave, run_exit_hooks = run_exit_hooks,
-    be_left = be_left, become_active = become_active, enter = enter,
-    become_leaf = become_leaf, matches = matches, refuse = refuse, retarget = retarget,
-    lead = lead, note_of = note_of, warn_of_conflict = warn_of_conflict,
-    compile_transition = compile_transition,
-  } or false
-end
+do
+  local fast -- the functions of rfsm/fast.lua, false without it
 
-local OFTEN = 3 -- what is used more often is compiled
-
--- Returns the function that rfsm/fast.lua has made for a path or a list of candidates;
--- false if there is none, or it was not used often.
---
---   path.run, path.run_hooked   f(fsm, is_chosen) takes the path. It has done nothing
---                               and returns false if a search did not choose the path,
---                               and is needed
---   list.find                   as `first_candidate`
-function compiled(at, name)
-  if at[name] ~= nil then return at[name] end
-  at.used = (at.used or 0) + 1
-  if fast and at.used <= OFTEN then return false end
-  local ok, f = pcall(fast and fast[name] or silent, at)
-  if not ok and f ~= "not enough memory" then error(f, 0) end
-  at[name] = ok and f or false
-  return at[name]
-end
-
--- Returns the path that is taken whenever the transition `def` is the only candidate,
--- if no guard or other target has been set since: each connector has a single
--- transition, without events. Nil if there is no such path.
-local function straight_path(leaf, def)
-  local first, ways, count = compile_transition(def), {}, 1
-  while def.connector do
-    local otrs = def.connector.otrs
-    if #otrs ~= 1 or otrs[1].events or count == 10 then return nil end
-    ways[def.connector] = { way = otrs[1] }
-    def, count = compile_transition(otrs[1]), count + 1
+  local function make_fast()
+    return loadstring and require("rfsm.fast") {
+      loadstring = loadstring, silent = silent, borrowers = borrowers,
+      perform = perform, failed = report_callback, call_hooks = call_hooks,
+      show_path = show_path, run_effect = run_effect, leave = leave,
+      run_exit_hooks = run_exit_hooks, be_left = be_left, become_active = become_active,
+      enter = enter, become_leaf = become_leaf, matches = matches,
+      refuse_guard = refuse_guard, retarget = retarget, lead = lead, note_of = note_of,
+      warn_of_conflict = warn_of_conflict, compile_transition = compile_transition,
+    }
   end
-  return path_of(leaf, first, ways)
-end
 
--- Notes in a list of candidates, and returns, the function that takes the path to which
--- they lead without a search; false if they may lead to several, or not yet often.
-local function quick_run(leaf, choice, is_hooked)
-  local def = choice[1]
-  local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
-  local name = is_hooked and "run_hooked" or "run"
-  local run = path and compiled(path, name) or false
-  if not path or path[name] ~= nil then choice[name] = run end
-  return run
+  -- Whatever stops that file from being loaded, such as too little memory, the machines
+  -- do without.
+  function load_fast()
+    if fast ~= nil then return end
+    local ok, made = pcall(make_fast)
+    if rfsm.is_interrupt(made) then error(made, 0) end
+    fast = ok and made or false
+  end
+
+  --- Have all machines do without rfsm/fast.lua from now on, where memory is short.
+  function rfsm.without_fast() fast = false end
+
+  local OFTEN = 3 -- what is used more often is compiled
+
+  -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
+  -- or false if there is none:
+  --
+  --   path.run, path.run_hooked   f(fsm, is_chosen) takes the path; returns false, and
+  --                               has done nothing, if the path was not chosen by a
+  --                               search, and needs one
+  --   list.find                   as `first_enabled`
+  local function compile_text(at, name)
+    local ok, f = pcall(fast and fast[name] or silent, at)
+    if not ok and f ~= "not enough memory" then error(f, 0) end
+    at[name] = ok and f or false
+    return at[name]
+  end
+
+  -- The same, if it is used often.
+  function compiled(at, name)
+    if at[name] ~= nil then return at[name] end
+    at.used = (at.used or 0) + 1
+    if fast and at.used <= OFTEN then return false end
+    return compile_text(at, name)
+  end
+
+  -- Returns the path that is taken whenever the transition `def` is the only candidate,
+  -- if no guard or other target has been set since: each connector has a single
+  -- transition, without events. Nil if there is no such path.
+  local function straight_path(leaf, def)
+    local first, ways, count = compile_transition(def), {}, 1
+    while def.connector do
+      local otrs = def.connector.otrs
+      if #otrs ~= 1 or otrs[1].events or count == 10 then return nil end
+      ways[def.connector] = { way = otrs[1] }
+      def, count = compile_transition(otrs[1]), count + 1
+    end
+    return path_of(leaf, first, ways)
+  end
+
+  -- Notes in a list of candidates, and returns, the function that takes the path to
+  -- which they lead without a search; false if they may lead to several, or not yet
+  -- often.
+  function quick_run(leaf, choice, name)
+    local def = choice[1]
+    local path = def and not (choice[2] or def.is_asked) and straight_path(leaf, def)
+    local run = path and compiled(path, name) or false
+    if not path or path[name] ~= nil then choice[name] = run end
+    return run
+  end
+
+  local MOST_SEGMENTS = 6 -- of paths that are compiled before they are taken
+
+  -- Makes now what the paths from `at` with the transition `def` would get in a run.
+  local function prepare_paths(at, def, name)
+    local path = at.paths and at.paths[def] or new_path(at, def)
+    if not def.connector then return compile_text(path_of(path), name) end
+    if #path.segments == MOST_SEGMENTS then return end
+    for _, way in ipairs(def.connector.otrs) do prepare_paths(path, way, name) end
+  end
+
+  -- The same for the first entry.
+  function prepare_entry(root)
+    local initial = root.members.initial
+    for _, def in ipairs(initial and initial.otrs or NONE) do
+      prepare_paths(entrance_of(root), def, "run")
+    end
+  end
+
+  -- The same for a list of candidates.
+  function prepare_choice(leaf, choice, name)
+    for _, def in ipairs(choice) do
+      prepare_paths(leaf, def, name)
+      if choice[2] or def.guard or def.is_asked or def.connector then
+        compile_text(choice, "find")
+      end
+    end
+    quick_run(leaf, choice, name)
+  end
 end
 
 -- Doo ............................................................................
@@ -2069,7 +2199,11 @@ do
 
   local function end_doo(fsm, leaf)
     if leaf._mode ~= "done" then complete(fsm, leaf) end
-    record(fsm, { "DOO", "removing completed coroutine of " .. leaf._fqn .. " doo" }, 2)
+    if is_traced(fsm) then
+      fsm._at = 2
+      report(fsm, "dbg", "DOO",
+        "removing completed coroutine of " .. leaf._fqn .. " doo")
+    end
     leaf._doo_co = nil
   end
 
@@ -2176,7 +2310,7 @@ local function iterate_hooked(fsm, after_free)
     if event ~= nil and more == nil then
       choice = def.choices[event] or choice_of(def, event)
       local run = choice.run_hooked
-      if run == nil then run = quick_run(def, choice, true) end
+      if run == nil then run = quick_run(def, choice, "run_hooked") end
       if run and run(fsm) then return conclude(fsm, "counted") end
     end
   end
@@ -2221,7 +2355,7 @@ local function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would co
   if more == nil then
     choice = def.choices[event] or choice_of(def, event)
     local run = choice.run
-    if run == nil then run = quick_run(def, choice, false) end
+    if run == nil then run = quick_run(def, choice, "run") end
     local is_taken = run and run(fsm)
     if is_taken and (fsm._is_lent or not fsm._is_usual) then
       return conclude(fsm, "counted")
@@ -2247,12 +2381,23 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
+-- A copy of all tables of a machine has a copy of its plan, which the metatables of its
+-- elements do not know: it gets theirs.
+local function adopt_copy(fsm)
+  local node = fsm._nodes[2]
+  local root = node and node["_%def"].parent or fsm["_%def"]
+  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, {}
+  machines[fsm] = true
+end
+
 --- Raise an error that blames the caller, unless `fsm` is a machine; for extensions.
 ---@param fsm any
 ---@param where string the public function, such as "rfsm.step"
 ---@param level? integer the function to blame: 3, the default, for the caller's caller
 function rfsm.check_machine(fsm, where, level)
-  if machines[fsm] or getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+  if machines[fsm] then return end
+  if getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+    if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
     return
   end
   local hint = is_state(fsm) and (rawget(fsm, "_initialized")
@@ -2261,6 +2406,17 @@ function rfsm.check_machine(fsm, where, level)
 end
 
 local check_machine = rfsm.check_machine
+
+--- Return a table that machines of the same structure share, for extensions.
+--
+-- `fsm_merge`, and events that a preproc function changes, give a machine another one.
+--
+---@param fsm rfsm.Machine
+---@return table structure
+function rfsm.structure_of(fsm)
+  check_machine(fsm, "rfsm.structure_of")
+  return fsm._plan
+end
 
 local function check_function(f, where, level)
   if is_callable(f) then return end
@@ -2636,7 +2792,7 @@ function rfsm.init(model)
   model = model_of(model)
   local plan, problems = plan_of(model)
   if not plan then return refuse_model(model, nil, problems) end
-  if fast == nil then load_fast() end
+  load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
   local fsm = finish_machine(new_machine(plan))
   fsm._initialized = true
@@ -2935,6 +3091,13 @@ function rfsm.regions(state)
   return append({}, type(regions) == "table" and regions or NONE)
 end
 
+--- A machine, and where it runs.
+---@class rfsm.Place
+---@field machine rfsm.Machine
+---@field owner rfsm.Machine|false the parent machine, whose state runs it
+---@field state rfsm.State|false that state
+---@field prefix string "root", or the name of the region: "root.arms.left"
+
 --- List a machine and the regions in its states, at any depth; itself first.
 ---@param fsm rfsm.Machine
 ---@return rfsm.Place[] places
@@ -2956,21 +3119,43 @@ function rfsm.machines(fsm)
   return places
 end
 
+-- Returns a node of a machine, or of one in its states, by its name, "root.par.left.a".
+local function find_by_name(fsm, name)
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, node in ipairs(at.machine._nodes) do
+      if at.prefix .. node._fqn:sub(5) == name then return node end
+    end
+  end
+end
+
+--- Is a state active, in the machine or in one that runs in its states?
+---@param fsm rfsm.Machine
+---@param state rfsm.State|string the name begins as `rfsm.machines` says
+---@return boolean
+function rfsm.is_in(fsm, state)
+  check_machine(fsm, "rfsm.is_in")
+  local node = type(state) == "string" and find_by_name(fsm, state) or state
+  if not is_state(node) or not node._mode then
+    error("rfsm.is_in: state of the machine expected, " .. got(state), 2)
+  end
+  return node._mode ~= "inactive"
+end
+
 --- Load and compile now what would be loaded and compiled while a machine runs.
 --
 -- Without it a machine is compiled bit by bit, as its transitions are taken for the
--- first time. So is what comes later, by `fsm_merge` or as a first hook, and a path
--- through a connector that a guard decides.
+-- first times. So is what comes later, by `fsm_merge` or as a first hook.
 --
 ---@param fsm rfsm.Machine
 function rfsm.prepare(fsm)
   check_machine(fsm, "rfsm.prepare")
   for _, at in ipairs(rfsm.machines(fsm)) do
-    local plan, is_hooked = at.machine._plan, at.machine._is_hooked
-    for _, def in ipairs(plan.transitions) do compile_transition(def) end
+    local plan, name = at.machine._plan, at.machine._is_hooked and "run_hooked" or "run"
+    prepare_entry(plan.nodes[1])
     for _, def in ipairs(plan.nodes) do
+      if def.kind == "connector" then note_of(at.machine, def) end
       for _, choice in pairs(def.is_leaf and list_choices(def) or NONE) do -- any order
-        quick_run(def, choice, is_hooked)
+        prepare_choice(def, choice, name)
       end
     end
   end
@@ -3024,7 +3209,7 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways, number = fsm._ways, fsm._search -- a callback may ask during another search
+  local ways, number = fsm._ways, fsm._search -- this may be asked during a search
   fsm._ways, fsm._search = {}, 1
   local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false
@@ -3053,7 +3238,7 @@ function rfsm.exit_state(fsm, state)
   leave(fsm, def, 1)
   run_exit_hooks(fsm, def, 2)
   be_left(fsm, def)
-  record(fsm, { "STATE_EXIT", state._fqn }, 3)
+  recorders.exit(fsm, def, 3)
   fsm._at = at
 end
 

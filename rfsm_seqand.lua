@@ -147,12 +147,12 @@ end
 -- The doo: it runs only in iterations that take no transition, so that their events
 -- are for the regions.
 local function advance_all(fsm, state)
-  local regions = state._regions
   while true do
-    local are_all_idle = true
+    local regions, are_all_idle = state._regions, true
     forward(fsm, regions, fsm._curq)
     for i = 1, #regions do are_all_idle = advance(fsm, state, i) and are_all_idle end
-    rfsm.yield(idle_flag(state, are_all_idle))
+    -- a copy of the machine shares this coroutine
+    fsm, state = rfsm.yield(idle_flag(state, are_all_idle))
   end
 end
 

@@ -101,8 +101,11 @@ function to_text(value, open)
   return text
 end
 
-local function line_of(is_coloured, name, id, ...)
-  local prefix = name and paint(is_coloured, NAME, to_text(name) .. ":") .. "\t" or ""
+local function prefix_of(is_coloured, name)
+  return name and paint(is_coloured, NAME, to_text(name) .. ":") .. "\t" or ""
+end
+
+local function line_of(is_coloured, prefix, id, ...)
   local padded, texts = ("%-20s"):format(to_text(id)), {}
   for i = 1, select("#", ...) do texts[i] = to_text((select(i, ...))) end
   return prefix .. paint(is_coloured, ID[id], padded) .. concat(texts, " ")
@@ -118,7 +121,8 @@ end
 ---@param ... any its arguments, tables with their contents
 ---@return string line
 function rfsmpp.dbgcolorize(name, id, ...)
-  return line_of(is_colour_wanted(), name, id, ...)
+  local is_coloured = is_colour_wanted()
+  return line_of(is_coloured, prefix_of(is_coloured, name), id, ...)
 end
 
 --- Print the line of one trace record.
@@ -154,14 +158,15 @@ end
 ---@nodiscard
 function rfsmpp.gen_dbgcolor(name, ids, defshow, print_fn)
   check_arguments(ids, print_fn)
-  name, ids = name or "<unnamed SM>", ids or {}
   if defshow == nil then defshow = true end
   local is_coloured = is_colour_wanted()
+  local prefix = prefix_of(is_coloured, name or "<unnamed SM>")
+  ids = ids or {}
   return function(id, ...)
     local is_shown = ids[id]
     if is_shown == nil then is_shown = defshow end
     if not is_shown then return end
-    (print_fn or rawget(_G, "print"))(line_of(is_coloured, name, id, ...))
+    (print_fn or rawget(_G, "print"))(line_of(is_coloured, prefix, id, ...))
   end
 end
 

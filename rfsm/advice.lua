@@ -213,7 +213,9 @@ local function misspelt(def, key, value)
   return ("a %s has no field '%s' (did you mean '%s'?)"):format(def.kind, key, meant)
 end
 
-local IS_CALLBACK = { entry = true, exit = true, doo = true, guard = true, effect = true }
+local IS_CALLBACK = {
+  entry = true, exit = true, doo = true, guard = true, effect = true,
+}
 
 --- Return the warning of a field that counts as the user's data, and where it stands.
 ---@param def rfsm.Def the element that has the field
@@ -248,8 +250,8 @@ function advice.initial(def)
     .. "while none of them is enabled"):format(def.parent.fqn)
 end
 
---- Return the warning of an event such as e_after(1) that no extension has made its own.
---- An extension that knows the word has warned itself.
+--- Return the warning of an event such as e_after(1) that no extension has made its
+--- own. An extension that knows the word has warned itself.
 function advice.event(_, event)
   local word = type(event) == "string" and event:match("^([%w_]+)%(.*%)$")
   local hint = word and advice.module_of(word)

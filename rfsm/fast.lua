@@ -6,9 +6,8 @@
 -- cut short, or if a callback switches dbg on. Actions that only trace are left out.
 -- The candidates of a search become one function, too.
 --
--- Text is generated for a shape: how many states are left and entered, where the
--- connectors are. It is compiled once and bound to the definitions; no name of a model
--- is in it.
+-- Text is generated for a shape: how many states are left and entered, where connectors
+-- are. It is compiled once and bound to definitions; no name of a model is in it.
 --
 -- @module rfsm.fast
 -- @license BSD-3-Clause
@@ -21,14 +20,11 @@ local jit = rawget(_G, "jit")
 local MAX_VALUES = 50 -- bound to one function: Lua 5.1 allows 60
 
 -- A text under construction: `names` and `values` are bound to it.
-local Text = {}
-Text.__index = Text
+local function new_text() return { lines = {}, names = {}, values = {} } end
 
-local function new_text() return setmetatable({ lines = {}, names = {}, values = {} }, Text) end
-
-function Text:bind(name, value)
-  self.names[#self.names + 1] = name
-  self.values[#self.names] = value
+local function bind(text, name, value)
+  text.names[#text.names + 1] = name
+  text.values[#text.names] = value
 end
 
 -- LuaJIT looks for a metamethod at each access that may find none. There, `rawget` and
@@ -42,10 +38,10 @@ local function for_jit(line)
 end
 
 -- Appends the lines of a block; `places` has what its $words stand for.
-function Text:write(block, places)
+local function add(text, block, places)
   for line in block:gmatch("[^\n]+") do
     local filled = line:gsub("$(%l+)", places):gsub("$(%l+)", places) -- also in a place
-    if filled ~= "" then self.lines[#self.lines + 1] = for_jit(filled) end
+    if filled ~= "" then text.lines[#text.lines + 1] = for_jit(filled) end
   end
 end
 
@@ -112,13 +108,12 @@ end]]
 -- The root has a metatable, which would be asked about a field that is absent.
 local LINK, LINK_TO_ROOT = "$a._actchild = $b", 'rawset($a, "_actchild", $b)'
 
--- The text of a path: `at` is how many states have been left or entered, s0 and s1 in
--- turn.
+-- `at` is how many states have been left or entered, s0 and s1 in turn.
 local function write(text, block, more)
   local places = text.places
   places.a, places.b = "s" .. text.at % 2, "s" .. (text.at + 1) % 2
   for key, value in pairs(more or {}) do places[key] = value end -- any order: a set
-  text:write(block, places)
+  add(text, block, places)
 end
 
 local function write_hooks(text, field, owner)
@@ -144,7 +139,7 @@ local function new_writers(core)
     end,
     [core.become_active] = function(text, state)
       local i = #text.names
-      text:bind("i" .. i, state.index)
+      bind(text, "i" .. i, state.index)
       write(text, ACTIVE, { i = i, link = state.depth == 1 and LINK_TO_ROOT or LINK })
       write_hooks(text, "_entry_hooks", "$b")
     end,
@@ -152,7 +147,7 @@ local function new_writers(core)
       write(text, "f = $b.entry\n" .. CALL,
         { what = "entry", owner = "$b", args = '$b, "entry"' })
       if state.is_leaf then
-        text:bind("done_event", state.done_event)
+        bind(text, "done_event", state.done_event)
         write(text, LEAF)
       end
       text.at = text.at + 1
@@ -164,11 +159,11 @@ end
 local function write_path(writers, path, is_hooked)
   local text = new_text()
   text.places, text.is_hooked, text.at = {}, is_hooked, 0
-  text:bind("path", path)
+  bind(text, "path", path)
   write(text, HEAD)
   for k, def in ipairs(path.segments) do
-    text:bind("x" .. k, def.index)
-    text:bind("t" .. k, def.tgt.index)
+    bind(text, "x" .. k, def.index)
+    bind(text, "t" .. k, def.tgt.index)
     write(text, CHECK, { k = k })
   end
   write(text, BEGIN)
@@ -199,7 +194,7 @@ local guard, ok, answer = tr.guard, true, nil
 if guard then
 if not borrowers[guard] then fsm._is_lent = true end
 ok, answer = pcall(guard, tr, events)
-if not ok then answer = refuse(fsm, tr, guard, answer) end
+if not ok then answer = refuse_guard(fsm, tr, guard, answer) end
 end
 if answer ~= false then
 def = d$n
@@ -217,10 +212,6 @@ local GO_BACK = [[
 if x$k then warn_of_conflict(fsm, x$k) end
 ways[c$n].way = w$k or false
 def = w$k and d$n
-end]]
-local ASKED = [[
-end
-end
 end]]
 local FOUND = [[
 if def and w$k then
@@ -246,36 +237,34 @@ local function write_ask(text, core, def, k, may)
   local places = { n = n, k = k, may = may }
   text.is_too_much = text.is_too_much or text[connector] or n > MAX_VALUES
   if text.is_too_much then return end
-  text:bind("d" .. n, def)
-  text:bind("i" .. n, def.index)
-  text:bind("t" .. n, def.tgt.index)
-  text:write(ASK, places)
+  bind(text, "d" .. n, def)
+  bind(text, "i" .. n, def.index)
+  bind(text, "t" .. n, def.tgt.index)
+  add(text, ASK, places)
   if connector then
     text[connector], places.k = true, k + 1
-    text:bind("c" .. n, connector)
-    text:write(GO_ON, places)
+    bind(text, "c" .. n, connector)
+    add(text, GO_ON, places)
     for _, way in ipairs(connector.otrs) do
       write_ask(text, core, way, k + 1, condition(way, connector.otrs[1]))
-      text:write(FOUND, places)
+      add(text, FOUND, places)
     end
-    text:write(GO_BACK, places)
+    add(text, GO_BACK, places)
   end
-  text:write(ASKED, places)
+  add(text, "end\nend\nend", places)
 end
 
 -- Writes the search among the candidates of a list; nil if that is too much.
 local function write_find(core, list)
   local text = new_text()
-  text:write(FIND, {})
+  add(text, FIND, {})
   for _, def in ipairs(list) do
     write_ask(text, core, def, 0, def.is_asked and "matches(d$n, events)" or "true")
-    text:write(CHOSEN, {})
+    add(text, CHOSEN, {})
   end
-  text:write("end", {})
+  add(text, "end", {})
   return not text.is_too_much and text
 end
-
--- Public functions --------------------------------------------------------------------
 
 --- Return the functions that make a function of a path, of one of a machine with hooks,
 --- and of a list of candidates; nil where that would be too long.
@@ -288,12 +277,18 @@ return function(core)
   local head = "local " .. concat(names, ", ") .. " = ...\n"
   local writers, makers = new_writers(core), setmetatable({}, { __mode = "v" })
 
+  -- Returns the function of a text; nil if there is no text, or it does not compile.
   local function compile(text)
-    local source = text and head .. ("return function(%s)\n%s\nend"):format(
+    if not text then return nil end
+    local source = head .. ("return function(%s)\n%s\nend"):format(
       concat(text.names, ", "), concat(text.lines, "\n"))
-    local chunk = source and not makers[source] and core.loadstring(source, "=rfsm text")
-    if chunk then makers[source] = chunk(unpack(values, 1, #names)) end
-    return text and makers[source] and makers[source](unpack(text.values, 1, #text.names))
+    local make = makers[source]
+    if not make then
+      local chunk = core.loadstring(source, "=rfsm text")
+      make = chunk and chunk(unpack(values, 1, #names))
+      makers[source] = make
+    end
+    return make and make(unpack(text.values, 1, #text.names))
   end
 
   return {

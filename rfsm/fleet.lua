@@ -23,7 +23,7 @@ local rfsm = require "rfsm"
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat = table.concat
+local concat, min = table.concat, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local fleet = {}
@@ -206,13 +206,6 @@ end
 
 -- Messages ------------------------------------------------------------------------
 
-local function entry_of(raw)
-  local entry = { id = raw[1] }
-  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
-  entry.data = entry.data and entry.data ~= "" and json.decode(entry.data) or nil
-  return entry
-end
-
 --- A worker at the stream of one hash tag.
 ---@class rfsm.fleet.Work
 ---@field fleet rfsm.fleet.Fleet
@@ -223,6 +216,15 @@ end
 ---@field options table
 ---@field count integer entries that were handled
 ---@field failures string[]
+
+-- Returns an entry for f. Its id is that of no other entry, also for another group or
+-- stream, so a machine may know events by it.
+local function entry_of(work, raw)
+  local entry = { id = concat({ work.group, work.tag, raw[1] }, ":") }
+  for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
+  entry.data = entry.data and entry.data ~= "" and json.decode(entry.data) or nil
+  return entry
+end
 
 -- Moves an entry that has failed too often to the stream of such entries.
 local function bury(work, raw, deliveries, problem)
@@ -237,8 +239,10 @@ local function bury(work, raw, deliveries, problem)
 end
 
 -- Calls f with an entry. One that fails stays with the group until it fails too often.
+-- If each of its workers has died or been lost, f is not called once more.
 local function handle(work, f, raw, deliveries)
-  local ok, problem = pcall(f, entry_of(raw))
+  local tries, ok, problem = work.options.tries, false, "no worker has finished it"
+  if deliveries <= tries then ok, problem = pcall(f, entry_of(work, raw)) end
   if ok then
     work.fleet:call(work.tag, "XACK", work.stream, work.group, raw[1])
     work.count = work.count + 1
@@ -246,7 +250,7 @@ local function handle(work, f, raw, deliveries)
   end
   problem = rfsm.text_of(problem)
   work.failures[#work.failures + 1] = problem
-  if deliveries >= work.options.tries then bury(work, raw, deliveries, problem) end
+  if deliveries >= tries then bury(work, raw, min(deliveries, tries), problem) end
 end
 
 -- Makes a group that sees all entries that are there.
@@ -316,17 +320,17 @@ local WORK = {
 
 --- Call `f(entry)` with what machines have emitted, at least once each, for each group.
 --
--- An entry has `machine`, `what` and `data`. If `f` raises, or the worker dies, a
--- worker of the group gets the entry once more: after `idle` milliseconds, then after
--- twice as long, and so on. After `tries` times it moves to the stream rfsm:dead:{tag}.
--- An entry that all groups have done is taken out of the stream.
+-- An entry has `machine`, `what`, `data`, and an `id` for `send_once`. If `f` raises,
+-- or the worker dies, a worker of the group gets the entry once more: after `idle`
+-- milliseconds, then after twice as long, and so on. After `tries` calls it moves to
+-- the stream rfsm:dead:{tag}. An entry that all groups have done leaves its stream.
 --
 ---@param group string
 ---@param worker string a name that no other worker of the group has
 ---@param f fun(entry: table)
 ---@param options? { count: integer?, idle: integer?, tries: integer? } 100, 30000, 5
 ---@return integer count entries that were handled
----@return string[] failures what `f` raised
+---@return string[] failures what `f` raised, or that no worker has finished an entry
 function Fleet:work(group, worker, f, options)
   local settings, problem = opts.read(WORK, options or {})
   if not settings then error("rfsm.fleet.work: " .. problem, 2) end

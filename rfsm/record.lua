@@ -14,6 +14,7 @@
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local lines = require "rfsm.record.lines"
+local plain = require "rfsm.snapshot.plain"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -62,6 +63,7 @@ local record = { VERSION = 1 }
 ---@class rfsm.record.Recorder
 ---@field count integer iterations so far
 ---@field sink any
+---@field inner rfsm.record.Record[] of regions, written with the iteration around them
 local Recorder = {}
 Recorder.__index = Recorder
 
@@ -101,36 +103,58 @@ local function noting_getevents(track, own)
   end
 end
 
--- Returns the data that the chart keeps if it has changed; nil if not.
-local function changed_data(track)
-  if not tracks.may_have_changed(track.watched) then return nil end
-  local ok, kept = calls.try(snapshot.take_data, track.fsm)
-  if not ok or tracks.same(kept, track.kept) then return nil end
-  track.kept = kept
-  return kept
+-- Returns the data that the chart keeps; nil if it cannot be saved. No other error is
+-- caught: a debug hook has raised it, for the caller of the step.
+local function data_of(fsm)
+  local ok, kept = pcall(snapshot.take_data, fsm)
+  if ok then return kept end
+  if not plain.text_of_fail(kept) then error(kept, 0) end
+end
+
+-- Notes the data that the chart keeps in a field of a record, if it has changed. It is
+-- noted again in the next iteration if an interrupt comes before the end.
+local function note_change(track, rec, field)
+  local watched = track.watched
+  if not tracks.may_have_changed(watched) then return end
+  local kept = data_of(track.fsm)
+  if kept and not tracks.same(kept, track.kept) then
+    if field == "regions" then
+      tracks.note(rec, field, track.m, kept)
+    else
+      rec[field] = kept
+    end
+    track.kept = kept
+  end
+  watched.has_changed = false
 end
 
 -- Notes data that has changed; also that of regions while they were left or reset.
-local function note_data(recorder, track)
-  track.rec.kept = changed_data(track)
+local function note_data(recorder, track, rec)
+  note_change(track, rec, "kept")
   for _, region in ipairs(track.m == nil and recorder.tracks or {}) do
-    local kept = region.m and changed_data(region)
-    if kept then tracks.note(track.rec, "regions", region.m, kept) end
+    if region.m then note_change(region, rec, "regions") end
   end
 end
 
 local function has_doo(leaf) return leaf and leaf.doo and leaf._mode ~= "done" end
 
+local NONE = {}
+
+-- A record that is still there is dropped: a hook has failed, or an interrupt was
+-- followed by a reset.
 local function begin(recorder, track, events)
-  track.rec = { m = track.m, fresh = track.is_fresh or nil, got = track.got,
-    events = tracks.pack_events(events) }
-  track.rec.had = changed_data(track)
-  track.got, track.is_fresh, track.first, track.last = nil, false, 1, 0
+  local dropped, leaf = track.rec or NONE, track.fsm._act_leaf
+  local rec = { m = track.m, fresh = track.is_fresh or nil,
+    got = track.got or dropped.got, events = tracks.pack_events(events),
+    had = dropped.had }
+  track.rec = rec
+  note_change(track, rec, "had")
+  track.got, track.first, track.last = nil, 1, 0
   tracks.wrap(track)
   if track.m ~= nil then return end
-  local leaf = track.fsm._act_leaf
   track.leaf, track.mode, track.has_doo = leaf, leaf and leaf._mode, has_doo(leaf)
-  recorder.timed = track.rec
+  recorder.timed = rec
+  if recorder.inner[1] then recorder.inner = {} end
 end
 
 -- The fields of a record that show that its iteration had an effect.
@@ -152,6 +176,7 @@ end
 -- Notes the events that the machine has sent, and those that hooks have added.
 local function note_events(track, rec, events)
   local queue = track.fsm._intq
+  rec.sent, rec.added = nil, nil
   for i = 1, #queue do
     local is_got = i >= track.first and i <= track.last
     if not is_got then tracks.note(rec, "sent", tracks.pack_event(queue[i])) end
@@ -161,18 +186,33 @@ local function note_events(track, rec, events)
   end
 end
 
--- Notes the results and writes the record; an interrupt meanwhile is raised afterwards.
-local function finish(recorder, track, events)
-  local rec, leaf = track.rec, track.fsm._act_leaf
-  if not rec then return end
-  note_events(track, rec, events)
+local function note_results(recorder, track, rec, events)
+  local leaf = track.fsm._act_leaf
   if leaf then rec.leaf, rec.done = leaf._fqn, leaf._mode == "done" or nil end
-  local is_whole, interrupt = pcall(calls.try, note_data, recorder, track)
-  track.rec = false
-  if track.m == nil then recorder.timed = false end
-  if events[1] ~= nil or not is_empty(track, rec) then
-    if track.m == nil then recorder.count = recorder.count + 1 end
-    recorder.write(rec)
+  note_events(track, rec, events)
+  note_data(recorder, track, rec)
+end
+
+-- Writes the records of the regions in an iteration, then that of the iteration.
+local function write(recorder, rec)
+  for _, inner in ipairs(recorder.inner) do recorder.write(inner) end
+  recorder.count = recorder.count + 1
+  recorder.write(rec)
+end
+
+-- Notes the results and writes the record. After an interrupt meanwhile it does so
+-- anew, then it raises that.
+local function finish(recorder, track, events)
+  local rec = track.rec
+  if not rec then return end
+  local is_whole, interrupt = pcall(note_results, recorder, track, rec, events)
+  if not is_whole then pcall(note_results, recorder, track, rec, events) end
+  track.rec, track.is_fresh = false, false
+  if track.m ~= nil then
+    recorder.inner[#recorder.inner + 1] = rec
+  else
+    recorder.timed = false
+    if events[1] ~= nil or not is_empty(track, rec) then write(recorder, rec) end
   end
   if not is_whole then error(interrupt, 0) end
 end
@@ -192,8 +232,9 @@ local function add_recorder(track, recorder)
   track.watched = tracks.watch_data(track.fsm)
   function track.begin(_, events) begin(recorder, track, events) end
   function track.finish(_, events) finish(recorder, track, events) end
-  function track.reset()
-    if track.rec then track.rec.reset = true else track.is_fresh = true end
+  function track.reset() -- in an iteration, or after one that was cut short
+    track.is_fresh = true
+    if track.rec then track.rec.reset = true end
   end
   function track.guard(...) return call_guard(track, ...) end
   function track.clock(own) return noting_clock(recorder, own) end
@@ -236,8 +277,8 @@ end
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
   local header = { record = record.VERSION }
-  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header },
-    Recorder)
+  local recorder = setmetatable({ fsm = fsm, sink = sink, count = 0, timed = header,
+    inner = {} }, Recorder)
   local ok, snap = take_first(recorder, fsm)
   if not ok then error("rfsm.record.record: " .. text_of(snap), 2) end
   if type(sink) == "string" then

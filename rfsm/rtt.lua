@@ -6,17 +6,27 @@
 -- loaded when one of them is used.
 --
 -- Variables are made once and used again, so that reading, raising and writing allocate
--- nothing in the steady state. The module loads without RTT, and needs no rttlib.
+-- nothing in the steady state. The module loads without RTT, and needs no rttlib. In a
+-- Lua with a TLSF pool, loading it sets the garbage collector.
 --
 -- @module rfsm.rtt
 -- @license BSD-3-Clause
 
+local collectgarbage, error, package, pcall = collectgarbage, error, package, pcall
+local rawget, rawset, require, select = rawget, rawset, require, select
+local setmetatable, tostring, type = setmetatable, tostring, type
+local min = math.min
+
+-- The pool of a TLSF component fails when it is full, and Lua 5.1 does not collect
+-- because memory is short. So the collector never pauses there, from now on: what is
+-- loaded next is large. Lua 5.5 has other parameters.
+if rawget(_G, "tlsf") then
+  pcall(collectgarbage, "setpause", 100)
+  pcall(collectgarbage, "setstepmul", 1000)
+end
+
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
-
-local error, pcall, rawget, rawset, require = error, pcall, rawget, rawset, require
-local select, setmetatable, tostring, type = select, setmetatable, tostring, type
-local package = package
 
 ---@class rfsm.rtt
 ---@field service_launch_rfsm fun(file: string, exec_str: function, ...): boolean
@@ -72,17 +82,19 @@ end
 -- holds these texts keeps them from being garbage each time.
 local IS_NEW = { NewData = true, OldData = false, NoData = false }
 
--- Returns a function that appends the new samples of a port to a list.
+-- Returns a function that appends new samples of a port to a list, until that has
+-- `most` events. Returns true if there may be more samples.
 local function new_reader(port)
   local var, double = new_variables(port)
-  return function(events)
-    local status, event = port:read(var)
-    while IS_NEW[status] do
+  return function(events, most)
+    for _ = #events + 1, most do
+      local status, event = port:read(var)
+      if not IS_NEW[status] then return false end
       if double then double:assign(var) end
       if var then event = (double or var):tolua() end
       events[#events + 1] = event
-      status, event = port:read(var)
     end
+    return true
   end
 end
 
@@ -98,8 +110,21 @@ local function new_writer(port)
   end
 end
 
+-- Returns a function that has this Lua's component updated once more. It does nothing
+-- without RTT, and in a service, whose machine triggers nothing.
+local function new_trigger()
+  local rtt = package.loaded.rtt
+  local own = rtt and rtt.getTC()
+  local is_lua_component = own and own:hasOperation("exec_str")
+  return is_lua_component and own:getOperation("trigger") or function() end
+end
+
+-- A call reads so many samples of a port at most: all of a burst may not fit in a pool.
+local MOST = 64
+
 -- Makes a getevents of ports; blames the caller of the public function for wrong ones.
--- When a port raises, the events of the others are kept for the next call.
+-- When a port raises, the events of the others are kept for the next call. When samples
+-- are left, an update is triggered, since they trigger none any more.
 local function gen_reader(where, kind, ...)
   local n, readers, is_taken = select("#", ...), {}, false
   local events = { nil, nil, nil, nil, nil, nil, nil, nil } -- room for the first ones
@@ -110,16 +135,25 @@ local function gen_reader(where, kind, ...)
     if problem then error(("%s: port %d: %s"):format(where, i, problem), 3) end
     readers[i] = new_reader(port)
   end
+  local trigger = new_trigger()
   return function()
     for i = is_taken and #events or 0, 1, -1 do events[i] = nil end
     is_taken = false
-    for i = 1, n do readers[i](events) end
+    local has_more = false
+    for i = 1, n do
+      local most = min(#events + MOST, i * MOST) -- so those kept have an end
+      has_more = readers[i](events, most) or has_more
+    end
     is_taken = true
+    if has_more then trigger() end
     return events
   end
 end
 
---- Make a getevents that reads all new samples of input ports, in the order given.
+--- Make a getevents that reads new samples of input ports, in the order given.
+--
+-- A call reads at most 64 samples of each port. If some are left, a Lua component is
+-- updated once more.
 --
 -- Samples of types that have a type of Lua become values of Lua. A sample of another
 -- type is a Variable of its own. The list returned is valid until the next call.
@@ -135,7 +169,7 @@ function rfsm_rtt.gen_read_events(...)
   return (gen_reader("rfsm.rtt.gen_read_events", nil, ...))
 end
 
---- Make a getevents that reads all new samples of input ports of type string.
+--- Make a getevents that reads new samples of input ports of type string, likewise.
 -- @raise when a port is no input port, or one of another type
 ---@param ... any input ports, at least one
 ---@return fun(): string[] getevents

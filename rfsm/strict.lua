@@ -12,18 +12,16 @@ local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 
 local getmetatable, ipairs, rawget = getmetatable, ipairs, rawget
-local select, setmetatable, type = select, setmetatable, type
+local select, type = select, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local text_of = rfsm.text_of
 
 local strict = { is_watching = false }
 
--- What was told, by machine.
-local told = setmetatable({}, { __mode = "k" })
-
+-- Each warning that was given is noted in the field `_strict` of the machine.
 local function warn(fsm, text)
-  if told[fsm][text] then return end
-  told[fsm][text] = true
+  if fsm._strict[text] then return end
+  fsm._strict[text] = true
   rfsm.report(fsm, "warn", "WARNING: " .. text)
 end
 
@@ -61,6 +59,16 @@ local function oddness_of(fsm, known, event)
     advice.nearest_name(event, names_of(known)))
 end
 
+-- Warns once of an event that comes before the machine is entered.
+local function check_early(fsm, at, event)
+  local name = text_of(event)
+  local is_told = fsm._strict["early: " .. name]
+  if is_told or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
+  fsm._strict["early: " .. name] = true
+  warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
+    :format(at, name))
+end
+
 -- Warns of what is sent to a machine. `at`: the sender, "lamp.lua:7: ".
 local function check_events(fsm, at, ...)
   local known = alphabet.of_all(fsm)
@@ -70,11 +78,8 @@ local function check_events(fsm, at, ...)
       warn(fsm, ("%sargument %d is nil, which is no event"):format(at, i))
     elseif not alphabet.has(known, event) then
       warn(fsm, at .. oddness_of(fsm, known, event))
-    elseif rfsm.get_sta_mode(fsm) == "inactive" then
-      fsm._told_early = fsm._told_early or {} -- the core warns of the others
-      fsm._told_early[event] = true
-      warn(fsm, ("%sevent '%s' is sent before the first step, whose entry consumes it")
-        :format(at, text_of(event)))
+    else
+      check_early(fsm, at, event)
     end
   end
 end
@@ -89,7 +94,7 @@ end
 local function watch_senders()
   local send_events = rfsm.send_events
   function rfsm.send_events(fsm, ...)
-    if told[fsm] then check_events(fsm, sender(), ...) end
+    if rfsm.is_root(fsm) and fsm._strict then check_events(fsm, sender(), ...) end
     return send_events(fsm, ...)
   end
 end
@@ -102,7 +107,7 @@ local CALLBACKS = { state = { "entry", "exit", "doo" },
 -- Warns of callbacks that cannot be called, and of fields that are nearly those of the
 -- library, in an element of a machine.
 local function check_fields(fsm, obj)
-  local kind = obj:type()
+  local kind = rfsm.kind_of(obj)
   for _, field in ipairs(CALLBACKS[kind]) do
     local value = obj[field]
     if value and not rfsm.is_callable(value) then
@@ -121,8 +126,12 @@ local function check_fields(fsm, obj)
   end
 end
 
-local function check_all_fields(fsm)
+-- The pre step hook. Events of getevents have no sender.
+local function check_machine(fsm, events)
   for _, obj in ipairs(rfsm.elements(fsm)) do check_fields(fsm, obj) end
+  for _, event in ipairs(events) do
+    if event ~= "e_init_fsm" then check_early(fsm, "", event) end
+  end
 end
 
 -- Public functions ..................................................................
@@ -132,9 +141,9 @@ end
 function strict.watch(fsm)
   if not strict.is_watching then watch_senders() end
   strict.is_watching = true
-  if told[fsm] then return end
-  told[fsm] = {}
-  rfsm.pre_step_hook_add(fsm, check_all_fields)
+  if fsm._strict then return end
+  fsm._strict = {}
+  rfsm.pre_step_hook_add(fsm, check_machine)
 end
 
 rfsm.preproc[#rfsm.preproc + 1] = function(fsm, merged)

@@ -134,6 +134,7 @@ build = {
     ["rfsm.shared.order"] = "rfsm/shared/order.lua",
     ["rfsm.shared.stubs"] = "rfsm/shared/stubs.lua",
     ["rfsm.shared.swap"] = "rfsm/shared/swap.lua",
+    ["rfsm.shared.types"] = "rfsm/shared/types.lua",
     ["rfsm.sim.commands"] = "rfsm/sim/commands.lua",
     ["rfsm.sim.history"] = "rfsm/sim/history.lua",
     ["rfsm.sim.main"] = "rfsm/sim/main.lua",

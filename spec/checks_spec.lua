@@ -366,6 +366,10 @@ local CASES = {
     { [4] = go("b", "a", {}, { pn = -1 }) },
     "root.trans[4] (b -> a): it has no events, and is taken on any" },
   { "any-event", "none of a connector", via_k(go("k", "b")) },
+  { "empty-events", "a list of events without any", { [4] = go("b", "a", {}) },
+    "root.trans[4].events (b -> a): an empty list, any event triggers it (is a name in "
+      .. "it nil? if any event is meant, leave it out)" },
+  { "empty-events", "none where there is no list", { [4] = go("b", "a") } },
   { "never-done", "an e_done@F of no leaf", { [4] = go("a", "b", "e_done@root.z") },
     "root.trans[4] (a -> b): event 'e_done@root.z' never comes, 'root.z' is no leaf "
       .. "state of this machine" },

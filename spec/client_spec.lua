@@ -313,8 +313,8 @@ describe("a worker", function()
     local sent, result = work({ XPENDING = {}, XREADGROUP = { { "s", { ENTRY,
       { "5-2", { "machine", "m", "what", "w", "data", "" } } } } },
       XINFO = {} }, function(entry) seen[#seen + 1] = entry end)
-    assert.same({ { id = "5-1", machine = "m", what = "w", data = { a = 1 } },
-      { id = "5-2", machine = "m", what = "w" } }, seen)
+    assert.same({ { id = "g:0:5-1", machine = "m", what = "w", data = { a = 1 } },
+      { id = "g:0:5-2", machine = "m", what = "w" } }, seen)
     assert.same({ PENDING, READ, "h:6379 XACK rfsm:out:{0} g 5-1",
       "h:6379 XACK rfsm:out:{0} g 5-2", "h:6379 XINFO GROUPS rfsm:out:{0}" }, sent)
     assert.same({ 2, {} }, result)

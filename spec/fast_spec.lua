@@ -1,5 +1,5 @@
 -- rfsm/fast.lua does what the core does. Here: that it is used, that it compiles once,
--- and that it knows its limits.
+-- that it knows its limits, and that the core does without it.
 
 local charts = require "spec.support.charts"
 local compiling = require "spec.support.compiling"
@@ -411,5 +411,81 @@ describe("a machine in use", function()
     end
     helper.post_and_run(fsm, "e")
     assert.is_true(is_merged)
+  end)
+end)
+
+describe("whatever loading rfsm.fast", function()
+  local load = rawget(_G, "loadstring") or rawget(_G, "load")
+
+  -- A fresh core with another loader of rfsm.fast, and its machine as `model` makes it.
+  local function with_loader(loader, f)
+    compiling.with(load, function(core)
+      helper.with(package.loaded, { ["rfsm.fast"] = false }, function()
+        helper.with(package.preload, { ["rfsm.fast"] = loader }, function()
+          f(core, core.init(core.state { info = false, warn = false,
+            a = core.state {}, b = core.state {},
+            core.trans { src = "initial", tgt = "a" },
+            core.trans { src = "a", tgt = "b", events = "e" },
+            core.trans { src = "b", tgt = "a", events = "e" } }))
+        end)
+      end)
+    end)
+  end
+
+  -- Sends 25 events, enough for rfsm.fast to be loaded. Returns the leaves.
+  local function leaves(core, fsm)
+    local list = {}
+    for i = 0, 25 do
+      if i > 0 then core.send_events(fsm, "e") end
+      core.run(fsm)
+      list[#list + 1] = core.get_actleaf_fqn(fsm):sub(-1)
+    end
+    return table.concat(list)
+  end
+
+  local function raising(...)
+    local failure = { ... }
+    return function() error(failure[1], 0) end
+  end
+
+  local LOADERS = {
+    ["raises a text"] = raising "no",
+    ["raises that memory is short"] = raising "not enough memory",
+    ["raises a table"] = raising {},
+    ["raises nil"] = raising(nil),
+    ["returns is no function"] = function() return "fast" end,
+    ["puts in place before it fails"] = function()
+      return function(engine)
+        engine.iterate, engine.choose, engine.take = error, error, error
+        error("not enough memory", 0)
+      end
+    end,
+  }
+  for _, what in ipairs(rfsm.sorted_keys(LOADERS)) do
+    it(what .. ", the machine goes on without it", function()
+      for _, is_prepared in ipairs { false, true } do
+        with_loader(LOADERS[what], function(core, fsm)
+          if is_prepared then core.prepare(fsm) end
+          assert.equal(("ab"):rep(13), leaves(core, fsm))
+        end)
+      end
+    end)
+  end
+
+  it("lets Control-C through, and no event is lost", function()
+    with_loader(raising "interrupted!", function(core, fsm)
+      local failures = {}
+      core.run(fsm)
+      for _ = 1, 25 do
+        core.send_events(fsm, "e")
+        local ok, failure = pcall(core.run, fsm)
+        if not ok then
+          failures[#failures + 1] = failure
+          core.run(fsm)
+        end
+      end
+      assert.same({ "interrupted!" }, failures)
+      assert.equal("root.b", core.get_actleaf_fqn(fsm))
+    end)
   end)
 end)

@@ -8,6 +8,7 @@ if missing then return it("serves a fleet", function() pending(missing) end) end
 
 local fleet = require "rfsm.fleet"
 local helper = require "spec.helper"
+local load_text = require("rfsm.shared.calls").load
 local redis = require "rfsm.redis"
 
 teardown(servers.stop_all)
@@ -246,6 +247,79 @@ describe("consumer groups", function()
     assert.equal("1\n", server:cli("XLEN rfsm:dead:{0}"))
   end)
 
+  it("do not try an entry again that each of its workers has died of", function()
+    emit(1)
+    local calls, output = 0, {}
+    local function die()
+      calls = calls + 1
+      error("interrupted!", 0)
+    end
+    for i = 1, 5 do
+      output[i] = { pcall(machines.work, machines, "g", "w" .. i, die, { idle = 0,
+        tries = 3 }) }
+    end
+    assert.equal(3, calls)
+    assert.same({ { false, "interrupted!" }, { true, 0, { "no worker has finished it" }
+      }, { true, 0, {} } }, { output[3], output[4], output[5] })
+    assert.matches("machine\nm:{0}:1\nwhat\ndone\n.*deliveries\n3\nerror\nno worker "
+      .. "has finished it\n$", server:cli("XRANGE rfsm:dead:{0} - +"))
+    assert.equal("0", server:cli("XPENDING rfsm:out:{0} g"):match("%d+"))
+  end)
+
+  -- Returns the function of a worker that answers the first entry of a machine, and, if
+  -- it is to die, is killed after that.
+  local function answer(is_to_die)
+    return function(entry)
+      if entry.data.n > 1 then return end
+      assert(machines:send_once(entry.id, entry.machine, "e_emit"))
+      if is_to_die then error("interrupted!", 0) end
+    end
+  end
+
+  it("apply the answer to an entry once, each its own", function()
+    for _, group in ipairs { "a", "b" } do machines:work(group, "w", print) end
+    emit(1)
+    for i, group in ipairs { "a", "b" } do
+      assert.is_false((pcall(machines.work, machines, group, "w", answer(true))))
+      assert.equal(1 + i, count_of(1))
+      machines:work(group, "v", answer(false), { idle = 0 })
+      assert.equal(1 + i, count_of(1))
+    end
+  end)
+
+  it("have other ids for the entries of other hash tags", function()
+    local spread = fleet.connect(server:url(), { name = "m", tags = 2 })
+    local ids = {}
+    for tag = 0, 1 do
+      server:cli("XADD rfsm:out:{" .. tag .. "} 5-0 machine m what w data ''")
+    end
+    spread:work("g", "w", function(entry) ids[#ids + 1] = entry.id end)
+    assert.same({ "g:0:5-0", "g:1:5-0" }, ids)
+  end)
+
+  it("apply an answer once with the loop of doc/redis.md", function()
+    emit(1)
+    local robots, has_died = { wake = function() return 0 end }, false
+    function robots.work(_, group, worker, f)
+      return machines:work(group, worker, f, { idle = 0 })
+    end
+    for _, name in ipairs { "send", "send_once" } do
+      robots[name] = function(_, ...)
+        local reply, problem = machines[name](machines, ...)
+        if has_died then return reply, problem end
+        has_died = true
+        error("interrupted!", 0)
+      end
+    end
+    local text = helper.content("doc/redis.md"):match("\n```\n(repeat\n.-)```")
+    local loop = assert(load_text(text, "=loop", { robots = robots, assert = assert,
+      do_it = function(_, data) return data.n == 1 and "e_emit" or "e_b" end,
+      socket = { sleep = function() error("over", 0) end } }))
+    assert.same({ false, "interrupted!" }, { pcall(loop) })
+    assert.same({ false, "over" }, { pcall(loop) })
+    assert.same({ 2, "root.b" }, { count_of(1), machines:get(1).leaf })
+  end)
+
   it("report a stream of another type", function()
     server:cli("SET 'rfsm:out:{0}' x")
     local _, problem = pcall(machines.work, machines, "g", "w", print)
@@ -381,6 +455,53 @@ describe("an operator", function()
     assert.matches("^rfsm.fleet.create: data: .*function",
       (select(2, machines:create(3, "counter", { n = print }))))
     assert.is_nil((machines:get(3)))
+  end)
+
+  it("finds and counts machines whose keys begin with any byte", function()
+    local keys = { "\1{0}", "\t{0}", "\254{0}", "\255{0}", "\255\255{0}" }
+    for _, key in ipairs(keys) do assert(machines:create(key, "timed")) end
+    assert.same(keys, machines:find("timed", "root.a"))
+    local output = servers.output_of("timeout 5 redis-cli -p " .. server.port
+      .. " FCALL rfsm_stats 1 {0}")
+    server:cli("FUNCTION KILL") -- it may go on
+    assert.equal("timed root.a 5 5 0 0 ", (output:gsub("\n", " ")))
+  end)
+
+  for name, text in pairs { rename = "{ ['root.odd'] = 'root.uneven' }",
+    migrate = "function(snap) snap.leaf = 'root.uneven' end" } do
+    it("finds a machine after a " .. name .. ", and sees that as a move", function()
+      assert(machines:create(1, "counter"))
+      machines:send(1, "e_tick")
+      local new = COUNTER:gsub("odd", "uneven")
+        :gsub("n = 0,", "%0 " .. name .. " = " .. text .. ",")
+      assert(machines:load(library({ index = true, history = 3 }, { counter = new })))
+      machines:tick(1)
+      assert.same({ {}, { (machines:key_of(1)) } }, { machines:find("counter",
+        "root.odd"), machines:find("counter", "root.uneven") })
+      local move = machines:history(1, 1)[1]
+      assert.same({ "(time)", "root.odd", "root.uneven" }, { move.event, move.from,
+        move.to })
+      machines:send(1, "e_tick")
+      assert.equal("counter root.even 1 0 0 0", call("rfsm_stats 1 {0}"))
+    end)
+  end
+
+  it("neither finds nor counts machines after DEL", function()
+    for i = 1, 3 do assert(machines:create(i, "timed")) end
+    machines:send(2, "e_b")
+    server:cli("DEL " .. key_of(1) .. " " .. key_of(2))
+    assert.same({ { (machines:key_of(3)) }, {} }, { machines:find("timed", "root.a", 1),
+      machines:find("timed", "root.b") })
+    assert.equal("timed root.a 1", call("rfsm_stats 1 {0}"):match("^%S+ %S+ %S+"))
+  end)
+
+  it("counts a machine once whose key another had before DEL", function()
+    assert(machines:create(1, "timed"))
+    machines:send(1, "e_b")
+    server:cli("DEL " .. key_of(1))
+    assert(machines:create(1, "counter"))
+    assert.same({ {}, "counter root.even 1 0 0 0" }, { machines:find("timed", "root"),
+      call("rfsm_stats 1 {0}") })
   end)
 
   it("sees the latest moves of a machine", function()

@@ -170,6 +170,22 @@ function helper.story(fsm, story, advance)
   end))
 end
 
+--- Copies a table with all tables in it, keys too, as `deepcopy` of many programs does;
+-- metatables are shared. Returns any other value.
+function helper.copy_of(value, copies)
+  if type(value) ~= "table" then return value end
+  copies = copies or {}
+  if not copies[value] then
+    local copy = {}
+    copies[value] = copy
+    for key, other in pairs(value) do -- any order: each stands alone
+      rawset(copy, helper.copy_of(key, copies), helper.copy_of(other, copies))
+    end
+    setmetatable(copy, getmetatable(value))
+  end
+  return copies[value]
+end
+
 -- Files and other Luas ---------------------------------------------------------------
 
 --- Writes a file; returns its name.

@@ -157,6 +157,9 @@ local MISTAKES = [[
 --> T.events (a -> b): list of events expected, got a table with holes or keys
   rfsm.trans { src = "a", tgt = "b", events = { go = "e", back = "f" } },
 --> T.events (a -> b): list of events expected, got a table with holes or keys
+  rfsm.trans { src = "a", tgt = "b", events = { no_such_name } },
+--W T.events (a -> b): an empty list, any event triggers it (is a name in it nil? if any
+    event is meant, leave it out)
   rfsm.trans { src = "a", tgt = "b", events = { 0/0 } },
 --> T.events[1] (a -> b): an event cannot be NaN
   rfsm.trans { src = "a", tgt = "b", events = { "e_after(1)" } },

@@ -303,6 +303,8 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
 
   it("takes work and sends the answer at once, as doc/postgres.md shows", function()
     make_tables()
+    server:sql("INSERT INTO rfsm.out (id, key, what) OVERRIDING SYSTEM VALUE "
+      .. "VALUES (1000, 'later', 'pick')")
     local code = helper.content("doc/postgres.md"):match("\n```\n(local luasql.-)```")
     local printed = helper.printed(function()
       helper.with(package.loaded, { ["luasql.postgres"] = { postgres = function()
@@ -312,6 +314,7 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     local expected = {}
     for line in code:gmatch("%-%-> ([^\n]*)") do expected[#expected + 1] = line end
     assert.same(expected, printed)
+    assert.equal("order:7\nlater\n", server:sql("SELECT key FROM rfsm.out ORDER BY id"))
   end)
 
   if not servers.HAS_STORMS then return end
@@ -413,6 +416,45 @@ SELECT data->'times' FROM rfsm.out;
 SELECT rfsm.send('1', 'e_look');
 SELECT rfsm.send('2', 'e_leak');
 SELECT regexp_replace(error, '.*:[0-9]+: ', '') FROM rfsm.log ORDER BY id;]]))
+  end)
+
+  it("has no name of the host in scope, nor has a text that it loads", function()
+    local no_spi, ways, expected = "global 'spi' does not exist in PostgreSQL", {}, {}
+    for i, case in ipairs {
+      { "spi", no_spi },
+      { "answer", "global 'answer' does not exist in PostgreSQL" },
+      { "host", "global 'host' does not exist in PostgreSQL" },
+      { "self", "nil" },
+      { "load('return spi')()", no_spi },
+      { "load('return _ENV.spi')()", no_spi },
+      { "load('return spi', 'x', 't', nil)()", no_spi },
+      { "load(('return spi'):gmatch('.'))()", no_spi },
+      { "load('return load(...)()')('return spi')", no_spi },
+      { "coroutine.wrap(load('return spi'))()", no_spi },
+      { "load('return require')()", "global 'require' does not exist in PostgreSQL" },
+      { "load('leak = 1')()", "global 'leak' cannot be set in PostgreSQL" },
+      { "select(2, load(string.dump(function() end), 'x', 'b'))",
+        "attempt to load a binary chunk (mode is 't')" },
+      { "select(2, load('return +', 'x'))", "unexpected symbol near '+'" },
+      { "load('return x', 'x', 't', { x = 5 })()", "5" },
+      { "load('return math.floor(...)')(2.5)", "2" },
+    } do
+      ways[i] = ("{ %q, function() return %s end },\n"):format(case[1], case[1])
+      expected[i] = case[1] .. " -> " .. case[2] .. "\n"
+    end
+    load_charts({ history = true }, "ways=" .. helper.file_with([[
+local ways = { ]] .. table.concat(ways) .. [[ }
+return rfsm.state {
+  keep = { "found" }, a = rfsm.state { entry = function(fsm)
+    fsm.found = {}
+    for i, way in ipairs(ways) do
+      local answer = tostring(select(2, pcall(way[2]))):gsub("^.*:%d+: ", "")
+      fsm.found[i] = way[1] .. " -> " .. answer
+    end
+  end }, rfsm.trans { src = "initial", tgt = "a" } }]]))
+    assert.equal(table.concat(expected), sql([[
+SELECT rfsm.create('1', 'ways') \gset
+SELECT jsonb_array_elements_text(data->'root'->'found') FROM rfsm.machines;]]))
   end)
 
   it("is woken by one worker when its time has come", function()
@@ -608,6 +650,73 @@ SELECT rfsm.send('1', 'e_tick') \gset
 SELECT data->'root'->'n' FROM rfsm.machines;]]):gsub("COMMAND", function()
       return server:command("psql", "-Xq -f " .. library)
     end)))
+  end)
+end)
+
+describe("a schema that is loaded again", function()
+  local BOTH = { history = true, notify = true }
+
+  -- The triggers of rfsm.machines, in the order of their names; `what` is a column.
+  local function triggers(what)
+    return server:sql(("SELECT %s FROM pg_trigger WHERE tgrelid = 'rfsm.machines'::"
+      .. "regclass ORDER BY tgname"):format(what))
+  end
+
+  local function load_counter(options)
+    load_charts(options, "counter=" .. helper.file_with(COUNTER))
+  end
+
+  for name, options in pairs { ["with a trigger for each option"] = BOTH,
+    ["without triggers"] = {} } do
+    it("waits for no client in a transaction, " .. name, function()
+      load_counter(options)
+      local library = helper.file_with((bundle.sql({ "counter="
+        .. helper.file_with(COUNTER) }, options)))
+      assert.equal("root.even\nroot.odd\nroot.even\n", sql(([[
+BEGIN;
+SELECT rfsm.create('1', 'counter');
+SELECT rfsm.send('1', 'e_tick');
+SELECT FROM rfsm.log, rfsm.out;
+\! PGOPTIONS='-c lock_timeout=2s' COMMAND
+SELECT rfsm.send('1', 'e_tick');
+COMMIT;]]):gsub("COMMAND", function()
+        return server:command("psql", "-Xq -v ON_ERROR_STOP=1 -f " .. library)
+      end)))
+    end)
+  end
+
+  it("keeps its triggers, also if its functions are found without a schema", function()
+    load_counter(BOTH)
+    local before = triggers "oid"
+    load_counter(BOTH)
+    assert.equal(before, triggers "oid")
+    server:sql("ALTER ROLE postgres SET search_path = rfsm, public")
+    load_counter(BOTH)
+    server:sql("ALTER ROLE postgres RESET search_path")
+    assert.equal(before, triggers "oid")
+  end)
+
+  it("has the triggers of its options, and those of others", function()
+    load_counter(BOTH)
+    server:sql("CREATE TRIGGER mine AFTER DELETE ON rfsm.machines FOR EACH ROW EXECUTE "
+      .. "FUNCTION rfsm.note()")
+    assert.equal("mine\nnote_move\nnote_new\nnotify_move\nnotify_new\n",
+      triggers "tgname")
+    load_counter { notify = true }
+    assert.equal("mine\nnotify_move\nnotify_new\n", triggers "tgname")
+    load_counter { history = true }
+    assert.equal("mine\nnote_move\nnote_new\n", triggers "tgname")
+    load_counter()
+    assert.equal("mine\n", triggers "tgname")
+  end)
+
+  it("makes a trigger that is different anew", function()
+    load_counter(BOTH)
+    local before = triggers "pg_get_triggerdef(oid)"
+    server:sql("DROP TRIGGER note_move ON rfsm.machines; CREATE TRIGGER note_move "
+      .. "AFTER UPDATE ON rfsm.machines FOR EACH ROW EXECUTE FUNCTION rfsm.note()")
+    load_counter(BOTH)
+    assert.equal(before, triggers "pg_get_triggerdef(oid)")
   end)
 end)
 

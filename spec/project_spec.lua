@@ -278,9 +278,11 @@ describe("doc/config.ld", function()
 
   it("lists the documents", function()
     local listed, list = {}, text:match("\ntopics = (%b{})")
-    for file in list:gmatch("'(.-)'") do listed[#listed + 1] = "doc/" .. file end
+    for file in list:gmatch("'(.-)'") do
+      listed[#listed + 1] = ("doc/" .. file):gsub("^doc/%.%./", "")
+    end
     table.sort(listed)
-    assert.same(files("doc/*.md"), listed)
+    assert.same(files("*.md", "doc/*.md"), listed)
   end)
 end)
 

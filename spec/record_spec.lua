@@ -894,6 +894,86 @@ describe("an interrupt while it is recorded", function()
   end)
 end)
 
+describe("an error of a debug hook while it is recorded", function()
+  -- initial --> a --> b --> c, and so on; the list may change in each iteration
+  local function line()
+    return state {
+      info = false, warn = false, keep = { "list" }, list = { 1, {} },
+      a = state {}, b = state {}, c = state {},
+      trans { src = "initial", tgt = "a" }, trans { src = "a", tgt = "b" },
+      trans { src = "b", tgt = "c" },
+    }
+  end
+
+  -- Runs a machine, and raises `failure` once, after so many VM instructions. Returns
+  -- false if it was through before, else what the run returned.
+  local function cut(fsm, instructions, failure)
+    local is_raised = false
+    local function raise()
+      debug.sethook()
+      is_raised = true
+      error(failure, 0)
+    end
+    local ok, raised = pcall(function()
+      debug.sethook(raise, "", instructions)
+      rfsm.run(fsm)
+      debug.sethook()
+    end)
+    return is_raised and { ok, raised }
+  end
+
+  -- Calls f(result, fsm, sink) for runs that are cut short, each later.
+  local function each_cut(failure, f)
+    local step, at = share.every(31)
+    local count, result = 0, {}
+    while result do
+      local fsm, sink = helper.init(line()), {}
+      record.record(fsm, sink)
+      result = cut(fsm, at, failure)
+      if result then f(result, fsm, sink) end
+      count, at = count + 1, at + step
+    end
+    assert.is_true(count > 20)
+  end
+
+  it("reaches the caller as itself, whatever it is", function()
+    for _, failure in ipairs { "limit", {} } do
+      each_cut(failure, function(result) assert.same({ false, failure }, result) end)
+    end
+  end)
+
+  it("and a reset after it are replayed", function()
+    each_cut("limit", function(_, fsm, sink)
+      rfsm.reset(fsm)
+      fsm.list[3] = 7
+      helper.post_and_run(fsm, "e_x")
+      for _, is_dry in ipairs { true, false } do
+        local again = assert(record.replay(line(), sink, { dry = is_dry }))
+        assert.same({ "root.c", 7 }, { rfsm.get_actleaf_fqn(again), again.list[3] })
+      end
+    end)
+  end)
+end)
+
+it("a step whose hook has failed is not recorded, with its regions, if a reset follows",
+  function()
+    local function regions()
+      return state { info = false, warn = false,
+        both = rfsm.seqand { x = helper.chart { "e_x" } },
+        trans { src = "initial", tgt = "both" } }
+    end
+    local sink, fsm = {}, helper.init(regions())
+    record.record(fsm, sink)
+    local function fail() error("no room", 0) end
+    rfsm.post_step_hook_add(fsm, fail, "before")
+    assert.same({ false, "no room" }, { pcall(rfsm.step, fsm) })
+    rfsm.post_step_hook_rm(fsm, fail)
+    rfsm.reset(fsm)
+    helper.post_and_run(fsm, "e_x")
+    assert.same({ 1, true, 1 }, { sink[2].m, sink[3].fresh, sink[4].m })
+    assert(record.replay(regions(), sink))
+  end)
+
 describe("back", function()
   it("moves the machine, and forgets what came since", function()
     local sink = {}

@@ -147,6 +147,20 @@ describe("service_launch_rfsm", function()
     assert.equal("c", leaf_of(other))
   end)
 
+  it("reads 64 waiting samples at an update, and triggers none for more", function()
+    deploy("setActivity", "host", 0, 0, 0)
+    launch(chart_file(), exec_str, true)
+    local out = feed("host.events_in", 100)
+    local names = listen("host.fqn")
+    for _ = 1, 64 do out:write("e_none") end
+    out:write("e_go")
+    for _, wanted in ipairs { "<none> a", "b" } do
+      host:getOperation("trigger")()
+      settle()
+      assert.equal(wanted, leaves(names))
+    end
+  end)
+
   it("steps in every state of the component", function()
     launch(chart_file(), exec_str, true)
     settle()
@@ -379,6 +393,42 @@ describe("component_launch_rfsm", function()
     return send, came, arm, exec_str
   end
 
+  -- A component that does without a launch.
+  local OWN = [[
+local rfsm, rfsm_rtt = require "rfsm", require "rfsm.rtt"
+local own, fsm = rtt.getTC(), nil
+local events = rtt.InputPort.new("string", "events_in")
+local calm, names = rtt.InputPort.new("string"), rtt.OutputPort.new("string", "fqn")
+own:addEventPort(events)
+own:addPort(names)
+fsm = assert(rfsm.init(rfsm.load(%q)))
+fsm.getevents = rfsm_rtt.gen_read_str_events(events, calm)
+rfsm.post_step_hook_add(fsm, rfsm_rtt.gen_write_fqn(names))
+function updateHook() rfsm.run(fsm) end]]
+
+  local function own()
+    local arm, exec_str = load("arm")
+    assert(exec_str(OWN:format(chart_file("info = false,"))))
+    return arm
+  end
+
+  for title, make in pairs { -- any order: each is a spec of its own
+    ["is launched"] = launched, ["has its own program"] = own,
+    ["takes a step at each update"] = function() return launched { sync = true } end,
+  } do
+    it("reads a burst to its end without a period if it " .. title, function()
+      local arm = make()
+      local out, names = feed("arm.events_in", 300), listen("arm.fqn")
+      start(arm, spin)
+      arm:stop()
+      for _ = 1, 200 do out:write("e_none") end
+      out:write("e_go")
+      assert(arm:start())
+      spin()
+      assert.equal("<none> a b", leaves(names))
+    end)
+  end
+
   it("loads a component with the machine, not configured, the deployer its peer",
     function()
       local arm, exec_str = launched()
@@ -420,17 +470,10 @@ describe("component_launch_rfsm", function()
     assert.equal("c", leaf_of(exec_str))
   end)
 
-  it("works in a TLSF component, whose collector never pauses", function()
-    local has_tuning = _VERSION ~= "Lua 5.5" -- it has other parameters
-    if has_tuning then collectgarbage("setpause", 200) end -- others have set it
-    local _, exec_leg = launched { name = "leg" }
-    local pause = has_tuning and evaluate(exec_leg, "collectgarbage('setpause', 200)")
+  it("works in a TLSF component", function()
     local send, came, _, exec_str = started { luatype = "OCL::LuaTLSFComponent" }
     send("e_go")
     assert.equal("<none> a b table", came() .. " " .. evaluate(exec_str, "type(tlsf)"))
-    if not has_tuning then return end
-    assert.equal("200 true 1000", pause .. " " .. evaluate(exec_str,
-      "collectgarbage('setpause', 200) <= 100, collectgarbage('setstepmul', 200)"))
   end)
 
   -- Fields of a launch, fields of the chart, the port that is written.
@@ -632,15 +675,17 @@ return rfsm.state(root)]] }
   end)
 
   it("does without rfsm.fast in a pool that is three quarters full", function()
-    local FULL = "tlsf.stats = function() return 800000, 800000, 1048576 end"
+    local FULL = "tlsf.stats = function() return 800000, 800000, 1048576 end "
+    local NOTE = "require('rfsm').without_fast = function() is_without = true end"
     for _, case in ipairs {
-      { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL,
-        fast = "boolean" },
-      { name = "leg", luatype = "OCL::LuaComponent", fast = "function" },
+      { name = "arm", luatype = "OCL::LuaTLSFComponent", prestr = FULL .. NOTE,
+        is_without = "true" },
+      { name = "leg", luatype = "OCL::LuaComponent", prestr = NOTE,
+        is_without = "nil" },
     } do
       local _, exec_str = launched { name = case.name, luatype = case.luatype,
         prestr = case.prestr }
-      assert.equal(case.fast, evaluate(exec_str, "type(package.loaded['rfsm.fast'])"))
+      assert.equal(case.is_without, evaluate(exec_str, "tostring(is_without)"))
     end
   end)
 
@@ -851,6 +896,21 @@ return rfsm.state { info = false, warn = false,
       end)
   end
 
+  -- A hook, and the calls of the component's methods that lead to it.
+  for _, case in ipairs {
+    { "configureHook", "configure" }, { "startHook", "configure", "start" },
+    { "updateHook", "configure", "start" }, { "cleanupHook", "configure", "cleanup" },
+    { "stopHook", "configure", "start", "stop" },
+  } do
+    it("logs a table that the program's " .. case[1] .. " raises as text", function()
+      local arm = launched { poststr = ("function %s() %s end"):format(case[1],
+        raising "no brake") }
+      for i = 2, #case do arm[case[i]](arm) end
+      spin()
+      check_logged("error calling function " .. case[1] .. ": no brake")
+    end)
+  end
+
   it("finds the ports that the program's hook has made, and refuses wrong ones",
     function()
       local arm, exec_str = launched { ports = "configure", poststr = [[
@@ -976,6 +1036,49 @@ function startHook() return true end]])
       assert.matches("getOperation", refused_with { deployer = {} })
     end)
   end)
+end)
+
+-- The collector: of a pool, and of other Luas --------------------------------------
+
+-- Lua 5.5 sets it in another way.
+describe("the collector of a component's Lua", function()
+  if _VERSION == "Lua 5.5" then return end
+  local pause, step_multiplier
+
+  before_each(function()
+    pause = collectgarbage("setpause", 200)
+    step_multiplier = collectgarbage("setstepmul", 200)
+  end)
+
+  after_each(function()
+    collectgarbage("setpause", pause)
+    collectgarbage("setstepmul", step_multiplier)
+  end)
+
+  local function loading(luatype)
+    local _, exec_str = load("arm", luatype)
+    assert(exec_str("require 'rfsm.rtt'"))
+    return exec_str
+  end
+
+  local function launching(luatype, prestr)
+    return rfsm_rtt.component_launch_rfsm { name = "arm", luatype = luatype,
+      fsmfile = chart_file(), prestr = prestr }:getOperation("exec_str")
+  end
+
+  local POOL = "OCL::LuaTLSFComponent"
+  for title, case in pairs { -- any order: each is a spec of its own
+    ["never pauses in a pool where rfsm.rtt is loaded"] = { "100 1000", loading, POOL },
+    ["never pauses in a pool after a launch"] = { "100 1000", launching, POOL },
+    ["is as a prestr sets it"] = { "120 1000", launching, POOL,
+      "collectgarbage('setpause', 120)" },
+    ["is left alone without a pool"] = { "200 200", loading, "OCL::LuaComponent" },
+  } do
+    it(title, function()
+      assert.equal(case[1], evaluate(case[2](case[3], case[4]),
+        "collectgarbage('setpause', 200), collectgarbage('setstepmul', 200)"))
+    end)
+  end
 end)
 
 -- Random charts: in a component as without RTT -------------------------------------

@@ -82,6 +82,47 @@ for _, name in ipairs { "gen_read_events", "gen_read_str_events" } do
       assert.same({}, getevents())
     end)
 
+    -- Events e_1, e_2, ... as one text.
+    local function numbered(from, to)
+      local names = {}
+      for i = from, to do names[#names + 1] = "e_" .. i end
+      return table.concat(names, " ")
+    end
+
+    local function write_numbered(out, to)
+      for i = 1, to do out:write("e_" .. i) end
+    end
+
+    it("reads at most 64 samples of each port in a call, the rest in the next ones",
+      function()
+        local before, out_before = connected("string")
+        local flooded, out_flooded = connected("string", struct(200))
+        local behind, out_behind = connected("string")
+        local getevents = generate(before, flooded, behind)
+        out_before:write("e_before")
+        write_numbered(out_flooded, 150)
+        out_behind:write("e_behind")
+        assert.equal("e_before " .. numbered(1, 64) .. " e_behind",
+          table.concat(getevents(), " "))
+        assert.equal(numbered(65, 128), table.concat(getevents(), " "))
+        assert.equal(numbered(129, 150), table.concat(getevents(), " "))
+        assert.same({}, getevents())
+      end)
+
+    it("keeps no more than 64 of each port as long as another one raises", function()
+      local flooded, out_flooded = connected("string", struct(200))
+      local is_broken = true
+      local getevents = generate(flooded, { read = function()
+        if is_broken then error("no data today", 0) end
+        return "NoData"
+      end })
+      write_numbered(out_flooded, 150)
+      for _ = 1, 3 do assert.is_false((pcall(getevents))) end
+      is_broken = false
+      assert.equal(numbered(1, 64), table.concat(getevents(), " "))
+      assert.equal(numbered(65, 128), table.concat(getevents(), " "))
+    end)
+
     it("feeds a machine", function()
       local into, out = connected("string")
       local fsm = started(chart { getevents = generate(into) })

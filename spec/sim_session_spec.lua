@@ -428,6 +428,70 @@ at root.a(active)
   }
 end)
 
+describe("a run that has no end", function()
+  -- a --e_spin--> spin --> spin --e_stop--> a; a --e_busy--> busy, a doo.
+  -- Each ends at last, so that this spec does.
+  local function endless(more)
+    return [[
+local rfsm = require "rfsm"
+local n = 0
+local function goes_on()
+  n = n + 1
+  return n < 30000
+end
+return rfsm.state { warn = false, info = false, ]] .. (more or "") .. [[
+  a = rfsm.state {}, spin = rfsm.state {},
+  busy = rfsm.state { doo = function() while goes_on() do rfsm.yield() end end },
+  rfsm.trans { src = "initial", tgt = "a" },
+  rfsm.trans { src = "a", tgt = "spin", events = { "e_spin" } },
+  rfsm.trans { src = "spin", tgt = "a", events = { "e_stop" } },
+  rfsm.trans { src = "spin", tgt = "spin", guard = goes_on },
+  rfsm.trans { src = "a", tgt = "busy", events = { "e_busy" } },
+}]]
+  end
+
+  local STOPPED = "stopped after 10,000 iterations, 'run' goes on\n"
+
+  check {
+    { does = "stops after 10,000 iterations", chart = endless(), input = [=[
+run
+ser e_spin
+history 1
+run
+ser e_stop
+]=], output = [=[
+at root.a(done)
+at root.spin(done) e_done@root.spin
+]=] .. STOPPED .. [=[
+10002  e_done@root.spin                root.spin(done)
+at root.spin(done) e_done@root.spin
+]=] .. STOPPED .. [=[
+at root.a(done)
+]=] },
+    { does = "of a doo stops, too", chart = endless(), input = "step\nser e_busy",
+      output = "at root.a(done) e_done@root.a\nat root.busy(active)\n" .. STOPPED },
+    { does = "stops earlier at a breakpoint", chart = endless(), input = [=[
+step
+breakpoint spin
+ser e_spin
+run
+]=], output = [=[
+at root.a(done) e_done@root.a
+1  state root.spin
+at root.spin(done) e_done@root.spin
+stopped at 1: state root.spin
+at root.spin(done) e_done@root.spin
+stopped at 1: state root.spin
+]=] },
+    { does = "by an idle hook stops, too", input = "run", output = "at root.a(done)\n"
+      .. STOPPED, chart = endless "idle_hook = function() assert(goes_on()) end, " },
+    { does = "is no step with a number", chart = endless(),
+      input = "step\nse e_busy\nstep 10001",
+      output = "at root.a(done) e_done@root.a\nqueue:  e_done@root.a, e_busy\n"
+        .. "at root.busy(active)\n" },
+  }
+end)
+
 describe("reload", function()
   local function working(name, more)
     return ring((more or "") .. ([[

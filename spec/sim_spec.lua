@@ -38,7 +38,7 @@ end
 -- What it complains of.
 local function complaint(input)
   local _, complaints, status = sim("-q " .. HELLO, input)
-  assert.equal(0, status)
+  assert.equal(1, status)
   return complaints
 end
 
@@ -151,7 +151,7 @@ local COMPLAINTS = {
   ["se(nil)"] = "event 1 is nil\n",
   ["dbg('fool')"] = "dbg: false, true or 'full' expected, got string 'fool'\n",
   ["add_hook(1)"] = "add_hook: function expected, got number\n",
-  ["step('x')"] = "rfsm.step: number of steps expected, got string 'x'\n",
+  ["step('x')"] = "step: number expected, got string\n",
   ["error('no')"] = "^stdin:%d+: no\n$", ["error('one\\ntwo')"] = "^stdin:%d+: one\n$",
   ["error()"] = _VERSION == "Lua 5.5" and "<no error object>\n" or "nil\n",
   ["error({})"] = "^table: %S+\n$", ["x = = 1\n"] = "^stdin:%d+: [^\n]*near '=?'\n$",
@@ -220,6 +220,17 @@ describe("the prompt", function()
   it("complains of each mistake", function()
     check_each(complaint, COMPLAINTS, "io.stderr:write('~')")
     assert.matches("^stdin:%d: [^\n]*<eof>'?\n$", complaint("for i = 1, 2 do\n"))
+  end)
+
+  it("goes on after a wrong line of a pipe, and ends with status 1", function()
+    for input, expected in pairs { -- any order: each is a process
+      ["wrong\nstep"] = 1, ["error(1)\nstep\nquit"] = 1, ["step\nfor i = 1, 2 do"] = 1,
+      ["step\nse e_wrong"] = 0, ["step\nquit\nwrong"] = 0, ["step"] = 0,
+    } do
+      local out, _, status = sim("-q " .. HELLO, input .. "\n")
+      assert.same({ input, expected, true },
+        { input, status, out:find("active: root.hello", 1, true) ~= nil })
+    end
   end)
 
   it("calls a hook after each advance", function()
@@ -362,7 +373,8 @@ describe("at a terminal", function()
     at.type_in("queue:  e_spin", "se e_spin", "Enter")
     at.type_in("now", "print('n' .. 'ow') rfsm.run(fsm)", "Enter")
     at.type_in("go on", "C-c", "print('go' .. ' on')", "Enter")
-    at.type_in("root.busy on e_busy", "ser e_stop", "Enter", "ser e_busy", "Enter")
+    at.type_in("root.busy on e_busy", "ser e_stop", "Enter", "se e_busy", "Enter",
+      "step 1e9", "Enter")
     at.type_in("active: root.busy(", "C-c") -- done if its own code was interrupted
     at.type_in("42", "print(2)", "C-c", "6 * 7", "Enter")
     at.type_in("> ", "Enter")
@@ -1033,7 +1045,7 @@ describe("an advance", function()
       for _ = 1, 5 do
         rfsm.send_events(sim.fsm, "e_a")
         history.mark(sim)
-        sim:advance(rfsm.step, 1)
+        sim:advance(1)
       end
       say(sim.history.chunks[1].count .. " " .. sim.history.chunks[2].count)
       history.back(sim, 4)

@@ -68,7 +68,7 @@ describe("a strict machine", function()
       .. "consumes it", HERE .. "argument 2 is nil, which is no event" }, warnings)
   end)
 
-  it("warns once of an early event; the core of those that were not sent", function()
+  it("warns once of an early event, also of getevents", function()
     local got = { "e_p" }
     local fsm, warnings = watched { getevents = function()
       local list = got
@@ -78,8 +78,8 @@ describe("a strict machine", function()
     rfsm.send_events(fsm, "e_x")
     rfsm.run(fsm)
     assert.same({ HERE .. "event 'e_x' is sent before the first step, whose entry "
-      .. "consumes it", HERE .. "sent before the machine was entered, which consumes "
-      .. "them: e_p" }, warnings)
+      .. "consumes it", HERE .. "event 'e_p' is sent before the first step, whose "
+      .. "entry consumes it" }, warnings)
   end)
 
   it("names the sender's file and line, and warns once of each", function()
@@ -109,6 +109,22 @@ describe("a strict machine", function()
         .. "'effect'?)",
       HERE .. "root: a state has no field 'post_hook' (did you mean 'post_step_hook'?)",
     }, warnings)
+  end)
+
+  it("runs with a datum named `type` in a state, a transition or the root", function()
+    local fsm, warnings = started { type = "x", [2] = go("a", "b", "e_x", { type = 7 }),
+      a = state { type = "lamp" } }
+    assert.equal("root.b", helper.leaf_after(fsm, "e_x"))
+    assert.same({}, warnings)
+  end)
+
+  it("and a copy of its tables warn each", function()
+    local fsm, warnings = started()
+    for _, machine in ipairs { fsm, helper.copy_of(fsm) } do
+      for _ = 1, 2 do rfsm.send_events(machine, "e_q") end
+      rfsm.run(machine)
+    end
+    assert.equal(2, #warnings)
   end)
 
   it("is none without the field, nor with false", function()

@@ -3,11 +3,13 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
+local beside = require "rfsm.shared.beside"
 local chart = require "rfsm.shared.chart"
 local json = require "rfsm.json"
 local mermaid = require "rfsm.mermaid"
 local record = require "rfsm.record"
 local snapshot = require "rfsm.snapshot"
+local static = require "rfsm.checks.static"
 local stubs = require "rfsm.shared.stubs"
 
 local folder
@@ -219,6 +221,20 @@ describe("a chart of a robot", function()
     assert.is_true(rfsm.is_state(model.grasp.done))
   end)
 
+  it("has findings about its stubs, none of which stands in the library", function()
+    local model = open({ ["chart.lua"] = [[
+      return rfsm.state { a = rfsm.load "a.lua", b = rfsm.load "b.lua",
+        rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "b.x", tgt = "a", events = { "e" } } }
+    ]] }, true)
+    local lines = {}
+    for i, finding in ipairs(static.findings(model)) do
+      lines[i] = finding.file .. finding.place .. " " .. finding.code
+    end
+    table.sort(lines)
+    assert.same({ "root.a dead-end", "root.b unreachable" }, lines)
+  end)
+
   it("is drawn with the names of its stubs", function()
     local text = mermaid.encode(machine_of(FILES))
     assert.matches("root_off %-%-> root_on : e_on %[rtt%.getTC%(%)%.isReady%]", text)
@@ -250,6 +266,36 @@ describe("a chart of a robot", function()
       return rfsm.state {}
     ]] }, true)
     assert.same({ "rtt" }, names)
+  end)
+
+  for _, name in ipairs { "os.execute", "os.exit", "io.popen" } do
+    local CALL = ('%s("touch %%s/made")'):format(name)
+
+    it(("gets a stub for %s, also in callbacks"):format(name), function()
+      local call = CALL:format(folder)
+      local model, problem, names = open({ ["chart.lua"] = ([[
+        local first = %s
+        return rfsm.state { info = false, warn = false, first = tostring(first),
+          entry = function() %s end, exit = function() return %s end }
+      ]]):format(call, call, call) }, true)
+      assert.is_nil(problem)
+      assert.same({ name }, names)
+      assert.equal(call, model.first)
+      model.entry()
+      pcall(model.exit)
+      assert.is_false(beside.exists(folder .. "/made"))
+    end)
+  end
+
+  it("leaves these functions as they are for others, and without stubs", function()
+    open({ ["chart.lua"] = "return rfsm.state {}" }, true)
+    assert.equal("on", helper.text_of "printf on")
+    local model = open { ["chart.lua"] = ([[
+      os.execute "touch %s/made"
+      return rfsm.state { close = io.popen("true").close }
+    ]]):format(folder) }
+    assert.equal("function", type(model.close))
+    assert.is_true(beside.exists(folder .. "/made"))
   end)
 
   it("gets no stub for an event without quotes", function()
@@ -343,6 +389,56 @@ describe("loading a chart", function()
     local _, problem = open { ["chart.lua"] = "\nwhile true do end" }
     assert.equal("chart.lua:2: loading takes more than 0.05 s, is there a loop without "
       .. "end?", problem)
+  end)
+
+  -- Loads a chart while each call of `os.execute` takes a second, and the processor
+  -- rests. Returns the model, the problem, and the seconds.
+  local function open_slowly(text, has_stubs)
+    local now, results = 0, nil
+    chart.SECONDS = seconds
+    helper.with(os, { time = function() return now end,
+      clock = function() return 0 end, execute = function() now = now + 1 end,
+    }, function()
+      results = { open({ ["chart.lua"] = text }, has_stubs) }
+    end)
+    return results[1], results[2], now
+  end
+
+  local TOO_LONG = "loading takes more than 5 s, is there a loop without end?"
+
+  it("has an end by the clock on the wall, if the chart sleeps", function()
+    local _, problem, now = open_slowly [[
+
+      for _ = 1, 50 do os.execute "sleep 1" end
+      return rfsm.state {}
+    ]]
+    assert.same({ "chart.lua:2: " .. TOO_LONG, 6 }, { problem, now })
+    assert.is_table((open_slowly [[
+      for _ = 1, 5 do os.execute "sleep 1" end
+      return rfsm.state {}
+    ]]))
+  end)
+
+  it("has an end, and names the chart's line, if the chart runs a machine", function()
+    local _, problem, now = open_slowly [[
+      local fsm = rfsm.init(rfsm.state { info = false, warn = false, err = false,
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+        pre_step_hook = function() pcall(os.execute, "sleep 1") end })
+      for _ = 1, 50 do
+        rfsm.step(fsm)
+      end
+      return rfsm.state {}
+    ]]
+    assert.matches("^chart.lua:[35]: " .. TOO_LONG:gsub("%p", "%%%0") .. "$", problem)
+    assert.is_true(now < 10)
+  end)
+
+  it("is not tried again with more stubs if it takes too long", function()
+    local _, _, now = open_slowly([[
+      for _ = 1, 50 do os.execute "sleep 1" end
+      return rfsm.state {}
+    ]], true)
+    assert.equal(6, now)
   end)
 
   it("does not end the program", function()

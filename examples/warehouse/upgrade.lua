@@ -33,7 +33,7 @@ local function work(limit)
   local done = 0
   orders:work("staff", "worker 1", function(entry)
     done = done + 1
-    assert(orders:send(entry.machine, ANSWERS[entry.what]))
+    assert(orders:send_once(entry.id, entry.machine, ANSWERS[entry.what]))
   end, { count = limit })
   orders:wake()
   return done

@@ -64,6 +64,8 @@ note doo-ends: a doo ends, and nothing waits for its e_done
   add a transition on e_done, or let the doo go on
 note any-event: a transition of a state on any event
   name its events, or e_done if it waits for none
+warning empty-events: a list of events without any, so that any event matches
+  see if a name in it is nil; leave `events` out if any event is meant
 warning typo: an event is one letter from another
   use one name; or silence the finding at this transition
 warning odd-event: an event that looks like several, or like a list
@@ -118,6 +120,7 @@ local WARNINGS = {
   { "never fires here", "never-done" },
   { "no loaded extension knows", "unknown-word" },
   { "its guard is false", "false-guard" },
+  { "an empty list, any event triggers it", "empty-events" },
 }
 
 --- Return the code of a warning of the core.

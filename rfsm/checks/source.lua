@@ -82,9 +82,11 @@ end
 
 -- Checks ..........................................................................
 
--- Returns a name that looks like an undefined one.
+-- Returns a name that looks like an undefined one. `fsm` does not mean `rfsm`: programs
+-- keep their machine in such a global.
 local function meant(name)
   if rfsm[name] ~= nil then return "rfsm." .. name end
+  if name == "fsm" then return nil end
   for _, other in ipairs(rfsm.sorted_keys(_G)) do
     if type(other) == "string" and advice.is_near(name, other) then return other end
   end

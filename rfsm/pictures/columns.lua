@@ -1,4 +1,4 @@
---- Columns: a level that is too tall or too wide is divided into parts side by side.
+--- Columns: a level that is too long is divided into parts side by side.
 --
 -- A column has a part of the nodes, in the order of the walk from `initial`. It is a
 -- composite without a frame, which Graphviz lays out. An arrow from a column to a later
@@ -110,7 +110,7 @@ local function crossing_of(level, numbers)
   return crossing, passing
 end
 
-local MOST = 6 -- arrows between columns, for each channel
+local MOST = 2 -- arrows between columns, for each channel
 
 --- Return the number of the column for each node of a level, nil if columns do not fit:
 -- if too many arrows would lead from one to the other.

@@ -1,7 +1,7 @@
 --- The layout of a chart: level by level, the innermost ones first.
 --
--- Graphviz lays out each level. One that is too tall or too wide is put into columns,
--- or turned to the other direction. Loops at states are drawn here.
+-- Graphviz lays out each level. One that is too long is put into columns, a wide one is
+-- turned to the other direction. Loops at states are drawn here.
 --
 -- @module rfsm.pictures.levels
 -- @license BSD-3-Clause
@@ -113,15 +113,29 @@ end
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST = 6 -- nodes in what is changed
+local FEWEST, MANY = 6, 8 -- nodes in what is turned, in what is folded
 local TALLEST, WIDEST = 420, 800 -- points, of an inner level that is never changed
+local LONGEST = 1000 -- points, of a root that is never folded
 local MISFIT = log(1.7)
+
+-- Returns the size of a level along its arrows.
+local function length_of(level)
+  return level.direction == "TB" and level.height or level.width
+end
+
+-- Is a level longer along its arrows than across? If not, nodes are side by side.
+local function is_long(level)
+  return length_of(level) == max(level.width, level.height)
+end
 
 local function is_misfit(chart, level)
   local composite = level.composite
   if #level.boxes < FEWEST or columns.misfit(level) < MISFIT then return false end
   if composite.nodes[1].is_region then return false end -- then all are
-  return composite == chart.root or level.height > TALLEST or level.width > WIDEST
+  if composite == chart.root then
+    return not is_long(level) or length_of(level) > LONGEST
+  end
+  return level.height > TALLEST or level.width > WIDEST
 end
 
 local function divide(chart, list, run)
@@ -221,9 +235,11 @@ end
 
 local WIDE = 1.25 -- times the width that is aimed at
 
--- Is a level that stays as it is too wide? Then Graphviz makes it higher.
+-- Are too many nodes of the root side by side? Then Graphviz makes it higher.
 local function is_wide(chart, level)
-  if level.composite ~= chart.root or #level.boxes < FEWEST then return false end
+  if level.composite ~= chart.root or #level.boxes < FEWEST or is_long(level) then
+    return false
+  end
   level.is_stretched = level.width / level.height > columns.RATIO * WIDE
   return level.is_stretched
 end
@@ -233,7 +249,7 @@ local function change_of(chart, level)
   if not is_misfit(chart, level) then
     return is_wide(chart, level) and "stretch" or nil
   end
-  level.plan = columns.plan(level)
+  level.plan = is_long(level) and #level.boxes >= MANY and columns.plan(level)
   return level.plan and "divide" or is_closed(level) and "turn" or nil
 end
 

@@ -16,35 +16,43 @@ local bundle = {}
 
 -- In front of the library: what it finds in place of Redis and of globals. `pcall` of
 -- PL/Lua makes a subtransaction, and catches that a call is cancelled; `lpcall` does
--- neither.
+-- neither. Charts are a part of the library: no name of the host, such as `spi`, may be
+-- in their scope, or in that of a text that they load.
 local HEAD = [[
-local bundled = {}
-%s
-local host, answer = bundled["rfsm.postgres.pllua"]()(bundled["rfsm.postgres.host"](),
-  spi, pgtype, "$ID")
-local redis, cjson, cmsgpack, pcall = host.redis, host.cjson, host.cmsgpack, lpcall
-self.answer = answer
-local function finish(handler, ok, ...)
-  if ok then return ok, ... end
-  return ok, handler((...))
+local redis, cjson, cmsgpack, pcall, xpcall, sandbox, _G
+do
+  local bundled, load = {}, load
+  %s
+  local host, answer = bundled["rfsm.postgres.pllua"]()(
+    bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
+  self.answer = answer
+  redis, cjson, cmsgpack, pcall = host.redis, host.cjson, host.cmsgpack, lpcall
+  local function finish(handler, ok, ...)
+    if ok then return ok, ... end
+    return ok, handler((...))
+  end
+  function xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
+  _G = { os = { clock = os.clock }, pcall = pcall, xpcall = xpcall, redis = redis,
+    cjson = cjson, cmsgpack = cmsgpack }
+  for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
+    rawget rawset select setmetatable tonumber tostring type coroutine string table math
+    _VERSION]=]):gmatch("%%S+") do
+    _G[name] = self[name]
+  end
+  function _G.load(text, name, _, globals)
+    return load(text, name, "t", globals == nil and sandbox or globals)
+  end
+  sandbox = setmetatable({}, {
+    __index = function(_, name)
+      if _G[name] ~= nil then return _G[name] end
+      error("global '" .. tostring(name) .. "' does not exist in PostgreSQL", 2)
+    end,
+    __newindex = function(_, name)
+      error("global '" .. tostring(name) .. "' cannot be set in PostgreSQL", 2)
+    end,
+  })
 end
-local function xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
-local _G = { os = { clock = os.clock }, pcall = pcall, xpcall = xpcall, redis = redis,
-  cjson = cjson, cmsgpack = cmsgpack }
-for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
-  rawget rawset select setmetatable tonumber tostring type coroutine string table math
-  load _VERSION]=]):gmatch("%%S+") do
-  _G[name] = self[name]
-end
-setmetatable(self, {
-  __index = function(_, name)
-    if _G[name] ~= nil then return _G[name] end
-    error("global '" .. tostring(name) .. "' does not exist in PostgreSQL", 2)
-  end,
-  __newindex = function(_, name)
-    error("global '" .. tostring(name) .. "' cannot be set in PostgreSQL", 2)
-  end,
-})
+local self, _ENV = nil, sandbox
 ]]
 
 -- Returns a text that another library does not have, most likely.
@@ -77,9 +85,11 @@ function bundle.library(arguments, options)
 end
 
 local function schema_of(functions, options)
-  return concat { schema.HEAD, functions, schema.TRIGGERS,
-    options.history and schema.HISTORY or "", options.notify and schema.NOTIFY or "",
-    schema.FOOT }
+  local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
+    HISTORY = options.history and "true" or "false",
+    NOTIFY = options.notify and "true" or "false" })
+  return concat { schema.HEAD, functions, options.history and schema.HISTORY or "",
+    options.notify and schema.NOTIFY or "", triggers, schema.FOOT }
 end
 
 --- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.

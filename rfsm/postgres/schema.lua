@@ -1,7 +1,8 @@
 --- The schema `rfsm`: tables, and functions in SQL around the one in PL/Lua.
 --
--- What is there already stays; functions are replaced. $TAG, $CODE and $ID are texts
--- that `rfsm.postgres.bundle` puts in.
+-- What is there already stays; functions are replaced. No table is locked that is as it
+-- should be, so a load and the clients do not wait for each other. $TAG, $CODE, $ID,
+-- $HISTORY and $NOTIFY are texts that `rfsm.postgres.bundle` puts in.
 --
 -- @module rfsm.postgres.schema
 -- @license BSD-3-Clause
@@ -26,8 +27,6 @@ CREATE TABLE IF NOT EXISTS rfsm.machines (
   data jsonb NOT NULL,          -- what the chart keeps, by state
   value jsonb NOT NULL          -- snapshot, ids of the latest events, events to come
 ) WITH (fillfactor = 80);
-CREATE INDEX IF NOT EXISTS machines_state ON rfsm.machines (chart, state, since);
-CREATE INDEX IF NOT EXISTS machines_due ON rfsm.machines (due) WHERE due IS NOT NULL;
 
 -- What machines have emitted, for workers to do and delete.
 CREATE TABLE IF NOT EXISTS rfsm.out (
@@ -45,7 +44,15 @@ CREATE TABLE IF NOT EXISTS rfsm.log (
   key text COLLATE "C" NOT NULL,
   error text NOT NULL
 );
-CREATE INDEX IF NOT EXISTS log_key ON rfsm.log (key, id);
+
+-- CREATE INDEX IF NOT EXISTS locks the table before it looks.
+DO $$ BEGIN
+  IF to_regclass('rfsm.log_key') IS NULL THEN
+    CREATE INDEX machines_state ON rfsm.machines (chart, state, since);
+    CREATE INDEX machines_due ON rfsm.machines (due) WHERE due IS NOT NULL;
+    CREATE INDEX log_key ON rfsm.log (key, id);
+  END IF;
+END $$;
 
 -- Is a state another one, or in it?
 CREATE OR REPLACE FUNCTION rfsm.is_in(state text, other text)
@@ -138,14 +145,6 @@ BEGIN
 END $$;
 ]]
 
-schema.TRIGGERS = [[
-
-DROP TRIGGER IF EXISTS note_new ON rfsm.machines;
-DROP TRIGGER IF EXISTS note_move ON rfsm.machines;
-DROP TRIGGER IF EXISTS notify_new ON rfsm.machines;
-DROP TRIGGER IF EXISTS notify_move ON rfsm.machines;
-]]
-
 schema.HISTORY = [[
 
 CREATE TABLE IF NOT EXISTS rfsm.history (
@@ -156,7 +155,11 @@ CREATE TABLE IF NOT EXISTS rfsm.history (
   src text COLLATE "C",         -- NULL: the machine is new
   tgt text COLLATE "C"          -- NULL: the machine was deleted
 );
-CREATE INDEX IF NOT EXISTS history_key ON rfsm.history (key, id);
+DO $$ BEGIN
+  IF to_regclass('rfsm.history_key') IS NULL THEN
+    CREATE INDEX history_key ON rfsm.history (key, id);
+  END IF;
+END $$;
 
 CREATE OR REPLACE FUNCTION rfsm.note() RETURNS trigger LANGUAGE plpgsql AS $$
 BEGIN
@@ -170,10 +173,6 @@ BEGIN
   END IF;
   RETURN NULL;
 END $$;
-CREATE TRIGGER note_new AFTER INSERT OR DELETE ON rfsm.machines
-  FOR EACH ROW EXECUTE FUNCTION rfsm.note();
-CREATE TRIGGER note_move AFTER UPDATE ON rfsm.machines
-  FOR EACH ROW WHEN (OLD.state <> NEW.state) EXECUTE FUNCTION rfsm.note();
 ]]
 
 schema.NOTIFY = [[
@@ -184,10 +183,35 @@ BEGIN
     'state', NEW.state)::text);
   RETURN NULL;
 END $$;
-CREATE TRIGGER notify_new AFTER INSERT ON rfsm.machines
-  FOR EACH ROW EXECUTE FUNCTION rfsm.notify();
-CREATE TRIGGER notify_move AFTER UPDATE ON rfsm.machines
-  FOR EACH ROW WHEN (OLD.state <> NEW.state) EXECUTE FUNCTION rfsm.notify();
+]]
+
+schema.TRIGGERS = [[
+
+-- Makes the triggers that are absent or different, and drops those that are not wanted.
+-- Either takes a lock that waits for clients, and for which clients wait.
+DO $$
+DECLARE
+  moved text := 'WHEN ((old.state <> new.state)) ';
+  each record;
+BEGIN
+  FOR each IN
+    SELECT name, replace(pg_get_triggerdef(t.oid), 'FUNCTION n',
+      'FUNCTION rfsm.n') AS found, -- it lacks a schema that is in search_path
+      CASE WHEN is_wanted THEN format('CREATE TRIGGER %s AFTER %s ON rfsm.machines '
+        'FOR EACH ROW %sEXECUTE FUNCTION rfsm.%s()', name, event, condition, f)
+      END AS wanted
+    FROM (VALUES ('note_new', 'INSERT OR DELETE', '', 'note', $HISTORY),
+      ('note_move', 'UPDATE', moved, 'note', $HISTORY),
+      ('notify_new', 'INSERT', '', 'notify', $NOTIFY),
+      ('notify_move', 'UPDATE', moved, 'notify', $NOTIFY))
+      AS ours (name, event, condition, f, is_wanted)
+    LEFT JOIN pg_trigger t ON tgrelid = 'rfsm.machines'::regclass AND tgname = name
+  LOOP
+    CONTINUE WHEN each.found IS NOT DISTINCT FROM each.wanted;
+    EXECUTE format('DROP TRIGGER IF EXISTS %s ON rfsm.machines', each.name);
+    IF each.wanted IS NOT NULL THEN EXECUTE each.wanted; END IF;
+  END LOOP;
+END $$;
 ]]
 
 schema.FOOT = "\nCOMMIT;\n"

@@ -89,7 +89,7 @@ end
 --- Return the values of a machine that `may_have_changed` compares.
 function track.watch_data(fsm)
   local watched = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
-    states = {}, names = {}, values = {}, is_deep = false }
+    states = {}, names = {}, values = {}, is_deep = false, has_changed = false }
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     if type(state.save) == "function" then watched.is_deep = true end
     for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
@@ -98,23 +98,27 @@ function track.watch_data(fsm)
     end
   end
   track.may_have_changed(watched)
+  watched.has_changed = false
   return watched
 end
 
---- May the data have changed since the last call? A table may, at any time.
+--- May the data have changed since the caller has set `has_changed` to false? A table
+-- may, at any time.
 function track.may_have_changed(watched)
-  local may, values, names = watched.is_deep, watched.values, watched.names
+  local values, names = watched.values, watched.names
+  if watched.is_deep then watched.has_changed = true end
   for i, state in ipairs(watched.states) do
     local value = state[names[i]]
-    if type(value) == "table" or not rawequal(value, values[i]) then may = true end
-    values[i] = value
+    if type(value) == "table" or not rawequal(value, values[i]) then
+      watched.has_changed, values[i] = true, value
+    end
   end
   local targets = watched.targets
   for i, tr in ipairs(watched.transitions) do
     local tgt = tr.tgt
-    if targets[i] ~= tgt then targets[i], may = tgt, true end
+    if targets[i] ~= tgt then watched.has_changed, targets[i] = true, tgt end
   end
-  return may
+  return watched.has_changed
 end
 
 -- Machines -----------------------------------------------------------------------

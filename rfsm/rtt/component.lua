@@ -5,9 +5,9 @@
 -- @module rfsm.rtt.component
 -- @license BSD-3-Clause
 
+local rfsm_rtt = require "rfsm.rtt" -- first: it sets the collector of a pool
 local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
-local rfsm_rtt = require "rfsm.rtt"
 local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
@@ -174,13 +174,10 @@ local function report_endless(launch, fsm)
   end
 end
 
--- Has the machine compiled now. rfsm/fast.lua takes 55 KiB and what it compiles up to 2
--- KiB a transition: a pool that is three quarters full does without it.
+-- Has the machine compiled now. A pool that is three quarters full does without text of
+-- rfsm/fast.lua, which takes up to 2 KiB a transition.
 local function prepare(fsm)
-  local name = "rfsm.fast"
-  if update.is_short_of_memory() and not package.loaded[name] then
-    package.preload[name] = function() return false end
-  end
+  if update.is_short_of_memory() then rfsm.without_fast() end
   rfsm.prepare(fsm)
 end
 
@@ -213,16 +210,17 @@ local function warn_of_timers(launch)
   end
 end
 
--- Has RTT's hook `name` call that of the program, if there is one, and then `ours`:
--- also after a failure or false if it is to come `always`.
+-- Has RTT's hook `name` call that of the program, if there is one, and then `ours`, if
+-- given: also after a failure or false if it is to come `always`. It raises texts only,
+-- since OCL mutes the log of the whole process at an error that is no text.
 local function wrap(launch, name, ours, always)
   local theirs = rawget(_G, name)
   if theirs == launch.hooks[name] and theirs then return end
   launch.hooks[name] = function()
     local ok, result = true, true
     if theirs then ok, result = pcall(theirs) end
-    if always or ok and result ~= false then ours() end
-    if not ok then error(result, 0) end
+    if ours and (always or ok and result ~= false) then ours() end
+    if not ok then error(rfsm.text_of(result), 0) end
     return result
   end
   rawset(_G, name, launch.hooks[name])
@@ -239,6 +237,9 @@ local function wrap_hooks(launch)
     launch.is_ready = false
     find_ports(launch, false)
   end, true)
+  for _, name in ipairs { "activateHook", "updateHook", "errorHook", "stopHook" } do
+    if rawget(_G, name) then wrap(launch, name) end
+  end
 end
 
 -- Makes the ports and attributes that are not there, and wraps hooks which a `lua_file`
@@ -317,8 +318,8 @@ local function set_up(launch)
   set_port_globals(launch)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)
   local trigger = update.new_trigger(launch, fsm, make_ready)
-  set_globals { fsm = fsm, trigger = trigger,
-    updateHook = launch.is_component and function() trigger() end or nil }
+  launch.hooks.updateHook = launch.is_component and function() trigger() end or nil
+  set_globals { fsm = fsm, trigger = trigger, updateHook = launch.hooks.updateHook }
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
   report_endless(launch, fsm)

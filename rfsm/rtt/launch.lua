@@ -77,16 +77,12 @@ local function to_text(value, path)
   return "{ " .. concat(texts, ", ") .. " }"
 end
 
--- Our modules come first, from where this one is: another rfsm may be installed. The
--- pool of a TLSF component fails when it is full, so the collector begins early.
+-- Our modules come first, from where this one is: another rfsm may be installed.
 -- Nothing is done in this Lua after the hook is enabled, since OCL takes no lock.
 local PROGRAM = [[
 local launch = %s
 package.path = %q .. package.path .. %q
 for name, value in pairs(launch.env) do rawset(_G, name, value) end
-local tune = rawget(_G, "tlsf") and collectgarbage or type
-pcall(tune, "setpause", 100)
-pcall(tune, "setstepmul", 1000)
 local ok, component = pcall(require, "rfsm.rtt.component")
 if not ok then error("launch of '" .. launch.fsmfile .. "': " .. component, 0) end
 local hook = component.launch(launch)

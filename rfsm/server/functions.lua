@@ -28,7 +28,8 @@ require "rfsm.await"
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawget, rawset, select = pcall, rawget, rawset, select
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local floor, min = math.floor, math.min
+local char = string.char
+local floor, huge, min = math.floor, math.huge, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, remove, sort = table.concat, table.remove, table.sort
 local copy_of, fail, is_meta, text_of = plain.copy_of, plain.fail, rfsm.is_meta,
@@ -267,7 +268,7 @@ end
 ---@field chart rfsm.server.Chart
 ---@field fsm rfsm.Machine
 ---@field list any[] in the value of the key; the new one is made of it
----@field leaf string|false where it was
+---@field leaf string|false|nil where it was, as the index knows it: before a rename
 ---@field moved_by string the events of this call
 ---@field notes string[]|nil for the log
 
@@ -311,11 +312,11 @@ end
 
 local function load_machine(key, list)
   sec, nsec = list[SEC] or false, list[NSEC]
+  local leaf = list[SNAP].leaf
   local chart, ok, problem = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
   sec = false
-  local fsm, leaf = chart.fsm, chart.fsm._act_leaf
-  return { key = key, chart = chart, fsm = fsm, list = list, leaf = leaf and leaf._fqn,
+  return { key = key, chart = chart, fsm = chart.fsm, list = list, leaf = leaf,
     moved_by = "" }
 end
 
@@ -449,14 +450,38 @@ local function add_streams(machine)
   end
 end
 
+-- Returns the first text behind all those with a head. A key may begin with any byte.
+local function behind(head) return head:sub(1, -2) .. char(head:byte(-1) + 1) end
+
+-- Lists how members of an index begin: with chart and state, and a tab behind each.
+local function heads_of(index)
+  local heads, from = {}, ""
+  repeat
+    local member = host.call("ZRANGEBYLEX", index, "[" .. from, "+", "LIMIT", 0, 1)[1]
+    local head = member and member:match("^[^\t]*\t[^\t]*\t")
+    heads[#heads + 1], from = head, head and behind(head)
+  until not head
+  return heads
+end
+
+-- Lists the members that the index may have of a machine: where it was, or, if it is
+-- new, where one with its key was that ended by DEL.
+local function old_members(machine, index)
+  if machine.leaf then
+    return { keys_of.member(machine.chart.name, machine.leaf, machine.key) }
+  end
+  local members = heads_of(index)
+  for i, head in ipairs(members) do members[i] = head .. machine.key end
+  return members
+end
+
 -- Adds what index, history and channel say of a new active leaf.
 local function add_move(machine, leaf)
   local key, name = machine.key, machine.chart.name
   if options.index then
     local index = keys_of.index(key)
-    if machine.leaf then
-      add_write("zset", "ZREM", index, keys_of.member(name, machine.leaf, key))
-    end
+    local old = old_members(machine, index)
+    if old[1] then add_write("zset", "ZREM", index, unpack(old)) end
     add_write("zset", "ZADD", index, 0, keys_of.member(name, leaf, key))
   end
   if options.history then
@@ -692,23 +717,38 @@ function functions.rfsm_why(keys, args)
   return lines
 end
 
-local function members(key, from, to, limit)
-  return host.call("ZRANGEBYLEX", key, "[" .. from, "(" .. to, "LIMIT", 0, limit)
+-- Is a machine there? DEL ends one and leaves the index as it is. While a slot moves to
+-- another node, which may have the machine, the index is believed.
+local function is_there(key)
+  local ok, count = pcall(host.call, "EXISTS", key)
+  return not ok or count == 1
+end
+
+-- Lists the keys of machines, at most so many, whose members have a head.
+local function keys_with(index, head, limit)
+  local found, count = {}, min(limit, 1000)
+  local from, to = "[" .. head, "(" .. behind(head)
+  repeat
+    local members = host.call("ZRANGEBYLEX", index, from, to, "LIMIT", 0, count)
+    for _, member in ipairs(members) do
+      local key = member:match("\t[^\t]*\t(.*)$")
+      found[#found + 1] = #found < limit and is_there(key) and key or nil
+    end
+    from = "(" .. (members[count] or "")
+  until #found == limit or not members[count]
+  return found
 end
 
 -- rfsm_find KEY chart state [limit]: the machines, of those that share the hash tag of
 -- the key, whose active leaf is the state, or in it.
 function functions.rfsm_find(keys, args)
   if not options.index then fail("the library was made without --index") end
-  local key, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
+  local index, limit = keys_of.index(keys[1]), whole_of(args[3], 100, 100000)
   if not args[2] then fail("a chart and a state expected") end
-  local head, found = args[1] .. "\t" .. args[2], {}
-  for _, mark in ipairs { "\t", "." } do -- the state itself, and those in it
-    local list = members(key, head .. mark, head .. mark .. "\255",
-      limit - #found)
-    for _, member in ipairs(limit > #found and list or {}) do
-      found[#found + 1] = member:match("^[^\t]*\t[^\t]*\t(.*)$")
-    end
+  local head = args[1] .. "\t" .. args[2]
+  local found = keys_with(index, head .. "\t", limit) -- the state itself, those in it
+  for _, key in ipairs(keys_with(index, head .. ".", limit - #found)) do
+    found[#found + 1] = key
   end
   return found
 end
@@ -716,14 +756,11 @@ end
 -- rfsm_stats KEY: for the machines that share the hash tag of the key: chart, state and
 -- number, and so on; then numbers of those that are due, put aside, and of entries.
 function functions.rfsm_stats(keys)
-  local key, reply, at = keys_of.index(keys[1]), {}, ""
-  while options.index do
-    local member = members(key, at, "\255", 1)[1]
-    if not member then break end
-    local head, name, leaf = member:match("^(([^\t]*)\t([^\t]*)\t)")
-    at = head .. "\255"
-    for _, value in ipairs { name, leaf, host.call("ZLEXCOUNT", key, "[" .. head,
-      "(" .. at) } do
+  local index, reply = keys_of.index(keys[1]), {}
+  for _, head in ipairs(options.index and heads_of(index) or {}) do
+    local name, leaf = head:match("^([^\t]*)\t([^\t]*)")
+    local count = #keys_with(index, head, huge)
+    for _, value in ipairs(count > 0 and { name, leaf, count } or {}) do
       reply[#reply + 1] = value
     end
   end

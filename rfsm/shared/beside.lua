@@ -2,8 +2,9 @@
 --
 -- In the code of a chart, `require`, `rfsm.load`, `dofile` and `loadfile` look in the
 -- folder of the chart, then in its parent, then where they always do. The code of a
--- chart is its file and each file that was found so. A module or file that is not found
--- becomes a stub if the chart has stubs.
+-- chart is its file and each file that was found so. If the chart has stubs, a module
+-- or file that is not found becomes one, and it gets stubs for `os.execute`, `os.exit`
+-- and `io.popen`.
 --
 -- @module rfsm.shared.beside
 -- @license BSD-3-Clause
@@ -12,7 +13,8 @@ local rfsm = require "rfsm"
 local stubs = require "rfsm.shared.stubs"
 
 local _G, error, io, ipairs, loadfile = _G, error, io, ipairs, loadfile
-local package, pairs, rawget, rawset, type = package, pairs, rawget, rawset, type
+local os, package, pairs, rawget, rawset = os, package, pairs, rawget, rawset
+local type = type
 local getinfo = rawget(_G, "debug") and rawget(_G, "debug").getinfo
 local insert = table.insert
 
@@ -24,9 +26,12 @@ local beside = {}
 ---@field folders string[] that are searched
 ---@field has_stubs boolean
 ---@field insists boolean a global is a stub also where the code asks if it exists
+---@field is_loading boolean its file is run now
+---@field is_late boolean that took too long
 ---@field names string[] of the stubs, in the order in which they were needed
 ---@field stubs table<string, table> by name
 local current = nil ---@type rfsm.shared.World? of the chart that is being loaded
+local latest = nil ---@type rfsm.shared.World? of the chart that was loaded last
 
 local world_of_source = {} -- by the source of its code
 local found = {} -- modules beside the chart (false) and stubs (true), by name
@@ -103,6 +108,21 @@ local function wrap(owner, key, new_stub)
   end)
 end
 
+-- Functions that act on the system --------------------------------------------------
+
+-- Has a function of Lua call its stub if a chart with stubs calls it. After a tail call
+-- and in `pcall` the caller is in no file: then it is the chart that was loaded last.
+local function hold_back(owner, key, name)
+  local plain = rawget(owner, key)
+  rawset(owner, key, plain and function(...)
+    local info = getinfo and getinfo(2, "S")
+    local is_unknown = not info or info.source:find("^=")
+    local world = world_at(2) or is_unknown and latest
+    if not (world and world.has_stubs) then return plain(...) end
+    return beside.stub(world, name)(...)
+  end)
+end
+
 -- Modules -------------------------------------------------------------------------
 
 local function load_beside(world, name)
@@ -142,6 +162,9 @@ local function install()
   wrap(rfsm, "load", stubs.new_state)
   wrap(_G, "dofile", stubs.new)
   wrap(_G, "loadfile", stubs.new)
+  hold_back(os, "execute", "os.execute")
+  hold_back(os, "exit", "os.exit")
+  hold_back(io, "popen", "io.popen")
 end
 
 -- Forgets stubs, and modules beside a chart in another folder.
@@ -163,9 +186,10 @@ function beside.enter(file, source, has_stubs)
   forget(folder)
   current = {
     source = source, folders = { folder, parent_of(folder) },
-    has_stubs = has_stubs or false, insists = false, names = {}, stubs = {},
+    has_stubs = has_stubs or false, insists = false, is_loading = false,
+    is_late = false, names = {}, stubs = {},
   }
-  world_of_source[source] = current
+  world_of_source[source], latest = current, current
   return current
 end
 

@@ -145,32 +145,53 @@ end
 
 -- Bounds: what must not happen while a chart is loaded ---------------------------
 
-chart.SECONDS = 5 -- of the processor, for loading
+chart.SECONDS = 5 -- for loading
 
 local function refuse_exit() error("os.exit is called while the chart is loaded", 2) end
 
--- Calls f(...), which may neither end the program nor go on without end. LuaJIT does
--- not call the hook in compiled code.
-local function within_bounds(f, ...)
-  local sethook, gethook = debug and debug.sethook, debug and debug.gethook
-  local exit, limit = os.exit, os.clock() + chart.SECONDS
-  local is_compiling = jit and jit.status()
-  local hook, mask, count
-  if sethook then
-    if is_compiling then jit.off() end
-    hook, mask, count = gethook()
-    sethook(function()
-      if os.clock() < limit then return end
-      error(("loading takes more than %g s, is there a loop without end?"):format(
-        chart.SECONDS), 2)
-    end, "", 10000)
+-- Returns "file:line: " of the chart's innermost function on the stack.
+local function line_of_chart()
+  local level, info = 3, getinfo(3, "Sl")
+  while info and not (info.currentline > 0 and beside.world_of(info.source)) do
+    level = level + 1
+    info = getinfo(level, "Sl")
   end
-  rawset(os, "exit", refuse_exit)
-  local ok, model = f(...)
+  return info and ("%s:%d: "):format(info.short_src, info.currentline) or ""
+end
+
+-- Returns the hook that ends the loading of a chart. A chart that waits for something
+-- calls a function to do so: each call looks at the clock on the wall.
+local function new_limit(world)
+  local time, clock = os.time, os.clock
+  local wall, processor = time() + chart.SECONDS, clock() + chart.SECONDS
+  return function(event)
+    if not world.is_loading or time() <= wall
+      and (event ~= "count" or clock() < processor) then return end
+    world.is_late = true
+    error(("%sloading takes more than %g s, is there a loop without end?"):format(
+      line_of_chart(), chart.SECONDS), 0)
+  end
+end
+
+-- Returns load(file), which may neither end the program nor go on without end. LuaJIT
+-- does not call the hook in compiled code.
+local function within_bounds(world, load, file)
+  local sethook, exit = debug and debug.sethook, os.exit
+  local is_compiling = sethook and jit and jit.status()
+  local hook, mask, count
+  if is_compiling then jit.off() end
+  if sethook then
+    hook, mask, count = debug.gethook()
+    sethook(new_limit(world), "c", 10000)
+  end
+  if not world.has_stubs then rawset(os, "exit", refuse_exit) end
+  world.is_loading = true
+  local ok, model = pcall(load, file)
+  world.is_loading = false -- from here on the hook does nothing
   rawset(os, "exit", exit)
   if sethook then sethook(hook, mask, count) end
   if is_compiling then jit.on() end
-  return ok, model
+  return ok and model or error(model, 0)
 end
 
 local function load_stdin() -- without a first line for the shell (#!)
@@ -184,7 +205,7 @@ local function try_load(file, has_stubs, insists)
   local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
   local world = beside.enter(file, source, has_stubs)
   world.insists = insists or false
-  local ok, model = within_bounds(with_watch, world, warnings,
+  local ok, model = with_watch(world, warnings, within_bounds, world,
     file == "-" and load_stdin or load_file, file)
   beside.leave()
   return ok, model, warnings, world
@@ -202,7 +223,7 @@ function chart.load(file, has_stubs)
   find_given("rfsmpp") -- for callbacks; these two change no machines
   find_given("rfsm_ext")
   local ok, model, warnings, world = try_load(file, has_stubs)
-  if not ok and has_stubs and file ~= "-" then
+  if not (ok or world.is_late) and has_stubs and file ~= "-" then
     local is_better, other, more, other_world = try_load(file, true, true)
     if is_better then ok, model, warnings, world = true, other, more, other_world end
   end

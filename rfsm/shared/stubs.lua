@@ -73,18 +73,27 @@ Stub.__lt, Stub.__le = no, no
 
 local is_stubbed = setmetatable({}, { __mode = "k" }) -- states
 
+-- Returns a constructor that notes no location, which would be one in this file.
+local function without_location(constructor)
+  local class = getmetatable(constructor {})
+  return function(t) return setmetatable(t, class) end
+end
+
+local new_state, new_trans, new_conn = without_location(rfsm.state),
+  without_location(rfsm.trans), without_location(rfsm.conn)
+
 --- Return a state in place of a missing one.
 function stubs.new_state(name)
-  local state = rfsm.state { doc = name .. " is a stub" }
+  local state = new_state { doc = name .. " is a stub" }
   is_stubbed[state] = true
   return state
 end
 
 -- Gives a stub a substate; the first one is its initial state.
 local function add_substate(state, name)
-  state[name] = name == "initial" and rfsm.conn {} or stubs.new_state(name)
+  state[name] = name == "initial" and new_conn {} or stubs.new_state(name)
   if not state.initial and not state[1] then
-    state[1] = rfsm.trans { src = "initial", tgt = name }
+    state[1] = new_trans { src = "initial", tgt = name }
   end
 end
 

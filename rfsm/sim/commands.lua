@@ -51,9 +51,9 @@ local function check(command, value, kind, what)
   error(("%s: %s expected, got %s"):format(command, what or kind, type(value)), 0)
 end
 
-local function advance(sim, how, n)
+local function advance(sim, n)
   history.mark(sim)
-  sim:advance(how, n)
+  sim:advance(n)
 end
 
 group "Advance"
@@ -61,15 +61,17 @@ group "Advance"
 add("step([n])", "advance by n transitions or doo cycles (1)", [[
 Enters the machine when it is called first. Example: step 3]],
 function(sim, n)
-  if type(n) == "number" and (n < 1 or n % 1 ~= 0) then
+  n = check("step", n == nil and 1 or n, "number")
+  if n < 1 or n % 1 ~= 0 then
     error("step: whole number from 1 expected, got " .. text_of(n), 0)
   end
-  advance(sim, rfsm.step, n or 1)
+  advance(sim, n)
 end)
 
 add("run()", "advance until nothing is left to do", [[
-A doo that is never idle keeps it going: Control-C ends it, and so does a breakpoint.]],
-function(sim) advance(sim, rfsm.run) end)
+It stops after 10,000 iterations, at a breakpoint, and by Control-C: a chart may go on
+for ever, by a doo that is never idle, or a transition without events.]],
+function(sim) advance(sim) end)
 
 add("se(...)", "send events", [[
 They wait in the queue until the next step. `se e_done` stands for the completion of
@@ -83,14 +85,14 @@ add("ses(...)", "send events, then step()", [[
 Example: ses e_push    or, in Lua, ses("e_push")]],
 function(sim, ...)
   sim:send(...)
-  advance(sim, rfsm.step, 1)
+  advance(sim, 1)
 end, { completes = "events" })
 
 add("ser(...)", "send events, then run()", [[
 Example: ser e_push    or, in Lua, ser("e_push")]],
 function(sim, ...)
   sim:send(...)
-  advance(sim, rfsm.run)
+  advance(sim)
 end, { completes = "events" })
 
 group "Look"

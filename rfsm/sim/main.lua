@@ -74,7 +74,7 @@ local function prepare(sim, options)
 end
 
 --- Open a chart, run the code given, read commands from stdin; return the status for
--- the shell: 0, or 1 for a chart or code that is wrong.
+-- the shell: 0, or 1 for a chart, code or line of a pipe that is wrong.
 ---@param options rfsm.sim.Options
 function rfsm_sim.main(options)
   local is_terminal = terminal.is_terminal(0)
@@ -88,9 +88,9 @@ function rfsm_sim.main(options)
   local status = prepare(sim, options)
   if status then return status end
   if not options.quiet then greet(is_terminal) end
-  prompt.converse(sim)
+  local is_right = prompt.converse(sim)
   if is_terminal then print() end -- the shell's prompt begins a new line
-  return 0
+  return (is_right or is_terminal) and 0 or 1
 end
 
 return rfsm_sim

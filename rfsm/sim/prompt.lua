@@ -191,26 +191,28 @@ local function complete(sim, word, before)
   return rfsm.sorted_keys(set)
 end
 
--- Evaluates a text. Returns "", or the text and its problem if more lines must follow.
+-- Evaluates a text. Returns "" and the problem, if there is one; the text, too, if more
+-- lines must follow.
 local function evaluate(sim, text)
   local ok, problem, is_open = prompt.evaluate(sim, text, "=stdin")
-  if ok then return "" end
   if is_open then return text, problem end
-  complain(problem)
-  return ""
+  if not ok then complain(problem) end
+  return "", problem
 end
 
---- Read and evaluate until the end of the input.
+--- Read and evaluate until the end of the input. Return false if a line was wrong.
 function prompt.converse(sim)
   local read = terminal.new_reader(function(...) return complete(sim, ...) end)
-  local text, problem = "", nil
+  local text, problem, is_right = "", nil, true
   while not sim.is_over do
     local line, is_dropped = terminal.read(read, text == "" and "> " or ">> ")
     if line == nil then break end
     if is_dropped or not line then text = "" end
     if line then text, problem = evaluate(sim, text .. line .. "\n") end
+    is_right = is_right and (text ~= "" or not problem)
   end
   if text ~= "" then complain(problem) end
+  return is_right and text == ""
 end
 
 return prompt

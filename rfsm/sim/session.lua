@@ -24,7 +24,7 @@ local view = require "rfsm.sim.view"
 local error, ipairs, pcall, print = error, ipairs, pcall, print
 local rawget, select, setmetatable = rawget, select, setmetatable
 local type = type
-local huge, min, concat = math.huge, math.min, table.concat
+local min, concat = math.min, table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local complain, text_of = view.complain, rfsm.text_of
 
@@ -100,7 +100,8 @@ function Session:draw(file)
   if problem then complain("view: " .. problem) end
 end
 
--- Advances up to a breakpoint, or in parts, one for each chunk of the history.
+-- Advances up to a breakpoint, or in parts, one for each chunk of the history. Returns
+-- true if the machine is idle.
 local function advance_in_parts(watcher, sim, n)
   local fsm, left, part = sim.fsm, n, sim.points[1] and 1 or history.CHUNK
   local is_idle
@@ -110,23 +111,25 @@ local function advance_in_parts(watcher, sim, n)
     history.cut(sim)
   until is_idle or left < 1 or watcher.is_hit or not fsm._act_leaf
   -- not entered: it was reset, or cannot be entered; then the rest ends at once
-  if not (is_idle or left < 1 or sim.points[1]) then rfsm.step(fsm, left) end
+  if is_idle or left < 1 or sim.points[1] then return is_idle end
+  return rfsm.step(fsm, left)
 end
 
--- Advances by `how`, with one call if records are shown or the chart has an idle hook.
-local function advance(sim, watcher, how, n)
-  local steps = how == rfsm.run and huge or n
-  if type(steps) ~= "number" then return how(sim.fsm, n) end
-  if not sim.points[1] and (sim.level or sim.fsm.idle_hook) then
-    return how(sim.fsm, n)
-  end
-  advance_in_parts(watcher, sim, steps)
+-- The same, but with one call if records are shown or the chart has an idle hook, with
+-- which a machine is never idle.
+local function advance(sim, watcher, n)
+  local is_whole = sim.level or sim.fsm.idle_hook
+  if not is_whole or sim.points[1] then return advance_in_parts(watcher, sim, n) end
+  return rfsm.step(sim.fsm, n) and not sim.fsm.idle_hook
 end
 
---- Advance by rfsm.step or rfsm.run, and show the result, also if it failed.
-function Session:advance(how, n)
+local MAX_RUN = 10000 -- iterations: a chart may have no end
+
+--- Advance by n steps, or until the machine is idle, and show the result, also if that
+-- failed.
+function Session:advance(n)
   local watcher = probe.attach(self, self.follows and not self.level)
-  local ok, failure = pcall(advance, self, watcher, how, n)
+  local ok, result = pcall(advance, self, watcher, n or MAX_RUN)
   watcher:detach()
   self:print_discarded(watcher:discarded())
   self:show()
@@ -135,8 +138,11 @@ function Session:advance(how, n)
       print(("stopped at %d: %s %s"):format(i, point.kind, point.name))
     end
   end
+  if ok and not (n or result or watcher.is_hit) and self.fsm._act_leaf then
+    print("stopped after 10,000 iterations, 'run' goes on")
+  end
   for _, hook in ipairs(self.hooks) do hook(self.fsm) end
-  if not ok then error(failure, 0) end
+  if not ok then error(result, 0) end
 end
 
 function Session:print_discarded(events)

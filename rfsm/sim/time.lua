@@ -92,7 +92,7 @@ function time.pass(sim, seconds)
     leap(sim.time, step)
     seconds = seconds - step
     time.show(sim)
-    sim:advance(rfsm.step, MAX_STEPS)
+    sim:advance(MAX_STEPS)
   until seconds <= 0
 end
 

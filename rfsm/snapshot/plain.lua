@@ -38,10 +38,13 @@ local NIL = {}
 --- Raise an error that the public functions of the caller turn into one line.
 local function fail(form, ...) error({ text = form:format(...) }, 0) end
 
---- Return the text of an error, also of one that was raised by `fail`.
-local function reason(failure)
-  return type(failure) == "table" and failure.text or text_of(failure)
+--- Return the text of an error that was raised by `fail`; nil for any other error.
+local function text_of_fail(failure)
+  return type(failure) == "table" and rawget(failure, "text") or nil
 end
+
+--- Return the text of an error, also of one that was raised by `fail`.
+local function reason(failure) return text_of_fail(failure) or text_of(failure) end
 
 --- Call a function of the chart; its error is one of `fail`, with `what` in front.
 local function try(what, f, ...)
@@ -336,6 +339,6 @@ end
 return {
   NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
   is_null = is_null, is_safe = is_safe, is_scalar = is_scalar,
-  location_of = location_of, pack = pack, reason = reason, to_json = to_json, try = try,
-  unpack = unpack,
+  location_of = location_of, pack = pack, reason = reason, text_of_fail = text_of_fail,
+  to_json = to_json, try = try, unpack = unpack,
 }

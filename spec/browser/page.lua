@@ -65,6 +65,11 @@ local function lit()
       .map(e => e.textContent).filter(t => !t.includes("/"))]]
 end
 
+local function prefer(scheme)
+  window:chromium("Emulation.setEmulatedMedia",
+    { features = { { name = "prefers-color-scheme", value = scheme } } })
+end
+
 local function texts(selector) return window:texts(selector) end
 
 setup(function()
@@ -253,8 +258,7 @@ return rfsm.state {
   it("fits a phone, and has a dark side", function()
     visit_picture(CHART)
     window:type "45"
-    window:chromium("Emulation.setEmulatedMedia",
-      { features = { { name = "prefers-color-scheme", value = "dark" } } })
+    prefer "dark"
     window:wait "now.turn != 0 && document.querySelector('.edge.taken')"
     window:keep_shot "dark"
     assert.equal("rgb(18, 22, 26)", window:run [[
@@ -447,7 +451,7 @@ return rfsm.state {
     window:click "#stop input"
     window:wait "now.points.length == 1"
     window:type "2"
-    window:wait "now.stopped == 'root.stopped'"
+    window:wait "now.stopped == 'root.stopped' && !$('refused').hidden"
     assert.same({ "stopped at root.stopped" }, texts "#refused")
     window:run [[
       const form = document.querySelector("#points form");
@@ -459,6 +463,53 @@ return rfsm.state {
     window:wait "now.stopped == 'e_start'"
     window:click "#points .chips button"
     window:wait "now.points.length == 1"
+  end)
+end)
+
+-- Composites in composites, side by side: never are all of them active.
+local NESTED = [[
+local rfsm = require "rfsm"
+local seqand = require "rfsm_seqand"
+local state, trans = rfsm.state, rfsm.trans
+
+local function nest(depth)
+  if depth == 0 then return state { entry = print } end
+  return state { entry = print, info = false, warn = false,
+    way = rfsm.conn {}, inner = nest(depth - 1),
+    trans { src = "initial", tgt = "way" }, trans { src = "way", tgt = "inner" },
+    trans { src = "inner", tgt = "inner", events = { "e_again" } } }
+end
+
+return state { a = nest(3), b = nest(3), c = seqand { l = nest(1), r = nest(1) },
+  trans { src = "initial", tgt = "a" },
+  trans { src = "a", tgt = "b", events = { "e_b" } },
+  trans { src = "b", tgt = "c", events = { "e_c" } } }
+]]
+
+describe("a text of the picture", function()
+  local DEEP = ".inner.inner.inner"
+
+  it("has a contrast of 4.5:1 to what is behind it, light and dark", function()
+    visit_picture(helper.file_with(NESTED))
+    for i, case in ipairs {
+      { leaf = "root.a" .. DEEP, taken = "path" },
+      { event = "e_again", leaf = "root.a" .. DEEP, taken = "text" },
+      { event = "e_b", leaf = "root.b" .. DEEP, taken = "text" },
+      { event = "e_c", leaf = "root.c", taken = "text" },
+    } do
+      if case.event then window:run("send(arguments[0])", case.event) end
+      window:wait(("now.leaf == %q && document.querySelector('.edge.taken %s')")
+        :format(case.leaf, case.taken))
+      for _, coverage in ipairs { "", "-coverage" } do
+        for _, scheme in ipairs { "light", "dark" } do
+          local name = ("nested-%d%s-%s"):format(i, coverage, scheme)
+          prefer(scheme)
+          window:keep_shot(name)
+          assert.same({ 44, {} }, window:faint_texts(), name)
+        end
+        window:click "#coverage"
+      end
+    end
   end)
 end)
 

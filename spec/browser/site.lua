@@ -47,6 +47,12 @@ local function go_behind(text)
     }]], text)
 end
 
+-- The names of the examples that the playground offers.
+local function example_names()
+  return window:run [[return [...document.querySelectorAll("#examples option")]
+    .map(option => option.value).filter(Boolean)]]
+end
+
 -- Waits until the log has a line with a text.
 local function wait_for_line(text)
   window:wait(("[...document.querySelectorAll('#log tr')].some(e => "
@@ -181,8 +187,7 @@ describe("the playground", function()
 
   it("opens each example", function()
     visit()
-    local names = window:run [[return [...document.querySelectorAll("#examples option")]
-      .map(o => o.value).filter(Boolean)]]
+    local names = example_names()
     assert.is_true(#names > 28)
     for _, name in ipairs(names) do
       window:run("location.hash = 'example=' + arguments[0]", name)
@@ -324,25 +329,66 @@ describe("the site", function()
     end)
   end
 
-  it("has no link that leads nowhere", function()
-    local dead = {}
-    for name in io.popen("cd out && find . -name '*.html'"):lines() do
-      local page = helper.content(FOLDER .. name):gsub("<script>.-</script>", "")
-      local folder = name:match("^.*/")
-      for link in page:gmatch('%f[%w][hs]re?[fc]="([^"#]+)[^"]*"') do
-        local file = not link:find("^%a+:") and FOLDER .. folder .. link
-        local handle = file and io.open(file)
-        if handle then handle:close() end
-        if file and not handle then dead[#dead + 1] = name .. ": " .. link end
+  -- Returns the text of each page, and the anchors in each file.
+  local function read_site()
+    local pages, anchors = {}, {}
+    for _, file in ipairs(helper.lines_of "cd out && find * -type f") do
+      anchors[file] = { [""] = true }
+      if file:find("%.html$") then
+        pages[file] = helper.content(FOLDER .. file):gsub("<script>.-</script>", "")
+        for id in pages[file]:gmatch(' id="([^"]*)"') do anchors[file][id] = true end
       end
     end
+    return pages, anchors
+  end
+
+  -- Does a link of a page lead to an anchor in a file of the site, or elsewhere?
+  local function is_alive(link, page, anchors)
+    local path, anchor = link:match("^([^#]*)#?(.*)$")
+    local file = path == "" and page or (page:match("^.*/") or "") .. path
+    file = file:gsub("^[^/]+/%.%./", "") -- there are no folders in folders
+    return link:find("^%a+:") or anchors[file] and anchors[file][anchor]
+  end
+
+  it("has no link to a file or an anchor that is not there", function()
+    visit()
+    local pages, anchors = read_site()
+    for _, name in ipairs(example_names()) do
+      anchors["playground.html"]["example=" .. name] = true
+    end
+    local dead, count = {}, 0
+    for page, text in pairs(pages) do -- any order: the list is empty
+      count = count + 1
+      for link in text:gmatch('%f[%w][hs]re?[fc]="([^"]*)"') do
+        if not is_alive(link, page, anchors) then
+          dead[#dead + 1] = page .. ": " .. link
+        end
+      end
+    end
+    assert.is_true(count > 80)
     assert.same({}, dead)
+  end)
+
+  it("begins with the README", function()
+    window:open("file://" .. FOLDER .. "index.html")
+    local headings = {}
+    for title in helper.content("README.md"):gmatch("\n## ([^\n]*)") do
+      headings[#headings + 1] = title
+    end
+    for _, title in ipairs { "Topics", "Examples", "Modules" } do
+      headings[#headings + 1] = title
+    end
+    assert.same(headings, texts "main > h2")
+    assert.matches("Statecharts in pure Lua", texts("main > p")[1])
+    assert.is_true(window:run "return document.querySelector('img').naturalWidth > 0")
   end)
 
   it("says in its index what each page is for", function()
     window:open("file://" .. FOLDER .. "index.html")
-    assert.same({}, window:run [[return [...document.querySelectorAll("tr")]
-      .filter(e => e.lastChild.textContent.trim().length < 10).map(e => e.innerText)]])
+    assert.same({}, window:run [[
+      return [...document.querySelectorAll("tr:has(> .name)")]
+        .filter(e => e.lastChild.textContent.trim().length < 10)
+        .map(e => e.innerText)]])
   end)
 
   it("has the functions of the core in three groups", function()

@@ -236,6 +236,37 @@ function pictures.points_on(path)
   return points
 end
 
+-- At which side of the line from `a` to `b` is `c`? Above 0, below 0, or on it.
+local function side_of(a, b, c)
+  return (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+end
+
+local function count_crossings(path, other)
+  local count = 0
+  for i = 2, #path do
+    local a, b = path[i - 1], path[i]
+    for j = 2, #other do
+      local c, d = other[j - 1], other[j]
+      if side_of(a, b, c) * side_of(a, b, d) < 0
+        and side_of(c, d, a) * side_of(c, d, b) < 0 then count = count + 1 end
+    end
+  end
+  return count
+end
+
+--- How often the arrows of a picture cross each other.
+function pictures.crossings(shapes)
+  local paths, count = {}, 0
+  for _, shape in pairs(shapes) do -- any order: each pair is counted
+    local path = shape.path and pictures.points_on(shape.path)
+    for _, other in ipairs(path and paths or {}) do
+      count = count + count_crossings(path, other)
+    end
+    paths[#paths + 1] = path
+  end
+  return count
+end
+
 --- The largest angle, in degrees, between two curves of a line where they meet.
 function pictures.sharpest_bend(path)
   local sharpest = 0

@@ -138,9 +138,9 @@ function rtt_helper.listen(path)
 end
 
 -- Makes an output port that writes to "component.port", through a buffer.
-function rtt_helper.feed(path)
+function rtt_helper.feed(path, size)
   local out, name = rtt_helper.output()
-  connect(name, path)
+  connect(name, path, size and rtt_helper.policy(size))
   return out
 end
 

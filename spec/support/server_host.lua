@@ -28,6 +28,7 @@ function host.new(trace, clock)
       return { ("%d"):format(seconds), ("%d"):format((clock.now - seconds) * 1e6) }
     end,
     TYPE = function() return { ok = "none" } end,
+    ZRANGEBYLEX = function() return {} end,
     SET = function(key)
       values[key] = packed
       trace[#trace + 1] = "SET " .. host.sorted(packed)

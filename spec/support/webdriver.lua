@@ -101,6 +101,51 @@ function Window:faults_by_axe()
       + v.nodes.map(n => n.target.join(" ")).join(", "))))]]
 end
 
+-- Behind a text are the fills of the shapes before it in the SVG, each painted over the
+-- one before, and the backgrounds of the elements around the SVG.
+local FAINT = [=[
+  const rgba = color => color.match(/[\d.]+/g).map(Number);
+  const over = ([r, g, b, a = 1], opacity, behind) =>
+    [r, g, b].map((value, i) => value * a * opacity + behind[i] * (1 - a * opacity));
+  const luminance = rgb => rgb.map(value => value / 255)
+    .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, v, i) => sum + v * [0.2126, 0.7152, 0.0722][i], 0);
+  const contrast = (a, b) => {
+    const [dark, light] = [luminance(a), luminance(b)].sort((x, y) => x - y);
+    return (light + 0.05) / (dark + 0.05);
+  };
+  const chain = e => e ? [...chain(e.parentElement), e] : [];
+  const svg = document.querySelector("#view > svg");
+  const opacity = e =>
+    chain(e).reduce((product, one) => product * getComputedStyle(one).opacity, 1);
+  const card = chain(svg).reduce((behind, e) =>
+    over(rgba(getComputedStyle(e).backgroundColor), 1, behind), [255, 255, 255]);
+  const shapes = [...svg.querySelectorAll("path, polygon, ellipse")]
+    .filter(e => getComputedStyle(e).fill != "none");
+  const isBehind = (e, text, point) => e.isPointInFill(point
+    .matrixTransform(text.getScreenCTM()).matrixTransform(e.getScreenCTM().inverse()))
+    && e.compareDocumentPosition(text) & Node.DOCUMENT_POSITION_FOLLOWING;
+  const paint = (behind, e) => {
+    const { fill, fillOpacity } = getComputedStyle(e);
+    return over(rgba(fill), opacity(e) * fillOpacity, behind);
+  };
+  const worst = text => {
+    const { x, y, width, height } = text.getBBox();
+    return Math.min(...[0.02, 0.5, 0.98].map(part => {
+      const point = new DOMPoint(x + part * width, y + height / 2);
+      const behind = shapes.filter(e => isBehind(e, text, point))
+        .reduce(paint, card);
+      return contrast(paint(behind, text), behind);
+    }));
+  };
+  const texts = [...svg.querySelectorAll("text")];
+  return [texts.length, texts.map(e => [e.textContent, worst(e)])
+    .filter(([, c]) => !(c >= 4.5)).map(([text, c]) => `${text}: ${c.toFixed(2)}`)]]=]
+
+--- Returns how many texts the picture has, and those whose contrast to what is painted
+-- behind them is below 4.5:1, each with its contrast.
+function Window:faint_texts() return self:run(FAINT) end
+
 --- Wait until an expression is true in the page.
 function Window:wait(expression)
   local deadline = socket.gettime() + PATIENCE

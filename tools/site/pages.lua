@@ -51,12 +51,13 @@ local function gallery(shell)
     .. "hard to draw, as <code>rfsm viz</code> draws them.</p>\n" }
   for _, file in ipairs(arg) do
     local name = file:match("([%w_]+)%.svg$")
-    local text = read("examples/" .. name .. ".lua")
-      or read("doc/gallery/" .. name .. ".lua") or "-- The chart of the introduction."
+    local chart = name:gsub("_lr$", "") .. ".lua" -- _lr: from left to right
+    local text = read("examples/" .. chart) or read("doc/gallery/" .. chart)
+      or "-- The chart of the introduction."
     parts[#parts + 1] = ('<h2 id="NAME">NAME</h2>\n<p>%s</p>\n%s'
       .. '<p><a href="gallery/NAME.svg">'
       .. '<img src="gallery/NAME.svg" alt="the chart NAME" loading="lazy"></a></p>\n')
-      :gsub("NAME", name):format(brief(text), link_to(name .. ".lua", ""))
+      :gsub("NAME", name):format(brief(text), link_to(chart, ""))
     write(out .. "/gallery/" .. name .. ".svg", read(file))
   end
   write(out .. "/gallery.html", put(shell, "<main>.*</main>",
