@@ -23,26 +23,30 @@ local function is_of_engine(source)
   return false
 end
 
--- Does the engine run, and no function of a spec that it has called?
-local function is_engine()
-  local level, info = 3, debug.getinfo(3, "fS")
-  if not is_of_engine(info.short_src) then return false end
+-- For a hook: does something run that `drive` has called? `is_right` is asked about the
+-- sources of all functions in between, first that of the running one.
+local function is_inside(is_right)
+  local level, info = 4, debug.getinfo(4, "fS")
+  if info.func == drive then return false end
   while info and info.func ~= drive do
-    if info.short_src:find("spec/", 1, true) then return false end
+    if not is_right(info.short_src, level > 4) then return false end
     level = level + 1
     info = debug.getinfo(level, "fS")
   end
   return info ~= nil
 end
 
---- Calls f(...) and raises `value` at its VM instruction number `at`, unless a callback
---- or an extension runs then. Returns whether there is such an instruction, whether the
---- value was raised, and what pcall returns.
-function interrupts.raise(at, value, f, ...)
+-- Does the engine run, and no function of a spec that it has called?
+local function is_engine(source, is_caller)
+  if is_caller then return not source:find("spec/", 1, true) end
+  return is_of_engine(source)
+end
+
+local function raise(is_right, at, value, f, ...)
   local is_reached, is_raised = false, false
   local function hook()
     debug.sethook()
-    is_reached, is_raised = true, is_engine()
+    is_reached, is_raised = true, is_inside(is_right)
     if is_raised then error(value, 0) end
   end
   debug.sethook(hook, "", at)
@@ -50,6 +54,16 @@ function interrupts.raise(at, value, f, ...)
   debug.sethook()
   return is_reached, is_raised, ok, failure
 end
+
+--- Calls f(...) and raises `value` at its VM instruction number `at`, unless a callback
+--- or an extension runs then. Returns whether there is such an instruction, whether the
+--- value was raised, and what pcall returns.
+function interrupts.raise(...) return raise(is_engine, ...) end
+
+local function always() return true end
+
+--- The same, also in callbacks.
+function interrupts.raise_anywhere(...) return raise(always, ...) end
 
 local function belongs_to_last(line) return line ~= nil and line:find("^ ") ~= nil end
 
