@@ -6,8 +6,6 @@ local interrupts = require "spec.support.interrupts"
 local reference = require "spec.support.reference"
 local rfsm = require "rfsm"
 
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-
 local runs = {}
 
 local function text_of(value)
@@ -531,13 +529,12 @@ function runs.interrupt(chart)
   local warn, random = model.warn, chart.seed
   local engine = core_engine(world, model, warn)
   local fsm = engine.fsm
+  local raise, value = interrupts.raise_anywhere, interrupts.VALUES[1]
   for i, op in ipairs(chart.ops) do
     random = after(random)
     local at = random % 3000 + 1
-    interrupts.raise_anywhere(at, interrupts.VALUES[1], engine[op[1]], op[2], op[3],
-      op[4])
-    local is_hit, _, _, failure =
-      interrupts.raise_anywhere(MANY, interrupts.VALUES[1], engine.step, 1)
+    raise(at, value, engine[op[1]], op[2], op[3], op[4])
+    local is_hit, _, _, failure = raise(MANY, value, engine.step, 1)
     local where = ("operation %d, instruction %d: "):format(i, at)
     if is_hit then return where .. "the next step does not end" end
     if tostring(failure):find("rfsm.lua:", 1, true) then return where .. failure end
@@ -586,7 +583,7 @@ local function settle(fsm)
 end
 
 -- What may come again: guards, warnings, an iteration without events.
-local REPEATED = { "^guard", "^warn", "cannot enter", "^p%l+_hook" }
+local REPEATED = { "^guard", "^err GUARD", "^warn", "cannot enter", "^p%l+_hook" }
 
 local function may_repeat(line)
   for _, pattern in ipairs(REPEATED) do
@@ -595,10 +592,10 @@ local function may_repeat(line)
   return false
 end
 
--- Appends what an operation has called. A guard's failure is no callback's.
+-- Appends what an operation has called.
 local function append_calls(calls, trace)
   for _, line in ipairs(trace) do
-    if not (may_repeat(line) or line:find("^err GUARD")) then calls[#calls + 1] = line end
+    if not may_repeat(line) then calls[#calls + 1] = line end
   end
 end
 
@@ -622,14 +619,15 @@ local function calls_of(chart, disturb, muted)
   return calls
 end
 
+local CALLBACKS = { entry = true, exit = true, effect = true, entry_hook = true,
+  exit_hook = true }
+
 -- The number of the call that a line is about.
 local function call_number(lines, last)
   local count = 0
   for i = 1, last do
-    local what, of = lines[i]:match("^(%l+_?%l*) (%S+)")
-    if what and what ~= "active" and (what ~= "err" or OF_CALLBACKS[of]) then
-      count = count + 1
-    end
+    local what, of = lines[i]:match("^([%l_]+) (%S+)")
+    if CALLBACKS[what] or what == "err" and OF_CALLBACKS[of] then count = count + 1 end
   end
   return count
 end
