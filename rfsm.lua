@@ -2252,8 +2252,8 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done. What fails is done
-  -- at once: cut short, it must not complete.
+  -- One cycle of the active leaf's doo; true when it is idle or done. What fails is
+  -- done at once: cut short, it must not complete.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -2264,7 +2264,7 @@ do
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then leaf._mode = "done" end
     end
-    if ok and status(co) ~= "dead" then return idle and true or false end
+    if ok and status(co) ~= "dead" then return not not idle end
     local finish_doo = ok and end_doo or fail_doo
     finish_doo(fsm, leaf, idle)
     return true
