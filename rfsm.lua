@@ -1949,25 +1949,26 @@ do
   end
 end
 
+-- Calls the callback `name` of a state or transition.
+local function run_callback(fsm, owner, name, at, ...)
+  local callback = owner[name]
+  if not callback then return end
+  fsm._at = at
+  local ok, failure = pcall(callback, fsm, owner, name, ...)
+  if not ok then report_callback(fsm, name, owner, callback, failure) end
+end
+
 local function run_effect(fsm, def, at)
   local tr = fsm._transitions[def.index]
-  local effect = tr.effect
-  if not effect then return end
-  if not borrowers[effect] then fsm._is_lent = true end
-  fsm._at = at
-  local ok, failure = pcall(effect, fsm, tr, "effect", fsm._curq)
-  if not ok then report_callback(fsm, "effect", tr, effect, failure) end
+  if tr.effect and not borrowers[tr.effect] then fsm._is_lent = true end
+  run_callback(fsm, tr, "effect", at, fsm._curq)
 end
 
 local function leave(fsm, def, at)
   local state = fsm._nodes[def.index]
   state._mode = "inactive"
   state._parent._actchild = nil
-  local exit = state.exit
-  if not exit then return end
-  fsm._at = at
-  local ok, failure = pcall(exit, fsm, state, "exit")
-  if not ok then report_callback(fsm, "exit", state, exit, failure) end
+  run_callback(fsm, state, "exit", at)
 end
 
 local function run_exit_hooks(fsm, def, at)
@@ -1989,12 +1990,7 @@ local function become_active(fsm, def, at)
 end
 
 local function enter(fsm, def, at)
-  local state = fsm._nodes[def.index]
-  local entry = state.entry
-  if not entry then return end
-  fsm._at = at
-  local ok, failure = pcall(entry, fsm, state, "entry")
-  if not ok then report_callback(fsm, "entry", state, entry, failure) end
+  run_callback(fsm, fsm._nodes[def.index], "entry", at)
 end
 
 local function become_leaf(fsm, def, at)
