@@ -1151,8 +1151,8 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = NONE, _path_hooks = NONE, _failure = false, _reset_wanted = false,
-  _preparing = false,
+  _reset_hooks = NONE, _path_hooks = NONE, _watch_hooks = NONE, _failure = false,
+  _reset_wanted = false, _preparing = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1360,10 +1360,20 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
+-- Tells those who watch what has happened; see `rfsm.watch_hook_add`.
+local function tell(fsm, ...)
+  local hooks = fsm._watch_hooks
+  for i = 1, #hooks do
+    local ok, failure = pcall(hooks[i], fsm, ...)
+    if not ok then keep_failure(fsm, failure) end
+  end
+end
+
 -- A callback of a state or transition failed.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
   if not is_callable(callback) then failure = "function expected, " .. got(callback) end
+  tell(fsm, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   report(fsm, "err", name:upper(), text .. ": ", failure)
 end
@@ -2198,6 +2208,7 @@ do
     if rfsm.is_interrupt(failure) then
       keep_failure(fsm, failure)
     else
+      tell(fsm, "failed", leaf, "doo", failure)
       report(fsm, "err", "DOO",
         "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
     end
@@ -2213,8 +2224,11 @@ do
 
   local function end_doo(fsm, leaf)
     if leaf._mode ~= "done" then complete(fsm, leaf) end
-    if is_traced(fsm) then
+    if fsm._at < 2 then
       fsm._at = 2
+      tell(fsm, "ended", leaf)
+    end
+    if is_traced(fsm) then
       report(fsm, "dbg", "DOO",
         "removing completed coroutine of " .. leaf._fqn .. " doo")
     end
@@ -2238,21 +2252,19 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done.
+  -- One cycle of the active leaf's doo; true when it is idle or done. What fails is
+  -- done at once: cut short, it must not complete.
   function run_doo(fsm, leaf)
-    local co = leaf._doo_co
-    if not co then
-      if leaf._mode == "done" then return true end
-      co = start_doo(fsm, leaf)
-      if not co then return true end
-    end
+    local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
+    if not co then return true end
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
+      if fsm._watch_hooks[1] then tell(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
-      if not ok then leaf._mode = "done" end -- at once: cut short, it must not complete
+      if not ok then leaf._mode = "done" end
     end
-    if ok and status(co) ~= "dead" then return idle and true or false end
+    if ok and status(co) ~= "dead" then return not not idle end
     local finish_doo = ok and end_doo or fail_doo
     finish_doo(fsm, leaf, idle)
     return true
@@ -2873,7 +2885,8 @@ function rfsm.send_events(fsm, event, ...)
   if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
-  if select("#", ...) > 0 then return queue_more(queue, ...) end
+  if select("#", ...) > 0 then queue_more(queue, ...) end
+  if fsm._watch_hooks[1] then tell(fsm, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short. So is one that a callback has
@@ -3438,6 +3451,14 @@ do
     return fsm._outcome == "free"
   end
 
+  --- For post step hooks: is nothing left to do, unless an event comes?
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.is_idle(fsm)
+    check_machine(fsm, "rfsm.is_idle")
+    return fsm._outcome == "idle" and fsm._intq[1] == nil
+  end
+
   --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
   --
   -- For those who watch. Its error is raised when the iteration is over.
@@ -3448,6 +3469,24 @@ do
   --- Remove a path hook. Return whether it was there.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
+
+  --- Have `hook(fsm, what, ...)` called when something happens, for those who watch.
+  --
+  -- Other hooks tell what a step does. This one tells of the rest, by `what`:
+  --
+  --    "sent", event ...                  events were sent
+  --    "failed", element, callback, error "entry", "guard" ... of an element failed
+  --    "resumed", leaf; "ended", leaf     a doo is resumed; it has come to its end
+  --    "merged", element                  the machine has a new element
+  --
+  -- Its error is raised when the iteration is over.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.watch_hook_add = hook_adder("rfsm.watch_hook_add", "_watch_hooks")
+
+  --- Remove a watch hook. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
+  rfsm.watch_hook_rm = hook_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
@@ -3649,6 +3688,7 @@ do
     report_lines(fsm, "info", build.created)
     report_findings(fsm, first_node, first_transition)
     report_dead_ends(fsm, first_node)
+    tell(fsm, "merged", parent[id])
     return true
   end
 end

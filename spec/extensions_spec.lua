@@ -411,3 +411,83 @@ describe("an extension may ask", function()
     end
   end)
 end)
+
+describe("a watch hook", function()
+  -- a --e--> b (its entry, the guard in front of it and the doo of c fail) --e--> c
+  local function watched()
+    local trace = {}
+    local fsm = helper.init(state {
+      checkevents = false, emem = false, err = false,
+      a = state {}, b = state { entry = function() error("no b", 0) end },
+      c = state { doo = function() rfsm.yield(true) error("no c", 0) end },
+      d = state { doo = function() rfsm.yield(true) end },
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", pn = 1, events = { "e" },
+        guard = function() error("no guard", 0) end },
+      trans { src = "a", tgt = "b", events = { "e" } },
+      trans { src = "b", tgt = "c", events = { "e" } },
+      trans { src = "c", tgt = "d", events = { "e" } },
+    })
+    local function hook(machine, what, ...)
+      assert(rawequal(machine, fsm))
+      local words = { what }
+      for i = 1, select("#", ...) do words[i + 1] = tostring((select(i, ...))) end
+      trace[#trace + 1] = table.concat(words, " "):gsub("T={ src='root%.", "{")
+        :gsub("', tgt='root%.", " ")
+    end
+    rfsm.watch_hook_add(fsm, hook)
+    return fsm, trace, hook
+  end
+
+  it("is told of events, failures and doos, in order", function()
+    local fsm, trace = watched()
+    for _, event in ipairs { false, "e", "e", "e" } do
+      rfsm.send_events(fsm, event or nil)
+      rfsm.run(fsm)
+      rfsm.run(fsm)
+    end
+    assert.same({
+      "sent nil", "sent e", "failed {a b', pn=1, events='e' } guard no guard",
+      "failed state root.b (active) entry no b", "sent e",
+      "resumed state root.c (active)", "resumed state root.c (active)",
+      "failed state root.c (done) doo no c", "sent e",
+      "resumed state root.d (active)", "resumed state root.d (active)",
+      "ended state root.d (done)",
+    }, trace)
+  end)
+
+  it("is told of what is merged, and of nothing once it is removed", function()
+    local fsm, trace, hook = watched()
+    assert(rfsm.fsm_merge(fsm, fsm, state { final = true }, "z"))
+    assert.same({ "merged state root.z (inactive)" }, trace)
+    assert.same({ true, false },
+      { rfsm.watch_hook_rm(fsm, hook), rfsm.watch_hook_rm(fsm, hook) })
+    rfsm.send_events(fsm, "e")
+    rfsm.run(fsm)
+    assert.equal(1, #trace)
+  end)
+
+  it("that fails is told at the iteration's end, and the machine goes on", function()
+    local fsm = watched()
+    rfsm.run(fsm)
+    rfsm.watch_hook_add(fsm, function(_, what)
+      if what == "failed" then error("no watch", 0) end
+    end)
+    rfsm.send_events(fsm, "e")
+    assert.same({ false, "no watch" }, { pcall(rfsm.step, fsm) })
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm))
+  end)
+
+  it("may ask if the machine is idle, in a step hook beside it", function()
+    local fsm, trace = watched(), {}
+    rfsm.post_step_hook_add(fsm, function()
+      trace[#trace + 1] = ("%s %s"):format(rfsm.get_actleaf_fqn(fsm),
+        tostring(rfsm.is_idle(fsm)))
+    end)
+    rfsm.run(fsm)
+    rfsm.send_events(fsm, "e")
+    rfsm.run(fsm)
+    assert.same({ "root.a false", "root.a false", "root.a true", "root.b false",
+      "root.b false", "root.b true" }, trace)
+  end)
+end)
