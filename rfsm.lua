@@ -45,15 +45,11 @@ local rfsm = { _VERSION = "rfsm 1.0.0" }
 
 -- Model elements: constructors, predicates, order -----------------------------
 
-local State = { rfsm = "state" }
-
-local Transition = { rfsm = "transition" }
-
+local State, Transition = { rfsm = "state" }, { rfsm = "transition" }
 local Connector = { rfsm = "connector" }
+local CLASSES = { state = State, transition = Transition, connector = Connector }
 
-local Machine = { rfsm = "state" }
-
-local KINDS = { state = "state", transition = "transition", connector = "connector" }
+local Machine = { rfsm = "state", __eq = rawequal }
 
 --- Return the kind of a model element, nil for any other value, for extensions.
 --
@@ -66,9 +62,9 @@ function rfsm.kind_of(value)
   local class = getmetatable(value)
   local mark = type(class) == "table" and rawget(class, "rfsm")
   if not mark then return nil end
-  if KINDS[mark] then return mark end
-  local ok, kind = pcall(function() return KINDS[value:type()] end)
-  return ok and kind or nil
+  if CLASSES[mark] then return mark end
+  local ok, kind = pcall(function() return value:type() end)
+  return ok and CLASSES[kind] and kind or nil
 end
 
 local kind_of = rfsm.kind_of
@@ -458,16 +454,12 @@ end
 -- The name of an element in messages: an FQN, or root.trans[2] (a -> b), with
 -- `field`.
 local function name_of(def, field)
-  local suffix = field and "." .. field or ""
+  local suffix, key = field and "." .. field or "", text_of(def.id)
   if def.kind ~= "transition" then return def.fqn .. suffix end
-  local key, model, arrow = def.id, def.model, ""
-  if type(model.src) == "string" and type(model.tgt) == "string" then
-    arrow = (" (%s -> %s)"):format(model.src, model.tgt)
-  end
-  if type(key) == "number" then
-    return ("%s.trans[%s]%s%s"):format(def.parent.fqn, text_of(key), suffix, arrow)
-  end
-  return def.parent.fqn .. "." .. text_of(key) .. suffix .. arrow
+  if type(def.id) == "number" then key = "trans[" .. key .. "]" end
+  local name, model = def.parent.fqn .. "." .. key .. suffix, def.model
+  if type(model.src) ~= "string" or type(model.tgt) ~= "string" then return name end
+  return ("%s (%s -> %s)"):format(name, model.src, model.tgt)
 end
 
 local function add(list, def, field, text, ...)
@@ -603,7 +595,7 @@ do
   local function fields_of(model)
     local class = getmetatable(model)
     local base = class.__index
-    if KINDS[class.rfsm] and base == class or not kind_of(base) then return model end
+    if CLASSES[class.rfsm] and base == class or not kind_of(base) then return model end
     local fields = {}
     for key, value in pairs(fields_of(base)) do -- any order: each stands alone
       if not kind_of(value) then fields[key] = value end
@@ -710,24 +702,15 @@ do
     add_member(parent, key, def)
   end
 
-  local function clone_connector(build, def)
-    for key, value in pairs(fields_of(def.model)) do -- any order: each stands alone
-      local kind = kind_of(value)
-      if kind then
-        add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
-          text_of(key))
-      else
-        clone_field(build, def, key, value)
-      end
-    end
-  end
-
-  local function clone_state(build, def)
+  local function clone_node(build, def)
     local has_transition = false
     for key, value in pairs(fields_of(def.model)) do -- any order: sorted later
       local kind = kind_of(value)
       if not kind then
         clone_field(build, def, key, value)
+      elseif def.kind == "connector" then
+        add(build.warnings, def, nil, "a connector holds no %s, '%s' is ignored", kind,
+          text_of(key))
       elseif kind == "transition" then
         new_transition(build, value, def, key)
         has_transition = true
@@ -742,8 +725,7 @@ do
     end
   end
 
-  for _, f in ipairs({ check_events, clone_connector, clone_state, fields_of,
-    new_transition }) do
+  for _, f in ipairs({ check_events, clone_node, fields_of, new_transition }) do
     interpret(f)
   end
 
@@ -753,10 +735,8 @@ do
     while nodes[i] do
       if is_inside_itself(nodes[i]) then
         add(build.problems, nodes[i], nil, "a state cannot contain itself")
-      elseif nodes[i].kind == "state" then
-        clone_state(build, nodes[i])
       else
-        clone_connector(build, nodes[i])
+        clone_node(build, nodes[i])
       end
       i = i + 1
     end
@@ -766,6 +746,14 @@ end
 -- Resolve: names become nodes, `e_done` gets the name of its source -------------
 
 local find_entrance, resolve
+
+-- Returns the nearest node that is, or contains, each of two nodes.
+local function find_lca(a, b)
+  while a ~= b do
+    if a.depth >= b.depth then a = a.parent else b = b.parent end
+  end
+  return a
+end
 
 do
   -- Walks from `def` down the names of a path "a.b"; nil and a reason when one fails.
@@ -805,14 +793,6 @@ do
     return def or root.members.root and find_below(root, name), reason
   end
 
-  -- How many ancestors two nodes share.
-  local function shared_depth(a, b)
-    while a.depth > b.depth do a = a.parent end
-    while b.depth > a.depth do b = b.parent end
-    while a ~= b do a, b = a.parent, b.parent end
-    return a.depth
-  end
-
   -- A node table of the model may be mounted more than once: the nearest clone counts.
   local function find_mounted(build, composite, ref)
     local nearest, most, is_tie = nil, -1, false
@@ -821,7 +801,7 @@ do
       return build.plan.nodes[live.index]
     end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
-      local depth = shared_depth(composite, mount)
+      local depth = find_lca(composite, mount).depth
       if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
     end
     if is_tie then
@@ -955,18 +935,15 @@ do
     return key_before(a.id, b.id)
   end
 
-  local CLASSES = { state = State, transition = Transition, connector = Connector }
-
   -- What elements inherit, for each class: the methods. The events of a transition are
   -- a list of the caller's own, since machines share the definition.
-  local INHERITED = {}
-  for kind, class in pairs(CLASSES) do -- any order: each stands alone
-    INHERITED[kind] = { __index = { type = class.type, new = class.new } }
-  end
+  local INHERITED = {
+    state = { __index = State }, connector = { __index = Connector }, transition = {},
+  }
 
   function INHERITED.transition.__index(proto, key)
     if key == "events" then return append({}, proto["_%def"].events or NONE) end
-    return key ~= "rfsm" and CLASSES.transition[key] or nil
+    return Transition[key]
   end
 
   -- Makes the metatable of an element, in which absent fields are looked up.
@@ -1008,24 +985,18 @@ do
       if nodes[i].otrs[2] then sort(nodes[i].otrs, tried_before) end
     end
     plan.events, nodes[1].plan = events, plan
+    -- The path that enters a root without states, and begins all other first entries.
+    nodes[1].entrance = { from = nodes[1], segments = NONE, entered = nodes[1] }
     return plan
   end
 
-  -- Returns the nearest ancestor of both ends that stays active. States in it are left
-  -- and entered. The root also stays active under a transition from the root.
-  local function find_lca(src, tgt)
-    local a, b = src.parent, tgt.parent
-    while a ~= b do
-      if a.depth >= b.depth then a = a.parent else b = b.parent end
-    end
-    return a
-  end
-
   -- Lists the states that a transition enters, outermost first, and notes the fields
-  -- that a run reads, once. Returns the definition.
+  -- that a run reads, once. Returns the definition. The `lca` contains both ends and
+  -- stays active: states in it are left and entered. It may be the root.
   function compile_transition(def)
     if def.connector ~= nil then return def end
-    local lca, tgt, entries = find_lca(def.src, def.tgt), def.tgt, {}
+    local tgt, entries = def.tgt, {}
+    local lca = find_lca(def.src.parent, tgt.parent)
     local state = tgt.kind == "state" and tgt or tgt.parent
     if def.is_internal then lca, state = tgt, tgt end
     for i = state.depth - lca.depth, 1, -1 do
@@ -1049,7 +1020,7 @@ end
 local function new_plan(model)
   return {
     model = model, nodes = {}, transitions = {}, events = {}, trail = false,
-    warnings = {}, created = {}, variant = false,
+    warnings = NONE, created = NONE, variant = false,
   }
 end
 
@@ -1080,67 +1051,63 @@ local function copy_plan(plan)
   return copy
 end
 
-local make_trail, is_current
-
-do
-  -- Calls f(t) for each table of the model that a plan was made of.
-  local function each_table(plan, f)
-    local function visit(model)
-      f(model)
-      local base = getmetatable(model).__index
-      if base ~= getmetatable(model) and kind_of(base) then visit(base) end
-    end
-    for _, def in ipairs(plan.nodes) do visit(def.model) end
-    for _, def in ipairs(plan.transitions) do
-      visit(def.model)
-      if type(def.model.events) == "table" then f(def.model.events) end
-    end
+-- Calls f(t) for each table of the model that a plan was made of.
+local function each_table(plan, f)
+  local function visit(model)
+    f(model)
+    local base = getmetatable(model).__index
+    if base ~= getmetatable(model) and kind_of(base) then visit(base) end
   end
-
-  -- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
-  -- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
-  -- table.
-  function make_trail(plan)
-    local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
-    local function id_of(value)
-      if value ~= value then return 0 end -- NaN: never the same
-      if not ids[value] then n, ids[value] = n + 1, n + 1 end
-      return ids[value]
-    end
-    each_table(plan, function(t)
-      tables[#tables + 1] = t
-      for key, value in next, t do
-        trail[#trail + 1], trail[#trail + 2] = id_of(key), id_of(value)
-        if type(value) == "table" and not getmetatable(value) then
-          plain[#plain + 1] = value
-        end
-      end
-      trail[#trail + 1] = 0
-    end)
-    return { ids = ids, tables = tables, trail = trail, plain = plain }
+  for _, def in ipairs(plan.nodes) do visit(def.model) end
+  for _, def in ipairs(plan.transitions) do
+    visit(def.model)
+    if type(def.model.events) == "table" then f(def.model.events) end
   end
-
-  -- Is the model still the same as when the plan was made?
-  function is_current(plan)
-    local noted = plan.trail
-    local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
-    for i = 1, #tables do
-      for key, value in next, tables[i] do
-        if ids[key] ~= trail[at] or ids[value] ~= trail[at + 1] then return false end
-        at = at + 2
-      end
-      if trail[at] ~= 0 then return false end
-      at = at + 1
-    end
-    for i = 1, #noted.plain do
-      if getmetatable(noted.plain[i]) then return false end -- it has become an element
-    end
-    return true
-  end
-
-  interpret(make_trail, true)
-  interpret(is_current)
 end
+
+-- Notes a model, table by table, as the walk of `next` finds it: numbers stand for
+-- keys and values, so that no value is ever compared with another by `==`. A 0 ends a
+-- table.
+local function make_trail(plan)
+  local ids, n, tables, trail, plain = {}, 0, {}, {}, {}
+  local function id_of(value)
+    if value ~= value then return 0 end -- NaN: never the same
+    if not ids[value] then n, ids[value] = n + 1, n + 1 end
+    return ids[value]
+  end
+  each_table(plan, function(t)
+    tables[#tables + 1] = t
+    for key, value in next, t do
+      trail[#trail + 1], trail[#trail + 2] = id_of(key), id_of(value)
+      if type(value) == "table" and not getmetatable(value) then
+        plain[#plain + 1] = value
+      end
+    end
+    trail[#trail + 1] = 0
+  end)
+  return { ids = ids, tables = tables, trail = trail, plain = plain }
+end
+
+-- Is the model still the same as when the plan was made?
+local function is_current(plan)
+  local noted = plan.trail
+  local ids, tables, trail, at = noted.ids, noted.tables, noted.trail, 1
+  for i = 1, #tables do
+    for key, value in next, tables[i] do
+      if ids[key] ~= trail[at] or ids[value] ~= trail[at + 1] then return false end
+      at = at + 2
+    end
+    if trail[at] ~= 0 then return false end
+    at = at + 1
+  end
+  for i = 1, #noted.plain do
+    if getmetatable(noted.plain[i]) then return false end -- it has become an element
+  end
+  return true
+end
+
+interpret(make_trail, true)
+interpret(is_current)
 
 -- Machine: an instance of a plan ------------------------------------------------
 --
@@ -1165,8 +1132,8 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = NONE, _path_hooks = NONE, _watch_hooks = NONE, _failure = false,
-  _reset_wanted = false, _preparing = false,
+  _reset_hooks = NONE, _path_hooks = NONE, _watch_hooks = NONE,
+  _snapshot_hooks = NONE, _failure = false, _reset_wanted = false, _preparing = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1177,7 +1144,7 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run"
-    _phase = "idle", _path = false, _ways = {}, _search = 0,
+    _phase = "idle", _path = false, _ways = { search = 0 },
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
     _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
@@ -1190,7 +1157,7 @@ local borrowers = setmetatable({}, { __mode = "k" })
 -- All machines, so that one access decides if a value is one.
 local machines = setmetatable({}, { __mode = "k" })
 
-Machine.__index, Machine.__eq = DEFAULTS, rawequal
+Machine.__index = DEFAULTS
 
 -- These fields are absent until a hook is set: then `__newindex` is called.
 local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
@@ -1205,35 +1172,31 @@ function Machine.__newindex(fsm, key, value)
   rawset(fsm, key, value)
 end
 
-local clone_data
-
-do
-  -- Returns the copy of `value`. A plain table is filled later.
-  local function copy_of(copies, value, pending)
-    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-    if not copies[value] then
-      copies[value], pending[#pending + 1] = {}, value
-    end
-    return copies[value]
+-- Returns the copy of `value`. A plain table is filled later.
+local function copy_of(copies, value, pending)
+  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+  if not copies[value] then
+    copies[value], pending[#pending + 1] = {}, value
   end
-
-  -- Copies a plain table; a list of pending tables instead of recursion bears any
-  -- depth.
-  function clone_data(copies, value)
-    local pending = {}
-    local copy = copy_of(copies, value, pending)
-    while pending[1] do
-      local source = pending[#pending]
-      pending[#pending] = nil
-      for k, v in pairs(source) do -- any order: each pair stands alone
-        copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
-      end
-    end
-    return copy
-  end
-
-  interpret(clone_data)
+  return copies[value]
 end
+
+-- Copies a plain table; a list of pending tables instead of recursion bears any
+-- depth.
+local function clone_data(copies, value)
+  local pending = {}
+  local copy = copy_of(copies, value, pending)
+  while pending[1] do
+    local source = pending[#pending]
+    pending[#pending] = nil
+    for k, v in pairs(source) do -- any order: each pair stands alone
+      copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
+    end
+  end
+  return copy
+end
+
+interpret(clone_data)
 
 -- Gives an element its callbacks and the user's data.
 local function give_data(element, def, copies)
@@ -1276,7 +1239,7 @@ local function list_otrs(fsm, plan)
   local transitions, nodes = fsm._transitions, fsm._nodes
   for i = 1, #plan.nodes do
     local otrs = plan.nodes[i].otrs
-    local list = { otrs[1] and transitions[otrs[1].index] }
+    local list = { otrs[1] and transitions[otrs[1].index] } -- of size 1 from the start
     for j = 2, #otrs do list[j] = transitions[otrs[j].index] end
     nodes[i]._otrs = list
   end
@@ -1374,21 +1337,24 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
--- Tells those who watch what has happened; see `rfsm.watch_hook_add`.
-local function tell(fsm, ...)
-  local hooks = fsm._watch_hooks
+-- Calls hooks of extensions, such as `_watch_hooks`. An error is kept.
+local function tell(fsm, hooks, ...)
   for i = 1, #hooks do
     local ok, failure = pcall(hooks[i], fsm, ...)
     if not ok then keep_failure(fsm, failure) end
   end
 end
 
--- A callback of a state or transition failed.
+-- Reports that a callback has failed. For a doo `callback` is nil: its coroutine made
+-- the call.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
-  if not is_callable(callback) then failure = "function expected, " .. got(callback) end
-  tell(fsm, "failed", owner, name, failure)
+  if callback ~= nil and not is_callable(callback) then
+    failure = "function expected, " .. got(callback)
+  end
+  tell(fsm, fsm._watch_hooks, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
+  if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
   report(fsm, "err", name:upper(), text .. ": ", failure)
 end
 
@@ -1499,7 +1465,8 @@ local function ask_hooks(fsm)
   fsm._phase = "search"
 end
 
-local function set_inactive(fsm)
+-- Makes a machine as it was after init, but for the events of the current iteration.
+local function reset_now(fsm)
   for _, node in ipairs(fsm._nodes) do
     if node._mode then
       node._mode, node._doo_co = "inactive", nil
@@ -1507,21 +1474,9 @@ local function set_inactive(fsm)
     end
   end
   fsm._act_leaf = false
-end
-
-local function run_reset_hooks(fsm)
-  for _, hook in ipairs(fsm._reset_hooks) do
-    local ok, failure = pcall(hook, fsm)
-    if not ok then keep_failure(fsm, failure) end
-  end
-  fsm._reset_wanted = false
-end
-
--- Makes a machine as it was after init, but for the events of the current iteration.
-local function reset_now(fsm)
-  set_inactive(fsm)
   fsm._intq = { "e_init_fsm" }
-  run_reset_hooks(fsm)
+  tell(fsm, fsm._reset_hooks)
+  fsm._reset_wanted = false
 end
 
 -- What is pending becomes current: the queue and the list of the last iteration, which
@@ -1615,23 +1570,11 @@ end
 
 -- Returns what the searches of a machine note about a connector: `search` is the number
 -- of the last one that came here, `way` the transition that leads on, false while it is
--- looked for. The rest is for `find_way` alone.
+-- looked for. `_ways.search` is the number of the current one.
 local function note_of(fsm, connector)
-  local note = fsm._ways[connector]
-  if not note then
-    note = { otrs = connector.otrs, search = 0, way = false,
-      position = 0, found = false, others = false, outer = false, asked = false }
-    fsm._ways[connector] = note
-  end
+  local note = fsm._ways[connector] or { search = 0, way = false }
+  fsm._ways[connector] = note
   return note
-end
-
-local function add_way(note, def)
-  if not note.found then
-    note.found = def
-  else
-    note.others = append(note.others or { note.found }, { def })
-  end
 end
 
 local function warn_of_conflict(fsm, ways)
@@ -1639,46 +1582,32 @@ local function warn_of_conflict(fsm, ways)
   for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
 end
 
--- Asks the next transition of a connector. Returns the note of the connector to which
--- it leads, if the search has not been there.
-local function ask_next(fsm, note, def, events)
-  note.position = note.position + 1
-  def = matches(def, events) and ask(fsm, def, events)
-  local there = def and def.connector and note_of(fsm, def.connector)
-  note.asked = def
-  if there and there.search ~= fsm._search then return there end
-  if def and not (there and not there.way) then add_way(note, def) end
-end
+local lead
 
--- Finds the way out of a connector, and of those to which its transitions lead, each
--- once a search: (a) begins with a connector, (b) asks its next transition, also
--- further ones of the same priority, to warn of a conflict, (c) goes back to the
--- connector from which it came. Until then a connector has no way out, so that cycles
--- end.
-local function find_way(fsm, there, events)
-  local note = false
-  repeat
-    if there then -- (a)
-      there.search, there.way, there.position = fsm._search, false, 0
-      there.found, there.others, there.outer = false, false, note
-      note = there
+-- Finds the way out of a connector, once a search: its first transition that leads on.
+-- Further ones of the same priority are asked, too, to warn of a conflict. Until one is
+-- found the connector has no way out, so that cycles end.
+local function find_way(fsm, connector, note, events)
+  local way, pn, others = false, nil, nil
+  note.search, note.way = fsm._ways.search, false
+  for _, def in ipairs(connector.otrs) do
+    if way and (def.pn or 0) ~= pn then break end
+    local found = matches(def, events) and lead(fsm, ask(fsm, def, events), events)
+    if found and way then
+      others = append(others or { way }, { found })
+    elseif found then
+      way, pn = found, found.pn or 0
     end
-    local def, found = note.otrs[note.position + 1], note.found
-    if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
-      there = ask_next(fsm, note, def, events)
-    else -- (c)
-      if note.others then warn_of_conflict(fsm, note.others) end
-      note.way, note, there = found, note.outer, nil
-      if note and found then add_way(note, note.asked) end
-    end
-  until not note
+  end
+  if others then warn_of_conflict(fsm, others) end
+  note.way = way
 end
 
 -- Returns the definition of an open transition if there is a path on from its target.
-local function lead(fsm, def, events)
+function lead(fsm, def, events)
   if not (def and def.connector) then return def end
   local note = note_of(fsm, def.connector)
-  if note.search ~= fsm._search then find_way(fsm, note, events) end
+  if note.search ~= fsm._ways.search then find_way(fsm, def.connector, note, events) end
   return note.way and def or nil
 end
 
@@ -1687,9 +1616,9 @@ end
 local function first_enabled(fsm, list, events)
   local plan = fsm._plan
   for i = 1, #list do
-    local def = matches(list[i], events) and ask(fsm, list[i], events)
-    local found = def and lead(fsm, def, events)
-    if found or fsm._plan ~= plan then return found or nil end
+    local def = matches(list[i], events)
+      and lead(fsm, ask(fsm, list[i], events), events)
+    if def or fsm._plan ~= plan then return def or nil end
   end
 end
 
@@ -1766,11 +1695,11 @@ end
 -- machine it is searched again.
 local function choose(fsm, leaf, events, list)
   if events[1] == nil then return nil end
-  local plan, def, find = fsm._plan, leaf["_%def"], nil
+  local plan, ways, def, find = fsm._plan, fsm._ways, leaf["_%def"], nil
   if not list then list = not is_traced(fsm) and candidates_of(def, events) end
   if list and list[1] == nil then return nil end
   if list then find = list.find or compiled(list, "find") or first_enabled end
-  fsm._search = fsm._search + 1
+  ways.search = ways.search + 1
   if not find then list, find = def, choose_by_node end
   def = find(fsm, list, events)
   if fsm._plan ~= plan then return choose(fsm, leaf, events) end
@@ -1794,21 +1723,14 @@ local function warn_of_lost_events(fsm, path, events)
     .. "them: " .. list_text(lost))
 end
 
--- Returns the path that enters a root without states, and begins all other first
--- entries.
-local function entrance_of(root)
-  root.entrance = root.entrance or { from = root, segments = NONE, entered = root }
-  return root.entrance
-end
-
 -- First entry: the path from `initial`, nil if there is none.
 local function find_entry(fsm, events)
-  local root = fsm._plan.nodes[1]
-  fsm._search = fsm._search + 1
+  local root, ways = fsm._plan.nodes[1], fsm._ways
+  ways.search = ways.search + 1
   local def = not root.is_leaf
     and first_enabled(fsm, root.members.initial.otrs, events)
   if not (def or root.is_leaf) then return nil end
-  local path = path_of(entrance_of(root), def, fsm._ways)
+  local path = path_of(root.entrance, def, fsm._ways)
   warn_of_lost_events(fsm, path, events)
   return path
 end
@@ -1916,10 +1838,7 @@ do
   end
 
   function RECORDS.exits(def)
-    local outermost = def.src
-    while outermost.parent ~= def.lca and outermost.parent ~= outermost do
-      outermost = outermost.parent
-    end
+    local outermost = line_to(def.src)[def.lca.depth + 2] or def.src -- of the root
     return "TRANS_EXIT", "exiting all up to (including):", outermost.fqn, ", lca:",
       def.lca.fqn
   end
@@ -2009,57 +1928,52 @@ local function be_done(fsm, def, at)
   fsm._at = at
 end
 
--- Lists the actions of a path, and their arguments.
-local list_actions
+local function add_action(list, action, arg)
+  list.actions[#list.actions + 1] = action
+  list.args[#list.actions] = arg
+end
 
-do
-  local function add_action(list, action, arg)
-    list.actions[#list.actions + 1] = action
-    list.args[#list.actions] = arg
+-- From the state `from` up to the lca, where nothing is left.
+local function add_exits(list, def, from)
+  add_action(list, recorders.exits, def)
+  while from ~= def.lca do
+    add_action(list, leave, from)
+    add_action(list, run_exit_hooks, from)
+    add_action(list, be_left, from)
+    add_action(list, recorders.exit, from)
+    from = from.parent
   end
+end
 
-  -- From the state `from` up to the lca, where nothing is left.
-  local function add_exits(list, def, from)
-    add_action(list, recorders.exits, def)
-    while from ~= def.lca do
-      add_action(list, leave, from)
-      add_action(list, run_exit_hooks, from)
-      add_action(list, be_left, from)
-      add_action(list, recorders.exit, from)
-      from = from.parent
+local function add_entry(list, state)
+  add_action(list, become_active, state)
+  add_action(list, enter, state)
+  if state.is_leaf then
+    add_action(list, become_leaf, state)
+    add_action(list, be_done, state)
+  end
+  add_action(list, recorders.entry, state)
+end
+
+-- Lists the actions of a path, and their arguments. Each segment: (a) the states up to
+-- the lca are left, (b) the effect is run, (c) those down to the target are entered.
+local function list_actions(path)
+  local from, list = path.from, { actions = {}, args = {} }
+  add_action(list, show_path, path)
+  if path.entered then add_entry(list, path.entered) end
+  if path.segments[1] then add_action(list, recorders.path, path) end
+  for _, def in ipairs(path.segments) do
+    if not def.is_internal then add_exits(list, def, from) end
+    add_action(list, recorders.effect, def)
+    add_action(list, run_effect, def)
+    if not def.is_internal then add_action(list, recorders.entries, def) end
+    for _, state in ipairs(def.is_internal and NONE or def.entries) do
+      add_entry(list, state)
     end
+    from = def.tgt.parent
   end
-
-  local function add_entry(list, state)
-    add_action(list, become_active, state)
-    add_action(list, enter, state)
-    if state.is_leaf then
-      add_action(list, become_leaf, state)
-      add_action(list, be_done, state)
-    end
-    add_action(list, recorders.entry, state)
-  end
-
-  -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
-  -- states down to the target are entered.
-  function list_actions(path)
-    local from, list = path.from, { actions = {}, args = {} }
-    add_action(list, show_path, path)
-    if path.entered then add_entry(list, path.entered) end
-    if path.segments[1] then add_action(list, recorders.path, path) end
-    for _, def in ipairs(path.segments) do
-      if not def.is_internal then add_exits(list, def, from) end
-      add_action(list, recorders.effect, def)
-      add_action(list, run_effect, def)
-      if not def.is_internal then add_action(list, recorders.entries, def) end
-      for _, state in ipairs(def.is_internal and NONE or def.entries) do
-        add_entry(list, state)
-      end
-      from = def.tgt.parent
-    end
-    path.args = list.args
-    path.actions = list.actions -- last: then both are complete
-  end
+  path.args = list.args
+  path.actions = list.actions -- last: then both are complete
 end
 
 local function new_path(at, def)
@@ -2186,7 +2100,7 @@ do
   function prepare_entry(root)
     local initial = root.members.initial
     for _, def in ipairs(initial and initial.otrs or NONE) do
-      prepare_paths(entrance_of(root), def, "run")
+      prepare_paths(root.entrance, def, "run")
     end
   end
 
@@ -2207,21 +2121,9 @@ end
 local run_doo
 
 do
-  -- Makes the coroutine of a doo, in which the engine runs nothing.
-  local function new_doo(doo)
-    if type(doo) == "function" then return coroutine.create(doo) end
-    return coroutine.create(function(...) return doo(...) end)
-  end
-
   -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
   local function fail_doo(fsm, leaf, failure)
-    if rfsm.is_interrupt(failure) then
-      keep_failure(fsm, failure)
-    else
-      tell(fsm, "failed", leaf, "doo", failure)
-      report(fsm, "err", "DOO",
-        "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
-    end
+    report_callback(fsm, "doo", leaf, nil, failure)
     leaf._doo_co = nil
   end
 
@@ -2236,7 +2138,7 @@ do
     if leaf._mode ~= "done" then complete(fsm, leaf) end
     if fsm._at < 2 then
       fsm._at = 2
-      tell(fsm, "ended", leaf)
+      tell(fsm, fsm._watch_hooks, "ended", leaf)
     end
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO",
@@ -2248,7 +2150,8 @@ do
   -- Makes the coroutine of a leaf's doo. Returns nil if there is none, which completes
   -- the leaf, or if there are no coroutines: the doo has failed then.
   local function start_doo(fsm, leaf)
-    if not leaf.doo then return complete(fsm, leaf) end
+    local doo = leaf.doo
+    if not doo then return complete(fsm, leaf) end
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
     end
@@ -2256,7 +2159,8 @@ do
       leaf._mode = "done"
       return fail_doo(fsm, leaf, "there are no coroutines here")
     end
-    leaf._doo_co = new_doo(leaf.doo)
+    leaf._doo_co = coroutine.create(type(doo) == "function" and doo
+      or function(...) return doo(...) end)
     return leaf._doo_co
   end
 
@@ -2270,13 +2174,12 @@ do
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
-      if fsm._watch_hooks[1] then tell(fsm, "resumed", leaf) end
+      if fsm._watch_hooks[1] then tell(fsm, fsm._watch_hooks, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then leaf._mode = "done" end
     end
     if ok and status(co) ~= "dead" then return not not idle end
-    local finish_doo = ok and end_doo or fail_doo
-    finish_doo(fsm, leaf, idle)
+    if ok then end_doo(fsm, leaf) else fail_doo(fsm, leaf, idle) end
     return true
   end
 end
@@ -2426,7 +2329,7 @@ end
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
-  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, {}
+  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, { search = 0 }
   machines[fsm] = true
 end
 
@@ -2458,9 +2361,8 @@ function rfsm.structure_of(fsm)
   return fsm._plan
 end
 
-local function check_function(f, where, level)
-  if is_callable(f) then return end
-  error(where .. ": function expected, " .. got(f), level or 3)
+local function check_function(f, where)
+  if not is_callable(f) then error(where .. ": function expected, " .. got(f), 3) end
 end
 
 -- Is `value` a node of that machine? A live state, if `kind` says so.
@@ -2516,7 +2418,9 @@ do
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
 
   function new_build(plan)
-    return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
+    plan.warnings, plan.created = {}, {}
+    return { plan = plan, problems = {}, warnings = plan.warnings,
+      created = plan.created, mounts = {} }
   end
 
   -- The user's data at the root that has the name of one of the machine's fields is
@@ -2581,7 +2485,6 @@ do
     if build.problems[1] then return nil, lines_of(build.problems) end
     plan = compile(build.plan)
     plan.trail = make_trail(plan)
-    plan.warnings, plan.created = build.warnings, build.created
     plans[model], latest_plan = plan, plan
     return latest_plan
   end
@@ -2621,12 +2524,8 @@ end
 local function left_composites(plan)
   local left = {}
   for _, def in ipairs(plan.transitions) do
-    local composite, tgt = def.src.parent, def.tgt
-    while tgt.depth > composite.depth do tgt = tgt.parent end
-    while composite ~= tgt do
-      left[composite], composite = true, composite.parent
-      if tgt.depth > composite.depth then tgt = tgt.parent end
-    end
+    local composite, lca = def.src.parent, find_lca(def.src.parent, def.tgt.parent)
+    while composite ~= lca do left[composite], composite = true, composite.parent end
   end
   return left
 end
@@ -2717,27 +2616,20 @@ do
     tr.events = type(events) == "string" and { events } or events
   end
 
-  -- Has a transition still the ends, the priority and the events of a plan?
-  local function is_as_planned(tr, def, nodes)
-    local events, known = rawget(tr, "events"), def.events or NONE
-    if type(events) ~= "table" or #events ~= #known
-      or (rawget(tr, "pn") or nil) ~= def.pn
-      or not rawequal(tr.src, nodes[def.src.index])
-      or not rawequal(tr.tgt, nodes[def.tgt.index]) then
-      return false
-    end
-    for i = 1, #known do
-      if not rawequal(events[i], known[i]) then return false end
-    end
-    return true
-  end
-
-  -- Has each transition of a machine what `plan` has?
+  -- Has each transition of a machine the ends, the priority and the events of a plan?
   local function fits(fsm, plan)
-    local transitions = fsm._transitions
-    for i = 1, #transitions do
-      if not is_as_planned(transitions[i], plan.transitions[i], fsm._nodes) then
+    local nodes = fsm._nodes
+    for i, tr in ipairs(fsm._transitions) do
+      local def, events = plan.transitions[i], rawget(tr, "events")
+      local known = def.events or NONE
+      if type(events) ~= "table" or #events ~= #known
+        or (rawget(tr, "pn") or nil) ~= def.pn
+        or not rawequal(tr.src, nodes[def.src.index])
+        or not rawequal(tr.tgt, nodes[def.tgt.index]) then
         return false
+      end
+      for j = 1, #known do
+        if not rawequal(events[j], known[j]) then return false end
       end
     end
     return true
@@ -2772,10 +2664,9 @@ do
       for _, tr in ipairs(fsm._transitions) do
         problems[#problems + 1] = check_transition(fsm, tr)
       end
-      found = not problems[1] and (find_plan(fsm, plan) or new_variant(fsm, plan))
+      found = problems[1] and plan or find_plan(fsm, plan) or new_variant(fsm, plan)
     end
     for _, tr in ipairs(fsm._transitions) do tr.events, tr.pn = nil, nil end
-    if not found then return end
     if found ~= plan then use_plan(fsm, found) end
   end
 
@@ -2901,7 +2792,7 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  if fsm._watch_hooks[1] then tell(fsm, "sent", event, ...) end
+  if fsm._watch_hooks[1] then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short. So is one that a callback has
@@ -3118,13 +3009,11 @@ end
 ---@param pred? fun(obj: any): boolean default is_fsmobj
 ---@return table[] elements parents before children
 function rfsm.elements(obj, pred)
-  if rfsm.is_root(obj) and obj._preparing then return planned_elements(obj, pred) end
-  if rfsm.is_trans(obj) then return (not pred or pred(obj)) and { obj } or {} end
-  local list = rfsm.mapfsm(itself, obj, pred)
-  if not rfsm.is_root(obj) and (not pred or pred(obj)) then
-    return append({ obj }, list)
-  end
-  return list
+  local is_root = rfsm.is_root(obj)
+  if is_root and obj._preparing then return planned_elements(obj, pred) end
+  local list = not is_root and (not pred or pred(obj)) and { obj } or {}
+  if rfsm.is_trans(obj) then return list end
+  return append(list, rfsm.mapfsm(itself, obj, pred)) -- a root is in it
 end
 
 --- List the machines that run in a state, in the order in which they are stepped.
@@ -3225,18 +3114,15 @@ function rfsm.map_from_to(fsm, f, from, to)
     error("rfsm.map_from_to: two nodes of the fsm expected, " .. got(from) .. " and "
       .. got(to), 2)
   end
-  local is_upwards = from["_%def"].depth >= to["_%def"].depth
-  local node, last = is_upwards and from or to, is_upwards and to or from
-  local line, results = { node }, {}
-  while node ~= last and node ~= fsm do
-    node = node._parent
-    if is_upwards then line[#line + 1] = node else insert(line, 1, node) end
-  end
-  if node ~= last then
+  local up, down, results = from["_%def"], to["_%def"], {}
+  local line = line_to(up.depth >= down.depth and up or down)
+  if line[up.depth + 1] ~= up or line[down.depth + 1] ~= down then
     error(("rfsm.map_from_to: '%s' and '%s' are not on one line"):format(from._fqn,
       to._fqn), 2)
   end
-  for i = 1, #line do results[#results + 1] = f(fsm, line[i]) end
+  for depth = up.depth, down.depth, up.depth > down.depth and -1 or 1 do
+    results[#results + 1] = f(fsm, fsm._nodes[line[depth + 1].index])
+  end
   return results
 end
 
@@ -3257,8 +3143,8 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways, number = fsm._ways, fsm._search -- this may be asked during a search
-  fsm._ways, fsm._search = {}, 1
+  local ways = fsm._ways -- this may be asked during a search
+  fsm._ways = { search = 1 }
   local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false
   local at = path
@@ -3267,7 +3153,7 @@ function rfsm.node_find_enabled(fsm, node, events)
     at.nextl = { { trans = fsm._transitions[def.index], next = tail } }
     at, def = tail, def.connector and fsm._ways[def.connector].way
   end
-  fsm._ways, fsm._search = ways, number
+  fsm._ways = ways
   return path
 end
 
@@ -3524,14 +3410,14 @@ function rfsm.snapshot_hook_add(fsm, name, save, load)
   check_machine(fsm, "rfsm.snapshot_hook_add")
   check_function(save, "rfsm.snapshot_hook_add")
   check_function(load, "rfsm.snapshot_hook_add")
-  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or {}),
+  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks),
     { { name = name, save = save, load = load } })
 end
 
 --- List what `snapshot_hook_add` was called with, in that order, for extensions.
 ---@param fsm rfsm.Machine
 ---@return { name: string, save: function, load: function }[] hooks not to be changed
-function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
+function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks end
 
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
@@ -3539,7 +3425,8 @@ function rfsm.place(fsm, leaf, mode, queue)
   check_between_steps(fsm, "rfsm.place")
   if leaf then
     move_to(leaf, mode)
-    run_reset_hooks(fsm)
+    tell(fsm, fsm._reset_hooks)
+    fsm._reset_wanted = false
   else
     reset_now(fsm)
   end
@@ -3551,7 +3438,7 @@ end
 
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
-  fsm._ways = {}
+  fsm._ways = { search = 0 }
   if fsm._phase == "idle" then fsm._path = false end
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
@@ -3615,7 +3502,6 @@ do
       end
     end
     resolve(build, first)
-    plan.warnings, plan.created = build.warnings, build.created
     return build
   end
 
@@ -3703,7 +3589,7 @@ do
     report_lines(fsm, "info", build.created)
     report_findings(fsm, first_node, first_transition)
     report_dead_ends(fsm, first_node)
-    tell(fsm, "merged", parent[id])
+    tell(fsm, fsm._watch_hooks, "merged", parent[id])
     return true
   end
 end

@@ -184,7 +184,7 @@ end
 local FIND = [[
 return function(fsm, list, events)
 local transitions, nodes, ways = fsm._transitions, fsm._nodes, fsm._ways
-local plan, number, tr, def, note = fsm._plan, fsm._search, nil, nil, nil]]
+local plan, number, tr, def, note = fsm._plan, ways.search, nil, nil, nil]]
 local ASK = [[
 def = nil
 if $may then
