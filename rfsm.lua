@@ -482,7 +482,8 @@ local CALLBACKS = {
   transition = { guard = true, effect = true },
 }
 
--- Adds the warning that rfsm/advice.lua has on a topic, if there is one.
+-- Adds the warning that rfsm/advice.lua has on a topic, if there is one. It is asked
+-- where something may be odd: most charts are made without that file.
 local function add_advice(list, topic, def, ...)
   local text, field = advise(topic, def, ...)
   if text ~= "" then add(list, def, field, text) end
@@ -620,16 +621,22 @@ do
     return def
   end
 
+  local function add_member(parent, key, def)
+    if parent.members == NONE then parent.members = {} end
+    parent.members[key] = def
+  end
+
   -- Makes the bare node; `clone_below` fills it in when its turn comes.
   function new_node(build, kind, model, parent, key)
     local def = new_def(build.plan.nodes, kind, model_of(model), parent or false, key)
     def.fqn = parent and parent.fqn .. "." .. text_of(key) or key
     def.depth = parent and parent.depth + 1 or 0
     def.parent = parent or def
-    def.is_leaf, def.otrs, def.members = kind == "state", {}, {}
+    def.is_leaf, def.otrs, def.members = kind == "state", NONE, NONE
     note_mount(build, def)
     if parent then
-      parent.members[key], parent.is_leaf = def, false
+      add_member(parent, key, def)
+      parent.is_leaf = false
       check_name(build, def)
     end
     return def
@@ -650,6 +657,12 @@ do
     append(def.data, { key, value })
   end
 
+  local function check_datum(build, def, key, value)
+    if def.kind == "transition" or type(value) == "table" or is_callable(value) then
+      add_advice(build.warnings, "datum", def, key, value)
+    end
+  end
+
   -- Takes over a field that is no element of the model: a callback or the user's data.
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
@@ -666,8 +679,9 @@ do
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
       add_datum(def, key, value)
-      if def.parent == def and ROOT_FIELDS[key] then return end
-      add_advice(build.warnings, "datum", def, key, value)
+      if def.parent ~= def or not ROOT_FIELDS[key] then
+        check_datum(build, def, key, value)
+      end
     end
   end
 
@@ -693,7 +707,7 @@ do
       add(build.problems, def, "pn", "number expected, " .. got(def.pn))
       def.pn = nil
     end
-    parent.members[key] = def
+    add_member(parent, key, def)
   end
 
   local function clone_connector(build, def)
@@ -977,13 +991,13 @@ do
   function compile(plan)
     local nodes, transitions, events = plan.nodes, plan.transitions, {}
     for i = 1, #nodes do
-      nodes[i].otrs = {}
+      nodes[i].otrs = NONE
       make_proto(nodes[i])
     end
     for i = 1, #transitions do
-      local def = transitions[i]
-      local otrs = def.src.otrs
-      otrs[#otrs + 1] = def
+      local def, src = transitions[i], transitions[i].src
+      if src.otrs == NONE then src.otrs = {} end
+      src.otrs[#src.otrs + 1] = def
       for j = 1, def.events and #def.events or 0 do
         events[def.events[j]] = true
         def.is_asked = def.is_asked or type(def.events[j]) == "function"
@@ -1935,25 +1949,26 @@ do
   end
 end
 
+-- Calls the callback `name` of a state or transition.
+local function run_callback(fsm, owner, name, at, ...)
+  local callback = owner[name]
+  if not callback then return end
+  fsm._at = at
+  local ok, failure = pcall(callback, fsm, owner, name, ...)
+  if not ok then report_callback(fsm, name, owner, callback, failure) end
+end
+
 local function run_effect(fsm, def, at)
   local tr = fsm._transitions[def.index]
-  local effect = tr.effect
-  if not effect then return end
-  if not borrowers[effect] then fsm._is_lent = true end
-  fsm._at = at
-  local ok, failure = pcall(effect, fsm, tr, "effect", fsm._curq)
-  if not ok then report_callback(fsm, "effect", tr, effect, failure) end
+  if tr.effect and not borrowers[tr.effect] then fsm._is_lent = true end
+  run_callback(fsm, tr, "effect", at, fsm._curq)
 end
 
 local function leave(fsm, def, at)
   local state = fsm._nodes[def.index]
   state._mode = "inactive"
   state._parent._actchild = nil
-  local exit = state.exit
-  if not exit then return end
-  fsm._at = at
-  local ok, failure = pcall(exit, fsm, state, "exit")
-  if not ok then report_callback(fsm, "exit", state, exit, failure) end
+  run_callback(fsm, state, "exit", at)
 end
 
 local function run_exit_hooks(fsm, def, at)
@@ -1975,12 +1990,7 @@ local function become_active(fsm, def, at)
 end
 
 local function enter(fsm, def, at)
-  local state = fsm._nodes[def.index]
-  local entry = state.entry
-  if not entry then return end
-  fsm._at = at
-  local ok, failure = pcall(entry, fsm, state, "entry")
-  if not ok then report_callback(fsm, "entry", state, entry, failure) end
+  run_callback(fsm, fsm._nodes[def.index], "entry", at)
 end
 
 local function become_leaf(fsm, def, at)
@@ -2113,7 +2123,7 @@ do
   --- Have all machines do without rfsm/fast.lua from now on, where memory is short.
   function rfsm.without_fast() fast = false end
 
-  local OFTEN = 3 -- what is used more often is compiled
+  local OFTEN = 3 -- what is asked for more often is compiled
 
   -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
   -- or false if there is none:
@@ -2639,11 +2649,16 @@ end
 -- Reports the warnings of the model, also after the preproc functions.
 local function report_findings(fsm, first_node, first_transition)
   local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-  for i = first_node, #plan.nodes do add_advice(found, "initial", plan.nodes[i]) end
+  for i = first_node, #plan.nodes do
+    local def = plan.nodes[i]
+    local way = def.id == "initial" and def.otrs[1]
+    if way and (way.events or way.guard) then add_advice(found, "initial", def) end
+  end
   for i = first_transition, #plan.transitions do
     local def = plan.transitions[i]
     for _, event in ipairs(def.events or NONE) do
-      add_advice(found, "event", def, event)
+      local is_call = type(event) == "string" and event:find("%)$")
+      if is_call then add_advice(found, "event", def, event) end
     end
   end
   report_lines(fsm, "warn", found)
