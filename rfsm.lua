@@ -2975,7 +2975,7 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n ~= nil then return step_often(fsm, n) end
+  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: it blames
   local ok, counted, idle = pcall(iterate, fsm)
   if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
   if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
