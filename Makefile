@@ -18,7 +18,9 @@ STRIP    ?=
 BUNDLE   ?= rfsm rfsm.fast rfsm.advice
 # time events, sequential AND states, the printed machine, history, checks
 ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
-            rfsm.checkevents $(subst /,.,$(basename $(wildcard rfsm/checks/*.lua rfsm/shared/*.lua)))
+            rfsm.checkevents $(addprefix rfsm.observe.,coverage watch_properties why) \
+            $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua))))
+ROOMS    := shared checks explore tests
 DIST     ?= dist
 SIZED    ?= rfsm rfsm_timeevent rfsm_seqand rfsmpp rfsm_checks rfsm.fast rfsm.emem \
             rfsm.await rfsm.monitor rfsm.preview rfsm.rtt rfsm.marsh rfsm.dot rfsm.proto

@@ -9,7 +9,7 @@
 -- @module rfsm.postgres
 -- @license BSD-3-Clause
 
-local bundle = require "rfsm.postgres.bundle"
+local script = require "rfsm.postgres.script"
 local Base = require "rfsm.server.client"
 local host = require "rfsm.postgres.host"
 local json = require "rfsm.server.json"
@@ -62,7 +62,7 @@ function postgres.charts(arguments, options)
   end
   local settings, problem = opts.read(CHART_OPTIONS, options or {})
   if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
-  local text, warnings = bundle.library(arguments, settings)
+  local text, warnings = script.library(arguments, settings)
   local globals, answer = host.new {
     json = json, log = function(_, line) print(line) end, warn = function() end,
     refuse = function(reason) error(reason, 0) end,

@@ -1,10 +1,10 @@
 -- The floors of the house: LUA tools/house.lua prints them, their rooms with their
 -- lines of Lua, and the arrows from each room to those that it requires.
 --
--- A room is a file, and the folder of its name. A name of a module in a string counts as
--- required, also in a table of modules that are loaded later. Comments do not count, nor
--- do texts in long brackets, which are programs of their own. Files of one line, which
--- give a module another name, are in no room.
+-- A room is a file, and the folder of its name. A name of a module in a string counts
+-- as required, also in a table of modules that are loaded later. Comments do not count,
+-- nor do texts in long brackets, which are programs of their own. Files of one line,
+-- which give a module another name, are in no room.
 --
 -- spec/floors_spec.lua says what must hold.
 
@@ -84,20 +84,23 @@ function house.strings_of(text)
   end
 end
 
-local function is_alias(text) return text:find("^return require%b()[^\n]*\n$") ~= nil end
+-- Returns the module to which a file of one line gives another name; nil for others.
+local function target_of(text)
+  return text:match('^return require%("([^"]*)"%)[^\n]*\n$')
+end
 
--- Returns the target of a file of one line.
-local function target_of(text) return text:match('"([^"]*)"') end
+local FILES = "ls rfsm*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua"
 
 --- Read the tree: its files, { file, room, floor, lines, names }, and the file of each
 --- module's name. `names` are the names of modules in a file, without its own.
 function house.read()
   local files, file_of, aliases = {}, {}, {}
-  for _, file in ipairs(lines_of("ls rfsm*.lua rfsm/*.lua rfsm/*/*.lua compat/*.lua")) do
+  for _, file in ipairs(lines_of(FILES)) do
     local text = content(file)
     local name = file:gsub("^compat/", ""):gsub("%.lua$", ""):gsub("/", ".")
-    if is_alias(text) then
-      aliases[#aliases + 1] = { name = name, target = target_of(text) }
+    local target = target_of(text)
+    if target then
+      aliases[#aliases + 1] = { name = name, target = target }
     else
       file_of[name] = file
       files[#files + 1] = { file = file, room = house.room_of(file), text = text,
