@@ -1,7 +1,7 @@
---- Stubs: what an exploration runs in place of the callbacks of a chart.
+--- Replacements: what an exploration runs in place of the callbacks of a chart.
 --
--- The stub of an entry, exit or effect sets the flags and sends the events that the
--- options name. It is named by its callback: "entry root.a", "effect root.trans[2]".
+-- That of an entry, exit or effect sets the flags and sends the events that the options
+-- name. It is named by its callback: "entry root.a", "effect root.trans[2]".
 --
 -- @module rfsm.explore.replacements
 -- @license BSD-3-Clause
@@ -134,7 +134,7 @@ function replacements.note_writer(self, name, callback)
   end
 end
 
--- Stubs .............................................................................
+-- Replacements ......................................................................
 
 -- Calls a callback. Returns the events that it sends to its machine, which are taken
 -- from the queue, and what `calls.try` does.
@@ -146,7 +146,7 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
--- Returns a stub that calls the callback, and notes its name, what it sends, and the
+-- Returns a function that calls the callback, and notes its name, what it sends, and the
 -- failure.
 local function new_call(self, name, callback)
   return function(...)
@@ -166,9 +166,9 @@ local function dry_events(self, callback, fsm, obj, what)
   return (call_apart(callback, fsm, obj, what, {}))
 end
 
--- Returns a stub that calls a callback to be run, sets flags and sends events; nil if
+-- Returns a function that calls a callback to be run, sets flags and sends events; nil if
 -- there is nothing to do.
-local function new_stub(self, part, run, flags, events)
+local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   return function(own, ...)
     if run then calls.try(run, own, ...) end
@@ -180,14 +180,14 @@ local function new_stub(self, part, run, flags, events)
   end
 end
 
---- Note that a callback may exist; return its stub.
+--- Note that a callback may exist; return its replacement.
 ---@param self rfsm_checks.Subject
 ---@param what "entry"|"exit"|"effect"
 ---@param path string
 ---@param part rfsm_checks.Part
 ---@param obj rfsm.State|rfsm.Transition
 ---@param callback function|nil
----@return function? stub nil if it has nothing to do
+---@return function? replacement nil if it has nothing to do
 function replacements.new(self, what, path, part, obj, callback)
   local name = what .. " " .. path
   self.callbacks[name] = part
@@ -200,10 +200,10 @@ function replacements.new(self, what, path, part, obj, callback)
   local run = self.runs[callback or false] and callback
   local events = self.sends[name] or run and {}
     or dry_events(self, callback, part.fsm, obj, what)
-  return new_stub(self, part, run, self.flags_of[name] or {}, events)
+  return new_replacement(self, part, run, self.flags_of[name] or {}, events)
 end
 
--- Has the stubs that are named set a flag.
+-- Has the replacements that are named set a flag.
 local function set_flag(self, names, number, value)
   for _, name in ipairs(names or {}) do
     self.flags_of[name] = self.flags_of[name] or {}

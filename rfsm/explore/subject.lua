@@ -50,7 +50,7 @@ local subject = {}
 ---@field wanted table<any, boolean> events of properties: did it come in a step?
 ---@field passed rfsm_checks.Moment[] of the last step
 ---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
----@field sent { prefix: string, event: any }[] by stubs, in the last step
+---@field sent { prefix: string, event: any }[] by replacements, in the last step
 ---@field called string[] of the last step, with `options.callbacks`
 ---@field now number seconds, as time events see them
 ---@field steps integer that were taken
@@ -206,8 +206,8 @@ local function paths_in(self, moment)
   return active
 end
 
--- Returns the stub of a callback.
-local function new_stub(self, what, path, part, obj, callback)
+-- Returns the replacement of a callback.
+local function new_replacement(self, what, path, part, obj, callback)
   if callback and self.runs[callback] then part.is_bound = true end
   return replacements.new(self, what, path, part, obj, callback)
 end
@@ -217,7 +217,7 @@ local function make_state(self, part, state)
   self.names[path], self.paths[#self.paths + 1] = state, path
   self.part_of[path], self.path_of[state] = part, path
   local own = state._regions or state -- the callbacks of such a state are the library's
-  local entry = new_stub(self, "entry", path, part, state, own.entry)
+  local entry = new_replacement(self, "entry", path, part, state, own.entry)
   own.entry = entry
   if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
     and location.is_passable(state) then
@@ -226,7 +226,7 @@ local function make_state(self, part, state)
       note_moment(self, state)
     end
   end
-  own.exit = new_stub(self, "exit", path, part, state, own.exit)
+  own.exit = new_replacement(self, "exit", path, part, state, own.exit)
   if state.doo and not state._regions then
     replacements.note_writer(self, "doo " .. path, state.doo)
     state.doo, self.free.doos = new_doo(self, part, path), true
@@ -258,11 +258,11 @@ local function make_transition(self, part, tr)
     if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
     tr.guard = data.new_guard(self, path, tr.guard)
   end
-  local stub = new_stub(self, "effect", path, part, tr, tr.effect)
+  local replacement = new_replacement(self, "effect", path, part, tr, tr.effect)
   tr.likely = nil
   tr.effect = function(...)
     self.taken[#self.taken + 1] = number
-    if stub then stub(...) end
+    if replacement then replacement(...) end
   end
 end
 
@@ -706,7 +706,7 @@ local function has_predicate(fsm)
 end
 
 -- Makes a silent machine of a model. One with its own predicates comes first: plans
--- are shared, and others need not have stubs in theirs.
+-- are shared, and others need not have replacements in theirs.
 local function new_machine(self, model)
   local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
   local fsm, _, problems = init(model, false)

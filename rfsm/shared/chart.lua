@@ -7,7 +7,7 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local load_file = rfsm.load -- before `beside` replaces it
+local load_file = rfsm.load -- before `search` replaces it
 local search = require "rfsm.shared.search"
 local stubs = require "rfsm.shared.stubs"
 

@@ -1,6 +1,6 @@
 --- JSON for clients of a server, by the package dkjson.
 --
--- @module rfsm.server.json
+-- @module rfsm.server.codec
 -- @license BSD-3-Clause
 
 local opts = require "rfsm.shared.options"
@@ -9,7 +9,7 @@ local pairs, rawget, setmetatable = pairs, rawget, setmetatable
 local tonumber, type = tonumber, type
 local math_type = rawget(math, "type")
 
-local json = {}
+local codec = {}
 
 local function need() return opts.need("rfsm.server", "dkjson") end
 
@@ -29,14 +29,14 @@ local function exact(value)
   end
   local copy, n = {}, value.n
   for key, inner in pairs(value) do copy[key] = exact(inner) end -- any order: a copy
-  if type(n) == "number" then copy.n = as(json.encode(n)) end
+  if type(n) == "number" then copy.n = as(codec.encode(n)) end
   return copy
 end
 
 --- Return data as JSON. Raises an error if it has what JSON has not.
-function json.encode(data) return need().encode(exact(data)) end
+function codec.encode(data) return need().encode(exact(data)) end
 
 --- Return what a text of JSON stands for, in tables without metatables; else nil.
-function json.decode(text) return (need().decode(text, 1, nil, nil, nil)) end
+function codec.decode(text) return (need().decode(text, 1, nil, nil, nil)) end
 
-return json
+return codec
