@@ -146,7 +146,7 @@ local function call_apart(callback, fsm, ...)
   return sent, ok, failure
 end
 
--- Returns a function that calls the callback, and notes its name, what it sends, and the
+-- Returns a function that calls the callback, notes its name, what it sends, and the
 -- failure.
 local function new_call(self, name, callback)
   return function(...)
@@ -166,7 +166,7 @@ local function dry_events(self, callback, fsm, obj, what)
   return (call_apart(callback, fsm, obj, what, {}))
 end
 
--- Returns a function that calls a callback to be run, sets flags and sends events; nil if
+-- Returns a function that calls a callback to be run, sets flags, sends events; nil if
 -- there is nothing to do.
 local function new_replacement(self, part, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end

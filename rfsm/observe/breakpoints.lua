@@ -14,7 +14,7 @@ local text_of = rfsm.text_of
 local breakpoints = {}
 
 --- A breakpoint, or an expression that is watched.
----@class rfsm.sim.Point
+---@class rfsm.observe.Breakpoint
 ---@field kind "state"|"transition"|"event"|"watch"
 ---@field name string for a reader; the expression
 ---@field value any name, transition or event; of an expression the last value

@@ -1,4 +1,4 @@
---- Names in the simulator: states and events, and the nearest to a mistake.
+--- Names for people: states and events, and the nearest to a mistake.
 --
 -- The state `root.open` of the region `left` in `root.arms` is called
 -- `root.arms.left.open`.

@@ -15,7 +15,7 @@ local utf8 = marsh.utf8
 local outline = {}
 
 --- The chart as a page draws it.
----@class rfsm.web.Outline
+---@class rfsm.observe.Outline
 ---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
 ---@field edges table[] { key, src, tgt, label, events, is_internal? }
 ---@field events table[] { text, words, is_own }

@@ -15,7 +15,7 @@ local subscriber = {}
 local BEAT = 1 -- seconds between two heartbeats; the host waits for three
 
 --- A subscription.
----@class rfsm.proto.Client
+---@class rfsm.observe.Subscription
 ---@field address string
 ---@field clock fun(): number seconds
 ---@field is_heard boolean the host has answered to the last subscription

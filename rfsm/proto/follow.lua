@@ -28,13 +28,13 @@ local function add_tree(lines, node, fqn, leaf)
 end
 
 --- A machine as it was received.
----@class rfsm.proto.follow.Watch
+---@class rfsm.proto.Follower
 ---@field graph table? of the machine
 ---@field leaf string|false|nil FQN of the active state
 ---@field log string[] the last lines
 ---@field count integer lines so far
-local Watch = {}
-Watch.__index = Watch
+local Follower = {}
+Follower.__index = Follower
 
 -- Adds a line, unless it equals the last one.
 local function add(self, text)
@@ -86,7 +86,7 @@ function follow.run(client, options)
   local self = setmetatable({
     log = {}, count = 0, is_terminal = options.is_terminal, number = options.number,
     status = "", heard_at = false, said_at = false, began_at = client.clock(),
-  }, Watch)
+  }, Follower)
   while self.count < (options.count or 1 / 0) do
     local message = client:receive(1)
     local problem = message and subscriber.handle(TAKE, self, message)

@@ -39,7 +39,7 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field tree? string|false the last tree shown
 ---@field level boolean|"full" which trace records are shown
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
----@field points rfsm.sim.Point[] breakpoints and expressions that are watched
+---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
 ---@field picture? string|false file that is kept up to date
 ---@field history rfsm.sim.History
 ---@field time? rfsm.sim.Time the simulated clock

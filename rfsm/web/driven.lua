@@ -49,7 +49,7 @@ local TICK = 1e-6 -- seconds are rounded up to multiples of it
 ---@field snap table? of the machine, while the chart has a mistake
 ---@field now number seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
----@field points rfsm.sim.Point[] breakpoints
+---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field stopped string|false the breakpoint at which the last run has ended
 local Driven = { MAX_STEPS = 1000 } -- of one run
 Driven.__index = Driven

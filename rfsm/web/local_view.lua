@@ -36,7 +36,7 @@ local MAX_LOST = 20 -- so many events without an effect are named
 ---@field last_lost any[] such events of the last entry in the log
 ---@field entered table<integer, integer> how often a state was entered while observed
 ---@field is_observed boolean
----@field points rfsm.sim.Point[] breakpoints
+---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field hit string|false the breakpoint that was reached since this was set to false
 local LocalView = setmetatable({}, { __index = View })
 LocalView.__index = LocalView

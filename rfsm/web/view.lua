@@ -38,7 +38,7 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 --- A machine as pages show it.
 ---@class rfsm.web.View
 ---@field description rfsm.marsh.Node
----@field outline rfsm.web.Outline
+---@field outline rfsm.observe.Outline
 ---@field clock fun(): number seconds, for the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]

@@ -111,7 +111,7 @@ function host.check()
         review.noting_extensions(chart.load, file, true)
     end
     if not model then return { warnings } end
-    local found = review.review(file, model, warnings, {},
+    local found = review.of(file, model, warnings, {},
       { static = true, required = required })
     found[#found + 1] = chart.stub_line(file, world)
     return found
