@@ -3359,6 +3359,8 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
+  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
+
   -- Makes the function that adds a hook to the list `field` of a machine.
   local function hook_adder(where, field)
     return function(fsm, hook, place)
@@ -3370,7 +3372,7 @@ do
       local hooks = append({}, fsm[field] or NONE)
       insert(hooks, place == "before" and 1 or #hooks + 1, hook)
       fsm[field] = hooks
-      fsm._is_hooked, fsm._is_usual = true, false
+      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
   end
 
