@@ -1165,7 +1165,7 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = NONE, _path_hooks = NONE, _watch_hooks = NONE, _failure = false,
+  _reset_hooks = false, _path_hooks = false, _watch_hooks = false, _failure = false,
   _reset_wanted = false, _preparing = false,
 }
 
@@ -1376,9 +1376,8 @@ end
 
 -- Tells those who watch what has happened; see `rfsm.watch_hook_add`.
 local function tell(fsm, ...)
-  local hooks = fsm._watch_hooks
-  for i = 1, #hooks do
-    local ok, failure = pcall(hooks[i], fsm, ...)
+  for _, hook in ipairs(fsm._watch_hooks or NONE) do
+    local ok, failure = pcall(hook, fsm, ...)
     if not ok then keep_failure(fsm, failure) end
   end
 end
@@ -1510,7 +1509,7 @@ local function set_inactive(fsm)
 end
 
 local function run_reset_hooks(fsm)
-  for _, hook in ipairs(fsm._reset_hooks) do
+  for _, hook in ipairs(fsm._reset_hooks or NONE) do
     local ok, failure = pcall(hook, fsm)
     if not ok then keep_failure(fsm, failure) end
   end
@@ -1887,7 +1886,7 @@ end
 
 -- Tells those who watch which transitions are about to be taken.
 local function show_path(fsm, path, at)
-  if not fsm._path_hooks[1] or not path.segments[1] then return end
+  if not fsm._path_hooks or not path.segments[1] then return end
   local list = {}
   for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
   call_hooks(fsm, fsm._path_hooks, list, at)
@@ -2270,7 +2269,7 @@ do
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
-      if fsm._watch_hooks[1] then tell(fsm, "resumed", leaf) end
+      if fsm._watch_hooks then tell(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then leaf._mode = "done" end
     end
@@ -2901,7 +2900,7 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  if fsm._watch_hooks[1] then tell(fsm, "sent", event, ...) end
+  if fsm._watch_hooks then tell(fsm, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short. So is one that a callback has
@@ -2957,6 +2956,13 @@ local function advance(fsm, left, counted, idle)
   return idle or false
 end
 
+local function step_often(fsm, n)
+  if type(n) ~= "number" then
+    error("rfsm.step: number of steps expected, " .. got(n), 3)
+  end
+  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+end
+
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
 -- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
@@ -2969,15 +2975,13 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n == nil then
-    local ok, counted, idle = pcall(iterate, fsm)
-    if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
-    if not ok then raise_cut(fsm, counted) end
-    return advance(fsm, 1, counted, idle)
-  elseif type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 2)
-  end
-  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: it blames
+  local ok, counted, idle = pcall(iterate, fsm)
+  if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
+  if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
+  if ok and counted then return idle end
+  if not ok then raise_cut(fsm, counted) end
+  return advance(fsm, 1, counted, idle)
 end
 
 --- Advance a machine until no event is pending and no doo is busy.
@@ -3355,6 +3359,8 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
+  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
+
   -- Makes the function that adds a hook to the list `field` of a machine.
   local function hook_adder(where, field)
     return function(fsm, hook, place)
@@ -3363,10 +3369,10 @@ do
       if place ~= nil and place ~= "before" and place ~= "after" then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       end
-      local hooks = append({}, fsm[field])
+      local hooks = append({}, fsm[field] or NONE)
       insert(hooks, place == "before" and 1 or #hooks + 1, hook)
       fsm[field] = hooks
-      fsm._is_hooked, fsm._is_usual = true, false
+      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
   end
 
@@ -3381,13 +3387,19 @@ do
     end
   end
 
+  -- Returns a list of hooks, false for an empty one, as a machine has it at first.
+  local function reduced(hooks)
+    if #hooks == 1 and hooks[1] == OWN then return OWN_ONLY end
+    return hooks[1] and hooks or false
+  end
+
   -- Makes the function that takes a hook out again, also the model's own at `slot`.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
-      local hooks = without(fsm[field], hook)
+      local hooks = without(fsm[field] or NONE, hook)
       if hooks then
-        fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
+        fsm[field] = reduced(hooks)
         return true
       end
       if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end

@@ -74,7 +74,7 @@ call_hooks(fsm, fsm.$hooks[$owner], $owner, $at)
 if fsm.dbg ~= silent then return perform(fsm) end
 end]]
 local SHOW = [[
-if fsm._path_hooks[1] then
+if fsm._path_hooks then
 show_path(fsm, path, $at)
 if fsm.dbg ~= silent then return perform(fsm) end
 end]]
