@@ -1612,73 +1612,77 @@ local function ask(fsm, def, events)
   return def
 end
 
--- Returns what the searches of a machine note about a connector: `search` is the number
--- of the last one that came here, `way` the transition that leads on, false while it is
--- looked for. The rest is for `find_way` alone.
-local function note_of(fsm, connector)
-  local note = fsm._ways[connector]
-  if not note then
-    note = { otrs = connector.otrs, search = 0, way = false,
-      position = 0, found = false, others = false, outer = false, asked = false }
-    fsm._ways[connector] = note
-  end
-  return note
-end
+local lead, note_of, warn_of_conflict
 
-local function add_way(note, def)
-  if not note.found then
-    note.found = def
-  else
-    note.others = append(note.others or { note.found }, { def })
-  end
-end
-
-local function warn_of_conflict(fsm, ways)
-  report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
-  for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
-end
-
--- Asks the next transition of a connector. Returns the note of the connector to which
--- it leads, if the search has not been there.
-local function ask_next(fsm, note, def, events)
-  note.position = note.position + 1
-  def = matches(def, events) and ask(fsm, def, events)
-  local there = def and def.connector and note_of(fsm, def.connector)
-  note.asked = def
-  if there and there.search ~= fsm._search then return there end
-  if def and not (there and not there.way) then add_way(note, def) end
-end
-
--- Finds the way out of a connector, and of those to which its transitions lead, each
--- once a search: (a) begins with a connector, (b) asks its next transition, also
--- further ones of the same priority, to warn of a conflict, (c) goes back to the
--- connector from which it came. Until then a connector has no way out, so that cycles
--- end.
-local function find_way(fsm, there, events)
-  local note = false
-  repeat
-    if there then -- (a)
-      there.search, there.way, there.position = fsm._search, false, 0
-      there.found, there.others, there.outer = false, false, note
-      note = there
+do
+  -- Returns what the searches of a machine note about a connector: `search` is the
+  -- number of the last one that came here, `way` the transition that leads on, false
+  -- while it is looked for. The rest is for `find_way` alone.
+  function note_of(fsm, connector)
+    local note = fsm._ways[connector]
+    if not note then
+      note = { otrs = connector.otrs, search = 0, way = false,
+        position = 0, found = false, others = false, outer = false, asked = false }
+      fsm._ways[connector] = note
     end
-    local def, found = note.otrs[note.position + 1], note.found
-    if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
-      there = ask_next(fsm, note, def, events)
-    else -- (c)
-      if note.others then warn_of_conflict(fsm, note.others) end
-      note.way, note, there = found, note.outer, nil
-      if note and found then add_way(note, note.asked) end
-    end
-  until not note
-end
+    return note
+  end
 
--- Returns the definition of an open transition if there is a path on from its target.
-local function lead(fsm, def, events)
-  if not (def and def.connector) then return def end
-  local note = note_of(fsm, def.connector)
-  if note.search ~= fsm._search then find_way(fsm, note, events) end
-  return note.way and def or nil
+  local function add_way(note, def)
+    if not note.found then
+      note.found = def
+    else
+      note.others = append(note.others or { note.found }, { def })
+    end
+  end
+
+  function warn_of_conflict(fsm, ways)
+    report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
+    for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
+  end
+
+  -- Asks the next transition of a connector. Returns the note of the connector to which
+  -- it leads, if the search has not been there.
+  local function ask_next(fsm, note, def, events)
+    note.position = note.position + 1
+    def = matches(def, events) and ask(fsm, def, events)
+    local there = def and def.connector and note_of(fsm, def.connector)
+    note.asked = def
+    if there and there.search ~= fsm._search then return there end
+    if def and not (there and not there.way) then add_way(note, def) end
+  end
+
+  -- Finds the way out of a connector, and of those to which its transitions lead, each
+  -- once a search: (a) begins with a connector, (b) asks its next transition, also
+  -- further ones of the same priority, to warn of a conflict, (c) goes back to the
+  -- connector from which it came. Until then a connector has no way out, so that cycles
+  -- end.
+  local function find_way(fsm, there, events)
+    local note = false
+    repeat
+      if there then -- (a)
+        there.search, there.way, there.position = fsm._search, false, 0
+        there.found, there.others, there.outer = false, false, note
+        note = there
+      end
+      local def, found = note.otrs[note.position + 1], note.found
+      if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
+        there = ask_next(fsm, note, def, events)
+      else -- (c)
+        if note.others then warn_of_conflict(fsm, note.others) end
+        note.way, note, there = found, note.outer, nil
+        if note and found then add_way(note, note.asked) end
+      end
+    until not note
+  end
+
+  -- Returns the definition of an open transition if there is a path on from its target.
+  function lead(fsm, def, events)
+    if not (def and def.connector) then return def end
+    local note = note_of(fsm, def.connector)
+    if note.search ~= fsm._search then find_way(fsm, note, events) end
+    return note.way and def or nil
+  end
 end
 
 -- Returns the first transition of a list that is enabled, nil if there is none, or a
@@ -1711,6 +1715,7 @@ local function choose_by_node(fsm, leaf, events)
 end
 
 local OTHER = {} -- stands for all events that no transition from the leaf names
+local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
 -- Lists the transitions that each event may trigger while the leaf is active, in
 -- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which equals
@@ -1735,6 +1740,7 @@ local function list_choices(leaf)
       for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
     end
   end
+  if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
   local done = choices[leaf.done_event] or choices[OTHER]
   leaf.ignored = done[1] and 0 / 0 or leaf.done_event
   leaf.choices = choices
@@ -2039,6 +2045,19 @@ do
     add_action(list, recorders.entry, state)
   end
 
+  local shapes = {} -- a tree of the lists that are there, by their actions
+
+  -- Returns a list with the same actions, which all paths of this shape share.
+  local function shared(actions)
+    local at = shapes
+    for _, action in ipairs(actions) do
+      at[action] = at[action] or {}
+      at = at[action]
+    end
+    at.list = at.list or actions
+    return at.list
+  end
+
   -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
   -- states down to the target are entered.
   function list_actions(path)
@@ -2057,7 +2076,7 @@ do
       from = def.tgt.parent
     end
     path.args = list.args
-    path.actions = list.actions -- last: then both are complete
+    path.actions = shared(list.actions) -- last: then both are complete
   end
 end
 
@@ -2093,7 +2112,7 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local load_fast, prepare_choice, prepare_entry, quick_run
+local drop_fast, load_fast, prepare_choice, prepare_entry, quick_run
 
 do
   local fast -- the functions of rfsm/fast.lua, false without it
@@ -2119,8 +2138,7 @@ do
     fast = ok and made or false
   end
 
-  --- Have all machines do without rfsm/fast.lua from now on, where memory is short.
-  function rfsm.without_fast() fast = false end
+  function drop_fast() fast = false end
 
   local OFTEN = 3 -- what is asked for more often is compiled
 
@@ -2513,6 +2531,7 @@ do
   -- The plans of models, kept by their machines; the latest one in any case, for
   -- programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
+  local is_sparing = false
 
   function new_build(plan)
     return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
@@ -2579,10 +2598,20 @@ do
     local build = build_plan(model)
     if build.problems[1] then return nil, lines_of(build.problems) end
     plan = compile(build.plan)
-    plan.trail = make_trail(plan)
     plan.warnings, plan.created = build.warnings, build.created
+    if is_sparing then return plan end
+    plan.trail = make_trail(plan)
     plans[model], latest_plan = plan, plan
     return latest_plan
+  end
+
+  --- Take less memory from now on, and more time: for all machines of this Lua.
+  --
+  -- Nothing is compiled by rfsm/fast.lua, and each `init` makes a plan of its own,
+  -- which is not kept longer than its machine.
+  function rfsm.save_memory()
+    drop_fast()
+    is_sparing, latest_plan = true, nil
   end
 
   function new_machine(plan)
