@@ -209,7 +209,7 @@ function rfsm.is_leaf(value) return is_state(value) and not has_nodes(value) end
 --- Is `value` the root of a machine?
 ---@param value any
 ---@return boolean
-function rfsm.is_root(value) return getmetatable(value) == Machine end
+function rfsm.is_root(value) return rawequal(getmetatable(value), Machine) end
 
 --- Is `value` a machine, the result of `rfsm.init`?
 ---@param value any
@@ -509,7 +509,7 @@ end
 ---@return any model the value itself if it is no part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
-  if class == Machine then return rfsm.structure_of(value).model end
+  if rawequal(class, Machine) then return rfsm.structure_of(value).model end
   local def = type(class) == "table" and rawget(class, "_%def")
   return def and def.model or value
 end
@@ -1132,8 +1132,8 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = NONE, _path_hooks = NONE, _watch_hooks = NONE,
-  _snapshot_hooks = NONE, _failure = false, _reset_wanted = false, _preparing = false,
+  _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
+  _snapshot_hooks = false, _failure = false, _reset_wanted = false, _preparing = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1144,7 +1144,7 @@ local function own_fields()
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
     -- the iteration, see "Run"
-    _phase = "idle", _path = false, _ways = { search = 0 },
+    _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
     _is_hooked = false, _pre_hooks = OWN_ONLY, _post_hooks = OWN_ONLY,
@@ -1339,8 +1339,8 @@ end
 
 -- Calls hooks of extensions, such as `_watch_hooks`. An error is kept.
 local function tell(fsm, hooks, ...)
-  for i = 1, #hooks do
-    local ok, failure = pcall(hooks[i], fsm, ...)
+  for _, hook in ipairs(hooks or NONE) do
+    local ok, failure = pcall(hook, fsm, ...)
     if not ok then keep_failure(fsm, failure) end
   end
 end
@@ -1570,7 +1570,7 @@ end
 
 -- Returns what the searches of a machine note about a connector: `search` is the number
 -- of the last one that came here, `way` the transition that leads on, false while it is
--- looked for. `_ways.search` is the number of the current one.
+-- looked for. `_search` is the number of the current one.
 local function note_of(fsm, connector)
   local note = fsm._ways[connector] or { search = 0, way = false }
   fsm._ways[connector] = note
@@ -1589,7 +1589,7 @@ local lead
 -- found the connector has no way out, so that cycles end.
 local function find_way(fsm, connector, note, events)
   local way, pn, others = false, nil, nil
-  note.search, note.way = fsm._ways.search, false
+  note.search, note.way = fsm._search, false
   for _, def in ipairs(connector.otrs) do
     if way and (def.pn or 0) ~= pn then break end
     local found = matches(def, events) and lead(fsm, ask(fsm, def, events), events)
@@ -1607,7 +1607,7 @@ end
 function lead(fsm, def, events)
   if not (def and def.connector) then return def end
   local note = note_of(fsm, def.connector)
-  if note.search ~= fsm._ways.search then find_way(fsm, def.connector, note, events) end
+  if note.search ~= fsm._search then find_way(fsm, def.connector, note, events) end
   return note.way and def or nil
 end
 
@@ -1641,6 +1641,7 @@ local function choose_by_node(fsm, leaf, events)
 end
 
 local OTHER = {} -- stands for all events that no transition from the leaf names
+local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
 -- Lists the transitions that each event may trigger while the leaf is active, in
 -- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which equals
@@ -1665,6 +1666,7 @@ local function list_choices(leaf)
       for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
     end
   end
+  if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
   local done = choices[leaf.done_event] or choices[OTHER]
   leaf.ignored = done[1] and 0 / 0 or leaf.done_event
   leaf.choices = choices
@@ -1691,19 +1693,24 @@ local function candidates_of(leaf, events)
 end
 
 -- Returns the transition that the events enable, nil if there is none: found among the
--- candidates in `list`, if they are known. If a guard has merged something into the
--- machine it is searched again.
-local function choose(fsm, leaf, events, list)
+-- `candidates`, if they are known. If a guard has merged something into the machine it
+-- is searched again, once.
+local function choose(fsm, leaf, events, candidates, is_again)
   if events[1] == nil then return nil end
-  local plan, ways, def, find = fsm._plan, fsm._ways, leaf["_%def"], nil
-  if not list then list = not is_traced(fsm) and candidates_of(def, events) end
-  if list and list[1] == nil then return nil end
-  if list then find = list.find or compiled(list, "find") or first_enabled end
-  ways.search = ways.search + 1
-  if not find then list, find = def, choose_by_node end
-  def = find(fsm, list, events)
-  if fsm._plan ~= plan then return choose(fsm, leaf, events) end
-  return def
+  local plan, state = fsm._plan, leaf["_%def"]
+  local find, from = choose_by_node, state
+  if not candidates then
+    candidates = not is_traced(fsm) and candidates_of(state, events)
+  end
+  if candidates then
+    if candidates[1] == nil then return nil end
+    find = candidates.find or compiled(candidates, "find") or first_enabled
+    from = candidates
+  end
+  fsm._search = fsm._search + 1
+  local def = find(fsm, from, events)
+  if fsm._plan == plan then return def end
+  return not is_again and choose(fsm, leaf, events, nil, true) or nil
 end
 
 -- Warns of events that were sent before the first entry, and that its path does not
@@ -1725,8 +1732,8 @@ end
 
 -- First entry: the path from `initial`, nil if there is none.
 local function find_entry(fsm, events)
-  local root, ways = fsm._plan.nodes[1], fsm._ways
-  ways.search = ways.search + 1
+  local root = fsm._plan.nodes[1]
+  fsm._search = fsm._search + 1
   local def = not root.is_leaf
     and first_enabled(fsm, root.members.initial.otrs, events)
   if not (def or root.is_leaf) then return nil end
@@ -1809,7 +1816,7 @@ end
 
 -- Tells those who watch which transitions are about to be taken.
 local function show_path(fsm, path, at)
-  if not fsm._path_hooks[1] or not path.segments[1] then return end
+  if not fsm._path_hooks or not path.segments[1] then return end
   local list = {}
   for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
   call_hooks(fsm, fsm._path_hooks, list, at)
@@ -1928,52 +1935,70 @@ local function be_done(fsm, def, at)
   fsm._at = at
 end
 
-local function add_action(list, action, arg)
-  list.actions[#list.actions + 1] = action
-  list.args[#list.actions] = arg
-end
+-- Lists the actions of a path, and their arguments.
+local list_actions
 
--- From the state `from` up to the lca, where nothing is left.
-local function add_exits(list, def, from)
-  add_action(list, recorders.exits, def)
-  while from ~= def.lca do
-    add_action(list, leave, from)
-    add_action(list, run_exit_hooks, from)
-    add_action(list, be_left, from)
-    add_action(list, recorders.exit, from)
-    from = from.parent
+do
+  local function add_action(list, action, arg)
+    list.actions[#list.actions + 1] = action
+    list.args[#list.actions] = arg
   end
-end
 
-local function add_entry(list, state)
-  add_action(list, become_active, state)
-  add_action(list, enter, state)
-  if state.is_leaf then
-    add_action(list, become_leaf, state)
-    add_action(list, be_done, state)
-  end
-  add_action(list, recorders.entry, state)
-end
-
--- Lists the actions of a path, and their arguments. Each segment: (a) the states up to
--- the lca are left, (b) the effect is run, (c) those down to the target are entered.
-local function list_actions(path)
-  local from, list = path.from, { actions = {}, args = {} }
-  add_action(list, show_path, path)
-  if path.entered then add_entry(list, path.entered) end
-  if path.segments[1] then add_action(list, recorders.path, path) end
-  for _, def in ipairs(path.segments) do
-    if not def.is_internal then add_exits(list, def, from) end
-    add_action(list, recorders.effect, def)
-    add_action(list, run_effect, def)
-    if not def.is_internal then add_action(list, recorders.entries, def) end
-    for _, state in ipairs(def.is_internal and NONE or def.entries) do
-      add_entry(list, state)
+  -- From the state `from` up to the lca, where nothing is left.
+  local function add_exits(list, def, from)
+    add_action(list, recorders.exits, def)
+    while from ~= def.lca do
+      add_action(list, leave, from)
+      add_action(list, run_exit_hooks, from)
+      add_action(list, be_left, from)
+      add_action(list, recorders.exit, from)
+      from = from.parent
     end
-    from = def.tgt.parent
   end
-  path.args = list.args
-  path.actions = list.actions -- last: then both are complete
+
+  local function add_entry(list, state)
+    add_action(list, become_active, state)
+    add_action(list, enter, state)
+    if state.is_leaf then
+      add_action(list, become_leaf, state)
+      add_action(list, be_done, state)
+    end
+    add_action(list, recorders.entry, state)
+  end
+
+  local shapes = {} -- a tree of the lists that are there, by their actions
+
+  -- Returns a list with the same actions, which all paths of this shape share.
+  local function shared(actions)
+    local at = shapes
+    for _, action in ipairs(actions) do
+      at[action] = at[action] or {}
+      at = at[action]
+    end
+    at.list = at.list or actions
+    return at.list
+  end
+
+  -- Each segment: (a) the states up to the lca are left, (b) the effect is run,
+  -- (c) those down to the target are entered.
+  function list_actions(path)
+    local from, list = path.from, { actions = {}, args = {} }
+    add_action(list, show_path, path)
+    if path.entered then add_entry(list, path.entered) end
+    if path.segments[1] then add_action(list, recorders.path, path) end
+    for _, def in ipairs(path.segments) do
+      if not def.is_internal then add_exits(list, def, from) end
+      add_action(list, recorders.effect, def)
+      add_action(list, run_effect, def)
+      if not def.is_internal then add_action(list, recorders.entries, def) end
+      for _, state in ipairs(def.is_internal and NONE or def.entries) do
+        add_entry(list, state)
+      end
+      from = def.tgt.parent
+    end
+    path.args = list.args
+    path.actions = shared(list.actions) -- last: then both are complete
+  end
 end
 
 local function new_path(at, def)
@@ -2008,7 +2033,7 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local load_fast, prepare_choice, prepare_entry, quick_run
+local drop_fast, load_fast, prepare_choice, prepare_entry, quick_run
 
 do
   local fast -- the functions of rfsm/fast.lua, false without it
@@ -2034,8 +2059,7 @@ do
     fast = ok and made or false
   end
 
-  --- Have all machines do without rfsm/fast.lua from now on, where memory is short.
-  function rfsm.without_fast() fast = false end
+  function drop_fast() fast = false end
 
   local OFTEN = 3 -- what is asked for more often is compiled
 
@@ -2086,28 +2110,38 @@ do
     return run
   end
 
-  local MOST_SEGMENTS = 6 -- of paths that are compiled before they are taken
+  -- So many paths of a leaf and event, of so many segments, are made before they are
+  -- taken.
+  local MOST_PATHS, MOST_SEGMENTS = 50, 6
+  local paths_left = 0
 
   -- Makes now what the paths from `at` with the transition `def` would get in a run.
   local function prepare_paths(at, def, name)
     local path = at.paths and at.paths[def] or new_path(at, def)
-    if not def.connector then return compile_text(path_of(path), name) end
-    if #path.segments == MOST_SEGMENTS then return end
-    for _, way in ipairs(def.connector.otrs) do prepare_paths(path, way, name) end
-  end
-
-  -- The same for the first entry.
-  function prepare_entry(root)
-    local initial = root.members.initial
-    for _, def in ipairs(initial and initial.otrs or NONE) do
-      prepare_paths(root.entrance, def, "run")
+    local connector = compile_transition(def).connector
+    if not connector then
+      paths_left = paths_left - 1
+      return compile_text(path_of(path), name)
+    end
+    for _, way in ipairs(#path.segments < MOST_SEGMENTS and connector.otrs or NONE) do
+      if paths_left > 0 then prepare_paths(path, way, name) end
     end
   end
 
-  -- The same for a list of candidates.
+  -- The same for the paths that begin with one of a list of transitions.
+  local function prepare_list(at, list, name)
+    paths_left = MOST_PATHS
+    for _, def in ipairs(list) do prepare_paths(at, def, name) end
+  end
+
+  function prepare_entry(root)
+    local initial = root.members.initial
+    prepare_list(root.entrance, initial and initial.otrs or NONE, "run")
+  end
+
   function prepare_choice(leaf, choice, name)
+    prepare_list(leaf, choice, name)
     for _, def in ipairs(choice) do
-      prepare_paths(leaf, def, name)
       if choice[2] or def.guard or def.is_asked or def.connector then
         compile_text(choice, "find")
       end
@@ -2174,7 +2208,7 @@ do
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
-      if fsm._watch_hooks[1] then tell(fsm, fsm._watch_hooks, "resumed", leaf) end
+      if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
       if not ok then leaf._mode = "done" end
     end
@@ -2329,7 +2363,7 @@ end
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
-  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, { search = 0 }
+  fsm._plan, fsm["_%def"], fsm._ways = root.plan, root, {}
   machines[fsm] = true
 end
 
@@ -2339,7 +2373,7 @@ end
 ---@param level? integer the function to blame: 3, the default, for the caller's caller
 function rfsm.check_machine(fsm, where, level)
   if machines[fsm] then return end
-  if getmetatable(fsm) == Machine and rawget(fsm, "_initialized") then
+  if rawequal(getmetatable(fsm), Machine) and rawget(fsm, "_initialized") then
     if not fsm._preparing then adopt_copy(fsm) end -- else `init` goes on with it
     return
   end
@@ -2416,6 +2450,7 @@ do
   -- The plans of models, kept by their machines; the latest one in any case, for
   -- programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
+  local is_sparing = false
 
   function new_build(plan)
     plan.warnings, plan.created = {}, {}
@@ -2484,9 +2519,19 @@ do
     local build = build_plan(model)
     if build.problems[1] then return nil, lines_of(build.problems) end
     plan = compile(build.plan)
+    if is_sparing then return plan end
     plan.trail = make_trail(plan)
     plans[model], latest_plan = plan, plan
     return latest_plan
+  end
+
+  --- Take less memory from now on, and more time: for all machines of this Lua.
+  --
+  -- Nothing is compiled by rfsm/fast.lua, and each `init` makes a plan of its own,
+  -- which is not kept longer than its machine.
+  function rfsm.save_memory()
+    drop_fast()
+    is_sparing, latest_plan = true, nil
   end
 
   function new_machine(plan)
@@ -2792,7 +2837,7 @@ function rfsm.send_events(fsm, event, ...)
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
   if select("#", ...) > 0 then queue_more(queue, ...) end
-  if fsm._watch_hooks[1] then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
+  if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short. So is one that a callback has
@@ -2848,6 +2893,13 @@ local function advance(fsm, left, counted, idle)
   return idle or false
 end
 
+local function step_often(fsm, n)
+  if type(n) ~= "number" then
+    error("rfsm.step: number of steps expected, " .. got(n), 3)
+  end
+  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+end
+
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
 -- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
@@ -2860,15 +2912,13 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n == nil then
-    local ok, counted, idle = pcall(iterate, fsm)
-    if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
-    if not ok then raise_cut(fsm, counted) end
-    return advance(fsm, 1, counted, idle)
-  elseif type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 2)
-  end
-  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: it blames
+  local ok, counted, idle = pcall(iterate, fsm)
+  if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
+  if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
+  if ok and counted then return idle end
+  if not ok then raise_cut(fsm, counted) end
+  return advance(fsm, 1, counted, idle)
 end
 
 --- Advance a machine until no event is pending and no doo is busy.
@@ -3143,8 +3193,8 @@ function rfsm.node_find_enabled(fsm, node, events)
   if type(events) ~= "table" then
     error("rfsm.node_find_enabled: list of events expected, " .. got(events), 2)
   end
-  local ways = fsm._ways -- this may be asked during a search
-  fsm._ways = { search = 1 }
+  local ways, number = fsm._ways, fsm._search -- this may be asked during a search
+  fsm._ways, fsm._search = {}, 1
   local def = first_enabled(fsm, node["_%def"].otrs, events)
   local path = def and { node = node, nextl = false } or false
   local at = path
@@ -3153,7 +3203,7 @@ function rfsm.node_find_enabled(fsm, node, events)
     at.nextl = { { trans = fsm._transitions[def.index], next = tail } }
     at, def = tail, def.connector and fsm._ways[def.connector].way
   end
-  fsm._ways = ways
+  fsm._ways, fsm._search = ways, number
   return path
 end
 
@@ -3241,6 +3291,8 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
+  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
+
   -- Makes the function that adds a hook to the list `field` of a machine.
   local function hook_adder(where, field)
     return function(fsm, hook, place)
@@ -3249,10 +3301,10 @@ do
       if place ~= nil and place ~= "before" and place ~= "after" then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       end
-      local hooks = append({}, fsm[field])
+      local hooks = append({}, fsm[field] or NONE)
       insert(hooks, place == "before" and 1 or #hooks + 1, hook)
       fsm[field] = hooks
-      fsm._is_hooked, fsm._is_usual = true, false
+      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
   end
 
@@ -3267,13 +3319,19 @@ do
     end
   end
 
+  -- Returns a list of hooks, false for an empty one, as a machine has it at first.
+  local function reduced(hooks)
+    if #hooks == 1 and hooks[1] == OWN then return OWN_ONLY end
+    return hooks[1] and hooks or false
+  end
+
   -- Makes the function that takes a hook out again, also the model's own at `slot`.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
-      local hooks = without(fsm[field], hook)
+      local hooks = without(fsm[field] or NONE, hook)
       if hooks then
-        fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
+        fsm[field] = reduced(hooks)
         return true
       end
       if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
@@ -3410,14 +3468,14 @@ function rfsm.snapshot_hook_add(fsm, name, save, load)
   check_machine(fsm, "rfsm.snapshot_hook_add")
   check_function(save, "rfsm.snapshot_hook_add")
   check_function(load, "rfsm.snapshot_hook_add")
-  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks),
+  fsm._snapshot_hooks = append(append({}, fsm._snapshot_hooks or NONE),
     { { name = name, save = save, load = load } })
 end
 
 --- List what `snapshot_hook_add` was called with, in that order, for extensions.
 ---@param fsm rfsm.Machine
 ---@return { name: string, save: function, load: function }[] hooks not to be changed
-function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks end
+function rfsm.snapshot_hooks(fsm) return fsm._snapshot_hooks or NONE end
 
 --- Reset a machine and have it stand in a leaf, false for none; no callback runs.
 ---@type fun(fsm: rfsm.Machine, leaf: rfsm.State|false, mode: string, queue: any[])
@@ -3438,7 +3496,7 @@ end
 
 -- Makes a machine use another plan, in which its elements have the same positions.
 function use_plan(fsm, plan)
-  fsm._ways = { search = 0 }
+  fsm._ways = {}
   if fsm._phase == "idle" then fsm._path = false end
   fsm._plan, fsm["_%def"] = plan, plan.nodes[1]
   for i = 2, #fsm._nodes do setmetatable(fsm._nodes[i], plan.nodes[i].proto) end
@@ -3546,6 +3604,14 @@ do
     use_targets(fsm, plan, moved)
   end
 
+  -- A preproc function has raised an error, perhaps within another one.
+  local function stop_preprocessing(fsm, outer)
+    fsm._preparing = outer
+    for _, tr in ipairs(outer and NONE or fsm._transitions) do
+      tr.events, tr.pn = nil, nil
+    end
+  end
+
   local function refuse(fsm, reason)
     report(fsm, "err", reason)
     return false, reason
@@ -3580,8 +3646,12 @@ do
     compile(plan)
     make_elements(fsm, plan, first_node, first_transition)
     use_targets(fsm, plan, moved)
+    local outer = fsm._preparing
     local ok, found = pcall(preprocess, fsm, parent[id])
-    if not ok then found = { "a preproc function failed: " .. text_of(found) } end
+    if not ok then
+      found = { "a preproc function failed: " .. text_of(found) }
+      stop_preprocessing(fsm, outer)
+    end
     if found[1] then
       undo_merge(fsm, old, moved)
       return refuse(fsm, summary("rfsm.fsm_merge", found))

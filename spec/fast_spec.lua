@@ -487,9 +487,9 @@ describe("without rfsm.fast", function()
     end)
   end
 
-  it("a machine goes on after rfsm.without_fast", function()
+  it("a machine goes on after rfsm.save_memory", function()
     compiling.with(load, function(core)
-      core.without_fast()
+      core.save_memory()
       check(core)
     end)
   end)
