@@ -6,9 +6,9 @@
 -- and `rfsm.send_events` feeds it. The caller drives: nothing here waits by itself.
 --
 -- The file reads in the order the data flows: model elements, load, check, clone,
--- resolve, compile, machine, run, build, use, tools, merge. An FQN is a fully qualified
--- name ("root.a.b"); an iteration is one turn of the loop inside `step`. What a machine
--- does is complete here; rfsm/fast.lua makes it faster.
+-- resolve, compile, machine, report, run, build, use, merge, names. An FQN is a fully
+-- qualified name ("root.a.b"); an iteration is one turn of the loop inside `step`. What
+-- a machine does is complete here; rfsm/fast.lua makes it faster.
 --
 -- @module rfsm
 -- @license BSD-3-Clause
@@ -1128,7 +1128,7 @@ local function OWN() end
 
 local OWN_ONLY = { OWN }
 
--- Fields that few machines ever set.
+-- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
@@ -1143,7 +1143,17 @@ local function own_fields()
     _intq = { "e_init_fsm" }, _curq = {}, _initialized = false,
     -- the structure
     ["_%def"] = false, _plan = false, _nodes = false, _transitions = {},
-    -- the iteration, see "Run"
+    -- the iteration, see "Run":
+    --   _path       the path under way
+    --   _ways       what searches note about connectors; _search numbers the searches
+    --   _at         number of the action, or of the part of a doo cycle, begun last
+    --   _hook       number of the step hook begun last; -1: getevents was not asked
+    --   _given      events of getevents that are in no list yet
+    --   _outcome    free | counted | idle | refused: what the iteration was
+    --   _is_usual   nothing was interrupted, failed or reset: `iterate` may be quick
+    --   _is_lent    a callback may have kept the list of current events
+    --   _is_cut     an error has ended the iteration: the next step goes on with it
+    --   _is_hooked  a step hook, path hook or getevents was set once
     _phase = "idle", _path = false, _ways = {}, _search = 0,
     _outcome = "free", _at = 0, _hook = 0, _is_usual = false, _is_cut = false,
     _given = false, _is_lent = false,
@@ -1435,7 +1445,7 @@ local function append_getevents(fsm, list)
   fsm._given = false
 end
 
--- Calls the step hooks behind the one with the number `_hook`.
+-- Calls the step hooks behind number `_hook`.
 local function run_hooks(fsm, hooks, slot)
   for i = fsm._hook + 1, #hooks do
     local hook = hooks[i]
@@ -1452,8 +1462,8 @@ local function run_hooks(fsm, hooks, slot)
   end
 end
 
--- Asks getevents, if `_hook` is -1, and the pre step hooks. The list of current events
--- holds those that were pending.
+-- Asks getevents, unless that was done before an interrupt, and calls the pre step
+-- hooks. The list of current events has those that were pending.
 local function ask_hooks(fsm)
   if fsm._hook < 0 or fsm._given then
     fsm._hook = 0
@@ -1622,7 +1632,7 @@ local function first_enabled(fsm, list, events)
   end
 end
 
--- The same for the whole configuration: node by node from the root down to the leaf.
+-- Returns the first enabled transition of the states from the root to the leaf.
 local function choose_by_node(fsm, leaf, events)
   local traces = is_traced(fsm)
   if traces then
@@ -2009,8 +2019,9 @@ local function new_path(at, def)
   return path
 end
 
--- Returns the path from `at`, the definition of a state, with the transition `def` and
--- those out of its connectors. They are kept in a tree, by their transitions.
+-- Returns the path from `at` with the transition `def` and those out of its connectors.
+-- Paths are kept in a tree: `at` is where one begins (a leaf, or the entrance of the
+-- root), or a path so far.
 function path_of(at, def, ways)
   if def then
     local path = at.paths and at.paths[def] or new_path(at, def)
@@ -2077,7 +2088,7 @@ do
     return at[name]
   end
 
-  -- The same, if it is used often.
+  -- Compiles it once it was asked for more than OFTEN times; until then returns false.
   function compiled(at, name)
     if at[name] ~= nil then return at[name] end
     at.used = (at.used or 0) + 1
@@ -2200,8 +2211,9 @@ do
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done. What fails is
-  -- done at once: cut short, it must not complete.
+  -- One cycle of the active leaf's doo; true when it is idle or done. `_at` is 1 from
+  -- the resume on, 2 when its end was told, 3 when getevents was asked again. A doo
+  -- that failed is done at once, so that an interrupt here cannot make it complete.
   function run_doo(fsm, leaf)
     local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
     if not co then return true end
@@ -2272,10 +2284,12 @@ local function go_on(fsm, after_free)
   return PHASES[fsm._phase](fsm, after_free)
 end
 
--- The usual iterations are written out: the machine is in a leaf, nobody traces, and
--- there is one event, apart from an e_done that nothing waits for, or none.
+-- The usual iterations, written out ................................................
+--
+-- The machine is in a leaf, nobody traces, and there is one event, apart from an e_done
+-- that nothing waits for, or none.
 
--- That of a machine with hooks. The lists of events have changed places.
+-- One iteration of a machine with hooks. The lists of events have changed places.
 local function iterate_hooked(fsm, after_free)
   fsm._hook = -1
   fsm._phase = "gather"
@@ -2294,7 +2308,7 @@ local function iterate_hooked(fsm, after_free)
   return search(fsm, after_free, choice)
 end
 
--- That without events.
+-- One iteration without events.
 local function rest(fsm, leaf, after_free)
   local events = fsm._curq
   if leaf._mode == "done" and not leaf._doo_co then
@@ -2314,7 +2328,8 @@ end
 
 -- One iteration. Returns nil if the machine cannot be entered, else whether it counts
 -- as a step and whether the machine is idle. `after_free`: the last iteration did not
--- count.
+-- count. The two lists of events change places; `take_queue` repairs what an interrupt
+-- leaves here.
 local function iterate(fsm, after_free) -- luacheck: ignore 561 (a call would cost)
   local leaf = fsm._act_leaf
   if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
@@ -2358,8 +2373,8 @@ end
 
 -- Build: a plan of a model, and a machine of the plan -------------------------------
 
--- A copy of all tables of a machine has a copy of its plan, which the metatables of its
--- elements do not know: it gets theirs.
+-- A program may copy all tables of a machine. The copy has a copy of the plan, too,
+-- which the metatables of its elements do not know: it gets theirs.
 local function adopt_copy(fsm)
   local node = fsm._nodes[2]
   local root = node and node["_%def"].parent or fsm["_%def"]
@@ -2474,7 +2489,7 @@ do
     end
   end
 
-  -- A path into a composite ends at an `initial` that nothing leaves.
+  -- Reports each `initial` that no transition leaves: nothing could enter there.
   local function check_ways_in(build)
     for _, def in ipairs(build.plan.nodes) do
       if def.id == "initial" and def.kind == "connector" and not def.is_left then
@@ -2840,15 +2855,15 @@ function rfsm.send_events(fsm, event, ...)
   if fsm._watch_hooks then tell(fsm, fsm._watch_hooks, "sent", event, ...) end
 end
 
--- A step is under way unless an error has cut it short. So is one that a callback has
--- suspended, with its coroutine.
+-- A step is under way unless an error has cut it short, also while a callback has
+-- suspended the coroutine that called it.
 local function check_no_step(fsm, where, level)
   if fsm._phase == "idle" or fsm._is_cut then return end
   error(where .. ": the machine is in the middle of a step; if its coroutine is never "
     .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
--- The same iteration as by `iterate`. An error that ends it marks the machine.
+-- Calls `iterate`; an error that ends it marks the machine.
 local function try(fsm, after_free)
   local ok, counted, idle = pcall(iterate, fsm, after_free)
   if not ok then raise_cut(fsm, counted) end
