@@ -3,7 +3,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-local beside = require "rfsm.shared.beside"
+local search = require "rfsm.shared.search"
 local chart = require "rfsm.shared.chart"
 local json = require "rfsm.json"
 local mermaid = require "rfsm.mermaid"
@@ -283,7 +283,7 @@ describe("a chart of a robot", function()
       assert.equal(call, model.first)
       model.entry()
       pcall(model.exit)
-      assert.is_false(beside.exists(folder .. "/made"))
+      assert.is_false(search.exists(folder .. "/made"))
     end)
   end
 
@@ -295,7 +295,7 @@ describe("a chart of a robot", function()
       return rfsm.state { close = io.popen("true").close }
     ]]):format(folder) }
     assert.equal("function", type(model.close))
-    assert.is_true(beside.exists(folder .. "/made"))
+    assert.is_true(search.exists(folder .. "/made"))
   end)
 
   it("gets no stub for an event without quotes", function()

@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 
 local error, min, print = error, math.min, print
 local text_of = rfsm.text_of
@@ -20,13 +20,13 @@ local time = {}
 ---@class rfsm.sim.Time
 ---@field passed rfsm.clock.Clock
 ---@field starts table<boolean, { sec: number, nsec: number }> true: for e_after
----@field swaps table[] the real clock of the machine
+---@field changes table[] the real clock of the machine
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
 function time.install(sim, fsm)
   local now = sim.time
   if not now then return end
-  swap.put(now.swaps, fsm, "gettime", clock.new(function(_, is_relative)
+  instrument.put(now.changes, fsm, "gettime", clock.new(function(_, is_relative)
     local start = now.starts[is_relative]
     return true, start.sec + now.passed.sec, start.nsec + now.passed.nsec
   end))
@@ -42,7 +42,7 @@ local function start(sim)
   if sim.time then return end
   local starts = { [true] = read(sim.fsm, true), [false] = read(sim.fsm, false) }
   history.pause(sim, function()
-    sim.time = { passed = clock.simulated(), swaps = {}, starts = starts }
+    sim.time = { passed = clock.simulated(), changes = {}, starts = starts }
     time.install(sim, sim.fsm)
   end)
 end
@@ -51,7 +51,7 @@ end
 function time.use_real(sim)
   if not sim.time then return end
   history.pause(sim, function()
-    swap.give_back(sim.time.swaps)
+    instrument.give_back(sim.time.changes)
     sim.time = nil
   end)
 end
