@@ -25,7 +25,8 @@ local rfsm_timeevent = {}
 
 -- For a folder without rfsm/clock.lua: os.time, and no clock ids.
 local function new_clock()
-  local hook = function() return rawget(_G, "os").time(), 0 end
+  local function read_day() return rawget(_G, "os").time(), 0 end
+  local hook = read_day
   local function read(fsm)
     while not fsm.gettime and fsm._owner do fsm = fsm._owner end
     local ok, sec, nsec = pcall(fsm.gettime or hook)
@@ -33,7 +34,7 @@ local function new_clock()
     if not nsec then sec, nsec = 0, sec end
     return sec + nsec * 1e-9, sec, nsec
   end
-  return { read = read, set_hook = function(gettime) hook = gettime end }
+  return { read = read, set_hook = function(gettime) hook = gettime or read_day end }
 end
 
 local has_clock, clock = pcall(require, "rfsm.clock")
@@ -116,7 +117,7 @@ end
 
 --- The list of the timers of a state, its field `_timers`. The field `_timeevent` of a
 -- machine has the times in seconds before which no e_after (`true`) or e_at (`false`)
--- expires, huge if none is armed. `has_at`: there is an e_at; `is_unusual`: or a
+-- expires, huge if none is armed; `has_at`, and `is_unusual` if there is an e_at or a
 -- function.
 ---@class rfsm_timeevent.Timers
 ---@field sec number|false the time of the latest entry; false: it is not known
@@ -446,8 +447,8 @@ end)
 function rfsm_timeevent.e_after(x, id) return (new_object("e_after", x, id)) end
 
 --- Make an event that comes when the clock shows more than `x`, if its state is active.
----@param x number|fun(id: any): number seconds, or a function called at each entry
----@param id? any the argument of that function; part of the event's name
+---@param x number|fun(id: any): number as of e_after
+---@param id? any
 ---@return rfsm_timeevent.Timeevent event
 ---@nodiscard
 function rfsm_timeevent.e_at(x, id) return (new_object("e_at", x, id)) end

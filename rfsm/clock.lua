@@ -13,7 +13,7 @@ local rfsm = require "rfsm"
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
 local pcall, rawequal, rawget, require = pcall, rawequal, rawget, require
 local setmetatable, type = setmetatable, type
-local abs, floor = math.abs, math.floor
+local abs, floor, max = math.abs, math.floor, math.max
 
 local clock = {}
 
@@ -229,7 +229,7 @@ function Clock:advance_to_timer(fsm)
   rfsm.check_machine(fsm, "rfsm.clock.advance_to_timer")
   local seconds, sec, nsec = clock.until_timer(fsm), self.sec, self.nsec
   if not seconds then return nil end
-  self:advance(floor(seconds)) -- one number with years has no nanoseconds
+  self:advance(max(floor(seconds) - 1, 0)) -- years in one number lack nanoseconds
   self:advance(clock.until_timer(fsm))
   if clock.until_timer(fsm) == 0 then return seconds end
   self.sec, self.nsec = sec, nsec
