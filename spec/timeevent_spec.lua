@@ -325,6 +325,14 @@ describe("a timeout function", function()
         assert.is_nil(next_deadline(fsm))
       end)
   end
+
+  it("that is interrupted is not reported: the error is raised", function()
+    local function timeout() error("x.lua:1: interrupted!", 0) end
+    local fsm = init(chart { e_after(timeout) })
+    local errors = said(fsm, "err")
+    assert.error_matches(function() rfsm.run(fsm) end, "interrupted!")
+    assert.same({}, errors)
+  end)
 end)
 
 describe("a time event that is wrong", function()
