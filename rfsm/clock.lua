@@ -1,146 +1,186 @@
---- Clocks: the clock of the process, or the best one that is installed.
+--- Clocks: the one way in which the library reads them, and a simulated one for tests.
 --
--- The best one is that of a running RTT, then those of rtp, luaposix and luasocket,
--- then `os.time`. RTT, rtp and luaposix have a clock that is never set.
+-- A clock is a function that returns seconds and nanoseconds, or nanoseconds in one
+-- number: the field `gettime` of a machine or of one around it, else the clock of the
+-- process, which is the best one installed unless the user sets another. e_after wants
+-- a clock that is never set (`is_relative`), e_at the time of day.
 --
 -- @module rfsm.clock
 -- @license BSD-3-Clause
 
-local error, getmetatable, pcall, rawequal = error, getmetatable, pcall, rawequal
-local rawget, require, setmetatable, type = rawget, require, setmetatable, type
+local rfsm = require "rfsm"
+
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, rawequal, rawget, require = pcall, rawequal, rawget, require
+local setmetatable, type = setmetatable, type
+local abs, floor, max = math.abs, math.floor, math.max
 
 local clock = {}
 
--- Clocks that are installed ------------------------------------------------------
+local MONOTONIC, REALTIME = "CLOCK_MONOTONIC", "CLOCK_REALTIME"
 
--- Returns a module by its name, or by the global that it sets; nil if there is none.
+--- A clock of the library; callbacks and users may call it, too. A simulated one has
+-- whole seconds `sec`, and nanoseconds `nsec` below a billion.
+---@class rfsm.clock.Clock
+---@field read fun(self: any, is_relative: boolean): boolean, any, number? as by pcall
+local Clock = {}
+Clock.__index = Clock
+
+function Clock:__call(id)
+  local ok, sec, nsec = self:read(id ~= REALTIME)
+  if not ok then error(sec, 0) end
+  return sec, nsec
+end
+
+--- Return a clock with another method `read`.
+---@return rfsm.clock.Clock
+function clock.new(read) return setmetatable({ read = read }, Clock) end
+
+-- The best clock installed -----------------------------------------------------------
+
+-- Returns a module by its name, or by the global that it sets; else an empty table. The
+-- Lua of RTT sets the global `rtt`.
 local function find_module(name)
-  local ok, module = pcall(require, name)
-  if not ok then return nil end
-  if type(module) ~= "table" then module = rawget(_G, name) end
-  return type(module) == "table" and module or nil
+  local ok, module = true, rawget(_G, name)
+  if name ~= "rtt" and name ~= "os" then ok, module = pcall(require, name) end
+  if ok and type(module) ~= "table" then module = rawget(_G, name) end
+  return ok and type(module) == "table" and module or {}
 end
 
--- The Lua of RTT sets the global `rtt`. Its time begins with the computer.
-local function find_rtt_clock(is_monotonic)
-  local rtt = rawget(_G, "rtt")
-  return is_monotonic and type(rtt) == "table" and rtt.getTime
-end
+local function seconds_only(now) return now, 0 end
 
-local function find_rtp_clock(is_monotonic)
-  local rtp = find_module("rtp")
-  local gettime = rtp and type(rtp.clock) == "table" and rtp.clock.gettime
-  if not gettime then return nil end
-  local id = is_monotonic and "CLOCK_MONOTONIC" or "CLOCK_REALTIME"
-  if pcall(gettime, id) then return function() return gettime(id) end end
-  return gettime
-end
-
-local function find_posix_clock(is_monotonic)
-  local time = find_module("posix.time")
-  if time and time.clock_gettime then
+-- The best one comes first: a module, a function of it and the id of a clock; what
+-- makes seconds and nanoseconds of the results. The time of RTT is not that of the day.
+local INSTALLED = {
+  { "rtt", function(rtt, is_monotonic) return is_monotonic and rtt.getTime end },
+  { "rtp", function(rtp, is_monotonic)
+    local id = is_monotonic and MONOTONIC or REALTIME
+    local gettime = type(rtp.clock) == "table" and rtp.clock.gettime
+    return gettime, pcall(gettime, id) and id or nil
+  end },
+  { "posix.time", function(time, is_monotonic)
     local id = is_monotonic and time.CLOCK_MONOTONIC or time.CLOCK_REALTIME
-    return function()
-      local now = time.clock_gettime(id)
-      return now.tv_sec, now.tv_nsec
-    end
-  end
-  local posix = find_module("posix")
-  local gettime = posix and posix.clock_gettime
-  local id = is_monotonic and "monotonic" or "realtime"
-  return gettime and function() return gettime(id) end
-end
-
-local function find_socket_clock()
-  local socket = find_module("socket")
-  local gettime = socket and socket.gettime
-  return gettime and function() return gettime(), 0 end
-end
-
-local function find_os_clock()
-  local os = rawget(_G, "os")
-  return os and os.time and function() return os.time(), 0 end
-end
-
-local function no_clock() error("no clock is installed", 0) end
-
-local FINDERS = {
-  find_rtt_clock, find_rtp_clock, find_posix_clock, find_socket_clock, find_os_clock,
+    return time.clock_gettime, id
+  end, function(now) return now and now.tv_sec, now and now.tv_nsec end },
+  { "posix", function(posix, is_monotonic) -- an old one
+    return posix.clock_gettime, is_monotonic and "monotonic" or "realtime"
+  end },
+  { "socket", function(socket) return socket.gettime end, seconds_only },
+  { "os", function(os) return os.time end, seconds_only },
 }
 
---- Return the best clock that is installed.
----@param is_monotonic boolean prefer a clock that is never set to the time of day?
-function clock.find(is_monotonic)
-  for i = 1, #FINDERS do
-    local found = FINDERS[i](is_monotonic)
-    if found and pcall(found) then return found end
+local function converted(convert, ok, sec, nsec)
+  if ok and convert then return true, convert(sec) end
+  return ok, sec, nsec
+end
+
+local function find(is_monotonic)
+  for _, installed in ipairs(INSTALLED) do
+    local gettime, id = installed[2](find_module(installed[1]), is_monotonic)
+    local function read() return converted(installed[3], pcall(gettime, id)) end
+    local ok, sec = read()
+    if ok and sec then return read end
   end
-  return no_clock
+  return function() return false, "no clock is installed" end
 end
 
--- The clock in use ---------------------------------------------------------------
+local found = {} -- by whether it is monotonic
 
-local hooks = {}
+local best = clock.new(function(_, is_relative)
+  found[is_relative] = found[is_relative] or find(is_relative)
+  return found[is_relative]()
+end)
 
---- The function that reads the time, by whether the clock should be monotonic. It is
--- found when it is first needed.
----@type table<boolean, fun(): number, number?>
-clock.in_use = setmetatable({}, { __index = function(in_use, is_monotonic)
-  in_use[is_monotonic] = hooks[is_monotonic] or clock.find(is_monotonic)
-  return in_use[is_monotonic]
-end })
-
---- Set the clock of the process. It returns seconds and nanoseconds, or nanoseconds in
--- one number.
----@param gettime? fun(): number, number? nil: the best clock installed
----@param time_of_day? fun(): number, number? default the first one
-function clock.set_hook(gettime, time_of_day)
-  hooks[true], hooks[false] = gettime, time_of_day or gettime
-  clock.in_use[true], clock.in_use[false] = nil, nil
-end
-
--- A clock of two functions.
-local Twofold = {}
-
-function Twofold:__call(id) return self[id ~= "CLOCK_REALTIME"]() end
-
---- Return a clock for the field `gettime` of a machine from two functions.
----@param relative fun(): number, number? for e_after
----@param time_of_day fun(): number, number? for e_at
-function clock.twofold(relative, time_of_day)
-  return setmetatable({ [true] = relative, [false] = time_of_day }, Twofold)
-end
-
---- Return the functions of a clock of the user, for e_after and for e_at.
+-- Read -------------------------------------------------------------------------------
 --
--- If it wants a clock id, it is given one. The time of RTT is not the time of day. Any
--- other clock is for both.
---
----@return table<boolean, function> clocks true: for e_after
-function clock.split(gettime)
-  local rtt = rawget(_G, "rtt")
-  if getmetatable(gettime) == Twofold then
-    return gettime
-  elseif type(rtt) == "table" and rawequal(rtt.getTime, gettime) then
-    return { [true] = gettime, [false] = clock.find(false) }
-  elseif pcall(gettime) or not pcall(gettime, "CLOCK_MONOTONIC") then
-    return { [true] = gettime, [false] = gettime }
+-- Only what the user gave is called in pcall: an error from elsewhere, such as that of
+-- a debug hook, is for the caller of `step`.
+
+local function read_plain(gettime) return pcall(gettime) end
+
+local function read_by_id(gettime, is_relative)
+  return pcall(gettime, is_relative and MONOTONIC or REALTIME)
+end
+
+local function read_own(gettime, is_relative) return gettime:read(is_relative) end
+
+local readers = setmetatable({}, { __mode = "k" }) -- those functions, by clock
+
+-- Warns of a clock that returns one number, nanoseconds, which can only be seconds: it
+-- is below a million, or at most a day from the time of day in seconds.
+local function check_unit(fsm, number)
+  local os = find_module("os")
+  local is_day = os.time and abs(number - os.time()) < 86400
+  if not (is_day or number > 0 and number < 1e6) then return end
+  rfsm.report(fsm, "warn", ("WARNING: the clock returned one number, %.14g, which "
+    .. "means nanoseconds; seconds need two: function() return os.time(), 0 end")
+    :format(number))
+end
+
+-- Finds out how to read a clock, and reads it. A 0 alone does not show its unit.
+local function read_first(gettime, is_relative, fsm)
+  local is_own, rtt = rawequal(getmetatable(gettime), Clock), find_module("rtt")
+  if rawequal(gettime, rtt.getTime) then return best:read(is_relative) end
+  local read = is_own and read_own or read_plain
+  local ok, sec, nsec = read(gettime, is_relative)
+  if not (ok or is_own) and read_by_id(gettime, is_relative) then
+    read = read_by_id
+    ok, sec, nsec = read(gettime, is_relative)
   end
-  return {
-    [true] = function() return gettime("CLOCK_MONOTONIC") end,
-    [false] = function() return gettime("CLOCK_REALTIME") end,
-  }
+  if ok and (nsec or sec ~= 0) then readers[gettime] = read end
+  if type(sec) == "number" and nsec == nil then check_unit(fsm, sec) end
+  return ok, sec, nsec
 end
 
---- Return seconds and nanoseconds; an error of the clock is returned, not raised.
----@param is_monotonic boolean prefer a clock that is never set?
----@return number? sec nil if the clock fails
----@return number|any nsec the error in that case
-function clock.read(is_monotonic)
-  local ok, sec, nsec = pcall(clock.in_use[is_monotonic])
-  if not ok then return nil, sec end
-  if nsec == nil then return 0, sec end -- nanoseconds
-  return sec, nsec
+-- Returns what `clock.read` does for anything but two finite numbers.
+local function read_unusual(ok, sec, nsec)
+  if not ok then
+    if rfsm.is_interrupt(sec) then error(sec, 0) end
+    return false, sec
+  elseif type(sec) == "number" and sec - sec == 0 and nsec == nil then
+    return sec * 1e-9, 0, sec
+  end
+  local wrong = type(type(sec) == "number" and nsec or sec)
+  return false, wrong == "number" and "a time must be finite"
+    or "seconds and nanoseconds expected, got " .. wrong
+end
+
+local process = best
+
+local function inherited(fsm)
+  local owner = fsm._owner
+  return owner and (owner.gettime or inherited(owner))
+end
+
+--- Read the clock of a machine.
+---@param fsm rfsm.Machine|{} {}: that of the process
+---@param is_relative boolean as for e_after
+---@return number|false time in one number of seconds; false if the clock fails
+---@return number|any sec the same exactly; the error in that case
+---@return number nsec to be added; it may be more than a second
+function clock.read(fsm, is_relative)
+  local gettime = fsm.gettime or fsm._owner and inherited(fsm) or process
+  local ok, sec, nsec = (readers[gettime] or read_first)(gettime, is_relative, fsm)
+  if type(sec) == "number" and type(nsec) == "number" then
+    local time = sec + nsec * 1e-9
+    if time - time == 0 then return time, sec, nsec end
+  end
+  return read_unusual(ok, sec, nsec)
+end
+
+--- Set the clock of the process; nil: the best one installed.
+---@param gettime? fun(id?: string): number, number?
+function clock.set_hook(gettime)
+  process = gettime or best
+  found[true], found[false] = nil, nil
+end
+
+--- Return a clock of seconds that begins now.
+---@return fun(): number
+function clock.from_now()
+  local nobody = { warn = false }
+  local start = clock.read(nobody, true)
+  return function() return clock.read(nobody, true) - start end
 end
 
 --- Return the seconds until the next timer of a machine can fire.
@@ -152,13 +192,69 @@ function clock.until_timer(fsm)
   return ok and seconds or nil
 end
 
---- Return a clock of seconds that begins now.
-function clock.from_now()
-  local sec, nsec = clock.read(true)
-  return function()
-    local now_sec, now_nsec = clock.read(true)
-    return now_sec - sec + (now_nsec - nsec) / 1e9
+-- Simulated clocks -------------------------------------------------------------------
+
+function Clock:read() return true, self.sec, self.nsec end
+
+-- Adds seconds; blames the caller of a function for what is no clock, or no time.
+local function add(self, where, seconds)
+  local is_clock = rawequal(getmetatable(self), Clock)
+  if not is_clock or type(seconds) ~= "number" or seconds - seconds ~= 0 then
+    error(("rfsm.clock.%s: %s expected, %s"):format(where,
+      is_clock and "finite number of seconds" or "simulated clock",
+      rfsm.got(is_clock and seconds or self)), 3)
   end
+  local whole = floor(seconds)
+  local nsec = self.nsec + floor((seconds - whole) * 1e9 + 0.5)
+  self.sec, self.nsec = self.sec + whole + floor(nsec / 1e9), floor(nsec % 1e9)
+end
+
+--- Let seconds pass. A number below 0 sets the clock back.
+---@param seconds number
+function Clock:advance(seconds) return (add(self, "advance", seconds)) end
+
+--- Return the time in one number.
+---@return number seconds
+function Clock:now()
+  add(self, "now", 0)
+  return self.sec + self.nsec / 1e9
+end
+
+--- Go to the time at which the next timer of a machine or its regions fires.
+-- @raise if the machine reads another clock
+---@param fsm rfsm.Machine
+---@return number? seconds that have passed; nil if no timer is armed
+function Clock:advance_to_timer(fsm)
+  add(self, "advance_to_timer", 0)
+  rfsm.check_machine(fsm, "rfsm.clock.advance_to_timer")
+  local seconds, sec, nsec = clock.until_timer(fsm), self.sec, self.nsec
+  if not seconds then return nil end
+  self:advance(max(floor(seconds) - 1, 0)) -- years in one number lack nanoseconds
+  self:advance(clock.until_timer(fsm))
+  if clock.until_timer(fsm) == 0 then return seconds end
+  self.sec, self.nsec = sec, nsec
+  error("rfsm.clock.advance_to_timer: the machine reads another clock", 2)
+end
+
+--- Make a clock for the field `gettime` of machines: exact to the nanosecond, and its
+-- time passes by `advance` and `advance_to_timer` alone.
+--
+-- @usage
+--    local now = clock.simulated { now = 0 }
+--    fsm.gettime = now
+--    now:advance(2.5)
+--
+---@param options? { now: number } seconds, default 0
+---@return rfsm.clock.Clock
+---@nodiscard
+function clock.simulated(options)
+  local self, now = setmetatable({ sec = 0, nsec = 0 }, Clock), 0
+  for name, value in pairs(type(options) == "table" and options or { options }) do
+    if name ~= "now" then error("rfsm.clock.simulated: { now = 0 } expected", 2) end
+    now = value
+  end
+  add(self, "simulated: now", now)
+  return self
 end
 
 return clock

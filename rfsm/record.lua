@@ -75,22 +75,17 @@ local function writer_to(sink)
   return journal.writer(sink)
 end
 
--- Returns a function that reads a clock, and notes the reading in the present record.
-local function noting(recorder, clocks, is_relative)
-  return function()
-    local ok, sec, nsec = calls.try(clocks[is_relative])
+-- Returns a clock that reads another one, and notes the reading in the present record.
+local function noting_clock(recorder, gettime, fsm)
+  local other = { gettime = gettime, warn = fsm.warn }
+  return clock.new(function(_, is_relative)
+    local time, sec, nsec = clock.read(other, is_relative)
     if recorder.timed then
-      tracks.note(recorder.timed, "clock", ok and { tracks.pack(sec),
-        nsec and tracks.pack(nsec) } or { text_of(sec) })
+      tracks.note(recorder.timed, "clock", time and { tracks.pack(sec),
+        tracks.pack(nsec) } or { text_of(sec) })
     end
-    if not ok then error(sec, 0) end
-    return sec, nsec
-  end
-end
-
-local function noting_clock(recorder, own)
-  local clocks = own and clock.split(own) or clock.in_use
-  return clock.twofold(noting(recorder, clocks, true), noting(recorder, clocks, false))
+    return time ~= false, sec, nsec
+  end)
 end
 
 local function noting_getevents(track, own)
@@ -237,7 +232,7 @@ local function add_recorder(track, recorder)
     if track.rec then track.rec.reset = true end
   end
   function track.guard(...) return call_guard(track, ...) end
-  function track.clock(own) return noting_clock(recorder, own) end
+  function track.clock(own) return noting_clock(recorder, own, track.fsm) end
   function track.getevents(own) return noting_getevents(track, own) end
 end
 
@@ -245,7 +240,7 @@ end
 local function take_first(recorder, fsm)
   local changes = {}
   instrument.put(changes, fsm, "gettime",
-    noting_clock(recorder, rawget(fsm, "gettime")))
+    noting_clock(recorder, rawget(fsm, "gettime"), fsm))
   local is_whole, ok, snap = pcall(calls.try, snapshot.take, fsm)
   instrument.give_back(changes)
   recorder.timed = false

@@ -257,7 +257,7 @@ end)
 
 -- Modules that nobody requires but the library and its tools, as those in folders.
 local IS_PRIVATE = {
-  ["rfsm.advice"] = true, ["rfsm.clock"] = true, ["rfsm.fast"] = true,
+  ["rfsm.advice"] = true, ["rfsm.fast"] = true,
 }
 
 describe("doc/config.ld", function()

@@ -325,6 +325,14 @@ describe("a timeout function", function()
         assert.is_nil(next_deadline(fsm))
       end)
   end
+
+  it("that is interrupted is not reported: the error is raised", function()
+    local function timeout() error("x.lua:1: interrupted!", 0) end
+    local fsm = init(chart { e_after(timeout) })
+    local errors = said(fsm, "err")
+    assert.error_matches(function() rfsm.run(fsm) end, "interrupted!")
+    assert.same({}, errors)
+  end)
 end)
 
 describe("a time event that is wrong", function()
@@ -1014,35 +1022,115 @@ describe("a snapshot", function()
   end)
 end)
 
+-- An error of a debug hook at each VM instruction of timers and clocks, in one step.
+describe("an interrupt in a timer", function()
+  local interrupts = require "spec.support.interrupts"
+
+  -- Timers of each kind: that of a number, of functions, and of a time.
+  local EVENTS = { "e_after(3)", e_after(function() return 2 end, "f"), "e_at(1005)" }
+
+  -- Returns a machine and the list of what its timers raise: it is in b if it is to
+  -- enter a in the next step, else in a.
+  local function machine(gettime, is_entry)
+    now = { 1000, 0 }
+    local model = chart(EVENTS, { gettime = gettime })
+    model[2].guard = closed
+    model[4] = another("a", "b", "e_leave")
+    local fsm = started(model)
+    if is_entry then helper.post_and_run(fsm, "e_leave") end
+    if is_entry then rfsm.send_events(fsm, "e_back") end
+    return fsm, said(fsm, "dbg", "TIMEEVENT")
+  end
+
+  -- Steps, and goes on 9 s later; returns what was raised. The names are taken from the
+  -- events if one record may have been cut short.
+  local function finish(fsm, fired, is_record_lost)
+    local set, hook = {}, fsm.post_step_hook
+    fsm.post_step_hook = function(_, events)
+      for _, event in ipairs(events) do set["TIMEEVENT " .. event] = true end
+    end
+    rfsm.run(fsm)
+    run_after(fsm, 9)
+    fsm.post_step_hook = hook
+    set["TIMEEVENT e_done@root.a"] = nil
+    if is_record_lost then fired = rfsm.sorted_keys(set) end
+    table.sort(fired)
+    return table.concat(fired, ", ")
+  end
+
+  local VALUE, ALL = "time is up", "TIMEEVENT e_after(3)@root.a, "
+    .. "TIMEEVENT e_after(f)@root.a, TIMEEVENT e_at(1005)@root.a"
+
+  -- The seconds before the step that is interrupted, whether it enters the state, and
+  -- the clock.
+  for _, case in ipairs {
+    { it = "as none is due", passed = 1 },
+    { it = "as all are due", passed = 9, is_record_lost = true },
+    { it = "at an entry", passed = 0, is_entry = true },
+    { it = "on the clock of the process", passed = 1, is_process = true },
+  } do
+    it("reaches the caller of step, and none is lost, " .. case.it, function()
+      interrupts.without_jit(function()
+        local at, count, is_reached = 0, 0, true
+        while is_reached do
+          at = at + 1
+          local gettime = not case.is_process and clock or nil
+          local fsm, fired = machine(gettime, case.is_entry)
+          advance(case.passed)
+          local result = { interrupts.raise_in_timers(at, VALUE, rfsm.step, fsm) }
+          is_reached = result[1]
+          if result[2] then
+            count = count + 1
+            assert.same({ false, VALUE }, { result[3], result[4] })
+            assert.equal(ALL, finish(fsm, fired, case.is_record_lost))
+          end
+        end
+        assert.is_true(count > 20)
+      end)
+    end)
+  end
+end)
+
 describe("rfsm.clock", function()
   local clock_module = require "rfsm.clock"
 
-  it("read returns seconds and nanoseconds, or nil and the error", function()
-    clock_module.set_hook(clock, function() return 5 end)
-    assert.same({ 1000, 0 }, { clock_module.read(true) })
-    assert.same({ 0, 5 }, { clock_module.read(false) })
-    clock_module.set_hook(fail)
-    assert.same({ n = 2, nil, "out of order" },
-      { n = select("#", clock_module.read(true)), clock_module.read(false) })
+  -- A clock, and what is read: the time in one number, seconds, nanoseconds.
+  for _, case in ipairs {
+    { it = "seconds and nanoseconds", clock = clock, read = { 1000, 1000, 0 } },
+    { it = "nanoseconds", clock = function() return 5e9 end, read = { 5, 0, 5e9 } },
+    { it = "the error of a clock", clock = fail, read = { false, "out of order" } },
+    { it = "what is wrong", clock = function() return "5" end,
+      read = { false, "seconds and nanoseconds expected, got string" } },
+  } do
+    it("reads " .. case.it .. ", of a machine, its parent machine and the process",
+      function()
+        local function read(fsm) return { clock_module.read(fsm, true) } end
+        assert.same(case.read, read { gettime = case.clock, warn = false })
+        assert.same(case.read, read { _owner = { _owner = { gettime = case.clock } },
+          warn = false })
+        clock_module.set_hook(case.clock)
+        assert.same(case.read, read { _owner = {}, warn = false })
+      end)
+  end
+
+  it("raises what Control-C raises in a clock, and nothing else", function()
+    local raised = "x.lua:5: interrupted!"
+    local fsm = { gettime = function() error(raised, 0) end }
+    assert.error_matches(function() clock_module.read(fsm, true) end, "interrupted!")
+    raised = "it was interrupted!"
+    assert.same({ false, raised }, { clock_module.read(fsm, true) })
   end)
 
   it("counts from now on, by the clock that is never set", function()
-    clock_module.set_hook(clock, fail)
+    clock_module.set_hook(function(id)
+      assert(id == "CLOCK_MONOTONIC")
+      return now[1], now[2]
+    end)
     local elapsed = clock_module.from_now()
     advance(2, 500000000)
     assert.equal(2.5, elapsed())
-    advance(0, 600000000)
-    assert.equal(3.1, elapsed())
-  end)
-
-  it("has two functions for a clock: that of RTT is not for the time of day", function()
-    helper.with(_G, { rtt = { getTime = clock } }, function()
-      local clocks = clock_module.split(clock)
-      assert.equal(clock, clocks[true])
-      assert.is_function(clocks[false])
-      assert.is_not_equal(clock, clocks[false])
-      assert.same({ [true] = fail, [false] = fail }, clock_module.split(fail))
-    end)
+    advance(0, 750000000)
+    assert.equal(3.25, elapsed())
   end)
 
   it("knows no timer without time events, nor with a clock that fails", function()
@@ -1059,10 +1147,141 @@ describe("rfsm.clock", function()
     helper.with(_G, { os = false, rtt = false }, function()
       local hidden = { ["posix.time"] = {}, posix = {}, socket = {}, rtp = {} }
       helper.with(package.loaded, hidden, function()
-        assert.equal("no clock is installed", select(2, pcall(clock_module.find(true))))
+        set_gettime_hook(nil)
+        assert.same({ false, "no clock is installed" }, { clock_module.read({}, true) })
       end)
     end)
   end)
+end)
+
+describe("a simulated clock", function()
+  local simulated = require("rfsm.clock").simulated
+
+  -- Starts a chart on a simulated clock; returns both.
+  local function on_clock(events, fields, start)
+    local time = simulated { now = start or 0 }
+    fields = fields or {}
+    fields.gettime = time
+    return started(chart(events, fields)), time
+  end
+
+  local function leaf_after(fsm)
+    rfsm.run(fsm)
+    return rfsm.get_actleaf_fqn(fsm)
+  end
+
+  it("is a clock, whose time passes by advance alone", function()
+    local fsm, time = on_clock { "e_after(2.5)" }
+    assert.same({ 0, 0 }, { time() })
+    time:advance(2.5)
+    assert.equal("root.a", leaf_after(fsm))
+    time:advance(1e-9)
+    assert.equal("root.b", leaf_after(fsm))
+    assert.same({ 2, 500000001 }, { fsm.gettime() })
+    assert.equal(2.5 + 1e-9, time:now())
+    time:advance(-1.75)
+    assert.same({ 0, 750000001 }, { time() })
+  end)
+
+  -- Where it starts, what is added how often, seconds and nanoseconds then.
+  for _, case in ipairs {
+    { start = 0, step = 0.1, times = 100000, sec = 10000, nsec = 0 },
+    { start = 0, step = 1e-9, times = 5000, sec = 0, nsec = 5000 },
+    { start = 1700000000, step = 0.3, times = 10, sec = 1700000003, nsec = 0 },
+    { start = 0.75, step = -0.5, times = 3, sec = -1, nsec = 250000000 },
+    { start = -0.25, step = 1, times = 1, sec = 0, nsec = 750000000 },
+  } do
+    it(("does not drift: %g and %d times %g"):format(case.start, case.times, case.step),
+      function()
+        local time = simulated { now = case.start }
+        for _ = 1, case.times do time:advance(case.step) end
+        assert.same({ case.sec, case.nsec }, { time() })
+      end)
+  end
+
+  it("goes to the next timer, from one to the other", function()
+    local fsm, time = on_clock { "e_after(3)" }
+    local back = another("b", "a", "e_at(1700000000.999999997)")
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, back))
+    assert.equal(3 + 1e-9, time:advance_to_timer(fsm))
+    assert.equal("root.b", leaf_after(fsm))
+    assert.near(1699999998, time:advance_to_timer(fsm), 1e-6)
+    assert.same({ 1700000000, 999999998 }, { time() })
+    assert.equal("root.a", leaf_after(fsm))
+  end)
+
+  it("stays where it is if no timer is armed, or one has expired", function()
+    local fsm, time = on_clock { "e_after(3)" }
+    time:advance(4)
+    assert.equal(0, time:advance_to_timer(fsm))
+    assert.equal("root.b", leaf_after(fsm))
+    assert.is_nil(time:advance_to_timer(fsm))
+    assert.equal(4, time:now())
+  end)
+
+  it("goes to the timers of regions", function()
+    local fsm, time = on_clock({ "e_in" },
+      { b = rfsm.seqand { idle_doo = "auto", sub = chart { "e_after(0.5)" } } })
+    helper.post_and_run(fsm, "e_in")
+    assert.equal(0.5 + 1e-9, time:advance_to_timer(fsm))
+    rfsm.run(fsm)
+    assert.equal("root.b", rfsm.get_actleaf_fqn(fsm.b.substates.sub))
+  end)
+
+  it("may serve several machines, also those of one model", function()
+    local model = chart({ "e_after(1)" }, { gettime = simulated() })
+    local one, other = started(model), started(model)
+    model.gettime:advance_to_timer(one)
+    assert.same({ "root.b", "root.b" }, { leaf_after(one), leaf_after(other) })
+  end)
+
+  it("is copied with a machine", function()
+    local fsm, time = on_clock { "e_after(1)" }
+    local copy = helper.copy_of(fsm)
+    time:advance(2)
+    assert.same({ "root.b", "root.a" }, { leaf_after(fsm), leaf_after(copy) })
+    copy.gettime:advance(2)
+    assert.equal("root.b", leaf_after(copy))
+  end)
+
+  it("may be that of the process", function()
+    local fsm, time = started(chart { "e_after(1)" }), simulated { now = 1000 }
+    set_gettime_hook(time)
+    assert.equal(1 + 1e-9, time:advance_to_timer(fsm))
+    assert.equal("root.b", leaf_after(fsm))
+  end)
+
+  -- What is called, and the error, which blames the caller.
+  for _, case in ipairs {
+    { call = function(f) return helper.refusal(f.advance, f, "5") end,
+      problem = "rfsm.clock.advance: finite number of seconds expected, "
+        .. "got string '5'" },
+    { call = function(f) return helper.refusal(f.advance, f, 0 / 0) end,
+      problem = "rfsm.clock.advance: finite number of seconds expected, "
+        .. "got number nan" },
+    { call = function(f) return helper.refusal(f.advance, 5) end,
+      problem = "rfsm.clock.advance: simulated clock expected, got number 5" },
+    { call = function(f) return helper.refusal(f.now) end,
+      problem = "rfsm.clock.now: simulated clock expected, got nil" },
+    { call = function(f) return helper.refusal(f.advance_to_timer, f, {}) end,
+      problem = "rfsm.clock.advance_to_timer: initialised fsm expected, got table" },
+    { call = function(f)
+      return helper.refusal(f.advance_to_timer, f, (started(chart { "e_after(1)" })))
+    end, problem = "rfsm.clock.advance_to_timer: the machine reads another clock" },
+    { call = function() return helper.refusal(simulated, { now = "noon" }) end,
+      problem = "rfsm.clock.simulated: now: finite number of seconds expected, "
+        .. "got string 'noon'" },
+    { call = function() return helper.refusal(simulated, { start = 5 }) end,
+      problem = "rfsm.clock.simulated: { now = 0 } expected" },
+    { call = function() return helper.refusal(simulated, 5) end,
+      problem = "rfsm.clock.simulated: { now = 0 } expected" },
+  } do
+    it("refuses anything else: " .. case.problem, function()
+      local time = simulated { now = 7 }
+      assert.equal(case.problem, (case.call(time):gsub("%-?nan$", "nan")))
+      assert.equal(7, time:now())
+    end)
+  end
 end)
 
 describe("the cost of an iteration", function()
@@ -1098,15 +1317,16 @@ describe("the cost of an iteration", function()
       end
     end)
 
-  it("is one reading until a millisecond before the next timer", function()
+  it("is one reading, also when a timer is due or has expired", function()
     local model = chart { "e_after(1)", "e_after(9.9)" }
     model[2].guard = closed
     local fsm = started(model)
     check(fsm, "+2=a")
-    now = { 1009, 898000000 }
-    assert.equal(1, reads(fsm, now))
-    now = { 1009, 899500000 }
-    assert.equal(2, reads(fsm, now))
+    for _, nsec in ipairs { 898000000, 899500000, 900000001 } do
+      now = { 1009, nsec }
+      assert.equal(1, reads(fsm, now))
+    end
+    assert.is_nil(next_deadline(fsm))
   end)
 
   it("with an entry is one reading more, for all its timers", function()

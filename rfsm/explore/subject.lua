@@ -19,6 +19,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local clock = require "rfsm.clock"
 local data = require "rfsm.explore.data"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
@@ -320,7 +321,7 @@ local function add_part(self, part)
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
   fsm.info, fsm.err, fsm.warn = false, false, false
-  fsm.gettime = function() return self.now, 0 end
+  fsm.gettime = self.time
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     make_state(self, part, state)
   end
@@ -800,8 +801,9 @@ function subject.new(model, options, way)
     choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
     taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
-    alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
-    notes_events = false, leaves_out = false, trimmed = false }, Subject)
+    alphabet = options.alphabet, time = clock.simulated(), steps = 0,
+    is_endless = false, notes_events = false, leaves_out = false,
+    trimmed = false }, Subject)
   replacements.read_flags(self, options.flags or {})
   data.read_options(self, options)
   add_parts(self, new_machine(self, model), way)

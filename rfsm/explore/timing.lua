@@ -78,7 +78,7 @@ local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
 -- rfsm_timeevent.lua for the tables.
 local function duration_of(timer)
   local event = timer.event
-  if not timer.is_relative or event.timeout then return nil end
+  if not event.is_relative or event.timeout then return nil end
   local duration = event.sec * BILLION + event.nsec
   return duration < MOST and duration or nil
 end

@@ -54,9 +54,8 @@ local MARGIN = 1e-6 -- seconds; more than the error of a difference of two times
 
 local function read_clock(own)
   if not own.is_timed then return 0 end
-  local gettime = own.fsm.gettime
-  local sec, nsec = (gettime and clock.split(gettime) or clock.in_use)[true]()
-  return nsec and sec + nsec * 1e-9 or sec * 1e-9
+  local time, failure = clock.read(own.fsm, true)
+  return time or error(failure, 0)
 end
 
 -- Returns a function that tells of a path if the state is active; and one that returns

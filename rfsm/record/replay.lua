@@ -32,7 +32,7 @@ local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.sa
 ---@field problem string|nil the reason, or the departure from the recording
 ---@field snap rfsm.snapshot.Snapshot|nil of the end, unless there is a problem
 ---@field unsaved string|nil why the machine cannot be saved then
----@field clock function in place of the clocks of the machines
+---@field clock rfsm.clock.Clock in place of the clocks of the machines
 ---@field readings any[]|nil the next ones of the clock in this iteration
 ---@field latest any[]|nil the last one
 
@@ -57,12 +57,12 @@ local function fill(session, list, events)
   end
 end
 
--- Returns the next recorded reading of the clock; after the last one, that again.
+-- Reads the clock as it was recorded; after the last reading, that again.
 local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
-  if type(now[1]) == "string" then error(now[1], 0) end
+  if type(now[1]) == "string" then return false, now[1] end
   session.latest = now
-  return encoding.unpack(now[1], 0), encoding.unpack(now[2], 0)
+  return true, encoding.unpack(now[1], 0), encoding.unpack(now[2], 0)
 end
 
 -- Returns the record of the iteration that begins; raises STOP if there is none.
@@ -256,8 +256,7 @@ local function new_session(recording, options)
   local session = { records = {}, inner = {}, step_of = {}, at = 0, last = 0,
     is_dry = options.dry and true or false, guards = recording[1].guards,
     problem = nil }
-  local function read() return read_again(session) end
-  session.clock = clock.twofold(read, read)
+  session.clock = clock.new(function() return read_again(session) end)
   for i = 2, #recording do
     local rec = recording[i]
     session.step_of[rec] = #session.records + 1

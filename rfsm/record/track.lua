@@ -132,7 +132,7 @@ end
 ---@field finish function the post step hook
 ---@field reset function the reset hook
 ---@field guard function called in place of each guard: number, guard, arguments
----@field clock fun(own: function?): function returns the clock in place of its own
+---@field clock fun(own: function?): function returns a clock in place of its own
 ---@field getevents fun(own: function): function|nil likewise getevents
 ---@field changes table[]
 ---@field wrapped table<string, table> the last change of a field of the machine

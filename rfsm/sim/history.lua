@@ -144,7 +144,7 @@ end
 -- Marks: where advances begin -----------------------------------------------------
 
 local function new_mark(sim)
-  local now = sim.time or {}
+  local now = sim.time and sim.time.passed or {}
   return { count = sim.history.count, sec = now.sec, nsec = now.nsec,
     is_fresh = not sim.fsm._act_leaf }
 end
@@ -173,8 +173,9 @@ end
 -- Sets the simulated time to that of a mark; returns the time before.
 local function set_time(time, mark)
   if not (time and mark and mark.sec) then return nil end
-  local before = { sec = time.sec, nsec = time.nsec }
-  time.sec, time.nsec = mark.sec, mark.nsec
+  local now = time.passed
+  local before = { sec = now.sec, nsec = now.nsec }
+  now.sec, now.nsec = mark.sec, mark.nsec
   return before
 end
 

@@ -11,17 +11,14 @@ local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
 local instrument = require "rfsm.shared.instrument"
 
-local error, pcall = error, pcall
-local floor, min = math.floor, math.min
-local print, rawget = print, rawget
+local error, min, print = error, math.min, print
 local text_of = rfsm.text_of
 
 local time = {}
 
 --- The time that has passed, and the times at which the two clocks began.
 ---@class rfsm.sim.Time
----@field sec number
----@field nsec number
+---@field passed rfsm.clock.Clock
 ---@field starts table<boolean, { sec: number, nsec: number }> true: for e_after
 ---@field changes table[] the real clock of the machine
 
@@ -29,25 +26,23 @@ local time = {}
 function time.install(sim, fsm)
   local now = sim.time
   if not now then return end
-  local function simulated(start)
-    return function() return start.sec + now.sec, start.nsec + now.nsec end
-  end
-  instrument.put(now.changes, fsm, "gettime", clock.twofold(simulated(now.starts[true]),
-    simulated(now.starts[false])))
+  instrument.put(now.changes, fsm, "gettime", clock.new(function(_, is_relative)
+    local start = now.starts[is_relative]
+    return true, start.sec + now.passed.sec, start.nsec + now.passed.nsec
+  end))
 end
 
-local function read(fsm, is_monotonic)
-  local own = rawget(fsm, "gettime")
-  local ok, sec, nsec = pcall((own and clock.split(own) or clock.in_use)[is_monotonic])
-  if not ok then error("clock: the clock failed: " .. text_of(sec), 0) end
-  return { sec = nsec and sec or 0, nsec = nsec or sec }
+local function read(fsm, is_relative)
+  local seconds, sec, nsec = clock.read(fsm, is_relative)
+  if not seconds then error("clock: the clock failed: " .. text_of(sec), 0) end
+  return { sec = sec, nsec = nsec }
 end
 
 local function start(sim)
   if sim.time then return end
   local starts = { [true] = read(sim.fsm, true), [false] = read(sim.fsm, false) }
   history.pause(sim, function()
-    sim.time = { sec = 0, nsec = 0, changes = {}, starts = starts }
+    sim.time = { passed = clock.simulated(), changes = {}, starts = starts }
     time.install(sim, sim.fsm)
   end)
 end
@@ -67,16 +62,10 @@ function time.text(seconds)
   return (("%.3f"):format(seconds):gsub("%.?0+$", "")) .. " s"
 end
 
-local function leap(now, seconds)
-  local nsec = now.nsec + floor(seconds % 1 * 1e9 + 0.5)
-  now.sec = now.sec + floor(seconds) + floor(nsec / 1e9)
-  now.nsec = nsec % 1e9
-end
-
 --- Print the time.
 function time.show(sim)
   local now = sim.time
-  print("clock:  " .. (now and time.text(now.sec + now.nsec / 1e9) or "real time"))
+  print("clock:  " .. (now and time.text(now.passed:now()) or "real time"))
 end
 
 local MAX_STEPS = 1000 -- a doo that is never idle would take all others
@@ -89,7 +78,7 @@ function time.pass(sim, seconds)
   history.mark(sim)
   repeat
     local step = min(seconds, clock.until_timer(sim.fsm) or seconds)
-    leap(sim.time, step)
+    sim.time.passed:advance(step)
     seconds = seconds - step
     time.show(sim)
     sim:advance(MAX_STEPS)

@@ -238,7 +238,7 @@ function Rehearsal:step(what)
   what = what or {}
   local own = self.subject
   tell(own, what)
-  own.now = own.now + (what.after or 0)
+  own.time:advance(what.after or 0)
   local events = occurrences_of(own, what)
   if own.fakes then
     with_fakes(own, own.step, own, events, {})
@@ -263,7 +263,8 @@ end
 function Rehearsal:repeat_step(step)
   local own, what, choices = self.subject, events_of(step), {}
   for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
-  own.choose, own.now = nil, step.at or own.now
+  own.choose = nil
+  if step.at then own.time:advance(step.at - own.time:now()) end
   for _, part in ipairs(own.parts) do part.rounds = 0 end
   own:step(occurrences_of(own, what), choices)
   own.choose = answer

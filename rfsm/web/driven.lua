@@ -24,7 +24,7 @@ local utf8 = require("rfsm.marsh").utf8
 local ipairs, os, pcall = ipairs, os, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
 local type, remove = type, table.remove
-local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
+local ceil, huge, max, min = math.ceil, math.huge, math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local MAX_RECORDED = 10000 -- iterations that can be undone
@@ -47,7 +47,7 @@ local TICK = 1e-6 -- seconds are rounded up to multiples of it
 ---@field turns table<integer, rfsm.web.Turn> those that can be undone
 ---@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
 ---@field snap table? of the machine, while the chart has a mistake
----@field now number seconds since the machine began, as the chart reads them
+---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
 ---@field is_live boolean does the clock go on by itself?
 ---@field points rfsm.observe.Breakpoint[] breakpoints
 ---@field stopped string|false the breakpoint at which the last run has ended
@@ -94,7 +94,9 @@ local function read(file) return files.read(file) or "" end
 -- Turns: each is a command of the page, or a timer -----------------------------------
 
 -- Starts the clock of the machine at its own time.
-local function start_clock(session) session.since = session.real() - session.now end
+local function start_clock(session)
+  session.since = session.real() - session.time:now()
+end
 
 local function start_recorder(session)
   if session.recorder then session.recorder:stop() end
@@ -106,11 +108,12 @@ local function begin_turn(session)
   local recorder = session.recorder
   if recorder and recorder.count > MAX_RECORDED then start_recorder(session) end
   if session.is_live then
-    session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
+    local now = ceil((session.real() - session.since) / TICK) * TICK
+    session.time:advance(max(now - session.time:now(), 0))
   end
   session.turn, session.stopped = session.turn + 1, false
   session.turns[session.turn] = {
-    now = session.now, count = session.recorder and session.recorder.count,
+    now = session.time:now(), count = session.recorder and session.recorder.count,
     queue = { unpack(session.view.fsm._intq) },
   }
   session.view:begin_turn(session.turn)
@@ -139,14 +142,14 @@ end
 
 -- Begins with a machine, in the state of a snapshot if the chart still has it.
 local function begin(session, fsm, snap)
-  session.view = LocalView.new(fsm, function() return session.now end)
+  session.view = LocalView.new(fsm, function() return session.time:now() end)
   session.view.points = session.points
   breakpoints.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:observe(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
   local function migrate(old) return old end
   if not (snap and snapshot.put(fsm, snap, { migrate = migrate })) then
-    session.now = 0
+    session.time:advance(-session.time:now())
     run(session)
   end
   start_recorder(session)
@@ -197,7 +200,7 @@ function commands.back(session, message)
   local to = message.to or session.turn - 1
   local turn = session.turns[type(to) == "number" and to + 1]
   if not (turn and session.recorder) then return "there is no such turn" end
-  session.now = turn.now
+  session.time:advance(turn.now - session.time:now())
   local ok, problem = session.recorder:back(session.recorder.count - turn.count)
   if not ok then return problem end
   local fsm = session.view.fsm -- events that a page has sent are in no record
@@ -230,7 +233,7 @@ end
 
 local function pass(session, seconds)
   begin_turn(session)
-  session.now = session.now + seconds
+  session.time:advance(seconds)
   start_clock(session)
   run(session)
 end
@@ -275,7 +278,8 @@ end
 -- Seconds until the next timer is due by the clock on the wall.
 local function time_left(session)
   local seconds = session.is_live and next_timer(session)
-  return seconds and session.now + seconds + TICK - (session.real() - session.since)
+  local since = session.real() - session.since
+  return seconds and session.time:now() + seconds + TICK - since
 end
 
 --- Run a timer that is due, and load the file again if it has changed.
@@ -297,7 +301,7 @@ end
 
 --- Add what the page shows of a session to a message.
 function Driven:describe(message)
-  message.clock, message.live = self.now, self.is_live
+  message.clock, message.live = self.time:now(), self.is_live
   message.timer = next_timer(self) or false
   message.stopped, message.points = self.stopped, {}
   for i, point in ipairs(self.points) do
@@ -310,16 +314,15 @@ end
 function Driven.open(file, real, has_stubs)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
-    generation = 0, turn = 0, turns = {}, recorder = false, now = 0, since = 0,
-    is_live = true, points = {}, stopped = false,
+    generation = 0, turn = 0, turns = {}, recorder = false, since = 0,
+    time = clock.simulated(), is_live = true, points = {}, stopped = false,
     has_stubs = has_stubs,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Driven)
   local start = os.time() -- e_at needs the time of day
-  function session.gettime()
-    local sec = floor(session.now)
-    return start + sec, floor((session.now - sec) * 1e9 + 0.5)
-  end
+  session.gettime = clock.new(function()
+    return true, start + session.time.sec, session.time.nsec
+  end)
   guarded(session, load, false)
   return session
 end

@@ -65,6 +65,13 @@ local function always() return true end
 --- The same, also in callbacks.
 function interrupts.raise_anywhere(...) return raise(always, ...) end
 
+local function is_of_timers(source, is_caller)
+  return is_caller or source:find("timeevent%.lua$") or source:find("clock%.lua$")
+end
+
+--- The same, in timers and clocks alone.
+function interrupts.raise_in_timers(...) return raise(is_of_timers, ...) end
+
 local function belongs_to_last(line) return line ~= nil and line:find("^ ") ~= nil end
 
 --- Returns the number of the line that is missing in `got`, nil if it is as expected;

@@ -99,11 +99,10 @@ local function deadlines_of(fsm, watched, now)
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
       local timers = state._mode ~= "inactive" and state._timers
       for _, timer in ipairs(timers or {}) do
-        local sec, nsec = timer.sec, timer.nsec
-        if timer.entry ~= timers.entry then
-          sec, nsec = timers.sec + timer.event.sec, timers.nsec + timer.event.nsec
-        end
-        add(math.floor(sec * MS + nsec / 1e6 + 0.5))
+        local alone, event = timers.alone and timers.alone[timer], timer.event
+        local at = alone or { sec = timers.sec + event.sec,
+          nsec = timers.nsec + event.nsec }
+        add(math.floor(at.sec * MS + at.nsec / 1e6 + 0.5))
       end
     end
   end
