@@ -616,6 +616,18 @@ local function leave(from, to, hook)
   end
 end
 
+-- Hooks of errors are called in place of updateHook until somebody recovers.
+function TaskContext.error(component)
+  if component.state ~= "Running" then return end
+  component.state, component.is_triggered = "RunTimeError", true
+end
+
+function TaskContext.recover(component)
+  if component.state ~= "RunTimeError" then return false end
+  component.state, component.is_triggered = "Running", true
+  return true
+end
+
 TaskContext.stop = leave("Running", "Stopped", "stopHook")
 TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 
@@ -628,7 +640,9 @@ local function execute(component)
     if not hook then die("an enabled EEHook was collected") end
     if hook.run() then i = i + 1 else table.remove(hooks, i) end
   end
-  if component.state == "Running" then call_hook(component, "updateHook", false) end
+  local hook = component.state == "Running" and "updateHook"
+    or component.state == "RunTimeError" and "errorHook"
+  if hook then call_hook(component, hook, false) end
 end
 
 -- Gives each thread that was triggered its turn, until none is.
@@ -796,11 +810,19 @@ local POOL = 1048576 -- bytes
 -- garbage: from then on what needs memory fails, until somebody collects.
 FACTORIES["OCL::LuaTLSFComponent"] = function(name)
   local component = FACTORIES["OCL::LuaComponent"](name)
-  local globals, used = component.lua.globals, POOL / 2
+  local globals, used, size = component.lua.globals, POOL / 2, POOL
   globals.tlsf = {
-    stats = function() return used, POOL, POOL end,
+    stats = function() return used, size, size end,
     fill = function(part) used = POOL * part end,
   }
+  component.operations.tlsf_incmem = operation(1, function(bytes)
+    if size > POOL then
+      error("tlsf_rtt_incmem: region already increased, (increasing cur. only possible "
+        .. "once)", 0)
+    end
+    size = size + methods.tolua(bytes)
+    return false
+  end)
   function globals.collectgarbage(what, ...)
     if what == nil or what == "collect" then used = POOL / 2 end
     return collectgarbage(what, ...)
