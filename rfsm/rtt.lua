@@ -299,8 +299,8 @@ end
 
 --- Launch a machine in the component of this Lua, in its configureHook.
 --
--- The component gets ports, attributes, and hooks that run the machine. Called again, it
--- begins anew with the chart as it is then. Ports that are there stay connected.
+-- The component gets ports, attributes, and hooks that run the machine. Called again,
+-- it begins anew with the chart as it is then. Ports that are there stay connected.
 --
 -- @usage
 --    function configureHook()

@@ -828,6 +828,7 @@ return rfsm.state { info = false, warn = false,
       assert.equal(case[2], arm:getState())
       exec_str("fsm.pre_step_hook = nil")
       arm:recover()
+      arm:getOperation("trigger")()
       spin()
       assert.equal("Running b", arm:getState() .. " " .. leaf_of(exec_str))
     end

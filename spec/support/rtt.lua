@@ -214,6 +214,8 @@ end)
 
 -- Connections: one sample, or a buffer -----------------------------------------
 
+local IS_ACTIVE = { Running = true, RunTimeError = true } -- states of a component
+
 local DATA = 0 -- keeps one sample; a buffer drops what comes when it is full
 
 local default_policy -- a Variable
@@ -331,7 +333,7 @@ function OutputPort.write(port, value)
   for _, connection in ipairs(port.connections) do
     connection_write(connection, value)
     local component = connection.to.is_event and connection.to.component
-    if component and component.state == "Running" then component.is_triggered = true end
+    if component and IS_ACTIVE[component.state] then component.is_triggered = true end
   end
 end
 
@@ -616,19 +618,23 @@ local function leave(from, to, hook)
   end
 end
 
--- Hooks of errors are called in place of updateHook until somebody recovers.
+-- errorHook is called in place of updateHook until somebody recovers.
 function TaskContext.error(component)
-  if component.state ~= "Running" then return end
-  component.state, component.is_triggered = "RunTimeError", true
+  if component.state == "Running" then component.state = "RunTimeError" end
 end
 
 function TaskContext.recover(component)
   if component.state ~= "RunTimeError" then return false end
-  component.state, component.is_triggered = "Running", true
+  component.state = "Running"
   return true
 end
 
-TaskContext.stop = leave("Running", "Stopped", "stopHook")
+local stop = leave("Running", "Stopped", "stopHook")
+
+function TaskContext.stop(component)
+  TaskContext.recover(component)
+  return stop(component)
+end
 TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 
 -- One turn of the thread: hooks, in every state, then updateHook.
@@ -870,7 +876,7 @@ end)
 
 DEPLOYER.unloadComponent = operation(1, function(name)
   local component = deployer.peers[name]
-  if not component or component.state == "Running" then
+  if not component or IS_ACTIVE[component.state] then
     return refuse("Can't unload component '" .. name .. "'")
   end
   TaskContext.cleanup(component)
