@@ -281,7 +281,7 @@ end
 ---@param problem any
 ---@return string reason
 function rfsm_rtt.reason(problem)
-  collectgarbage()
+  pcall(collectgarbage)
   local text = rfsm.text_of(problem)
   if not text:find("not enough memory", 1, true) then return text end
   return text .. ": enlarge the pool by `pool = KIB` of the launch; 'rfsm size' prints "

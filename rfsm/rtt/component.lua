@@ -371,7 +371,7 @@ local function set_up(launch)
   add_timer(launch)
   local write_fqn = add_outputs(launch)
   launch.stage = "the chart is loaded"
-  collectgarbage()
+  pcall(collectgarbage)
   local fsm, getevents = load_machine(launch)
   launch.stage = "the machine is connected"
   connect(launch, fsm, getevents, write_fqn)
@@ -410,7 +410,7 @@ local function new_forgetter(launch)
     if rawequal(rawget(_G, "fsm"), launch.fsm) then rawset(_G, "fsm", nil) end
     for _, name in ipairs { "trigger", "setfqn" } do rawset(_G, name, nil) end
     launch.fsm, launch.hooks, launch.theirs = nil, {}, {}
-    collectgarbage()
+    pcall(collectgarbage)
   end
 end
 

@@ -54,7 +54,7 @@ end)
 local why = hook
 if ok then ok, why = pcall(launch.finish) end
 if not ok then
-  collectgarbage()
+  pcall(collectgarbage)
   local file = io.open(%q, "w")
   if file then
     file:write(tostring(why))

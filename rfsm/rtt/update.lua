@@ -20,11 +20,14 @@ local update = {}
 
 -- Memory: a pool of a fixed size -------------------------------------------------
 
+-- The collector itself allocates, and raises in a pool that is full.
+local function collect() pcall(collectgarbage) end
+
 -- Lua 5.1 collects when the heap has grown by a factor, not when memory is short. So a
 -- pool that is full stays full: even the report of the error fails.
 local function make_room(problem)
   if type(problem) == "string" and problem:find("not enough memory", 1, true) then
-    collectgarbage()
+    collect()
   end
 end
 
@@ -39,7 +42,7 @@ end
 
 -- Collects all garbage, and returns the memory in use as a text.
 local function memory_text()
-  collectgarbage()
+  collect()
   local used, _, size = usage()
   if size == huge then return ("%.0f KiB in use"):format(used) end
   return ("%.0f of %.0f KiB in use (%.0f %%)"):format(used, size, 100 * used / size)
@@ -69,7 +72,7 @@ function update.new_meter(launch)
   return function()
     local used, most, size = usage()
     if limit and used > limit then
-      collectgarbage()
+      collect()
       used, limit = usage(), false
     end
     limit = limit or used + 0.9 * (size - used)
@@ -87,7 +90,7 @@ end
 --- Undo a launch that has failed, and raise the reason; if that was a lack of memory,
 -- also what was done then.
 function update.fail(launch, problem)
-  collectgarbage() -- or undoing fails, too
+  collect() -- or undoing fails, too
   launch.undo()
   local text, memory = rfsm.text_of(problem), memory_text()
   if text:find("not enough memory", 1, true) then
@@ -101,7 +104,7 @@ local fail = update.fail
 --- Return a function that prepares the machine, and logs what was launched.
 function update.new_finisher(launch)
   return function()
-    collectgarbage()
+    collect()
     launch.stage = "the machine is prepared"
     local ok, problem = pcall(rfsm.prepare, launch.fsm)
     if not ok then fail(launch, problem) end
