@@ -14,17 +14,17 @@
 -- @license BSD-3-Clause
 
 local collectgarbage, error, package = collectgarbage, error, package
-local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
+local ipairs, pcall, rawget, rawset = ipairs, pcall, rawget, rawset
 local require, select = require, select
 local setmetatable, tostring, type = setmetatable, tostring, type
 local min = math.min
 
 -- The pool of a TLSF component fails when it is full, and Lua 5.1 does not collect
--- because memory is short. So the collector never pauses there, from now on: what is
--- loaded next is large. Lua 5.5 has other parameters.
+-- because memory is short. So the collector never pauses there, from now on, and is
+-- through with the heap before 5 % of it are garbage. Lua 5.5 has other parameters.
 if rawget(_G, "tlsf") then
   pcall(collectgarbage, "setpause", 100)
-  pcall(collectgarbage, "setstepmul", 1000)
+  pcall(collectgarbage, "setstepmul", 3000)
 end
 
 local rfsm = require "rfsm"
@@ -288,13 +288,13 @@ function rfsm_rtt.reason(problem)
     .. "how much a chart needs"
 end
 
--- Lua 5.1 marks a module while it is loaded, and refuses it for ever if that fails.
-local function forget_failed_modules()
-  for name, mark in pairs(package.loaded) do -- any order: each alone
-    if type(mark) == "userdata" and name:find("^rfsm") then
-      package.loaded[name] = nil
-    end
-  end
+local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.options",
+  "shared.limit", "shared.calls", "advice" }
+
+--- Forget the modules that a launch has loaded. Lua 5.1 refuses one for ever when its
+-- loading has failed, so this also comes first.
+function rfsm_rtt.forget_modules()
+  for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
 end
 
 --- Launch a machine in the component of this Lua, in its configureHook.
@@ -312,9 +312,10 @@ end
 ---@return boolean launched true
 function rfsm_rtt.launch(args)
   if rfsm_rtt.launched then rfsm_rtt.launched.forget() end
-  forget_failed_modules()
+  rfsm_rtt.forget_modules()
   local ok, why = pcall(function() require("rfsm.rtt.component").launch(args) end)
   if ok then ok, why = pcall(rfsm_rtt.launched.finish) end
+  rfsm_rtt.forget_modules()
   if not ok then error("rfsm.rtt.launch: " .. rfsm_rtt.reason(why), 2) end
   return true
 end

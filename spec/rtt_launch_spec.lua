@@ -1139,9 +1139,9 @@ describe("the collector of a component's Lua", function()
 
   local POOL = "OCL::LuaTLSFComponent"
   for title, case in pairs { -- any order: each is a spec of its own
-    ["never pauses in a pool where rfsm.rtt is loaded"] = { "100 1000", loading, POOL },
-    ["never pauses in a pool after a launch"] = { "100 1000", launching, POOL },
-    ["is as a prestr sets it"] = { "120 1000", launching, POOL,
+    ["never pauses in a pool where rfsm.rtt is loaded"] = { "100 3000", loading, POOL },
+    ["never pauses in a pool after a launch"] = { "100 3000", launching, POOL },
+    ["is as a prestr sets it"] = { "120 3000", launching, POOL,
       "collectgarbage('setpause', 120)" },
     ["is left alone without a pool"] = { "200 200", loading, "OCL::LuaComponent" },
   } do

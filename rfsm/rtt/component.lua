@@ -14,7 +14,7 @@ local update = require "rfsm.rtt.update"
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
 local error, ipairs, loadfile, package = error, ipairs, loadfile, package
 local os, pairs, pcall, rawequal = os, pairs, pcall, rawequal
-local rawget, rawset, require, select = rawget, rawset, require, select
+local rawget, rawset, require = rawget, rawset, require
 local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -161,12 +161,6 @@ end
 
 local function is_code() return true end
 
--- Sets how hard the collector of a pool works; returns how hard it did.
-local function set_collector(multiplier)
-  if not rawget(_G, "tlsf") then return nil end
-  return select(2, pcall(collectgarbage, "setstepmul", multiplier))
-end
-
 local LEVELS = { err = "Error", warn = "Warning", info = "Info" }
 
 -- Sets the printers that the chart has not; returns them. A pool has no room for
@@ -185,7 +179,6 @@ end
 
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
-  local multiplier = set_collector(3000) -- most of it is garbage at once
   local ok, model = limit.load(limit.SECONDS, is_code, { os.time }, rfsm.load,
     launch.fsmfile)
   if not ok then error(model, 0) end
@@ -194,7 +187,6 @@ local function load_machine(launch)
   local fsm, _, problems = rfsm.init(model)
   if not fsm then error("no machine:\n  " .. concat(problems, "\n  "), 0) end
   fsm.warn = own.warn or fsm.warn
-  set_collector(multiplier)
   return fsm, model.getevents
 end
 
@@ -388,10 +380,6 @@ local function set_up(launch)
   return launch.eehook and new_hook(launch, trigger) or nil
 end
 
--- Modules that nobody needs any more when a machine is launched.
-local NOT_NEEDED = { "rtt.component", "rtt.update", "rtt.settings", "shared.options",
-  "shared.limit", "shared.calls", "advice" }
-
 -- Returns why nothing can be launched in this Lua; nil if it can.
 local function obstacle()
   if not rfsm.prepare then return "another rfsm is loaded in this Lua" end
@@ -461,7 +449,7 @@ function component.start(launch)
   begin(launch)
   launch.undo, launch.forget = function() undo(launch) end, new_forgetter(launch)
   local ok, result = pcall(set_up, launch)
-  for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+  rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
   launch.before, rfsm_rtt.launched = nil, launch
   return result
@@ -471,7 +459,7 @@ end
 local function read(args)
   local settings = require "rfsm.rtt.settings"
   local launch = settings.read(settings.OWN, args, "fsmfile")
-  for _, name in ipairs(NOT_NEEDED) do package.loaded["rfsm." .. name] = nil end
+  rfsm_rtt.forget_modules()
   return launch
 end
 
