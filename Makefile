@@ -18,7 +18,9 @@ STRIP    ?=
 BUNDLE   ?= rfsm rfsm.fast rfsm.advice
 # time events, sequential AND states, the printed machine, history, checks
 ALL      ?= rfsm_timeevent rfsm.clock rfsm_seqand rfsmpp rfsm.history rfsm_checks \
-            rfsm.checkevents $(subst /,.,$(basename $(wildcard rfsm/checks/*.lua rfsm/shared/*.lua)))
+            rfsm.checkevents $(addprefix rfsm.observe.,coverage watch_properties why) \
+            $(subst /,.,$(basename $(wildcard $(ROOMS:%=rfsm/%/*.lua))))
+ROOMS    := shared checks explore tests
 DIST     ?= dist
 ifneq ($(word 2,x$(DESTDIR)$(PREFIX)),)
 $(error PREFIX and DESTDIR: no blanks expected, got '$(DESTDIR)$(PREFIX)')
@@ -34,7 +36,7 @@ TOOLS    := $(wildcard tools/rfsm*)
 EXAMPLES := $(wildcard examples/*.lua)
 FILES    := $(OUTER) $(INNER) $(DEEPER) $(EXAMPLES) $(wildcard spec/*.lua spec/*/*.lua bench/*.lua)
 
-.PHONY: all help sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript
+.PHONY: all help sim fleet fleet-postgres test test-web test-site test-hosts lint fuzz torture mutants bench soak bench-profile examples doc site gallery deps transcript house
 .PHONY: rockspec rocks dist deb size install uninstall clean
 .DEFAULT_GOAL := all
 
@@ -147,6 +149,9 @@ deps:                   ## install the packages for sim, test and doc
 	@tools/deps.sh sim
 	@tools/deps.sh test $(LUAS)
 	@tools/deps.sh doc
+
+house:                  ## print the floors of the library, its rooms, and who requires whom
+	@$(LUA) tools/house.lua
 
 rockspec:               ## the lists of the dev rockspec; with VERSION, the rockspec of a release
 	$(LUA) tools/rockspec.lua $(if $(VERSION),$(VERSION) $(URL) > rockspec/rfsm-$(VERSION)-1.rockspec)

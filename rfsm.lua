@@ -482,7 +482,8 @@ local CALLBACKS = {
   transition = { guard = true, effect = true },
 }
 
--- Adds the warning that rfsm/advice.lua has on a topic, if there is one.
+-- Adds the warning that rfsm/advice.lua has on a topic, if there is one. It is asked
+-- where something may be odd: most charts are made without that file.
 local function add_advice(list, topic, def, ...)
   local text, field = advise(topic, def, ...)
   if text ~= "" then add(list, def, field, text) end
@@ -620,16 +621,22 @@ do
     return def
   end
 
+  local function add_member(parent, key, def)
+    if parent.members == NONE then parent.members = {} end
+    parent.members[key] = def
+  end
+
   -- Makes the bare node; `clone_below` fills it in when its turn comes.
   function new_node(build, kind, model, parent, key)
     local def = new_def(build.plan.nodes, kind, model_of(model), parent or false, key)
     def.fqn = parent and parent.fqn .. "." .. text_of(key) or key
     def.depth = parent and parent.depth + 1 or 0
     def.parent = parent or def
-    def.is_leaf, def.otrs, def.members = kind == "state", {}, {}
+    def.is_leaf, def.otrs, def.members = kind == "state", NONE, NONE
     note_mount(build, def)
     if parent then
-      parent.members[key], parent.is_leaf = def, false
+      add_member(parent, key, def)
+      parent.is_leaf = false
       check_name(build, def)
     end
     return def
@@ -650,6 +657,12 @@ do
     append(def.data, { key, value })
   end
 
+  local function check_datum(build, def, key, value)
+    if def.kind == "transition" or type(value) == "table" or is_callable(value) then
+      add_advice(build.warnings, "datum", def, key, value)
+    end
+  end
+
   -- Takes over a field that is no element of the model: a callback or the user's data.
   local function clone_field(build, def, key, value)
     if CALLBACKS[def.kind][key] then
@@ -666,8 +679,9 @@ do
         .. "(rfsm.trans{ src='initial', tgt=... })", got(value))
     elseif not API_FIELDS[key] then
       add_datum(def, key, value)
-      if def.parent == def and ROOT_FIELDS[key] then return end
-      add_advice(build.warnings, "datum", def, key, value)
+      if def.parent ~= def or not ROOT_FIELDS[key] then
+        check_datum(build, def, key, value)
+      end
     end
   end
 
@@ -693,7 +707,7 @@ do
       add(build.problems, def, "pn", "number expected, " .. got(def.pn))
       def.pn = nil
     end
-    parent.members[key] = def
+    add_member(parent, key, def)
   end
 
   local function clone_connector(build, def)
@@ -977,13 +991,13 @@ do
   function compile(plan)
     local nodes, transitions, events = plan.nodes, plan.transitions, {}
     for i = 1, #nodes do
-      nodes[i].otrs = {}
+      nodes[i].otrs = NONE
       make_proto(nodes[i])
     end
     for i = 1, #transitions do
-      local def = transitions[i]
-      local otrs = def.src.otrs
-      otrs[#otrs + 1] = def
+      local def, src = transitions[i], transitions[i].src
+      if src.otrs == NONE then src.otrs = {} end
+      src.otrs[#src.otrs + 1] = def
       for j = 1, def.events and #def.events or 0 do
         events[def.events[j]] = true
         def.is_asked = def.is_asked or type(def.events[j]) == "function"
@@ -1039,33 +1053,32 @@ local function new_plan(model)
   }
 end
 
--- Returns a plan like this one, for changes: its definitions are new ones.
+-- Returns a plan like this one, for changes: its definitions are new ones, in the same
+-- order. Parents come before children.
 local function copy_plan(plan)
-  local copies, copy = {}, new_plan(plan.model)
+  local copy = new_plan(plan.model)
+  local nodes, transitions = copy.nodes, copy.transitions
   copy.warnings, copy.created = plan.warnings, plan.created
-  for _, list in ipairs({ "nodes", "transitions" }) do
-    for i, def in ipairs(plan[list]) do
-      copies[def] = {}
-      copy[list][i] = copies[def]
-    end
+  for i, def in ipairs(plan.nodes) do
+    nodes[i] = {
+      kind = def.kind, index = i, id = def.id, parent = false, model = def.model,
+      data = def.data, proto = false, fqn = def.fqn, depth = def.depth,
+      is_leaf = def.is_leaf, otrs = false, members = {}, doo = def.doo,
+    }
+    nodes[i].parent = nodes[def.parent.index]
+    if i > 1 then nodes[i].parent.members[def.id] = nodes[i] end
   end
-  local STRUCTURE = {
-    "kind", "index", "id", "parent", "model", "data", "fqn", "depth", "is_leaf", "src",
-    "tgt", "events", "pn", "is_internal", "doo", "guard",
-  }
-  for def, new in pairs(copies) do -- any order: each stands alone
-    for _, field in ipairs(STRUCTURE) do
-      new[field] = copies[def[field]] or def[field]
-    end
-    if def.members then
-      new.members = {}
-      for key, member in pairs(def.members) do new.members[key] = copies[member] end
-    end
+  for i, def in ipairs(plan.transitions) do
+    transitions[i] = {
+      kind = def.kind, index = i, id = def.id, parent = nodes[def.parent.index],
+      model = def.model, data = def.data, proto = false, src = nodes[def.src.index],
+      tgt = nodes[def.tgt.index], events = def.events, pn = def.pn,
+      is_internal = def.is_internal, guard = def.guard,
+    }
+    transitions[i].parent.members[def.id] = transitions[i]
   end
   return copy
 end
-
-interpret(copy_plan)
 
 local make_trail, is_current
 
@@ -1152,8 +1165,8 @@ local OWN_ONLY = { OWN }
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
   dbg = silent, getevents = no_events, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = NONE, _path_hooks = NONE, _failure = false, _reset_wanted = false,
-  _preparing = false,
+  _reset_hooks = false, _path_hooks = false, _watch_hooks = false, _failure = false,
+  _reset_wanted = false, _preparing = false,
 }
 
 -- The fields that a machine has from the start.
@@ -1361,10 +1374,19 @@ function rfsm.is_interrupt(failure)
     or failure:find("^[^\n]*:%d+: interrupted!$") ~= nil)
 end
 
+-- Tells those who watch what has happened; see `rfsm.watch_hook_add`.
+local function tell(fsm, ...)
+  for _, hook in ipairs(fsm._watch_hooks or NONE) do
+    local ok, failure = pcall(hook, fsm, ...)
+    if not ok then keep_failure(fsm, failure) end
+  end
+end
+
 -- A callback of a state or transition failed.
 local function report_callback(fsm, name, owner, callback, failure)
   if rfsm.is_interrupt(failure) then return keep_failure(fsm, failure) end
   if not is_callable(callback) then failure = "function expected, " .. got(callback) end
+  tell(fsm, "failed", owner, name, failure)
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   report(fsm, "err", name:upper(), text .. ": ", failure)
 end
@@ -1401,42 +1423,47 @@ local PHASES, search = {}, nil
 
 -- Gather ..........................................................................
 
--- Ends an iteration early: a hook or getevents has failed. Events that nobody has seen
--- are pending again.
-local function give_up(fsm, failure)
-  if fsm._phase == "gather" then
-    fsm._intq = append(append({}, fsm._curq), fsm._intq)
-  end
-  fsm._curq = {}
+-- The current events are pending again, before the others. The phase is idle first: cut
+-- short, the next iteration finds the events here or there.
+local function put_back(fsm)
   fsm._outcome = "refused"
   fsm._phase = "idle"
+  fsm._intq = append(append({}, fsm._curq), fsm._intq)
+  fsm._curq = {}
+end
+
+-- Ends an iteration early: a step hook or getevents has failed. Events that nobody has
+-- seen are pending again.
+local function give_up(fsm, failure)
+  if fsm._phase ~= "gather" then fsm._curq = {} end
+  put_back(fsm)
   error(failure, 0)
 end
 
--- Returns the events of getevents, a list with nils perhaps; nil and the failure.
+-- Returns the events of getevents, a list with nils perhaps; nil and the failure. The
+-- answer is noted at once, and stays until it is appended: cut short, it is not lost.
 local function ask_getevents(fsm)
   local getevents = fsm.getevents
+  if fsm._given then return fsm._given end
   if not getevents or getevents == no_events then return NONE end
   local ok, events = pcall(getevents)
-  if ok and type(events) == "table" then
-    return events
-  elseif not is_callable(getevents) then
+  fsm._given = ok and events or false
+  if type(fsm._given) == "table" then return events end
+  fsm._given = false
+  if ok and events == nil then return NONE end
+  if not is_callable(getevents) then
     return nil, "rfsm.step: getevents: function expected, " .. got(getevents)
   elseif not ok then
     return nil, events
-  elseif events ~= nil then
-    return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
   end
-  return NONE
+  return nil, "rfsm.step: getevents: list of events expected, " .. got(events)
 end
 
--- Appends what getevents returns. Cut short, the answer is appended again: the events
--- of an iteration are a set.
+-- Appends what getevents returns. Cut short, it is appended again: the events of an
+-- iteration are a set.
 local function append_getevents(fsm, list)
-  local events, failure = fsm._given, nil
-  if not events then events, failure = ask_getevents(fsm) end
+  local events, failure = ask_getevents(fsm)
   if not events then give_up(fsm, failure) end
-  fsm._given = events
   for i = 1, #events do list[#list + 1] = events[i] end
   fsm._given = false
 end
@@ -1482,8 +1509,11 @@ local function set_inactive(fsm)
 end
 
 local function run_reset_hooks(fsm)
+  for _, hook in ipairs(fsm._reset_hooks or NONE) do
+    local ok, failure = pcall(hook, fsm)
+    if not ok then keep_failure(fsm, failure) end
+  end
   fsm._reset_wanted = false
-  for _, hook in ipairs(fsm._reset_hooks) do hook(fsm) end
 end
 
 -- Makes a machine as it was after init, but for the events of the current iteration.
@@ -1493,19 +1523,25 @@ local function reset_now(fsm)
   run_reset_hooks(fsm)
 end
 
--- The queue and the list of the last iteration, which is empty, change places. If that
--- was cut short, both are one list, or the one of the last iteration has the events.
+-- What is pending becomes current: the queue and the list of the last iteration, which
+-- is empty, change places. If that was cut short, both are one list, or the one of the
+-- last iteration has events: they come first.
+local function take_queue(fsm)
+  local queue, spare = fsm._intq, fsm._curq
+  if rawequal(queue, spare) or spare[1] ~= nil then
+    queue = rawequal(queue, spare) and queue or append(append({}, spare), queue)
+    spare = {}
+  end
+  fsm._curq = queue
+  fsm._intq = spare
+end
+
 function PHASES.gather(fsm, after_free)
   if fsm._reset_wanted then
     fsm._curq = {}
     reset_now(fsm)
   end
-  local spare = fsm._curq
-  if rawequal(spare, fsm._intq) then spare = {} end
-  if fsm._hook < 0 and spare[1] == nil then
-    fsm._curq = fsm._intq
-    fsm._intq = spare
-  end
+  if fsm._hook < 0 then take_queue(fsm) end
   ask_hooks(fsm)
   return search(fsm, after_free)
 end
@@ -1576,73 +1612,77 @@ local function ask(fsm, def, events)
   return def
 end
 
--- Returns what the searches of a machine note about a connector: `search` is the number
--- of the last one that came here, `way` the transition that leads on, false while it is
--- looked for. The rest is for `find_way` alone.
-local function note_of(fsm, connector)
-  local note = fsm._ways[connector]
-  if not note then
-    note = { otrs = connector.otrs, search = 0, way = false,
-      position = 0, found = false, others = false, outer = false, asked = false }
-    fsm._ways[connector] = note
-  end
-  return note
-end
+local lead, note_of, warn_of_conflict
 
-local function add_way(note, def)
-  if not note.found then
-    note.found = def
-  else
-    note.others = append(note.others or { note.found }, { def })
-  end
-end
-
-local function warn_of_conflict(fsm, ways)
-  report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
-  for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
-end
-
--- Asks the next transition of a connector. Returns the note of the connector to which
--- it leads, if the search has not been there.
-local function ask_next(fsm, note, def, events)
-  note.position = note.position + 1
-  def = matches(def, events) and ask(fsm, def, events)
-  local there = def and def.connector and note_of(fsm, def.connector)
-  note.asked = def
-  if there and there.search ~= fsm._search then return there end
-  if def and not (there and not there.way) then add_way(note, def) end
-end
-
--- Finds the way out of a connector, and of those to which its transitions lead, each
--- once a search: (a) begins with a connector, (b) asks its next transition, also
--- further ones of the same priority, to warn of a conflict, (c) goes back to the
--- connector from which it came. Until then a connector has no way out, so that cycles
--- end.
-local function find_way(fsm, there, events)
-  local note = false
-  repeat
-    if there then -- (a)
-      there.search, there.way, there.position = fsm._search, false, 0
-      there.found, there.others, there.outer = false, false, note
-      note = there
+do
+  -- Returns what the searches of a machine note about a connector: `search` is the
+  -- number of the last one that came here, `way` the transition that leads on, false
+  -- while it is looked for. The rest is for `find_way` alone.
+  function note_of(fsm, connector)
+    local note = fsm._ways[connector]
+    if not note then
+      note = { otrs = connector.otrs, search = 0, way = false,
+        position = 0, found = false, others = false, outer = false, asked = false }
+      fsm._ways[connector] = note
     end
-    local def, found = note.otrs[note.position + 1], note.found
-    if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
-      there = ask_next(fsm, note, def, events)
-    else -- (c)
-      if note.others then warn_of_conflict(fsm, note.others) end
-      note.way, note, there = found, note.outer, nil
-      if note and found then add_way(note, note.asked) end
-    end
-  until not note
-end
+    return note
+  end
 
--- Returns the definition of an open transition if there is a path on from its target.
-local function lead(fsm, def, events)
-  if not (def and def.connector) then return def end
-  local note = note_of(fsm, def.connector)
-  if note.search ~= fsm._search then find_way(fsm, note, events) end
-  return note.way and def or nil
+  local function add_way(note, def)
+    if not note.found then
+      note.found = def
+    else
+      note.others = append(note.others or { note.found }, { def })
+    end
+  end
+
+  function warn_of_conflict(fsm, ways)
+    report(fsm, "warn", "conflicting transitions from src " .. ways[1].src.fqn .. " to")
+    for _, def in ipairs(ways) do report(fsm, "warn", "\t" .. def.tgt.fqn) end
+  end
+
+  -- Asks the next transition of a connector. Returns the note of the connector to which
+  -- it leads, if the search has not been there.
+  local function ask_next(fsm, note, def, events)
+    note.position = note.position + 1
+    def = matches(def, events) and ask(fsm, def, events)
+    local there = def and def.connector and note_of(fsm, def.connector)
+    note.asked = def
+    if there and there.search ~= fsm._search then return there end
+    if def and not (there and not there.way) then add_way(note, def) end
+  end
+
+  -- Finds the way out of a connector, and of those to which its transitions lead, each
+  -- once a search: (a) begins with a connector, (b) asks its next transition, also
+  -- further ones of the same priority, to warn of a conflict, (c) goes back to the
+  -- connector from which it came. Until then a connector has no way out, so that cycles
+  -- end.
+  local function find_way(fsm, there, events)
+    local note = false
+    repeat
+      if there then -- (a)
+        there.search, there.way, there.position = fsm._search, false, 0
+        there.found, there.others, there.outer = false, false, note
+        note = there
+      end
+      local def, found = note.otrs[note.position + 1], note.found
+      if def and (not found or (def.pn or 0) == (found.pn or 0)) then -- (b)
+        there = ask_next(fsm, note, def, events)
+      else -- (c)
+        if note.others then warn_of_conflict(fsm, note.others) end
+        note.way, note, there = found, note.outer, nil
+        if note and found then add_way(note, note.asked) end
+      end
+    until not note
+  end
+
+  -- Returns the definition of an open transition if there is a path on from its target.
+  function lead(fsm, def, events)
+    if not (def and def.connector) then return def end
+    local note = note_of(fsm, def.connector)
+    if note.search ~= fsm._search then find_way(fsm, note, events) end
+    return note.way and def or nil
+  end
 end
 
 -- Returns the first transition of a list that is enabled, nil if there is none, or a
@@ -1658,18 +1698,24 @@ end
 
 -- The same for the whole configuration: node by node from the root down to the leaf.
 local function choose_by_node(fsm, leaf, events)
-  local trace = is_traced(fsm) and report or silent
-  trace(fsm, "dbg", "TRANSITION",
-    "searching transitions for events: " .. list_text(events))
+  local traces = is_traced(fsm)
+  if traces then
+    report(fsm, "dbg", "TRANSITION",
+      "searching transitions for events: " .. list_text(events))
+  end
   for i, node in ipairs(line_to(leaf)) do
-    trace(fsm, "dbg", "CHECKING", "depth:", i - 1, "for transitions from " .. node.fqn)
+    if traces then
+      report(fsm, "dbg", "CHECKING", "depth:", i - 1,
+        "for transitions from " .. node.fqn)
+    end
     local plan, def = fsm._plan, first_enabled(fsm, node.otrs, events)
     if def or fsm._plan ~= plan then return def end
   end
-  trace(fsm, "dbg", "TRANSITION", "no enabled paths found")
+  if traces then report(fsm, "dbg", "TRANSITION", "no enabled paths found") end
 end
 
 local OTHER = {} -- stands for all events that no transition from the leaf names
+local NO_CHOICE = { run = false, run_hooked = false, find = false }
 
 -- Lists the transitions that each event may trigger while the leaf is active, in
 -- order. `ignored` is the leaf's e_done if nothing waits for it, else NaN, which equals
@@ -1694,6 +1740,7 @@ local function list_choices(leaf)
       for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, def) end
     end
   end
+  if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
   local done = choices[leaf.done_event] or choices[OTHER]
   leaf.ignored = done[1] and 0 / 0 or leaf.done_event
   leaf.choices = choices
@@ -1738,8 +1785,8 @@ end
 -- Warns of events that were sent before the first entry, and that its path does not
 -- name: they are consumed by it.
 local function warn_of_lost_events(fsm, path, events)
-  local lost = {}
   if rfsm.is_strict(fsm) then return end -- rfsm/strict.lua has told the sender
+  local lost = {}
   for i = 1, #events do
     local is_named = rawequal(events[i], "e_init_fsm")
     for _, def in ipairs(path.segments) do
@@ -1775,10 +1822,7 @@ end
 local function refuse_entry(fsm, events)
   report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
     .. "events: " .. list_text(events))
-  fsm._intq = append(append({}, events), fsm._intq)
-  fsm._curq = {}
-  fsm._outcome = "refused"
-  fsm._phase = "idle"
+  put_back(fsm)
   if fsm._reset_wanted then reset_now(fsm) end
   fsm._is_usual = true
   raise_failure(fsm)
@@ -1848,7 +1892,7 @@ end
 
 -- Tells those who watch which transitions are about to be taken.
 local function show_path(fsm, path, at)
-  if not fsm._path_hooks[1] or not path.segments[1] then return end
+  if not fsm._path_hooks or not path.segments[1] then return end
   local list = {}
   for i, def in ipairs(path.segments) do list[i] = fsm._transitions[def.index] end
   call_hooks(fsm, fsm._path_hooks, list, at)
@@ -1910,25 +1954,26 @@ do
   end
 end
 
+-- Calls the callback `name` of a state or transition.
+local function run_callback(fsm, owner, name, at, ...)
+  local callback = owner[name]
+  if not callback then return end
+  fsm._at = at
+  local ok, failure = pcall(callback, fsm, owner, name, ...)
+  if not ok then report_callback(fsm, name, owner, callback, failure) end
+end
+
 local function run_effect(fsm, def, at)
   local tr = fsm._transitions[def.index]
-  local effect = tr.effect
-  if not effect then return end
-  if not borrowers[effect] then fsm._is_lent = true end
-  fsm._at = at
-  local ok, failure = pcall(effect, fsm, tr, "effect", fsm._curq)
-  if not ok then report_callback(fsm, "effect", tr, effect, failure) end
+  if tr.effect and not borrowers[tr.effect] then fsm._is_lent = true end
+  run_callback(fsm, tr, "effect", at, fsm._curq)
 end
 
 local function leave(fsm, def, at)
   local state = fsm._nodes[def.index]
   state._mode = "inactive"
   state._parent._actchild = nil
-  local exit = state.exit
-  if not exit then return end
-  fsm._at = at
-  local ok, failure = pcall(exit, fsm, state, "exit")
-  if not ok then report_callback(fsm, "exit", state, exit, failure) end
+  run_callback(fsm, state, "exit", at)
 end
 
 local function run_exit_hooks(fsm, def, at)
@@ -1950,12 +1995,7 @@ local function become_active(fsm, def, at)
 end
 
 local function enter(fsm, def, at)
-  local state = fsm._nodes[def.index]
-  local entry = state.entry
-  if not entry then return end
-  fsm._at = at
-  local ok, failure = pcall(entry, fsm, state, "entry")
-  if not ok then report_callback(fsm, "entry", state, entry, failure) end
+  run_callback(fsm, fsm._nodes[def.index], "entry", at)
 end
 
 local function become_leaf(fsm, def, at)
@@ -2005,6 +2045,19 @@ do
     add_action(list, recorders.entry, state)
   end
 
+  local shapes = {} -- a tree of the lists that are there, by their actions
+
+  -- Returns a list with the same actions, which all paths of this shape share.
+  local function shared(actions)
+    local at = shapes
+    for _, action in ipairs(actions) do
+      at[action] = at[action] or {}
+      at = at[action]
+    end
+    at.list = at.list or actions
+    return at.list
+  end
+
   -- Each segment: (a) the states up to the lca are left, (b) the effect is run, (c) the
   -- states down to the target are entered.
   function list_actions(path)
@@ -2023,7 +2076,7 @@ do
       from = def.tgt.parent
     end
     path.args = list.args
-    path.actions = list.actions -- last: then both are complete
+    path.actions = shared(list.actions) -- last: then both are complete
   end
 end
 
@@ -2059,7 +2112,7 @@ function PHASES.take(fsm)
   return conclude(fsm, "counted")
 end
 
-local load_fast, prepare_choice, prepare_entry, quick_run
+local drop_fast, load_fast, prepare_choice, prepare_entry, quick_run
 
 do
   local fast -- the functions of rfsm/fast.lua, false without it
@@ -2085,10 +2138,9 @@ do
     fast = ok and made or false
   end
 
-  --- Have all machines do without rfsm/fast.lua from now on, where memory is short.
-  function rfsm.without_fast() fast = false end
+  function drop_fast() fast = false end
 
-  local OFTEN = 3 -- what is used more often is compiled
+  local OFTEN = 3 -- what is asked for more often is compiled
 
   -- Has rfsm/fast.lua make a function for a path or a list of candidates, and keeps it,
   -- or false if there is none:
@@ -2180,10 +2232,10 @@ do
 
   -- The coroutine is dropped last: if a doo's end is cut short, it is done again.
   local function fail_doo(fsm, leaf, failure)
-    leaf._mode = "done"
     if rfsm.is_interrupt(failure) then
       keep_failure(fsm, failure)
     else
+      tell(fsm, "failed", leaf, "doo", failure)
       report(fsm, "err", "DOO",
         "doo program of state '" .. leaf._fqn .. "' failed: ", failure)
     end
@@ -2199,8 +2251,11 @@ do
 
   local function end_doo(fsm, leaf)
     if leaf._mode ~= "done" then complete(fsm, leaf) end
-    if is_traced(fsm) then
+    if fsm._at < 2 then
       fsm._at = 2
+      tell(fsm, "ended", leaf)
+    end
+    if is_traced(fsm) then
       report(fsm, "dbg", "DOO",
         "removing completed coroutine of " .. leaf._fqn .. " doo")
     end
@@ -2214,27 +2269,29 @@ do
     if is_traced(fsm) then
       report(fsm, "dbg", "DOO", "created coroutine for " .. leaf._fqn .. " doo")
     end
-    if not coroutine then return fail_doo(fsm, leaf, "there are no coroutines here") end
+    if not coroutine then
+      leaf._mode = "done"
+      return fail_doo(fsm, leaf, "there are no coroutines here")
+    end
     leaf._doo_co = new_doo(leaf.doo)
     return leaf._doo_co
   end
 
   local resume, status = coroutine and coroutine.resume, coroutine and coroutine.status
 
-  -- One cycle of the active leaf's doo; true when it is idle or done.
+  -- One cycle of the active leaf's doo; true when it is idle or done. What fails is
+  -- done at once: cut short, it must not complete.
   function run_doo(fsm, leaf)
-    local co = leaf._doo_co
-    if not co then
-      if leaf._mode == "done" then return true end
-      co = start_doo(fsm, leaf)
-      if not co then return true end
-    end
+    local co = leaf._doo_co or leaf._mode ~= "done" and start_doo(fsm, leaf)
+    if not co then return true end
     local ok, idle = true, false
     if fsm._at < 1 then
       fsm._at = 1
+      if fsm._watch_hooks then tell(fsm, "resumed", leaf) end
       ok, idle = resume(co, fsm, leaf, "doo")
+      if not ok then leaf._mode = "done" end
     end
-    if ok and status(co) ~= "dead" then return idle and true or false end
+    if ok and status(co) ~= "dead" then return not not idle end
     local finish_doo = ok and end_doo or fail_doo
     finish_doo(fsm, leaf, idle)
     return true
@@ -2474,6 +2531,7 @@ do
   -- The plans of models, kept by their machines; the latest one in any case, for
   -- programs that drop each machine before they make the next.
   local plans, latest_plan = setmetatable({}, { __mode = "kv" }), nil
+  local is_sparing = false
 
   function new_build(plan)
     return { plan = plan, problems = {}, warnings = {}, created = {}, mounts = {} }
@@ -2540,10 +2598,20 @@ do
     local build = build_plan(model)
     if build.problems[1] then return nil, lines_of(build.problems) end
     plan = compile(build.plan)
-    plan.trail = make_trail(plan)
     plan.warnings, plan.created = build.warnings, build.created
+    if is_sparing then return plan end
+    plan.trail = make_trail(plan)
     plans[model], latest_plan = plan, plan
     return latest_plan
+  end
+
+  --- Take less memory from now on, and more time: for all machines of this Lua.
+  --
+  -- Nothing is compiled by rfsm/fast.lua, and each `init` makes a plan of its own,
+  -- which is not kept longer than its machine.
+  function rfsm.save_memory()
+    drop_fast()
+    is_sparing, latest_plan = true, nil
   end
 
   function new_machine(plan)
@@ -2609,11 +2677,16 @@ end
 -- Reports the warnings of the model, also after the preproc functions.
 local function report_findings(fsm, first_node, first_transition)
   local plan, found = fsm._plan, append({}, fsm._plan.warnings)
-  for i = first_node, #plan.nodes do add_advice(found, "initial", plan.nodes[i]) end
+  for i = first_node, #plan.nodes do
+    local def = plan.nodes[i]
+    local way = def.id == "initial" and def.otrs[1]
+    if way and (way.events or way.guard) then add_advice(found, "initial", def) end
+  end
   for i = first_transition, #plan.transitions do
     local def = plan.transitions[i]
     for _, event in ipairs(def.events or NONE) do
-      add_advice(found, "event", def, event)
+      local is_call = type(event) == "string" and event:find("%)$")
+      if is_call then add_advice(found, "event", def, event) end
     end
   end
   report_lines(fsm, "warn", found)
@@ -2855,7 +2928,8 @@ function rfsm.send_events(fsm, event, ...)
   if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
   local queue = fsm._intq
   if event ~= nil then queue[#queue + 1] = event end
-  if select("#", ...) > 0 then return queue_more(queue, ...) end
+  if select("#", ...) > 0 then queue_more(queue, ...) end
+  if fsm._watch_hooks then tell(fsm, "sent", event, ...) end
 end
 
 -- A step is under way unless an error has cut it short. So is one that a callback has
@@ -2911,6 +2985,13 @@ local function advance(fsm, left, counted, idle)
   return idle or false
 end
 
+local function step_often(fsm, n)
+  if type(n) ~= "number" then
+    error("rfsm.step: number of steps expected, " .. got(n), 3)
+  end
+  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+end
+
 --- Advance a machine by at most `n` transitions or doo cycles.
 --
 -- Returns earlier if it is idle. Errors of callbacks are reported to `err`. Those of
@@ -2923,15 +3004,13 @@ end
 function rfsm.step(fsm, n)
   if not machines[fsm] then check_machine(fsm, "rfsm.step") end
   if fsm._phase ~= "idle" then check_no_step(fsm, "rfsm.step", 3) end
-  if n == nil then
-    local ok, counted, idle = pcall(iterate, fsm)
-    if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
-    if not ok then raise_cut(fsm, counted) end
-    return advance(fsm, 1, counted, idle)
-  elseif type(n) ~= "number" then
-    error("rfsm.step: number of steps expected, " .. got(n), 2)
-  end
-  return advance(fsm, n == n and n or 1, try(fsm)) -- NaN is 1
+  if n ~= nil then return (step_often(fsm, n)) end -- no tail call: it blames
+  local ok, counted, idle = pcall(iterate, fsm)
+  if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
+  if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
+  if ok and counted then return idle end
+  if not ok then raise_cut(fsm, counted) end
+  return advance(fsm, 1, counted, idle)
 end
 
 --- Advance a machine until no event is pending and no doo is busy.
@@ -2960,6 +3039,7 @@ function rfsm.reset(fsm)
   fsm._given = false
   fsm._phase, fsm._curq, fsm._failure = "idle", {}, false
   reset_now(fsm)
+  raise_failure(fsm)
 end
 
 --- Move the events of getevents to the queue.
@@ -2970,6 +3050,7 @@ function rfsm.check_events(fsm)
   local events, failure = ask_getevents(fsm)
   if not events then error(failure, 0) end
   append(fsm._intq, events)
+  fsm._given = false
   return #fsm._intq
 end
 
@@ -3307,6 +3388,8 @@ end
 -- Hooks: lists that are replaced, never changed: a run over one is not disturbed ...
 
 do
+  local IN_STEP = { _pre_hooks = true, _post_hooks = true, _path_hooks = true }
+
   -- Makes the function that adds a hook to the list `field` of a machine.
   local function hook_adder(where, field)
     return function(fsm, hook, place)
@@ -3315,10 +3398,10 @@ do
       if place ~= nil and place ~= "before" and place ~= "after" then
         error(where .. ": 'before' or 'after' expected, " .. got(place), 2)
       end
-      local hooks = append({}, fsm[field])
+      local hooks = append({}, fsm[field] or NONE)
       insert(hooks, place == "before" and 1 or #hooks + 1, hook)
       fsm[field] = hooks
-      fsm._is_hooked, fsm._is_usual = true, false
+      if IN_STEP[field] then fsm._is_hooked, fsm._is_usual = true, false end
     end
   end
 
@@ -3333,13 +3416,19 @@ do
     end
   end
 
+  -- Returns a list of hooks, false for an empty one, as a machine has it at first.
+  local function reduced(hooks)
+    if #hooks == 1 and hooks[1] == OWN then return OWN_ONLY end
+    return hooks[1] and hooks or false
+  end
+
   -- Makes the function that takes a hook out again, also the model's own at `slot`.
   local function hook_remover(where, field, slot)
     return function(fsm, hook)
       check_machine(fsm, where)
-      local hooks = without(fsm[field], hook)
+      local hooks = without(fsm[field] or NONE, hook)
       if hooks then
-        fsm[field] = slot and #hooks == 1 and hooks[1] == OWN and OWN_ONLY or hooks
+        fsm[field] = reduced(hooks)
         return true
       end
       if not slot or hook == nil or not rawequal(fsm[slot], hook) then return false end
@@ -3418,6 +3507,14 @@ do
     return fsm._outcome == "free"
   end
 
+  --- For post step hooks: is nothing left to do, unless an event comes?
+  ---@param fsm rfsm.Machine
+  ---@return boolean
+  function rfsm.is_idle(fsm)
+    check_machine(fsm, "rfsm.is_idle")
+    return fsm._outcome == "idle" and fsm._intq[1] == nil
+  end
+
   --- Have `hook(fsm, path)` called before a path is taken: the list of its transitions.
   --
   -- For those who watch. Its error is raised when the iteration is over.
@@ -3428,6 +3525,24 @@ do
   --- Remove a path hook. Return whether it was there.
   ---@type fun(fsm: rfsm.Machine, hook: function): boolean
   rfsm.path_hook_rm = hook_remover("rfsm.path_hook_rm", "_path_hooks")
+
+  --- Have `hook(fsm, what, ...)` called when something happens, for those who watch.
+  --
+  -- Other hooks tell what a step does. This one tells of the rest, by `what`:
+  --
+  --    "sent", event ...                  events were sent
+  --    "failed", element, callback, error "entry", "guard" ... of an element failed
+  --    "resumed", leaf; "ended", leaf     a doo is resumed; it has come to its end
+  --    "merged", element                  the machine has a new element
+  --
+  -- Its error is raised when the iteration is over.
+  --
+  ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
+  rfsm.watch_hook_add = hook_adder("rfsm.watch_hook_add", "_watch_hooks")
+
+  --- Remove a watch hook. Return whether it was there.
+  ---@type fun(fsm: rfsm.Machine, hook: function): boolean
+  rfsm.watch_hook_rm = hook_remover("rfsm.watch_hook_rm", "_watch_hooks")
 
   --- Have `hook(fsm)` called when the machine is reset, for the data of an extension.
   ---@type fun(fsm: rfsm.Machine, hook: function, place?: "before"|"after")
@@ -3470,6 +3585,7 @@ function rfsm.place(fsm, leaf, mode, queue)
     reset_now(fsm)
   end
   fsm._intq, fsm._curq = queue, {}
+  raise_failure(fsm)
 end
 
 -- Merge: a new element of a live machine ------------------------------------------
@@ -3628,6 +3744,7 @@ do
     report_lines(fsm, "info", build.created)
     report_findings(fsm, first_node, first_transition)
     report_dead_ends(fsm, first_node)
+    tell(fsm, "merged", parent[id])
     return true
   end
 end

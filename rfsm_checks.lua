@@ -15,7 +15,7 @@ local rawset, require, setmetatable, type = rawset, require, setmetatable, type
 local is_leaf, is_state = rfsm.is_leaf, rfsm.is_state
 local elements, text_of = rfsm.elements, rfsm.text_of
 
---- The functions in rfsm/checks, loaded when they are first used.
+--- The functions in the folders of rfsm/, loaded when they are first used.
 ---@class rfsm_checks
 ---@field findings fun(model: rfsm.State, settings?: table): rfsm_checks.Finding[]
 ---@field explore fun(model: rfsm.State, options?: table): rfsm_checks.Exploration
@@ -107,18 +107,18 @@ end
 
 -- The modules of functions that are loaded when they are first used.
 local ELSEWHERE = {
-  why = "rfsm.checks.why", enabled = "rfsm.checks.why",
-  findings = "rfsm.checks.static", explore = "rfsm.checks.explore",
-  coverage = "rfsm.checks.coverage", rehearsal = "rfsm.checks.rehearsal",
-  record_witness = "rfsm.checks.rehearsal", path_of = "rfsm.checks.rehearsal",
-  never = "rfsm.checks.properties", always = "rfsm.checks.properties",
-  after = "rfsm.checks.properties", from = "rfsm.checks.properties",
-  precedes = "rfsm.checks.properties", until_ = "rfsm.checks.properties",
-  at_most = "rfsm.checks.properties", at_least = "rfsm.checks.properties",
-  watch_properties = "rfsm.checks.watching",
+  why = "rfsm.observe.why", enabled = "rfsm.observe.why",
+  findings = "rfsm.checks.static", explore = "rfsm.explore.explore",
+  coverage = "rfsm.observe.coverage", rehearsal = "rfsm.tests.rehearsal",
+  record_witness = "rfsm.tests.rehearsal", path_of = "rfsm.tests.rehearsal",
+  never = "rfsm.explore.properties", always = "rfsm.explore.properties",
+  after = "rfsm.explore.properties", from = "rfsm.explore.properties",
+  precedes = "rfsm.explore.properties", until_ = "rfsm.explore.properties",
+  at_most = "rfsm.explore.properties", at_least = "rfsm.explore.properties",
+  watch_properties = "rfsm.observe.watch_properties",
 }
 
--- Returns a module of the folder rfsm/checks; nil if this file was copied without it.
+-- Returns a module of a folder in rfsm; nil if this file was copied without it.
 local function find_part(name)
   local ok, part = pcall(require, name)
   if ok then return part end

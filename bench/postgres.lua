@@ -8,7 +8,7 @@
 package.path = "./?.lua;" .. package.path
 
 local helper = require "spec.helper"
-local bundle = require "rfsm.postgres.bundle"
+local script = require "rfsm.postgres.script"
 local servers = require "spec.support.postgres"
 
 local EVENTS, MACHINES = tonumber(arg[1]) or 20000, tonumber(arg[2]) or 1000
@@ -42,7 +42,7 @@ UPDATE plain SET chart = 'c', version = '%s',
 local server = servers.start()
 
 local function load_chart(options)
-  assert(server:sql((bundle.sql({ "c=" .. CHART }, options))) == "")
+  assert(server:sql((script.sql({ "c=" .. CHART }, options))) == "")
 end
 
 -- Processor time of the sessions that have ended, in seconds.
@@ -62,11 +62,11 @@ end
 
 local function measure(name, statement)
   statement = statement:gsub("\n", " ")
-  local script = helper.file_with(("\\set m random(1, %d)\n"
+  local commands = helper.file_with(("\\set m random(1, %d)\n"
     .. "\\set i random(1, 1000000000)\n%s\n"):format(MACHINES, statement))
   local calls = math.floor(EVENTS / CLIENTS)
   local command = server:command("pgbench", ("-n -M prepared -c %d -j 2 -t %d -f %s "
-    .. "2>&1"):format(CLIENTS, calls, script))
+    .. "2>&1"):format(CLIENTS, calls, commands))
   local before, log = cpu(), wal()
   local text = table.concat(helper.lines_of(command), "\n")
   local rate = assert(text:match("tps = (%d+)"), text)

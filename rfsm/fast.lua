@@ -16,7 +16,6 @@ local ipairs, pairs = ipairs, pairs
 local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local jit = rawget(_G, "jit")
-
 local MAX_VALUES = 50 -- bound to one function: Lua 5.1 allows 60
 
 -- A text under construction: `names` and `values` are bound to it.
@@ -75,7 +74,7 @@ call_hooks(fsm, fsm.$hooks[$owner], $owner, $at)
 if fsm.dbg ~= silent then return perform(fsm) end
 end]]
 local SHOW = [[
-if fsm._path_hooks[1] then
+if fsm._path_hooks then
 show_path(fsm, path, $at)
 if fsm.dbg ~= silent then return perform(fsm) end
 end]]
@@ -266,8 +265,8 @@ local function write_find(core, list)
   return not text.is_too_much and text
 end
 
---- Return the functions that make a function of a path, of one of a machine with hooks,
---- and of a list of candidates; nil where that would be too long.
+--- Return what makes the functions of paths, without or with hooks, and of lists of
+--- candidates; each returns nil where that would be too long.
 ---@param core table functions of the core, by name
 return function(core)
   local names, values = { "pcall", "rawget", "rawset" }, { pcall, rawget, rawset }
@@ -276,19 +275,21 @@ return function(core)
   end
   local head = "local " .. concat(names, ", ") .. " = ...\n"
   local writers, makers = new_writers(core), setmetatable({}, { __mode = "v" })
+  local maker_of = setmetatable({}, { __mode = "k" }) -- a function keeps its maker
 
   -- Returns the function of a text; nil if there is no text, or it does not compile.
   local function compile(text)
     if not text then return nil end
     local source = head .. ("return function(%s)\n%s\nend"):format(
       concat(text.names, ", "), concat(text.lines, "\n"))
-    local make = makers[source]
-    if not make then
-      local chunk = core.loadstring(source, "=rfsm text")
-      make = chunk and chunk(unpack(values, 1, #names))
-      makers[source] = make
+    if not makers[source] then
+      local ok, chunk = pcall(core.loadstring, source, "=rfsm text") -- it may raise
+      if not (ok and chunk) then return nil end
+      makers[source] = chunk(unpack(values, 1, #names))
     end
-    return make and make(unpack(text.values, 1, #text.names))
+    local f = makers[source](unpack(text.values, 1, #text.names))
+    maker_of[f] = makers[source]
+    return f
   end
 
   return {

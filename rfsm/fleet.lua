@@ -15,7 +15,7 @@
 local try = require("rfsm.shared.calls").try
 local Client = require "rfsm.server.client"
 local connection = require "rfsm.redis.connection"
-local json = require "rfsm.server.json"
+local codec = require "rfsm.server.codec"
 local keys_of = require "rfsm.server.keys"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
@@ -222,7 +222,7 @@ end
 local function entry_of(work, raw)
   local entry = { id = concat({ work.group, work.tag, raw[1] }, ":") }
   for i = 1, #raw[2], 2 do entry[raw[2][i]] = raw[2][i + 1] end
-  entry.data = entry.data and entry.data ~= "" and json.decode(entry.data) or nil
+  entry.data = entry.data and entry.data ~= "" and codec.decode(entry.data) or nil
   return entry
 end
 

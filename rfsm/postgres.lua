@@ -9,10 +9,10 @@
 -- @module rfsm.postgres
 -- @license BSD-3-Clause
 
-local bundle = require "rfsm.postgres.bundle"
+local script = require "rfsm.postgres.script"
 local Base = require "rfsm.server.client"
 local host = require "rfsm.postgres.host"
-local json = require "rfsm.server.json"
+local codec = require "rfsm.server.codec"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local sandbox = require "rfsm.server.sandbox"
@@ -62,9 +62,9 @@ function postgres.charts(arguments, options)
   end
   local settings, problem = opts.read(CHART_OPTIONS, options or {})
   if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
-  local text, warnings = bundle.library(arguments, settings)
+  local text, warnings = script.library(arguments, settings)
   local globals, answer = host.new {
-    json = json, log = function(_, line) print(line) end, warn = function() end,
+    json = codec, log = function(_, line) print(line) end, warn = function() end,
     refuse = function(reason) error(reason, 0) end,
   }
   sandbox.run(text, globals, "PostgreSQL")
@@ -243,7 +243,7 @@ end
 -- Calls a function of the charts for a machine whose row was read.
 local function answer(self, name, key, args, row)
   return self.charts.answer(name, key, args, {
-    list = row.value and json.decode(row.value), us = tonumber(row.us),
+    list = row.value and codec.decode(row.value), us = tonumber(row.us),
     execute = function(statement, ...)
       return query(self, host.STATEMENTS[statement], ...)
     end,

@@ -17,7 +17,7 @@
 local rfsm = require "rfsm"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local rawget, rawset, setmetatable, tonumber = rawget, rawset, setmetatable, tonumber
@@ -310,11 +310,11 @@ end
 -- Has the `dbg` of a machine note the path that is taken, or no more.
 local function trace_path(feed, is_wanted)
   if is_wanted and not feed.tracer[1] then
-    swap.listen(feed.tracer, feed.fsm, "dbg", function(id, text)
+    instrument.listen(feed.tracer, feed.fsm, "dbg", function(id, text)
       if id == "EXEC_PATH" then feed.path = rfsm.text_of(text) end
     end)
   elseif not is_wanted and feed.tracer[1] then
-    swap.give_back(feed.tracer)
+    instrument.give_back(feed.tracer)
   end
 end
 
@@ -330,7 +330,7 @@ local function attach(fsm, server)
   local function before_step()
     if server.is_closed then
       trace_path(feed, false)
-      return swap.give_back(hooks)
+      return instrument.give_back(hooks)
     end
     if feed.number == 0 then
       server.count = server.count + 1
@@ -351,9 +351,9 @@ local function attach(fsm, server)
   end
 
   -- other hooks come after events
-  swap.hook(hooks, fsm, "pre_step", before_step, "before")
-  swap.hook(hooks, fsm, "post_step", after_step)
-  swap.hook(hooks, fsm, "reset", after_reset)
+  instrument.hook(hooks, fsm, "pre_step", before_step, "before")
+  instrument.hook(hooks, fsm, "post_step", after_step)
+  instrument.hook(hooks, fsm, "reset", after_reset)
 end
 
 -- Public functions ------------------------------------------------------------

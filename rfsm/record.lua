@@ -13,12 +13,12 @@
 
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
-local lines = require "rfsm.record.lines"
-local plain = require "rfsm.snapshot.plain"
+local journal = require "rfsm.record.journal"
+local encoding = require "rfsm.snapshot.encoding"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall, rawget, rawset = error, ipairs, pcall, rawget, rawset
@@ -72,7 +72,7 @@ local function writer_to(sink)
   if type(sink) == "table" and type(sink.write) ~= "function" then
     return function(rec) sink[#sink + 1] = rec end
   end
-  return lines.writer(sink)
+  return journal.writer(sink)
 end
 
 -- Returns a function that reads a clock, and notes the reading in the present record.
@@ -108,14 +108,14 @@ end
 local function data_of(fsm)
   local ok, kept = pcall(snapshot.take_data, fsm)
   if ok then return kept end
-  if not plain.text_of_fail(kept) then error(kept, 0) end
+  if not encoding.text_of_fail(kept) then error(kept, 0) end
 end
 
 -- Notes the data that the chart keeps in a field of a record, if it has changed. It is
 -- noted again in the next iteration if an interrupt comes before the end.
 local function note_change(track, rec, field)
-  local watched = track.watched
-  if not tracks.may_have_changed(watched) then return end
+  local observed = track.observed
+  if not tracks.may_have_changed(observed) then return end
   local kept = data_of(track.fsm)
   if kept and not tracks.same(kept, track.kept) then
     if field == "regions" then
@@ -125,7 +125,7 @@ local function note_change(track, rec, field)
     end
     track.kept = kept
   end
-  watched.has_changed = false
+  observed.has_changed = false
 end
 
 -- Notes data that has changed; also that of regions while they were left or reset.
@@ -229,7 +229,7 @@ end
 
 local function add_recorder(track, recorder)
   track.is_fresh, track.kept = false, snapshot.take_data(track.fsm)
-  track.watched = tracks.watch_data(track.fsm)
+  track.observed = tracks.observe_data(track.fsm)
   function track.begin(_, events) begin(recorder, track, events) end
   function track.finish(_, events) finish(recorder, track, events) end
   function track.reset() -- in an iteration, or after one that was cut short
@@ -243,10 +243,11 @@ end
 
 -- Takes the snapshot of the header, and notes readings of the clock.
 local function take_first(recorder, fsm)
-  local swaps = {}
-  swap.put(swaps, fsm, "gettime", noting_clock(recorder, rawget(fsm, "gettime")))
+  local changes = {}
+  instrument.put(changes, fsm, "gettime",
+    noting_clock(recorder, rawget(fsm, "gettime")))
   local is_whole, ok, snap = pcall(calls.try, snapshot.take, fsm)
-  swap.give_back(swaps)
+  instrument.give_back(changes)
   recorder.timed = false
   if not is_whole then error(ok, 0) end
   return ok, snap
@@ -282,7 +283,7 @@ function record.record(fsm, sink)
   local ok, snap = take_first(recorder, fsm)
   if not ok then error("rfsm.record.record: " .. text_of(snap), 2) end
   if type(sink) == "string" then
-    local file, problem = lines.open(sink)
+    local file, problem = journal.open(sink)
     if not file then error("rfsm.record.record: " .. problem, 2) end
     recorder.sink, recorder.file = file, file
   end
@@ -390,7 +391,7 @@ end
 ---@return { runs: integer, is_cut: boolean } about `is_cut`: a line was left out
 ---@nodiscard
 function record.read(file, run)
-  local ok, recording, about = pcall(lines.read, file, run)
+  local ok, recording, about = pcall(journal.read, file, run)
   if ok then return recording, about end
   local problem = text_of(recording)
   if problem:sub(1, #file) ~= file then problem = file .. ": " .. problem end
@@ -431,7 +432,7 @@ function record.to_spec(recording, options)
   if not records then error(problem, 0) end
   local chart, texts, mark = options.chart or records[1].file, {}, "="
   if not chart then error("rfsm.record.to_spec: the file of the chart expected", 2) end
-  for i, rec in ipairs(records) do texts[i] = lines.encode(rec) end
+  for i, rec in ipairs(records) do texts[i] = journal.encode(rec) end
   local text = concat(texts, "\n")
   while text:find("]" .. mark .. "]", 1, true) do mark = mark .. "=" end
   return SPEC:format(chart, ("[%s[\n%s\n]%s]"):format(mark, text, mark),

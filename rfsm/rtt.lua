@@ -31,7 +31,7 @@ local rfsm = require "rfsm"
 local held_port = require "rfsm.rtt.port"
 
 -- What rfsm/fast.lua makes takes 2 KiB for each state.
-if rawget(_G, "tlsf") then rfsm.without_fast() end
+if rawget(_G, "tlsf") then rfsm.save_memory() end
 
 ---@class rfsm.rtt
 ---@field launched rfsm.rtt.Launched? what was launched last in this Lua

@@ -4,28 +4,29 @@
 -- names (`keep`, or `save` and `load`, in a state), what extensions keep. It consists
 -- of texts, numbers, booleans and tables that any encoder takes: JSON, MessagePack.
 --
--- The file reads in this order: take, put, public functions. `rfsm.snapshot.chart` has
--- what is known of a chart, `rfsm.snapshot.move` the way from another one.
+-- The file reads in this order: take, put, public functions. `rfsm.snapshot.shape` has
+-- what is known of a chart, `rfsm.snapshot.migrate` the way from another one.
 --
 -- @module rfsm.snapshot
 -- @license BSD-3-Clause
 
 local try = require("rfsm.shared.calls").try
-local charts = require "rfsm.snapshot.chart"
-local move = require "rfsm.snapshot.move"
+local shape = require "rfsm.snapshot.shape"
+local migrate = require "rfsm.snapshot.migrate"
 local each = require("rfsm.shared.order").each
 local opts = require "rfsm.shared.options"
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local rawequal, rawget, rawset, type = rawequal, rawget, rawset, type
 local concat = table.concat
-local fail, is_scalar, pack = plain.fail, plain.is_scalar, plain.pack
-local copy_of, location_of, reason = plain.copy_of, plain.location_of, plain.reason
-local text_of, unpack = rfsm.text_of, plain.unpack
+local fail, is_scalar, pack = encoding.fail, encoding.is_scalar, encoding.pack
+local copy_of, location_of = encoding.copy_of, encoding.location_of
+local reason = encoding.reason
+local text_of, unpack = rfsm.text_of, encoding.unpack
 
-local snapshot = { VERSION = move.VERSION }
+local snapshot = { VERSION = migrate.VERSION }
 
 --- A machine between two steps. What is absent is empty.
 ---@class rfsm.snapshot.Snapshot
@@ -67,7 +68,7 @@ local function pack_fields(state, keeper, path)
   for i = 1, #names do
     local name = names[i]
     local value = state[name]
-    if value == nil and keeper.first[name] ~= nil then value = plain.NIL end
+    if value == nil and keeper.first[name] ~= nil then value = encoding.NIL end
     path[1] = name
     value = pack(value, path, 1)
     if value ~= nil then
@@ -75,7 +76,7 @@ local function pack_fields(state, keeper, path)
       fields[name] = value
     end
   end
-  return fields and plain.as_table(fields, path, 0)
+  return fields and encoding.as_table(fields, path, 0)
 end
 
 local function take_data(fsm, own, snap, path)
@@ -88,7 +89,7 @@ local function take_data(fsm, own, snap, path)
     end
     if keeper.has_load then
       path.owner = "save of " .. path.prefix .. fqn:sub(5)
-      local value = plain.try(path.owner, state.save, fsm, state)
+      local value = encoding.try(path.owner, state.save, fsm, state)
       if value ~= nil then
         snap.saved = snap.saved or {}
         snap.saved[fqn] = pack(value, path, 0)
@@ -140,7 +141,7 @@ end
 
 -- Returns what a snapshot holds of a machine or region; `base` tables are around data.
 local function take_part(fsm, prefix, base, version)
-  local leaf, own = fsm._act_leaf, charts.of(fsm)
+  local leaf, own = fsm._act_leaf, shape.of(fsm)
   local path = path_of(own, prefix, base)
   local part = { version = version, chart = own.chart.name,
     leaf = leaf and leaf._fqn or nil, done = leaf and leaf._mode == "done" or nil,
@@ -165,8 +166,8 @@ end
 local BASE, REGION_BASE = 4, 6
 
 local function take(fsm)
-  local snap = take_part(fsm, "root", BASE, move.VERSION)
-  local places = charts.of(fsm).places
+  local snap = take_part(fsm, "root", BASE, migrate.VERSION)
+  local places = shape.of(fsm).places
   for i = 2, #places do
     local part = take_part(places[i].machine, places[i].prefix, REGION_BASE)
     if not is_blank(part) then
@@ -182,7 +183,7 @@ end
 local function find_leaf(fsm, own, fqn)
   if fqn == nil then return false end
   if own.chart.leaves[fqn] then return own.nodes[fqn] end
-  fail(charts.find_state(fsm, fqn) and "leaf: '%s' is a composite"
+  fail(shape.find_state(fsm, fqn) and "leaf: '%s' is a composite"
     or "leaf: no state is '%s'", fqn)
 end
 
@@ -212,7 +213,7 @@ local function unpack_data(own, packed)
   local data, keepers = {}, own.chart.keeper
   for fqn, fields in each(packed) do -- any order: each stands alone
     local keeper = keepers[fqn]
-    data[fqn] = plain.is_flat(fields) and fields or unpack_table("data", fqn, fields)
+    data[fqn] = encoding.is_flat(fields) and fields or unpack_table("data", fqn, fields)
       or NONE
     for name in each(data[fqn]) do -- any order: each stands alone
       if not (keeper and keeper.kept[name]) then
@@ -226,7 +227,7 @@ end
 local function unpack_saved(fsm, packed)
   local saved = {}
   for fqn, value in each(packed) do -- any order: each stands alone
-    local state = charts.find_state(fsm, fqn)
+    local state = shape.find_state(fsm, fqn)
     if not state or type(state.load) ~= "function" then
       fail("saved: no state '%s' has a function 'load'", text_of(fqn))
     end
@@ -254,8 +255,8 @@ end
 local function unpack_targets(fsm, list)
   local targets = {}
   for i = 1, #list, 3 do
-    local state = charts.find_state(fsm, list[i])
-    local node, id = charts.of(fsm).nodes[list[i + 2]], unpack(list[i + 1], 2)
+    local state = shape.find_state(fsm, list[i])
+    local node, id = shape.of(fsm).nodes[list[i + 2]], unpack(list[i + 1], 2)
     local tr = state and is_scalar(id) and rawget(state, id)
     if not (rfsm.is_trans(tr) and node) then
       fail("targets: a transition and a node expected, got '%s' in '%s', '%s'",
@@ -280,7 +281,7 @@ local function set_fields(state, keeper, fields)
     local name = names[i]
     local value = fields[name]
     if value == nil then value = copy_of(first[name]) end
-    if rawequal(value, plain.NIL) then value = nil end
+    if rawequal(value, encoding.NIL) then value = nil end
     state[name] = value
   end
 end
@@ -292,7 +293,7 @@ local function set_data(part)
     local state, value = own.states[i], (part.saved or NONE)[keeper.fqn]
     set_fields(state, keeper, part.data[keeper.fqn] or NONE)
     if keeper.has_load and (value or not part.how.has_changed) then
-      plain.try("load of " .. keeper.fqn, state.load, part.fsm, state,
+      encoding.try("load of " .. keeper.fqn, state.load, part.fsm, state,
         value and value.value)
     end
   end
@@ -312,7 +313,7 @@ end
 ---@field targets? table<rfsm.Transition, table>
 
 local function new_part(fsm, snap, how)
-  local own = charts.of(fsm)
+  local own = shape.of(fsm)
   local part = { fsm = fsm, own = own, leaf = find_leaf(fsm, own, snap.leaf),
     mode = snap.done == true and "done" or "active", queue = unpack_queue(snap),
     data = snap.data and unpack_data(own, snap.data) or NONE,
@@ -332,8 +333,8 @@ local UNCHANGED = { entries = false, has_changed = false, is_migrated = false,
 -- Timers follow the chart if its structure has changed.
 local function new_parts(fsm, snap, options)
   local parts, how = {}, UNCHANGED
-  local moved, changes, is_new = move.to(fsm, snap, options)
-  for i, at in ipairs(charts.of(fsm).places) do
+  local moved, changes, is_new = migrate.to(fsm, snap, options)
+  for i, at in ipairs(shape.of(fsm).places) do
     local prefix = at.prefix
     if changes or options.entries then
       local change = changes and changes[prefix]
@@ -342,7 +343,7 @@ local function new_parts(fsm, snap, options)
           return is_new(prefix, event)
         end or is_never_new }
     end
-    parts[i] = new_part(at.machine, move.part_of(moved, prefix), how)
+    parts[i] = new_part(at.machine, migrate.part_of(moved, prefix), how)
   end
   return parts
 end
@@ -383,15 +384,15 @@ end
 -- Is a snapshot of the same chart, without what is rare?
 local function is_usual(own, snap)
   return own.chart.leaves[snap.leaf] and snap.chart == own.chart.name
-    and snap.version == move.VERSION and not (snap.queue or snap.saved or snap.targets
-    or snap.regions) and not (own.chart.has_load or own.places[2])
+    and snap.version == migrate.VERSION and not (snap.queue or snap.saved
+    or snap.targets or snap.regions) and not (own.chart.has_load or own.places[2])
 end
 
 -- The short way, for a host that puts one snapshot of `take` after another into a
 -- machine: nothing is made or looked for that is not there. Returns false, and has
 -- changed nothing, if it does not know the way.
 local function put_directly(fsm, snap, is_tidy)
-  local own, data, ext = charts.of(fsm), snap.data or NONE, snap.ext or NONE
+  local own, data, ext = shape.of(fsm), snap.data or NONE, snap.ext or NONE
   local keepers, hooks = own.chart.keepers, rfsm.snapshot_hooks(fsm)
   if not is_usual(own, snap) then return false end
   rfsm.place(fsm, own.nodes[snap.leaf], snap.done and "done" or "active", {})
@@ -399,7 +400,7 @@ local function put_directly(fsm, snap, is_tidy)
   for i = 1, #keepers do
     local fqn = keepers[i].fqn
     local fields = data[fqn] or NONE
-    if not plain.is_flat(fields) then fields = unpack_table("data", fqn, fields) end
+    if not encoding.is_flat(fields) then fields = unpack_table("data", fqn, fields) end
     set_fields(own.states[i], keepers[i], fields)
   end
   for i = 1, #hooks do
@@ -440,7 +441,7 @@ function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
-  if options and options.structure then snap.structure = charts.of(fsm).chart.all end
+  if options and options.structure then snap.structure = shape.of(fsm).chart.all end
   return snap
 end
 
@@ -544,7 +545,7 @@ end
 ---@return { data: table?, saved: table?, targets: any[]? } kept
 ---@nodiscard
 function snapshot.take_data(fsm)
-  local kept, own = {}, charts.of(fsm)
+  local kept, own = {}, shape.of(fsm)
   take_data(fsm, own, kept, path_of(own, "root", BASE))
   take_targets(own, kept)
   return kept
@@ -565,7 +566,7 @@ end
 ---@return string[] lines
 ---@nodiscard
 function snapshot.structure(chart)
-  return charts.structure(chart)
+  return shape.structure(chart)
 end
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_snapshot", snapshot) end

@@ -17,7 +17,7 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
-local Hosted = require "rfsm.web.hosted"
+local Served = require "rfsm.web.served"
 local opts = require "rfsm.shared.options"
 local Picture = require "rfsm.web.picture"
 
@@ -47,7 +47,7 @@ local OPTIONS = {
 
 local MAX_DRAWN = 2000 -- nodes
 local FRAME = 1 / 30 -- seconds between two messages to a page
-local LINGER = 5 -- seconds that a machine is watched after the last page has gone
+local LINGER = 5 -- seconds that a machine is observed after the last page has gone
 
 local CSP = "default-src 'none'; script-src 'nonce-%s'; style-src 'unsafe-inline'; "
   .. "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; "
@@ -225,7 +225,7 @@ local function send_changes(server)
   server.is_late = false
   server.http:feed(function(connection)
     local shown, cursor = connection.stream, connection.cursor
-    if shown.source.is_watched == false then shown.source:watch(true) end
+    if shown.source.is_observed == false then shown.source:observe(true) end
     local version, view = version_of(server, shown), shown.source.view
     if cursor and cursor.version == version
       and cursor.revision == (view and view.revision or nil) then
@@ -253,16 +253,16 @@ local function has_reader(server, shown)
   return false
 end
 
--- Stops watching the machine of a program when no page reads.
+-- Stops observing the machine of a program when no page reads.
 local function rest(server, shown)
-  if not shown.source.is_watched then return end
+  if not shown.source.is_observed then return end
   local now = server.http.clock
   if has_reader(server, shown) then
     shown.seen_at = false
   elseif not shown.seen_at then
     shown.seen_at = now()
   elseif now() > shown.seen_at + LINGER then
-    shown.source:watch(false)
+    shown.source:observe(false)
   end
 end
 
@@ -333,11 +333,11 @@ end
 
 --- How a page is served.
 ---@class rfsm.web.Options
----@field allow_send? boolean may pages send events to a hosted machine? default false
+---@field allow_send? boolean may pages send events to a served machine? default false
 ---@field allow_why? boolean may pages ask why an event did nothing, which calls guards?
 -- default false
 ---@field machine? integer with `attach`: only this number of the port, default all
----@field history? boolean note what a hosted machine does while no page is open, too?
+---@field history? boolean note what a served machine does while no page is open, too?
 -- default false
 ---@field host? string address to listen on, default 127.0.0.1
 ---@field port? integer default 8044; 0: one that is free
@@ -367,7 +367,7 @@ function web.serve(fsm, options)
     rfsm.check_machine(machine, "rfsm.web.serve")
     local title = settings.title
     if type(title) == "table" then title = title[i] end
-    sources[i] = Hosted.new(machine, title or is_list and "machine " .. i or "machine",
+    sources[i] = Served.new(machine, title or is_list and "machine " .. i or "machine",
       settings)
   end
   local server
@@ -384,7 +384,7 @@ end
 function web.open(file, options)
   local settings, problem = prepare(options)
   if not settings then return nil, problem end
-  local session = require("rfsm.web.session").open(file, settings.clock
+  local session = require("rfsm.web.driven").open(file, settings.clock
     or settings.gettime, settings.stub)
   return open_server({ session }, settings)
 end

@@ -33,7 +33,7 @@ root active
     off[LS] done
     par[LS] inactive
 
-rfsm_checks.explore: module 'rfsm.checks.explore' is not installed]],
+rfsm_checks.explore: module 'rfsm.explore.explore' is not installed]],
       (output_with(MODULES, [[
 local rfsm, rfsmpp = require "rfsm", require "rfsmpp"
 local timeevent, checks = require "rfsm_timeevent", require "rfsm_checks"

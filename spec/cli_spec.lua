@@ -151,7 +151,7 @@ describe("rfsm sim", function()
   it("hands its options to the simulator, and returns its status", function()
     local calls = {}
     local _, _, status = run("sim -e run -e step -i -r rec -d -q --stub x.lua",
-      { ["rfsm.sim.main"] = { main = noting(calls, 3) } })
+      { ["rfsm.sim.simulator"] = { main = noting(calls, 3) } })
     assert.equal(3, status)
     assert.same({ command = "sim", sim = true, file = "x.lua",
       execute = { "run", "step" }, interactive = true, replay = "rec", dry = true,
@@ -289,7 +289,7 @@ describe("rfsm postgres", function()
     local bundle = { sql = noting(calls, "the schema", { "a warning" }) }
     assert.same({ "the schema", "rfsm postgres: a warning\n", 0 },
       { run("postgres --history --notify --ids 6 --ids-for 7 a b",
-        { ["rfsm.postgres.bundle"] = bundle }) })
+        { ["rfsm.postgres.script"] = bundle }) })
     assert.same({ { { "a", "b" },
       { history = true, notify = true, ids = 6, ids_for = 7 } } }, calls)
   end)
@@ -331,8 +331,8 @@ describe("rfsm watch", function()
   it("prints what comes from host and port", function()
     local calls = {}
     local _, err, status = run("watch -m 2 -n 3 robot:65535", {
-      ["rfsm.proto.subscriber"] = { connect = noting(calls, "client") },
-      ["rfsm.web.watch"] = { run = noting(calls) },
+      ["rfsm.observe.subscriber"] = { connect = noting(calls, "client") },
+      ["rfsm.proto.follow"] = { run = noting(calls) },
       ["rfsm.sim.terminal"] = { is_terminal = noting(calls, true) },
     })
     assert.same({ "", 0 }, { err, status })
@@ -342,7 +342,7 @@ describe("rfsm watch", function()
 
   it("says why it cannot", function()
     assert.same({ "", "rfsm watch: no socket\n", 1 }, { run("watch robot",
-      { ["rfsm.proto.subscriber"] = { connect = noting({}, nil, "no socket") } }) })
+      { ["rfsm.observe.subscriber"] = { connect = noting({}, nil, "no socket") } }) })
   end)
 end)
 

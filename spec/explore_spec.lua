@@ -366,14 +366,14 @@ end)
 
 describe("the transitions of a step", function()
   it("are listed up to 20", function()
-    local puppet = require "rfsm.checks.puppet"
+    local subject = require "rfsm.explore.subject"
     local paths = {}
     for i = 1, 20 do paths[i] = "t" end
     local text = table.concat(paths, ", ")
-    assert.equal(text .. " -> root.a", puppet.outcome(paths, "root.a"))
+    assert.equal(text .. " -> root.a", subject.outcome(paths, "root.a"))
     paths[21] = "t"
-    assert.equal(text .. " and on and on -> not entered", puppet.outcome(paths))
-    assert.equal("no transition -> root.a", puppet.outcome({}, "root.a"))
+    assert.equal(text .. " and on and on -> not entered", subject.outcome(paths))
+    assert.equal("no transition -> root.a", subject.outcome({}, "root.a"))
   end)
 end)
 

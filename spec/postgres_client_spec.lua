@@ -438,7 +438,7 @@ describe("a connection", function()
 end)
 
 describe("JSON of clients", function()
-  local json = require "rfsm.server.json"
+  local json = require "rfsm.server.codec"
 
   it("keeps all that a number is, and a field n", function()
     for text, value in pairs {

@@ -1,6 +1,6 @@
 -- Machines in PostgreSQL: the real server, started here and stopped again.
 
-local bundle = require "rfsm.postgres.bundle"
+local script = require "rfsm.postgres.script"
 local helper = require "spec.helper"
 local new_random = require "spec.support.random"
 local postgres = require "rfsm.postgres"
@@ -23,13 +23,13 @@ describe("rfsm postgres", function()
   it("writes the SQL that any Lua makes", function()
     local file, chart = helper.file_with(""), "c=" .. helper.file_with(COUNTER)
     assert.equal("", run(chart .. " --history --notify --ids 20 -o " .. file))
-    assert.is_true(helper.content(file) == bundle.sql({ chart }, { history = true,
+    assert.is_true(helper.content(file) == script.sql({ chart }, { history = true,
       notify = true, ids = 20 }))
   end)
 
   it("quotes a chart that has quotes", function()
     local chart = helper.file_with("-- $rfsm$ $rfsm_$\nreturn rfsm.state {}")
-    local text = bundle.sql { chart }
+    local text = script.sql { chart }
     assert.matches("LANGUAGE pllua AS $rfsm__$\n", text, 1, true)
     assert.equal(2, select(2, text:gsub("%$rfsm__%$", "")))
   end)
@@ -37,9 +37,9 @@ describe("rfsm postgres", function()
   it("writes the tables alone for clients", function()
     local file = helper.file_with("")
     assert.equal("", run("--client --history --notify -o " .. file))
-    assert.is_true(helper.content(file) == bundle.tables { history = true,
+    assert.is_true(helper.content(file) == script.tables { history = true,
       notify = true })
-    assert.is_nil(bundle.tables():find("pllua"))
+    assert.is_nil(script.tables():find("pllua"))
     assert.matches("Error: %-%-client: no charts and no ids expected, the client has "
       .. "them\n", run("--client order.lua"))
     assert.matches("Error: a chart expected\n", run(""))
@@ -48,7 +48,7 @@ describe("rfsm postgres", function()
   -- Returns what is wrong with a chart.
   local function refusal(text)
     local file = helper.file_with(text)
-    local ok, problem = pcall(bundle.sql, { file })
+    local ok, problem = pcall(script.sql, { file })
     return ok, problem:gsub(file:gsub("%p", "%%%0"), "C", 1)
   end
 
@@ -111,7 +111,7 @@ local has_usual_charts = false
 
 local function load_charts(options, ...)
   has_usual_charts = false
-  assert.equal("", server:sql((bundle.sql({ ... }, options))))
+  assert.equal("", server:sql((script.sql({ ... }, options))))
 end
 
 setup(function() server = servers.start("-c fsync=off") end)
@@ -139,7 +139,8 @@ local function sql(text) return server:sql(EMPTY .. text) end
 -- States in a ring. Effects keep values of all kinds, or set targets; a field holds the
 -- text of what they found before.
 local RANDOM = [[
-local new_random, plain = require "spec.support.random", require "rfsm.snapshot.plain"
+local new_random = require "spec.support.random"
+local encoding = require "rfsm.snapshot.encoding"
 local VALUES = { 1, 0, -3, 1e15, 0.1 + 0.2, 2^53, 1/0, "text", "\"\\\n\t%%", true,
   false, { 1, { x = 2 } }, {}, { [2] = "b" }, { ["2"] = "b" }, { "%%n", "1" },
   { { {} } } }
@@ -158,7 +159,7 @@ local function new_effect(name)
   return function(fsm, tr)
     fsm.found = text_of(fsm.x) .. text_of(fsm[name].n) .. text_of(tr.tgt._fqn)
     if is_target then tr.tgt = fsm.s1 end
-    fsm.x, fsm[name].n = plain.copy_of(value), (fsm[name].n or 0) + 1
+    fsm.x, fsm[name].n = encoding.copy_of(value), (fsm[name].n or 0) + 1
   end
 end
 local count = 2 + random:below(3)
@@ -268,7 +269,7 @@ describe("a client", function()
   end)
 
   local function make_tables()
-    assert.equal("", server:sql(bundle.tables { history = true, notify = true }))
+    assert.equal("", server:sql(script.tables { history = true, notify = true }))
   end
 
   it("needs the tables", function()
@@ -640,7 +641,7 @@ describe("a new version of a chart", function()
 
   it("is seen by sessions that are there", function()
     load_charts({ history = true }, tick(1))
-    local library = helper.file_with((bundle.sql({ tick(10) },
+    local library = helper.file_with((script.sql({ tick(10) },
       { history = true })))
     assert.equal("11\n", sql(([[
 SELECT rfsm.create('1', 'c') \gset
@@ -670,7 +671,7 @@ describe("a schema that is loaded again", function()
     ["without triggers"] = {} } do
     it("waits for no client in a transaction, " .. name, function()
       load_counter(options)
-      local library = helper.file_with((bundle.sql({ "counter="
+      local library = helper.file_with((script.sql({ "counter="
         .. helper.file_with(COUNTER) }, options)))
       assert.equal("root.even\nroot.odd\nroot.even\n", sql(([[
 BEGIN;
@@ -737,7 +738,7 @@ END $$;
   -- last third is sent after that. Returns how often each was to tick, how often it
   -- has, and the clients' errors.
   local function storm(other, between)
-    other:sql((bundle.sql { "counter=" .. helper.file_with(COUNTER) }))
+    other:sql((script.sql { "counter=" .. helper.file_with(COUNTER) }))
     other:sql(("SELECT rfsm.create('m' || i, 'counter') FROM generate_series(1, %d) i")
       :format(MACHINES))
     other:sql(GATE)
@@ -808,7 +809,7 @@ describe("a call that begins before a new version of its chart is there", functi
     load_charts({}, old)
     sql("SELECT rfsm.create('1', 'c')")
     -- the call waits for the lock of the table until the machine has moved
-    local library = bundle.sql { old, "c=" .. helper.file_with((COUNTER:gsub("odd",
+    local library = script.sql { old, "c=" .. helper.file_with((COUNTER:gsub("odd",
       "uneven"):gsub("n = 0,", "%0 rename = { ['root.odd'] = 'root.uneven' },"))) }
     assert.equal("root.uneven\nroot.even\n2\n", server:sql(([[
 BEGIN;

@@ -711,7 +711,7 @@ describe("install", function()
         helper.with(package.preload, preload, function()
           assert.equal("the package " .. text, problem_of { port = 0 })
           assert.same({ nil, "the package " .. text },
-            { require("rfsm.proto.subscriber").connect("localhost", 1) })
+            { require("rfsm.observe.subscriber").connect("localhost", 1) })
         end)
       end)
     end)
@@ -719,7 +719,7 @@ describe("install", function()
 end)
 
 describe("a client", function()
-  local subscriber = require "rfsm.proto.subscriber"
+  local subscriber = require "rfsm.observe.subscriber"
 
   -- Returns a client, its clock, what it has sent, and what it is to receive.
   local function connected(has_path)

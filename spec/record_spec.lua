@@ -6,7 +6,7 @@ local claim = require "spec.support.claims.record"
 local helper = require "spec.helper"
 local json = require "dkjson"
 local kept = require "spec.support.kept"
-local record_lines = require "rfsm.record.lines"
+local journal = require "rfsm.record.journal"
 local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
@@ -299,7 +299,7 @@ describe("a recording", function()
   it("in a file has its fields in a fixed order", function()
     assert.equal('{"m":1,"fresh":true,"had":{},"events":["a"],"added":[],"got":[],'
       .. '"clock":[],"guards":[],"reset":true,"sent":[],"leaf":"x","done":true,'
-      .. '"kept":{},"regions":[]}', (record_lines.encode { m = 1, fresh = true,
+      .. '"kept":{},"regions":[]}', (journal.encode { m = 1, fresh = true,
       had = json.decode "{}", events = { "a" }, added = {}, got = {}, clock = {},
       guards = {}, reset = true, sent = {}, leaf = "x", done = true,
       kept = json.decode "{}", regions = {} }:gsub("%[%]", "[]")))
@@ -312,7 +312,7 @@ describe("a recording", function()
   -- Returns the lines of records; `encode` is dkjson's, for those that are odd.
   local function lines_of(records, encode)
     local texts = {}
-    local write = record_lines.writer { write = function(_, text, stop)
+    local write = journal.writer { write = function(_, text, stop)
       texts[#texts + 1] = text .. (stop == "\n" and "" or "?")
     end }
     helper.with(json, { encode = encode or json.encode }, function()

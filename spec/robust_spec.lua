@@ -2,6 +2,7 @@
 -- hosts that drop it. Each circumstance is tried fresh and after so many uses that
 -- straight code runs.
 
+local compiling = require "spec.support.compiling"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
@@ -159,10 +160,13 @@ describe("tr.tgt set by a callback of that transition", function()
   end
 end)
 
-describe("a step in a coroutine that is dropped", function()
+describe("a step that is suspended in its coroutine", function()
   local is_5_1 = not pcall(function() -- pcall cannot be yielded across
     assert(coroutine.wrap(function() pcall(coroutine.yield, 1) end)() == 1)
   end)
+
+  local MIDDLE = "%s: the machine is in the middle of a step; if its coroutine is "
+    .. "never resumed, rfsm.init(fsm) makes a fresh machine"
 
   local function members_with(place, f)
     if place == "exit" then return { a = state { exit = f } } end
@@ -179,7 +183,7 @@ describe("a step in a coroutine that is dropped", function()
   }
 
   for _, place in ipairs(is_5_1 and {} or PLACES) do
-    local function dropped(uses)
+    local function suspended(uses)
       local is_armed = false
       local fsm = started(members_with(place, function()
         if is_armed then coroutine.yield() end
@@ -193,28 +197,71 @@ describe("a step in a coroutine that is dropped", function()
       return fsm, co
     end
 
-    both("goes on where it was, " .. place, function(uses)
-      local fsm, co = dropped(uses)
-      fsm.post_step_hook = nil
+    local function go_on(co)
       assert.is_true(coroutine.resume(co))
       assert.equal("dead", coroutine.status(co))
-      assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
-    end)
+    end
 
-    both("is finished by the next one, " .. place, function(uses)
-      local fsm = dropped(uses)
-      assert.equal("root.m.x", leaf_after(fsm))
+    both("refuses others, and goes on where it was, " .. place, function(uses)
+      local fsm, co = suspended(uses)
+      for _, name in ipairs { "step", "run" } do
+        local expected = MIDDLE:format("rfsm." .. name)
+        assert.equal(expected, helper.refusal(rfsm[name], fsm))
+        assert.equal(expected, coroutine.wrap(function()
+          return helper.refusal(rfsm[name], fsm)
+        end)())
+      end
+      go_on(co)
+      assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
       assert.equal("root.a", leaf_after(fsm, "back"))
     end)
 
-    both("is forgotten by reset, " .. place, function(uses)
-      local fsm = dropped(uses)
+    both("is reset when its iteration ends, " .. place, function(uses)
+      local fsm, co = suspended(uses)
+      local modes = table.concat(rfsm.get_active_conf(fsm), " ")
       rfsm.reset(fsm)
-      assert.same({}, rfsm.get_active_conf(fsm))
-      assert.same({ "e_init_fsm" }, fsm._intq)
+      assert.equal(modes, table.concat(rfsm.get_active_conf(fsm), " "))
+      go_on(co)
       assert.equal("root.a", leaf_after(fsm))
       assert.equal("root.m.x", leaf_after(fsm, "e"))
     end)
+
+    both("that is dropped is forgotten by a fresh machine, " .. place, function(uses)
+      local fsm = rfsm.init((suspended(uses)))
+      assert.same({}, rfsm.get_active_conf(fsm))
+      assert.equal("root.a", leaf_after(fsm))
+      assert.equal("root.m.x", leaf_after(fsm, "e"))
+    end)
+  end
+
+  -- Without the library debug, too, no caller gets past it.
+  for _, missing in ipairs(is_5_1 and {} or { "no library", "debug" }) do
+    it("calls each callback once, whoever runs the machine: without " .. missing,
+      function()
+        compiling.without(missing, function(core)
+          local trace = {}
+          local fsm = core.init(core.state { info = false, warn = false,
+            a = core.state { entry = function()
+              coroutine.yield()
+              trace[#trace + 1] = "entry of a"
+            end, exit = noting(trace, "exit of a") },
+            b = core.state { entry = noting(trace, "entry of b"), final = true },
+            core.trans { src = "initial", tgt = "a" },
+            core.trans { src = "a", tgt = "b", events = { "e" } } })
+          local first = coroutine.wrap(core.run)
+          first(fsm)
+          local is_run = coroutine.wrap(function()
+            core.send_events(fsm, "e")
+            return (pcall(core.run, fsm))
+          end)()
+          trace[#trace + 1] = is_run and "run" or "refused"
+          first()
+          if table.concat(trace, ", ")
+            ~= "refused, entry of a, exit of a, entry of b" then
+            error(table.concat(trace, ", "))
+          end
+        end)
+      end)
   end
 end)
 

@@ -2,7 +2,7 @@
 -- written, what is refused.
 
 local host_of = require "spec.support.server_host"
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 local timeevent = require "rfsm_timeevent"
 
@@ -360,7 +360,7 @@ describe("an event for later", function()
     call("send_at", "+1", "e_b", "ID", "x")
     local values = host.pack.unpack("m")
     values[8][1][3] = "e_gone"
-    function host.pack.unpack() return plain.copy_of(values) end
+    function host.pack.unpack() return encoding.copy_of(values) end
     clock.now = 1001
     local reply = call("tick")
     assert.matches("^rfsm_send_at: no transition of chart 'c' has the event 'e_gone'",
@@ -419,7 +419,7 @@ describe("machines that are due", function()
     with_due { "m" }
     local value = host.pack.unpack("m")
     value[3].chart = "another"
-    function host.pack.unpack() return plain.copy_of(value) end
+    function host.pack.unpack() return encoding.copy_of(value) end
     clock.now = 1010
     assert.same({ 0, 1 }, call("wake"))
     assert.matches("ZADD {1=rfsm:due:{m},2=1070.000000,3=m}", table.concat(trace, "\n"),

@@ -11,7 +11,7 @@ local files = require "rfsm.shared.files"
 local helper = require "spec.helper"
 local options = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 
 local state, trans = rfsm.state, rfsm.trans
 
@@ -346,18 +346,19 @@ describe("a message about a chart", function()
   end)
 end)
 
-describe("swapped fields", function()
+describe("replaced fields", function()
   it("are given back, unless a program has set them meanwhile", function()
-    local swaps, t = {}, { a = 1, b = 2 }
-    assert.same({ obj = t, field = "a", own = 1, new = 5 }, swap.put(swaps, t, "a", 5))
-    swap.put(swaps, t, "a", 6)
-    swap.put(swaps, t, "b", 7)
-    swap.put(swaps, t, "c", 8)
+    local changes, t = {}, { a = 1, b = 2 }
+    assert.same({ obj = t, field = "a", own = 1, new = 5 },
+      instrument.put(changes, t, "a", 5))
+    instrument.put(changes, t, "a", 6)
+    instrument.put(changes, t, "b", 7)
+    instrument.put(changes, t, "c", 8)
     assert.same({ a = 6, b = 7, c = 8 }, t)
     t.b = 9
-    swap.give_back(swaps)
+    instrument.give_back(changes)
     assert.same({ a = 1, b = 9 }, t)
-    assert.same({}, swaps)
+    assert.same({}, changes)
   end)
 
   it("let a tool listen to a printer, which goes on", function()
@@ -368,20 +369,22 @@ describe("swapped fields", function()
       { own = true, printed = { "a\tb" } },
       { own = false },
     } do
-      local fsm, swaps = { warn = case.own }, {}
+      local fsm, changes = { warn = case.own }, {}
       local heard = {}
       said = {}
-      swap.listen(swaps, fsm, "warn", function(...) heard[#heard + 1] = { ... } end)
+      instrument.listen(changes, fsm, "warn", function(...)
+        heard[#heard + 1] = { ... }
+      end)
       local printed = helper.printed(function() fsm.warn("a", "b") end)
       assert.same({ { { "a", "b" } }, case.said or {}, case.printed or {} },
         { heard, said, printed })
-      swap.give_back(swaps)
+      instrument.give_back(changes)
       assert.equal(case.own, fsm.warn)
     end
   end)
 
   it("are the functions of a chart, but for guards, doos and getevents", function()
-    local called, swaps = {}, {}
+    local called, changes = {}, {}
     local function noting(text, result)
       return function()
         called[text] = true
@@ -413,33 +416,33 @@ describe("swapped fields", function()
       root = true, entry = true, exit = true, doo = true, par = true, guard = true,
       effect = true }
     assert.same(all, run())
-    assert.same({ fsm.a }, swap.take_functions(swaps, fsm))
+    assert.same({ fsm.a }, instrument.take_functions(changes, fsm))
     assert.same({ getevents = true, doo = true, guard = true }, run())
     assert.is_falsy(fsm[2].likely)
-    swap.give_back(swaps)
+    instrument.give_back(changes)
     assert.same(all, run())
     assert.equal(likely, fsm[2].likely)
   end)
 end)
 
 describe("hooks that a tool adds", function()
-  it("are called where it says, and are gone when the swaps are given back", function()
-    local trace, swaps = {}, {}
+  it("are called where it says, and are gone when changes are given back", function()
+    local trace, changes = {}, {}
     local function note(text) return function() trace[#trace + 1] = text end end
     local fsm = rfsm.init(state { info = false, warn = false, a = state {},
       pre_step_hook = note "own", trans { src = "initial", tgt = "a" } })
-    swap.hook(swaps, fsm, "pre_step", note "first", "before")
-    swap.hook(swaps, fsm, "pre_step", note "last", "after")
-    swap.hook(swaps, fsm, "post_step", note "post")
-    swap.hook(swaps, fsm, "reset", note "reset")
+    instrument.hook(changes, fsm, "pre_step", note "first", "before")
+    instrument.hook(changes, fsm, "pre_step", note "last", "after")
+    instrument.hook(changes, fsm, "post_step", note "post")
+    instrument.hook(changes, fsm, "reset", note "reset")
     rfsm.step(fsm)
     rfsm.reset(fsm)
     assert.same({ "first", "own", "last", "post", "reset" }, trace)
-    swap.give_back(swaps)
+    instrument.give_back(changes)
     rfsm.step(fsm)
     rfsm.reset(fsm)
     assert.same({ "first", "own", "last", "post", "reset", "own" }, trace)
-    assert.same({}, swaps)
+    assert.same({}, changes)
   end)
 end)
 

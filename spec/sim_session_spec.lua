@@ -3,28 +3,29 @@
 
 local helper = require "spec.helper"
 
-local MODULES = { "commands", "history", "main", "names", "points", "probe", "prompt",
-  "session", "terminal", "time", "view" }
+local MODULES = { "observe.breakpoints", "observe.values", "sim.commands",
+  "sim.drawing", "sim.history", "sim.observer", "sim.prompt", "sim.session",
+  "sim.simulator", "sim.terminal", "sim.time" }
 
 local printed = {} -- lines, those of stderr with a "!"
 
 -- Loads the modules of the simulator with another print.
 local function load_simulator()
   local none, modules = {}, {}
-  for _, name in ipairs(MODULES) do none["rfsm.sim." .. name] = false end
+  for _, name in ipairs(MODULES) do none["rfsm." .. name] = false end
   helper.with(package.loaded, none, function()
     helper.with(_G, { print = function(...)
       printed[#printed + 1] = table.concat(helper.texts(...), "\t")
     end }, function()
-      for _, name in ipairs(MODULES) do modules[name] = require("rfsm.sim." .. name) end
+      for _, name in ipairs(MODULES) do modules[name] = require("rfsm." .. name) end
     end)
   end)
   return modules
 end
 
 local loaded = load_simulator()
-local history, prompt, session, terminal = loaded.history, loaded.prompt,
-  loaded.session, loaded.terminal
+local history, prompt, session, terminal = loaded["sim.history"],
+  loaded["sim.prompt"], loaded["sim.session"], loaded["sim.terminal"]
 
 local stderr = {}
 function stderr.write(_, ...) printed[#printed + 1] = "! " .. table.concat { ... } end

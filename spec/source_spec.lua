@@ -100,7 +100,7 @@ describe("the text of callbacks", function()
       local model = helper.chart({ "e" })
       model.b.final = true
       for _, all in ipairs { true, false } do
-        local lines = require("rfsm.checks.command").review("x.lua", model, {}, {},
+        local lines = require("rfsm.cli.review").of("x.lua", model, {}, {},
           { all = all, static = true })
         assert.same({ "x.lua: ok", all and "x.lua: the text of callbacks was not read, "
           .. "luacheck is not installed" or nil }, lines)

@@ -3,7 +3,7 @@
 
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
-local beside = require "rfsm.shared.beside"
+local search = require "rfsm.shared.search"
 local chart = require "rfsm.shared.chart"
 local limit = require "rfsm.shared.limit"
 local json = require "rfsm.json"
@@ -284,7 +284,7 @@ describe("a chart of a robot", function()
       assert.equal(call, model.first)
       model.entry()
       pcall(model.exit)
-      assert.is_false(beside.exists(folder .. "/made"))
+      assert.is_false(search.exists(folder .. "/made"))
     end)
   end
 
@@ -296,7 +296,7 @@ describe("a chart of a robot", function()
       return rfsm.state { close = io.popen("true").close }
     ]]):format(folder) }
     assert.equal("function", type(model.close))
-    assert.is_true(beside.exists(folder .. "/made"))
+    assert.is_true(search.exists(folder .. "/made"))
   end)
 
   it("gets no stub for an event without quotes", function()
@@ -366,7 +366,7 @@ describe("loading a chart", function()
       lines[#lines + 1] = line
     end)
     assert.is_false(fsm)
-    assert.same({ file .. ":2: root.entry: function expected, got number 7" },
+    assert.same({ file .. ":1: root.entry: function expected, got number 7" },
       problems)
     assert.same({ file .. ":1: warning: undefined global 'of_chart'" }, lines)
   end)

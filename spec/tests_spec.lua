@@ -1,12 +1,12 @@
 -- Tests made from charts: they pass, take what can be taken, and notice mutants.
 
-local explore = require "rfsm.checks.explore"
+local explore = require "rfsm.explore.explore"
 local helper = require "spec.helper"
 local mutate = require "spec.support.mutate"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
-local tests = require "rfsm.checks.tests"
+local tests = require "rfsm.tests.tests"
 require "rfsm_timeevent"
 require "rfsm.await"
 
@@ -46,13 +46,13 @@ local function seen_in(model, alphabet)
       return (stand.leaf and stand.leaf._fqn or "none") .. stand.mode .. #stand.waiting
     end
     function walk.look(_, from, tgt, _, label)
-      local paths = walk.puppet:paths_of()
-      local asked = table.concat(walk.puppet.askers, ",", 1, walk.puppet.asked)
+      local paths = walk.subject:paths_of()
+      local asked = table.concat(walk.subject.askers, ",", 1, walk.subject.asked)
       seen[table.concat({ text_of(from), label():match(":(.*)"), asked,
         table.concat(paths, ","), text_of(tgt) }, " ")] = true
     end
   end)
-  return seen, walked.puppet:outside_events()
+  return seen, walked.subject:outside_events()
 end
 
 -- Does a mutant react to the events of the chart as the chart does?
@@ -390,7 +390,7 @@ describe("a rehearsal", function()
     assert.equal("root -e_x, e_y-> a", run:step { "e_x" })
     assert.equal("a -e_z-> internal", run:step { "e_z" })
     local names = {}
-    for i, entry in ipairs(run.puppet.transitions) do names[i] = entry.name end
+    for i, entry in ipairs(run.subject.transitions) do names[i] = entry.name end
     assert.equal("root -e_x, e_y-> a #2", names[3])
   end)
 

@@ -7,7 +7,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
 local rfsm_timeevent = require "rfsm_timeevent"
-local zones = require "rfsm.checks.zones"
+local zones = require "rfsm.explore.zones"
 require "rfsm.await"
 
 local state = rfsm.state
@@ -33,7 +33,7 @@ local function verdict(model, property, options)
   if judged.holds ~= false then
     return (tostring(result):match("\n(p: [^\n]*)"))
   end
-  return lines("p", unpack(require("rfsm.checks.verdict").lines_of(judged.witness)))
+  return lines("p", unpack(require("rfsm.explore.verdict").lines_of(judged.witness)))
 end
 
 local PREMISE = "one event a step; stepped between any two deadlines; "

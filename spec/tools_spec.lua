@@ -375,7 +375,7 @@ describe("rfsm-check", function()
       ["return {"] = ":1: ",
     } do
       local settings = write_file(".rfsmcheck.lua", text)
-      local _, problem = require("rfsm.checks.command").settings_for(file)
+      local _, problem = require("rfsm.cli.review").settings_for(file)
       assert.equal(settings .. expected, (problem:sub(1, #settings + #expected)))
     end
     local settings = write_file(".rfsmcheck.lua", "return 7")

@@ -192,17 +192,17 @@ end)
 
 describe("data for encoders of JSON", function()
   it("has texts as keys, or is a list; numbers that JSON has not are texts", function()
-    local plain = require "rfsm.snapshot.plain"
+    local encoding = require "rfsm.snapshot.encoding"
     for _, case in ipairs {
       { value = { 1, { 2 }, "x" }, json = { 1, { 2 }, "x" } },
       { value = { 1, nil, 3 }, json = { ["1"] = 1, ["3"] = 3 } },
       { value = { a = 1, [true] = 2 }, json = { a = 1, ["true"] = 2 } },
       { value = { 1, a = { [7] = 0 } }, json = { ["1"] = 1, a = { ["7"] = 0 } } },
-      { value = { a = plain.NIL, b = 1 }, json = { b = 1 } },
+      { value = { a = encoding.NIL, b = 1 }, json = { b = 1 } },
       { value = { 1 / 0, -1 / 0, 0 / 0 }, json = { "inf", "-inf", "nan" } },
       { value = 7, json = 7 }, { value = "x", json = "x" }, { value = {}, json = {} },
     } do
-      assert.same(case.json, plain.to_json(case.value))
+      assert.same(case.json, encoding.to_json(case.value))
     end
   end)
 end)

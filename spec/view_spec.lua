@@ -4,7 +4,7 @@
 local dot = require "rfsm.dot"
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
-local outline = require "rfsm.web.outline"
+local outline = require "rfsm.observe.outline"
 local Picture = require "rfsm.web.picture"
 local rfsm = require "rfsm"
 local View = require "rfsm.web.view"

@@ -9,8 +9,8 @@ local Picture = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
-local subscriber = require "rfsm.proto.subscriber"
-local watch = require "rfsm.web.watch"
+local subscriber = require "rfsm.observe.subscriber"
+local follow = require "rfsm.proto.follow"
 local web = require "rfsm.web"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -1255,7 +1255,7 @@ describe("a machine elsewhere", function()
   end)
 end)
 
-describe("rfsm.web.watch", function()
+describe("rfsm.proto.follow", function()
   local GRAPH = { id = "root", type = "state", subnodes = {
     { id = "initial", type = "connector" }, { id = "off", type = "state" },
     { id = "on", type = "state", subnodes = { { id = "dim", type = "state" } } },
@@ -1274,7 +1274,7 @@ describe("rfsm.web.watch", function()
 
   it("draws the tree and the log at a terminal", function()
     local screens = helper.printed(function()
-      watch.run(client { { type = "rfsm_model", fsm = 1, graph = GRAPH },
+      follow.run(client { { type = "rfsm_model", fsm = 1, graph = GRAPH },
         state_message "root.off", state_message "root.on.dim" },
         { number = 1, count = 2, is_terminal = true })
     end)
@@ -1287,7 +1287,7 @@ describe("rfsm.web.watch", function()
   it("prints a line for each change of its machine in a pipe", function()
     assert.same({ "not active", "root.off (done)", "refused: subscribe: x" },
       helper.printed(function()
-        watch.run(client { state_message(false), state_message "root.off",
+        follow.run(client { state_message(false), state_message "root.off",
           state_message("root.on", 2), { type = "new" }, state_message "root.off",
           { type = "rfsm_error", text = "subscribe: x" } },
           { number = 1, count = 3, is_terminal = false })
@@ -1303,7 +1303,7 @@ describe("rfsm.web.watch", function()
         return calls == 3 and state_message "root.off"
           or calls == 16 and state_message "root.on" or nil
       end
-      watch.run(silent, { number = 1, count = 2, is_terminal = true })
+      follow.run(silent, { number = 1, count = 2, is_terminal = true })
     end)
     assert.is_nil(calls)
     local lines = {}
@@ -1326,7 +1326,7 @@ describe("rfsm.web.watch", function()
       said[#said + 1] = table.concat({ ... })
     end } }, function()
       helper.printed(function()
-        watch.run(silent, { number = 1, count = 2, is_terminal = false })
+        follow.run(silent, { number = 1, count = 2, is_terminal = false })
       end)
     end)
     assert.same({ "waiting for robot:7\n", "no answer since 3 s\n" }, said)
@@ -1336,7 +1336,7 @@ describe("rfsm.web.watch", function()
     local messages = {}
     for i = 1, 12 do messages[i] = state_message("root.s" .. i) end
     local screens = helper.printed(function()
-      watch.run(client(messages), { number = 1, count = 12, is_terminal = true })
+      follow.run(client(messages), { number = 1, count = 12, is_terminal = true })
     end)
     local _, count = screens[12]:gsub("%(done%)", "")
     assert.equal(10, count)
@@ -1348,7 +1348,7 @@ describe("rfsm.web.watch", function()
     for _, message in ipairs(UNREADABLE) do
       assert.same({ "unreadable message '" .. message.type .. "'", "not active" },
         helper.printed(function()
-          watch.run(client { message, state_message(false) },
+          follow.run(client { message, state_message(false) },
             { number = 1, count = 2, is_terminal = false })
         end))
     end

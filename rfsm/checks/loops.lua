@@ -4,8 +4,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local match = require "rfsm.checks.match"
-local location = require "rfsm.checks.location"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
 local structure = require "rfsm.checks.structure"
 
 local ipairs = ipairs

@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local read = require("rfsm.shared.files").read
-local match = require "rfsm.checks.match"
+local match = require "rfsm.shared.match"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
 local require, setmetatable, type = require, setmetatable, type

@@ -9,7 +9,7 @@
 local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 local codes = require "rfsm.checks.codes"
-local location = require "rfsm.checks.location"
+local location = require "rfsm.shared.location"
 
 local error, ipairs, pairs, pcall = error, ipairs, pairs, pcall
 local require, select, setmetatable = require, select, setmetatable
@@ -33,8 +33,8 @@ local static = {}
 ---@alias rfsm_checks.Check fun(fsm: rfsm.Machine, add: rfsm_checks.Add)
 
 local CHECKS = {
-  "rfsm.checks.structure", "rfsm.checks.order", "rfsm.checks.loops",
-  "rfsm.checks.names",
+  "rfsm.checks.structure", "rfsm.checks.priority", "rfsm.checks.loops",
+  "rfsm.checks.event_names",
 }
 
 --- The checks of files, which read the text of callbacks, too.

@@ -7,8 +7,8 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
-local match = require "rfsm.checks.match"
-local location = require "rfsm.checks.location"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 local concat = table.concat

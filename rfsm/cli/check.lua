@@ -17,7 +17,7 @@ local check = {
 }
 
 local function print_codes()
-  print((require("rfsm.checks.command").codes_text():gsub("\n$", "")))
+  print((require("rfsm.cli.review").codes_text():gsub("\n$", "")))
   os.exit(0)
 end
 
@@ -68,7 +68,7 @@ local function write_tests(options, parser)
   end
   local model = common.try(common.load_model(file, options.stub))
   local old_text = options.output ~= "-" and files.read(options.output)
-  local text, result = common.call(file, require("rfsm.checks.tests").busted, file,
+  local text, result = common.call(file, require("rfsm.tests.tests").busted, file,
     model, options.callbacks, options.output, old_text)
   common.write(options.output, text)
   io.stderr:write(("rfsm check: %d of %d transitions in %d steps\n"):format(
@@ -77,17 +77,17 @@ local function write_tests(options, parser)
 end
 
 -- Returns lines about the chart in a file, and the gravest severity.
-local function review(file, options)
-  local command = require("rfsm.checks.command")
+local function lines_about(file, options)
+  local review = require("rfsm.cli.review")
   local settings, model, warnings, world
-  options.required, model, warnings, world = command.noting_extensions(function()
+  options.required, model, warnings, world = review.noting_extensions(function()
     local problem
-    settings, problem = command.settings_for(file)
+    settings, problem = review.settings_for(file)
     if not settings then common.fail(problem, 2) end
     return common.load_model(file, options.stub)
   end)
   if not model then return { warnings }, "error" end
-  local ok, lines, gravest = common.with_streams(common.NOWHERE, command.review, file,
+  local ok, lines, gravest = common.with_streams(common.NOWHERE, review.of, file,
     model, warnings, settings, options)
   if not ok then return { chart.reason(file, lines) }, "error" end
   lines[#lines + 1] = chart.stub_line(file, world)
@@ -101,7 +101,7 @@ function check.run(options, parser)
   if options.tests then return write_tests(options, parser) end
   local texts, status = {}, 0
   for i, file in ipairs(options.files) do
-    local lines, gravest = review(file, options)
+    local lines, gravest = lines_about(file, options)
     texts[i] = concat(lines, "\n") .. "\n"
     if gravest == "error" or options.strict and gravest then status = 1 end
   end

@@ -54,7 +54,7 @@ local function report(what)
 end
 
 local rfsm = require "rfsm"
-rfsm.without_fast() -- as in a pool
+rfsm.save_memory() -- as in a pool
 require "rfsm.rtt"
 
 if kind == "module" then

@@ -20,14 +20,14 @@ function postgres.add_arguments(command)
 end
 
 function postgres.run(options, parser)
-  local bundle, text = require "rfsm.postgres.bundle", nil
+  local script, text = require "rfsm.postgres.script", nil
   local settings = { history = options.history, notify = options.notify }
   if not options.client then
-    text = common.library_of(bundle.sql, options, parser, settings)
+    text = common.library_of(script.sql, options, parser, settings)
   elseif options.files[1] or options.ids or options.ids_for then
     parser:error("--client: no charts and no ids expected, the client has them")
   else
-    text = bundle.tables(settings)
+    text = script.tables(settings)
   end
   common.write(options.output, text)
 end

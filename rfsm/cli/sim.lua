@@ -22,6 +22,6 @@ function sim.add_arguments(command)
   command:flag("-q --quiet", "print no banner")
 end
 
-function sim.run(options) return require("rfsm.sim.main").main(options) end
+function sim.run(options) return require("rfsm.sim.simulator").main(options) end
 
 return sim

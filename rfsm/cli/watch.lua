@@ -18,9 +18,9 @@ end
 
 function watch.run(options, parser)
   local host, port = common.address_of(parser, options.address)
-  local client = common.try(require("rfsm.proto.subscriber").connect(host, port))
+  local client = common.try(require("rfsm.observe.subscriber").connect(host, port))
   io.stdout:setvbuf("line")
-  common.until_interrupt(require("rfsm.web.watch").run, client, {
+  common.until_interrupt(require("rfsm.proto.follow").run, client, {
     number = options.machine, count = options.count,
     is_terminal = require("rfsm.sim.terminal").is_terminal(1),
   })

@@ -6,10 +6,10 @@
 local order = require "rfsm.shared.order"
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 local tracks = require "rfsm.record.track"
 
 local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
@@ -17,7 +17,7 @@ local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
 local tostring, type = tostring, type
 local max, min, remove = math.max, math.min, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local is_scalar, reason, text_of = plain.is_scalar, plain.reason, rfsm.text_of
+local is_scalar, reason, text_of = encoding.is_scalar, encoding.reason, rfsm.text_of
 local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
 --- A machine that is being replayed.
@@ -48,7 +48,7 @@ end
 local function fill(session, list, events)
   for i = #list, 1, -1 do list[i] = nil end
   for i = 1, events and #events or 0 do
-    local event = plain.unpack(events[i], 0)
+    local event = encoding.unpack(events[i], 0)
     if is_scalar(event) then
       list[i] = event
     else
@@ -62,7 +62,7 @@ local function read_again(session)
   local now = remove(session.readings or {}, 1) or session.latest or { 0, 0 }
   if type(now[1]) == "string" then error(now[1], 0) end
   session.latest = now
-  return plain.unpack(now[1], 0), plain.unpack(now[2], 0)
+  return encoding.unpack(now[1], 0), encoding.unpack(now[2], 0)
 end
 
 -- Returns the record of the iteration that begins; raises STOP if there is none.
@@ -91,7 +91,7 @@ local function begin_again(session, track, events)
 end
 
 local function data_text(value)
-  if value == nil or rawequal(value, plain.NIL) then return "nothing" end
+  if value == nil or rawequal(value, encoding.NIL) then return "nothing" end
   if type(value) == "string" then return ("'%s'"):format(value) end
   return type(value) == "table" and "a table" or text_of(value)
 end
@@ -110,7 +110,7 @@ local function find_difference(old, new, path)
   end
 end
 
-local function values_of(packed) return packed and plain.unpack(packed, 0) or {} end
+local function values_of(packed) return packed and encoding.unpack(packed, 0) or {} end
 
 -- Returns the text of what differs between data that was kept, and that of now.
 local function difference(old, new)
@@ -216,8 +216,8 @@ local function add_player(track, session, options)
   track.at, track.guard_at = 0, 0
   track.records = track.m and (session.inner[track.m] or {}) or session.records
   if session.is_dry then
-    for _, state in ipairs(swap.take_functions(track.swaps, fsm)) do
-      swap.put(track.swaps, state, "doo", doo_again(session, track))
+    for _, state in ipairs(instrument.take_functions(track.changes, fsm)) do
+      instrument.put(track.changes, state, "doo", doo_again(session, track))
     end
   end
   function track.begin(_, events) begin_again(session, track, events) end
@@ -276,15 +276,15 @@ local function begin(session, model, header, options)
     session.problem = problem
     return
   end
-  local swaps = {}
+  local changes = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
-    swap.put(swaps, at.machine, "gettime", session.clock)
+    instrument.put(changes, at.machine, "gettime", session.clock)
   end
   session.readings = { unpack(header.clock or {}) }
   local ok
   ok, problem = snapshot.put(fsm, header.snapshot,
     { migrate = options.migrate and itself or nil })
-  swap.give_back(swaps)
+  instrument.give_back(changes)
   session.fsm, session.problem = ok and fsm or nil, problem
 end
 

@@ -7,9 +7,9 @@
 -- @license BSD-3-Clause
 
 local order = require "rfsm.shared.order"
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 
 local ipairs = ipairs
 local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
@@ -24,12 +24,12 @@ local track = {}
 local PATH = { owner = "", base = 0, seen = {}, packed = {} }
 
 --- Return plain data for a text, number or boolean.
-function track.pack(value) return plain.pack(value, PATH, 0) end
+function track.pack(value) return encoding.pack(value, PATH, 0) end
 
 --- Return an event as plain data. A table or another object becomes the name of its
 -- type, which cannot be replayed.
 function track.pack_event(event)
-  if plain.is_scalar(event) then return track.pack(event) end
+  if encoding.is_scalar(event) then return track.pack(event) end
   return { "%x", type(event) }
 end
 
@@ -87,38 +87,38 @@ end
 -- Changes of data that the chart keeps, and of targets -------------------------------
 
 --- Return the values of a machine that `may_have_changed` compares.
-function track.watch_data(fsm)
-  local watched = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
+function track.observe_data(fsm)
+  local observed = { transitions = rfsm.elements(fsm, rfsm.is_trans), targets = {},
     states = {}, names = {}, values = {}, is_deep = false, has_changed = false }
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
-    if type(state.save) == "function" then watched.is_deep = true end
+    if type(state.save) == "function" then observed.is_deep = true end
     for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
-      watched.states[#watched.states + 1] = state
-      watched.names[#watched.names + 1] = name
+      observed.states[#observed.states + 1] = state
+      observed.names[#observed.names + 1] = name
     end
   end
-  track.may_have_changed(watched)
-  watched.has_changed = false
-  return watched
+  track.may_have_changed(observed)
+  observed.has_changed = false
+  return observed
 end
 
 --- May the data have changed since the caller has set `has_changed` to false? A table
 -- may, at any time.
-function track.may_have_changed(watched)
-  local values, names = watched.values, watched.names
-  if watched.is_deep then watched.has_changed = true end
-  for i, state in ipairs(watched.states) do
+function track.may_have_changed(observed)
+  local values, names = observed.values, observed.names
+  if observed.is_deep then observed.has_changed = true end
+  for i, state in ipairs(observed.states) do
     local value = state[names[i]]
     if type(value) == "table" or not rawequal(value, values[i]) then
-      watched.has_changed, values[i] = true, value
+      observed.has_changed, values[i] = true, value
     end
   end
-  local targets = watched.targets
-  for i, tr in ipairs(watched.transitions) do
+  local targets = observed.targets
+  for i, tr in ipairs(observed.transitions) do
     local tgt = tr.tgt
-    if targets[i] ~= tgt then watched.has_changed, targets[i] = true, tgt end
+    if targets[i] ~= tgt then observed.has_changed, targets[i] = true, tgt end
   end
-  return watched.has_changed
+  return observed.has_changed
 end
 
 -- Machines -----------------------------------------------------------------------
@@ -134,14 +134,14 @@ end
 ---@field guard function called in place of each guard: number, guard, arguments
 ---@field clock fun(own: function?): function returns the clock in place of its own
 ---@field getevents fun(own: function): function|nil likewise getevents
----@field swaps table[]
----@field wrapped table<string, table> the last swap of a field of the machine
+---@field changes table[]
+---@field wrapped table<string, table> the last change of a field of the machine
 
 -- Replaces a function of the machine, again if a program has set another one meanwhile.
 local function wrap(own, field, make)
   local wrapped, value = own.wrapped[field], rawget(own.fsm, field)
   if not (wrapped and rawequal(wrapped.new, value)) then
-    own.wrapped[field] = swap.put(own.swaps, own.fsm, field, make(value))
+    own.wrapped[field] = instrument.put(own.changes, own.fsm, field, make(value))
   end
 end
 
@@ -157,7 +157,7 @@ local function replace_guards(own)
   for number, tr in ipairs(rfsm.elements(own.fsm, rfsm.is_trans)) do
     local guard = tr.guard
     if guard then
-      swap.put(own.swaps, tr, "guard", function(_, events)
+      instrument.put(own.changes, tr, "guard", function(_, events)
         return own.guard(number, guard, tr, events)
       end)
     end
@@ -185,14 +185,14 @@ function track.attach(fsm, add, ...)
   local tracks = {}
   for i, at in ipairs(rfsm.machines(fsm)) do
     local machine = at.machine
-    local own = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false, swaps = {},
+    local own = { fsm = machine, m = i > 1 and i - 1 or nil, rec = false, changes = {},
       wrapped = {} }
     add(own, ...)
     track.wrap(own)
     replace_guards(own)
-    swap.hook(own.swaps, machine, "pre_step", own.begin, "before")
-    swap.hook(own.swaps, machine, "post_step", own.finish, "before")
-    swap.hook(own.swaps, machine, "reset", own.reset)
+    instrument.hook(own.changes, machine, "pre_step", own.begin, "before")
+    instrument.hook(own.changes, machine, "post_step", own.finish, "before")
+    instrument.hook(own.changes, machine, "reset", own.reset)
     tracks[i] = own
   end
   return tracks
@@ -200,7 +200,7 @@ end
 
 --- Leave the machines as they were.
 function track.detach(tracks)
-  for _, own in ipairs(tracks) do swap.give_back(own.swaps) end
+  for _, own in ipairs(tracks) do instrument.give_back(own.changes) end
 end
 
 return track

@@ -5,7 +5,7 @@
 -- @license BSD-3-Clause
 
 local files = require "rfsm.shared.files"
-local json = require "rfsm.server.json"
+local codec = require "rfsm.server.codec"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local try = require("rfsm.shared.calls").try
@@ -56,7 +56,7 @@ end
 function Client:create(id, chart, data)
   local ok, text = true, "{}"
   if data and next(data) ~= nil then
-    ok, text = try(json.encode, data)
+    ok, text = try(codec.encode, data)
   end
   if not ok then return nil, self.where .. ".create: data: " .. text end
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
@@ -131,7 +131,7 @@ function Client:get(id)
   if not list then return nil, problem end
   local view = {}
   for i = 1, #list, 2 do view[list[i]] = list[i + 1] end
-  view.data, view.queue, view.due = json.decode(view.data), json.decode(view.queue),
+  view.data, view.queue, view.due = codec.decode(view.data), codec.decode(view.queue),
     tonumber(view.due)
   return view
 end

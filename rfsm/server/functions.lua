@@ -18,11 +18,11 @@ local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local keys_of = require "rfsm.server.keys"
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
-local why = require "rfsm.checks.why"
+local why = require "rfsm.observe.why"
 require "rfsm.await"
 
 local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
@@ -32,7 +32,7 @@ local char = string.char
 local floor, huge, min = math.floor, math.huge, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local concat, remove, sort = table.concat, table.remove, table.sort
-local copy_of, fail, is_meta, text_of = plain.copy_of, plain.fail, rfsm.is_meta,
+local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
   rfsm.text_of
 
 local MAX_EVENT, MAX_DATA, MAX_VALUE = 256, 65536, 1048576 -- bytes
@@ -54,7 +54,6 @@ local ASIDE = 60 -- seconds until a machine that cannot be run is tried again
 ---@field history? integer so many moves of each machine are kept
 ---@field ids? integer so many ids of events each machine keeps (16)
 ---@field ids_for? integer ids are kept for so many seconds, at most `ids` (1000)
----@field server? string for messages: "PostgreSQL", default "Redis"
 
 -- What the library was made with. One library runs in a server, so it is kept here.
 local host, charts, options
@@ -188,7 +187,8 @@ end
 local key_of, shown = keys_of.machine, keys_of.shown
 
 local function reason_of(failure)
-  return calls.line(type(failure) == "table" and failure.err or plain.reason(failure))
+  return calls.line(type(failure) == "table" and failure.err
+    or encoding.reason(failure))
 end
 
 local function versions_of(name)
@@ -371,7 +371,7 @@ local function send_later(machine)
     add_id(machine, entry[2])
     if not ok then
       machine.notes = machine.notes or {}
-      machine.notes[#machine.notes + 1] = "rfsm_send_at: " .. plain.reason(problem)
+      machine.notes[#machine.notes + 1] = "rfsm_send_at: " .. encoding.reason(problem)
     end
   end
 end
@@ -528,7 +528,8 @@ local function set_data(fsm, text)
   end
   local ok, data = pcall(host.json.decode, text)
   if not ok or type(data) ~= "table" then fail("data: a JSON object expected") end
-  data = plain.unpack(plain.pack(data, { owner = "data", base = 0, seen = {} }, 0), 0)
+  local about = { owner = "data", base = 0, seen = {} }
+  data = encoding.unpack(encoding.pack(data, about, 0), 0)
   local is_kept = {}
   for _, name in ipairs(fsm.keep or {}) do is_kept[name] = true end
   for _, name in ipairs(rfsm.sorted_keys(data)) do
@@ -684,7 +685,7 @@ local function data_of(snap)
   local data = {}
   local function add(part, prefix)
     for fqn, fields in pairs(part.data or {}) do -- any order: a copy
-      data[prefix .. fqn:sub(5)] = plain.to_json(plain.unpack(fields, 0))
+      data[prefix .. fqn:sub(5)] = encoding.to_json(encoding.unpack(fields, 0))
     end
   end
   add(snap, "root")
@@ -697,7 +698,7 @@ function functions.rfsm_get(keys)
   local list = read_value(key_of(keys))
   local snap, names, queue = list[SNAP], {}, {}
   local leaf = snap.leaf or ""
-  for i, event in ipairs(snap.queue or {}) do queue[i] = plain.unpack(event, 0) end
+  for i, event in ipairs(snap.queue or {}) do queue[i] = encoding.unpack(event, 0) end
   for i in leaf:gmatch("()%.") do names[#names + 1] = leaf:sub(1, i - 1) end
   names[#names + 1] = snap.leaf
   local due = list[DUE] and ("%.6f"):format(list[DUE]) or ""

@@ -4,10 +4,10 @@
 -- @module rfsm.server.keys
 -- @license BSD-3-Clause
 
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 
 local tostring = tostring
-local fail = plain.fail
+local fail = encoding.fail
 
 local keys = {}
 

@@ -1,4 +1,4 @@
---- Chart files for the tools: loaded with a watch on globals, failures in one line.
+--- Chart files for the tools: loaded with an eye on globals, failures in one line.
 --
 -- Charts written for rFSM use the globals `rfsmpp`, `rfsm_ext` and `rfsm_timeevent`
 -- without requiring them, because its tools loaded them. So the globals are there.
@@ -7,9 +7,9 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local load_file = rfsm.load -- before `beside` replaces it
-local beside = require "rfsm.shared.beside"
+local load_file = rfsm.load -- before `search` replaces it
 local limit = require "rfsm.shared.limit"
+local search = require "rfsm.shared.search"
 local stubs = require "rfsm.shared.stubs"
 
 local error, getmetatable, io, ipairs, next = error, getmetatable, io, ipairs, next
@@ -99,12 +99,12 @@ end
 -- Returns a stub for a global; nil if the code tests if it exists.
 local function stub_for(world, name, reader)
   local is_wanted = world.insists or warning_of(name, reader)
-  return is_wanted and beside.stub(world, name) or nil
+  return is_wanted and search.stub(world, name) or nil
 end
 
 -- Returns the __index for globals that do not exist, of code of a chart. A name such as
 -- e_go is an event whose quotes were forgotten, not a stub.
-local function new_watch(world, warnings)
+local function new_index(world, warnings)
   local is_known = {}
   local function note(name, reader)
     if reader.source ~= world.source or is_known[name] then return end
@@ -115,7 +115,7 @@ local function new_watch(world, warnings)
     local module = GIVEN[name] and find_given(name)
     if module then return module end
     local reader = type(name) == "string" and getinfo(2, "Sl")
-    if not reader or beside.world_of(reader.source) ~= world then return nil end
+    if not reader or search.world_of(reader.source) ~= world then return nil end
     if world.has_stubs and not name:find("^e_") then
       return stub_for(world, name, reader)
     end
@@ -125,20 +125,20 @@ end
 
 local stub_class = nil -- the metatable of _G while there are stubs
 
--- Calls f(...) while globals are watched. Stubs stay, since callbacks read them.
+-- Calls f(...) while globals are noted. Stubs stay, since callbacks read them.
 -- Returns what pcall does.
-local function with_watch(world, warnings, f, ...)
+local function with_notes(world, warnings, f, ...)
   if getmetatable(_G) == stub_class then setmetatable(_G, nil) end
   if not getinfo or getmetatable(_G) then return pcall(f, ...) end
-  local watch = new_watch(world, warnings)
-  local class = { __index = watch }
+  local index = new_index(world, warnings)
+  local class = { __index = index }
   setmetatable(_G, class)
   local ok, model = pcall(f, ...)
   if world.has_stubs then
     stub_class = class
     return ok, model
   end
-  class.__index = class.__index ~= watch and class.__index or nil -- a chart's own
+  class.__index = class.__index ~= index and class.__index or nil -- a chart's own
   if getmetatable(_G) == class and not next(class) then setmetatable(_G, nil) end
   return ok, model
 end
@@ -151,7 +151,7 @@ local function refuse_exit() error("os.exit is called while the chart is loaded"
 local function within_bounds(world, load, file)
   local exit = os.exit
   if not world.has_stubs then rawset(os, "exit", refuse_exit) end
-  local ok, model, is_late = limit.load(limit.SECONDS, beside.world_of,
+  local ok, model, is_late = limit.load(limit.SECONDS, search.world_of,
     { os.time, os.clock }, load, file)
   rawset(os, "exit", exit)
   world.is_late = is_late or false
@@ -167,11 +167,11 @@ end
 -- stubs, too.
 local function try_load(file, has_stubs, insists)
   local warnings, source = {}, file == "-" and "=stdin" or "@" .. file
-  local world = beside.enter(file, source, has_stubs)
+  local world = search.enter(file, source, has_stubs)
   world.insists = insists or false
-  local ok, model = with_watch(world, warnings, within_bounds, world,
+  local ok, model = with_notes(world, warnings, within_bounds, world,
     file == "-" and load_stdin or load_file, file)
-  beside.leave()
+  search.leave()
   return ok, model, warnings, world
 end
 

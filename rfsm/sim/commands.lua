@@ -7,10 +7,10 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local rfsmpp = require "rfsmpp"
 local history = require "rfsm.sim.history"
-local names = require "rfsm.sim.names"
-local points = require "rfsm.sim.points"
+local names = require "rfsm.observe.names"
+local breakpoints = require "rfsm.observe.breakpoints"
 local time = require "rfsm.sim.time"
-local view = require "rfsm.sim.view"
+local drawing = require "rfsm.sim.drawing"
 
 local error, ipairs, next, print = error, ipairs, next, print
 local select, type = select, type
@@ -113,7 +113,7 @@ end, { completes = "events" })
 
 add("tree()", "draw the active states and their siblings", [[
 A star marks active states.]],
-function(sim) print(view.tree(sim.fsm)) end)
+function(sim) print(drawing.tree(sim.fsm)) end)
 
 add("pp()", "print all states as a tree", [[
 [CS] is a composite, [LS] a leaf. The mode is a colour, or a word without colours.]],
@@ -154,20 +154,20 @@ Without an argument: list them. The machine stops behind the step in which the s
 was entered, the transition taken, or the event received.
 Examples: breakpoint on    breakpoint off -> on    breakpoint e_push]],
 function(sim, what)
-  if what == nil then return points.list(sim) end
-  local n = points.add(sim, what)
+  if what == nil then return breakpoints.list(sim) end
+  local n = breakpoints.add(sim, what)
   print(("%d  %s %s"):format(n, sim.points[n].kind, sim.points[n].name))
 end, { completes = "points", takes_line = true })
 
 add("watch(expr)", "show the value of an expression after each advance", [[
 Without an argument: list them. Example: watch tank.fuel]],
 function(sim, text)
-  if text == nil then return points.list(sim) end
-  points.add_watch(sim, check("watch", text, "string", "expression as a text"))
+  if text == nil then return breakpoints.list(sim) end
+  breakpoints.add_watch(sim, check("watch", text, "string", "expression as a text"))
 end, { takes_line = true })
 
 add("delete([n])", "remove the breakpoint or expression n, or all", "",
-function(sim, n) points.delete(sim, n) end)
+function(sim, n) breakpoints.delete(sim, n) end)
 
 group "Time"
 

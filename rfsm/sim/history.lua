@@ -10,7 +10,7 @@
 
 local rfsm = require "rfsm"
 local record = require "rfsm.record"
-local record_lines = require "rfsm.record.lines"
+local journal = require "rfsm.record.journal"
 local replay = require "rfsm.record.replay"
 local snapshot = require "rfsm.snapshot"
 local terminal = require "rfsm.sim.terminal"
@@ -308,7 +308,7 @@ function history.save(sim, name)
   if not name then return end
   local file, problem = io.open(name, "w")
   if not file then error("record: " .. problem, 0) end
-  own.file, own.write = file, record_lines.writer(file)
+  own.file, own.write = file, journal.writer(file)
   each_record(own, own.write)
 end
 

@@ -10,16 +10,16 @@ local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local commands = require "rfsm.sim.commands"
-local names = require "rfsm.sim.names"
+local names = require "rfsm.observe.names"
 local terminal = require "rfsm.sim.terminal"
-local view = require "rfsm.sim.view"
+local values = require "rfsm.observe.values"
 local rfsm = require "rfsm"
 
 local _G, ipairs, pairs, pcall, rawget = _G, ipairs, pairs, pcall, rawget
 local setmetatable, tonumber = setmetatable, tonumber
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
-local complain, first_line = view.complain, chart.first_line
+local complain, first_line = terminal.complain, chart.first_line
 
 local prompt = {}
 
@@ -116,7 +116,7 @@ end
 local function call(sim, chunk)
   local release = sim:guard_doos()
   terminal.settle()
-  local ok, failure = pcall(chunk, view.print_values)
+  local ok, failure = pcall(chunk, values.print_values)
   release()
   if ok then return true end
   local problem = first_line(failure):gsub("^.*:%d+: (interrupted!)$", "%1")

@@ -12,21 +12,22 @@ local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
-local names = require "rfsm.sim.names"
-local points = require "rfsm.sim.points"
-local probe = require "rfsm.sim.probe"
+local names = require "rfsm.observe.names"
+local breakpoints = require "rfsm.observe.breakpoints"
+local observer = require "rfsm.sim.observer"
 local snapshot = require "rfsm.snapshot"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 local terminal = require "rfsm.sim.terminal"
 local time = require "rfsm.sim.time"
-local view = require "rfsm.sim.view"
+local drawing = require "rfsm.sim.drawing"
+local values = require "rfsm.observe.values"
 
 local error, ipairs, pcall, print = error, ipairs, pcall, print
 local rawget, select, setmetatable = rawget, select, setmetatable
 local type = type
 local min, concat = math.min, table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
-local complain, text_of = view.complain, rfsm.text_of
+local complain, text_of = terminal.complain, rfsm.text_of
 
 --- One chart and its prompt.
 ---@class rfsm.sim.Session
@@ -38,11 +39,11 @@ local complain, text_of = view.complain, rfsm.text_of
 ---@field tree? string|false the last tree shown
 ---@field level boolean|"full" which trace records are shown
 ---@field hooks (fun(fsm: rfsm.Machine))[] called after each advance
----@field points rfsm.sim.Point[] breakpoints and expressions that are watched
+---@field points rfsm.observe.Breakpoint[] breakpoints and expressions that are watched
 ---@field picture? string|false file that is kept up to date
 ---@field history rfsm.sim.History
 ---@field time? rfsm.sim.Time the simulated clock
----@field saved? table[] swaps of `dry`
+---@field saved? table[] changes of `dry`
 ---@field env table what typed code sees: the commands, then the globals
 ---@field missing string[] globals that the current line reads and that do not exist
 ---@field is_over boolean ends after this line
@@ -79,7 +80,7 @@ end
 
 --- Show the active states and the queue.
 function Session:show()
-  local tree = self.follows and view.tree(self.fsm)
+  local tree = self.follows and drawing.tree(self.fsm)
   local seconds = self.follows and clock.until_timer(self.fsm)
   if tree and tree ~= self.tree then print(tree) end
   self.tree = tree
@@ -88,28 +89,28 @@ function Session:show()
   if seconds then
     print("timer:  in " .. time.text(seconds) .. ", next() goes there")
   end
-  points.show_watched(self)
+  breakpoints.show_watched(self)
   if self.picture then self:draw(self.picture) end
 end
 
 --- Keep a picture up to date from now on; false ends that.
 function Session:draw(file)
   local problem = nil
-  history.pause(self, function() problem = file and view.draw(self.fsm, file) end)
+  history.pause(self, function() problem = file and drawing.draw(self.fsm, file) end)
   self.picture = not problem and file
   if problem then complain("view: " .. problem) end
 end
 
 -- Advances up to a breakpoint, or in parts, one for each chunk of the history. Returns
 -- true if the machine is idle.
-local function advance_in_parts(watcher, sim, n)
+local function advance_in_parts(observed, sim, n)
   local fsm, left, part = sim.fsm, n, sim.points[1] and 1 or history.CHUNK
   local is_idle
   repeat
     is_idle = rfsm.step(fsm, min(left, part))
     left = left - part
     history.cut(sim)
-  until is_idle or left < 1 or watcher.is_hit or not fsm._act_leaf
+  until is_idle or left < 1 or observed.is_hit or not fsm._act_leaf
   -- not entered: it was reset, or cannot be entered; then the rest ends at once
   if is_idle or left < 1 or sim.points[1] then return is_idle end
   return rfsm.step(fsm, left)
@@ -117,9 +118,9 @@ end
 
 -- The same, but with one call if records are shown or the chart has an idle hook, with
 -- which a machine is never idle.
-local function advance(sim, watcher, n)
+local function advance(sim, observed, n)
   local is_whole = sim.level or sim.fsm.idle_hook
-  if not is_whole or sim.points[1] then return advance_in_parts(watcher, sim, n) end
+  if not is_whole or sim.points[1] then return advance_in_parts(observed, sim, n) end
   return rfsm.step(sim.fsm, n) and not sim.fsm.idle_hook
 end
 
@@ -128,17 +129,17 @@ local MAX_RUN = 10000 -- iterations: a chart may have no end
 --- Advance by n steps, or until the machine is idle, and show the result, also if that
 -- failed.
 function Session:advance(n)
-  local watcher = probe.attach(self, self.follows and not self.level)
-  local ok, result = pcall(advance, self, watcher, n or MAX_RUN)
-  watcher:detach()
-  self:print_discarded(watcher:discarded())
+  local observed = observer.attach(self, self.follows and not self.level)
+  local ok, result = pcall(advance, self, observed, n or MAX_RUN)
+  observed:detach()
+  self:print_discarded(observed:discarded())
   self:show()
   for i, point in ipairs(self.points) do
-    if watcher.hits[i] then
+    if observed.hits[i] then
       print(("stopped at %d: %s %s"):format(i, point.kind, point.name))
     end
   end
-  if ok and not (n or result or watcher.is_hit) and self.fsm._act_leaf then
+  if ok and not (n or result or observed.is_hit) and self.fsm._act_leaf then
     print("stopped after 10,000 iterations, 'run' goes on")
   end
   for _, hook in ipairs(self.hooks) do hook(self.fsm) end
@@ -147,7 +148,7 @@ end
 
 function Session:print_discarded(events)
   if not (self.follows and events[1] ~= nil) then return end
-  for i, event in ipairs(events) do events[i] = view.value(event) end
+  for i, event in ipairs(events) do events[i] = values.value(event) end
   print("discarded: " .. concat(events, ", ") .. (self.has_explained and ""
     or " ('why " .. events[1] .. "' explains)"))
   self.has_explained = true
@@ -164,7 +165,7 @@ function Session:check_event(event, i)
   elseif event == nil then
     complain(("event %d is nil"):format(i))
   elseif not names.is_event(self.fsm, event) then
-    complain(("no transition names the event '%s'%s"):format(view.value(event),
+    complain(("no transition names the event '%s'%s"):format(values.value(event),
       type(event) == "string" and names.hint(event, names.events(self.fsm)) or ""))
   end
 end
@@ -181,14 +182,14 @@ end
 
 --- Have Control-C end a doo that never yields, until the function returned is called.
 function Session:guard_doos()
-  local swaps = {}
+  local changes = {}
   for _, at in ipairs(terminal.is_caught() and rfsm.machines(self.fsm) or {}) do
     for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
       local doo = state.doo
-      if doo then swap.put(swaps, state, "doo", terminal.interruptible(doo)) end
+      if doo then instrument.put(changes, state, "doo", terminal.interruptible(doo)) end
     end
   end
-  return function() swap.give_back(swaps) end
+  return function() instrument.give_back(changes) end
 end
 
 -- Other records, another machine ----------------------------------------------------
@@ -233,24 +234,24 @@ end
 local function let_pass() return true end
 
 local function take_functions(fsm)
-  local swaps = {}
+  local changes = {}
   for _, at in ipairs(rfsm.machines(fsm)) do
     local machine = at.machine
-    for _, state in ipairs(swap.take_functions(swaps, machine)) do
-      swap.put(swaps, state, "doo", idle)
+    for _, state in ipairs(instrument.take_functions(changes, machine)) do
+      instrument.put(changes, state, "doo", idle)
     end
-    if machine.getevents then swap.put(swaps, machine, "getevents", nil) end
+    if machine.getevents then instrument.put(changes, machine, "getevents", nil) end
     for _, tr in ipairs(rfsm.elements(machine, rfsm.is_trans)) do
-      if tr.guard then swap.put(swaps, tr, "guard", let_pass) end
+      if tr.guard then instrument.put(changes, tr, "guard", let_pass) end
     end
   end
-  return swaps
+  return changes
 end
 
 --- Take the functions of the chart away, or give them back.
 function Session:set_dry(is_dry)
   history.pause(self, function()
-    swap.give_back(self.saved or {})
+    instrument.give_back(self.saved or {})
     self.saved = is_dry and take_functions(self.fsm) or nil
   end)
 end
@@ -267,7 +268,7 @@ function Session:reload()
   self.fsm, self.env.fsm, self.model = fsm, fsm, result
   if self.saved then self.saved = take_functions(fsm) end
   if self.level then self:set_level(self.level) end
-  points.renew(self, complain)
+  breakpoints.renew(self, complain)
   history.start(self)
   if problem then
     complain(calls.line(text_of(problem)) .. ": the machine begins anew")

@@ -1,4 +1,4 @@
---- The terminal of the simulator: Control-C, and lines typed or piped in.
+--- The terminal of the simulator: Control-C, and lines typed, piped in, or to stderr.
 --
 -- A reader takes a prompt and returns a line; nil at the end of the input; false if
 -- Control-C dropped the line. There is no editing without lua-readline. A second
@@ -16,6 +16,12 @@ local getinfo, sethook = debug.getinfo, debug.sethook
 local jit = rawget(_G, "jit")
 
 local terminal = {}
+
+--- Write a line to stderr, after the text in stdout.
+function terminal.complain(text)
+  io.stdout:flush()
+  io.stderr:write(text, "\n")
+end
 
 -- Control-C, any number of times --------------------------------------------------
 --

@@ -9,7 +9,7 @@
 local rfsm = require "rfsm"
 local clock = require "rfsm.clock"
 local history = require "rfsm.sim.history"
-local swap = require "rfsm.shared.swap"
+local instrument = require "rfsm.shared.instrument"
 
 local error, pcall = error, pcall
 local floor, min = math.floor, math.min
@@ -23,7 +23,7 @@ local time = {}
 ---@field sec number
 ---@field nsec number
 ---@field starts table<boolean, { sec: number, nsec: number }> true: for e_after
----@field swaps table[] the real clock of the machine
+---@field changes table[] the real clock of the machine
 
 --- Have the timers of a machine read the simulated clock, if a session has one.
 function time.install(sim, fsm)
@@ -32,7 +32,7 @@ function time.install(sim, fsm)
   local function simulated(start)
     return function() return start.sec + now.sec, start.nsec + now.nsec end
   end
-  swap.put(now.swaps, fsm, "gettime", clock.twofold(simulated(now.starts[true]),
+  instrument.put(now.changes, fsm, "gettime", clock.twofold(simulated(now.starts[true]),
     simulated(now.starts[false])))
 end
 
@@ -47,7 +47,7 @@ local function start(sim)
   if sim.time then return end
   local starts = { [true] = read(sim.fsm, true), [false] = read(sim.fsm, false) }
   history.pause(sim, function()
-    sim.time = { sec = 0, nsec = 0, swaps = {}, starts = starts }
+    sim.time = { sec = 0, nsec = 0, changes = {}, starts = starts }
     time.install(sim, sim.fsm)
   end)
 end
@@ -56,7 +56,7 @@ end
 function time.use_real(sim)
   if not sim.time then return end
   history.pause(sim, function()
-    swap.give_back(sim.time.swaps)
+    instrument.give_back(sim.time.changes)
     sim.time = nil
   end)
 end

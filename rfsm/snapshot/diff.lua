@@ -9,8 +9,8 @@
 -- @license BSD-3-Clause
 
 local calls = require "rfsm.shared.calls"
-local charts = require "rfsm.snapshot.chart"
-local move = require "rfsm.snapshot.move"
+local shape = require "rfsm.snapshot.shape"
+local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
@@ -30,7 +30,7 @@ local function new_machine(model)
 end
 
 local function fill(fsm)
-  local own = charts.of(fsm)
+  local own = shape.of(fsm)
   for i, keeper in ipairs(own.chart.keepers) do
     local state = own.states[i]
     for _, name in ipairs(keeper.names) do
@@ -61,7 +61,7 @@ local function timers_of(fsm, leaf)
   while not is_around[state] do
     is_around[state], state = true, state._parent
   end
-  for _, tr in ipairs(charts.of(fsm).transitions) do
+  for _, tr in ipairs(shape.of(fsm).transitions) do
     for _, event in ipairs(is_around[tr.src] and tr.events or {}) do
       local name = rfsm.text_of(event)
       if name:find("^e_after%(.*@root") or name:find("^e_at%(.*@root") then
@@ -98,8 +98,8 @@ end
 
 -- Returns the machine or region that has come from one at a prefix, else the machine.
 local function place_from(fsm, prefix, rename)
-  prefix = move.renamed(prefix, rename or {})
-  local places = charts.of(fsm).places
+  prefix = migrate.renamed(prefix, rename or {})
+  local places = shape.of(fsm).places
   for _, at in ipairs(places) do
     if at.prefix == prefix then return at end
   end
@@ -137,16 +137,16 @@ end
 function diff.compare(old, new)
   local before, after = new_machine(old), new_machine(new)
   local options = { rename = after.rename, migrate = after.migrate }
-  local was, is = charts.structure(before), charts.structure(after)
+  local was, is = shape.structure(before), shape.structure(after)
   if concat(was, "\n") == concat(is, "\n") then return {}, {} end
-  local places, fates = charts.of(before).places, {}
+  local places, fates = shape.of(before).places, {}
   for _, at in ipairs(places) do fill(at.machine) end
   for _, at in ipairs(places) do
     for _, leaf in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
       fates[#fates + 1] = fate_of(places, at, leaf, new, options)
     end
   end
-  return move.difference(was, is), fates
+  return migrate.difference(was, is), fates
 end
 
 --- Return a report as text, and if each machine moves.

@@ -6,7 +6,7 @@
 local clock = require "rfsm.clock"
 local dot = require "rfsm.dot"
 local View = require "rfsm.web.view"
-local subscriber = require "rfsm.proto.subscriber"
+local subscriber = require "rfsm.observe.subscriber"
 
 local ipairs, setmetatable, type = ipairs, setmetatable, type
 

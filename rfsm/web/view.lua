@@ -1,8 +1,8 @@
 --- A machine as pages show it: its chart once, then the changes.
 --
--- `rfsm.web.live` is the view of a machine in this program, `rfsm.web.remote` of one
--- elsewhere. Their method `now` returns the active states and the queue; the log and
--- the coverage are kept here. A message is built when a page asks: the page has a
+-- `rfsm.web.local_view` is the view of a machine in this program, `rfsm.web.remote` of
+-- one elsewhere. Their method `now` returns the active states and the queue; the log
+-- and the coverage are kept here. A message is built when a page asks: the page has a
 -- cursor, which says what it knows already, and gets the changes since.
 --
 -- @module rfsm.web.view
@@ -10,7 +10,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local marsh = require "rfsm.marsh"
-local outline = require "rfsm.web.outline"
+local outline = require "rfsm.observe.outline"
 
 local ipairs, next, rawget = ipairs, next, rawget
 local setmetatable, type = setmetatable, type
@@ -38,7 +38,7 @@ local MAX_TEXT = 2000 -- bytes of a text in the log
 --- A machine as pages show it.
 ---@class rfsm.web.View
 ---@field description rfsm.marsh.Node
----@field outline rfsm.web.Outline
+---@field outline rfsm.observe.Outline
 ---@field clock fun(): number seconds, for the log
 ---@field now fun(self: rfsm.web.View): rfsm.web.Now
 ---@field log table[]

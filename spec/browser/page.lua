@@ -349,7 +349,7 @@ local function measure()
 end
 
 -- A machine of a program, whose page is open.
-local function visit_hosted(fsm, options)
+local function visit_served(fsm, options)
   options = options or {}
   options.port = 0
   local server = keep(web.serve(fsm, options))
@@ -578,7 +578,7 @@ end)
 describe("two machines", function()
   it("have a tab each", function()
     local left, right = helper.ring(2), helper.ring(3)
-    local server = visit_hosted({ left, right }, { title = { "left", "right" } })
+    local server = visit_served({ left, right }, { title = { "left", "right" } })
     assert.same({ "left", "right" }, texts "#machines button")
     window:click "#machines button:nth-of-type(2)"
     window:wait "now.active && chart.title == 'right' && chart.nodes.length == 5"
@@ -596,7 +596,7 @@ end)
 describe("a machine that is fast", function()
   it("is followed at 10,000 events a second, a frozen page beside", function()
     local fsm = helper.ring(2)
-    local server = visit_hosted(fsm)
+    local server = visit_served(fsm)
     local frozen = assert(socket.connect("127.0.0.1", server.port))
     frozen:send("GET /events?token=" .. server.token .. " HTTP/1.1\r\n"
       .. "Host: localhost\r\n\r\n")

@@ -6,8 +6,8 @@
 -- names optional modules that are to be missing, or the library debug. A difference
 -- prints the seed, both traces around it, and the chart shrunk to what is needed.
 --
--- RFSM_INTERRUPTS=1 interrupts each operation instead: see runs.interrupt and
--- runs.interrupt_exactly.
+-- RFSM_INTERRUPTS=1 interrupts the core instead: see runs.interrupt and
+-- runs.interrupt_once.
 
 package.path = "./?.lua;" .. package.path
 
@@ -15,6 +15,8 @@ local function hide(name)
   package.preload[name] = function() error("module '" .. name .. "' not found", 0) end
   if name == "debug" then rawset(_G, name, nil) end
 end
+
+require "spec.support.interrupts" -- needs what may be hidden
 
 for name in (os.getenv("RFSM_WITHOUT") or ""):gmatch("[%w_.]+") do hide(name) end
 
@@ -80,7 +82,7 @@ local function pass(seed)
     if is_wrong then tell(seed, chart) end
     return not is_wrong
   end
-  local wrong = runs.interrupt(chart) or runs.interrupt_exactly(chart)
+  local wrong = runs.interrupt(chart) or runs.interrupt_once(chart)
   if wrong then print(("seed %d: %s"):format(seed, wrong)) end
   return not wrong
 end

@@ -170,7 +170,7 @@ end
 
 --- Negates the guards of a rehearsal that are to be.
 function mutate.negate(run)
-  for _, entry in ipairs(run.puppet.transitions) do
+  for _, entry in ipairs(run.subject.transitions) do
     if entry.tr.negated then
       local guard = entry.tr.guard
       entry.tr.guard = function(...) return not guard(...) end

@@ -1,7 +1,7 @@
 -- A table in place of PostgreSQL: it knows the statements of the client. Connections to
 -- it may be lost.
 
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -76,7 +76,7 @@ end
 
 -- Does what a transaction has written once more, to what is there now.
 local function commit(self, connection)
-  local tables = plain.copy_of(self.tables)
+  local tables = encoding.copy_of(self.tables)
   for _, write in ipairs(connection.writes) do
     statements[write.name](self, tables, unpack(write, 1, write.n))
   end
@@ -85,7 +85,7 @@ end
 
 local function execute(self, connection, sql, ...)
   if sql == "BEGIN" then
-    connection.tables, connection.writes = plain.copy_of(self.tables), {}
+    connection.tables, connection.writes = encoding.copy_of(self.tables), {}
   elseif sql == "COMMIT" then
     commit(self, connection)
   elseif sql ~= "ROLLBACK" then

@@ -2,10 +2,9 @@
 -- flat list of texts.
 
 local charts = require "spec.support.charts"
+local interrupts = require "spec.support.interrupts"
 local reference = require "spec.support.reference"
 local rfsm = require "rfsm"
-
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local runs = {}
 
@@ -138,10 +137,20 @@ local function modes_of(chart, mode_of)
   return modes
 end
 
+-- Is this the call that is to be left out?
+local function is_muted(world)
+  if not world.calls then return false end
+  world.calls = world.calls + 1
+  return world.calls == world.muted
+end
+
+local OF_CALLBACKS = { ENTRY = true, EXIT = true, EFFECT = true }
+
 -- A printer or hook of the world, nil when the chart has none.
 local function outside(world, id, list_at)
   if not world.chart.programs[id] then return nil end
   return function(...)
+    if id == "err" and OF_CALLBACKS[(...)] and is_muted(world) then return end
     local list = list_at and select(list_at, ...)
     if list_at then note(world, id, list) else note(world, id, ...) end
     return act(world, id, list)
@@ -151,6 +160,16 @@ end
 -- What dbg is at first; programs may switch it.
 local function first_dbg(world)
   return world.chart.traced ~= false and outside(world, "dbg")
+end
+
+-- An interrupt may repeat events of an iteration, which are a set.
+local function set_of(events)
+  local set, has = {}, {}
+  for _, event in ipairs(events) do
+    if not has[event] then set[#set + 1] = event end
+    has[event] = true
+  end
+  return set
 end
 
 -- The core --------------------------------------------------------------------
@@ -167,6 +186,7 @@ local function program_of(world, what, fqn)
   local id = what .. " " .. fqn
   local version = version_of(world, id)
   return program(world, id, function(fsm, state, kind)
+    if is_muted(world) then return end
     note(world, kind, state._fqn, "leaf", leaf_name(fsm), version)
     note_modes(world)
     return act(world, id)
@@ -186,7 +206,8 @@ local function effect_of(world, index)
   local id = "effect " .. index
   local version = version_of(world, id)
   return program(world, id, function(_, _, kind, events)
-    note(world, kind, index, events, version)
+    if is_muted(world) then return end
+    note(world, kind, index, world.calls and set_of(events) or events, version)
     note_modes(world)
     act(world, id)
   end)
@@ -292,6 +313,7 @@ local function add_state_hooks(world, fsm)
     for i = 1, world.chart.nodes[fqn].hooks or 0 do
       for _, what in ipairs({ "entry_hook", "exit_hook" }) do
         rfsm[what .. "_add"](fsm, node_of(fsm, fqn), function(_, state)
+          if is_muted(world) then return end
           note(world, what, i, state._fqn, "leaf", leaf_name(fsm))
           act(world, ("%s %d %s"):format(what, i, fqn))
         end)
@@ -458,6 +480,13 @@ function runs.on_oracle(chart, extend)
   })
 end
 
+-- Returns the number of the first line in which two lists differ; nil if none does.
+local function first_difference(expected, actual)
+  for i = 1, math.max(#expected, #actual) do
+    if expected[i] ~= actual[i] then return i end
+  end
+end
+
 --- The first line in which both differ; nil when they agree.
 function runs.compare(chart, extend)
   local expected = runs.on_oracle(chart, extend)
@@ -465,9 +494,8 @@ function runs.compare(chart, extend)
   if not actual then
     return 0, expected, { [0] = "init: " .. table.concat(problems, "; ") }
   end
-  for i = 1, math.max(#expected, #actual) do
-    if expected[i] ~= actual[i] then return i, expected, actual end
-  end
+  local at = first_difference(expected, actual)
+  if at then return at, expected, actual end
 end
 
 -- Interrupts ------------------------------------------------------------------
@@ -486,46 +514,28 @@ local function defect(world, fsm)
   end
 end
 
--- Calls f(...), and raises `value` after so many VM instructions, as soon as is_due(f)
--- is true. Returns whether it was raised, and what pcall returns.
-local function interrupted(instructions, value, is_due, f, ...)
-  local is_hit, n, arguments = false, select("#", ...), { ... }
-  local function hook()
-    if not is_due(f) then return debug.sethook(hook, "", 1) end
-    debug.sethook()
-    is_hit = true
-    error(value, 0)
-  end
-  local ok, failure = pcall(function()
-    debug.sethook(hook, "", instructions)
-    local ran, problem = pcall(f, unpack(arguments, 1, n))
-    debug.sethook()
-    if not ran then error(problem, 0) end
-  end)
-  debug.sethook()
-  return is_hit, ok, failure
-end
-
-local function always() return true end
+-- The next of a row of random numbers.
+local function after(random) return random * 16807 % 2147483647 end
 
 -- More than any of these steps needs.
 local MANY = 1e6
 
---- Runs the chart on the core and interrupts each operation. Each time the machine must
--- go on, and at the end another one of its model must agree with the oracle. Returns a
--- text: what went wrong; nil when nothing did.
+--- Runs the chart on the core and interrupts each operation, in callbacks too. Each
+-- time the machine must go on, and at the end another one of its model must agree with
+-- the oracle. Returns a text: what went wrong; nil when nothing did.
 function runs.interrupt(chart)
   local world = new_world(chart)
   local model = model_of(world)
   local warn, random = model.warn, chart.seed
   local engine = core_engine(world, model, warn)
   local fsm = engine.fsm
+  local raise, value = interrupts.raise_anywhere, interrupts.VALUES[1]
   for i, op in ipairs(chart.ops) do
-    random = random * 16807 % 2147483647
-    local after = random % 3000 + 1
-    interrupted(after, "interrupted!", always, engine[op[1]], op[2], op[3], op[4])
-    local is_hit, _, failure = interrupted(MANY, "interrupted!", always, engine.step, 1)
-    local where = ("operation %d, instruction %d: "):format(i, after)
+    random = after(random)
+    local at = random % 3000 + 1
+    raise(at, value, engine[op[1]], op[2], op[3], op[4])
+    local is_hit, _, _, failure = raise(MANY, value, engine.step, 1)
+    local where = ("operation %d, instruction %d: "):format(i, at)
     if is_hit then return where .. "the next step does not end" end
     if tostring(failure):find("rfsm.lua:", 1, true) then return where .. failure end
     local wrong = fsm._phase == "idle" and defect(world, fsm)
@@ -535,12 +545,9 @@ function runs.interrupt(chart)
   world.chart = own_chart(chart)
   local expected = runs.on_oracle(chart)
   local actual = drive(world, core_engine(world, model, warn))
-  for i = 1, math.max(#expected, #actual) do
-    if expected[i] ~= actual[i] then
-      return ("the next machine, line %d: oracle '%s', core '%s'"):format(i,
-        tostring(expected[i]), tostring(actual[i]))
-    end
-  end
+  local line = first_difference(expected, actual)
+  return line and ("the next machine, line %d: oracle '%s', core '%s'"):format(line,
+    tostring(expected[line]), tostring(actual[line]))
 end
 
 -- A chart whose trace does not tell how often a step was begun: guards do nothing but
@@ -554,7 +561,7 @@ local function without_repetition(chart)
       own.programs[id] = { type(first) == "table" and first[1] == "return" and first }
     elseif id == "idle_hook" or id == "getevents" or id == "dbg" then
       own.programs[id] = nil
-    elseif id:find("hook") then
+    elseif id == "pre_hook" or id == "post_hook" then
       own.programs[id] = { false }
     end
   end
@@ -565,100 +572,94 @@ local function without_repetition(chart)
   return own
 end
 
--- Does the engine run, which `f` has called, and none of the chart's functions?
-local function is_engine(f)
-  local level, info = 3, debug.getinfo(3, "fS")
-  while info and info.func ~= f do
-    if info.short_src:find("support/", 1, true) then return false end
-    level = level + 1
-    info = debug.getinfo(level, "fS")
-  end
-  return info ~= nil
-end
-
-local VALUES = { "interrupted!", "the limit of the host", {} }
-
 -- Steps a machine until it is idle; false if that takes too long.
 local function settle(fsm)
   for _ = 1, 60 do
     local ok, idle = pcall(rfsm.step, fsm) -- a printer may fail
     if ok and idle then return true end
-    if not rfsm.get_actleaf_fqn(fsm) then return true end -- it cannot be entered
+    if fsm._outcome == "refused" then return true end -- it cannot be entered
   end
   return false
 end
 
-local LEFT_OUT = { "^guard", "^warn", "cannot enter" }
+-- What may come again: guards, warnings, an iteration without events.
+local REPEATED = { "^guard", "^err GUARD", "^warn", "cannot enter", "^p%l+_hook" }
 
-local function is_left_out(line)
-  for _, pattern in ipairs(LEFT_OUT) do
+local function may_repeat(line)
+  for _, pattern in ipairs(REPEATED) do
     if line:find(pattern) then return true end
   end
   return false
 end
 
--- "pre" or "post" for the line of such a hook.
-local function step_hook(line) return line:match "^(p%l+)_hook" end
-
--- Returns the lines without guards and warnings, and without iterations in which step
--- hooks alone were called: an interrupt may come when the last one is over.
-local function exact_lines(lines)
-  local exact = {}
-  for _, line in ipairs(lines) do
-    local what, last = step_hook(line), step_hook(exact[#exact] or "post_hook")
-    if last == "pre" and what then exact[#exact] = nil end
-    if not is_left_out(line) and (what ~= "post" or not last) then
-      exact[#exact + 1] = line
-    end
+-- Appends what an operation has called.
+local function append_calls(calls, trace)
+  for _, line in ipairs(trace) do
+    if not may_repeat(line) then calls[#calls + 1] = line end
   end
-  if step_hook(exact[#exact] or "") == "pre" then exact[#exact] = nil end
-  return table.concat(exact, "\n")
 end
 
--- The traces of what each operation calls. `disturb(i, fsm)` comes before its steps;
--- nil if the machine is never idle.
-local function traces_of(chart, disturb)
+-- What each operation calls, in one list; nil if the machine is never idle, or if
+-- `disturb(i, fsm)`, which is called before its steps, returns what is wrong. The call
+-- number `muted`, if there is one, is left out.
+local function calls_of(chart, disturb, muted)
   local world = new_world(chart)
-  local model = model_of(world)
+  world.calls, world.muted = 0, muted
+  local model, calls = model_of(world), {}
   local engine = core_engine(world, model, model.warn)
-  local traces = {}
   for i, op in ipairs(engine and chart.ops or {}) do
     world.trace = {}
     if op[1] == "send" then engine.send(op[2], op[3], op[4]) end
-    local wrong = disturb(i, engine.fsm)
+    local wrong = disturb and disturb(i, engine.fsm)
     if wrong then return nil, ("operation %d: %s"):format(i, wrong) end
     if not settle(engine.fsm) then return nil end
-    traces[i] = exact_lines(world.trace)
+    append_calls(calls, world.trace)
+    calls[#calls + 1] = "active " .. text_of(engine.active())
   end
-  return traces
+  return calls
 end
 
---- Interrupts the first step of each operation anywhere in the engine. What is called
--- then must be what is called without an interrupt, in that order, and the interrupt
--- reach the caller. Returns a text: what went wrong; nil when nothing did.
-function runs.interrupt_exactly(chart)
+local CALLBACKS = { entry = true, exit = true, effect = true, entry_hook = true,
+  exit_hook = true }
+
+-- The number of the call that a line is about.
+local function call_number(lines, last)
+  local count = 0
+  for i = 1, last do
+    local what, of = lines[i]:match("^([%l_]+) (%S+)")
+    if CALLBACKS[what] or what == "err" and OF_CALLBACKS[of] then count = count + 1 end
+  end
+  return count
+end
+
+--- Interrupts the engine in one operation. What is called from then on must be what is
+-- called without an interrupt, or if one call is left out. Returns a text: what went
+-- wrong; nil when nothing did.
+function runs.interrupt_once(chart)
   chart = without_repetition(chart)
   local random = chart.seed
-  local expected = traces_of(chart, function() end)
-  if not expected then return nil end
+  local expected = calls_of(chart)
+  if not expected or not chart.ops[1] then return nil end
   for _ = 1, 20 do
-    local places = {}
-    local actual, wrong = traces_of(chart, function(i, fsm)
-      random = random * 16807 % 2147483647
-      places[i] = random % 700 + 1
-      local value = VALUES[random % 3 + 1]
-      local is_hit, ok, failure =
-        interrupted(places[i], value, is_engine, rfsm.step, fsm)
-      if is_hit and (ok or not rawequal(failure, value)) then
+    random = after(random)
+    local op, at = random % #chart.ops + 1, math.floor(random / 64) % 700 + 1
+    local value = interrupts.VALUES[random % 3 + 1]
+    local actual, wrong = calls_of(chart, function(i, fsm)
+      if i ~= op then return end
+      local _, is_raised, ok, failure = interrupts.raise(at, value, rfsm.step, fsm)
+      if is_raised and (ok or not rawequal(failure, value)) then
         return "the interrupt did not reach the caller, but " .. tostring(failure)
       end
     end)
-    if not actual then return wrong or "the machine is never idle" end
-    for i, trace in ipairs(expected) do
-      if trace ~= actual[i] then
-        return ("operation %d, instruction %d: expected\n%s\ngot\n%s"):format(i,
-          places[i], trace, actual[i])
-      end
+    local where = ("operation %d, instruction %d: "):format(op, at)
+    if not actual then return where .. (wrong or "the machine is never idle") end
+    local first = first_difference(expected, actual)
+    local without = first
+      and calls_of(chart, nil, call_number(expected, first)) or expected
+    local line = first_difference(without, actual)
+    if line then
+      return ("%sline %d: expected '%s', got '%s'"):format(where, line,
+        tostring(without[line]), tostring(actual[line]))
     end
   end
 end

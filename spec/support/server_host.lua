@@ -1,6 +1,6 @@
 -- A table in place of Redis, for the functions that run inside.
 
-local plain = require "rfsm.snapshot.plain"
+local encoding = require "rfsm.snapshot.encoding"
 local rfsm = require "rfsm"
 
 local host = {}
@@ -49,10 +49,10 @@ function host.new(trace, clock)
     },
     pack = {
       pack = function(list)
-        packed = plain.copy_of(list)
+        packed = encoding.copy_of(list)
         return "packed"
       end,
-      unpack = function(key) return plain.copy_of(values[key]) end,
+      unpack = function(key) return encoding.copy_of(values[key]) end,
     },
   }
 end

@@ -35,7 +35,7 @@ package.preload["rfsm.web.http"] = function()
 end
 
 local chart = require "rfsm.shared.chart"
-local command = require "rfsm.checks.command"
+local review = require "rfsm.cli.review"
 local Picture = require "rfsm.web.picture"
 local web = require "rfsm.web"
 require("rfsm_timeevent") -- so that their events are known, as to `rfsm check`
@@ -105,13 +105,13 @@ function host.check()
   rawset(_G, "print", function() end)
   local ok, lines = pcall(function()
     local required, model, warnings, world =
-      command.noting_extensions(chart.load, file)
+      review.noting_extensions(chart.load, file)
     if not model then -- of a robot that is not here
       required, model, warnings, world =
-        command.noting_extensions(chart.load, file, true)
+        review.noting_extensions(chart.load, file, true)
     end
     if not model then return { warnings } end
-    local found = command.review(file, model, warnings, {},
+    local found = review.of(file, model, warnings, {},
       { static = true, required = required })
     found[#found + 1] = chart.stub_line(file, world)
     return found

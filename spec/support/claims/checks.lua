@@ -4,7 +4,7 @@
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
 local new_random = require "spec.support.random"
-local location = require "rfsm.checks.location"
+local location = require "rfsm.shared.location"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
 local rfsm_checks = require "rfsm_checks"

@@ -6,10 +6,10 @@
 local bare = require "spec.support.bare"
 local charts = require "spec.support.charts"
 local driven = require "spec.support.driven"
-local explore = require "rfsm.checks.explore"
+local explore = require "rfsm.explore.explore"
 local new_random = require "spec.support.random"
-local location = require "rfsm.checks.location"
-local puppet = require "rfsm.checks.puppet"
+local location = require "rfsm.shared.location"
+local subject = require "rfsm.explore.subject"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"
 local rfsm_timeevent = require "rfsm_timeevent"
@@ -113,7 +113,7 @@ local function flags_text(flags)
   return table.concat(signs)
 end
 
--- Returns the path of a state in puppets: "root.a/1/root.b" is "root.a.1.b".
+-- Returns the path of a state in subjects: "root.a/1/root.b" is "root.a.1.b".
 local function path_of_state(id) return (id:gsub("/(%d+)/root", ".%1")) end
 
 -- Returns the leaf and mode of each machine as texts, and all of them with the flags.
@@ -209,7 +209,7 @@ end
 
 -- Exploration -----------------------------------------------------------------------
 
--- Returns the paths of the model's elements in puppets, by those in this file.
+-- Returns the paths of the model's elements in subjects, by those in this file.
 local function paths_of(chart)
   local fsm, path_of = rfsm.init(model_of(chart, {}, "")), {}
   for _, entry in ipairs(rfsm.machines(fsm)) do
@@ -223,17 +223,17 @@ end
 -- Returns the first configuration, or the first step, that shows each text; false for
 -- the entry of a state, which may have been in an earlier step.
 local function explored(walk)
-  local shown, own = {}, walk.puppet
+  local shown, own = {}, walk.subject
   for number = 1, #walk.keys do
     local texts = {}
-    for i, stand in ipairs(walk:configuration(number)) do
-      texts[i] = own.parts[i].prefix .. " " .. (stand.leaf
-        and stand.leaf._fqn .. " " .. stand.mode or "none")
+    for i, position in ipairs(walk:configuration(number)) do
+      texts[i] = own.parts[i].prefix .. " " .. (position.leaf
+        and position.leaf._fqn .. " " .. position.mode or "none")
     end
     local conf = walk:configuration(number)
     texts[#texts + 1] = table.concat(texts, "; ") .. " " .. conf.flags
     for _, text in ipairs(texts) do shown[text] = shown[text] or { at = number } end
-    for _, leaf in ipairs(puppet.leaves(conf)) do
+    for _, leaf in ipairs(subject.leaves(conf)) do
       for _, path in ipairs(leaf.paths) do shown["entered " .. path] = false end
     end
   end
@@ -385,7 +385,7 @@ local function compare(seed, list)
   local options, choice = options_of(chart, random)
   local walk = explore_chart(chart, options, choice.sends)
   if walk.bound then return end
-  local events, shown = walk.puppet:outside_events(), explored(walk)
+  local events, shown = walk.subject:outside_events(), explored(walk)
   events = options.alphabet or events
   if not options.alphabet then table.insert(events, "e_?") end
   local seen = run_at_random(chart, events, choice, seed)

@@ -270,7 +270,7 @@ end
 
 local function without(lost)
   return function(snap)
-    local unpack = require("rfsm.snapshot.plain").unpack
+    local unpack = require("rfsm.snapshot.encoding").unpack
     for _, text in ipairs(lost) do
       local name, fqn = text:match("^field (%w+) of (.*)$")
       local region = text:match("^region (.*)$") or fqn

@@ -6,7 +6,7 @@ local json = require "dkjson"
 local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
 local record = require "rfsm.record"
-local record_lines = require "rfsm.record.lines"
+local journal = require "rfsm.record.journal"
 local tracks = require "rfsm.record.track"
 
 -- Returns the first text that says how two values differ as JSON; nil if they do not.
@@ -32,7 +32,7 @@ local function check_cut(name, text, length, sink)
     local problem = difference("cut", whole, list)
     if problem then return problem end
   end
-  local file = assert(record_lines.open(name))
+  local file = assert(journal.open(name))
   file:write(text)
   file:close()
   return difference("a run behind a cut one", sink, (record.read(name)))
@@ -44,7 +44,7 @@ local function check(seed, name)
   local stream = assert(io.open(name, "wb"))
   kept.run(seed, function(machine)
     watch(machine)
-    local write = record_lines.writer(stream)
+    local write = journal.writer(stream)
     record.record(machine, function(rec)
       sink[#sink + 1] = rec
       write(rec)

@@ -3,7 +3,7 @@
 -- what is said to hold is not broken, and each witness replays with its times.
 
 local charts = require "spec.support.claims.explore"
-local explore = require "rfsm.checks.explore"
+local explore = require "rfsm.explore.explore"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 local run_seeds = require "spec.support.run_seeds"

@@ -6,10 +6,10 @@ local kept = require "spec.support.kept"
 local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 
-local Session = drive.require "rfsm.web.session"
+local Driven = drive.require "rfsm.web.driven"
 
 local function run(fsm)
-  for _ = 1, Session.MAX_STEPS do
+  for _ = 1, Driven.MAX_STEPS do
     if rfsm.step(fsm) then return end
   end
 end
@@ -59,10 +59,10 @@ local function check_back(session, random, places)
 end
 
 local function check(seed)
-  local random, places, steps = new_random(seed), {}, Session.MAX_STEPS
-  Session.MAX_STEPS = 30
+  local random, places, steps = new_random(seed), {}, Driven.MAX_STEPS
+  Driven.MAX_STEPS = 30
   local session = drive.with_file(seed, function(name)
-    return Session.open(name, function() return 0 end)
+    return Driven.open(name, function() return 0 end)
   end)
   local model = kept.model(seed)
   model.err = false
@@ -71,7 +71,7 @@ local function check(seed)
   run(fsm)
   local problem = wander(session, fsm, random, places)
     or check_back(session, random, places)
-  Session.MAX_STEPS = steps
+  Driven.MAX_STEPS = steps
   if session.recorder then session.recorder:stop() end
   return problem
 end

@@ -1,0 +1,141 @@
+--- Names: events that nobody sends, or that look like a misspelt other one.
+--
+-- @module rfsm.checks.event_names
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local match = require "rfsm.shared.match"
+
+local getmetatable, ipairs, table, type = getmetatable, ipairs, table, type
+
+local event_names = {}
+
+-- e_done@F of no leaf ............................................................
+
+-- `init` warns of an e_done of the source itself.
+local function check_e_done(tr, leaves, add)
+  for _, event in ipairs(tr.events or {}) do
+    local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
+    if fqn and not leaves[fqn] then
+      add("never-done", tr, "event '" .. event .. "' never comes, '" .. fqn
+        .. "' is no leaf state of this machine")
+    end
+  end
+end
+
+-- Several events in one ..........................................................
+
+local MARKS = { [","] = "a comma", ["|"] = "a '|'" }
+
+-- Finds names with a comma, bar or blank, except in word(a, b) and behind @; and lists,
+-- which no other table equals.
+local function check_odd_events(tr, add)
+  for _, event in ipairs(tr.events or {}) do
+    local mark = type(event) == "string" and not match.maker_of(event)
+      and event:match("^[^(@]*"):match("[,|%s]")
+    if mark then
+      local name = MARKS[event:match("^[^(@]*"):match("[,|]")] or "a blank"
+      add("odd-event", tr, ("'%s' is one event with %s in its name%s"):format(event,
+        name, advice.event_meant(event)))
+    elseif type(event) == "table" and not getmetatable(event)
+      and type(event[1]) == "string" then
+      add("odd-event", tr, "a list that holds '" .. event[1] .. "' is one event")
+    end
+  end
+end
+
+-- Misspelt events ................................................................
+
+-- Calls f(shape) for the shapes of an event. Two events with a shape in common look
+-- alike. The shapes are the event without underscores and capitals; with two letters of
+-- a word in alphabetical order; and without one letter inside a word of five or more.
+-- Letters at the ends (close, closed; lock, block), in short words (load, lead) and at
+-- numbers distinguish events that are meant.
+local function each_shape(event, f)
+  f((event:lower():gsub("_", "")))
+  for at, word in event:gmatch("()(%a+)") do
+    local before, behind = event:sub(1, at - 1), event:sub(at + #word)
+    local is_counted = event:find("^%d", at + #word) or event:sub(at - 1):find("^%d")
+    if #word > 3 and not is_counted then
+      f(event)
+      for i = 1, #word - 1 do
+        local head, pair = before .. word:sub(1, i - 1), word:sub(i, i + 1)
+        if pair:byte(1) > pair:byte(2) then pair = pair:reverse() end
+        f(head .. "<" .. pair .. ">" .. word:sub(i + 2) .. behind)
+        if i > 1 and #word > 4 then f(head .. word:sub(i + 1) .. behind) end
+      end
+    end
+  end
+end
+
+local function is_name(event)
+  return type(event) == "string" and not event:find("[@%(,]")
+end
+
+-- Returns the names of events in order, and the transitions that use each.
+local function usage_of(fsm)
+  local list, users = {}, {}
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    for _, event in ipairs(tr.events or {}) do
+      if is_name(event) then
+        if not users[event] then list[#list + 1], users[event] = event, {} end
+        table.insert(users[event], tr)
+      end
+    end
+  end
+  return list, users
+end
+
+-- Returns lists of positions of events, by their shapes.
+local function index_of(list)
+  local index = {}
+  for i, event in ipairs(list) do
+    each_shape(event, function(shape)
+      index[shape] = index[shape] or {}
+      table.insert(index[shape], i)
+    end)
+  end
+  return index
+end
+
+-- Returns the first event that looks like event `i`, and that as many or more use.
+local function find_similar(list, users, index, i)
+  local least
+  each_shape(list[i], function(shape)
+    for _, j in ipairs(index[shape]) do
+      local is_rarer = #users[list[j]] > 1 or j < i
+      if j ~= i and is_rarer and (not least or j < least) then least = j end
+    end
+  end)
+  return least and list[least]
+end
+
+-- Finds events that one transition uses, and that look like another event.
+local function check_typos(fsm, add)
+  local list, users = usage_of(fsm)
+  local index = index_of(list)
+  for i, event in ipairs(list) do
+    local other = not users[event][2] and find_similar(list, users, index, i)
+    if other then
+      add("typo", users[event][1], ("no other transition uses '%s' (did you mean "
+        .. "'%s'?)"):format(event, other))
+    end
+  end
+end
+
+--- Find what is wrong with the events of transitions.
+---@type rfsm_checks.Check
+function event_names.check(fsm, add)
+  local leaves = {}
+  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    leaves[leaf._fqn] = true
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    check_e_done(tr, leaves, add)
+    check_odd_events(tr, add)
+  end
+  check_typos(fsm, add)
+end
+
+return event_names

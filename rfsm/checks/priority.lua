@@ -1,0 +1,121 @@
+--- Order: transitions that are never taken because others are tried earlier, and pairs
+--- whose position alone decides.
+--
+-- @module rfsm.checks.priority
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
+local structure = require "rfsm.checks.structure"
+
+local ipairs, setmetatable, type = ipairs, setmetatable, type
+local is_conn = rfsm.is_conn
+
+local priority = {}
+
+local is_always_enabled
+
+-- Does some path lead on from this connector, whatever the events and guards?
+local function has_path(connector, seen)
+  if seen[connector] then return false end
+  seen[connector] = true
+  for _, tr in ipairs(connector._otrs) do
+    if match.is_any(tr) and is_always_enabled(tr, seen) then return true end
+  end
+  return false
+end
+
+-- Is `tr` always enabled, once its events match?
+function is_always_enabled(tr, seen)
+  if tr.guard then return false end
+  return not is_conn(tr.tgt) or has_path(tr.tgt, seen)
+end
+
+local ANY = {} -- any event
+
+-- Does the event enable `tr` for certain? A predicate may refuse it.
+local function is_enabled_by(tr, event)
+  return match.is_any(tr) or type(event) ~= "function" and match.triggers(tr, event)
+end
+
+-- The path to a connector may have passed any other connector.
+local ALL = setmetatable({}, { __index = function() return true end })
+
+-- Returns a transition that is tried before `tr`, from its source or a composite around
+-- that, and always taken on the event.
+local function find_shadow(fsm, tr, event)
+  for _, node in ipairs(is_conn(tr.src) and { tr.src } or location.line(fsm, tr.src)) do
+    for _, other in ipairs(node._otrs) do
+      if other == tr then break end
+      if is_enabled_by(other, event)
+        and is_always_enabled(other, is_conn(tr.src) and ALL or {}) then
+        return other
+      end
+    end
+  end
+end
+
+-- Lists the transitions that are taken in place of `tr` on its events; nil if `tr` is
+-- taken on one of them.
+local function find_shadows(fsm, tr)
+  local list, is_listed = {}, {}
+  for _, event in ipairs(match.is_any(tr) and { ANY } or tr.events) do
+    local shadow = find_shadow(fsm, tr, event)
+    if not shadow then return nil end
+    if not is_listed[shadow] then list[#list + 1] = shadow end
+    is_listed[shadow] = true
+  end
+  return list
+end
+
+local function check_shadows(fsm, tr, add)
+  local shadows = find_shadows(fsm, tr)
+  if not shadows then return false end
+  local texts = {}
+  for i, other in ipairs(shadows) do texts[i] = rfsm.location_of(other) end
+  add("shadowed", tr, "never taken, " .. table.concat(texts, " and ") .. " always "
+    .. (texts[2] and "come" or "comes") .. " first")
+  return true
+end
+
+-- Does its position alone keep `tr` from being taken before `other`? A guard before a
+-- transition without one reads as if and else; in connectors the engine warns.
+local function may_clash(tr, other)
+  return (other.pn or 0) == (tr.pn or 0)
+    and (tr.guard or not other.guard or is_conn(tr.src))
+end
+
+-- Returns an event that enables both, as a text.
+local function shared_event(tr, other)
+  if match.is_any(tr) and match.is_any(other) then return "any event" end
+  for _, event in ipairs(match.is_any(tr) and other.events or tr.events) do
+    if type(event) ~= "function" and is_enabled_by(other, event) then
+      return rfsm.text_of(event)
+    end
+  end
+end
+
+local function check_conflicts(tr, add)
+  for _, other in ipairs(tr.src._otrs) do
+    if other == tr then return end
+    local event = may_clash(tr, other) and shared_event(tr, other)
+    if event then
+      return add("conflict", tr, ("enabled together with %s on %s, and of the same pn")
+        :format(rfsm.location_of(other), event))
+    end
+  end
+end
+
+--- Find what is wrong with the order of transitions.
+---@type rfsm_checks.Check
+function priority.check(fsm, add)
+  local reached = structure.reached(fsm)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    if reached[tr.src] and not check_shadows(fsm, tr, add) then
+      check_conflicts(tr, add)
+    end
+  end
+end
+
+return priority

@@ -1,0 +1,248 @@
+--- The work of the command `rfsm check`: from settings and findings to lines.
+--
+-- @module rfsm.cli.review
+-- @license BSD-3-Clause
+
+local chart = require "rfsm.shared.chart"
+local exists = require("rfsm.shared.search").exists
+local codes = require "rfsm.checks.codes"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
+local rfsm = require "rfsm"
+local rfsm_checks = require "rfsm_checks"
+local source = require "rfsm.checks.source"
+local static = require "rfsm.checks.static"
+local verdict = require "rfsm.explore.verdict"
+
+local assert, error, io, ipairs = assert, error, io, ipairs
+local loadfile, os, pcall = loadfile, os, pcall
+local package, pairs, rawget = package, pairs, rawget
+local rawset, require, type = rawset, require, type
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local review = {}
+
+local SETTINGS = ".rfsmcheck.lua"
+
+-- Returns the nearest file of settings, from the folder of a file up to the working
+-- directory, or to /; nil if there is none.
+local function find_settings(file)
+  local folder = file:match("^(.*/)") or ""
+  while not exists(folder .. SETTINGS) do
+    if folder == "" or folder == "/" then return nil end
+    folder = folder:match("^(.*/)[^/]*/$") or ""
+  end
+  return folder .. SETTINGS
+end
+
+--- Load the settings for a chart, from the nearest `.rfsmcheck.lua`.
+---@param file string of the chart
+---@return table<string, string>? settings code -> severity; nil if they are wrong
+---@return string? problem
+function review.settings_for(file)
+  local name = find_settings(file)
+  if not name then return {} end
+  local chunk, problem = loadfile(name)
+  local ok, settings = pcall(chunk or error, problem, 0)
+  if not ok then return nil, chart.reason(name, settings) end
+  problem = codes.check_settings(settings)
+  if problem then return nil, name .. ": " .. problem end
+  return settings
+end
+
+-- Returns a finding as a line: "chart.lua:7: warning: root.a: text (hint) [code]".
+local function line_of(file, finding)
+  local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
+  local line = static.line(finding)
+  local has_hint = finding.code ~= "invalid" and finding.code ~= "violated"
+  if has_hint and not finding.text:find("%)$") then
+    line = line:gsub(" %[[%w-]*%]$", function(code)
+      return " (" .. finding.hint .. ")" .. code
+    end)
+  end
+  return chart.line(file, line, kind)
+end
+
+-- Returns the gravest severity of findings; nil if there are only notes.
+local function gravest_of(findings)
+  local found = {}
+  for _, finding in ipairs(findings) do found[finding.severity] = true end
+  return found.error and "error" or found.warning and "warning" or nil
+end
+
+-- Explore .........................................................................
+
+-- Returns the declarations in the file beside a chart: a.lua has a_properties.lua.
+local function declared_for(file)
+  local name = file:gsub("%.lua$", "") .. "_properties.lua"
+  if file == "-" or not exists(name) then return {} end
+  local declared = assert(loadfile(name))()
+  if type(declared) ~= "table" then
+    error(name .. ": table with the field 'properties' expected, got "
+      .. type(declared), 0)
+  end
+  return declared
+end
+
+local MANY = 10000 -- configurations, if no option has another number
+
+local real_stderr = io and io.stderr
+
+-- Returns a function that keeps a line of a terminal up to date; nil without one.
+local function progress_line()
+  local ok, unistd = pcall(require, "posix.unistd")
+  if not (ok and unistd.isatty(2)) then return nil end
+  return function(configurations, depth)
+    real_stderr:write(("\r%d configurations, depth %d "):format(configurations, depth))
+  end
+end
+
+-- Writes the runs that show findings to files: FILE, FILE.2, FILE.3; notes their names.
+local function write_witnesses(model, findings, name)
+  local count = 0
+  for _, finding in ipairs(findings) do
+    local witness = finding.witness or finding.run
+    if witness and witness[1] then
+      count = count + 1
+      finding.record = count > 1 and name .. "." .. count or name
+      os.remove(finding.record) -- a recording is appended to
+      rfsm_checks.record_witness(model, witness, finding.record)
+    end
+  end
+end
+
+-- Explores a chart, with the declarations in the file beside it.
+local function explore(file, model, options)
+  local own = declared_for(file)
+  for _, name in ipairs { "together", "seconds", "configurations" } do
+    if options[name] ~= nil then own[name] = options[name] end
+  end
+  own.configurations = own.configurations or MANY
+  own.progress = progress_line()
+  local result = rfsm_checks.explore(model, own)
+  if own.progress then real_stderr:write("\r\27[K") end
+  return result
+end
+
+-- The makers of events, by the modules that `rfsm check` loads for them.
+local EXTENSIONS = {
+  rfsm_timeevent = "timer", ["rfsm.timeevent"] = "timer",
+  rfsm_await = "await", ["rfsm.await"] = "await",
+}
+
+-- The modules that charts require for them.
+local MODULES = { timer = "rfsm_timeevent", await = "rfsm_await" }
+
+--- Call a function that loads a chart, and note the extensions that it requires.
+---@return table<string, true> required "timer", "await"
+---@return any ... results of `f`
+function review.noting_extensions(f, ...)
+  local required, kept = {}, {}
+  local loaded, preload = package.loaded, package.preload
+  for name, maker in pairs(EXTENSIONS) do -- any order: each stands alone
+    kept[name] = { require(name), rawget(_G, name) }
+    preload[name] = function()
+      required[maker] = true
+      rawset(_G, name, kept[name][2])
+      return kept[name][1]
+    end
+  end
+  for name in pairs(kept) do -- any order: each stands alone
+    loaded[name] = nil
+    rawset(_G, name, nil)
+  end
+  local results = { pcall(f, ...) }
+  for name, values in pairs(kept) do -- any order: each stands alone
+    loaded[name], preload[name] = values[1], nil
+    rawset(_G, name, values[2])
+  end
+  if not results[1] then error(results[2], 0) end
+  return required, unpack(results, 2, 4)
+end
+
+-- Finds events of extensions that the chart does not require.
+local function add_missing_extensions(findings, model, required)
+  for _, entry in ipairs(rfsm.machines(static.init(model, false))) do
+    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
+      for _, event in ipairs(tr.events or {}) do
+        local maker = match.maker_of(event)
+        if MODULES[maker] and not required[maker] then
+          findings:add("unknown-word", tr, location.path(tr, entry.prefix),
+            ("the chart does not load the extension that knows '%s' (require %q)")
+              :format(event:gsub("@root.*$", ""), MODULES[maker]),
+            location.in_words(tr, entry.prefix))
+        end
+      end
+    end
+  end
+end
+
+-- Returns all findings about a chart, and the exploration, if there was one.
+local function find_all(file, model, settings, options)
+  local findings, result = static.collect(model, static.OF_FILES), nil
+  if gravest_of(findings) ~= "error" then
+    add_missing_extensions(findings, model, options.required or {})
+  end
+  if not (options.static or gravest_of(findings) == "error") then
+    result = explore(file, model, options)
+    findings:join(result.findings)
+    if not result.bound then findings:add_idle_silences(model) end
+  end
+  return static.apply(findings, settings), result
+end
+
+-- Appends the lines of a finding, with the run that shows it.
+local function add_finding(lines, file, finding)
+  lines[#lines + 1] = line_of(file, finding)
+  for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
+    lines[#lines + 1] = "  " .. line
+  end
+  if finding.record then lines[#lines + 1] = "  recorded in " .. finding.record end
+end
+
+local function lines_of_all(file, findings, warnings, has_notes)
+  local lines = {}
+  for _, severity in ipairs { "error", "warning", has_notes and "note" } do
+    for _, line in ipairs(severity == "warning" and warnings or {}) do
+      lines[#lines + 1] = line
+    end
+    for _, finding in ipairs(findings) do
+      if finding.severity == severity then add_finding(lines, file, finding) end
+    end
+  end
+  return lines
+end
+
+--- Return the findings about a chart in lines, those of each severity in the order of
+--- the tree, then the summary of the exploration.
+---@param warnings string[] about its file
+---@param options table of the command: all, static, together ...; `required` is the
+-- result of `review.noting_extensions`
+---@return string[] lines "chart.lua: ok" if there is nothing to report
+---@return "error"|"warning"|nil gravest severity, but for notes
+function review.of(file, model, warnings, settings, options)
+  local findings, result = find_all(file, model, settings, options)
+  local gravest = gravest_of(findings) or warnings[1] and "warning" or nil
+  if options.record then write_witnesses(model, findings, options.record) end
+  local lines = lines_of_all(file, findings, warnings, options.all)
+  if not lines[1] then lines[1] = chart.name_of(file) .. ": ok" end
+  for _, line in ipairs(result and verdict.summary(result, options.explore) or {}) do
+    lines[#lines + 1] = chart.name_of(file) .. ": " .. line
+  end
+  if options.all and not source.is_there then
+    lines[#lines + 1] = chart.name_of(file) .. ": the text of callbacks was not read, "
+      .. "luacheck is not installed"
+  end
+  return lines, gravest
+end
+
+--- Return the table of all codes.
+function review.codes_text()
+  local lines = {}
+  for i, entry in ipairs(codes.list) do
+    lines[i] = ("%-16s%-9s%s"):format(entry.code, entry.severity, entry.meaning)
+  end
+  return table.concat(lines, "\n") .. "\n"
+end
+
+return review

@@ -1,0 +1,652 @@
+--- Exploration: every configuration that a chart can reach, breadth first.
+--
+-- Each step is one `rfsm.step` of a subject, which the engine runs. From each
+-- configuration it is taken without an event, with each event that may come and can
+-- have an effect, or with each set of up to `options.together` of them, and with those
+-- sets that a path through connectors needs; each time with every choice of the guards,
+-- predicates and doos asked.
+--
+-- A configuration is kept as its key, the number of the one it was first reached from,
+-- and the label of that step. A step is kept as the number of the configuration that it
+-- leads to, without events from outside as a negative one.
+--
+-- @module rfsm.explore.explore
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local data = require "rfsm.explore.data"
+local opts = require "rfsm.shared.options"
+local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
+local subject = require "rfsm.explore.subject"
+local reactions = require "rfsm.explore.reactions"
+local replacements = require "rfsm.explore.replacements"
+local timing = require "rfsm.explore.timing"
+local zones = require "rfsm.explore.zones"
+
+local assert, error, getmetatable = assert, error, getmetatable
+local ipairs, math, pcall = ipairs, math, pcall
+local rawget, require = rawget, require
+local setmetatable, tonumber, type = setmetatable, tonumber, type
+local concat, floor = table.concat, math.floor
+local os_clock = (rawget(_G, "os") or {}).clock or function() return 0 end
+
+local explore = {}
+
+--- Options of an exploration.
+---@class rfsm_checks.Options
+---@field together? integer how many events a step may have (1; for `after` 2)
+---@field alphabet? any[] the events from outside; default: all that transitions name
+---@field sends? table<string, any[]> what callbacks send: ["entry root.a"] = { "e_x" }
+---@field dry_run? boolean call entries, exits and effects once, for what they send
+---@field flags? table<string, { on?: string[], off?: string[] }> set by callbacks
+---@field vars? table<string, any> fields that callbacks in `run` read and set
+---@field run? function[] callbacks that are called
+---@field exclusive? function[] guards of which one at most is true in a step; or lists
+---@field complementary? function[] one is, and no other; or lists
+---@field same? function[] guards that answer once a step
+---@field timers? "in order"|"free" free: a time event may come at any time
+---@field period? number seconds, the longest time between two steps
+---@field properties? table<any, table> see `rfsm_checks.never` and others
+---@field configurations? integer stop after so many (1,000,000)
+---@field depth? integer stop after so many steps
+---@field seconds? number stop after so long
+---@field multiply? boolean explore regions together that nothing joins
+---@field progress? fun(configurations: integer, depth: integer) called now and then
+
+--- A walk over the configurations.
+---@class rfsm_checks.Walk
+---@field subject rfsm_checks.Subject
+---@field model rfsm.State
+---@field options rfsm_checks.Options
+---@field way rfsm_checks.Way
+---@field keys string[] of the configurations, the first one is not entered
+---@field numbers table<string, integer> key -> configuration
+---@field from integer[] configuration -> the one it was first reached from
+---@field labels string[] configuration -> events and choices of that step
+---@field depth integer steps to the configurations that are looked at
+---@field level_end integer the last one of these
+---@field first integer[] configuration -> the position of its first step
+---@field blocks integer[][] of steps: see `Walk:step_at`
+---@field step_count integer
+---@field taken table<integer, table> transition -> the first step that takes it
+---@field stuck integer[] configurations that no step leaves or acts in
+---@field has_moved boolean some step did so in the one that is looked at
+---@field expanded integer configurations whose steps were all taken
+---@field endless table? the first step in which a machine inside never becomes idle
+---@field bound string? what was hit first
+---@field untried string[] what was not tried, as texts
+---@field passed rfsm_checks.Passed[] moments of steps, each once
+---@field count integer steps that were run
+---@field wanted any[] events that properties look at
+---@field monitored rfsm_checks.Judged[] properties whose monitors run along
+---@field is_beside boolean something is kept beside configurations: in `besides`
+---@field besides table[] `states` of monitors, `time`, `values` of fields, `shape`
+---@field beside_ids table<string, integer>
+---@field kin table<string, integer[]> configurations that differ in their times alone
+---@field unsure table<integer, rfsm_checks.Group> positions of steps where other
+-- deadlines may be first
+---@field try rfsm_checks.Try the step that is taken
+---@field choices boolean[] in that step, always the same table
+---@field label fun(): string of that step
+---@field timing rfsm_checks.Timing|false clocks, if timers come in order
+local Walk = {}
+Walk.__index = Walk
+
+--- A moment in a step in which a state is active that the step leaves again.
+---@class rfsm_checks.Passed
+---@field moment rfsm_checks.Moment
+---@field from integer configuration
+---@field tgt integer configuration
+---@field label string
+
+-- Configurations and labels of steps ................................................
+
+--- Return a configuration by its number.
+---@param number integer
+---@return rfsm_checks.Configuration conf
+function Walk:configuration(number)
+  local key = self.keys[number]
+  local conf = self.subject:configuration(key)
+  conf.beside = self.besides[tonumber(key:match("|(%d+)$"))]
+  return conf
+end
+
+-- Returns the key of what is kept beside a configuration; empty if nothing is. A second
+-- result is the problem of a value that is not followed.
+local function key_of_beside(walk, states, time)
+  if not walk.is_beside then return "" end
+  local values, text = data.read(walk.subject)
+  if not values then return nil, text end
+  local shape = concat(states, ",") .. "/" .. text
+  text = shape .. (time and "@" .. time.text or "")
+  local id = walk.beside_ids[text]
+  if not id then
+    id = #walk.besides + 1
+    walk.besides[id] = { states = states, time = time, values = values, shape = shape }
+    walk.beside_ids[text] = id
+  end
+  return "|" .. id
+end
+
+-- Puts the subject into a configuration, to take a step with events.
+local function put(walk, conf, events)
+  walk.subject:put(conf, events)
+  if conf.beside then data.put(walk.subject, conf.beside.values) end
+end
+
+--- Does an event wait in a configuration, so that run would go on?
+---@param number integer
+---@return boolean
+function Walk:is_driven(number) return subject.is_driven(self:configuration(number)) end
+
+--- Is the machine entered in some configuration?
+---@return boolean
+function Walk:is_entered()
+  for _, position in ipairs(self.subject.parts[1].positions) do
+    if position.leaf then return true end
+  end
+  return false
+end
+
+-- Returns the number of a configuration that is there: of the same key, or of one whose
+-- clocks may have all values that they have here, and more. Without one, the second
+-- result is a list of those that differ in these values alone.
+local function find_known(walk, key)
+  if walk.numbers[key] or not walk.timing then return walk.numbers[key] end
+  local before, id = key:match("^(.*)|(%d+)$")
+  local beside = walk.besides[tonumber(id)]
+  local time, kin = beside.time, walk.kin
+  local name = ("%s|%s@%s"):format(before, beside.shape, time.shape)
+  kin[name] = kin[name] or {}
+  for _, number in ipairs(kin[name]) do
+    local other = walk.besides[tonumber(walk.keys[number]:match("|(%d+)$"))].time
+    if zones.includes(other.zone, time.zone) then return number end
+  end
+  return nil, kin[name]
+end
+
+-- Returns the number of a configuration; a new one is to be looked at later.
+local function find_configuration(walk, key, from, label)
+  local number, kin = find_known(walk, key)
+  if number then return number end
+  number = #walk.keys + 1
+  if kin then kin[#kin + 1] = number end
+  walk.keys[number], walk.numbers[key] = key, number
+  walk.from[number], walk.labels[number] = from, label()
+  return number
+end
+
+-- Returns the events of a step by number, its choices, and the number of the group of
+-- deadlines that were over: "3,5:101@2".
+local function label_of(try, choices, asked)
+  local numbers, digits = {}, {}
+  for i, event in ipairs(try.events) do numbers[i] = event.number end
+  for i = 1, asked do digits[i] = choices[i] and "1" or "0" end
+  return concat(numbers, ",") .. ":" .. concat(digits)
+    .. (try.group and "@" .. try.group.number or "")
+end
+
+local function read_label(walk, label)
+  local numbers, digits, group = label:match("^([%d,]*):(%d*)@?(%d*)$")
+  local events, choices = {}, {}
+  for number in numbers:gmatch("%d+") do
+    events[#events + 1] = walk.subject.occurrences[tonumber(number)]
+  end
+  for digit in digits:gmatch("%d") do choices[#choices + 1] = digit == "1" end
+  return events, choices, tonumber(group)
+end
+
+-- Steps .............................................................................
+
+-- Notes what a step did that has not been seen before.
+local function note(walk, from, label)
+  for _, number in ipairs(walk.subject.taken) do
+    walk.taken[number] = walk.taken[number] or { from = from, label = label() }
+  end
+end
+
+-- Notes that something was not tried, so that what was not found is not known.
+local function note_untried(walk, bound, text)
+  walk.bound = walk.bound or bound
+  for _, other in ipairs(walk.untried) do
+    if other == text then return end
+  end
+  walk.untried[#walk.untried + 1] = text
+end
+
+-- Notes the states that a step has entered and left again.
+local function note_passed(walk, from, tgt, label)
+  for _, moment in ipairs(walk.subject.passed) do
+    local key = concat(rfsm.sorted_keys(moment.active), " ") .. moment.flags .. tgt
+    if not walk.passed[key] then
+      walk.passed[key] = true
+      walk.passed[#walk.passed + 1] = { moment = moment, from = from, tgt = tgt,
+        label = label() }
+    end
+  end
+end
+
+local BLOCK = 4096 -- steps of a block; one list would be copied whenever it grows
+
+local has_ffi, ffi = pcall(require, "ffi")
+
+-- Returns a block: on LuaJIT numbers of 4 bytes.
+local function new_block()
+  return has_ffi and ffi.new("int32_t[?]", BLOCK) or {}
+end
+
+--- Return the target of a step; negative: it has no event from outside.
+---@param at integer its position
+---@return integer
+function Walk:step_at(at) return self.blocks[floor(at / BLOCK)][at % BLOCK] end
+
+-- Appends where a step leads, once for each configuration, and for each group of
+-- deadlines that need not be the first. A step that leads nowhere counts only if events
+-- that wait are why it was taken.
+local function add_step(walk, try, tgt)
+  if tgt == try.from and not subject.is_driven(try.conf) then return end
+  local step, unsure = try.is_internal and -tgt or tgt, walk.unsure
+  local group = try.group and not try.group.is_sure and try.group or nil
+  for at = walk.first[try.from], walk.step_count do
+    if walk:step_at(at) == step and unsure[at] == group then return end
+  end
+  local at = walk.step_count + 1
+  local index = floor(at / BLOCK)
+  walk.blocks[index] = walk.blocks[index] or new_block()
+  walk.blocks[index][at % BLOCK], unsure[at], walk.step_count = step, group, at
+end
+
+local MANY_CHOICES = 4096
+
+--- A step that is tried: its events, and deadlines that are over when it begins. The
+--- next one from the configuration has the same table.
+---@class rfsm_checks.Try
+---@field from integer
+---@field conf rfsm_checks.Configuration
+---@field events rfsm_checks.Occurrence[] those of timers behind the others
+---@field is_internal boolean no event from outside and no deadline is among them
+---@field group rfsm_checks.Group|false
+
+-- Returns the key of the configuration that the last step has led to, and where its
+-- clocks come from.
+local function key_after(walk, try, label)
+  local key, beside = walk.subject:read(), try.conf.beside
+  if not walk.is_beside then return key end
+  local states, clocks = monitors.after(walk, try, key, label)
+  local time, sources = false, nil
+  if walk.timing then
+    time, sources = walk.timing:after(beside.time, try.group, walk, clocks)
+  end
+  local behind, problem = key_of_beside(walk, states, time)
+  if behind then return key .. behind, sources end
+  note_untried(walk, "values", problem)
+  return nil, sources
+end
+
+-- Takes a step once for each choice, and calls f(walk, try, key, label) after it; `key`
+-- is nil if the step does not end. `label` is of use until f returns.
+local function each_choice(walk, try, f)
+  local own, choices, tries = walk.subject, walk.choices, 0
+  for i = #choices, 1, -1 do choices[i] = nil end
+  walk.try = try
+  repeat
+    put(walk, try.conf, try.events)
+    local ended = own:step(try.events, choices)
+    local asked, label = own.asked, walk.label
+    walk.count, tries = walk.count + 1, tries + 1
+    if ended then
+      local key = key_after(walk, try, label)
+      if key then f(walk, try, key, label) end
+    else
+      f(walk, try, nil, label)
+    end
+    if tries == MANY_CHOICES then
+      note_untried(walk, "choices", ("more than %d choices of one step"):format(tries))
+    end
+  until tries == MANY_CHOICES or not subject.next_choices(choices, asked, own.is_known)
+end
+
+-- Notes what a step has done.
+local function note_step(walk, try, key, label)
+  local from = try.from
+  note(walk, from, label)
+  if not key then
+    walk.endless = walk.endless or { from = from, label = label() }
+    return
+  end
+  local tgt = find_configuration(walk, key, from, label)
+  add_step(walk, try, tgt)
+  walk.has_moved = walk.has_moved or tgt ~= from or walk.subject.taken[1] ~= nil
+  note_passed(walk, from, tgt, label)
+  walk:look(from, tgt, try.events, label)
+end
+
+-- Lists the sets of up to `most` of the events, smaller ones first.
+local function sets_of(list, most)
+  local sets, last, at = { {} }, { 0 }, 1
+  while sets[at] and #sets[at] < most do
+    for i = last[at] + 1, #list do
+      local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
+      sets[#sets + 1], last[#sets + 1] = set, i
+    end
+    at = at + 1
+  end
+  return sets
+end
+
+-- Takes steps with the sets of events from outside that come together with the
+-- deadlines of a group; see `each_choice`.
+local function each_set(walk, from, conf, group, sets, f)
+  local timers, is_over = group and group.events or {}, group and group.is_over
+  local try = { from = from, conf = conf, group = group, events = false,
+    is_internal = false }
+  for _, set in ipairs(sets) do
+    if set[1] ~= nil or is_over or subject.is_busy(conf) then
+      try.events = match.joined(set, timers)
+      try.is_internal = set[1] == nil and not is_over
+      each_choice(walk, try, f)
+    end
+  end
+end
+
+local NO_GROUP = { false }
+
+-- Lists the groups of deadlines that a step from a configuration may find over.
+local function groups_of(walk, conf)
+  if not walk.timing then return NO_GROUP end
+  local groups = walk.timing:groups(conf.beside.time, subject.is_driven(conf))
+  if walk.timing.is_cut then note_untried(walk, "sets", "some orders of deadlines") end
+  return groups
+end
+
+-- Takes a step for each set of events and deadlines from a configuration.
+local function each_try(walk, from, f)
+  local conf = walk:configuration(from)
+  local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
+  if is_cut then
+    note_untried(walk, "sets", ("some sets of events that paths from %s need"):format(
+      conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
+  end
+  walk:add_wanted(list)
+  local sets = sets_of(list, walk.together)
+  for _, set in ipairs(needed) do
+    if #set > walk.together then sets[#sets + 1] = set end
+  end
+  for _, group in ipairs(groups_of(walk, conf)) do
+    each_set(walk, from, conf, group, sets, f)
+  end
+end
+
+-- Takes all steps from a configuration.
+local function expand(walk, from)
+  walk.first[from], walk.has_moved = walk.step_count + 1, false
+  each_try(walk, from, note_step)
+  if not walk.has_moved then walk.stuck[#walk.stuck + 1] = from end
+end
+
+--- Take all steps from a configuration again, and call f(try, tgt, label) after each.
+---@param from integer
+---@param f fun(try: rfsm_checks.Try, tgt: integer?, label: fun(): string)
+function Walk:each_step_again(from, f)
+  each_try(self, from, function(_, try, key, label)
+    f(try, key and find_known(self, key), label)
+  end)
+end
+
+-- Bounds ............................................................................
+
+local EVERY = 256 -- configurations between two looks at the clock
+
+local function find_bound(walk, options, at, began)
+  if #walk.keys > options.configurations then return "configurations" end
+  if walk.depth >= options.depth then return "depth" end
+  if at % EVERY == 0 and os_clock() - began > options.seconds then return "seconds" end
+end
+
+local function walk_all(walk, options)
+  local at, began = 1, os_clock()
+  local judged = walk.monitored[1] or {}
+  while walk.keys[at] and judged.holds == nil do
+    if at > walk.level_end then
+      walk.depth, walk.level_end = walk.depth + 1, #walk.keys
+    end
+    local bound = find_bound(walk, options, at, began)
+    if bound then
+      note_untried(walk, bound, "what lies behind the bound on " .. bound)
+      break
+    end
+    if options.progress and at % EVERY == 0 then
+      options.progress(#walk.keys, walk.depth)
+    end
+    expand(walk, at)
+    at = at + 1
+  end
+  walk.expanded = at - 1
+  walk.first[at] = walk.step_count + 1
+end
+
+-- Public functions ..................................................................
+
+-- What is done with each step and event for properties is set by `properties.watch`.
+function Walk.look() end
+
+-- Adds the events that monitors and properties look at, where nothing else takes them.
+function Walk:add_wanted(list)
+  local own = self.subject
+  for _, event in ipairs(self.wanted) do
+    local occurrence = own:occurrence(own.parts[1], event)
+    if not (own:maker_of(event) or match.has(list, occurrence)) then
+      list[#list + 1] = occurrence
+    end
+  end
+end
+
+local function is_number(x) return type(x) == "number" and x >= 0 end
+
+local is_count = opts.is_whole(1, math.huge)
+
+local function is_table(x) return type(x) == "table" end
+
+local function is_boolean(x) return type(x) == "boolean" end
+
+local function is_period(x) return opts.is_seconds(x) and x > 0 end
+
+local TIMERS = { free = true, ["in order"] = true }
+
+local function is_order(x)
+  if TIMERS[x] then return true end
+  return false, type(x) == "string" and ("'free' or 'in order' expected, got '%s'%s")
+    :format(x, advice.nearest_name(x, rfsm.sorted_keys(TIMERS))) or nil
+end
+
+local KNOWN = {
+  together = { "whole number above 0", is_count },
+  configurations = { "whole number above 0", is_count, 1e6 },
+  depth = { "number", is_number, math.huge },
+  seconds = { "number", is_number, math.huge },
+  alphabet = { "list", replacements.check_list },
+  sends = { "table of lists", replacements.check_sends, {} },
+  dry_run = { "boolean", is_boolean, false },
+  multiply = { "boolean", is_boolean, false },
+  flags = { "table of flags", replacements.check_flags, {} },
+  vars = { "table of ranges", data.check_vars },
+  run = { "list of functions", data.check_functions },
+  exclusive = { "list of guards", data.check_groups },
+  complementary = { "list of guards", data.check_groups },
+  same = { "list of guards", data.check_groups },
+  timers = { "'free' or 'in order'", is_order, "in order" },
+  period = { "seconds above 0", is_period },
+  properties = { "table", is_table, {} }, progress = { "function", rfsm.is_callable },
+}
+
+-- Callbacks that write the targets of transitions are not followed.
+local function check_writers(walk)
+  for _, name in ipairs(walk.subject.writers) do
+    note_untried(walk, "targets", "targets that the " .. name .. " may write")
+  end
+end
+
+--- Walk over the configurations of a model, without judging them.
+---@param model rfsm.State
+---@param options rfsm_checks.Options
+---@param prepare? fun(walk: rfsm_checks.Walk) called before it begins
+---@param way? rfsm_checks.Way
+---@return rfsm_checks.Walk walk
+function explore.walk(model, options, prepare, way)
+  local settings = assert(opts.read(KNOWN, options))
+  local own = subject.new(model, settings, way)
+  local walk = setmetatable({ subject = own, model = model, options = settings,
+    way = way or false, together = settings.together or 1,
+    is_together_given = settings.together ~= nil, untried = {}, passed = {},
+    keys = {}, numbers = {}, from = {}, labels = {}, depth = 0, level_end = 1,
+    first = {}, blocks = {}, step_count = 0, choices = {}, taken = {}, endless = nil,
+    bound = nil, stuck = {}, has_moved = false, count = 0, expanded = 0, wanted = {},
+    monitored = {}, is_beside = false, besides = {}, beside_ids = {}, kin = {},
+    unsure = {}, timing = false }, Walk)
+  function walk.label() return label_of(walk.try, walk.choices, own.asked) end
+  check_writers(walk)
+  if prepare then prepare(walk) end
+  walk.timing = timing.new(walk, settings)
+  own.leaves_out = not (walk.timing or own.notes_events)
+  walk.is_beside = walk.monitored[1] ~= nil or walk.timing ~= false
+    or own.var_names[1] ~= nil
+  find_configuration(walk, own:read() .. key_of_beside(walk, monitors.first(walk),
+    walk.timing and walk.timing.none), 0, function() return "" end)
+  walk_all(walk, settings)
+  return walk
+end
+
+--- A step of a witness.
+---@class rfsm_checks.WitnessStep
+---@field events string[] that came, as texts
+---@field values any[] those that came to the machine itself
+---@field inside { prefix: string, event: any }[] time events of machines inside of it
+---@field sent { prefix: string, event: any }[] by callbacks, as options say
+---@field at? number seconds since the first step, if timers come in order
+---@field choices { who: string, answer: boolean, is_doo: boolean }[] in order
+---@field taken string[] paths of the transitions that it takes
+---@field leaf string|false FQN of the active leaf then
+
+local function text_of_event(occurrence)
+  local text, part = rfsm.text_of(occurrence.event), occurrence.part
+  return part.owner and text .. " in " .. part.prefix or text
+end
+
+-- Sets in the step of a witness what the subject has done in it.
+local function note_outcome(own, step)
+  step.choices = {}
+  for i = 1, own.asked do
+    step.choices[i] = { who = own.askers[i], answer = own.choices[i],
+      is_doo = own.is_doo[i] }
+  end
+  step.taken, step.leaf = own:paths_of(), rfsm.get_actleaf_fqn(own.parts[1].fsm)
+  step.sent = match.joined({}, own.sent)
+end
+
+-- Returns the step of a witness with events. Those of timers in order come by
+-- themselves.
+local function new_step(events)
+  local step = { events = {}, values = {}, inside = {} }
+  for i, occurrence in ipairs(events) do
+    local part, event = occurrence.part, occurrence.event
+    step.events[i] = text_of_event(occurrence)
+    local comes_alone = part.timed[event]
+    if part.owner and not comes_alone then
+      step.inside[#step.inside + 1] = { prefix = part.prefix, event = event }
+    elseif not comes_alone then
+      step.values[#step.values + 1] = event
+    end
+  end
+  return step
+end
+
+-- Takes a step of a way on a subject that has all parts: guards of others are false,
+-- and their doos go on.
+local function repeat_on(own, events, step)
+  local at, choices, list = 0, step.choices, {}
+  function own:choose(who, is_doo)
+    local choice = choices[at + 1]
+    local is_same = choice ~= nil and choice.who == who
+    if is_same then at = at + 1 end
+    return getmetatable(own).choose(self, who, is_doo, is_same and choice.answer)
+  end
+  for i, occurrence in ipairs(events) do
+    for _, part in ipairs(own.parts) do
+      if part.prefix == occurrence.part.prefix then
+        list[i] = own:occurrence(part, occurrence.event)
+      end
+    end
+  end
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+  own:step(list, {})
+  note_outcome(own, step)
+end
+
+--- Run a step again.
+---@param from integer
+---@param label string
+---@param whole? rfsm_checks.Subject takes it, too, if the walk has left out parts
+---@return rfsm_checks.WitnessStep step what it did
+---@return rfsm_checks.Try|false try
+function Walk:rerun(from, label, whole)
+  local events, choices, number = read_label(self, label)
+  local conf, step = self:configuration(from), new_step(events)
+  put(self, conf, events)
+  self.subject:step(events, choices)
+  note_outcome(self.subject, step)
+  if whole then repeat_on(whole, events, step) end
+  return step, self.timing and { from = from, conf = conf, events = events,
+    group = groups_of(self, conf)[number] }
+end
+
+--- Return the shortest way to a configuration, and the step given behind it, or those
+--- of a cycle.
+---@param number integer
+---@param label? string
+---@param cycle? rfsm_checks.Edge[]
+---@return rfsm_checks.WitnessStep[] witness field `again`: where the cycle begins
+function Walk:witness(number, label, cycle)
+  local way, steps = { label and { from = number, label = label } }, {}
+  while self.from[number] > 0 do
+    table.insert(way, 1, { from = self.from[number], label = self.labels[number] })
+    number = self.from[number]
+  end
+  steps.again = cycle and #way + 1
+  way = match.joined(way, cycle or {})
+  local moments = timing.new_moments()
+  local whole = self.way and subject.new(self.model, self.options)
+  for i, step in ipairs(way) do
+    local try
+    steps[i], try = self:rerun(step.from, step.label, whole)
+    if try then
+      local _, sources = key_after(self, try, function() return step.label end)
+      timing.add_moment(moments, try.group, sources)
+    end
+  end
+  local times = self.timing and self.timing:solve(moments) or {}
+  for i, step in ipairs(steps) do step.at = times[i] end
+  return steps
+end
+
+--- Explore every configuration that a chart can reach.
+--
+-- Returns what was found: states that are never active, transitions that are never
+-- taken, configurations that nothing leaves, cycles without an end, and properties
+-- that do not hold, each with the shortest run that shows it.
+--
+-- @raise if the model is not valid, or an option is wrong
+---@param model rfsm.State
+---@param options? rfsm_checks.Options
+---@return rfsm_checks.Exploration exploration
+function explore.explore(model, options)
+  if not rfsm.is_state(model) then
+    error("rfsm_checks.explore: state expected, got " .. type(model), 2)
+  end
+  local settings, problem = opts.read(KNOWN, options or {})
+  if not settings then error("rfsm_checks.explore: " .. problem, 2) end
+  return require("rfsm.explore.verdict").of(model, settings)
+end
+
+return explore

@@ -1,0 +1,177 @@
+--- Fairness: does something come some time, if doos end and time goes on?
+--
+-- What is owed need not come if some run stays among the configurations that owe it: it
+-- rests, or takes the steps of a cycle again and again. A run is fair if each doo ends
+-- and each timer expires, unless its state is left before: so somewhere on the cycle a
+-- doo or timer is not pending, or its state is entered anew. Nothing is expected of
+-- events from outside, or of guards.
+--
+-- @module rfsm.explore.fairness
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local graph = require "rfsm.explore.graph"
+local match = require "rfsm.shared.match"
+local subject = require "rfsm.explore.subject"
+local order = require "rfsm.shared.order"
+
+local ipairs = ipairs
+
+local fairness = {}
+
+-- Returns what is pending in a configuration: state by name, of doos and of timers.
+local function pending_in(conf)
+  local pending = {}
+  for _, position in ipairs(conf) do
+    local leaf = position.leaf
+    if leaf and leaf.doo and position.mode == "active" and not leaf._regions then
+      pending["doo " .. position.known.path] = leaf
+    end
+  end
+  for _, entry in ipairs(conf.beside.time and conf.beside.time.entries or {}) do
+    if entry.clock.state then
+      pending[("timer %d.%d"):format(entry.clock.number, entry.passed)] =
+        entry.clock.state
+    end
+  end
+  return pending
+end
+
+-- Returns what is pending in each of some configurations.
+local function pending_in_all(walk, numbers)
+  local common
+  for _, number in ipairs(numbers) do
+    local pending = pending_in(walk:configuration(number))
+    for name in order.each(common or {}) do -- any order: a set
+      if not pending[name] then common[name] = nil end
+    end
+    common = common or pending
+  end
+  return common
+end
+
+-- A step that leads from one configuration of a component to another one.
+---@class rfsm_checks.Edge
+---@field from integer
+---@field tgt integer
+---@field label string
+---@field entered table<rfsm.State, boolean> states that it enters
+
+-- Lists the steps between configurations, by where they begin.
+local function edges_between(walk, numbers)
+  local edges, is_in = {}, {}
+  for _, number in ipairs(numbers) do edges[number], is_in[number] = {}, true end
+  for _, number in ipairs(numbers) do
+    walk:each_step_again(number, function(_, tgt, label)
+      if not is_in[tgt] then return end
+      local edge = { from = number, tgt = tgt, label = label(), entered = {} }
+      for state in order.each(walk.subject.entered) do -- any order: a set
+        edge.entered[state] = true
+      end
+      edges[number][#edges[number] + 1] = edge
+    end)
+  end
+  return edges
+end
+
+-- Returns the first of some configurations in which nothing is pending, and nothing
+-- goes on by itself.
+local function find_rest(walk, numbers)
+  for _, number in ipairs(numbers) do
+    local conf = walk:configuration(number)
+    local is_idle = not subject.is_busy(conf)
+    if is_idle and order.is_empty(pending_in(conf)) then return number end
+  end
+end
+
+-- Returns the steps between configurations if a fair run takes them again and again.
+local function find_fair(walk, numbers)
+  local pending = pending_in_all(walk, numbers)
+  local edges, has_edge = edges_between(walk, numbers), false
+  for _, list in order.each(edges) do -- any order: sets
+    for _, edge in ipairs(list) do
+      has_edge = true
+      for name, state in order.each(pending) do
+        if edge.entered[state] then pending[name] = nil end
+      end
+    end
+  end
+  return order.is_empty(pending) and has_edge and edges or nil
+end
+
+-- Returns the shortest list of steps from a configuration whose last one is wanted.
+local function find_way(edges, start, is_wanted)
+  local came, list = { [start] = false }, { start }
+  for _, number in ipairs(list) do -- which gets longer
+    for _, edge in ipairs(edges[number]) do
+      if is_wanted(edge) then
+        local way = { edge }
+        while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
+        return way
+      end
+      if came[edge.tgt] == nil then
+        came[edge.tgt], list[#list + 1] = edge, edge.tgt
+      end
+    end
+  end
+end
+
+-- Returns the steps of a cycle on which nothing stays pending.
+local function cycle_from(walk, edges, start)
+  local cycle, at = {}, start
+  local function go(is_wanted)
+    for _, edge in ipairs(find_way(edges, at, is_wanted)) do
+      cycle[#cycle + 1], at = edge, edge.tgt
+    end
+  end
+  local pending = pending_in(walk:configuration(start))
+  for _, name in ipairs(rfsm.sorted_keys(pending)) do
+    go(function(edge)
+      return edge.entered[pending[name]]
+        or not pending_in(walk:configuration(edge.tgt))[name]
+    end)
+  end
+  if at ~= start or not cycle[1] then
+    go(function(edge) return edge.tgt == start end)
+  end
+  return cycle
+end
+
+-- Are there times for two rounds of a cycle? A configuration may stand for another one
+-- with fewer times, so that there need not be.
+local function has_times(walk, start, cycle)
+  return not walk.timing
+    or walk:witness(start, nil, match.joined(cycle, cycle))[1].at ~= nil
+end
+
+-- Lists the configurations that have been looked at and owe something.
+local function owing(walk, judged, owes)
+  local set, index = {}, nil
+  for i, other in ipairs(walk.monitored) do index = other == judged and i or index end
+  for number = 2, walk.expanded do
+    set[number] = walk:configuration(number).beside.states[index] == owes
+  end
+  return set
+end
+
+--- Judge a property that owes something in one of its states: it does not hold if a
+--- fair run stays there.
+---@param walk rfsm_checks.Walk
+---@param judged rfsm_checks.Judged
+---@param owes string
+function fairness.judge(walk, judged, owes)
+  for _, numbers in ipairs(graph.components_in(walk, owing(walk, judged, owes))) do
+    local rest = find_rest(walk, numbers)
+    local edges = not rest and find_fair(walk, numbers)
+    local cycle = edges and cycle_from(walk, edges, numbers[1])
+    if cycle and not has_times(walk, numbers[1], cycle) then
+      judged.is_open = true
+    elseif rest or cycle then
+      judged.holds, judged.at, judged.rests = false, rest or numbers[1], rest ~= nil
+      judged.cycle = cycle
+      return
+    end
+  end
+end
+
+return fairness

@@ -1,0 +1,223 @@
+--- Graph: reachability and cycles in the steps of a walk.
+--
+-- @module rfsm.explore.graph
+-- @license BSD-3-Clause
+
+local ipairs = ipairs
+local abs, min = math.abs, math.min
+local remove, sort = table.remove, table.sort
+
+local graph = {}
+
+--- Call `f(tgt, is_internal, position)` for each step from a configuration.
+---@param walk rfsm_checks.Walk
+---@param number integer
+---@param f fun(tgt: integer, is_internal: boolean, position: integer)
+function graph.each_step(walk, number, f)
+  for i = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
+    local step = walk:step_at(i)
+    if step < 0 then f(-step, true, i) else f(step, false, i) end
+  end
+end
+
+-- Calls f(from, tgt) for each step, or for those that the flags say.
+local function each_edge(walk, is_internal, is_sure, f)
+  for from = 1, walk.expanded do
+    for at = walk.first[from], walk.first[from + 1] - 1 do
+      local step = walk:step_at(at)
+      if (step < 0 or not is_internal) and not (is_sure and walk.unsure[at]) then
+        f(from, abs(step))
+      end
+    end
+  end
+end
+
+-- Returns a list of the configurations from which steps lead to the first one, then to
+-- the second one, and so on; and for each the position before its own.
+local function reverse(walk, is_internal, is_sure)
+  local list, before, count = {}, { 0 }, #walk.keys
+  for number = 1, count do before[number + 1] = 0 end
+  each_edge(walk, is_internal, is_sure, function(_, tgt)
+    before[tgt], list[#list + 1] = before[tgt] + 1, 0
+  end)
+  for number = 2, count + 1 do before[number] = before[number] + before[number - 1] end
+  each_edge(walk, is_internal, is_sure, function(from, tgt)
+    list[before[tgt]], before[tgt] = from, before[tgt] - 1
+  end)
+  return list, before
+end
+
+-- Adds predecessors to a set while there are some for which `joins(from, tgt)` is true.
+-- Returns the set.
+local function spread(walk, set, joins, is_internal, is_sure)
+  local pending, list, before = {}, reverse(walk, is_internal, is_sure)
+  for number = 1, #walk.keys do
+    if set[number] then pending[#pending + 1] = number end
+  end
+  while pending[1] do
+    local number = remove(pending)
+    for at = before[number] + 1, before[number + 1] do
+      local from = list[at]
+      if not set[from] and joins(from, number) then
+        set[from], pending[#pending + 1] = true, from
+      end
+    end
+  end
+  return set
+end
+
+--- Return the set of configurations from which one of `goals` can be reached.
+---@param goals table<integer, boolean>
+---@param is_internal boolean? by steps without events from outside
+---@param is_sure boolean? by steps that can be taken whatever the clocks show
+---@return table<integer, boolean> set
+function graph.can_reach(walk, goals, is_internal, is_sure)
+  local set = {}
+  for number = 1, #walk.keys do set[number] = goals[number] end
+  return spread(walk, set, function() return true end, is_internal, is_sure)
+end
+
+-- Does each group of deadlines that can be first have a step into a set?
+local function leads_surely(walk, number, set)
+  local ways, is_counted = 0, {}
+  graph.each_step(walk, number, function(tgt, _, at)
+    local group = walk.unsure[at]
+    if group and set[tgt] and not is_counted[group] then
+      is_counted[group], ways = true, ways + 1
+    end
+    if group and ways == group.ways then is_counted.all = true end
+  end)
+  return is_counted.all
+end
+
+--- Return the set of configurations from which one of `goals` can be reached, whatever
+--- their clocks show.
+---@param walk rfsm_checks.Walk
+---@param goals table<integer, boolean>
+---@return table<integer, boolean> set
+function graph.can_surely_reach(walk, goals)
+  local set, has_grown = goals, true
+  while has_grown do
+    set, has_grown = graph.can_reach(walk, set, false, true), false
+    for number = 1, walk.expanded do
+      if not set[number] and leads_surely(walk, number, set) then
+        set[number], has_grown = true, true
+      end
+    end
+  end
+  return set
+end
+
+-- Counts the steps without events from outside, but not those of a doo that goes on.
+local function count_internal(walk, number)
+  local count = 0
+  graph.each_step(walk, number, function(tgt, is_own)
+    if is_own and (tgt ~= number or walk:is_driven(number)) then count = count + 1 end
+  end)
+  return count
+end
+
+--- Return the set of configurations from which steps without events from outside always
+--- lead to one of `goals`. Each doo is taken to end some time.
+---@param goals table<integer, boolean>
+---@return table<integer, boolean> set
+function graph.must_reach(walk, goals)
+  local set, left = {}, {}
+  for number = 1, #walk.keys do -- an unknown step is no fault
+    set[number] = goals[number] or number > walk.expanded
+  end
+  return spread(walk, set, function(from, tgt)
+    left[from] = left[from] or count_internal(walk, from)
+    if from ~= tgt then left[from] = left[from] - 1 end
+    return left[from] == 0
+  end, true)
+end
+
+-- Tarjan's search for strongly connected components: the configurations that are
+-- visited, and the position of the step that is next in each, are two stacks.
+local function visit(walk, search, number)
+  local depth = #search.visits + 1
+  search.count = search.count + 1
+  search.order[number], search.low[number] = search.count, search.count
+  search.open[#search.open + 1] = number
+  search.visits[depth], search.at[depth] = number, walk.first[number] or 1
+end
+
+-- Takes the component of a configuration from the open configurations.
+local function take_component(search, root)
+  local component, index = {}, #search.components + 1
+  repeat
+    local number = remove(search.open)
+    search.index_of[number] = index
+    component[#component + 1] = number
+  until number == root
+  sort(component)
+  search.components[index] = component
+end
+
+-- Goes on with the visit on top of the stack: deeper, or back.
+local function visit_next(walk, search)
+  local low, order, depth = search.low, search.order, #search.visits
+  local number, at = search.visits[depth], search.at[depth]
+  if at < (walk.first[number + 1] or 1) then
+    local tgt = abs(walk:step_at(at))
+    search.at[depth] = at + 1
+    if search.set and not search.set[tgt] then
+      return
+    elseif not order[tgt] then
+      visit(walk, search, tgt)
+    elseif not search.index_of[tgt] then
+      low[number] = min(low[number], order[tgt])
+    end
+    return
+  end
+  search.visits[depth], search.at[depth] = nil, nil
+  local above = search.visits[depth - 1]
+  if above then low[above] = min(low[above], low[number]) end
+  if low[number] == order[number] then take_component(search, number) end
+end
+
+-- Does a step lead from a component to another one?
+local function leads_out(walk, component, index_of)
+  local own = index_of[component[1]]
+  for _, number in ipairs(component) do
+    for at = walk.first[number] or 1, (walk.first[number + 1] or 1) - 1 do
+      if index_of[abs(walk:step_at(at))] ~= own then return true end
+    end
+  end
+  return false
+end
+
+--- List the sets of configurations that lead to each other, each sorted, in the order
+--- of their first ones.
+---@param walk rfsm_checks.Walk
+---@param set? table<integer, boolean> look at these alone
+---@return integer[][] components
+---@return table<integer, integer> index_of a number for each component
+function graph.components_in(walk, set)
+  local search = { count = 0, order = {}, low = {}, open = {}, visits = {}, at = {},
+    components = {}, index_of = {}, set = set }
+  for number = 1, set and walk.expanded or 1 do
+    if not (search.order[number] or set and not set[number]) then
+      visit(walk, search, number)
+      while search.visits[1] do visit_next(walk, search) end
+    end
+  end
+  sort(search.components, function(a, b) return a[1] < b[1] end)
+  return search.components, search.index_of
+end
+
+--- List the sets of configurations that lead to each other.
+---@return integer[][] bottoms those that lead nowhere else, each sorted
+---@return integer[][] others
+function graph.components(walk)
+  local bottoms, others = {}, {}
+  local components, index_of = graph.components_in(walk)
+  for _, component in ipairs(components) do
+    local list = leads_out(walk, component, index_of) and others or bottoms
+    list[#list + 1] = component
+  end
+  return bottoms, others
+end
+
+return graph

@@ -1,0 +1,291 @@
+--- Independence: regions of sequential AND states that can be explored one by one.
+--
+-- Each step advances all regions of a state, and no event leaves a region. So the
+-- machine and one region have the same configurations whether the other regions are
+-- there or not: these are left out of the walk. A *way* is a set of parts of a subject
+-- that one walk has. Regions are in the same ways, if
+--
+-- - both react to an event from outside: dead ends of both together depend on it,
+-- - both have timers: the machine is stepped between any two deadlines.
+--
+-- Bound regions are in each way that has the machine around them. They have a callback
+-- in `run` or a guard with a rule; or timers, if the machine or a property has times.
+-- A property is judged on a walk that has all regions that it names.
+--
+-- @module rfsm.explore.independence
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
+
+local ipairs, type = ipairs, type
+local concat, max, min = table.concat, math.max, math.min
+
+local independence = {}
+
+local NOTHING = {}
+
+--- The parts of a subject that a walk has, by their prefixes; false: all of them.
+---@alias rfsm_checks.Way table<string, true>|false
+
+--- What may join a region to others, of itself and of the regions inside of it.
+---@class rfsm_checks.Traits
+---@field events table<any, true> from outside, to which it reacts
+---@field is_any boolean it may react to each event
+---@field has_timer boolean
+---@field is_bound boolean
+
+-- Traits ............................................................................
+
+local function has_timer(part)
+  for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
+    if state._timers and state._timers[1] then return true end
+  end
+  return false
+end
+
+-- Can any event trigger the transition? Not if a path leads to it whose events count.
+local function is_any(tr)
+  local triggers = match.triggers(tr, NOTHING)
+  return triggers == nil or triggers and (rfsm.is_state(tr.src) or tr.guard ~= false)
+end
+
+local function add_events(own, traits, tr)
+  traits.is_any = traits.is_any or is_any(tr)
+  for _, list in ipairs { tr.events or {}, match.awaited(tr) } do
+    for _, event in ipairs(list) do
+      if not own:maker_of(event) then traits.events[event] = true end
+    end
+  end
+end
+
+-- Adds what a region has to the region around it.
+local function add_inner(traits, inner)
+  for event in order.each(inner.events) do traits.events[event] = true end -- a set
+  traits.is_any = traits.is_any or inner.is_any
+  traits.has_timer = traits.has_timer or inner.has_timer
+  traits.is_bound = traits.is_bound or inner.is_bound
+end
+
+-- Returns the traits of each part. A region inside of a region is bound if it has
+-- timers: which others there are is not looked at.
+local function traits_of(own, is_timed, are_free)
+  local traits = {}
+  for _, part in ipairs(own.parts) do
+    traits[part] = { events = {}, is_any = false, is_bound = part.is_bound,
+      has_timer = not are_free and has_timer(part) }
+  end
+  for _, entry in ipairs(own.transitions) do
+    add_events(own, traits[entry.part], entry.tr)
+  end
+  is_timed = is_timed or traits[own.parts[1]].has_timer
+  for i = #own.parts, 2, -1 do
+    local part = own.parts[i]
+    if part.owner.owner then add_inner(traits[part.owner], traits[part]) end
+    if traits[part].has_timer and (is_timed or part.owner.owner) then
+      traits[part].is_bound = true
+    end
+  end
+  return traits
+end
+
+-- Groups ............................................................................
+
+local function are_joined(a, b)
+  if a.has_timer and b.has_timer then return true end
+  if a.is_any and (b.is_any or not order.is_empty(b.events)) then return true end
+  if b.is_any and not order.is_empty(a.events) then return true end
+  for event in order.each(a.events) do -- any order: is there one?
+    if b.events[event] then return true end
+  end
+  return false
+end
+
+local function joins_group(traits, part, group)
+  for _, other in ipairs(group) do
+    if are_joined(traits[part], traits[other]) then return true end
+  end
+  return false
+end
+
+-- Returns the groups with one more region, in one with those that it is joined to.
+local function with_region(groups, traits, part)
+  local group, list = { part }, {}
+  for _, other in ipairs(groups) do
+    if joins_group(traits, part, other) then
+      group = match.joined(other, group)
+    else
+      list[#list + 1] = other
+    end
+  end
+  list[#list + 1] = group
+  return list
+end
+
+--- What is known of a chart while its walks are planned.
+---@class rfsm_checks.Planning
+---@field own rfsm_checks.Subject
+---@field traits table<rfsm_checks.Part, rfsm_checks.Traits>
+---@field states table<rfsm_checks.Part, table[]> by what is around them: for each state
+-- the regions that are bound, and the groups of others
+---@field mates table<rfsm_checks.Part, rfsm_checks.Part[]> the group of a region
+---@field ways table<string, table<string, true>> by their prefixes
+
+-- Returns the regions of the state that a region is in.
+local function state_of(self, part)
+  local states = self.states[part.owner]
+  for _, state in ipairs(states) do
+    if state.leaf == part.leaf then return state end
+  end
+  states[#states + 1] = { leaf = part.leaf, bound = {}, groups = {} }
+  return states[#states]
+end
+
+local function find_groups(self)
+  for _, part in ipairs(self.own.parts) do
+    self.states[part], self.mates[part] = {}, {}
+    local state = part.owner and state_of(self, part)
+    if state and self.traits[part].is_bound then
+      state.bound[#state.bound + 1] = part
+    elseif state then
+      state.groups = with_region(state.groups, self.traits, part)
+      for _, group in ipairs(state.groups) do
+        for _, mate in ipairs(group) do self.mates[mate] = group end
+      end
+    end
+  end
+end
+
+-- Ways ..............................................................................
+
+-- Returns lists of ways in one: the first way has the parts of all first ones, and so
+-- on; of a shorter list the last one counts.
+local function side_by_side(lists)
+  local result, count = {}, 1
+  for _, list in ipairs(lists) do count = max(count, #list) end
+  for k = 1, count do
+    result[k] = {}
+    for _, list in ipairs(lists) do
+      result[k] = match.joined(result[k], list[min(k, #list)] or {})
+    end
+  end
+  return result
+end
+
+local ways_of
+
+-- Returns ways in which each has some regions, and those inside of them in turn.
+local function ways_of_group(self, group)
+  local lists = { { group } }
+  for _, part in ipairs(group) do lists[#lists + 1] = ways_of(self, part) end
+  return side_by_side(lists)
+end
+
+-- Returns the ways of the regions of a part.
+function ways_of(self, part)
+  local lists = {}
+  for _, state in ipairs(self.states[part]) do
+    local list = {}
+    for _, group in ipairs(state.groups) do
+      list = match.joined(list, ways_of_group(self, group))
+    end
+    lists[#lists + 1], lists[#lists + 2] = ways_of_group(self, state.bound), list
+  end
+  return side_by_side(lists)
+end
+
+-- Adds a part to a way, with the parts around it and the regions that it needs.
+local function add_part(self, way, part)
+  if not part or way[part.prefix] then return end
+  way[part.prefix] = true
+  add_part(self, way, part.owner)
+  for _, mate in ipairs(self.mates[part]) do add_part(self, way, mate) end
+  for _, state in ipairs(self.states[part]) do
+    for _, region in ipairs(state.bound) do add_part(self, way, region) end
+  end
+end
+
+-- Returns a way as a set of prefixes, always the same table; false if it has all parts.
+local function way_of(self, parts)
+  local way = {}
+  add_part(self, way, self.own.parts[1])
+  for _, part in ipairs(parts) do add_part(self, way, part) end
+  local names = rfsm.sorted_keys(way)
+  if #names == #self.own.parts then return false end
+  local key = concat(names, "\n")
+  self.ways[key] = self.ways[key] or way
+  return self.ways[key]
+end
+
+-- Properties ........................................................................
+
+-- Appends the parts that set a flag.
+local function add_setters(own, parts, number)
+  for name, flags in order.each(own.flags_of) do -- any order: a set
+    for _, flag in ipairs(flags) do
+      if flag.number == number then parts[#parts + 1] = own.callbacks[name] end
+    end
+  end
+end
+
+-- Appends the parts of the states and flags that a condition names. Returns false if
+-- they are not known.
+local function add_named(own, parts, condition)
+  if type(condition) == "function" then return false end
+  for _, name in ipairs(type(condition) == "table" and condition or { condition }) do
+    local number = own.flag_numbers[name]
+    if number then add_setters(own, parts, number) end
+    parts[#parts + 1] = own.part_of[name]
+  end
+  return true
+end
+
+-- Appends the parts that react to an event.
+local function add_reacting(self, parts, event)
+  for _, part in ipairs(self.own.parts) do
+    local traits = self.traits[part]
+    if traits.is_any or traits.events[event] then parts[#parts + 1] = part end
+  end
+end
+
+-- Returns the way of the walk on which a property is judged: with all parts if it has
+-- a function, or an event that each machine makes itself.
+local function way_for(self, property)
+  local own, parts, event = self.own, {}, property.event
+  local are_known = add_named(own, parts, property.what)
+    and add_named(own, parts, property.goal)
+  if not are_known or event ~= nil and own:maker_of(event) then return false end
+  if event ~= nil then add_reacting(self, parts, event) end
+  return way_of(self, parts)
+end
+
+local function is_timed(list)
+  for _, judged in ipairs(list) do
+    if judged.property.seconds then return true end
+  end
+  return false
+end
+
+--- Plan the walks of a chart, and set the field `way` of its properties.
+---@param own rfsm_checks.Subject
+---@param list rfsm_checks.Judged[]
+---@param options rfsm_checks.Options
+---@return rfsm_checks.Way[] ways
+function independence.ways(own, list, options)
+  for _, judged in ipairs(list) do judged.way = false end
+  local are_apart = not (options.multiply or options.dry_run or own.writers[1])
+  if not (are_apart and own.parts[2]) then return { false } end
+  local self, ways = { own = own, states = {}, mates = {}, ways = {} }, {}
+  self.traits = traits_of(own, is_timed(list), options.timers == "free")
+  find_groups(self)
+  for i, parts in ipairs(ways_of(self, own.parts[1])) do
+    ways[i] = way_of(self, parts)
+  end
+  for _, judged in ipairs(ways[2] and list or NOTHING) do
+    judged.way = way_for(self, judged.property)
+  end
+  return ways
+end
+
+return independence

@@ -1,0 +1,224 @@
+--- Monitors: properties of runs, judged step by step.
+--
+-- A monitor is in a state, a word, and has clocks, the oldest first, each of which
+-- expires when the time of the property is over. It looks at each step. An exploration
+-- keeps both with each configuration; a running machine has them in a table. Conditions
+-- are judged where a step ends; `precedes` and `never` also see states that a step
+-- passes.
+--
+-- @module rfsm.explore.monitors
+-- @license BSD-3-Clause
+
+local ipairs, type = ipairs, type
+
+local monitors = {}
+
+--- What a monitor sees of a step.
+---@class rfsm_checks.Look
+---@field active fun(name: string): boolean
+---@field came boolean the event of the property came
+---@field is_end boolean the step ends; otherwise it passes through a state
+---@field expired integer clocks that have expired
+---@field count integer clocks
+---@field is_idle? boolean of a machine that runs: nothing happens before an event comes
+---@field is_at_rest? boolean likewise, and no timer is armed
+
+--- Does a condition hold?
+---@param condition any see `rfsm.explore.properties`
+---@param active fun(name: string): boolean
+---@return boolean
+function monitors.holds(condition, active)
+  if type(condition) == "function" then return condition(active) and true or false end
+  for _, name in ipairs(type(condition) == "table" and condition or { condition }) do
+    if not active(name) then return false end
+  end
+  return true
+end
+
+local holds = monitors.holds
+
+local NONE, NEW = {}, { 0 }
+
+-- Returns the clocks without the oldest ones, and with a new one if that is wanted. A
+-- clock that stays is named by its number, 0 is a new one.
+local function clocks_from(first, count, is_new)
+  local clocks = {}
+  for i = first, count do clocks[#clocks + 1] = i end
+  if is_new then clocks[#clocks + 1] = 0 end
+  return clocks
+end
+
+--- How each kind of property looks at a step. Returns the next state, "violated" if the
+--- property does not hold, and the clocks from then on; nil: they stay.
+---@type table<string, fun(property: table, state: string, look: table): string, table?>
+monitors.see = {}
+
+local see = monitors.see
+
+--- The state behind a violation, if that can be one only once.
+monitors.next = { precedes = "done", ["until"] = "done" }
+
+--- The kinds that also look at the states that a step passes.
+monitors.passes = { never = true, after_never = true, precedes = true }
+
+--- In this state something has to come some time.
+monitors.owes = { leads_to = "owed", ["until"] = "first" }
+
+--- The kinds that say what an event leads to.
+monitors.follows = { after = true, leads_to = true, after_never = true,
+  reach_within = true }
+
+function see.never(property, _, look)
+  return holds(property.what, look.active) and "violated" or "first"
+end
+
+function see.always(property, state, look)
+  if not look.is_end or holds(property.what, look.active) then return state end
+  return "violated"
+end
+
+function see.leads_to(property, state, look)
+  if not look.is_end then return state end
+  if holds(property.goal, look.active) then return "first" end
+  if look.came then state = "owed" end
+  return state == "owed" and look.is_at_rest and "violated" or state
+end
+
+function see.after(property, state, look)
+  if not look.is_end then return state end
+  if holds(property.goal, look.active) then return "first" end
+  if look.came then state = "owed" end
+  return state == "owed" and look.is_idle and "violated" or state
+end
+
+function see.after_never(property, state, look)
+  if look.is_end and look.came then state = "since" end
+  if state == "first" or not holds(property.goal, look.active) then return state end
+  return "violated"
+end
+
+function see.precedes(property, state, look)
+  if state == "done" or holds(property.what, look.active) then return "done" end
+  return holds(property.goal, look.active) and "violated" or state
+end
+
+see["until"] = function(property, state, look)
+  if state == "done" or not look.is_end then return state end
+  if holds(property.goal, look.active) then return "done" end
+  local is_broken = look.is_at_rest or not holds(property.what, look.active)
+  return is_broken and "violated" or state
+end
+
+function see.reach_within(property, state, look)
+  if not look.is_end then return state end
+  if holds(property.goal, look.active) then return "first", NONE end
+  if look.expired > 0 then return "violated", NONE end
+  if state == "first" and look.came then return "owed", NEW end
+  return state
+end
+
+function see.left_within(property, state, look)
+  if not look.is_end then return state end
+  if not holds(property.what, look.active) then return "first", NONE end
+  if look.expired > 0 then return "violated", NONE end
+  if state == "first" then return "owed", NEW end
+  return state
+end
+
+-- Once the condition holds it has to stay; when the clock has expired it may end.
+function see.stays(property, state, look)
+  if not look.is_end then return state end
+  if holds(property.what, look.active) then
+    if state == "first" then return "young", NEW end
+    if look.expired > 0 then return "old", NONE end
+    return state
+  end
+  if state == "young" and look.expired == 0 then return "violated", NONE end
+  return "first", NONE
+end
+
+function see.at_most(property, state, look)
+  if not look.is_end then return state end
+  local left = look.count - look.expired
+  if look.came and left >= property.count then return "violated", NONE end
+  return state, clocks_from(look.expired + 1, look.count, look.came)
+end
+
+-- The window begins with the entry of the machine, as if the event had come then.
+function see.at_least(property, state, look)
+  if not look.is_end then return state end
+  if state == "first" then
+    local clocks = {}
+    for i = 1, property.count do clocks[i] = 0 end
+    return "on", clocks
+  end
+  if look.expired > (look.came and 1 or 0) then return "violated", NONE end
+  return state, look.came and clocks_from(2, look.count, true) or nil
+end
+
+-- Monitors of an exploration ........................................................
+
+--- Return the states in which monitors begin.
+---@param walk rfsm_checks.Walk
+---@return string[]
+function monitors.first(walk)
+  local states = {}
+  for i = 1, #walk.monitored do states[i] = "first" end
+  return states
+end
+
+-- Returns how many clocks of a monitor there are in a configuration, and how many of
+-- them have expired.
+local function count_clocks(try, judged)
+  local count, expired = 0, 0
+  for i, entry in ipairs(try.group and try.conf.beside.time.entries or {}) do
+    if entry.clock.judged == judged then
+      count = count + 1
+      expired = expired + try.group.over[i]
+    end
+  end
+  return count, expired
+end
+
+-- Returns the next state of a monitor and its clocks, when it has seen all of a step.
+local function look_at(walk, judged, state, try, view)
+  local own, property = walk.subject, judged.property
+  local look_on, look = see[property.kind], { came = false, is_end = false }
+  look.count, look.expired = count_clocks(try, judged)
+  for _, moment in ipairs(own.passed) do
+    look.active = own:view_of_moment(moment)
+    state = state == "violated" and state or look_on(property, state, look)
+  end
+  if state == "violated" then return state, {} end
+  look.active, look.is_end = view, true
+  look.came = property.event ~= nil and own.parts[1].position.leaf
+    and own.wanted[property.event] or false
+  local next_state, clocks = look_on(property, state, look)
+  return next_state, clocks, look.came
+end
+
+--- Return the states of the monitors after the last step, and their clocks.
+---@param walk rfsm_checks.Walk
+---@param try rfsm_checks.Try
+---@param key string of the configuration that it has led to
+---@param label fun(): string
+---@return string[] states
+---@return table<rfsm_checks.Judged, integer[]> clocks of those that have changed
+function monitors.after(walk, try, key, label)
+  local states, clocks, own, view = {}, {}, walk.subject, nil
+  for i, judged in ipairs(walk.monitored) do
+    states[i] = try.conf.beside.states[i]
+    view = view or own:view(own:configuration(key))
+    if states[i] ~= "violated" and own.parts[1].fsm._act_leaf then
+      local came
+      states[i], clocks[judged], came = look_at(walk, judged, states[i], try, view)
+      judged.has_come = judged.has_come or came
+    end
+    if states[i] == "violated" and judged.holds == nil then
+      judged.holds, judged.at, judged.label = false, try.from, label()
+    end
+  end
+  return states, clocks
+end
+
+return monitors

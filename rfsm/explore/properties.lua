@@ -1,0 +1,485 @@
+--- Properties: what must hold in each configuration, and on each run.
+--
+-- A condition is the path of a state, which must be active, the name of a flag, a list
+-- of these, all of which must be true, or a function. A function is called with another
+-- one, `active`, that tells of a path or flag.
+--
+-- @module rfsm.explore.properties
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local fairness = require "rfsm.explore.fairness"
+local graph = require "rfsm.explore.graph"
+local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
+local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
+
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local pcall, setmetatable, type = pcall, setmetatable, type
+local concat, sort = table.concat, table.sort
+local holds = monitors.holds
+
+local properties = {}
+
+--- Something that must hold.
+---@class rfsm_checks.Property
+---@field kind string "never", "after" ...: see `JUDGES` and `rfsm.explore.monitors`
+---@field what? any the condition
+---@field event? any
+---@field goal? any the condition to be reached
+---@field seconds? number
+---@field count? integer
+---@field within? fun(seconds: number): rfsm_checks.Property
+local Property = {}
+
+local function check_condition(what, where)
+  local names = type(what) == "table" and what or { what }
+  local is_right = names[1] ~= nil
+  for _, name in ipairs(names) do
+    is_right = is_right and (type(name) == "string" or type(what) == "function")
+  end
+  if is_right then return what end
+  error("rfsm_checks." .. where .. ": path of a state, name of a flag, list of them or "
+    .. "function expected, got " .. type(what), 3)
+end
+
+local function check_event(event, where)
+  if event ~= nil then return event end
+  error("rfsm_checks." .. where .. ": event expected, got nil", 3)
+end
+
+local is_count = opts.is_whole(1, 100)
+
+local function check_count(count, where)
+  if is_count(count) then return count end
+  error("rfsm_checks." .. where .. ": whole number from 1 to 100 expected, "
+    .. opts.got(count), 3)
+end
+
+local LONGEST = 1000000 -- seconds
+
+local function check_seconds(seconds, where)
+  if opts.is_seconds(seconds) and seconds > 0 and seconds <= LONGEST then
+    return seconds
+  end
+  error(("rfsm_checks.%s: seconds above 0 and up to %d expected, %s"):format(where,
+    LONGEST, opts.got(seconds)), 3)
+end
+
+local function new(kind, fields)
+  fields.kind = kind
+  return setmetatable(fields, Property)
+end
+
+-- Returns the first half of a property: a table of the functions that make the rest.
+local function first_half(where, functions)
+  return setmetatable(functions, { __index = function(_, name)
+    error(("rfsm_checks.%s: no '%s'%s, expected: %s"):format(where, rfsm.text_of(name),
+      advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(functions)),
+      concat(rfsm.sorted_keys(functions), ", ")), 2)
+  end })
+end
+
+--- Declare that a condition holds in no configuration.
+---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
+---@return rfsm_checks.Property
+function properties.never(condition)
+  return new("never", { what = check_condition(condition, "never") })
+end
+
+--- Declare that a condition holds in each configuration after the first entry.
+---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
+---@return rfsm_checks.Property
+function properties.always(condition)
+  return new("always", { what = check_condition(condition, "always") })
+end
+
+-- after(event).reach(goal), which may have a time.
+local function new_reach(event, goal)
+  local property = new("after", { event = event, goal = goal })
+  function property.within(seconds)
+    return new("reach_within", { event = event, goal = goal,
+      seconds = check_seconds(seconds, "after(...).reach(...).within") })
+  end
+  return property
+end
+
+--- Declare what an event leads to, once the machine was entered.
+--
+-- `after("e_stop").reach("root.stopped")`: in the step that has the event, or in those
+-- that follow without an event from outside, whatever guards answer; `.within(5)`: when
+-- 5 seconds are over, whatever else comes. `leads_to`: some time. `never`: from the end
+-- of that step on, the condition does not hold any more.
+--
+---@param event any
+---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
+function properties.after(event)
+  check_event(event, "after")
+  return first_half("after(...)", {
+    reach = function(goal)
+      return new_reach(event, check_condition(goal, "after(...).reach"))
+    end,
+    leads_to = function(goal)
+      return new("leads_to", { event = event,
+        goal = check_condition(goal, "after(...).leads_to") })
+    end,
+    never = function(goal)
+      return new("after_never", { event = event,
+        goal = check_condition(goal, "after(...).never") })
+    end,
+  })
+end
+
+--- Declare what becomes of a condition.
+--
+-- `from("root.fault").can_reach("root.ready")`: from each such configuration some run
+-- leads there. `left_within(2)`: when 2 seconds are over, the condition does not hold
+-- any more. `stays(2)`: once it holds, it does so for 2 seconds.
+--
+---@param condition any
+---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`
+function properties.from(condition)
+  check_condition(condition, "from")
+  return first_half("from(...)", {
+    can_reach = function(goal)
+      return new("from", { what = condition,
+        goal = check_condition(goal, "from(...).can_reach") })
+    end,
+    left_within = function(seconds)
+      return new("left_within", { what = condition,
+        seconds = check_seconds(seconds, "from(...).left_within") })
+    end,
+    stays = function(seconds)
+      return new("stays", { what = condition,
+        seconds = check_seconds(seconds, "from(...).stays") })
+    end,
+  })
+end
+
+--- Declare that one condition does not hold before another one has.
+---@param first any
+---@param second any
+---@return rfsm_checks.Property
+function properties.precedes(first, second)
+  return new("precedes", { what = check_condition(first, "precedes"),
+    goal = check_condition(second, "precedes") })
+end
+
+--- Declare that from the first entry on one condition holds until another one does,
+--- which comes some time.
+---@param first any
+---@param second any
+---@return rfsm_checks.Property
+function properties.until_(first, second)
+  return new("until", { what = check_condition(first, "until_"),
+    goal = check_condition(second, "until_") })
+end
+
+-- Returns the first half of a property that counts an event.
+local function counted(kind, count, event)
+  local where = kind .. "(...)"
+  return first_half(where, { within = function(seconds)
+    return new(kind, { count = count, event = event,
+      seconds = check_seconds(seconds, where .. ".within") })
+  end })
+end
+
+--- Declare how often an event comes in any time of some length:
+--- `at_most(3, "e_retry").within(10)`.
+---@param count integer steps with the event
+---@param event any
+---@return { within: fun(seconds: number): rfsm_checks.Property }
+function properties.at_most(count, event)
+  return (counted("at_most", check_count(count, "at_most"),
+    check_event(event, "at_most")))
+end
+
+--- The same for the least number, from the first entry on.
+---@param count integer
+---@param event any
+---@return { within: fun(seconds: number): rfsm_checks.Property }
+function properties.at_least(count, event)
+  return (counted("at_least", check_count(count, "at_least"),
+    check_event(event, "at_least")))
+end
+
+local function text_of(what)
+  if type(what) == "function" then return "a function" end
+  return type(what) == "table" and concat(what, " and ") or rfsm.text_of(what)
+end
+
+-- A text for each kind; the fields in braces are put in.
+local TEXTS = {
+  never = "never {what}", always = "always {what}",
+  after = "after {event} reach {goal}", from = "from {what} can reach {goal}",
+  leads_to = "after {event} leads to {goal}",
+  after_never = "after {event} never {goal}",
+  precedes = "{what} precedes {goal}", ["until"] = "{what} until {goal}",
+  reach_within = "after {event} reach {goal} within {seconds} s",
+  left_within = "from {what} left within {seconds} s",
+  stays = "from {what} stays {seconds} s",
+  at_most = "at most {count} {event} within {seconds} s",
+  at_least = "at least {count} {event} within {seconds} s",
+}
+
+function Property:__tostring()
+  return (TEXTS[self.kind]:gsub("{(%l+)}", function(field)
+    return text_of(self[field])
+  end))
+end
+
+-- Check ...........................................................................
+
+--- A property with its name, and what was found.
+---@class rfsm_checks.Judged
+---@field name string
+---@field property rfsm_checks.Property
+---@field holds boolean|nil nil if something was not tried and nothing was found
+---@field vacuous? string why nothing was there to be judged
+---@field is_monitored boolean
+---@field way rfsm_checks.Way
+---@field walk rfsm_checks.Walk
+---@field is_open? boolean it is not known, though everything was tried
+---@field at? integer configuration that shows that it does not
+---@field label? string of a step from there
+
+--- List properties with their names, sorted.
+---@param where string who is called, for errors
+---@param given table<any, rfsm_checks.Property>
+---@return rfsm_checks.Judged[] list
+function properties.list_of(where, given)
+  local list = {}
+  for key, property in order.each(given) do -- any order: sorted
+    if getmetatable(property) ~= Property then
+      error(where .. ": properties: never(...), after(...).reach(...) or another "
+        .. "property expected, got " .. type(property), 0)
+    end
+    local name = type(key) == "string" and key or Property.__tostring(property)
+    list[#list + 1] = { name = name, property = property, holds = nil }
+  end
+  sort(list, function(a, b) return a.name < b.name end)
+  return list
+end
+
+-- Returns the set of configurations in which a condition holds; with `field`, "from" or
+-- "tgt", also those with a step in which it holds for a moment.
+local function set_of(walk, condition, field)
+  local set = {}
+  for number = 2, #walk.keys do
+    set[number] = holds(condition, walk.subject:view(walk:configuration(number)))
+  end
+  for _, passed in ipairs(field and walk.passed or {}) do
+    local number = passed[field]
+    set[number] = set[number]
+      or holds(condition, walk.subject:view_of_moment(passed.moment))
+  end
+  return set
+end
+
+-- Notes the first configuration that is in one set and not in another as a violation.
+local function find_first(walk, judged, set, others)
+  for number = 2, #walk.keys do
+    if set[number] and not others[number] then
+      judged.holds, judged.at = false, number
+      return
+    end
+  end
+end
+
+local NONE = {}
+
+local function is_empty(set)
+  for _, is_in in order.each(set) do -- any order: is one there?
+    if is_in then return false end
+  end
+  return true
+end
+
+local JUDGES = {}
+
+-- Some moment of a step may fulfil the condition, too.
+function JUDGES.never(walk, judged)
+  find_first(walk, judged, set_of(walk, judged.property.what), NONE)
+  if judged.holds == false then return end
+  for _, passed in ipairs(walk.passed) do
+    if holds(judged.property.what, walk.subject:view_of_moment(passed.moment)) then
+      judged.holds, judged.at, judged.label = false, passed.from, passed.label
+      return
+    end
+  end
+end
+
+function JUDGES.always(walk, judged)
+  local entered = {}
+  for number = 2, #walk.keys do
+    entered[number] = walk:configuration(number)[1].leaf ~= false
+  end
+  find_first(walk, judged, entered, set_of(walk, judged.property.what))
+end
+
+-- With a bound nothing is known against it: the way may lead through the rest.
+function JUDGES.from(walk, judged)
+  local property = judged.property
+  local set = set_of(walk, property.what, "tgt")
+  if is_empty(set) then
+    judged.vacuous = "no configuration has " .. text_of(property.what)
+  elseif not walk.bound then
+    local goals = set_of(walk, property.goal, "from")
+    find_first(walk, judged, set, graph.can_reach(walk, goals))
+    local sure, is_known = graph.can_surely_reach(walk, goals), true
+    for number = 2, #walk.keys do
+      is_known = is_known and (not set[number] or sure[number] == true)
+    end
+    judged.is_open = not is_known
+  end
+end
+
+function JUDGES.after(walk, judged)
+  local set = graph.must_reach(walk, set_of(walk, judged.property.goal))
+  local event = rfsm.text_of(judged.property.event)
+  if not judged.has_come then
+    judged.vacuous = event .. " never comes"
+  elseif not judged.is_taken then
+    judged.vacuous = "no transition takes " .. event
+  end
+  for number = 1, #walk.keys do
+    local step = walk.owed[judged][number]
+    local is_known = number <= walk.expanded or not walk.bound
+    if step and is_known and not set[number]
+      and (not judged.at or step.from < judged.at) then
+      judged.holds, judged.at, judged.label = false, step.from, step.label
+    end
+  end
+end
+
+--- Raise an error for names that do not exist.
+---@param where string who is called
+---@param judged rfsm_checks.Judged
+---@param active fun(name: string): boolean
+function properties.check_names(where, judged, active)
+  local property = judged.property
+  for _, field in ipairs { "what", "goal" } do
+    local condition = property[field]
+    local ok, problem = pcall(holds, type(condition) ~= "function" and condition
+      or {}, active)
+    if not ok then
+      error(("%s: property '%s': %s"):format(where, judged.name, problem), 0)
+    end
+  end
+end
+
+-- Raises an error for an event that the machine would make itself, and does not.
+local function check_maker(own, judged)
+  local event = judged.property.event
+  if not own:maker_of(event) or own.event_numbers[event] or own.done[event] then
+    return
+  end
+  error(("rfsm_checks.explore: property '%s': no transition names the event '%s'%s")
+    :format(judged.name, event, advice.nearest_name(event, own:named_texts())), 0)
+end
+
+-- Is the event named by one of the transitions that the step took? Or do they take any?
+local function is_taken(own, event)
+  for _, number in ipairs(own.taken) do
+    local tr = own.transitions[number].tr
+    if match.names(tr, event) or rfsm.is_state(tr.src)
+      and match.triggers(tr, event) ~= false then
+      return true
+    end
+  end
+  return false
+end
+
+-- Has the walk note where steps with the events of `after` lead.
+local function watch_steps(walk, afters)
+  local own = walk.subject
+  function walk.look(_, from, tgt, _, label)
+    if not own.parts[1].position.leaf then return end -- before the first entry
+    for _, judged in ipairs(afters) do
+      local owed, event = walk.owed[judged], judged.property.event
+      if own.wanted[event] then
+        judged.has_come = true
+        judged.is_taken = judged.is_taken or is_taken(own, event)
+        owed[tgt] = owed[tgt] or { from = from, label = label() }
+      end
+    end
+  end
+end
+
+-- Has a walk take steps with the event of a property.
+local function want_event(walk, judged)
+  local event = judged.property.event
+  walk.wanted[#walk.wanted + 1], walk.subject.wanted[event] = event, false
+  if monitors.follows[judged.property.kind] and not walk.is_together_given then
+    walk.together = 2
+  end
+end
+
+--- List the properties of an exploration.
+-- @raise if one of them names what is not there
+---@param own rfsm_checks.Subject
+---@param given table<any, rfsm_checks.Property>
+---@return rfsm_checks.Judged[] list sorted by name
+function properties.list_for(own, given)
+  local where = "rfsm_checks.explore"
+  local list = properties.list_of(where, given)
+  local active = own:view(own:configuration(own:read()))
+  for _, judged in ipairs(list) do
+    properties.check_names(where, judged, active)
+    if judged.property.event ~= nil then check_maker(own, judged) end
+    judged.is_monitored = not JUDGES[judged.property.kind]
+  end
+  return list
+end
+
+--- Prepare a walk for the properties that are judged on it, but for those that have a
+--- monitor. All walks have as many events in a step.
+---@param walk rfsm_checks.Walk
+---@param list rfsm_checks.Judged[]
+function properties.watch(walk, list)
+  local afters = {}
+  walk.owed = {}
+  for _, judged in ipairs(list) do
+    local is_after = judged.property.kind == "after"
+    if is_after and not walk.is_together_given then walk.together = 2 end
+    if is_after and judged.way == walk.way then
+      want_event(walk, judged)
+      afters[#afters + 1], walk.owed[judged] = judged, {}
+    end
+  end
+  if afters[1] then watch_steps(walk, afters) end
+end
+
+--- Prepare a walk for the monitor of a property. Each has one of its own: what the
+--- monitor has seen tells configurations apart.
+---@param walk rfsm_checks.Walk
+---@param judged rfsm_checks.Judged
+function properties.monitor(walk, judged)
+  walk.monitored[1] = judged
+  if judged.property.event ~= nil then want_event(walk, judged) end
+end
+
+-- What its monitor has seen, and what has to come some time and need not.
+local function judge_monitored(walk, judged)
+  if judged.property.event ~= nil and not judged.has_come then
+    judged.vacuous = rfsm.text_of(judged.property.event) .. " never comes"
+  end
+  local owes = monitors.owes[judged.property.kind]
+  if owes and judged.holds == nil then fairness.judge(walk, judged, owes) end
+end
+
+--- Judge a property when its walk is over.
+function properties.judge(walk, judged)
+  local judge = JUDGES[judged.property.kind] or judge_monitored
+  judge(walk, judged)
+  if not (walk.bound or walk:is_entered()) then
+    judged.holds, judged.vacuous = nil, "the machine is never entered"
+  end
+  if judged.holds == nil and not (walk.bound or judged.is_open) then
+    judged.holds = true
+  end
+end
+
+return properties

@@ -1,0 +1,244 @@
+--- Reactions: the events that can have an effect while a leaf is active, and those of
+--- them that may come next.
+--
+-- An event that a machine in a sequential AND state can react to counts for the leaf
+-- that has the machine, and for those from which a transition leads there: the events
+-- of an iteration are forwarded.
+--
+-- @module rfsm.explore.reactions
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
+
+local ipairs, type = ipairs, type
+local is_conn = rfsm.is_conn
+
+local reactions = {}
+
+--- What can have an effect in a leaf: a list of events, and more.
+---@class rfsm_checks.Reactions
+---@field [integer] any
+---@field set table<any, boolean> the same events as a set
+---@field any boolean any other event can, too
+---@field has_predicate boolean
+---@field timers string[] time events of states that are active
+---@field sets any[][] sets of several events without which a path cannot be taken
+---@field is_cut boolean there are more than MANY_SETS of them
+---@field outside rfsm_checks.Occurrence[]|false the events from outside, when known
+---@field own table<any, boolean>|false the set without events of regions in the leaf;
+-- false: any event
+
+local add_reactions, add_regions
+
+local function add_event(found, event)
+  if type(event) == "function" then
+    found.has_predicate, found.any = true, true
+  elseif not found.set[event] then
+    found.set[event], found[#found + 1] = true, event
+  end
+end
+
+-- Adds the events of a transition.
+local function add_events(found, tr)
+  if match.begins_on_any(tr) then found.any = true end
+  for _, event in ipairs(tr.events or {}) do add_event(found, event) end
+  for _, name in ipairs(match.awaited(tr)) do add_event(found, name) end
+end
+
+-- Adds all events that the regions of a leaf name, whatever state they are in.
+function add_regions(found, leaf)
+  for _, region in ipairs(rfsm.regions(leaf)) do
+    for _, tr in ipairs(rfsm.elements(region, rfsm.is_trans)) do
+      add_events(found, tr)
+    end
+    for _, inner in ipairs(rfsm.elements(region, rfsm.is_leaf)) do
+      add_regions(found, inner)
+    end
+  end
+end
+
+-- Lists the nodes to which a transition may lead. Of a composite with a history it may
+-- be any: see rfsm/history.lua.
+local function targets_of(tr)
+  if not tr._initial then return { tr.tgt } end
+  return rfsm.elements(tr._initial._parent, rfsm.is_node)
+end
+
+-- Collects the events of the transitions from a node, and of those behind connectors.
+function add_reactions(found, node, seen)
+  if seen[node] then return end
+  seen[node] = true
+  for _, tr in ipairs(node._otrs) do
+    add_events(found, tr)
+    for _, tgt in ipairs(targets_of(tr)) do
+      local add = is_conn(tgt) and add_reactions or add_regions
+      add(found, tgt, seen)
+    end
+  end
+end
+
+-- Adds the events of the regions of the active leaf to the set alone: those that can
+-- have an effect now are listed for the regions themselves.
+local function add_own_regions(found, leaf)
+  local count = #found
+  found.own = not (found.any or found.has_predicate) and {}
+  for event in order.each(found.own and found.set or {}) do -- any order: a set
+    found.own[event] = true
+  end
+  add_regions(found, leaf)
+  for i = #found, count + 1, -1 do found[i] = nil end
+end
+
+local function add_timers(found, nodes)
+  local is_active = {}
+  for _, node in ipairs(nodes) do is_active[node._fqn] = true end
+  for _, event in ipairs(found) do
+    local _, fqn = match.maker_of(event)
+    if fqn and is_active[fqn] then found.timers[#found.timers + 1] = event end
+  end
+end
+
+-- Lists the sets of events that a path needs with a segment more. A predicate may
+-- accept an event that is there already.
+local function extend(set, tr)
+  local sets, is_free = {}, match.is_any(tr)
+  for _, event in ipairs(tr.events or {}) do
+    if match.has(set, event) then return { set } end
+    if type(event) == "function" then
+      is_free = true
+    else
+      sets[#sets + 1] = match.with(set, event)
+    end
+  end
+  if is_free then sets[#sets + 1] = set end
+  return sets
+end
+
+local MANY_SETS = 1000 -- of one leaf; more are not tried
+
+-- Adds the sets of several events that the paths from a transition on need.
+local function add_sets(found, tr, set, seen)
+  if seen[tr] or found.is_cut then return end
+  seen[tr] = true
+  for _, longer in ipairs(extend(set, tr)) do
+    local is_end = false
+    for _, tgt in ipairs(targets_of(tr)) do
+      is_end = is_end or not is_conn(tgt)
+      for _, way in ipairs(is_conn(tgt) and tgt._otrs or {}) do
+        add_sets(found, way, longer, seen)
+      end
+    end
+    if is_end and longer[2] ~= nil then
+      found.is_cut = #found.sets >= MANY_SETS
+      if found.is_cut then break end
+      found.sets[#found.sets + 1] = longer
+    end
+  end
+  seen[tr] = nil
+end
+
+--- Collect what can have an effect in a leaf of a machine.
+---@param fsm rfsm.Machine
+---@param leaf rfsm.State|false false before the first entry
+---@return rfsm_checks.Reactions reactions
+function reactions.collect(fsm, leaf)
+  local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
+    is_cut = false, own = false, outside = false }
+  local seen, nodes = {}, location.tried(fsm, leaf)
+  if not leaf then found.set.e_init_fsm = true end
+  for i = #nodes, 1, -1 do
+    add_reactions(found, nodes[i], seen)
+    for _, tr in ipairs(nodes[i]._otrs) do add_sets(found, tr, {}, {}) end
+  end
+  add_timers(found, leaf and nodes or {})
+  if leaf then add_own_regions(found, leaf) end
+  return found
+end
+
+--- Return the same for a part of a subject, collected once.
+function reactions.of(part, leaf)
+  local known = part.known[leaf]
+  known.reactions = known.reactions or reactions.collect(part.fsm, leaf)
+  return known.reactions
+end
+
+-- What may come .....................................................................
+
+--- Stands for each event that no transition names.
+reactions.OTHER = "(another event)"
+
+local function is_allowed(self, event)
+  return not self.alphabet or match.has(self.alphabet, event)
+end
+
+-- Lists the events from outside that can have an effect in a leaf, once for each leaf.
+local function outside_of(self, found)
+  if found.outside then return found.outside end
+  local list, is_listed = {}, {}
+  local function add(event)
+    if not (is_listed[event] or self:maker_of(event)) and is_allowed(self, event) then
+      is_listed[event] = true
+      list[#list + 1] = self:occurrence(self.parts[1], event)
+    end
+  end
+  for _, event in ipairs(found) do add(event) end
+  for _, event in ipairs(found.any and self.alphabet or {}) do add(event) end
+  if found.any then add(reactions.OTHER) end
+  found.outside = list
+  return list
+end
+
+-- Adds a set of several events, but for those that the machine makes itself; not if one
+-- of them cannot come.
+local function add_set(self, part, sets, set, timers)
+  local kept = {}
+  for _, event in ipairs(set) do
+    local maker = self:maker_of(event)
+    if maker == "timer" then
+      if not (part.timed[event] or match.has(timers, event)) then return end
+      if not part.timed[event] then kept[#kept + 1] = self:occurrence(part, event) end
+    elseif not maker then
+      if not is_allowed(self, event) then return end
+      kept[#kept + 1] = self:occurrence(self.parts[1], event)
+    end
+  end
+  if kept[2] ~= nil then sets[#sets + 1] = kept end
+end
+
+--- List the events that may come in a configuration and can have an effect: from
+--- outside, and time events; and the sets of several that a path through connectors
+--- needs.
+---@param self rfsm_checks.Subject
+---@param conf rfsm_checks.Configuration
+---@return rfsm_checks.Occurrence[] events
+---@return rfsm_checks.Occurrence[][] sets
+---@return boolean is_cut there are more sets than these
+function reactions.that_may_come(self, conf)
+  local list, sets, is_cut, is_listed, leaf_of = {}, {}, false, {}, {}
+  for i, part in ipairs(self.parts) do
+    leaf_of[part] = conf[i].leaf
+    if not part.owner or leaf_of[part.owner] == part.leaf then
+      local found = reactions.of(part, conf[i].leaf)
+      for _, event in ipairs(outside_of(self, found)) do
+        if not is_listed[event] then
+          is_listed[event], list[#list + 1] = true, event
+        end
+      end
+      for _, timer in ipairs(found.timers) do
+        if not part.timed[timer] then
+          list[#list + 1] = self:occurrence(part, timer)
+        end
+      end
+      for _, set in ipairs(found.sets) do
+        add_set(self, part, sets, set, found.timers)
+      end
+      is_cut = is_cut or found.is_cut
+    end
+  end
+  return list, sets, is_cut
+end
+
+return reactions

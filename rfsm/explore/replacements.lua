@@ -1,0 +1,246 @@
+--- Replacements: what an exploration runs in place of the callbacks of a chart.
+--
+-- That of an entry, exit or effect sets the flags and sends the events that the options
+-- name. It is named by its callback: "entry root.a", "effect root.trans[2]".
+--
+-- @module rfsm.explore.replacements
+-- @license BSD-3-Clause
+
+local calls = require "rfsm.shared.calls"
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local files = require "rfsm.shared.files"
+local opts = require "rfsm.shared.options"
+
+local error, getmetatable, io, ipairs = error, getmetatable, io, ipairs
+local math, pairs = math, pairs
+local rawget, table, type = rawget, table, type
+local concat, max, min = table.concat, math.max, math.min
+local getinfo = (rawget(_G, "debug") or {}).getinfo
+local getupvalue = (rawget(_G, "debug") or {}).getupvalue
+
+local replacements = {}
+
+-- Options ...........................................................................
+
+local function is_list(value)
+  if type(value) ~= "table" or getmetatable(value) or rfsm.is_fsmobj(value) then
+    return false
+  end
+  local count = 0
+  for _ in pairs(value) do count = count + 1 end -- any order: a number
+  return count == #value
+end
+
+local FLAG = { on = true, off = true }
+
+local function check_flag(where, flag)
+  if type(flag) ~= "table" then
+    return where .. ": table with the lists 'on' and 'off' expected, " .. opts.got(flag)
+  end
+  for _, field in ipairs(rfsm.sorted_keys(flag)) do
+    if not FLAG[field] then
+      return ("%s: no field '%s'%s"):format(where, rfsm.text_of(field),
+        advice.nearest_name(rfsm.text_of(field), { "off", "on" }))
+    elseif not is_list(flag[field]) then
+      return ("%s.%s: list of callbacks expected, %s"):format(where, field,
+        opts.got(flag[field]))
+    end
+  end
+  if not (flag.on and flag.on[1]) then
+    return where .. ".on: callbacks that switch it on expected, got none"
+  end
+end
+
+--- Is it a table of flags: { motor = { on = {...}, off = {...} } }?
+---@return boolean is_right
+---@return string? problem
+function replacements.check_flags(flags)
+  if type(flags) ~= "table" then return false end
+  for _, name in ipairs(rfsm.sorted_keys(flags)) do
+    local problem = check_flag(rfsm.text_of(name), flags[name])
+    if problem then return false, problem end
+  end
+  return true
+end
+
+--- Is it a table of lists of events: { ["entry root.a"] = { "e_x" } }?
+---@return boolean is_right
+---@return string? problem
+function replacements.check_sends(sends)
+  if type(sends) ~= "table" then return false end
+  for _, name in ipairs(rfsm.sorted_keys(sends)) do
+    if not is_list(sends[name]) then
+      return false, ("['%s']: list of events expected, %s"):format(rfsm.text_of(name),
+        opts.got(sends[name]))
+    end
+  end
+  return true
+end
+
+--- Is it a list?
+function replacements.check_list(value) return is_list(value) end
+
+-- Callbacks that change the chart ....................................................
+
+local sources = {} -- lines by the source of a function
+
+local function lines_of(source)
+  if sources[source] then return sources[source] end
+  local text, lines = source, {}
+  if source:sub(1, 1) == "@" then
+    text = io and files.read(source:sub(2)) or ""
+  end
+  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
+    lines[#lines + 1] = line:gsub("%-%-.*$", "")
+  end
+  sources[source] = lines
+  return lines
+end
+
+local may_write_target
+
+-- Do the functions that a text names, or that are upvalues of `callback`, write one?
+local function calls_writer(callback, text, seen)
+  local i = 1
+  while getupvalue(callback, i) do
+    local _, value = getupvalue(callback, i)
+    if may_write_target(value, seen) then return true end
+    i = i + 1
+  end
+  for name in text:gmatch("[%a_][%w_]*") do
+    if may_write_target(rawget(_G, name), seen) then return true end
+  end
+  return false
+end
+
+-- Is there an assignment to a field `tgt` in the lines of a function, or in those of a
+-- function that it names?
+function may_write_target(callback, seen)
+  if type(callback) ~= "function" or seen[callback] then return false end
+  seen[callback] = true
+  local info = getinfo(callback, "S")
+  if info.what == "C" then return false end
+  local text = concat(lines_of(info.source), "\n", max(info.linedefined, 1),
+    min(max(info.lastlinedefined, 1), #lines_of(info.source)))
+  return text:find("%.%s*tgt%s*=[^=]") ~= nil or text:find("%[?[\"']tgt[\"']%]%s*=[^=]")
+    ~= nil or calls_writer(callback, text, seen)
+end
+
+--- Note a callback that may write the target of a transition.
+function replacements.note_writer(self, name, callback)
+  if getinfo and may_write_target(callback, {}) then
+    table.insert(self.writers, name)
+  end
+end
+
+-- Replacements ......................................................................
+
+-- Calls a callback. Returns the events that it sends to its machine, which are taken
+-- from the queue, and what `calls.try` does.
+local function call_apart(callback, fsm, ...)
+  local sent, first = {}, #fsm._intq + 1
+  local ok, failure = calls.try(callback, fsm, ...)
+  for i = first, #fsm._intq do sent[#sent + 1] = fsm._intq[i] end
+  for i = #fsm._intq, first, -1 do fsm._intq[i] = nil end
+  return sent, ok, failure
+end
+
+-- Returns a function that calls the callback, notes its name, what it sends, and the
+-- failure.
+local function new_call(self, name, callback)
+  return function(...)
+    local called = self.called
+    called[#called + 1] = name
+    local sent, ok, failure = call_apart(callback, ...)
+    for i = 1, #sent do called[#called + 1] = "sends " .. rfsm.text_of(sent[i]) end
+    if not ok then
+      called[#called + 1] = "fails: " .. rfsm.text_of(failure):gsub("^.-:%d+: ", "")
+    end
+  end
+end
+
+-- Returns what a callback sends in a dry run.
+local function dry_events(self, callback, fsm, obj, what)
+  if not (self.is_dry_run and callback) then return {} end
+  return (call_apart(callback, fsm, obj, what, {}))
+end
+
+-- Returns a function that calls a callback to be run, sets flags, sends events; nil if
+-- there is nothing to do.
+local function new_replacement(self, part, run, flags, events)
+  if not (flags[1] or events[1] ~= nil or run) then return nil end
+  return function(own, ...)
+    if run then calls.try(run, own, ...) end
+    for _, flag in ipairs(flags) do self.flags[flag.number] = flag.value end
+    for i = 1, #events do
+      rfsm.send_events(own, events[i])
+      self.sent[#self.sent + 1] = { prefix = part.prefix, event = events[i] }
+    end
+  end
+end
+
+--- Note that a callback may exist; return its replacement.
+---@param self rfsm_checks.Subject
+---@param what "entry"|"exit"|"effect"
+---@param path string
+---@param part rfsm_checks.Part
+---@param obj rfsm.State|rfsm.Transition
+---@param callback function|nil
+---@return function? replacement nil if it has nothing to do
+function replacements.new(self, what, path, part, obj, callback)
+  local name = what .. " " .. path
+  self.callbacks[name] = part
+  replacements.note_writer(self, name, callback)
+  if self.calls_callbacks then
+    local short = what == "effect" and what or what .. " " .. path:gsub("^root%.", "")
+    return callback and new_call(self, short, callback)
+  end
+  if callback then self.is_met[callback] = true end
+  local run = self.runs[callback or false] and callback
+  local events = self.sends[name] or run and {}
+    or dry_events(self, callback, part.fsm, obj, what)
+  return new_replacement(self, part, run, self.flags_of[name] or {}, events)
+end
+
+-- Has the replacements that are named set a flag.
+local function set_flag(self, names, number, value)
+  for _, name in ipairs(names or {}) do
+    self.flags_of[name] = self.flags_of[name] or {}
+    table.insert(self.flags_of[name], { number = number, value = value })
+  end
+end
+
+--- Turn { motor = { on = { "entry root.a" }, off = { ... } } } into what is to be done
+--- by name, with a number for each flag.
+function replacements.read_flags(self, flags)
+  for number, name in ipairs(rfsm.sorted_keys(flags)) do
+    self.flag_numbers[name], self.flags[number] = number, "-"
+    set_flag(self, flags[name].on, number, "+")
+    set_flag(self, flags[name].off, number, "-")
+  end
+end
+
+--- Raise an error if a flag is named like a state: a condition could mean both.
+function replacements.check_flag_names(self)
+  for _, name in ipairs(rfsm.sorted_keys(self.flag_numbers)) do
+    if self.names[name] then
+      error(("flags: '%s' is the path of a state, use another name"):format(name), 0)
+    end
+  end
+end
+
+--- Raise an error if a callback that is named does not exist.
+---@param self rfsm_checks.Subject
+---@param named table<string, any>
+---@param field string
+function replacements.check_names(self, named, field)
+  for _, name in ipairs(rfsm.sorted_keys(named)) do
+    if not self.callbacks[name] then
+      error(("%s: no callback '%s'%s"):format(field, rfsm.text_of(name),
+        advice.nearest_name(rfsm.text_of(name), rfsm.sorted_keys(self.callbacks))), 0)
+    end
+  end
+end
+
+return replacements

@@ -1,0 +1,813 @@
+--- A subject: a machine of a model whose callbacks are replaced. Exploration runs the
+--- engine with it.
+--
+-- The answer of a guard is a choice, and so is that of a predicate among events, and
+-- whether a doo ends. Entries, exits and effects set flags and send events
+-- (`rfsm.explore.replacements`). The clock stands still: time events come when a step
+-- says so.
+-- The machine, and those inside of sequential AND states, are the *parts* of a subject.
+--
+-- A *position* is where one part is: its active leaf, the mode of that, the events that
+-- wait, and those that transitions with await have received. A configuration is a
+-- position for each part, and the flags. Events that nothing in the leaf can react
+-- to are left out of it. Its key is a text.
+--
+-- The file reads in this order: the machines, configurations, steps, public functions.
+--
+-- @module rfsm.explore.subject
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local data = require "rfsm.explore.data"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
+local reactions = require "rfsm.explore.reactions"
+local order = require "rfsm.shared.order"
+local static = require "rfsm.checks.static"
+local replacements = require "rfsm.explore.replacements"
+
+local error, ipairs, pcall = error, ipairs, pcall
+local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
+local tonumber, type = tonumber, type
+local concat, sort = table.concat, table.sort
+local max, min = math.max, math.min
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local subject = {}
+
+--- The machines of a model, with what was asked of them in the last step.
+---@class rfsm_checks.Subject
+---@field parts rfsm_checks.Part[] the machine itself first
+---@field transitions table[] `tr`, `path`, and `part` with its `prefix`
+---@field names table<string, rfsm.State> states by path
+---@field part_of table<string, rfsm_checks.Part> the same for their parts
+---@field path_of table<rfsm.State, string>
+---@field paths string[] of the states, in the order of the tree
+---@field flags ("+"|"-")[] see `options.flags`
+---@field writers string[] callbacks that may write the targets of transitions
+---@field free table<string, true> what the chart has: guards, predicates, timers, doos
+---@field wanted table<any, boolean> events of properties: did it come in a step?
+---@field passed rfsm_checks.Moment[] of the last step
+---@field entered table<rfsm.State, boolean> states with a doo or timers, entered by it
+---@field sent { prefix: string, event: any }[] by replacements, in the last step
+---@field called string[] of the last step, with `options.callbacks`
+---@field now number seconds, as time events see them
+---@field steps integer that were taken
+---@field leaves_out boolean leave out of steps the regions in which nothing happens?
+---@field trimmed rfsm.State|false the state that lacks regions now
+---@field notes_events boolean keep in `last_events` those that iterations had?
+---@field choices boolean[] in the order in which they were asked
+---@field askers string[] who asked: the path of a transition or leaf
+---@field is_doo boolean[] whether that was a doo
+---@field is_known boolean[] whether there was no choice
+---@field asked integer how many there were
+---@field taken integer[] numbers of the transitions that the last step took
+local Subject = {}
+Subject.__index = Subject
+
+--- One of the machines of a subject.
+---@class rfsm_checks.Part
+---@field fsm rfsm.Machine
+---@field prefix string see `rfsm.machines`
+---@field owner rfsm_checks.Part|false the part around it
+---@field leaf rfsm.State|false where it is in that part
+---@field is_bound boolean a callback is called, or there is a rule for a guard
+---@field known table<rfsm.State|false, rfsm_checks.Leaf>
+---@field positions rfsm_checks.Position[] the positions that it can have
+---@field ids table<string, integer> their numbers
+---@field timed table<string, boolean> time events whose order is known
+---@field position rfsm_checks.Position where it was put
+---@field rounds integer iterations since then
+---@field plain table<rfsm.State, table<string, rfsm_checks.Position>> by leaf and mode:
+-- positions in which nothing waits
+---@field inner rfsm_checks.Part[] the regions, by the order of the tree
+---@field is_single boolean it takes one step at most in a step: no state but a
+-- composite is entered and left again
+---@field is_quiet boolean the step leaves it out, since nothing would happen in it
+
+--- An event that comes to a part of a subject in a step.
+---@class rfsm_checks.Occurrence
+---@field part rfsm_checks.Part
+---@field event any
+---@field number integer
+---@field alone rfsm_checks.Occurrence[] a list of this one
+
+--- A moment in a step: the entry of a state that the same step leaves again.
+---@class rfsm_checks.Moment
+---@field active table<string, boolean> paths of states, if the step has left it
+---@field nodes rfsm.State[]
+---@field flags string
+
+--- What is known of a leaf, or of a machine that was not entered.
+---@class rfsm_checks.Leaf
+---@field state rfsm.State|false
+---@field number integer
+---@field path string of the leaf
+---@field paths string[] of the leaf and the states around it
+---@field reactions rfsm_checks.Reactions|false
+
+--- A position of a machine.
+---@class rfsm_checks.Position
+---@field id integer
+---@field leaf rfsm.State|false
+---@field known rfsm_checks.Leaf
+---@field mode string
+---@field waiting any[] events
+---@field received string a digit for each event of each await
+---@field targets table[] see `read_history`
+
+--- The positions of all of them, and `flags`, a text.
+---@alias rfsm_checks.Configuration rfsm_checks.Position[]
+
+local NOTHING = {}
+
+-- The machines ....................................................................
+
+-- Asks for the next of the choices that were set; the default is true. One that is
+-- known has no other side.
+function Subject:choose(who, is_doo, known)
+  local n = self.asked + 1
+  self.asked = n
+  self.askers[n], self.is_doo[n] = who, is_doo or false
+  self.is_known[n] = known ~= nil
+  if known ~= nil then self.choices[n] = known end
+  if self.choices[n] == nil then self.choices[n] = true end
+  return self.choices[n]
+end
+
+-- Makes a doo that ends when it is told to. Only its first cycle of a step asks whether
+-- it ends.
+local function new_doo(self, part, who)
+  return function()
+    while true do
+      if (part.owner or part.rounds == 1) and self:choose(who, true) then return end
+      rfsm.yield(true)
+    end
+  end
+end
+
+-- A number for each event there is.
+function Subject:number_of_event(event)
+  local number = self.event_numbers[event]
+  if not number then
+    number = #self.event_list + 1
+    self.event_list[number], self.event_numbers[event] = event, number
+  end
+  return number
+end
+
+--- Who makes an event: see `match.maker_of`. An e_done of what is no leaf comes from
+--- outside.
+function Subject:maker_of(event)
+  local maker, fqn = match.maker_of(event)
+  if maker == "engine" and event ~= "e_init_fsm" and not self.done[event] then
+    return nil
+  end
+  return maker, fqn
+end
+
+--- Return the occurrence of an event in a part: always the same table.
+---@return rfsm_checks.Occurrence
+function Subject:occurrence(part, event)
+  local found = part.occurrences[event]
+  if not found then
+    found = { part = part, event = event, number = #self.occurrences + 1, alone = {} }
+    found.alone[1] = found
+    part.occurrences[event], self.occurrences[found.number] = found, found
+  end
+  return found
+end
+
+-- Notes the nodes that are active in the moment in which a state is entered.
+local function note_moment(self, state)
+  local nodes, count = {}, 0
+  for _, part in ipairs(self.parts) do
+    local node = not part.is_quiet and part.fsm._mode ~= "inactive" and part.fsm
+    while node do
+      count = count + 1
+      nodes[count] = node
+      node = rfsm.actchild_get(node)
+    end
+  end
+  self.moments[#self.moments + 1] = { state = state, nodes = nodes,
+    flags = self.flags[1] and concat(self.flags) or "" }
+end
+
+-- Returns the paths that are active in a moment.
+local function paths_in(self, moment)
+  local active = {}
+  for _, node in ipairs(moment.nodes) do active[self.path_of[node]] = true end
+  for _, part in ipairs(self.parts) do
+    for _, path in ipairs(part.is_quiet and part.position.known.paths or NOTHING) do
+      active[path] = true
+    end
+  end
+  return active
+end
+
+-- Returns the replacement of a callback.
+local function new_replacement(self, what, path, part, obj, callback)
+  if callback and self.runs[callback] then part.is_bound = true end
+  return replacements.new(self, what, path, part, obj, callback)
+end
+
+local function make_state(self, part, state)
+  local path = location.path(state, part.prefix)
+  self.names[path], self.paths[#self.paths + 1] = state, path
+  self.part_of[path], self.path_of[state] = part, path
+  local own = state._regions or state -- the callbacks of such a state are the library's
+  local entry = new_replacement(self, "entry", path, part, state, own.entry)
+  own.entry = entry
+  if not part.is_single or not rfsm.is_root(state) and rfsm.is_composite(state)
+    and location.is_passable(state) then
+    function own.entry(...)
+      if entry then entry(...) end
+      note_moment(self, state)
+    end
+  end
+  own.exit = new_replacement(self, "exit", path, part, state, own.exit)
+  if state.doo and not state._regions then
+    replacements.note_writer(self, "doo " .. path, state.doo)
+    state.doo, self.free.doos = new_doo(self, part, path), true
+  end
+  state.prepare = nil
+  if state.doo or state._timers then
+    rfsm.entry_hook_add(part.fsm, state, function() self.entered[state] = true end)
+  end
+end
+
+-- Notes the events of a transition, and those that its await waits for.
+local function note_events(self, tr)
+  for _, event in ipairs(tr.events or {}) do
+    if type(event) ~= "function" then self:number_of_event(event) end
+    if match.maker_of(event) == "timer" then self.free.timers = true end
+  end
+  for _, name in ipairs(match.awaited(tr)) do self:number_of_event(name) end
+end
+
+local function make_transition(self, part, tr)
+  local number, path = #self.transitions + 1, location.path(tr, part.prefix)
+  self.number_of[tr] = number
+  self.transitions[number] = { tr = tr, path = path, prefix = part.prefix,
+    part = part }
+  note_events(self, tr)
+  if tr.guard then
+    replacements.note_writer(self, "guard " .. path, tr.guard)
+    if not self.runs[tr.guard] then self.free.guards = true end
+    if self.runs[tr.guard] or self.rules[tr.guard] then part.is_bound = true end
+    tr.guard = data.new_guard(self, path, tr.guard)
+  end
+  local replacement = new_replacement(self, "effect", path, part, tr, tr.effect)
+  tr.likely = nil
+  tr.effect = function(...)
+    self.taken[#self.taken + 1] = number
+    if replacement then replacement(...) end
+  end
+end
+
+local ROUNDS = 1000 -- more than any step needs that ends
+
+local function count_round(self, part)
+  part.rounds = part.rounds + 1
+  if part.rounds > ROUNDS then
+    self.is_endless = true
+    error("endless", 0)
+  end
+end
+
+-- Notes the events of properties that an iteration has.
+local function new_hook(self, part)
+  return function(_, events)
+    count_round(self, part)
+    for i = 1, #events do
+      local event = events[i]
+      if self.notes_events then self.last_events[#self.last_events + 1] = event end
+      if self.wanted[event] ~= nil and (not part.owner or match.maker_of(event)) then
+        self.wanted[event] = true
+      end
+    end
+  end
+end
+
+-- Notes a leaf, or false for a machine that was not entered.
+local function add_leaf(part, leaf, number)
+  local paths = {}
+  for i, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
+    paths[i] = location.path(node, part.prefix)
+  end
+  part.known[leaf] = { state = leaf, number = number, path = paths[#paths],
+    paths = paths, reactions = false }
+end
+
+local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
+
+-- Does a machine take one step at most in a step of the subject?
+local function is_single(part)
+  if not part.owner then return true end
+  local steps = part.leaf.step or 1
+  return part.owner.is_single and not part.leaf.run and steps < 2
+end
+
+-- Makes a machine a part of the subject.
+local function add_part(self, part)
+  local fsm = part.fsm
+  part.known, part.positions, part.ids, part.position = {}, {}, {}, false
+  part.plain, part.inner = {}, {}
+  part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
+  if part.owner then table.insert(part.owner.inner, part) end
+  part.occurrences, part.timed, part.rounds = {}, {}, 0
+  self.parts[#self.parts + 1] = part
+  for _, name in ipairs(SILENT) do fsm[name] = nil end
+  fsm.info, fsm.err, fsm.warn = false, false, false
+  fsm.gettime = function() return self.now, 0 end
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    make_state(self, part, state)
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    make_transition(self, part, tr)
+  end
+  add_leaf(part, false, 0)
+  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
+    self.done["e_done@" .. leaf._fqn] = true
+    add_leaf(part, leaf, i)
+  end
+  rfsm.pre_step_hook_add(fsm, new_hook(self, part))
+end
+
+-- Configurations ..................................................................
+
+-- Leaves out what has no effect in the leaf, and what is there twice. Of events that
+-- count only as any event at all, one is kept if there is no other.
+local function relevant(self, part, leaf, events)
+  local found, kept, is_kept, other = reactions.of(part, leaf), {}, {}, nil
+  for i = 1, #events do
+    local event = events[i]
+    local is_known = found.has_predicate or found.set[event]
+      or self.wanted[event] ~= nil
+    if is_known and not is_kept[event] then
+      kept[#kept + 1], is_kept[event] = event, true
+    elseif not is_known and other == nil then
+      other = event
+    end
+  end
+  if leaf and found.any and kept[1] == nil then kept[1] = other end
+  return kept
+end
+
+-- Returns a digit for each event that the transitions with await of a machine wait for:
+-- 1 if it was received. See rfsm/await.lua for the tables.
+local function read_awaits(fsm)
+  local digits = {}
+  for _, await in ipairs(fsm._awaits or {}) do
+    for _, event in ipairs(await.wanted) do
+      digits[#digits + 1] = await.received[event] and "1" or "0"
+    end
+  end
+  return concat(digits)
+end
+
+local function put_awaits(fsm, digits)
+  local at = 0
+  for _, await in ipairs(fsm._awaits) do
+    await.missing = 0
+    for _, event in ipairs(await.wanted) do
+      at = at + 1
+      await.received[event] = digits:sub(at, at) == "1"
+      if not await.received[event] then await.missing = await.missing + 1 end
+    end
+  end
+end
+
+-- Returns the targets of the transitions that enter a composite with a history, and a
+-- text of them. See rfsm/history.lua.
+local function read_history(fsm)
+  local targets, names = {}, {}
+  for i, tr in ipairs(fsm._history or NOTHING) do
+    targets[i], names[i] = tr.tgt, tr.tgt._fqn
+  end
+  return targets, concat(names, ",")
+end
+
+-- Does none of the events that wait in a leaf have an effect?
+local function is_plain(self, part, leaf)
+  local fsm, found = part.fsm, reactions.of(part, leaf)
+  if found.any or found.has_predicate or fsm._awaits or fsm._history then
+    return false
+  end
+  for _, event in ipairs(fsm._intq) do
+    if found.set[event] or self.wanted[event] ~= nil then return false end
+  end
+  return true
+end
+
+local find_position
+
+-- Returns the position of a machine, with the events that wait: always the same table.
+local function read_position(self, part)
+  local leaf = part.fsm._act_leaf
+  local mode = leaf and leaf._mode or "inactive"
+  if not is_plain(self, part, leaf) then
+    return find_position(self, part, leaf, mode)
+  end
+  local by_mode = part.plain[leaf] or {}
+  part.plain[leaf] = by_mode
+  by_mode[mode] = by_mode[mode] or find_position(self, part, leaf, mode)
+  return by_mode[mode]
+end
+
+function find_position(self, part, leaf, mode)
+  local numbers = {}
+  local waiting = relevant(self, part, leaf, part.fsm._intq)
+  for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
+  sort(numbers)
+  local known, received = part.known[leaf], read_awaits(part.fsm)
+  local targets, names = read_history(part.fsm)
+  local key = known.number .. mode .. concat(numbers, ",") .. ":" .. received .. names
+  local id = part.ids[key] or #part.positions + 1
+  part.ids[key] = id
+  part.positions[id] = part.positions[id]
+    or { id = id, leaf = leaf, known = known, mode = mode, waiting = waiting,
+      received = received, targets = targets }
+  return part.positions[id]
+end
+
+--- Return the key of the configuration in which the machines are: the numbers of their
+--- positions, and a sign for each flag.
+---@return string key
+function Subject:read()
+  local parts, ids = self.parts, self.ids
+  for i = 1, #parts do
+    local part = parts[i]
+    ids[i] = (part.is_quiet and part.position or read_position(self, part)).id
+  end
+  return concat(ids, ",") .. concat(self.flags)
+end
+
+--- Return the configuration with a key.
+---@param key string
+---@return rfsm_checks.Configuration conf
+function Subject:configuration(key)
+  local ids, flags = key:match("^([%d,]*)([+-]*)")
+  local conf = { flags = flags }
+  for id in ids:gmatch("%d+") do
+    local i = #conf + 1
+    conf[i] = self.parts[i].positions[tonumber(id)]
+  end
+  return conf
+end
+
+-- Puts a machine into a position. It often is there, but for the queue.
+local function put_position(part, position)
+  local fsm, leaf, waiting = part.fsm, position.leaf, position.waiting
+  local queue, mode = fsm._intq, (leaf or fsm)._mode
+  part.position, part.rounds = position, 0
+  if rawequal(fsm._act_leaf, leaf) and mode == position.mode and not fsm._awaits then
+    for i = 1, max(#queue, #waiting) do queue[i] = waiting[i] end
+  else
+    rfsm.place(fsm, leaf, position.mode, { unpack(waiting) })
+    if fsm._awaits then put_awaits(fsm, position.received) end
+  end
+  for i, tr in ipairs(fsm._history or NOTHING) do tr.tgt = position.targets[i] end
+end
+
+-- Is there nothing that events can do to a machine, unless they are for its regions?
+local function is_deaf(self, part, position, events)
+  local own = #position.waiting == 0 and reactions.of(part, position.leaf).own
+  for i = 1, own and #events or 0 do
+    if own[events[i].event] or self.wanted[events[i].event] ~= nil then return false end
+  end
+  return own and true and not (part.fsm._awaits or part.fsm._history)
+end
+
+-- Has the active leaf those regions alone in which something may happen, or all.
+local function set_regions(self, leaf, are_all)
+  local regions, count = leaf._regions, 0
+  for _, part in ipairs(self.parts[1].inner) do
+    if part.leaf == leaf and (are_all or not part.is_quiet) then
+      count = count + 1
+      regions[count] = part.fsm
+    end
+  end
+  for i = #regions, count + 1, -1 do regions[i] = nil end
+end
+
+-- Would nothing happen in a region, while events come and a leaf around it stays?
+local function is_quiet(self, part, position, leaf, events)
+  if part.owner ~= self.parts[1] or part.inner[1] then return false end
+  return part.leaf ~= leaf
+    or position.mode == "done" and is_deaf(self, part, position, events)
+end
+
+-- Leaves out of the next step the regions of the active leaf in which nothing would
+-- happen: no doo goes on, and no event has an effect. Not if the leaf may be left.
+local function leave_out_quiet(self, conf, events)
+  local leaf = self.leaves_out and conf[1].leaf
+  local stays = leaf and leaf._regions and is_deaf(self, self.parts[1], conf[1], events)
+  if self.trimmed and not (stays and self.trimmed == leaf) then
+    set_regions(self, self.trimmed, true)
+  end
+  for i = 2, #self.parts do
+    local part = self.parts[i]
+    part.is_quiet = stays and is_quiet(self, part, conf[i], leaf, events) or false
+  end
+  self.trimmed = stays and leaf
+  if stays then set_regions(self, leaf, false) end
+end
+
+--- Put the machines into a configuration, to take a step with events.
+---@param conf rfsm_checks.Configuration
+---@param events rfsm_checks.Occurrence[]
+function Subject:put(conf, events)
+  leave_out_quiet(self, conf, events)
+  for i = 1, #self.parts do
+    if self.parts[i].is_quiet then
+      self.parts[i].position = conf[i]
+    else
+      put_position(self.parts[i], conf[i])
+    end
+  end
+  for i = 1, #self.flags do self.flags[i] = conf.flags:sub(i, i) end
+end
+
+--- List the innermost active states of a configuration.
+---@param conf rfsm_checks.Configuration
+---@return rfsm_checks.Leaf[] leaves
+function subject.leaves(conf)
+  local leaves = {}
+  for _, position in ipairs(conf) do
+    if position.leaf then leaves[#leaves + 1] = position.known end
+  end
+  return leaves
+end
+
+-- Returns a function that tells of a path or flag if it is active.
+local function new_view(self, active, flags)
+  return function(name)
+    local number = self.flag_numbers[name]
+    if number then return flags:sub(number, number) == "+" end
+    if self.names[name] then return active[name] == true end
+    location.refuse_name(name, "state or flag", match.joined(
+      rfsm.sorted_keys(self.names), rfsm.sorted_keys(self.flag_numbers)))
+  end
+end
+
+--- Return a function that tells of a path or flag if it is active in a configuration.
+---@param conf rfsm_checks.Configuration
+---@return fun(name: string): boolean
+function Subject:view(conf)
+  local active = {}
+  for _, leaf in ipairs(subject.leaves(conf)) do
+    for _, path in ipairs(leaf.paths) do active[path] = true end
+  end
+  return new_view(self, active, conf.flags)
+end
+
+--- The same for a moment in a step.
+---@param moment rfsm_checks.Moment
+function Subject:view_of_moment(moment)
+  return new_view(self, moment.active, moment.flags)
+end
+
+-- Steps ...........................................................................
+
+local function clear(list)
+  for i = #list, 1, -1 do list[i] = nil end
+end
+
+-- Keeps the moments of states that the step has left again.
+local function keep_passed(self)
+  clear(self.passed)
+  for _, moment in ipairs(self.moments) do
+    if moment.state._mode == "inactive" then
+      moment.active = paths_in(self, moment)
+      self.passed[#self.passed + 1] = moment
+    end
+  end
+end
+
+--- Take one step with events and with choices; where that leads to tells `read`.
+--- Returns nil if a machine inside never becomes idle.
+---@param events rfsm_checks.Occurrence[]
+---@param choices boolean[]
+---@return true?
+function Subject:step(events, choices)
+  self.choices, self.asked, self.steps = choices, 0, self.steps + 1
+  clear(self.taken)
+  clear(self.moments)
+  clear(self.last_events)
+  clear(self.sent)
+  clear(self.called)
+  if not order.is_empty(self.answers) then self.answers = {} end
+  if not order.is_empty(self.entered) then self.entered = {} end
+  for event in order.each(self.wanted) do self.wanted[event] = false end
+  for i = 1, #events do
+    local queue = events[i].part.fsm._intq
+    queue[#queue + 1] = events[i].event
+  end
+  local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
+  if ok then
+    keep_passed(self)
+    return true
+  end
+  if not self.is_endless then error(failure, 0) end
+  self.is_endless = false
+  for _, part in ipairs(self.parts) do rfsm.reset(part.fsm) end
+end
+
+--- Set the next choices to try; false if all were tried.
+function subject.next_choices(choices, asked, is_known)
+  for i = #choices, asked + 1, -1 do choices[i] = nil end
+  for i = asked, 1, -1 do
+    if choices[i] and not is_known[i] then
+      choices[i] = false
+      return true
+    end
+    choices[i] = nil
+  end
+  return false
+end
+
+local MANY_PATHS = 20 -- more than a step takes that ends, in a machine and its regions
+
+--- Return the outcome of a step as a text: the transitions taken, and the active leaf.
+---@param paths string[]
+---@param leaf? string|false
+---@return string text "root.trans[2] -> root.b"
+function subject.outcome(paths, leaf)
+  local text = concat(paths, ", ", 1, min(#paths, MANY_PATHS))
+  if #paths > MANY_PATHS then text = text .. " and on and on" end
+  return (paths[1] and text or "no transition") .. " -> " .. (leaf or "not entered")
+end
+
+--- List the paths of the transitions that the last step took.
+---@return string[] paths
+function Subject:paths_of()
+  local paths = {}
+  for i, number in ipairs(self.taken) do
+    paths[i] = self.transitions[number].path
+  end
+  return paths
+end
+
+--- Is there an event that waits, so that run would go on?
+function subject.is_driven(conf) return conf[1].waiting[1] ~= nil end
+
+--- Does a step without events from outside lead anywhere? Not if nothing waits, and no
+--- doo is there.
+function subject.is_busy(conf)
+  return not conf[1].leaf or conf[1].mode ~= "done" or subject.is_driven(conf)
+end
+
+-- Public functions ................................................................
+
+-- Returns a predicate that is a choice, one for each event in a step.
+local function new_predicate(self, tr)
+  local answers, count = {}, -1
+  return function(event)
+    if count ~= self.steps then answers, count = {}, self.steps end
+    if answers[event] == nil then
+      local path = self.transitions[self.number_of[tr]].path
+      answers[event] = self:choose(path .. " predicate")
+    end
+    return answers[event]
+  end
+end
+
+-- Has each predicate among the events of a machine be a choice.
+local function free_predicates(self, fsm)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    for i, event in ipairs(tr.events) do
+      if type(event) == "function" then
+        replacements.note_writer(self, "predicate of " .. rfsm.location_of(tr), event)
+        tr.events[i] = new_predicate(self, tr)
+      end
+    end
+  end
+end
+
+-- Returns f(...), with one more preproc function.
+local function with_preproc(preproc, f, ...)
+  local list = rfsm.preproc
+  list[#list + 1] = preproc
+  local ok, fsm, text, problems = pcall(f, ...)
+  table.remove(list)
+  if not ok then error(fsm, 0) end
+  return fsm, text, problems
+end
+
+local function has_predicate(fsm)
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
+      if match.triggers(tr, NOTHING) == nil then return true end
+    end
+  end
+  return false
+end
+
+-- Makes a silent machine of a model. One with its own predicates comes first: plans
+-- are shared, and others need not have replacements in theirs.
+local function new_machine(self, model)
+  local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
+  local fsm, _, problems = init(model, false)
+  if not fsm then error("the model has problems\n  " .. concat(problems, "\n  "), 0) end
+  if not has_predicate(fsm) then return fsm end
+  self.free.predicates = true
+  local function preproc(own) free_predicates(self, own) end
+  return (with_preproc(preproc, init, model, false))
+end
+
+-- Raises an error for events in the alphabet that no transition names. A predicate may
+-- accept any.
+local function check_alphabet(self, alphabet)
+  for _, event in ipairs(self.free.predicates and {} or alphabet or {}) do
+    if not self.event_numbers[event] then
+      error(("alphabet: no transition names the event '%s'%s"):format(
+        rfsm.text_of(event), type(event) == "string"
+        and advice.nearest_name(event, self:named_texts()) or ""), 0)
+    end
+  end
+end
+
+--- List the events that transitions name, those that are texts.
+---@return string[] names
+function Subject:named_texts()
+  local list = {}
+  for _, event in ipairs(self.event_list) do
+    if type(event) == "string" then list[#list + 1] = event end
+  end
+  return list
+end
+
+--- List the events that transitions name and the machine does not make itself.
+---@return any[] events
+function Subject:outside_events()
+  local list = {}
+  for _, event in ipairs(self.event_list) do
+    if not self:maker_of(event) then list[#list + 1] = event end
+  end
+  return list
+end
+
+-- Takes a region out of its state.
+local function leave_out(entry)
+  local regions = entry.state._regions
+  for i = #regions, 1, -1 do
+    if regions[i] == entry.machine then
+      table.remove(regions, i)
+      table.remove(regions.names, i)
+    end
+  end
+end
+
+-- Adds the machines, each before those inside of it; those alone that are in the way.
+local function add_parts(self, fsm, way)
+  local part_of = { [false] = false }
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    if not way or way[entry.prefix] then
+      local part = { fsm = entry.machine, prefix = entry.prefix, leaf = entry.state,
+        owner = part_of[entry.owner] }
+      part_of[entry.machine] = part
+      add_part(self, part)
+    elseif part_of[entry.owner] then
+      leave_out(entry)
+    end
+  end
+end
+
+-- Raises an error if the options name what the chart does not have.
+local function check_options(self, options)
+  replacements.check_flag_names(self)
+  replacements.check_names(self, self.flags_of, "flags")
+  replacements.check_names(self, self.sends, "sends")
+  check_alphabet(self, options.alphabet)
+  data.check_met(self, options)
+end
+
+--- Make a subject of a model, in the configuration before the first entry.
+-- @raise if the model is not valid, or an option is wrong
+---@param model rfsm.State
+---@param options table `alphabet`, `flags`, `sends`, `dry_run` as in an exploration;
+-- `callbacks`: call entries, exits and effects
+---@param way? rfsm_checks.Way
+---@return rfsm_checks.Subject
+function subject.new(model, options, way)
+  local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
+    names = {}, paths = {}, part_of = {}, path_of = {}, callbacks = {}, writers = {},
+    free = {}, sent = {},
+    flags = {}, flags_of = {}, flag_numbers = {}, sends = options.sends or {},
+    is_dry_run = options.dry_run, calls_callbacks = options.callbacks, called = {},
+    choices = {}, is_known = {}, askers = {}, is_doo = {}, asked = 0,
+    taken = {}, moments = {}, passed = {}, last_events = {}, ids = {}, entered = {},
+    occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
+    alphabet = options.alphabet, now = 0, steps = 0, is_endless = false,
+    notes_events = false, leaves_out = false, trimmed = false }, Subject)
+  replacements.read_flags(self, options.flags or {})
+  data.read_options(self, options)
+  add_parts(self, new_machine(self, model), way)
+  if not way then check_options(self, options) end
+  data.check_first(self)
+  return self
+end
+
+return subject

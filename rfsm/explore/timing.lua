@@ -1,0 +1,417 @@
+--- Timing: the order in which timers and the times of properties expire.
+--
+-- A state that is active has a clock, if it has an e_after that has not come yet; so
+-- has a monitor of a property with a time. The values that they may have when a step
+-- ends are a zone. A *group* is a set of deadlines that the next step finds over, with
+-- the zone of the moment in which it begins. All deadlines of a group are equal, since
+-- the machine is stepped between any two of them; with a period they are no further
+-- apart than that. The times of properties are deadlines as timers are.
+--
+-- The clock stands while a step is taken. e_at and functions of seconds have no clock:
+-- they may come at any time. Zones need no extrapolation: a clock whose last deadline
+-- is over is dropped, so that each of them is bounded by one.
+--
+-- @module rfsm.explore.timing
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local match = require "rfsm.shared.match"
+local zones = require "rfsm.explore.zones"
+
+local ipairs, math, rawget, setmetatable = ipairs, math, rawget, setmetatable
+local table = table
+local concat, floor = table.concat, math.floor
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local timing = {}
+
+--- The clocks of a walk.
+---@class rfsm_checks.Timing
+---@field subject rfsm_checks.Subject
+---@field clocks rfsm_checks.Clock[] of states
+---@field of table<rfsm_checks.Judged, rfsm_checks.Clock> of properties
+---@field unit number nanoseconds of which all times are multiples
+---@field period number|false in units
+---@field none rfsm_checks.Time that of no clock
+---@field times table<string, rfsm_checks.Time> by their texts
+---@field fired table<rfsm_checks.Occurrence, boolean> time events that have come
+---@field is_cut boolean some groups were left out
+local Timing = {}
+Timing.__index = Timing
+
+--- A clock: of a state, or of a property, which may have several that are like it.
+---@class rfsm_checks.Clock
+---@field number integer
+---@field state rfsm.State|false
+---@field judged rfsm_checks.Judged|false
+---@field deadlines number[] rising, in units
+---@field events rfsm_checks.Occurrence[][] that come then
+
+--- Clocks that run, and their values.
+---@class rfsm_checks.Time
+---@field entries { clock: rfsm_checks.Clock, passed: integer }[] `passed`: deadlines
+-- that are over
+---@field zone number[]
+---@field shape string the entries as a text
+---@field text string
+---@field groups table<boolean, rfsm_checks.Group[]> by whether events wait
+
+--- Deadlines that the next step finds over.
+---@class rfsm_checks.Group
+---@field number integer
+---@field over integer[] for each entry, how many deadlines
+---@field is_over boolean there is one
+---@field is_sure boolean if time goes on no other group can come first
+---@field ways integer how many groups can come first
+---@field events rfsm_checks.Occurrence[]
+---@field zone number[] when the step begins
+---@field bounds { [1]: integer, [2]: integer, [3]: number }[] that it is made by
+
+-- Clocks ............................................................................
+
+local BILLION = 1000000000
+local MOST = 2 ^ 50 -- nanoseconds, 13 days: exact, also as a bound
+
+local function nanoseconds(seconds) return floor(seconds * BILLION + 0.5) end
+
+-- Returns the nanoseconds of a timer; nil if they are not known or too many. See
+-- rfsm_timeevent.lua for the tables.
+local function duration_of(timer)
+  local event = timer.event
+  if not timer.is_relative or event.timeout then return nil end
+  local duration = event.sec * BILLION + event.nsec
+  return duration < MOST and duration or nil
+end
+
+-- Returns the clock of a state, with deadlines in nanoseconds; nil if it has no timer
+-- whose time is known.
+local function clock_of(self, part, state)
+  local deadlines, events = {}, {}
+  for _, timer in ipairs(state._timers or {}) do
+    local duration = duration_of(timer)
+    if duration then
+      part.timed[timer.name] = true
+      if not events[duration] then deadlines[#deadlines + 1] = duration end
+      events[duration] = match.with(events[duration] or {},
+        self.subject:occurrence(part, timer.name))
+    end
+  end
+  table.sort(deadlines)
+  local clock = { number = #self.clocks + 1, state = state, judged = false,
+    deadlines = deadlines, events = {} }
+  for i, duration in ipairs(deadlines) do clock.events[i] = events[duration] end
+  return deadlines[1] and clock
+end
+
+-- Is there a time event without a clock?
+local function has_free_timer(subject)
+  for _, event in ipairs(subject.event_list) do
+    local is_free = match.maker_of(event) == "timer"
+    for _, part in ipairs(subject.parts) do
+      is_free = is_free and not part.timed[event]
+    end
+    if is_free then return true end
+  end
+end
+
+local function add_clocks(self, walk, are_free)
+  for _, part in ipairs(are_free and {} or self.subject.parts) do
+    for _, state in ipairs(rfsm.elements(part.fsm, rfsm.is_state)) do
+      self.clocks[#self.clocks + 1] = clock_of(self, part, state) or nil
+    end
+  end
+  for i, judged in ipairs(walk.monitored) do
+    local seconds = judged.property.seconds
+    self.of[judged] = seconds and { number = #self.clocks + i, state = false,
+      judged = judged, deadlines = { nanoseconds(seconds) }, events = { {} } } or nil
+  end
+end
+
+local function greatest_divisor(a, b)
+  while b > 0 do a, b = b, a % b end
+  return a
+end
+
+-- Has all times be whole numbers of the greatest unit.
+local function set_unit(self, walk)
+  local all = { unpack(self.clocks) }
+  for _, judged in ipairs(walk.monitored) do all[#all + 1] = self.of[judged] end
+  for _, clock in ipairs(all) do
+    for _, deadline in ipairs(clock.deadlines) do
+      self.unit = greatest_divisor(self.unit, deadline)
+    end
+  end
+  if self.unit == 0 then self.unit = BILLION end
+  for _, clock in ipairs(all) do
+    for i, deadline in ipairs(clock.deadlines) do
+      clock.deadlines[i] = floor(deadline / self.unit)
+    end
+  end
+  self.period = self.period and floor(self.period / self.unit)
+  return all[1] ~= nil
+end
+
+-- Returns a time: always the same table.
+local function find_time(self, entries, zone)
+  local texts = {}
+  for i, entry in ipairs(entries) do
+    texts[i] = entry.clock.number .. "." .. entry.passed
+  end
+  local shape = concat(texts, ",")
+  local text = shape .. "@" .. concat(zone, ",")
+  self.times[text] = self.times[text]
+    or { entries = entries, zone = zone, shape = shape, text = text, groups = {} }
+  return self.times[text]
+end
+
+--- Return the clocks of a walk; false if there are none.
+---@param walk rfsm_checks.Walk
+---@param options { timers: string, period: number? }
+---@return rfsm_checks.Timing|false
+function timing.new(walk, options)
+  local self = setmetatable({ subject = walk.subject, clocks = {}, of = {}, times = {},
+    period = options.period and nanoseconds(options.period) or false, fired = {},
+    is_cut = false }, Timing)
+  self.unit = self.period or 0
+  add_clocks(self, walk, options.timers == "free")
+  walk.subject.free.timers = has_free_timer(walk.subject)
+  if not set_unit(self, walk) then return false end
+  self.none = find_time(self, {}, zones.new())
+  return self
+end
+
+-- Groups ............................................................................
+
+local MANY_GROUPS = 200
+
+-- Bounds under which `over` of the deadlines of a clock are over: each { i, j, bound }.
+-- A step is not later than a period behind the first one.
+local function bounds_of(self, entry, i, over)
+  local deadlines, passed = entry.clock.deadlines, entry.passed
+  local bounds, following = {}, deadlines[passed + over + 1]
+  if over > 0 then
+    bounds[1] = { 0, i, zones.below(-deadlines[passed + over]) }
+    if self.period then
+      bounds[2] = { i, 0, zones.at_most(deadlines[passed + 1] + self.period) }
+    end
+  end
+  if following then bounds[#bounds + 1] = { i, 0, zones.at_most(following) } end
+  return bounds
+end
+
+-- Appends bounds under which the deadline of a clock is the same as that of the first
+-- one in the group.
+local function add_same(entries, i, first, bounds)
+  local later = entries[i].clock.deadlines[entries[i].passed + 1]
+    - entries[first].clock.deadlines[entries[first].passed + 1]
+  bounds[#bounds + 1] = { i, first, zones.at_most(later) }
+  bounds[#bounds + 1] = { first, i, zones.at_most(-later) }
+end
+
+local function bounded(zone, count, bounds)
+  for _, bound in ipairs(bounds) do
+    zone = zone and zones.bounded(zone, count, bound[1], bound[2], bound[3])
+  end
+  return zone
+end
+
+local function add_group(self, groups, entries, found)
+  local group = { number = #groups + 1, over = {}, is_over = found.first ~= nil,
+    is_sure = true, ways = 0, events = {}, zone = found.zone, bounds = found.bounds }
+  for i, entry in ipairs(entries) do
+    group.over[i] = found.over[i]
+    for n = entry.passed + 1, entry.passed + found.over[i] do
+      for _, event in ipairs(entry.clock.events[n]) do
+        group.events[#group.events + 1], self.fired[event] = event, true
+      end
+    end
+  end
+  groups[#groups + 1] = group
+end
+
+-- Returns what is known of a group if so many deadlines of the next clock are over as
+-- well; nil if they cannot be.
+local function extended(self, entries, count, found, over)
+  local i = #found.over + 1
+  local bounds = bounds_of(self, entries[i], i, over)
+  if over > 0 and found.first and not self.period then
+    add_same(entries, i, found.first, bounds)
+  end
+  local zone = bounded(found.zone, count, bounds)
+  return zone and { over = match.with(found.over, over), zone = zone,
+    bounds = match.joined(found.bounds, bounds),
+    first = found.first or over > 0 and i or nil }
+end
+
+-- Adds all groups that agree with what was decided about the first entries.
+local function add_groups(self, groups, entries, count, found)
+  local entry = entries[#found.over + 1]
+  if #groups >= MANY_GROUPS then
+    self.is_cut = true
+    return
+  elseif not entry then
+    return add_group(self, groups, entries, found)
+  end
+  for over = 0, self.period and #entry.clock.deadlines - entry.passed or 1 do
+    local longer = extended(self, entries, count, found, over)
+    if longer then add_groups(self, groups, entries, count, longer) end
+  end
+end
+
+-- Lists the groups. While an event waits, a step is taken within a period: a clock more
+-- counts from the last one.
+local function new_groups(self, time, is_driven)
+  local entries, groups, bounds = time.entries, {}, {}
+  local zone, count, sources = time.zone, #time.entries, {}
+  local is_soon = is_driven and self.period
+  if is_soon then
+    for i = 1, count do sources[i] = i end
+    zone, count = zones.project(zone, count, match.with(sources, 0)), count + 1
+    bounds[1] = { count, 0, zones.at_most(self.period) }
+  end
+  zone = bounded(zones.up(zone, count), count, bounds)
+  add_groups(self, groups, entries, count, { over = {}, zone = zone, bounds = bounds })
+  local ways = 0
+  for _, group in ipairs(groups) do
+    if group.is_over then ways = ways + 1 end
+    if is_soon then group.zone = zones.project(group.zone, count, sources) end
+  end
+  for _, group in ipairs(groups) do
+    group.is_sure, group.ways = not group.is_over or ways == 1, ways
+  end
+  return groups
+end
+
+--- List the groups of deadlines that the next step may find over; the first one is that
+--- of none.
+---@param time rfsm_checks.Time
+---@param is_driven boolean an event waits
+---@return rfsm_checks.Group[]
+function Timing:groups(time, is_driven)
+  is_driven = is_driven and self.period ~= false
+  time.groups[is_driven] = time.groups[is_driven] or new_groups(self, time, is_driven)
+  return time.groups[is_driven]
+end
+
+-- Steps .............................................................................
+
+-- Returns where the clock of an entry stands among those before, or nil.
+local function find_entry(entries, clock)
+  for i, entry in ipairs(entries) do
+    if entry.clock == clock then return i end
+  end
+end
+
+-- Adds the clocks of the states that are active now.
+local function add_states(self, time, group, entries, sources)
+  for _, clock in ipairs(self.clocks) do
+    local i = find_entry(time.entries, clock)
+    local is_new = self.subject.entered[clock.state]
+    local passed = is_new and 0 or i and time.entries[i].passed + group.over[i]
+    if clock.state._mode ~= "inactive" and passed and passed < #clock.deadlines then
+      entries[#entries + 1] = { clock = clock, passed = passed }
+      sources[#sources + 1] = is_new and 0 or i
+    end
+  end
+end
+
+-- Adds the clocks of monitors: all that were there, or those that `numbers` names.
+local function add_monitor(time, clock, numbers, entries, sources)
+  local list = {}
+  for i, entry in ipairs(time.entries) do
+    if entry.clock == clock then list[#list + 1] = i end
+  end
+  for n = 1, numbers and #numbers or #list do
+    entries[#entries + 1] = { clock = clock, passed = 0 }
+    sources[#sources + 1] = list[numbers and numbers[n] or n] or 0
+  end
+end
+
+--- Return the clocks behind the last step of the subject.
+---@param time rfsm_checks.Time before it
+---@param group rfsm_checks.Group
+---@param walk rfsm_checks.Walk
+---@param changed table<rfsm_checks.Judged, integer[]> clocks of monitors
+---@return rfsm_checks.Time time
+---@return integer[] sources for each clock its number before, 0 if it is new
+function Timing:after(time, group, walk, changed)
+  local entries, sources = {}, {}
+  add_states(self, time, group, entries, sources)
+  for _, judged in ipairs(walk.monitored) do
+    if self.of[judged] then
+      add_monitor(time, self.of[judged], changed[judged], entries, sources)
+    end
+  end
+  return find_time(self, entries, zones.project(group.zone, #time.entries, sources)),
+    sources
+end
+
+-- Times of a run ....................................................................
+
+--- The moments of the steps of a run, and what is known of them.
+---@class rfsm_checks.Moments
+---@field count integer steps
+---@field armed integer[] for each clock, the step in which it began
+---@field bounds { [1]: integer, [2]: integer, [3]: number }[] on the time to the first
+-- step from the second
+
+--- Begin a run.
+---@return rfsm_checks.Moments
+function timing.new_moments() return { count = 0, armed = {}, bounds = {} } end
+
+--- Note a step.
+---@param moments rfsm_checks.Moments
+---@param group rfsm_checks.Group
+---@param sources integer[] see `Timing:after`
+function timing.add_moment(moments, group, sources)
+  local now, armed = moments.count + 1, {}
+  local function of(i)
+    return i == 0 and now or moments.armed[i] or moments.count -- the last step
+  end
+  for _, bound in ipairs(now > 1 and group.bounds or {}) do
+    table.insert(moments.bounds, { of(bound[2]), of(bound[1]), bound[3] })
+  end
+  if now > 1 then
+    table.insert(moments.bounds, { moments.count, now, zones.at_most(0) })
+  end
+  for i, source in ipairs(sources) do
+    armed[i] = source == 0 and now or moments.armed[source]
+  end
+  moments.count, moments.armed = now, armed
+end
+
+local MILLISECOND = 1000000
+
+-- Returns how many parts a unit has, so that there is room for one between any two of
+-- the moments: milliseconds if there is.
+local function parts_of(count, unit)
+  if unit % MILLISECOND == 0 and unit / MILLISECOND > count then
+    return unit / MILLISECOND
+  end
+  local parts = 10
+  while parts <= count do parts = parts * 10 end
+  return parts
+end
+
+--- Return the earliest times of the steps, in seconds; nil if there are none.
+---@param moments rfsm_checks.Moments
+---@return number[]?
+function Timing:solve(moments)
+  local at, parts, is_done = {}, parts_of(moments.count, self.unit), false
+  for i = 1, moments.count do at[i] = 0 end
+  for _ = 0, moments.count do
+    is_done = true
+    for _, bound in ipairs(moments.bounds) do
+      local least = floor(bound[3] / 2) * parts - (bound[3] % 2 == 0 and 1 or 0)
+      if at[bound[1]] - least > at[bound[2]] then
+        at[bound[2]], is_done = at[bound[1]] - least, false
+      end
+    end
+    if is_done then break end
+  end
+  if not is_done or at[1] ~= 0 then return nil end
+  for i = 1, moments.count do at[i] = at[i] * self.unit / parts / BILLION end
+  return at
+end
+
+return timing

@@ -1,0 +1,556 @@
+--- Verdict: the findings of an exploration, each with the shortest run that shows it.
+--
+-- @module rfsm.explore.verdict
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local codes = require "rfsm.checks.codes"
+local explore = require "rfsm.explore.explore"
+local graph = require "rfsm.explore.graph"
+local independence = require "rfsm.explore.independence"
+local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
+local location = require "rfsm.shared.location"
+local properties = require "rfsm.explore.properties"
+local subject = require "rfsm.explore.subject"
+local reactions = require "rfsm.explore.reactions"
+local static = require "rfsm.checks.static"
+local order = require "rfsm.shared.order"
+
+local ipairs, next, setmetatable = ipairs, next, setmetatable
+local table, tostring, type = table, tostring, type
+local concat = table.concat
+
+local verdict = {}
+
+--- What an exploration has found; `tostring` of it is the report.
+---@class rfsm_checks.Exploration
+---@field configurations integer
+---@field steps integer that were run
+---@field transitions integer how many the chart has
+---@field taken integer how many of them some step takes
+---@field bound? "configurations"|"depth"|"seconds"|"choices"|"sets"|"targets"|"values"
+---@field untried string[] what was not tried, as texts; empty without a bound
+---@field premises string "one event a step; guards and timers free"
+---@field findings rfsm_checks.Finding[] with field `witness`
+---@field properties rfsm_checks.Verdict[]
+local Exploration = {}
+Exploration.__index = Exploration
+
+--- What is known of a property.
+---@class rfsm_checks.Verdict
+---@field name string
+---@field holds boolean|nil nil: not known
+---@field vacuous? string it holds because of this reason alone
+---@field witness? rfsm_checks.WitnessStep[] the run that shows that it does not hold
+---@field premises string
+---@field reason string why it is not known though everything was tried; may be empty
+
+-- Findings ........................................................................
+
+-- Returns what steps have met: the set of paths of states that are active in some
+-- configuration or entered by some step, the connectors to which one leads, and those
+-- that one leaves.
+local function met_by(walk)
+  local met = { active = {}, entered = {}, left = {} }
+  for _, passed in ipairs(walk.passed) do
+    for path in order.each(passed.moment.active) do met.active[path] = true end -- a set
+  end
+  for _, part in ipairs(walk.subject.parts) do
+    for _, leaf in ipairs(subject.leaves(part.positions)) do
+      for _, path in ipairs(leaf.paths) do met.active[path] = true end
+    end
+  end
+  for number in order.each(walk.taken) do -- any order: a set
+    local tr = walk.subject.transitions[number].tr
+    met.entered[tr.tgt], met.left[tr.src] = true, true
+  end
+  return met
+end
+
+-- Returns why a transition is never taken: all of its events are timers that never
+-- expire. Empty if that is not so.
+local function timer_text(walk, entry)
+  local names = {}
+  for i, event in ipairs(entry.tr.events or {}) do
+    local is_dead = entry.part.timed[event]
+      and not walk.timing.fired[walk.subject:occurrence(entry.part, event)]
+    if not is_dead then return "" end
+    names[i] = event
+  end
+  return names[1] and " (" .. concat(names, " and ") .. " never comes)" or ""
+end
+
+-- The same for the transitions that lead to a state.
+local function timers_text(walk, state)
+  for _, entry in ipairs(walk.subject.transitions) do
+    local tgt, text = entry.tr.tgt, timer_text(walk, entry)
+    if tgt._id == "initial" and rfsm.is_conn(tgt) then tgt = tgt._parent end
+    if tgt == state and text ~= "" then return text end
+  end
+  return ""
+end
+
+-- States that are never active, but not those in another one.
+local function find_unreachable(walk, findings, met)
+  for _, path in ipairs(walk.subject.paths) do
+    local state = walk.subject.names[path]
+    local above = not rfsm.is_root(state) and path:sub(1, #path - #state._id - 1)
+    if not met.active[path] and (not above or met.active[above]) then
+      findings:add("unreachable", state, path,
+        "active in no configuration" .. timers_text(walk, state))
+    end
+  end
+end
+
+-- Connectors in reached states to which transitions lead, and which no step passes.
+local function find_closed(walk, findings, met)
+  local is_closed = {}
+  for _, entry in ipairs(walk.subject.transitions) do
+    local connector, prefix = entry.tr.tgt, entry.prefix
+    local is_met = rfsm.is_conn(connector) and not met.left[connector]
+      and met.active[location.path(entry.tr.src, prefix)]
+    if is_met and connector._id ~= "initial" and not is_closed[connector] then
+      is_closed[connector] = true
+      findings:add("closed", connector, location.path(connector, prefix),
+        "no step passes this connector")
+    end
+  end
+  return is_closed
+end
+
+-- Transitions from reached states to reached states, or from connectors that a step
+-- enters. Of others another finding tells.
+local function find_untaken(walk, findings, met, is_closed)
+  local function is_told(entry)
+    local src, tgt = entry.tr.src, entry.tr.tgt
+    if rfsm.is_conn(tgt) and tgt._id == "initial" then tgt = tgt._parent end
+    return is_closed[tgt] or rfsm.is_conn(src) and not met.entered[src]
+      and not (src._id == "initial" and rfsm.is_root(src._parent))
+      or rfsm.is_state(src) and not met.active[location.path(src, entry.prefix)]
+      or rfsm.is_state(tgt) and not met.active[location.path(tgt, entry.prefix)]
+  end
+  for number, entry in ipairs(walk.subject.transitions) do
+    if not (walk.taken[number] or is_told(entry)) then
+      findings:add("shadowed", entry.tr, entry.path, ("no step takes it (%s -> %s)%s")
+        :format(entry.tr.src._fqn, entry.tr.tgt._fqn, timer_text(walk, entry)))
+    end
+  end
+end
+
+-- Returns the leaves of a configuration and their paths as a text; the third result is
+-- whether all of them are final.
+local function leaves_of(walk, number)
+  local leaves, paths, are_final = subject.leaves(walk:configuration(number)), {}, true
+  for i, leaf in ipairs(leaves) do
+    paths[i] = leaf.path
+    are_final = are_final
+      and (leaf.state.final == true or rfsm.regions(leaf.state)[1] ~= nil)
+  end
+  return leaves, concat(paths, ", "), are_final
+end
+
+-- Appends a finding with the run that leads to a configuration, and on by a step.
+local function add_run(walk, findings, code, state, path, text, number, label)
+  local finding = findings:add(code, state, path, text)
+  if finding then finding.witness = walk:witness(number, label) end
+  return finding or {}
+end
+
+-- Returns the configurations of a walk in which nothing happens any more, and the
+-- leaves of the machine itself in these.
+local function find_stuck(walk)
+  local is_stuck = {}
+  for _, number in ipairs(walk.stuck) do
+    is_stuck[walk:configuration(number)[1].known.path or "none"] = true
+  end
+  return walk.stuck, is_stuck
+end
+
+local function add_dead_end(walk, findings, number)
+  local leaves, text, are_final = leaves_of(walk, number)
+  local state = leaves[1] and leaves[1].state
+  if not state then
+    add_run(walk, findings, "dead-end", walk.subject.parts[1].fsm, "root",
+      "the machine cannot be entered", number)
+  elseif not (are_final or rfsm.is_root(state)) then
+    local finding = add_run(walk, findings, "dead-end", state, text,
+      "nothing happens any more in this configuration", number)
+    if codes.means(state, "an end") then finding.severity = "note" end
+  end
+end
+
+-- Configurations in which nothing happens any more, one for each set of leaves. If
+-- regions are explored one by one, something happens unless all of them can be stuck.
+local function find_dead_ends(walks, findings)
+  local numbers, are_stuck = {}, {}
+  for i, walk in ipairs(walks) do numbers[i], are_stuck[i] = find_stuck(walk) end
+  for i, walk in ipairs(walks) do
+    for _, number in ipairs(numbers[i]) do
+      local leaf, is_end = walk:configuration(number)[1].known.path or "none", true
+      for _, is_stuck in ipairs(are_stuck) do is_end = is_end and is_stuck[leaf] end
+      if is_end then add_dead_end(walk, findings, number) end
+    end
+  end
+end
+
+-- Configurations from which events that wait lead on and on.
+local function find_endless(walk, findings)
+  local is_idle, are_idle, step = {}, true, walk.endless
+  for number = 1, #walk.keys do
+    local conf = walk:configuration(number)
+    is_idle[number] = number > walk.expanded or not (conf[1].leaf
+      and subject.is_driven(conf))
+    are_idle = are_idle and is_idle[number]
+  end
+  local ends = are_idle and is_idle or graph.can_reach(walk, is_idle, true)
+  for number = 2, walk.expanded do
+    if not ends[number] then
+      local leaves, text = leaves_of(walk, number)
+      return add_run(walk, findings, "endless", leaves[1] and leaves[1].state, text,
+        "run never becomes idle from this configuration", number)
+    end
+  end
+  if step then
+    add_run(walk, findings, "endless", nil, "root", "a machine in a sequential AND "
+      .. "state never becomes idle", step.from, step.label)
+  end
+end
+
+-- Returns the leaves of some configurations and their paths, and whether one is final.
+local function leaves_of_all(walk, numbers)
+  local paths, states, is_listed, has_end = {}, {}, {}, false
+  for _, number in ipairs(numbers) do
+    local leaves, text, are_final = leaves_of(walk, number)
+    has_end = has_end or are_final or not leaves[1]
+    if not is_listed[text] and leaves[1] then
+      paths[#paths + 1], states[#states + 1] = text, leaves[#leaves].state
+    end
+    is_listed[text] = true
+  end
+  return paths, has_end, states
+end
+
+-- Does a configuration wait for an event from outside? Not one that goes on by itself.
+local function is_waiting(walk, number)
+  local conf = walk:configuration(number)
+  local goes_on = subject.is_driven(conf)
+  graph.each_step(walk, number, function(tgt, is_internal)
+    goes_on = goes_on or is_internal and tgt ~= number
+  end)
+  local part = walk.subject.parts[1]
+  return not (goes_on or reactions.of(part, conf[1].leaf).timers[1])
+end
+
+-- Returns the first configuration of a component in which the machine waits, of those
+-- in a set if one is given.
+local function find_waiting(walk, numbers, set)
+  for _, number in ipairs(numbers) do
+    if number > 1 and (not set or set[number]) and is_waiting(walk, number) then
+      return number
+    end
+  end
+end
+
+-- Returns the components that nothing leaves, and others in which the machine waits;
+-- none if there are no others.
+local function find_components(walk)
+  local bottoms, others = graph.components(walk)
+  local waiting = {}
+  for _, component in ipairs(others) do
+    if find_waiting(walk, component) then waiting[#waiting + 1] = component end
+  end
+  return waiting[1] and bottoms or {}, waiting
+end
+
+-- Returns a configuration in which the machine waited before it came to `numbers`,
+-- and whether it is on a cycle of at least so many states.
+local function find_before(walk, numbers, others, least)
+  local set, first = {}, nil
+  for _, number in ipairs(numbers) do set[number] = true end
+  local leads_there = graph.can_reach(walk, set)
+  for _, component in ipairs(others) do
+    local number = find_waiting(walk, component, leads_there)
+    local paths = leaves_of_all(walk, number and component or {})
+    if paths[least] then return number, true end
+    if number and (not first or number < first) then first = number end
+  end
+  return first, false
+end
+
+-- Does the machine itself stay in a leaf? What it does else, the first walk tells.
+local function is_in_one_leaf(walk, numbers)
+  local leaf = walk:configuration(numbers[1])[1].leaf
+  for _, number in ipairs(numbers) do
+    if walk:configuration(number)[1].leaf ~= leaf then return false end
+  end
+  return true
+end
+
+local function is_one_fault(states)
+  for _, state in ipairs(states) do
+    if codes.means(state, "a fault") then return true end
+  end
+  return false
+end
+
+-- Configurations that lead to each other and nowhere else, while the machine waited for
+-- an event before that led there. It may have been set up for them: a note, unless
+-- there is a cycle of as many states elsewhere, or one of them is named as a fault.
+local function find_traps(walk, findings, is_first)
+  local bottoms, others = find_components(walk)
+  for _, numbers in ipairs(bottoms) do
+    local paths, has_end, states = leaves_of_all(walk, numbers)
+    local outside, is_fault
+    if paths[2] and not has_end and (is_first or is_in_one_leaf(walk, numbers)) then
+      outside, is_fault = find_before(walk, numbers, others, #paths)
+    end
+    local _, name = leaves_of(walk, outside or 1)
+    if outside and not match.has(paths, name) then -- elsewhere with another memory
+      local finding = add_run(walk, findings, "trap", states[1], paths[1],
+        concat(paths, " and ") .. " lead to each other, and never back to " .. name,
+        numbers[1])
+      if not (is_fault or is_one_fault(states)) then finding.severity = "note" end
+    end
+  end
+end
+
+-- Premises and properties .........................................................
+
+local NUMBERS = { "one event", "two events", "three events" }
+
+-- Returns what is not known of a chart, and is tried in each way: "guards and doos".
+local function free_text(free)
+  local names = rfsm.sorted_keys(free)
+  local last = table.remove(names)
+  return names[1] and concat(names, ", ") .. " and " .. last or last
+end
+
+-- Appends the premises about time.
+local function add_times(texts, walks, period)
+  local is_timed = false
+  for _, walk in ipairs(walks) do is_timed = is_timed or walk.timing ~= false end
+  if not is_timed then return end
+  texts[#texts + 1] = period and ("stepped every %s s"):format(rfsm.text_of(period))
+    or "stepped between any two deadlines"
+  texts[#texts + 1] = "steps take no time"
+end
+
+-- Returns the premises of walks: "one event a step; guards and timers free".
+local function premises_of(walks, options)
+  local walk, free = walks[1], {}
+  for _, each in ipairs(walks) do
+    for name in order.each(each.subject.free) do free[name] = true end -- a set
+  end
+  local texts = { (NUMBERS[walk.together] or walk.together .. " events") .. " a step" }
+  if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
+  if walk.way then texts[#texts + 1] = "independent regions one by one" end
+  add_times(texts, walks, options.period)
+  for _, text in ipairs(walk.subject.rule_texts) do texts[#texts + 1] = text end
+  texts[#texts + 1] = next(free) and free_text(free) .. " free" or nil
+  return concat(texts, "; ")
+end
+
+-- Notes what a walk has not tried.
+local function note_bound(result, walk)
+  result.bound = result.bound or walk.bound
+  for _, text in ipairs(walk.untried) do
+    if not match.has(result.untried, text) then
+      result.untried[#result.untried + 1] = text
+    end
+  end
+end
+
+-- Judges a property on its walk.
+local function judge(result, judged, options)
+  local walk = judged.walk
+  properties.judge(walk, judged)
+  local witness = judged.at and walk:witness(judged.at, judged.label, judged.cycle)
+  if judged.holds == nil then note_bound(result, walk) end
+  if judged.holds == false then
+    witness.rests = judged.rests
+    result.findings:add("violated", nil, judged.name, "does not hold").witness = witness
+  end
+  return { name = judged.name, holds = judged.holds,
+    vacuous = judged.holds and judged.vacuous or nil, witness = witness,
+    reason = judged.is_open and ", it depends on when timers expire" or "",
+    premises = premises_of({ walk }, options)
+      .. (monitors.owes[judged.property.kind] and "; doos end" or "") }
+end
+
+-- Text ............................................................................
+
+local function choices_text(step)
+  local texts = {}
+  for i, choice in ipairs(step.choices) do
+    local word = tostring(choice.answer)
+    if choice.is_doo then word = choice.answer and "ends" or "goes on" end
+    texts[i] = choice.who .. " " .. word
+  end
+  return texts[1] and " (" .. concat(texts, ", ") .. ")" or ""
+end
+
+--- Return the steps of a witness as lines.
+---@param witness rfsm_checks.WitnessStep[]
+---@return string[] lines
+function verdict.lines_of(witness)
+  local lines = {}
+  for i, step in ipairs(witness) do
+    local events = step.events[1] and concat(step.events, ", ") or "no event"
+    local wait = i > 1 and step.at and step.at - witness[i - 1].at or 0
+    lines[i] = ("%d. %s%s%s: %s"):format(i, wait > 0 and ("+%.9g s, "):format(wait)
+      or "", events, choices_text(step), subject.outcome(step.taken, step.leaf))
+  end
+  if witness.again then
+    lines[#lines + 1] = ("and again from %d on"):format(witness.again)
+  elseif witness.rests then
+    lines[#lines + 1] = "and nothing more has to come"
+  end
+  return lines
+end
+
+local UNKNOWN = "not tried: %s; unreached states, transitions not taken and whether "
+  .. "properties hold are not known"
+
+local function property_text(judged)
+  if judged.holds == nil then return judged.name .. ": not known" .. judged.reason end
+  local how = judged.vacuous and " vacuously, " .. judged.vacuous or ""
+  return ("%s: holds%s (%s)"):format(judged.name, how, judged.premises)
+end
+
+local function add_finding_lines(lines, finding)
+  local kind = finding.severity ~= "error" and finding.severity .. ": " or ""
+  local text = static.line(finding):sub(#finding.file + 1)
+  lines[#lines + 1] = finding.file .. kind .. text
+  for _, line in ipairs(verdict.lines_of(finding.witness or {})) do
+    lines[#lines + 1] = "  " .. line
+  end
+end
+
+--- Return what an exploration has done in lines: its numbers, what was not tried, and
+--- the properties that hold or are not known.
+---@param result rfsm_checks.Exploration
+---@param has_numbers boolean? false: no numbers, unless something was not tried
+---@return string[] lines
+function verdict.summary(result, has_numbers)
+  local lines = {}
+  if has_numbers or result.bound then
+    lines[1] = ("%d configurations, %d of %d transitions taken, %d steps run"):format(
+      result.configurations, result.taken, result.transitions, result.steps)
+  end
+  if result.bound then lines[2] = UNKNOWN:format(concat(result.untried, "; ")) end
+  for _, judged in ipairs(result.properties) do
+    if judged.holds ~= false then
+      lines[#lines + 1] = property_text(judged)
+    end
+  end
+  return lines
+end
+
+function Exploration:__tostring()
+  local lines = verdict.summary(self, true)
+  for _, finding in ipairs(self.findings) do add_finding_lines(lines, finding) end
+  return concat(lines, "\n")
+end
+
+-- Public functions ................................................................
+
+-- Returns the properties of the options, and those in the root of the model.
+local function properties_of(model, options)
+  local given = {}
+  for _, source in ipairs { model.properties or {}, options.properties or {} } do
+    if type(source) == "table" and not rfsm.is_fsmobj(source) then
+      for key, property in order.each(source) do -- any order: sorted later
+        given[type(key) == "string" and key or property] = property
+      end
+    end
+  end
+  return given
+end
+
+-- Counts the transitions that some walk takes.
+local function count_taken(walks)
+  local is_taken, count = {}, 0
+  for _, walk in ipairs(walks) do
+    for number in order.each(walk.taken) do -- any order: a set
+      local path = walk.subject.transitions[number].path
+      if not is_taken[path] then is_taken[path], count = true, count + 1 end
+    end
+  end
+  return count
+end
+
+-- Returns walks over a model, by way; and those for findings, one for each of `ways`.
+local function walks_in(model, options, ways, list)
+  local by_way, walks = {}, {}
+  setmetatable(by_way, { __index = function(_, way)
+    by_way[way] = explore.walk(model, options, function(walk)
+      properties.watch(walk, list)
+    end, way)
+    return by_way[way]
+  end })
+  for i, way in ipairs(ways) do walks[i] = by_way[way] end
+  return by_way, walks
+end
+
+local function has_endless(walks)
+  for _, walk in ipairs(walks) do
+    if walk.endless then return true end
+  end
+  return false
+end
+
+-- Returns the result without findings.
+local function new_result(own, walks, options)
+  local result = setmetatable({ configurations = 0, steps = 0,
+    transitions = #own.transitions, taken = count_taken(walks), bound = nil,
+    untried = {}, findings = static.new_list(), properties = {},
+    premises = premises_of(walks, options) }, Exploration)
+  for _, walk in ipairs(walks) do
+    result.configurations = result.configurations + #walk.keys
+    result.steps = result.steps + walk.count
+    note_bound(result, walk)
+  end
+  return result
+end
+
+-- Finds what is neither a property nor a dead end.
+local function find_others(walks, findings)
+  find_endless(walks[1], findings)
+  for i, walk in ipairs(walks) do
+    if not walk.bound and walk:is_entered() then
+      local met = met_by(walk)
+      find_unreachable(walk, findings, met)
+      find_untaken(walk, findings, met, find_closed(walk, findings, met))
+      find_traps(walk, findings, i == 1)
+    end
+  end
+end
+
+--- Explore a model and judge what was found.
+---@param model rfsm.State
+---@param options rfsm_checks.Options
+---@return rfsm_checks.Exploration
+function verdict.of(model, options)
+  local own = subject.new(model, options)
+  local list = properties.list_for(own, properties_of(model, options))
+  local ways = independence.ways(own, list, options)
+  local by_way, walks = walks_in(model, options, ways, list)
+  if walks[2] and has_endless(walks) then -- a step of one that does not end ends all
+    options.multiply = true
+    return verdict.of(model, options)
+  end
+  local result = new_result(own, walks, options)
+  for i, judged in ipairs(list) do
+    judged.walk = not judged.is_monitored and by_way[judged.way]
+      or explore.walk(model, options, function(walk)
+        properties.monitor(walk, judged)
+      end, judged.way)
+    result.properties[i] = judge(result, judged, options)
+  end
+  find_dead_ends(walks, result.findings)
+  find_others(walks, result.findings)
+  return result
+end
+
+return verdict

@@ -1,0 +1,93 @@
+--- Zones: sets of values of clocks that run at the same speed.
+--
+-- A zone of n clocks is a difference bound matrix (Dill 1989): for each pair i, j, with
+-- 0 for a clock that is always 0, a bound on x_i - x_j. It is a list, row by row, and
+-- closed: each bound is the least one that follows from all of them. A bound is a whole
+-- number: 2b + 1 for "at most b", 2b for "less than b", and infinity for none.
+--
+-- @module rfsm.explore.zones
+-- @license BSD-3-Clause
+
+local ipairs = ipairs
+local huge, min = math.huge, math.min
+
+local zones = {}
+
+--- Return the bound "at most b".
+function zones.at_most(b) return 2 * b + 1 end
+
+--- Return the bound "less than b".
+function zones.below(b) return 2 * b end
+
+local ZERO = zones.at_most(0)
+
+local function sum(a, b)
+  if a == huge or b == huge then return huge end
+  if a % 2 == 1 and b % 2 == 1 then return a + b - 1 end
+  return a + b - a % 2 - b % 2
+end
+
+--- Return the zone of no clock.
+function zones.new() return { ZERO } end
+
+--- Return the zone that time leads to, if nothing ends it.
+---@param zone number[]
+---@param count integer clocks
+---@return number[] zone a new one
+function zones.up(zone, count)
+  local later, size = {}, count + 1
+  for at, bound in ipairs(zone) do
+    later[at] = at > size and at % size == 1 and huge or bound
+  end
+  return later
+end
+
+--- Add a bound on x_i - x_j.
+---@param zone number[]
+---@param count integer clocks
+---@param i integer
+---@param j integer
+---@param bound number
+---@return number[]|nil zone a new one, nil if it is empty
+function zones.bounded(zone, count, i, j, bound)
+  local size, closed = count + 1, {}
+  if bound >= zone[i * size + j + 1] then return zone end
+  if sum(zone[j * size + i + 1], bound) < ZERO then return nil end
+  for k = 0, count do
+    local before = sum(zone[k * size + i + 1], bound)
+    for l = 0, count do
+      local at = k * size + l + 1
+      closed[at] = min(zone[at], sum(before, zone[j * size + l + 1]))
+    end
+  end
+  return closed
+end
+
+--- Return the zone of some of the clocks, and of new ones.
+---@param zone number[]
+---@param count integer clocks
+---@param sources integer[] numbers of clocks that stay; 0 for a new one
+---@return number[] zone
+function zones.project(zone, count, sources)
+  local size, result = count + 1, {}
+  for k = 0, #sources do
+    local from = (sources[k] or 0) * size
+    for l = 0, #sources do
+      result[#result + 1] = k == l and ZERO or zone[from + (sources[l] or 0) + 1]
+    end
+  end
+  return result
+end
+
+--- Are all values of the second zone in the first one?
+---@param zone number[]
+---@param other number[] of as many clocks
+---@return boolean
+function zones.includes(zone, other)
+  for at = 1, #zone do
+    if other[at] > zone[at] then return false end
+  end
+  return true
+end
+
+return zones

@@ -1,0 +1,140 @@
+--- Breakpoints of a session, and the expressions that it watches.
+--
+-- @module rfsm.observe.breakpoints
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local names = require "rfsm.observe.names"
+local values = require "rfsm.observe.values"
+
+local error, ipairs, print, rawequal, type = error, ipairs, print, rawequal, type
+local remove = table.remove
+local text_of = rfsm.text_of
+
+local breakpoints = {}
+
+--- A breakpoint, or an expression that is watched.
+---@class rfsm.observe.Breakpoint
+---@field kind "state"|"transition"|"event"|"watch"
+---@field name string for a reader; the expression
+---@field value any name, transition or event; of an expression the last value
+
+local function is_called(node, name)
+  local fqn = rfsm.is_node(node) and node._fqn:gsub("%.initial$", "")
+  return fqn == name or fqn == "root." .. name
+end
+
+local function find_transition(fsm, src, tgt)
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    if is_called(tr.src, src) and is_called(tr.tgt, tgt) then return tr end
+  end
+end
+
+local function new_transition(tr)
+  return { kind = "transition", value = tr,
+    name = text_of(tr.src._fqn) .. " -> " .. text_of(tr.tgt._fqn) }
+end
+
+local function fail(fsm, text)
+  local list = names.events(fsm)
+  for _, name in ipairs((names.nodes(fsm))) do
+    list[#list + 1] = name
+    list[#list + 1] = name:gsub("^root%.", "")
+  end
+  local hint = names.hint(text, list)
+  error(("breakpoint: state, event or transition (off -> on) expected, got '%s'%s")
+    :format(text, hint ~= "" and hint or ", pp() shows the states"), 0)
+end
+
+local function of_text(fsm, text)
+  local by_name = select(2, names.nodes(fsm))
+  local name = by_name[text] and text or "root." .. text
+  local found = by_name[name]
+  if rfsm.is_state(found) then
+    return { kind = "state", name = name, value = name }
+  end
+  local src, tgt = text:match("^(.-)%s*%->%s*(.-)$")
+  local tr = src and find_transition(fsm, src, tgt)
+  if tr then return new_transition(tr) end
+  if not names.is_event(fsm, text) then fail(fsm, text) end
+  return { kind = "event", name = text, value = text }
+end
+
+--- Add a breakpoint: state, transition, event or the name of one; return its number.
+function breakpoints.add(sim, what)
+  local point
+  if rfsm.is_trans(what) then
+    point = new_transition(what)
+  elseif type(what) == "string" or rfsm.is_node(what) and what._fqn then
+    point = of_text(sim.fsm, type(what) == "string" and what or what._fqn)
+  else
+    point = { kind = "event", name = values.value(what), value = what }
+  end
+  sim.points[#sim.points + 1] = point
+  return #sim.points
+end
+
+--- Call f(i, point) for each breakpoint of a kind in a list that is reached: its value
+-- is the name of the state, the transition, or the event.
+function breakpoints.each_reached(list, kind, value, f)
+  for i, point in ipairs(list) do
+    if point.kind == kind and rawequal(point.value, value) then f(i, point) end
+  end
+end
+
+--- Watch an expression: its value is shown after each advance.
+function breakpoints.add_watch(sim, text)
+  local ok, value = sim.value_of(text)
+  if not ok then error(value, 0) end
+  sim.points[#sim.points + 1] = { kind = "watch", name = text, value = value }
+end
+
+--- Print the values of watched expressions.
+function breakpoints.show_watched(sim)
+  for _, point in ipairs(sim.points) do
+    if point.kind == "watch" then
+      local ok, value = sim.value_of(point.name)
+      local is_same = rawequal(value, point.value)
+      print("watch:  " .. point.name .. " = "
+        .. (ok and values.value(value) or text_of(value))
+        .. (is_same and "" or " (was " .. values.value(point.value) .. ")"))
+      point.value = value
+    end
+  end
+end
+
+--- Print the breakpoints and expressions with their numbers.
+function breakpoints.list(sim)
+  for i, point in ipairs(sim.points) do
+    print(("%d  %s %s"):format(i, point.kind, point.name))
+  end
+  if not sim.points[1] then print("there is none") end
+end
+
+--- Remove a breakpoint or expression, or all.
+function breakpoints.delete(sim, n)
+  if n ~= nil and not sim.points[n] then
+    error("delete: number of a breakpoint expected, got " .. text_of(n), 0)
+  end
+  if n then remove(sim.points, n) else sim.points = {} end
+end
+
+--- Find the states and transitions of all breakpoints in a new machine, by name;
+-- `complain` is called with a line for each that is gone.
+function breakpoints.renew(sim, complain)
+  for i = #sim.points, 1, -1 do
+    local point = sim.points[i]
+    if point.kind == "state" or point.kind == "transition" then
+      local ok, renewed = pcall(of_text, sim.fsm, point.name)
+      if ok then
+        sim.points[i] = renewed
+      else
+        complain(("%d %s %s: is gone, and no breakpoint now"):format(i,
+          point.kind, point.name))
+        remove(sim.points, i)
+      end
+    end
+  end
+end
+
+return breakpoints

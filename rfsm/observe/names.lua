@@ -1,0 +1,55 @@
+--- Names for people: states and events, and the nearest to a mistake.
+--
+-- The state `root.open` of the region `left` in `root.arms` is called
+-- `root.arms.left.open`.
+--
+-- @module rfsm.observe.names
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local alphabet = require "rfsm.shared.alphabet"
+local location = require "rfsm.shared.location"
+
+local ipairs, type = ipairs, type
+
+local names = {}
+
+--- Return the name of a node in the machine of a name.
+function names.full(prefix, fqn) return prefix .. fqn:sub(#"root" + 1) end
+
+--- List the events that are texts and come from outside.
+function names.events(fsm)
+  local texts = {}
+  for _, event in ipairs(rfsm.sorted_keys(alphabet.of_all(fsm).set)) do
+    if type(event) == "string" and not event:find("@", 1, true) then
+      texts[#texts + 1] = event
+    end
+  end
+  return texts
+end
+
+--- Does a transition of a machine name an event? A predicate may accept any event.
+function names.is_event(fsm, event)
+  local known = alphabet.of_all(fsm)
+  if known.set[event] or event == "e_init_fsm" then return true end
+  if type(event) == "string" and event:find("^e_done") then return true end
+  return known.predicates[1] ~= nil
+end
+
+--- List the names of states and connectors; return also the nodes by their names.
+function names.nodes(fsm)
+  local list, by_name = {}, {}
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, node in ipairs(rfsm.elements(at.machine, rfsm.is_nr_node)) do
+      local name = location.path(node, at.prefix)
+      list[#list + 1], by_name[name] = name, node
+    end
+  end
+  return list, by_name
+end
+
+--- Return the hint " (did you mean 'e_go'?)", or "".
+function names.hint(name, list) return (advice.nearest_name(name, list)) end
+
+return names

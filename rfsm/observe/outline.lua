@@ -1,0 +1,117 @@
+--- A described machine as lists: nodes, edges and events with numbers, from 0 on.
+--
+-- The description comes from `rfsm.marsh`, or from another program.
+--
+-- @module rfsm.observe.outline
+-- @license BSD-3-Clause
+
+local diagram = require "rfsm.pictures.diagram"
+local marsh = require "rfsm.marsh"
+
+local ipairs, type = ipairs, type
+local concat = table.concat
+local utf8 = marsh.utf8
+
+local outline = {}
+
+--- The chart as a page draws it.
+---@class rfsm.observe.Outline
+---@field nodes table[] { name, fqn, kind, parent?, is_region? }; parents come first
+---@field edges table[] { key, src, tgt, label, events, is_internal? }
+---@field events table[] { text, words, is_own }
+---@field values any[] the events themselves
+---@field number_of table<any, integer> by FQN of a node
+---@field edge_of table<string, integer> by key of a transition
+---@field event_of table<any, integer> by event
+---@field event_text fun(event: any): string
+---@field from table<integer, table[]> the edges from each node
+
+--- Does a machine send this event itself?
+function outline.is_own(event)
+  return type(event) == "string"
+    and (event == "e_init_fsm" or event:find("^e_done@") ~= nil)
+end
+
+local function add_node(list, tab, fqn, parent, is_region)
+  local number = #list.nodes
+  list.number_of[fqn] = number
+  list.nodes[number + 1] = {
+    name = utf8(tab.id), fqn = utf8(fqn), kind = diagram.kind_of(tab), parent = parent,
+    is_region = is_region,
+  }
+  for _, subtab in ipairs(diagram.members(tab)) do
+    add_node(list, subtab, fqn .. "." .. subtab.id, number, tab.regions and true)
+  end
+end
+
+-- Returns the number of an event, which is new if no transition before has named it.
+local function number_of(list, event, words)
+  if not list.event_of[event] then
+    list.event_of[event] = #list.values
+    list.values[#list.values + 1] = event
+    list.events[#list.values] = { text = utf8(list.event_text(event)),
+      words = utf8(words), is_own = outline.is_own(event) }
+  end
+  return list.event_of[event]
+end
+
+local function label_of(tr, words)
+  local parts = { words[1] and concat(words, ", ") or nil }
+  if tr.guard then parts[#parts + 1] = "[" .. tr.guard .. "]" end
+  if tr.effect then parts[#parts + 1] = "/ " .. tr.effect end
+  return utf8(concat(parts, " "))
+end
+
+local function add_edge(list, tr, key, words)
+  local edge = {
+    key = utf8(key), src = list.number_of[tr.src], tgt = list.number_of[tr.tgt],
+    label = label_of(tr, words), is_internal = tr.internal, events = {},
+  }
+  for i, event in ipairs(tr.events) do
+    edge.events[i] = number_of(list, event, words[i])
+  end
+  list.edge_of[key] = #list.edges
+  list.edges[#list.edges + 1] = edge
+  list.from[edge.src] = list.from[edge.src] or {}
+  table.insert(list.from[edge.src], edge)
+end
+
+--- Read a description.
+function outline.read(description)
+  local list = {
+    nodes = {}, edges = {}, events = {}, values = {}, number_of = {}, edge_of = {},
+    event_of = {}, from = {}, event_text = marsh.gen_event_text(),
+  }
+  add_node(list, description, "root")
+  diagram.each_transition(description, list.event_text, function(...)
+    add_edge(list, ...)
+  end)
+  return list
+end
+
+-- Adds the events of the edges from a node, and of the edges behind connectors.
+local function add_possible(list, found, node, is_seen)
+  local is_from_state = diagram.is_state(list.nodes[node + 1])
+  is_seen[node] = true
+  for _, edge in ipairs(list.from[node] or {}) do
+    local is_through = not diagram.is_state(list.nodes[(edge.tgt or node) + 1])
+    for _, number in ipairs(edge.events) do found.set[number] = true end
+    if is_from_state and not edge.events[1] then found.any = true end
+    if is_through and not is_seen[edge.tgt] then
+      add_possible(list, found, edge.tgt, is_seen)
+    end
+  end
+end
+
+--- List the events that a transition from an active state names, by number, and if any
+-- other event would be taken. Guards are not called.
+function outline.possible(list, active)
+  local found, is_seen, numbers = { set = {}, any = false }, {}, {}
+  for _, node in ipairs(active) do add_possible(list, found, node, is_seen) end
+  for number = 0, #list.events - 1 do
+    if found.set[number] then numbers[#numbers + 1] = number end
+  end
+  return numbers, found.any
+end
+
+return outline

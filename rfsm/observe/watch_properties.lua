@@ -1,0 +1,288 @@
+--- The properties of an exploration, judged while a machine runs.
+--
+-- Monitors look at the end of each iteration, and at the states that it passes. Times
+-- are those of the machine's clock: a clock begins when a step is over, and is read
+-- before the timers are.
+--
+-- @module rfsm.observe.watch_properties
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local clock = require "rfsm.clock"
+local match = require "rfsm.shared.match"
+local monitors = require "rfsm.explore.monitors"
+local opts = require "rfsm.shared.options"
+local location = require "rfsm.shared.location"
+local properties = require "rfsm.explore.properties"
+local order = require "rfsm.shared.order"
+local instrument = require "rfsm.shared.instrument"
+
+local error, ipairs, package, type = error, ipairs, package, type
+local concat, remove = table.concat, table.remove
+
+local watch_properties = {}
+
+--- A property of a machine that is watched.
+---@class rfsm_checks.Monitor
+---@field name string
+---@field property rfsm_checks.Property
+---@field state string
+---@field clocks number[] when each began
+---@field is_told boolean the last step has been reported
+
+--- What is kept of a machine that is watched.
+---@class rfsm_checks.Watched
+---@field fsm rfsm.Machine
+---@field monitors rfsm_checks.Monitor[]
+---@field active fun(name: string): boolean
+---@field is_timed boolean some property has a time
+---@field now number seconds, when the iteration began
+---@field leaf rfsm.State|false when the iteration began
+---@field forwarded any[] events of the iteration before, which belongs to this step
+---@field moments { state: rfsm.State, active: fun(name: string): boolean }[] of this
+-- step, when a state was entered through which it may pass
+---@field changes table[] the hooks
+---@field trace { text: string, at: number|false }[] the latest steps
+local Watched = {}
+Watched.__index = Watched
+
+local NOTHING = {}
+
+local LONG = 10 -- steps that are kept
+
+local MARGIN = 1e-6 -- seconds; more than the error of a difference of two times
+
+local function read_clock(own)
+  if not own.is_timed then return 0 end
+  local gettime = own.fsm.gettime
+  local sec, nsec = (gettime and clock.split(gettime) or clock.in_use)[true]()
+  return nsec and sec + nsec * 1e-9 or sec * 1e-9
+end
+
+-- Returns a function that tells of a path if the state is active; and one that returns
+-- such a function for this moment.
+local function views_of(fsm)
+  local states = {}
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
+      states[location.path(state, entry.prefix)] = state
+    end
+  end
+  return function(name)
+    if not states[name] then
+      location.refuse_name(name, "state", rfsm.sorted_keys(states))
+    end
+    return states[name]._mode ~= "inactive"
+  end, function()
+    local is_active = {}
+    for path, state in order.each(states) do -- any order: a set
+      is_active[path] = state._mode ~= "inactive"
+    end
+    return function(name) return is_active[name] end
+  end
+end
+
+-- Will nothing happen before an event comes: no event waits, and no doo goes on?
+local function is_idle(fsm)
+  return rfsm.check_events(fsm) == 0 and fsm._act_leaf._mode == "done"
+end
+
+local function has_timer(fsm)
+  local rfsm_timeevent = package.loaded.rfsm_timeevent
+  return rfsm_timeevent ~= nil and rfsm_timeevent.next_deadline(fsm) ~= nil
+end
+
+-- Do the events come from the engine alone?
+local function are_internal(events)
+  for i = 1, #events do
+    if match.maker_of(events[i]) ~= "engine" then return false end
+  end
+  return true
+end
+
+-- Notes a step in which something came or changed.
+local function note_step(own, events)
+  local texts, leaf = {}, own.fsm._act_leaf
+  if leaf == own.leaf and are_internal(events) then return end
+  for i = 1, #events do texts[i] = rfsm.text_of(events[i]) end
+  local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
+    .. (own.leaf and own.leaf._fqn .. " -> " or "") .. leaf._fqn
+  own.trace[#own.trace + 1] = { text = text, at = own.is_timed and own.now }
+  if #own.trace > LONG then remove(own.trace, 1) end
+end
+
+local function report(own, monitor)
+  local lines, before = {}, own.trace[1] and own.trace[1].at
+  for i, step in ipairs(own.trace) do
+    local wait = step.at and step.at - before or 0
+    lines[i] = ("  %d. %s%s"):format(i, wait > 0 and ("+%.3g s "):format(wait) or "",
+      step.text)
+    before = step.at
+  end
+  local wait = own.is_timed and before and own.now - before or 0
+  if wait > 0 then lines[#lines + 1] = ("  and then %.3g s"):format(wait) end
+  rfsm.report(own.fsm, "err", ("property '%s' does not hold\n%s"):format(monitor.name,
+    concat(lines, "\n")))
+end
+
+-- Returns how many clocks of a monitor have expired.
+local function count_expired(own, monitor)
+  local expired = 0
+  for _, began in ipairs(monitor.clocks) do
+    if own.now - began > monitor.property.seconds + MARGIN then
+      expired = expired + 1
+    end
+  end
+  return expired
+end
+
+-- Sets the clocks of a monitor: those that stay, by number, and new ones.
+local function set_clocks(monitor, numbers, now)
+  local clocks = {}
+  for i, number in ipairs(numbers) do clocks[i] = monitor.clocks[number] or now end
+  monitor.clocks = clocks
+end
+
+-- Has a monitor look at the iteration that ends.
+local function look_at(own, monitor, look, events)
+  local property = monitor.property
+  look.came = property.event ~= nil and own.leaf
+    and match.has(events, property.event) or false
+  look.expired, look.count = count_expired(own, monitor), #monitor.clocks
+  local state, clocks = monitors.see[property.kind](property, monitor.state, look)
+  if clocks then set_clocks(monitor, clocks, look.now) end
+  local is_violated = state == "violated"
+  monitor.state = is_violated and (monitors.next[property.kind] or "first") or state
+  if is_violated and not monitor.is_told then report(own, monitor) end
+  monitor.is_told = is_violated
+end
+
+local function begin_iteration(own)
+  own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
+end
+
+-- Do the regions of the active leaf get the events in the next iteration, which belongs
+-- to the same step? Not if a transition was taken.
+local function are_forwarded(fsm)
+  return fsm._act_leaf._regions and rfsm.is_free(fsm)
+end
+
+local function end_iteration(own, events)
+  if not own.fsm._act_leaf then return end
+  note_step(own, events)
+  if are_forwarded(own.fsm) then
+    own.forwarded = match.joined(own.forwarded, events)
+    return
+  end
+  events, own.forwarded = match.joined(own.forwarded, events), {}
+  for _, moment in ipairs(own.moments) do
+    local look = { active = moment.active, is_end = false, now = own.now }
+    local is_passed = moment.state._mode == "inactive"
+    for _, monitor in ipairs(is_passed and own.monitors or NOTHING) do
+      look_at(own, monitor, look, NOTHING)
+    end
+  end
+  own.moments = {}
+  local look = { active = own.active, is_end = true, now = read_clock(own),
+    is_idle = is_idle(own.fsm) }
+  look.is_at_rest = look.is_idle and not has_timer(own.fsm)
+  for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
+end
+
+-- Returns monitors for the properties that are given.
+local function monitors_of(where, given, active)
+  local list = {}
+  for i, judged in ipairs(properties.list_of(where, given)) do
+    local property = judged.property
+    properties.check_names(where, judged, active)
+    if not monitors.see[property.kind] then
+      error(("%s: property '%s' is about runs that might be: explore it"):format(where,
+        judged.name), 0)
+    end
+    list[i] = { name = judged.name, property = property }
+  end
+  return list
+end
+
+-- Has composites through which a step may pass note what is active then, if a monitor
+-- looks at that.
+local function note_moments(own, fsm, snapshot)
+  local is_needed = false
+  for _, monitor in ipairs(own.monitors) do
+    is_needed = is_needed or monitors.passes[monitor.property.kind]
+  end
+  if not is_needed then return end
+  for _, entry in ipairs(rfsm.machines(fsm)) do
+    for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_composite)) do
+      if not rfsm.is_root(state) and location.is_passable(state) then
+        instrument.entry_hook(own.changes, entry.machine, state, function()
+          own.moments[#own.moments + 1] = { state = state, active = snapshot() }
+        end)
+      end
+    end
+  end
+end
+
+-- Has all monitors begin anew.
+local function begin(own)
+  own.trace, own.forwarded, own.moments = {}, {}, {}
+  for _, monitor in ipairs(own.monitors) do
+    monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
+  end
+end
+
+--- Watch no more: the machine has none of its hooks any longer.
+function Watched:stop() instrument.give_back(self.changes) end
+
+--- Return the seconds until the time of a property is over; nil if none is running. A
+-- host that sleeps until the next deadline of a timer may see to this one, too.
+---@return number? seconds
+function Watched:next_deadline()
+  local least
+  for _, monitor in ipairs(self.monitors) do
+    for _, began in ipairs(monitor.clocks) do
+      local left = began + monitor.property.seconds - read_clock(self)
+      if not least or left < least then least = left end
+    end
+  end
+  return least
+end
+
+--- Have a machine report to `err` if a property does not hold, with the latest steps.
+--
+-- Properties are those of an exploration, but for `from(...).can_reach(...)`; they look
+-- at states, and not at flags. What an event has to lead to, and has not, is known when
+-- nothing happens before the next event comes. After a report the property is watched
+-- from there on.
+--
+-- @raise if there is no such property or state
+---@param fsm rfsm.Machine
+---@param given? table<any, rfsm_checks.Property> default: the field `properties`
+---@return rfsm_checks.Watched watched its method `stop` ends it
+function watch_properties.watch_properties(fsm, given)
+  local where = "rfsm_checks.watch_properties"
+  rfsm.check_machine(fsm, where)
+  if given == nil then given = fsm.properties end
+  if type(given) ~= "table" then
+    error(where .. ": table of properties expected, " .. opts.got(given), 2)
+  end
+  local active, snapshot = views_of(fsm)
+  local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
+    is_timed = false, changes = {} }, Watched)
+  own.monitors = monitors_of(where, given, own.active)
+  for _, monitor in ipairs(own.monitors) do
+    own.is_timed = own.is_timed or monitor.property.seconds ~= nil
+  end
+  note_moments(own, fsm, snapshot)
+  begin(own)
+  instrument.hook(own.changes, fsm, "pre_step", function()
+    begin_iteration(own)
+  end, "before")
+  instrument.hook(own.changes, fsm, "post_step", function(_, events)
+    end_iteration(own, events)
+  end)
+  instrument.hook(own.changes, fsm, "reset", function() begin(own) end)
+  return own
+end
+
+return watch_properties

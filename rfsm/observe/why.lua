@@ -1,0 +1,241 @@
+--- Why: the answer of each transition to some events, and the events that count now.
+--
+-- Guards and predicates are called, as in a search of the engine. No other callback is,
+-- and nothing is changed.
+--
+-- @module rfsm.observe.why
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
+local alphabet = require "rfsm.shared.alphabet"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
+
+local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+local select, setmetatable, type = select, setmetatable, type
+local concat = table.concat
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+local is_conn, text_of = rfsm.is_conn, rfsm.text_of
+
+local why = {}
+
+--- The answer of one transition.
+---@class rfsm_checks.Answer
+---@field verdict "fires"|"lost"|"enabled"|"event"|"guard"|"failed"|"closed"
+---@field reason string the verdict in words
+---@field place string "root.trans[2] (off -> on)"
+---@field file string "chart.lua:7: "; empty if it is not known
+---@field src string FQN
+---@field tgt string FQN
+---@field winner? string lost: the place of the transition that is taken
+---@field connector? string closed: FQN of the connector where the path ends
+---@field ways? rfsm_checks.Answer[] closed: those from the connector, once
+
+--- The answers of a machine.
+---@class rfsm_checks.Why
+---@field events string[] as texts
+---@field leaf string|false FQN of the active leaf; false before the first entry
+---@field fires string|false place of the transition that would be taken
+---@field answers rfsm_checks.Answer[] in the order in which they are tried
+---@field regions { name: string, why: rfsm_checks.Why }[] machines in the leaf
+
+local function texts_of(values)
+  local texts = {}
+  for i = 1, #values do texts[i] = text_of(values[i]) end
+  return texts
+end
+
+-- Search: that of the engine, but with an answer of each transition ----------------
+
+local function is_accepted(tr, event)
+  for _, wanted in ipairs(tr.events) do
+    local ok, answer = true, false
+    if type(wanted) == "function" then ok, answer = calls.try(wanted, event) end
+    if ok and answer then return true end
+  end
+  return match.names(tr, event)
+end
+
+-- Without an event only the first entry takes a transition.
+local function matches(search, tr)
+  if match.is_any(tr) then return not search.is_mute end
+  for _, event in ipairs(search.events) do
+    if is_accepted(tr, event) then return true end
+  end
+  return false
+end
+
+-- Returns the target of a transition, which a program may have set to a composite.
+local function target_of(tr)
+  local tgt = tr.tgt
+  if rawequal(tr.src, tgt) and rfsm.target_of(tr) == "internal" then return tgt end
+  if rfsm.is_composite(tgt) then return tgt.initial end
+  return rfsm.is_node(tgt) and tgt or nil
+end
+
+local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt) end
+
+local ask_connector
+
+-- Returns the verdict on a transition, the same in words, and for a closed one the
+-- connector where the path ends and the answers there.
+local function judge(search, tr)
+  if not matches(search, tr) then
+    local wanted = concat(texts_of(tr.events or {}), ", ")
+    return "event", "waits for " .. (wanted == "" and "any event" or wanted)
+  end
+  local ok, answer = true, true
+  if tr.guard then ok, answer = calls.try(tr.guard, tr, search.events) end
+  if not ok then return "failed", "its guard fails: " .. text_of(answer) end
+  if answer == false then return "guard", "its guard returns false" end
+  local tgt = target_of(tr)
+  if not tgt then
+    return "closed", "its target is " .. name_of(tr.tgt) .. ", which cannot be entered"
+  end
+  local found, ways = { way = true }, nil
+  if is_conn(tgt) then found, ways = ask_connector(search, tgt) end
+  if found.way then return "enabled", "enabled" end
+  return "closed", "the path ends at " .. found.connector, found.connector, ways
+end
+
+local function ask(search, tr)
+  local verdict, reason, connector, ways = judge(search, tr)
+  local file, at = location.split(rfsm.location_of(tr))
+  return { verdict = verdict, reason = reason, place = at, file = file,
+    src = tr.src._fqn, tgt = name_of(tr.tgt), connector = connector, ways = ways }
+end
+
+-- Asks the transitions from a connector, once a search; meanwhile it counts as closed.
+-- The field `way` is true if one is enabled. The answers are returned at the first call
+-- only. Where the engine stops, at the first enabled one, the rest is asked here, too.
+function ask_connector(search, connector)
+  local found = search.found[connector]
+  if found then return found end
+  found = { connector = connector._fqn, way = false }
+  search.found[connector] = found
+  local ways, pn = {}, nil
+  for i, tr in ipairs(connector._otrs) do
+    if pn and (tr.pn or 0) ~= pn then found.way = true end
+    ways[i] = ask(search, tr)
+    if not pn and ways[i].verdict == "enabled" then pn = tr.pn or 0 end
+  end
+  found.way = pn ~= nil
+  if #ways == 1 then found.connector = ways[1].connector or found.connector end
+  return found, ways
+end
+
+local function answers_of(fsm, events)
+  local search, answers, winner = { events = events, found = {} }, {}, false
+  search.is_mute = fsm._act_leaf and events[1] == nil
+  for _, node in ipairs(location.tried(fsm, fsm._act_leaf)) do
+    for _, tr in ipairs(node._otrs) do
+      local answer = ask(search, tr)
+      if answer.verdict == "enabled" and winner then
+        answer.verdict, answer.reason, answer.winner = "lost", "loses to " .. winner,
+          winner
+      elseif answer.verdict == "enabled" then
+        answer.verdict, answer.reason = "fires", "would be taken"
+        winner = answer.place
+      end
+      answers[#answers + 1] = answer
+    end
+  end
+  return answers, winner
+end
+
+-- Text ----------------------------------------------------------------------------
+
+local function add_answers(lines, answers, indent)
+  for _, answer in ipairs(answers) do
+    lines[#lines + 1] = indent .. answer.place .. ": " .. answer.reason
+    if answer.ways then add_answers(lines, answer.ways, indent .. "  ") end
+  end
+end
+
+local function summary(result)
+  local events = result.events[1] and "on " .. concat(result.events, ", ")
+    or "without an event"
+  local leaf = " in " .. (result.leaf or "a machine that was not entered")
+  return (result.fires or "no transition") .. " would be taken " .. events .. leaf
+end
+
+local function add_text(lines, result, indent)
+  lines[#lines + 1] = indent .. summary(result)
+  add_answers(lines, result.answers, indent .. "  ")
+  for _, region in ipairs(result.regions) do
+    lines[#lines + 1] = indent .. "  region " .. region.name .. ":"
+    add_text(lines, region.why, indent .. "    ")
+  end
+end
+
+-- Public functions ----------------------------------------------------------------
+
+local function explain(fsm, events)
+  local answers, winner = answers_of(fsm, events)
+  local result = { events = texts_of(events), fires = winner, answers = answers,
+    leaf = rfsm.get_actleaf_fqn(fsm), regions = {} }
+  for i, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
+    result.regions[i] = { name = region.name, why = explain(region.machine, events) }
+  end
+  return result
+end
+
+--- Explain the effect of events in the current state of a machine.
+--
+-- Each transition from the root to the active leaf is asked whether it would be taken;
+-- if not, the answer names the rule: another event, the guard, another transition that
+-- is tried earlier, a connector where the path ends. Guards are called, nothing else
+-- is. Events that a step hook or a timer would add are not known here.
+--
+---@param fsm rfsm.Machine
+---@param ... any events; none: those in the queue
+---@return rfsm_checks.Why why plain tables
+---@return string text the same for a person
+function why.why(fsm, ...)
+  rfsm.check_machine(fsm, "rfsm_checks.why")
+  local events = select("#", ...) == 0 and { unpack(fsm._intq) } or {}
+  for i = 1, select("#", ...) do
+    events[#events + 1] = (select(i, ...)) -- not if it is nil
+  end
+  local result, lines = explain(fsm, events), {}
+  add_text(lines, result, "")
+  return result, concat(lines, "\n")
+end
+
+-- An event that no transition names.
+local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
+
+-- Appends the events that enable a transition of the machine or of regions of its leaf.
+-- An event that counts only as any event is tried, too: a guard may refuse it.
+local function add_enabled(list, is_listed, fsm)
+  local takes_any = select(2, answers_of(fsm, { OTHER })) and true
+  for _, event in ipairs(alphabet.of(fsm).list) do
+    if not is_listed[event] and select(2, answers_of(fsm, { event })) then
+      is_listed[event] = true
+      list[#list + 1] = event
+    end
+  end
+  list.any = list.any or takes_any
+  for _, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
+    add_enabled(list, is_listed, region.machine)
+  end
+  return list
+end
+
+--- List the events that would have a transition taken now, one event at a time.
+--
+-- Events are those that transitions name, in the order of the tree.
+--
+---@param fsm rfsm.Machine
+---@return any[] events field `any` is true if any other event would, too
+---@return string text the same for a person
+function why.enabled(fsm)
+  rfsm.check_machine(fsm, "rfsm_checks.enabled")
+  local list = add_enabled({ any = false }, {}, fsm)
+  local texts = texts_of(list)
+  if list.any then texts[#texts + 1] = text_of(OTHER) end
+  return list, texts[1] and concat(texts, "\n") or "no event"
+end
+
+return why

@@ -1,0 +1,112 @@
+--- Bundles charts with the core as a schema of PostgreSQL, with functions in PL/Lua.
+--
+-- The command `rfsm postgres` calls it. The functions are those that run in Redis;
+-- `rfsm.postgres.host` stands for Redis.
+--
+-- @module rfsm.postgres.script
+-- @license BSD-3-Clause
+
+local add_module = require("rfsm.server.bundle").add
+local library = require "rfsm.server.library"
+local schema = require "rfsm.postgres.schema"
+
+local concat = table.concat
+
+local script = {}
+
+-- In front of the library: what it finds in place of Redis and of globals. `pcall` of
+-- PL/Lua makes a subtransaction, and catches that a call is cancelled; `lpcall` does
+-- neither. Charts are a part of the library: no name of the host, such as `spi`, may be
+-- in their scope, or in that of a text that they load.
+local HEAD = [[
+local redis, cjson, cmsgpack, pcall, xpcall, sandbox, _G
+do
+  local bundled, load = {}, load
+  %s
+  local host, answer = bundled["rfsm.postgres.pllua"]()(
+    bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
+  self.answer = answer
+  redis, cjson, cmsgpack, pcall = host.redis, host.cjson, host.cmsgpack, lpcall
+  local function finish(handler, ok, ...)
+    if ok then return ok, ... end
+    return ok, handler((...))
+  end
+  function xpcall(f, handler, ...) return finish(handler, pcall(f, ...)) end
+  _G = { os = { clock = os.clock }, pcall = pcall, xpcall = xpcall, redis = redis,
+    cjson = cjson, cmsgpack = cmsgpack }
+  for name in ([=[assert collectgarbage error getmetatable ipairs next pairs rawequal
+    rawget rawset select setmetatable tonumber tostring type coroutine string table math
+    _VERSION]=]):gmatch("%%S+") do
+    _G[name] = self[name]
+  end
+  function _G.load(text, name, _, globals)
+    return load(text, name, "t", globals == nil and sandbox or globals)
+  end
+  sandbox = setmetatable({}, {
+    __index = function(_, name)
+      if _G[name] ~= nil then return _G[name] end
+      error("global '" .. tostring(name) .. "' does not exist in PostgreSQL", 2)
+    end,
+    __newindex = function(_, name)
+      error("global '" .. tostring(name) .. "' cannot be set in PostgreSQL", 2)
+    end,
+  })
+end
+local self, _ENV = nil, sandbox
+]]
+
+-- Returns a text that another library does not have, most likely.
+local function id_of(text)
+  local sum = 0
+  for i = 1, #text do sum = (sum * 31 + text:byte(i)) % 16777213 end
+  return ("%06x-%x"):format(sum, #text)
+end
+
+-- Returns a quote for a text that does not contain it.
+local function quote_for(text)
+  local tag = "$rfsm$"
+  while text:find(tag, 1, true) do tag = tag:sub(1, -2) .. "_$" end
+  return tag
+end
+
+--- What the schema has besides machines.
+---@class rfsm.postgres.Options
+---@field history? boolean a trigger notes each move in rfsm.history
+---@field notify? boolean a trigger reports each move to those who LISTEN to rfsm
+---@field ids? integer as in `rfsm.server.Options`
+---@field ids_for? integer likewise
+
+--- Return the library that runs at a table of PostgreSQL, and a list of warnings, for
+-- charts as `rfsm.redis.bundle` takes them. Raises an error as that does.
+function script.library(arguments, options)
+  return library.text(arguments, "PostgreSQL", { history = 1, ids = options.ids,
+    ids_for = options.ids_for })
+end
+
+local function schema_of(functions, options)
+  local triggers = schema.TRIGGERS:gsub("%$(%u+)", {
+    HISTORY = options.history and "true" or "false",
+    NOTIFY = options.notify and "true" or "false" })
+  return concat { schema.HEAD, functions, options.history and schema.HISTORY or "",
+    options.notify and schema.NOTIFY or "", triggers, schema.FOOT }
+end
+
+--- Return SQL that makes the schema `rfsm` for `rfsm.postgres`: its tables.
+function script.tables(options) return schema_of("", options or {}) end
+
+--- Return SQL that makes the schema `rfsm`, or gives it other charts, and a list of
+-- warnings. Raises an error as `library`.
+function script.sql(arguments, options)
+  options = options or {}
+  local text, warnings = script.library(arguments, options)
+  local parts = {}
+  add_module(parts, "rfsm.postgres.host")
+  add_module(parts, "rfsm.postgres.pllua")
+  local code = HEAD:format(concat(parts)) .. text
+  local id = id_of(code)
+  local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id }
+  local functions = schema.FUNCTIONS:gsub("%$(%u+)", values)
+  return schema_of(functions, options), warnings
+end
+
+return script

@@ -1,0 +1,225 @@
+--- A recording in a file: runs, each a header and a line of JSON for each record.
+--
+-- A line leaves out what follows from the lines before: queued events, a leaf that has
+-- not changed, the completion of a leaf. So a file is a third as long as its records.
+-- The last line of a run may be incomplete.
+--
+-- @module rfsm.record.journal
+-- @license BSD-3-Clause
+
+local files = require "rfsm.shared.files"
+local opts = require "rfsm.shared.options"
+local rfsm = require "rfsm"
+local tracks = require "rfsm.record.track"
+local order = require "rfsm.shared.order"
+
+local error, io, ipairs = error, io, ipairs
+local tostring, type = tostring, type
+local concat = table.concat
+local same = tracks.same
+
+local journal = { VERSION = 2 } -- of files; 1 is a file of whole records
+
+-- Short records -------------------------------------------------------------------
+
+local NONE, SHORT = {}, { events = true, leaf = true, done = true, sent = true }
+
+-- Returns the events that a machine sends without any callback: a done leaf's e_done.
+local function usual(leaf, is_done)
+  return is_done and leaf and { "e_done@" .. leaf } or nil
+end
+
+-- Returns a record without the fields that follow from the last one of its machine.
+local function shorten(rec, before)
+  local short, events = {}, rec.events
+  for key, value in order.each(rec) do -- any order: each stands alone
+    if not SHORT[key] then short[key] = value end
+  end
+  if not same(events, before.sent) then short.events = events or NONE end
+  if rec.leaf ~= before.leaf or rec.done ~= before.done then
+    short.leaf, short.done = rec.leaf or false, rec.done
+  end
+  local is_told = short.leaf ~= nil
+  if not same(rec.sent, is_told and usual(rec.leaf, rec.done) or nil) then
+    short.sent = rec.sent or NONE
+  end
+  return short
+end
+
+local function list_or_nil(list) return list[1] ~= nil and list or nil end
+
+local function lengthen(short, before)
+  local rec = {}
+  for key, value in order.each(short) do rec[key] = value end -- any order: a copy
+  local is_told = short.leaf ~= nil
+  rec.events = list_or_nil(short.events or before.sent or NONE)
+  if is_told then
+    rec.leaf = short.leaf or nil
+  else
+    rec.leaf, rec.done = before.leaf, before.done
+  end
+  rec.sent = list_or_nil(short.sent or is_told and usual(rec.leaf, rec.done) or NONE)
+  return rec
+end
+
+-- Write ---------------------------------------------------------------------------
+
+local KEY_ORDER = { "record", "file", "m", "fresh", "had", "events", "added", "got",
+  "clock", "guards", "reset", "sent", "leaf", "done", "kept", "regions" }
+
+local function json() return opts.need("rfsm.record", "dkjson") end
+
+--- Return a record as a line of JSON.
+function journal.encode(rec) return json().encode(rec, { keyorder = KEY_ORDER }) end
+
+local MAX_QUOTED = 1000 -- texts that are remembered
+
+-- Returns a function that quotes texts, and remembers how.
+local function new_quote()
+  local quotestring, quoted, count = json().quotestring, {}, 0
+  return function(text)
+    local result = quoted[text]
+    if result then return result end
+    if count >= MAX_QUOTED then quoted, count = {}, 0 end
+    result = quotestring(text)
+    quoted[text], count = result, count + 1
+    return result
+  end
+end
+
+-- Returns a list of texts and booleans as JSON; nil if it holds something else.
+local function plain_list(list, quote)
+  local texts = {}
+  for i = 1, #list do
+    local item = list[i]
+    if type(item) == "string" then
+      texts[i] = quote(item)
+    elseif type(item) == "boolean" then
+      texts[i] = tostring(item)
+    else
+      return nil
+    end
+  end
+  return "[" .. concat(texts, ",") .. "]"
+end
+
+local function is_usual(short)
+  for key in order.each(short) do -- any order: all have to be
+    if not SHORT[key] then return false end
+  end
+  return true
+end
+
+local LISTS = { "events", "sent" }
+
+-- Returns the line of a short record with the usual fields; nil if it has others.
+local function plain_line(short, quote)
+  local parts, leaf = {}, short.leaf
+  for _, name in ipairs(LISTS) do
+    local list = short[name] and plain_list(short[name], quote)
+    if short[name] and not list then return nil end
+    if list then parts[#parts + 1] = ('"%s":%s'):format(name, list) end
+  end
+  if leaf then parts[#parts + 1] = '"leaf":' .. quote(leaf) end
+  if leaf == false then parts[#parts + 1] = '"leaf":false' end
+  if short.done then parts[#parts + 1] = '"done":true' end
+  return "{" .. concat(parts, ",") .. "}"
+end
+
+--- Return a function that writes the records of a run to a stream.
+function journal.writer(stream)
+  local quote, before = new_quote(), {}
+  return function(rec)
+    local line
+    if rec.record then
+      before = {}
+      line = journal.encode { record = journal.VERSION, file = rec.file,
+        clock = rec.clock, guards = rec.guards, snapshot = rec.snapshot }
+    else
+      local machine = rec.m or 0
+      local short = shorten(rec, before[machine] or NONE)
+      before[machine] = rec
+      line = is_usual(short) and plain_line(short, quote) or journal.encode(short)
+    end
+    stream:write(line, "\n")
+    if stream.flush then stream:flush() end
+  end
+end
+
+--- Open a file for one run more. An incomplete last line gets an end.
+function journal.open(name)
+  local old = io.open(name, "rb")
+  local is_cut = old and old:seek("end", -1) and old:read(1) ~= "\n"
+  if old then old:close() end
+  local file, problem = io.open(name, "a")
+  if file and is_cut then file:write("\n") end
+  return file, problem
+end
+
+-- Read ----------------------------------------------------------------------------
+
+--- A run in a file.
+---@class rfsm.record.Run
+---@field [integer] table its lines, decoded
+---@field is_cut boolean its last line is incomplete
+
+-- Adds a line to the runs. After a line that is no JSON only a header may come.
+local function add_line(runs, line, number)
+  local value, _, problem = json().decode(line, 1, nil)
+  local run = runs[#runs]
+  if type(value) == "table" and value.record then
+    runs[#runs + 1] = { value, is_cut = false }
+  elseif runs.problem or not (problem or run) then
+    error(runs.problem or ("line %d: header expected"):format(number), 0)
+  elseif problem then
+    runs.problem = ("no JSON: %s at line %d"):format(problem, number)
+    if run then run.is_cut = true end
+    return
+  else
+    run[#run + 1] = value
+  end
+  runs.problem = nil
+end
+
+local function split(text)
+  local runs, number = {}, 0
+  for line in (text .. "\n"):gmatch("(.-)\r?\n") do
+    number = number + 1
+    if line:find("%S") then add_line(runs, line, number) end
+  end
+  if not runs[1] then error(runs.problem or "no recording", 0) end
+  return runs
+end
+
+local function expand(run)
+  local header, before, list = run[1], {}, {}
+  for i, rec in ipairs(run) do
+    if i > 1 and header.record == journal.VERSION then
+      if type(rec) ~= "table" then
+        error(("record %d: table expected, got %s"):format(i, type(rec)), 0)
+      end
+      local machine = rec.m or 0
+      rec = lengthen(rec, before[machine] or NONE)
+      before[machine] = rec
+    end
+    list[i] = rec
+  end
+  if header.record == journal.VERSION then header.record = 1 end
+  return list
+end
+
+--- Return the records of a run in a file, the last one if there is no number. Raises an
+-- error if the file cannot be read, a line is no record, or there is no such run.
+function journal.read(name, number)
+  local text, problem = files.read(name)
+  if not text then error(problem, 0) end
+  local runs = split(text)
+  local run = runs[number or #runs]
+  if not run then
+    error(("run: number from 1 to %d expected, got %s"):format(#runs,
+      rfsm.text_of(number)), 0)
+  end
+  return expand(run), { runs = #runs, is_cut = run.is_cut }
+end
+
+return journal

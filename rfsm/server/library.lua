@@ -1,0 +1,200 @@
+--- The library that both database servers run: charts, the core, and the functions of
+--- `rfsm.server.functions`, in one text.
+--
+-- `rfsm.redis` loads it into Redis; `rfsm.postgres.script` has a stand-in for Redis.
+--
+-- @module rfsm.server.library
+-- @license BSD-3-Clause
+
+local bundle = require "rfsm.server.bundle"
+local chart = require "rfsm.shared.chart"
+local files = require "rfsm.shared.files"
+local rfsm = require "rfsm"
+local sandbox = require "rfsm.server.sandbox"
+
+local error, ipairs, pcall, require = error, ipairs, pcall, require
+local concat = table.concat
+
+local library = {}
+
+-- Modules that charts require, or get as a field; those that these need come along.
+local ROOTS = {
+  "rfsm.server.functions", "rfsm_seqand", "rfsm.emem", "rfsm.monitor", "rfsm.preview",
+}
+
+-- While Redis loads a library hardly any global is there; later none can be set, and
+-- reading one that is absent is an error. So the modules see locals in their place, and
+-- are made at the first call.
+local HEAD = [[
+local function globals() return _G end
+local _G, loadfile, print, io, os, debug, package, require
+local charts = {}
+
+local function outer_require(name)
+  local libraries = { string = string, table = table, math = math,
+    coroutine = coroutine }
+  return libraries[name] or error("module '" .. name .. "' not found", 3)
+end
+
+]] .. bundle.HEAD
+
+local FOOT = [[
+
+local library
+
+local function open()
+  _G = { RFSM_NO_GLOBALS = true }
+  for name, value in pairs(globals()) do _G[name] = value end
+  function print(...)
+    local texts = { ... }
+    for i = 1, select("#", ...) do texts[i] = tostring(texts[i]) end
+    redis.log(redis.LOG_NOTICE, table.concat(texts, " "))
+  end
+  _G.print = print
+  return require "rfsm.server.functions" ({ call = redis.call, json = cjson,
+    error_reply = redis.error_reply, pack = cmsgpack, may = redis.acl_check_cmd },
+    charts, options)
+end
+
+local function register(name, flag)
+  redis.register_function {
+    function_name = name, flags = { flag },
+    callback = function(keys, args)
+      if not library then
+        local ok, made = pcall(open)
+        if not ok then
+          loaded = {}
+          return redis.error_reply("ERR rfsm: " .. tostring(made))
+        end
+        library = made
+      end
+      return library[name](keys, args)
+    end,
+  }
+end
+
+register("rfsm_create")
+register("rfsm_send")
+register("rfsm_send_at")
+register("rfsm_cancel")
+register("rfsm_tick")
+register("rfsm_wake")
+register("rfsm_get", "no-writes")
+register("rfsm_due", "no-writes")
+register("rfsm_why", "no-writes")
+register("rfsm_find", "no-writes")
+register("rfsm_stats", "no-writes")
+register("rfsm_history", "no-writes")
+]]
+
+local CHART = [[
+charts[#charts + 1] = { name = %q, make = function()
+local rfsm, rfsm_timeevent = require "rfsm", require "rfsm_timeevent"
+return (function(...) %s
+end)(%q)
+end }
+]]
+
+-- Appends a module under its name; returns its text, nil if it is not plain Lua. The
+-- flat names of rFSM may be in no folder of this process.
+local function add_text(parts, name)
+  local dotted = name:match("^rfsm_(%a+)$")
+  return bundle.add(parts, name)
+    or dotted and bundle.add(parts, "rfsm." .. dotted, name)
+end
+
+-- Lists the modules that a text requires. Those of rfsm are also required by the core.
+local function required(name, text)
+  local names = {}
+  if name:find("^rfsm") then
+    for called, other in text:gmatch('([%l_]+) *%(?"(rfsm[%w_.]*)"') do
+      local is_needed = called == "require" or called == "find_module"
+      names[#names + 1] = is_needed and other or nil
+    end
+  else
+    for i, module in ipairs(sandbox.required(text)) do names[i] = module.name end
+  end
+  return names
+end
+
+-- Appends a module, and those that it requires. A chart's own are plain Lua.
+local function add_module(parts, name, is_there, where, server)
+  if is_there[name] then return end
+  is_there[name] = true
+  local text = add_text(parts, name)
+  if not text then
+    error(("%s: module '%s' is not there as plain Lua, so it cannot run in %s")
+      :format(where, name, server), 0)
+  end
+  for _, other in ipairs(required(name, text)) do
+    add_module(parts, other, is_there, where .. ": '" .. name .. "'", server)
+  end
+end
+
+--- Return the name of the chart in a file, and the file, of an argument such as
+-- `lamp.lua` or `lamp=old/lamp.lua`.
+---@param argument string
+---@return string name
+---@return string file
+function library.name_of(argument)
+  local name, file = argument:match("^([%w_.-]+)=(.+)$")
+  file = file or argument
+  return name or (file:match("([^/]*)$"):gsub("%.lua$", "")), file
+end
+
+local function read_chart(file)
+  local text, problem = files.read(file)
+  if not text then error("cannot open " .. problem, 0) end
+  return (text:gsub("^#[^\n]*", ""))
+end
+
+local function check_chart(file, text, server)
+  local model, problem = chart.load(file)
+  if not model then error(problem, 0) end
+  model, problem = sandbox.load(text, file, server)
+  if not model then error(problem, 0) end
+  model.info, model.warn, model.err = false, false, false
+  local ok, fsm, _, problems = pcall(rfsm.init, model)
+  if not ok then error(chart.reason(file, fsm), 0) end
+  if not fsm then error(chart.line(file, problems[1]), 0) end
+  local kept, failure = pcall(require("rfsm.snapshot").take, fsm)
+  if not kept then error(chart.reason(file, failure), 0) end
+end
+
+--- Return the text of the library for a server, and a list of warnings.
+-- @raise if a chart has a problem, in one line
+---@param arguments string[] see `name_of`; a later version of a name is newer
+---@param server string its name in messages
+---@param options rfsm.server.Options
+---@return string text
+---@return string[] warnings
+function library.text(arguments, server, options)
+  require "rfsm_timeevent"
+  require "rfsm.await"
+  local parts, warnings = { HEAD }, {}
+  local is_there = { string = true, table = true, math = true, coroutine = true }
+  for _, name in ipairs(ROOTS) do
+    add_module(parts, name, is_there, "rfsm.server.library", server)
+  end
+  for _, argument in ipairs(arguments) do
+    local name, file = library.name_of(argument)
+    local text = read_chart(file)
+    for _, module in ipairs(sandbox.required(text)) do
+      add_module(parts, module.name, is_there, file .. ":" .. module.line,
+        server)
+    end
+    check_chart(file, text, server)
+    for _, line in ipairs(sandbox.endless(sandbox.code_of(text))) do
+      warnings[#warnings + 1] = ("%s:%d: warning: this loop has no end: in %s it "
+        .. "would hold up all others"):format(file, line, server)
+    end
+    parts[#parts + 1] = CHART:format(name, text, file)
+  end
+  parts[#parts + 1] = ("\nlocal options = { index = %s, history = %s, ids = %s, "
+    .. "ids_for = %s }"):format(options.index and "true" or "nil",
+    options.history or "nil", options.ids or "nil", options.ids_for or "nil")
+  parts[#parts + 1] = FOOT
+  return concat(parts), warnings
+end
+
+return library

@@ -1,0 +1,91 @@
+--- Instruments: fields of machines and their elements that a tool replaces for a
+--- while, and hooks that it adds.
+--
+-- Each function takes a list, in which it notes what `give_back` needs.
+--
+-- @module rfsm.shared.instrument
+-- @license BSD-3-Clause
+
+local calls = require "rfsm.shared.calls"
+local rfsm = require "rfsm"
+
+local ipairs, rawequal, rawget = ipairs, rawequal, rawget
+
+local instrument = {}
+
+--- Replace a field; the change returned has the values before and now: `own`, `new`.
+function instrument.put(changes, obj, field, value)
+  local done = { obj = obj, field = field, own = rawget(obj, field), new = value }
+  changes[#changes + 1] = done
+  obj[field] = value
+  return done
+end
+
+--- Have a printer of a machine call a function first.
+function instrument.listen(changes, fsm, name, note)
+  local own = fsm[name]
+  instrument.put(changes, fsm, name, function(...)
+    note(...)
+    if rfsm.is_callable(own) then return own(...) end
+    if own then rawget(_G, "print")(calls.text("\t", ...)) end -- true prints
+  end)
+end
+
+--- Add a hook to a machine: before or after each step ("pre_step", "post_step"), or
+-- when it is reset ("reset"). The hook keeps no list of events.
+function instrument.hook(changes, fsm, kind, hook, where)
+  rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
+  changes[#changes + 1] = { remove = function()
+    rfsm[kind .. "_hook_rm"](fsm, hook)
+  end }
+end
+
+--- Add a hook that is called when a state is entered.
+function instrument.entry_hook(changes, fsm, state, hook)
+  rfsm.entry_hook_add(fsm, state, hook)
+  changes[#changes + 1] = { remove = function()
+    rfsm.entry_hook_rm(fsm, state, hook)
+  end }
+end
+
+local ROOT_FIELDS = { "idle_hook", "pre_step_hook", "post_step_hook" }
+local STATE_FIELDS, TRANSITION_FIELDS = { "entry", "exit" }, { "effect", "likely" }
+
+local function take_away(changes, obj, fields)
+  for _, field in ipairs(fields) do
+    if rawget(obj, field) then instrument.put(changes, obj, field, nil) end
+  end
+end
+
+--- Take the functions of a chart away from its machine, except guards, doos and
+-- getevents; return the states that have a doo.
+function instrument.take_functions(changes, fsm)
+  local doers = {}
+  take_away(changes, fsm, ROOT_FIELDS)
+  for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
+    local regions = rawget(state, "_regions")
+    -- the entry, exit and doo of a sequential AND state advance its regions; the
+    -- functions of the chart are fields of `_regions`
+    take_away(changes, regions or state, STATE_FIELDS)
+    if state.doo and not regions then doers[#doers + 1] = state end
+  end
+  for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
+    take_away(changes, tr, TRANSITION_FIELDS)
+  end
+  return doers
+end
+
+--- Restore the fields, unless a program has set them meanwhile; remove the hooks.
+function instrument.give_back(changes)
+  for i = #changes, 1, -1 do
+    local done = changes[i]
+    if done.remove then
+      done.remove()
+    elseif rawequal(rawget(done.obj, done.field), done.new) then
+      done.obj[done.field] = done.own
+    end
+    changes[i] = nil
+  end
+end
+
+return instrument

@@ -1,0 +1,148 @@
+--- Locations: path and name of an element, its ancestors, its regions.
+--
+-- @module rfsm.shared.location
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+
+local error, ipairs, table, type = error, ipairs, table, type
+local concat, sort = table.concat, table.sort
+local text_of = rfsm.text_of
+
+local location = {}
+
+--- Split a location, or a text that begins with one, at the root.
+---@param text string "chart.lua:7: root.trans[2]"
+---@return string file "chart.lua:7: "; empty if it is not known
+---@return string rest "root.trans[2]"
+function location.split(text)
+  local file, rest = text:match("^(.-:%d+: )(root.*)$")
+  return file or "", rest or text
+end
+
+--- Return the location of an element without file and line.
+function location.of(obj)
+  local _, rest = location.split(rfsm.location_of(obj))
+  return rest
+end
+
+--- Return the path of an element: "root.a.trans[2]", in a region "root.par.left.a".
+---@param obj rfsm.State|rfsm.Transition|rfsm.Connector
+---@param prefix? string of its machine, see `rfsm.machines`
+function location.path(obj, prefix)
+  local path = obj._fqn or location.of(obj):gsub(" %(.* %-> .*%)$", "")
+  return prefix and prefix .. path:sub(5) or path
+end
+
+--- List the nodes from a machine, or a part of one, down to one of its nodes.
+function location.line(fsm, node)
+  local line = { node }
+  while line[1] ~= fsm do table.insert(line, 1, line[1]._parent) end
+  return line
+end
+
+--- List the nodes whose transitions are tried in a leaf, in order. If `leaf` is false,
+--- the machine was not entered.
+function location.tried(fsm, leaf)
+  if leaf then return location.line(fsm, leaf) end
+  return { rfsm.is_composite(fsm) and fsm.initial or nil }
+end
+
+--- List the regions of a state with their names, sorted by name.
+---@return { name: string, machine: rfsm.Machine }[] regions
+function location.regions_of(state)
+  local regions, machines = {}, {}
+  for i, machine in ipairs(rfsm.regions(state)) do
+    machines[state._regions.names[i]] = machine
+  end
+  for i, name in ipairs(rfsm.sorted_keys(machines)) do
+    regions[i] = { name = text_of(name), machine = machines[name] }
+  end
+  return regions
+end
+
+--- Return the path of a region in front of findings about it: "root.par.left: "; empty
+--- for the machine itself.
+function location.prefix(prefix) return prefix ~= "root" and prefix .. ": " or "" end
+
+--- Return the location of an element of a machine: "root.par.left: root.a".
+function location.in_words(obj, prefix)
+  return location.prefix(prefix) .. location.of(obj)
+end
+
+--- Raise an error for a name that nothing has.
+---@param name any
+---@param kind string "state"
+---@param names string[] those that there are
+function location.refuse_name(name, kind, names)
+  error(("no %s is named '%s'%s"):format(kind, rfsm.text_of(name),
+    type(name) == "string" and advice.nearest_name(name, names) or ""), 0)
+end
+
+-- Is a node in a composite?
+local function is_inside(node, state)
+  while node ~= state and not rfsm.is_root(node) do node = node._parent end
+  return node == state
+end
+
+--- Does a connector inside of a composite lead out of it? Then a step may pass through.
+---@param state rfsm.State
+---@return boolean
+function location.is_passable(state)
+  local is_found = false
+  rfsm.mapfsm(function(connector)
+    for _, tr in ipairs(connector._otrs) do
+      is_found = is_found or not is_inside(tr.tgt, state)
+    end
+  end, state, rfsm.is_conn)
+  return is_found
+end
+
+-- Names without positions, so that tests stay right if a chart is reordered ...........
+
+--- Return the name of a node: its FQN without "root.". As a target, `initial` has the
+--- name of its composite.
+---@param node rfsm.State|rfsm.Connector
+---@param prefix string of its machine
+---@param is_target? boolean
+function location.name_of(node, prefix, is_target)
+  if is_target and rfsm.is_conn(node) and node._id == "initial" then
+    node = node._parent
+  end
+  local path = location.path(node, prefix)
+  return path ~= "root" and path:gsub("^root%.", "") or path
+end
+
+-- Returns the text of an event without the FQN of its source behind @.
+local function event_text(event, tr)
+  if type(event) == "function" then return "a predicate" end
+  local text, behind = rfsm.text_of(event), "@" .. tr.src._fqn
+  return text:sub(-#behind) == behind and text:sub(1, -#behind - 1) or text
+end
+
+local function transition_name(tr, prefix)
+  local texts = {}
+  for i, event in ipairs(tr.events or {}) do texts[i] = event_text(event, tr) end
+  sort(texts)
+  return location.name_of(tr.src, prefix) .. " -" .. concat(texts, ", ") .. "-> "
+    .. (rfsm.target_of(tr) == "internal" and "internal"
+      or location.name_of(tr.tgt, prefix, true))
+end
+
+--- Set the field `name` of transitions. The second of those between the same states on
+--- the same events has " #2" behind it.
+---@param entries { tr: rfsm.Transition, prefix: string, name: string }[]
+function location.add_names(entries)
+  for _, entry in ipairs(entries) do
+    local name = transition_name(entry.tr, entry.prefix)
+    local rank = 1
+    for _, other in ipairs(entry.tr.src._otrs) do
+      if other == entry.tr then break end
+      if transition_name(other, entry.prefix) == name then rank = rank + 1 end
+    end
+    entry.name = rank > 1 and name .. " #" .. rank or name
+  end
+end
+
+return location

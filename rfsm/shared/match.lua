@@ -1,0 +1,104 @@
+--- Match: which events a transition names, and lists of them; for the other checks.
+--
+-- Events are compared by identity.
+--
+-- @module rfsm.shared.match
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+
+local ipairs, rawequal, rawget, type = ipairs, rawequal, rawget, type
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local match = {}
+
+--- Is the event in a list?
+function match.has(list, event)
+  for i = 1, #list do
+    if rawequal(list[i], event) then return true end
+  end
+  return false
+end
+
+--- Return a copy of a list with one event more.
+function match.with(list, event)
+  local longer = { unpack(list) }
+  longer[#longer + 1] = event
+  return longer
+end
+
+--- Return two lists in one; the first one itself if there is nothing to add.
+function match.joined(list, more)
+  if more[1] == nil then return list end
+  local longer = { unpack(list) }
+  for i = 1, #more do longer[#longer + 1] = more[i] end
+  return longer
+end
+
+--- Is the transition one on any event?
+function match.is_any(tr) return not tr.events or tr.events[1] == nil end
+
+--- Can a path begin with the transition, on any event? From a connector none begins.
+function match.begins_on_any(tr)
+  return match.is_any(tr) and not rfsm.is_conn(tr.src)
+end
+
+--- Does the transition name the event? A predicate names none.
+function match.names(tr, event) return match.has(tr.events or {}, event) end
+
+--- Does an event trigger the transition, as far as names tell?
+---@return boolean|nil nil: a predicate decides
+function match.triggers(tr, event)
+  if match.is_any(tr) or match.names(tr, event) then return true end
+  for _, other in ipairs(tr.events) do
+    if type(other) == "function" then return nil end
+  end
+  return false
+end
+
+--- Can the transition, and a path on from there, react to some events, as far as names
+--- tell, and whatever guards answer?
+---@param tr rfsm.Transition
+---@param list any[]
+---@param seen? table<rfsm.Connector, boolean> those that the path has passed
+---@return boolean
+function match.may_enable(tr, list, seen)
+  local is_named = match.is_any(tr)
+  for i = 1, #list do is_named = is_named or match.triggers(tr, list[i]) end
+  seen = seen or {}
+  if not is_named or seen[tr.tgt] then return false end
+  if not rfsm.is_conn(tr.tgt) then return true end
+  seen[tr.tgt] = true
+  for _, way in ipairs(tr.tgt._otrs) do
+    if match.may_enable(way, list, seen) then return true end
+  end
+  return false
+end
+
+--- List the events that a transition with await waits for, see rfsm/await.lua.
+---@param tr rfsm.Transition
+---@return string[] names empty for all other transitions
+function match.awaited(tr)
+  local list = {}
+  for _, await in ipairs(tr.src._await or {}) do
+    for _, name in ipairs(match.names(tr, await.name) and await.wanted or {}) do
+      list[#list + 1] = name
+    end
+  end
+  return list
+end
+
+--- Who makes an event? What a machine makes itself has the FQN of its source behind @.
+---@param event any
+---@return "engine"|"await"|"timer"|nil maker nil: it comes from outside
+---@return string? fqn of a timer: the state that has to be active
+function match.maker_of(event)
+  if type(event) ~= "string" then return nil end
+  if event == "e_init_fsm" or event:find("^e_done@root") then return "engine" end
+  if event:find("^await%s*%(.*%)@root") then return "await" end
+  local fqn = event:match("^e_after%s*%(.*@(root.*)$")
+    or event:match("^e_at%s*%(.*@(root.*)$")
+  if fqn then return "timer", fqn end
+end
+
+return match

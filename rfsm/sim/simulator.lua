@@ -1,0 +1,95 @@
+--- The simulator: steps through a chart by hand, with Lua at the prompt.
+--
+-- The command `rfsm sim` calls it. Code typed at the prompt sees the
+-- machine as `fsm`, the commands that `help()` lists, and the globals of the chart,
+-- which it can also set. `rfsm.sim.session` advances the machine, `rfsm.sim.commands`
+-- has the commands, `rfsm.sim.prompt` reads and evaluates.
+--
+-- @module rfsm.sim.simulator
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local history = require "rfsm.sim.history"
+local prompt = require "rfsm.sim.prompt"
+local session = require "rfsm.sim.session"
+local terminal = require "rfsm.sim.terminal"
+
+local io, ipairs, pcall, print = io, ipairs, pcall, print
+local complain = terminal.complain
+
+local rfsm_sim = { VERSION = rfsm._VERSION:match("%S+$") }
+
+-- Runs the texts of -e up to the first that fails or quits. Returns false if one fails.
+local function run_code(sim, texts)
+  for _, text in ipairs(texts) do
+    if sim.is_over then break end
+    local ok, problem = prompt.evaluate(sim, text, "=(command line)")
+    if not ok then
+      complain("rfsm sim: " .. problem)
+      return false
+    end
+  end
+  return true
+end
+
+-- Runs the machine through a recording; returns false if that cannot be read.
+local function replay(sim, file)
+  local ok, problem = pcall(history.replay, sim, file)
+  if not ok then complain("rfsm sim: " .. rfsm.text_of(problem)) end
+  if sim.history.count > 0 then
+    print(("replayed %d iterations of %s"):format(sim.history.count, file))
+    sim:show()
+  end
+  return ok or sim.history.count > 0
+end
+
+local function greet(is_terminal)
+  print("rFSM simulator v" .. rfsm_sim.VERSION
+    .. ", type 'help()' to list available commands")
+  if not is_terminal then return end
+  print("'run' enters the machine, then 'events' lists what it would react to")
+  local advice = terminal.advice()
+  if advice then print(advice) end
+end
+
+--- The options of `rfsm sim`.
+---@class rfsm.sim.Options
+---@field file string the chart
+---@field execute? string[] Lua to run first
+---@field replay? string file to replay first
+---@field stub? boolean modules and globals that are missing do nothing
+---@field dry? boolean without the functions of the chart
+---@field quiet? boolean no banner
+---@field interactive? boolean read commands, also after `execute`
+
+-- Does all that comes before the first command. Returns a status if that is the end.
+local function prepare(sim, options)
+  prompt.install(sim)
+  if options.dry then sim:set_dry(true) end
+  if options.replay and not replay(sim, options.replay) then return 1 end
+  local code = options.execute or {}
+  if not run_code(sim, code) then return 1 end
+  return (sim.is_over or code[1] and not options.interactive) and 0
+end
+
+--- Open a chart, run the code given, read commands from stdin; return the status for
+-- the shell: 0, or 1 for a chart, code or line of a pipe that is wrong.
+---@param options rfsm.sim.Options
+function rfsm_sim.main(options)
+  local is_terminal = terminal.is_terminal(0)
+  io.stdout:setvbuf("line")
+  if is_terminal then terminal.catch_interrupts() end
+  local sim, problems = session.open(options.file, is_terminal, options.stub)
+  if not sim then
+    for _, problem in ipairs(problems) do complain("rfsm sim: " .. problem) end
+    return 1
+  end
+  local status = prepare(sim, options)
+  if status then return status end
+  if not options.quiet then greet(is_terminal) end
+  local is_right = prompt.converse(sim)
+  if is_terminal then print() end -- the shell's prompt begins a new line
+  return (is_right or is_terminal) and 0 or 1
+end
+
+return rfsm_sim

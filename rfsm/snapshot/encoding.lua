@@ -1,0 +1,344 @@
+--- Plain data: values as any encoder takes them and any Lua gets them back.
+--
+-- Texts, booleans, most numbers, lists and tables with texts as keys stand for
+-- themselves. A list whose first item begins with % is one of these:
+--
+--    { "%n", digits }            a number that JSON would spoil
+--    { "%t", key, value, ... }   any other table
+--    { "%s", count, ... }        a table that is too deep for MessagePack in Redis: the
+--                                number of its keys, then for each the key, and the
+--                                value, after "t" if that is such a table, else "v"
+--    { "%p", table }             in format 1: the snapshot of a region
+--    { "%z" }                    nil in a field that is not nil at first
+--
+-- @module rfsm.snapshot.encoding
+-- @license BSD-3-Clause
+
+local calls = require "rfsm.shared.calls"
+local each = require("rfsm.shared.order").each
+local rfsm = require "rfsm"
+
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local pcall, rawequal, rawget = pcall, rawequal, rawget
+local tonumber, type = tonumber, type
+local floor, huge, min = math.floor, math.huge, math.min
+local math_type, to_integer = rawget(math, "type"), rawget(math, "tointeger")
+local text_of = rfsm.text_of
+
+-- How many tables may be inside each other: in the value of a field; in packed data.
+local MAX_DEPTH, MAX_PACKED_DEPTH = 13, 40
+
+-- A table that has more than that around it becomes a text: cmsgpack leaves out what is
+-- deeper than 16, and a number of two parts is a table, too.
+local MAX_DIRECT = 15
+
+-- Stands for nil in a field that is not nil at first.
+local NIL = {}
+
+--- Raise an error that the public functions of the caller turn into one line.
+local function fail(form, ...) error({ text = form:format(...) }, 0) end
+
+--- Return the text of an error that was raised by `fail`; nil for any other error.
+local function text_of_fail(failure)
+  return type(failure) == "table" and rawget(failure, "text") or nil
+end
+
+--- Return the text of an error, also of one that was raised by `fail`.
+local function reason(failure) return text_of_fail(failure) or text_of(failure) end
+
+--- Call a function of the chart; its error is one of `fail`, with `what` in front.
+local function try(what, f, ...)
+  local ok, result = calls.try(f, ...)
+  if not ok then fail("%s: %s", what, text_of(result)) end
+  return result
+end
+
+--- The keys that lead to a value, for messages.
+---@class rfsm.snapshot.Path
+---@field owner string|false what has the value, false: a state
+---@field keeper rfsm.snapshot.Keeper|false that state
+---@field prefix string location of the machine
+---@field base integer how many tables there are around a value at depth 0
+---@field seen table<table, true>|false tables that have come
+---@field [integer] any keys
+
+--- Return the location of a value, such as "root.a.list[2]", by so many of its keys.
+local function location_of(path, depth)
+  local location = path.owner or path.prefix .. path.keeper.fqn:sub(5)
+  for i = 1, depth do
+    local key = path[i]
+    location = location .. (type(key) == "number" and "[" .. text_of(key) .. "]"
+      or (location == "" and "" or ".") .. text_of(key))
+  end
+  return location
+end
+
+--- Is a value a text, a number or a boolean?
+local function is_scalar(value)
+  local kind = type(value)
+  return kind == "string" or kind == "number" or kind == "boolean"
+end
+
+--- Is a value what decoders of JSON return for null?
+local function is_null(value)
+  local kind = type(value)
+  if kind == "userdata" then return text_of(value):find("[Nn][Ui][Ll]") ~= nil end
+  local class = kind == "table" and getmetatable(value)
+  local to_json = type(class) == "table" and rawget(class, "__tojson")
+  if type(to_json) ~= "function" then return false end
+  local ok, text = pcall(to_json, value)
+  return ok and text == "null"
+end
+
+--- Return a value; a plain table as a copy, and those in it. `copies` were made before.
+local function copy_of(value, copies)
+  if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
+  copies = copies or {}
+  if copies[value] then return copies[value] end
+  local copy = {}
+  copies[value] = copy
+  for key, inner in each(value) do -- any order: a copy
+    copy[key] = copy_of(inner, copies)
+  end
+  return copy
+end
+
+-- Pack --------------------------------------------------------------------------
+
+--- Does JSON with 14 digits give back a number, as the integer or float that it is?
+local function is_safe(n)
+  if n - n ~= 0 then return false end -- not finite
+  local is_whole = floor(n) == n
+  if math_type then
+    if is_whole ~= (math_type(n) == "integer") then return false end
+  elseif n == 0 then
+    return 1 / n > 0
+  end
+  if is_whole then return n < 1e14 and n > -1e14 end
+  return tonumber(("%.14g"):format(n)) == n
+end
+
+-- Returns digits from which any Lua reads the number; a whole float has a point.
+local function digits_of(n)
+  if n ~= n then return "nan" end
+  if n - n ~= 0 then return n > 0 and "inf" or "-inf" end
+  if math_type and math_type(n) == "integer" then return ("%d"):format(n) end
+  local digits = ("%.17g"):format(n)
+  return digits:find("[.e]") and digits or digits .. ".0"
+end
+
+local pack
+
+-- Returns { "%t", key, value, ... }, sorted by key, of values that are packed.
+local function to_pairs(packed, path, depth)
+  local list = { "%t" }
+  for _, key in ipairs(rfsm.sorted_keys(packed)) do
+    if not is_scalar(key) then
+      fail("%s: a key that is a %s cannot be saved", location_of(path, depth),
+        type(key))
+    end
+    list[#list + 1], list[#list + 2] = pack(key, path, depth), packed[key]
+  end
+  return list
+end
+
+-- Does a table stand for itself: as a list, or with texts as keys?
+local function is_plain(t)
+  local count, has_texts, has_others = 0, false, false
+  for key in each(t) do -- any order: all of them count
+    count = count + 1
+    if type(key) == "string" then has_texts = true else has_others = true end
+  end
+  if has_texts or count == 0 then -- a number `n` is a length for dkjson
+    return has_texts and not has_others and type(t.n) ~= "number"
+  end
+  local first = t[1]
+  return count == #t and not (type(first) == "string" and first:byte() == 37)
+end
+
+--- Return a table of packed values as plain data.
+local function as_table(packed, path, depth)
+  return is_plain(packed) and packed or to_pairs(packed, path, depth)
+end
+
+-- Refuses a table that comes twice, as its copies would be two; or is too deep.
+local function check_table(t, path, depth)
+  path.seen = path.seen or {}
+  if getmetatable(t) ~= nil then
+    fail("%s: a table with a metatable cannot be saved", location_of(path, depth))
+  elseif path.seen[t] then
+    fail("%s: this table stands elsewhere in the data, too, and can only be saved once",
+      location_of(path, depth))
+  elseif depth > MAX_DEPTH then
+    fail("%s: at most %d tables inside each other expected",
+      location_of(path, min(depth, 1)), MAX_DEPTH)
+  end
+  path.seen[t] = true
+end
+
+local function pack_table(t, path, depth)
+  check_table(t, path, depth)
+  local copy = {}
+  for key, inner in each(t) do -- any order: each stands alone
+    path[depth + 1] = key
+    copy[key] = pack(inner, path, depth + 1)
+  end
+  return as_table(copy, path, depth)
+end
+
+-- Appends a packed table to a flat list, see above.
+local function flatten(packed, list)
+  local keys = rfsm.sorted_keys(packed)
+  list[#list + 1] = #keys
+  for _, key in ipairs(keys) do
+    local value = packed[key]
+    list[#list + 1] = key
+    list[#list + 1] = type(value) == "table" and "t" or "v"
+    if type(value) == "table" then flatten(value, list) else list[#list + 1] = value end
+  end
+  return list
+end
+
+--- Return a value as plain data, null of JSON as nil; `depth` of the keys in a path
+-- lead to it. Raises what cannot be saved, with its location: a function, a userdata, a
+-- table with a metatable or one that comes twice.
+function pack(value, path, depth)
+  local kind = type(value)
+  if kind == "string" or kind == "boolean" then return value end
+  if kind == "number" then
+    return is_safe(value) and value or { "%n", digits_of(value) }
+  elseif value == nil or is_null(value) then
+    return nil
+  elseif kind ~= "table" then
+    fail("%s: a %s cannot be saved", location_of(path, depth), kind)
+  end
+  if rawequal(value, NIL) then return { "%z" } end
+  if path.base + depth <= MAX_DIRECT then return pack_table(value, path, depth) end
+  local base = path.base
+  path.base = -MAX_DEPTH -- the tables in it are part of the list
+  local packed = pack_table(value, path, depth)
+  path.base = base
+  return flatten(packed, { "%s" })
+end
+
+--- Return a value as encoders of JSON take it: keys that are texts, or a list; numbers
+-- that JSON has not as texts.
+local function to_json(value)
+  if type(value) == "number" and value - value ~= 0 then return digits_of(value) end
+  if type(value) ~= "table" then return value end
+  local copy, count = {}, 0
+  for key, inner in each(value) do -- any order: a copy
+    count = count + 1
+    if not rawequal(inner, NIL) then copy[key] = to_json(inner) end
+  end
+  if count == #value then return copy end
+  local texts = {}
+  for key, inner in each(copy) do texts[text_of(key)] = inner end -- any order: a copy
+  return texts
+end
+
+-- Unpack ------------------------------------------------------------------------
+
+local NUMBERS = { nan = 0 / 0, inf = huge, ["-inf"] = -huge }
+
+local function unpack_number(digits)
+  local number = NUMBERS[digits] or type(digits) == "string" and tonumber(digits)
+  if not number then fail("a number as text expected, got %s", type(digits)) end
+  return number
+end
+
+-- Returns the packed table that begins at a position of a flat list, and its end.
+local function from_flat(list, at, depth)
+  local count, t = list[at], {}
+  if type(count) ~= "number" or depth > MAX_PACKED_DEPTH then
+    fail("a table as a list expected, at most %d inside each other", MAX_PACKED_DEPTH)
+  end
+  at = at + 1
+  for _ = 1, count do
+    local key, mark = list[at], list[at + 1]
+    if not is_scalar(key) or key ~= key then
+      fail("a key expected, got %s", text_of(key))
+    elseif mark == "t" then
+      t[key], at = from_flat(list, at + 2, depth + 1)
+    else
+      t[key], at = list[at + 2], at + 3
+    end
+  end
+  return t, at
+end
+
+local unpack
+
+local function unpack_pairs(list, depth)
+  local t = {}
+  for i = 2, #list, 2 do
+    local key = unpack(list[i], depth)
+    if not is_scalar(key) or key ~= key then
+      fail("a key expected, got %s", text_of(key))
+    end
+    t[key] = unpack(list[i + 1], depth)
+  end
+  return t
+end
+
+local function unpack_table(packed, depth)
+  local first = rawget(packed, 1)
+  if depth >= MAX_PACKED_DEPTH then
+    fail("at most %d tables inside each other expected", MAX_PACKED_DEPTH)
+  elseif first == "%t" then
+    return unpack_pairs(packed, depth + 1)
+  elseif first == "%n" then
+    return unpack_number(packed[2])
+  elseif first == "%s" and type(packed[2]) == "number" then
+    return unpack((from_flat(packed, 2, depth)), depth + 1)
+  elseif first == "%p" then
+    return packed[2]
+  elseif first == "%z" then
+    return NIL
+  end
+  local t = {}
+  for key, value in each(packed) do -- any order: each stands alone
+    if not is_scalar(key) then fail("a text as key expected, got %s", type(key)) end
+    t[key] = unpack(value, depth + 1)
+  end
+  return t
+end
+
+--- Does a table stand for itself, and hold no others?
+local function is_flat(packed)
+  if type(packed) ~= "table" or getmetatable(packed) ~= nil or packed[1] ~= nil then
+    return false
+  end
+  for _, value in each(packed) do -- any order: all of them
+    local kind = type(value)
+    if kind ~= "string" and kind ~= "boolean" and (kind ~= "number" or to_integer) then
+      return false
+    end
+  end
+  return true
+end
+
+--- Return the value that plain data stands for, in new tables; `depth` tables are
+-- around it. Raises an error if it stands for none.
+function unpack(packed, depth)
+  local kind = type(packed)
+  if kind == "table" then
+    if is_null(packed) then return nil end
+    return unpack_table(packed, depth)
+  end
+  if kind ~= "number" then
+    if is_scalar(packed) or packed == nil then return packed end
+    if is_null(packed) then return nil end
+    fail("text, number, boolean or table expected, got %s", kind)
+  elseif packed ~= packed then
+    fail("a number expected, got NaN")
+  end
+  return to_integer and to_integer(packed) or packed -- some decoders know only floats
+end
+
+return {
+  NIL = NIL, as_table = as_table, copy_of = copy_of, fail = fail, is_flat = is_flat,
+  is_null = is_null, is_safe = is_safe, is_scalar = is_scalar,
+  location_of = location_of, pack = pack, reason = reason, text_of_fail = text_of_fail,
+  to_json = to_json, try = try, unpack = unpack,
+}

@@ -1,0 +1,452 @@
+--- How a snapshot comes to a chart: its format and shape, and the way from another
+-- chart. Nothing that it holds is lost unless `migrate` takes it out.
+--
+-- @module rfsm.snapshot.migrate
+-- @license BSD-3-Clause
+
+local shape = require "rfsm.snapshot.shape"
+local order = require "rfsm.shared.order"
+local encoding = require "rfsm.snapshot.encoding"
+local rfsm = require "rfsm"
+
+local each, error, ipairs = order.each, error, ipairs
+local rawequal, select, type = rawequal, select, type
+local concat = table.concat
+local fail, text_of = encoding.fail, rfsm.text_of
+
+local migrate, NONE = { VERSION = 2 }, {}
+
+-- Shape -----------------------------------------------------------------------------
+
+-- The types of the fields of a region's snapshot, and of a whole one.
+local PART = {
+  chart = "string", leaf = "string", done = "boolean", queue = "table", data = "table",
+  saved = "table", targets = "table", ext = "table",
+}
+
+local WHOLE = { version = "number", regions = "table", structure = "table" }
+for field, kind in each(PART) do WHOLE[field] = kind end -- any order: a copy
+
+local function copy_fields(t)
+  local copy = {}
+  for key, value in each(t) do -- any order: a copy
+    if not encoding.is_null(value) then copy[key] = value end
+  end
+  return copy
+end
+
+local function check_fields(snap, fields, where)
+  local wrong = nil
+  for field, value in each(snap) do -- any order: the least one is named
+    if type(value) ~= fields[field] then
+      wrong = wrong or {}
+      wrong[field] = true
+    end
+  end
+  if not wrong then return end
+  local field = rfsm.sorted_keys(wrong)[1]
+  if not fields[field] then
+    fail("%sno snapshot has a field '%s'", where, text_of(field))
+  end
+  fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
+end
+
+-- Returns what an extension kept under a name, and takes it away.
+local function take_extension(snap, name)
+  local ext = type(snap.ext) == "table" and encoding.copy_of(snap.ext) or {}
+  local kept = encoding.unpack(ext[name], 2)
+  ext[name] = nil
+  snap.ext = (not order.is_empty(ext) or type(snap.ext) ~= "table") and ext or nil
+  return type(kept) == "table" and kept or {}
+end
+
+-- Adds the regions in a snapshot of format 1, which were kept by an extension.
+local function add_regions(regions, snap, prefix, depth)
+  if not snap.ext then return end
+  if depth > 40 then fail("regions: at most 40 inside each other expected") end
+  for fqn, list in each(take_extension(snap, "seqand")) do -- any order: a set
+    if type(list) ~= "table" then fail("ext: table of snapshots expected") end
+    for name, inner in each(list) do -- any order: likewise
+      if type(inner) ~= "table" then fail("ext: table of snapshots expected") end
+      local part = copy_fields(inner)
+      local place = prefix .. text_of(fqn):sub(5) .. "." .. text_of(name)
+      add_regions(regions, part, place, depth + 1)
+      part.version, regions[place] = nil, part
+    end
+  end
+end
+
+local function convert_format_1(snap)
+  local regions = {}
+  snap.version = migrate.VERSION
+  add_regions(regions, snap, "root", 0)
+  snap.regions = not order.is_empty(regions) and regions or nil
+end
+
+-- Returns a snapshot in today's format, a copy without nulls of JSON, and whether it
+-- was of format 1. Raises what is wrong with its fields.
+local function check_shape(snap)
+  if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
+  snap = copy_fields(snap)
+  local version = snap.version
+  if version == 1 then
+    convert_format_1(snap)
+  elseif version ~= migrate.VERSION then
+    fail("snapshot of format 1 or %d expected, got %s", migrate.VERSION,
+      version == nil and "none" or "format " .. text_of(version))
+  end
+  if not snap.chart then fail("chart: string expected, got nil") end
+  check_fields(snap, WHOLE, "")
+  snap.regions = snap.regions and copy_fields(snap.regions)
+  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
+    if type(part) ~= "table" then
+      fail("regions: table expected for '%s', got %s", text_of(prefix), type(part))
+    end
+    part = copy_fields(part)
+    snap.regions[prefix] = part
+    check_fields(part, PART, text_of(prefix) .. ": ")
+  end
+  return snap, version == 1
+end
+
+-- Parts: a machine and its regions --------------------------------------------------
+
+--- Return what a snapshot holds of the machine at a place.
+function migrate.part_of(snap, prefix)
+  if prefix == "root" then return snap end
+  return (snap.regions or NONE)[prefix] or NONE
+end
+
+-- Returns what differs between a machine and a part: nil, "kept" or "structure".
+local function change_of(machine, part)
+  local chart = shape.of(machine).chart
+  if part.chart == nil or part.chart == chart.name then return nil end
+  return part.chart:match("^[^-]*") == chart.structure and "kept" or "structure"
+end
+
+-- What would be lost ----------------------------------------------------------------
+
+local function note_data(list, chart, part, prefix)
+  for _, fqn in ipairs(rfsm.sorted_keys(part.data or NONE)) do
+    local keeper = chart.keeper[fqn]
+    local fields = encoding.unpack(part.data[fqn], 2)
+    for _, name in ipairs(type(fields) == "table" and rfsm.sorted_keys(fields) or {}) do
+      if not (keeper and keeper.kept[name]) then
+        list[#list + 1] = "field " .. text_of(name) .. " of " .. prefix
+          .. text_of(fqn):sub(5)
+      end
+    end
+  end
+  for _, fqn in ipairs(rfsm.sorted_keys(part.saved or NONE)) do
+    if not (chart.keeper[fqn] and chart.keeper[fqn].has_load) then
+      list[#list + 1] = "what save of " .. prefix .. text_of(fqn):sub(5) .. " returned"
+    end
+  end
+end
+
+-- Notes where a machine was, and targets that were set, that are gone.
+local function note_places(list, machine, part, prefix)
+  local nodes, targets = shape.of(machine).nodes, part.targets or NONE
+  if part.leaf and not shape.find_state(machine, part.leaf) then
+    list[#list + 1] = "state " .. prefix .. part.leaf:sub(5)
+  end
+  for i = 1, #targets, 3 do
+    local state = shape.find_state(machine, targets[i])
+    local id = encoding.unpack(targets[i + 1], 2)
+    if not (state and encoding.is_scalar(id) and rfsm.is_trans(state[id])
+      and nodes[targets[i + 2]]) then
+      list[#list + 1] = ("target %s of transition %s in %s"):format(
+        text_of(targets[i + 2]), text_of(id), text_of(targets[i]))
+    end
+  end
+end
+
+-- Extensions that follow the states of a chart: what they keep is never lost.
+local FOLLOWERS = { timers = true, emem = true, await = true }
+
+local function note_extensions(list, machine, part, prefix)
+  local is_known = {}
+  for _, hook in ipairs(rfsm.snapshot_hooks(machine)) do is_known[hook.name] = true end
+  for _, name in ipairs(rfsm.sorted_keys(part.ext or NONE)) do
+    if not (is_known[name] or FOLLOWERS[name]) then
+      list[#list + 1] = ("what extension %s kept of %s"):format(text_of(name), prefix)
+    end
+  end
+end
+
+--- List what a snapshot holds, and a machine has no place for.
+function migrate.lost(fsm, snap)
+  local list, is_known = {}, {}
+  for _, at in ipairs(shape.of(fsm).places) do
+    local machine, prefix = at.machine, at.prefix
+    local part = migrate.part_of(snap, prefix)
+    is_known[prefix] = true
+    note_places(list, machine, part, prefix)
+    note_data(list, shape.of(machine).chart, part, prefix)
+    note_extensions(list, machine, part, prefix)
+  end
+  for _, prefix in ipairs(rfsm.sorted_keys(snap.regions or NONE)) do
+    if not is_known[prefix] then list[#list + 1] = "region " .. text_of(prefix) end
+  end
+  return list
+end
+
+-- New names -------------------------------------------------------------------------
+
+--- Return the new name for the FQN of a state that has moved, or of one in it; also in
+-- an event such as e_done@root.a.
+function migrate.renamed(text, rename)
+  local event, fqn = text:match("^(.*@)(root.*)$")
+  local head, tail = fqn or text, ""
+  while head do
+    if rename[head] then return (event or "") .. rename[head] .. tail end
+    local above, name = head:match("^(.*)(%.[^.]*)$")
+    head, tail = above, (name or "") .. tail
+  end
+  return text
+end
+
+local renamed_text = migrate.renamed
+
+-- Returns a copy in which texts are changed, so many tables deep: keys and values.
+local function renamed(value, rename, depth)
+  if depth == 0 then return value end
+  if type(value) == "string" then return renamed_text(value, rename) end
+  if type(value) ~= "table" then return value end
+  local copy = {}
+  for key, inner in each(value) do -- any order: each stands alone
+    copy[renamed(key, rename, 1)] = renamed(inner, rename, depth - 1)
+  end
+  return copy
+end
+
+-- How many tables deep a field of a snapshot has names of states.
+local NAMED = { leaf = 1, queue = 2, targets = 2, ext = 20, data = 1, saved = 1 }
+
+local function rename_part(part, rename)
+  local copy = {}
+  for field, value in each(part) do -- any order: each stands alone
+    copy[field] = renamed(value, rename, NAMED[field] or 0)
+  end
+  return copy
+end
+
+-- Returns the new names inside of a region, where its own FQN begin with root.
+local function inside(rename, prefix)
+  local inner, new_prefix = {}, renamed_text(prefix, rename)
+  for old, new in each(rename) do -- any order: each stands alone
+    if old:sub(1, #prefix + 1) == prefix .. "."
+      and new:sub(1, #new_prefix + 1) == new_prefix .. "." then
+      inner["root" .. old:sub(#prefix + 1)] = "root" .. new:sub(#new_prefix + 1)
+    end
+  end
+  return inner, new_prefix
+end
+
+local function rename_states(snap, rename)
+  local copy = rename_part(snap, rename)
+  copy.regions = snap.regions and {}
+  for prefix, part in each(snap.regions or NONE) do -- any order: each stands alone
+    local inner, new_prefix = inside(rename, prefix)
+    copy.regions[new_prefix] = rename_part(part, inner)
+  end
+  return copy
+end
+
+-- The way from another chart --------------------------------------------------------
+
+--- List what differs between two structures.
+function migrate.difference(old, new)
+  local counts, list = {}, {}
+  for _, line in ipairs(old) do counts[line] = (counts[line] or 0) + 1 end
+  for _, line in ipairs(new) do
+    counts[line] = (counts[line] or 0) - 1
+    if counts[line] < 0 then list[#list + 1] = "new: " .. line end
+  end
+  for _, line in ipairs(old) do
+    if counts[line] > 0 then
+      list[#list + 1] = "gone: " .. line
+      counts[line] = counts[line] - 1
+    end
+  end
+  if not list[1] then list[1] = "the order of the transitions" end
+  return list
+end
+
+-- Returns the lines of the charts that the parts of a snapshot name, if all are known,
+-- and those of the machine and its regions. Without a name there is nothing to compare.
+local function known_lines(fsm, snap)
+  local old, new = {}, {}
+  for _, at in ipairs(shape.of(fsm).places) do
+    local chart = shape.of(at.machine).chart
+    local name = migrate.part_of(snap, at.prefix).chart
+    local was = name and shape.named(name) or not name and chart
+    if not was then return nil end
+    shape.append(old, at.prefix, was.lines)
+    shape.append(new, at.prefix, chart.lines)
+    if name and name:find("-", 1, true) then
+      shape.append(old, at.prefix, was.fields)
+      shape.append(new, at.prefix, chart.fields)
+    end
+  end
+  return old, new
+end
+
+-- Returns the lines of the chart of a snapshot, and those of the machine to compare.
+local function lines_of(fsm, snap, given)
+  local chart, has_fields = shape.of(fsm).chart, false
+  if given then return shape.structure(given), chart.all end
+  if not snap.structure then return known_lines(fsm, snap) end
+  for _, line in ipairs(snap.structure) do
+    has_fields = has_fields or type(line) == "string" and line:find("^field ") ~= nil
+  end
+  return snap.structure, has_fields and chart.all or chart.lines
+end
+
+local function missing(lost)
+  local list = {}
+  for i, text in ipairs(lost) do list[i] = "gone: " .. text end
+  list[#list + 1] = "the snapshot holds no structure: that is all that is known"
+  return list
+end
+
+-- Returns a function: is an event of the machine at `prefix` one that the old chart did
+-- not have? Where that is not known it is.
+local function new_events(old, rename)
+  return function(prefix, event)
+    local head = prefix == "root" and "" or prefix .. ": "
+    for _, line in ipairs(old or NONE) do
+      if line:sub(1, #head) == head then
+        line = line:gsub("@(root[^,%s]*)", function(fqn)
+          return "@" .. renamed_text(fqn, rename or NONE)
+        end)
+        if shape.has_event(line, event) then return false end
+      end
+    end
+    return true
+  end
+end
+
+local function refuse(text, list)
+  error({ text = text .. ":\n  " .. concat(list, "\n  "), difference = list }, 0)
+end
+
+-- Returns a copy of a snapshot for `migrate`, who changes it.
+local function copy_all(value)
+  if type(value) ~= "table" or encoding.is_null(value) then return value end
+  local copy = {}
+  for key, inner in each(value) do copy[key] = copy_all(inner) end -- any order: a copy
+  return copy
+end
+
+-- Calls f(part, prefix) for what a snapshot holds of the machine and each region.
+local function each_part(snap, f)
+  f(snap, "root")
+  for prefix, part in each(snap.regions or NONE) do f(part, prefix) end -- any order
+end
+
+-- Unpacks what states keep: `migrate` gets the values that callbacks know. Returns the
+-- fields that are nil, but not at first: prefix, FQN, name.
+local function unpack_kept(snap)
+  local nils = {}
+  each_part(snap, function(part, prefix)
+    for fqn, packed in each(part.data or NONE) do -- any order: each stands alone
+      local fields = encoding.unpack(packed, 2)
+      part.data[fqn] = fields
+      for name, value in each(type(fields) == "table" and fields or NONE) do
+        if rawequal(value, encoding.NIL) then
+          nils[#nils + 1], fields[name] = { prefix, fqn, name }, nil
+        end
+      end
+    end
+    for fqn, packed in each(part.saved or NONE) do -- likewise
+      part.saved[fqn] = encoding.unpack(packed, 2)
+    end
+  end)
+  return nils
+end
+
+local function pack_all(values, owner)
+  for fqn, value in each(values or NONE) do -- any order: each stands alone
+    values[fqn] = encoding.pack(value, { owner = owner .. text_of(fqn):sub(5), base = 0,
+      seen = false }, 0)
+  end
+end
+
+-- Packs what states keep again. A field that was nil is nil in the new chart, too.
+local function pack_kept(fsm, snap, nils)
+  local chart_at = {}
+  for _, at in ipairs(shape.of(fsm).places) do
+    chart_at[at.prefix] = shape.of(at.machine).chart
+  end
+  for _, field in ipairs(nils) do
+    local prefix, fqn, name = field[1], field[2], field[3]
+    local fields = (migrate.part_of(snap, prefix).data or NONE)[fqn]
+    local keeper = chart_at[prefix] and chart_at[prefix].keeper[fqn]
+    if fields and fields[name] == nil and keeper and keeper.kept[name] then
+      fields[name] = encoding.NIL
+    end
+  end
+  each_part(snap, function(part, prefix)
+    pack_all(part.data, "data of " .. prefix)
+    pack_all(part.saved, "what save returned of " .. prefix)
+  end)
+end
+
+local function call_migrate(fsm, snap, list, options)
+  local nils = unpack_kept(snap)
+  local moved = options.migrate(snap, list)
+  if moved == false then
+    refuse("migrate refused the snapshot of another chart", list)
+  end
+  local is_same = moved == nil or rawequal(moved, snap)
+  moved = check_shape(is_same and snap or moved)
+  if is_same then pack_kept(fsm, moved, nils) end
+  return moved
+end
+
+-- Returns what differs for a machine and its regions, in all and by prefix.
+local function changes(fsm, snap)
+  local most, by_prefix, count = nil, {}, 0
+  for _ in each(snap.regions or NONE) do count = count + 1 end -- any order: a number
+  for _, at in ipairs(shape.of(fsm).places) do
+    local part = migrate.part_of(snap, at.prefix)
+    local change = change_of(at.machine, part)
+    by_prefix[at.prefix] = change
+    if change == "structure" or not most then most = change end
+    if part ~= NONE and part ~= snap then count = count - 1 end
+  end
+  return most or count > 0 and "kept" or nil, by_prefix
+end
+
+-- Returns a snapshot of another chart as one for that of a machine, and as `to`.
+local function adapt(fsm, snap, options, most, is_format_1)
+  local lost = migrate.lost(fsm, snap)
+  if most == "kept" and is_format_1 and not lost[1] then
+    return snap, select(2, changes(fsm, snap))
+  end
+  local old, new = lines_of(fsm, snap, options.old)
+  local list = old and migrate.difference(old, new) or missing(lost)
+  if most == "structure" and not (options.rename or options.migrate) then
+    refuse("the snapshot is of another chart", list)
+  end
+  if options.rename then snap = rename_states(snap, options.rename) end
+  if options.migrate then snap = call_migrate(fsm, copy_all(snap), list, options) end
+  lost = migrate.lost(fsm, snap)
+  if lost[1] then refuse("the snapshot holds what the chart lacks", lost) end
+  return snap, select(2, changes(fsm, snap)), new_events(old, options.rename)
+end
+
+--- Return a snapshot as one for the chart of a machine, a copy in today's format.
+-- Raises what is wrong with its fields, or the list of what differs, or would be lost.
+---@return rfsm.snapshot.Snapshot snap
+---@return table<string, string>? changes by prefix; nil if it is of the same chart
+---@return fun(prefix: string, event: string)? is_new
+function migrate.to(fsm, snap, options)
+  local given, is_format_1 = check_shape(snap)
+  local most = changes(fsm, given)
+  if most then return adapt(fsm, given, options, most, is_format_1) end
+  return given
+end
+
+return migrate

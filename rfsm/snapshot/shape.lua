@@ -1,0 +1,245 @@
+--- What snapshots know of a chart: its structure as lines, the states that keep
+-- something, and the first values of the fields that they keep.
+--
+-- @module rfsm.snapshot.shape
+-- @license BSD-3-Clause
+
+local calls = require "rfsm.shared.calls"
+local encoding = require "rfsm.snapshot.encoding"
+local rfsm = require "rfsm"
+
+local ipairs, setmetatable = ipairs, setmetatable
+local type = type
+local floor = math.floor
+local concat, sort = table.concat, table.sort
+local fail, is_scalar, text_of = encoding.fail, encoding.is_scalar, rfsm.text_of
+
+local shape = {}
+
+-- Lines: one for each element -------------------------------------------------------
+
+local function event_text(event)
+  return is_scalar(event) and text_of(event) or "a " .. type(event)
+end
+
+local function line_of(obj)
+  if rfsm.is_conn(obj) then return "connector " .. obj._fqn end
+  if rfsm.is_state(obj) then return "state " .. obj._fqn end
+  local texts = {}
+  for i, event in ipairs(obj.events) do texts[i] = event_text(event) end
+  return ("%s -> %s%s%s"):format(obj.src._fqn, rfsm.target_of(obj),
+    texts[1] and " on " .. concat(texts, ", ") or "",
+    obj.pn and " pn " .. text_of(obj.pn) or "")
+end
+
+--- Does a line of a transition name an event?
+function shape.has_event(line, event)
+  local events = line:match(" on (.*)$")
+  if not events then return false end
+  local function has(text) return (", " .. text .. ","):find(", " .. event .. ",", 1,
+    true) ~= nil end
+  return has(events) or has((events:gsub(" pn %S+$", "")))
+end
+
+-- Digests lines in numbers below 2^44, which doubles can multiply.
+local function fingerprint_of(lines)
+  local hash = 7
+  for _, line in ipairs(lines) do
+    for i = 1, #line do hash = (hash * 257 + line:byte(i)) % 17592186044399 end
+    hash = (hash * 257 + 10) % 17592186044399
+  end
+  return ("%05x%06x"):format(floor(hash / 16777216), hash % 16777216)
+end
+
+-- Keepers: the states that keep something -------------------------------------------
+
+local RESERVED = {
+  entry = true, exit = true, doo = true, keep = true, save = true, load = true,
+  getevents = true, dbg = true, info = true, warn = true, err = true, idle_hook = true,
+  pre_step_hook = true, post_step_hook = true,
+}
+
+-- Returns the names in the `keep` of a state; it may be a substate of that name.
+local function kept_names(state)
+  local names = state.keep
+  if names == nil or rfsm.is_node(names) then return {} end
+  if type(names) ~= "table" then
+    fail("%s: list of names expected, got %s", rfsm.location_of(state, "keep"),
+      type(names))
+  end
+  local list = {}
+  for i, name in ipairs(names) do
+    if type(name) ~= "string" or rfsm.is_meta(name) or RESERVED[name]
+      or rfsm.is_fsmobj(state[name]) then
+      fail("%s: name of a field with data expected, got %s",
+        rfsm.location_of(state, "keep[" .. i .. "]"),
+        type(name) == "string" and "'" .. name .. "'" or type(name))
+    end
+    list[i] = name
+  end
+  return list
+end
+
+--- A state that keeps something.
+---@class rfsm.snapshot.Keeper
+---@field fqn string
+---@field names string[] of the fields
+---@field kept table<string, true> the same as a set
+---@field first table<string, any> their first values
+---@field has_load boolean it has functions `save` and `load`
+
+local function keeper_of(state)
+  local saves, loads = type(state.save) == "function", type(state.load) == "function"
+  if saves ~= loads then
+    fail("%s: 'save' and 'load' expected, got only one of them",
+      rfsm.location_of(state))
+  end
+  local names, model = kept_names(state), rfsm.model_of(state)
+  if not (saves or names[1]) then return nil end
+  local kept, first = {}, {}
+  for _, name in ipairs(names) do
+    kept[name], first[name] = true, encoding.copy_of(model[name])
+  end
+  return { fqn = state._fqn, names = names, kept = kept, first = first,
+    has_load = saves }
+end
+
+-- Charts: what is known of a structure ----------------------------------------------
+
+--- What is known of the structure that machines share.
+---@class rfsm.snapshot.Chart
+---@field lines string[] of states, connectors and transitions, as in format 1
+---@field fields string[] of what is kept, and of regions
+---@field all string[] both, and those of the regions
+---@field structure string fingerprint of `lines`
+---@field name string that, and the fingerprint of `fields` if there are some
+---@field keepers rfsm.snapshot.Keeper[]
+---@field keeper table<string, rfsm.snapshot.Keeper> by FQN
+---@field has_load boolean a keeper has functions, which may fail
+---@field has_regions boolean
+---@field leaves table<string, true> FQN of the leaves
+---@field nodes table[] `fqn`, `id` and the FQN of the `parent`, parents first
+---@field transitions table[] `id`, and the FQN of `parent` and of the `target`
+
+-- What is known of structures that are in use, and by name.
+local charts = setmetatable({}, { __mode = "k" })
+local by_name = setmetatable({}, { __mode = "v" })
+
+-- The latest ones are known whether they are in use or not.
+local count, MAX_LATEST = 0, 64
+shape.latest = {}
+
+local function add_keeper(self, state)
+  local keeper = keeper_of(state)
+  if not keeper then return end
+  self.keepers[#self.keepers + 1], self.keeper[keeper.fqn] = keeper, keeper
+  self.has_load = self.has_load or keeper.has_load
+  for _, name in ipairs(keeper.names) do
+    self.fields[#self.fields + 1] = "field " .. name .. " of " .. keeper.fqn
+  end
+  if keeper.has_load then
+    self.fields[#self.fields + 1] = "save and load of " .. keeper.fqn
+  end
+end
+
+local function add_element(self, obj)
+  local element = { fqn = obj._fqn, id = obj._id, parent = obj._parent._fqn }
+  if rfsm.is_trans(obj) then
+    element.target = rfsm.target_of(obj)
+    if element.target == "internal" then element.target = obj.src._fqn end
+    self.transitions[#self.transitions + 1] = element
+    return
+  end
+  if not rfsm.is_root(obj) then self.nodes[#self.nodes + 1] = element end
+  if rfsm.is_leaf(obj) then self.leaves[obj._fqn] = true end
+  if rfsm.is_state(obj) then add_keeper(self, obj) end
+end
+
+local function chart_of(fsm)
+  local key = rfsm.structure_of(fsm)
+  if charts[key] then return charts[key] end
+  local self = { lines = {}, fields = {}, all = {}, structure = false, name = false,
+    keepers = {}, keeper = {}, has_load = false, has_regions = false, leaves = {},
+    nodes = {}, transitions = {} }
+  for i, obj in ipairs(rfsm.elements(fsm)) do
+    self.lines[i] = line_of(obj)
+    add_element(self, obj)
+  end
+  local places = rfsm.machines(fsm)
+  self.has_regions = places[2] ~= nil
+  for _, at in ipairs(places) do
+    if at.owner == fsm then self.fields[#self.fields + 1] = "region " .. at.prefix end
+  end
+  sort(self.fields)
+  self.structure = fingerprint_of(self.lines)
+  self.name = self.structure
+  if self.fields[1] then
+    self.name = self.name .. "-" .. fingerprint_of(self.fields):sub(-6)
+  end
+  charts[key], by_name[self.structure], by_name[self.name] = self, self, self
+  count = count % MAX_LATEST + 1
+  shape.latest[count] = self
+  for _, at in ipairs(places) do
+    local known = at.machine == fsm and self or chart_of(at.machine)
+    shape.append(self.all, at.prefix, known.lines)
+    shape.append(self.all, at.prefix, known.fields)
+  end
+  return self
+end
+
+--- Return a chart that is known by the name in a snapshot; nil if it is not.
+function shape.named(name) return by_name[name] end
+
+--- Append lines of the machine at a place.
+function shape.append(list, prefix, more)
+  local head = prefix == "root" and "" or prefix .. ": "
+  for _, line in ipairs(more) do list[#list + 1] = head .. line end
+end
+
+--- Return the structure of a model or a machine as lines, none if it is wrong; such
+-- lines as they are.
+function shape.structure(model)
+  if not rfsm.is_state(model) then return model end
+  local fsm = rfsm.is_initialized_root(model) and model or calls.init_apart(model)
+  return fsm and chart_of(fsm).all or {}
+end
+
+-- Machines --------------------------------------------------------------------------
+
+--- What is known of a machine, in its field `_kept`, as long as its structure is the
+--- same.
+---@class rfsm.snapshot.Own
+---@field key table of the structure
+---@field chart rfsm.snapshot.Chart
+---@field places rfsm.Place[] the machine, and its regions at any depth
+---@field states rfsm.State[] that of each keeper
+---@field nodes table<string, table> by FQN
+---@field transitions rfsm.Transition[]
+---@field targets table[] the target of each of them, as the model names it
+---@field path rfsm.snapshot.Path for `take`
+
+--- Return what is known of a machine.
+function shape.of(fsm)
+  local own, key = fsm._kept, rfsm.structure_of(fsm)
+  if own and own.key == key then return own end
+  local known, nodes = chart_of(fsm), { [fsm._fqn] = fsm }
+  own = { key = key, chart = known, places = { { machine = fsm, prefix = "root" } },
+    states = {}, nodes = nodes, transitions = {}, targets = {},
+    path = { owner = "", keeper = false, prefix = "root", base = 0, seen = false } }
+  if known.has_regions then own.places = rfsm.machines(fsm) end
+  for _, at in ipairs(known.nodes) do nodes[at.fqn] = nodes[at.parent][at.id] end
+  for i, keeper in ipairs(known.keepers) do own.states[i] = nodes[keeper.fqn] end
+  for i, at in ipairs(known.transitions) do
+    own.transitions[i], own.targets[i] = nodes[at.parent][at.id], nodes[at.target]
+  end
+  fsm._kept = own
+  return own
+end
+
+--- Return the state that an FQN names; nil if there is none.
+function shape.find_state(fsm, fqn)
+  local node = shape.of(fsm).nodes[fqn]
+  return rfsm.is_state(node) and node or nil
+end
+
+return shape

@@ -1,0 +1,311 @@
+--- Rehearsal: a chart run step by step without its callbacks, for tests and witnesses.
+--
+-- A step says what guards answer and which doos end; one that is asked and not
+-- mentioned is part of the result. Time is what the rehearsal says.
+--
+-- @module rfsm.tests.rehearsal
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local advice = require "rfsm.advice"
+local opts = require "rfsm.shared.options"
+local location = require "rfsm.shared.location"
+local subject = require "rfsm.explore.subject"
+
+local error, getmetatable, ipairs, pairs = error, getmetatable, ipairs, pairs
+local pcall, rawget, rawset, require = pcall, rawget, rawset, require
+local select, setmetatable = select, setmetatable
+local table, type = table, type
+local concat = table.concat
+
+local rehearsal = {}
+
+--- A chart that is rehearsed.
+---@class rfsm_checks.Rehearsal
+---@field subject rfsm_checks.Subject
+local Rehearsal = {}
+Rehearsal.__index = Rehearsal
+
+-- What a step says of the guards and doos that are asked.
+local function answer(own, who, is_doo)
+  local said = own.said[who]
+  own.asked = own.asked + 1
+  if said == nil and not own.is_asked[who] then
+    own.unmentioned[#own.unmentioned + 1] = who
+  end
+  own.is_asked[who] = true
+  if said == nil then return not is_doo end
+  return said
+end
+
+-- Gives each transition and doo a name, and each name what the subject asks with.
+local function add_names(own)
+  own.asker_of, own.name_of = {}, {}
+  location.add_names(own.transitions)
+  local function add(name, who)
+    own.asker_of[name], own.name_of[who] = own.asker_of[name] or who, name
+  end
+  for _, entry in ipairs(own.transitions) do
+    add(entry.name, entry.path)
+    add(entry.name .. " predicate", entry.path .. " predicate")
+  end
+  for _, part in ipairs(own.parts) do
+    for _, leaf in ipairs(rfsm.elements(part.fsm, rfsm.is_leaf)) do
+      add(location.name_of(leaf, part.prefix), location.path(leaf, part.prefix))
+    end
+  end
+end
+
+-- Fakes: what callbacks find in place of `print`, and of globals that are not there. A
+-- call is noted: "motor.start(5)".
+
+local Fake = {}
+
+local function new_fake(own, name)
+  return setmetatable({ own = own, name = name }, Fake)
+end
+
+function Fake:__index(key)
+  local name = rawget(self, "name") .. "." .. rfsm.text_of(key)
+  self[key] = new_fake(rawget(self, "own"), name)
+  return self[key]
+end
+
+-- Tables and functions have no text that is the same in each run.
+local function text_of_argument(value)
+  if getmetatable(value) == Fake then return rawget(value, "name") end
+  local is_plain = type(value) ~= "table" and type(value) ~= "function"
+  return is_plain and rfsm.text_of(value) or type(value)
+end
+
+function Fake:__call(...)
+  local texts, called = {}, rawget(self, "own").called
+  for i = 1, select("#", ...) do texts[i] = text_of_argument((select(i, ...))) end
+  called[#called + 1] = ("%s(%s)"):format(rawget(self, "name"), concat(texts, ", "))
+  return self
+end
+
+-- Calls f(...) with fakes as globals.
+local function with_fakes(own, f, ...)
+  local real, fakes, class = {}, own.fakes, nil
+  for name, fake in pairs(fakes) do -- any order: each stands alone
+    real[name] = { rawget(_G, name) }
+    rawset(_G, name, fake)
+  end
+  if not getmetatable(_G) then
+    class = { __index = function(_, name)
+      own.unknown[name] = own.unknown[name] or new_fake(own, rfsm.text_of(name))
+      return own.unknown[name]
+    end }
+    setmetatable(_G, class)
+  end
+  local ok, result = pcall(f, ...)
+  if class and getmetatable(_G) == class then setmetatable(_G, nil) end
+  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- likewise
+  if not ok then error(result, 0) end
+  return result
+end
+
+local KNOWN = {
+  callbacks = { "boolean", function(x) return type(x) == "boolean" end, false },
+  fakes = { "table", function(x) return type(x) == "table" end, {} },
+}
+
+--- Begin the rehearsal of a chart.
+-- @raise if it is not valid, or an option is wrong
+---@param chart string|rfsm.State a file or a model
+---@param options? { callbacks: boolean?, fakes: table<string, any>? } `callbacks`: run
+-- entries, exits and effects, with `fakes` as globals. By default `print` and globals
+-- that are not there are fakes, whose calls are noted
+---@return rfsm_checks.Rehearsal
+function rehearsal.rehearsal(chart, options)
+  local settings, problem = opts.read(KNOWN, options or {})
+  if not settings then error("rfsm_checks.rehearsal: " .. problem, 2) end
+  local model = type(chart) == "string" and rfsm.load(chart) or chart
+  if not rfsm.is_state(model) then
+    error("rfsm_checks.rehearsal: file or state expected, got " .. type(chart), 2)
+  end
+  local own = subject.new(model, { callbacks = settings.callbacks })
+  own.choose, own.said, own.is_asked = answer, {}, {}
+  if settings.callbacks then
+    own.fakes, own.unknown = { print = new_fake(own, "print") }, {}
+    for name, fake in pairs(settings.fakes) do own.fakes[name] = fake end -- any order
+  end
+  add_names(own)
+  return setmetatable({ subject = own }, Rehearsal)
+end
+
+-- Returns the events of the step of a witness, as `Rehearsal:step` takes them.
+local function events_of(step)
+  local what = { inside = {} }
+  for i = 1, #step.values do what[i] = step.values[i] end
+  for _, inner in ipairs(step.inside) do
+    what.inside[inner.prefix] = what.inside[inner.prefix] or {}
+    table.insert(what.inside[inner.prefix], inner.event)
+  end
+  return what
+end
+
+--- Return what to tell a rehearsal about a step of a witness.
+---@param step rfsm_checks.WitnessStep
+---@return table what see `Rehearsal:step`
+function Rehearsal:what_of(step)
+  local what, name_of = events_of(step), self.subject.name_of
+  what.guards, what.ends, what.goes_on = {}, {}, {}
+  for _, choice in ipairs(step.choices) do
+    local name = name_of[choice.who]
+    if choice.is_doo then
+      table.insert(choice.answer and what.ends or what.goes_on, name)
+    else
+      what.guards[name] = choice.answer and what.guards[name] ~= false
+    end
+  end
+  return what
+end
+
+-- Returns what the subject asks with, for a name.
+local function find_asker(own, name)
+  local who = own.asker_of[name]
+  if who then return who end
+  error(("rfsm_checks.rehearsal: no transition or state is named '%s'%s"):format(
+    rfsm.text_of(name), advice.nearest_name(rfsm.text_of(name),
+      rfsm.sorted_keys(own.asker_of))), 4)
+end
+
+-- Tells the subject what to decide in the next step.
+local function tell(own, what)
+  own.said, own.is_asked, own.unmentioned = {}, {}, {}
+  for _, name in ipairs(rfsm.sorted_keys(what.guards or {})) do
+    own.said[find_asker(own, name)] = what.guards[name]
+  end
+  for _, name in ipairs(what.goes_on or {}) do
+    own.said[find_asker(own, name)] = false
+  end
+  for _, name in ipairs(what.ends or {}) do own.said[find_asker(own, name)] = true end
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+end
+
+-- Lists what was asked and not mentioned, and what was mentioned and not asked.
+local function surprises(own)
+  local list = {}
+  for _, who in ipairs(own.unmentioned) do
+    list[#list + 1] = "(" .. (own.name_of[who] or who) .. " was asked)"
+  end
+  for _, who in ipairs(rfsm.sorted_keys(own.said)) do
+    if not own.is_asked[who] then
+      list[#list + 1] = "(" .. own.name_of[who] .. " was not asked)"
+    end
+  end
+  return list
+end
+
+-- Lists the occurrences of events in a step.
+local function occurrences_of(own, what)
+  local list, inside = {}, what.inside or {}
+  for i = 1, #what do list[i] = own:occurrence(own.parts[1], what[i]) end
+  for _, part in ipairs(own.parts) do
+    for _, event in ipairs(part.owner and inside[part.prefix] or {}) do
+      list[#list + 1] = own:occurrence(part, event)
+    end
+  end
+  return list
+end
+
+-- Returns the outcome of a step as a text: the transitions taken by name.
+local function outcome(own)
+  local texts, leaf = {}, own.parts[1].fsm._act_leaf
+  for i, number in ipairs(own.taken) do texts[i] = own.transitions[number].name end
+  if not texts[1] then
+    texts[1] = leaf and "stays in " .. location.name_of(leaf, "root")
+      or "is not entered"
+  end
+  for _, text in ipairs(surprises(own)) do texts[#texts + 1] = text end
+  local called = own.called[1] and ": " .. concat(own.called, ", ") or ""
+  return concat(texts, ", ") .. called
+end
+
+--- Take a step with the events given, and with what guards and doos decide in it.
+--
+-- `run:step { "e_x", guards = { ["off -e_x-> on"] = false }, ends = { "busy" } }`
+--
+---@param what? table events; `guards`: answers by transition; `ends`, `goes_on`: lists
+-- of states whose doo ends or goes on; `after`: seconds; `inside`: lists of events of
+-- regions, by their paths
+---@return string text "off -e_x-> on": transitions taken; "stays in off": none. What
+-- was asked and not mentioned follows, and what was mentioned and not asked; behind a
+-- colon the callbacks in order, if they run
+function Rehearsal:step(what)
+  what = what or {}
+  local own = self.subject
+  tell(own, what)
+  own.now = own.now + (what.after or 0)
+  local events = occurrences_of(own, what)
+  if own.fakes then
+    with_fakes(own, own.step, own, events, {})
+  else
+    own:step(events, {})
+  end
+  return outcome(own)
+end
+
+-- Sends what a callback has sent in a step. The next step sees it, as in a machine,
+-- unless that takes several steps in one.
+local function send_after(part, event)
+  if not part.is_single then
+    error(("rfsm_checks.record_witness: a callback in %s sends '%s' while the region "
+      .. "takes several steps in one: no recording has that"):format(part.prefix,
+      rfsm.text_of(event)), 0)
+  end
+  rfsm.send_events(part.fsm, event)
+end
+
+-- Takes the step of a witness again, with its choices one after the other.
+function Rehearsal:repeat_step(step)
+  local own, what, choices = self.subject, events_of(step), {}
+  for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
+  own.choose, own.now = nil, step.at or own.now
+  for _, part in ipairs(own.parts) do part.rounds = 0 end
+  own:step(occurrences_of(own, what), choices)
+  own.choose = answer
+  for _, sent in ipairs(step.sent) do
+    for _, part in ipairs(own.parts) do
+      if part.prefix == sent.prefix then send_after(part, sent.event) end
+    end
+  end
+end
+
+-- Witnesses: the run that shows a finding, for the simulator and for pictures ........
+
+local function check_steps(steps, where)
+  if type(steps) == "table" then return end
+  error("rfsm_checks." .. where .. ": the witness of a finding expected, got "
+    .. type(steps), 3)
+end
+
+--- Write a witness as a recording, which `rfsm sim --replay FILE --dry CHART` runs.
+---@param model rfsm.State
+---@param steps rfsm_checks.WitnessStep[] the field `witness` of a finding
+---@param sink table|string list of records, or the name of a file
+function rehearsal.record_witness(model, steps, sink)
+  check_steps(steps, "record_witness")
+  local run = rehearsal.rehearsal(model)
+  local fsm = run.subject.parts[1].fsm
+  local recorder = require("rfsm.record").record(fsm, sink)
+  for _, step in ipairs(steps) do run:repeat_step(step) end
+  recorder:stop()
+end
+
+--- List the transitions and leaves of a witness by path: the `trace` of a picture.
+---@param steps rfsm_checks.WitnessStep[]
+---@return string[] paths
+function rehearsal.path_of(steps)
+  check_steps(steps, "path_of")
+  local paths = {}
+  for _, step in ipairs(steps) do
+    for _, path in ipairs(step.taken) do paths[#paths + 1] = path end
+    if step.taken[1] and step.leaf then paths[#paths + 1] = step.leaf end
+  end
+  return paths
+end
+
+return rehearsal

@@ -1,0 +1,399 @@
+--- Tests: runs that together take every transition of a chart that can be taken, on
+--- each of its events, and show which of two is taken if both are enabled.
+--
+-- The steps come from an exploration with two events a step. A run goes on to the
+-- nearest step that shows something new; a new run begins if that is shorter. The first
+-- visit of a leaf is followed by steps that it ignores: without an event, with an event
+-- that no transition names, and with one to which only other leaves react.
+--
+-- @module rfsm.tests.tests
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local explore = require "rfsm.explore.explore"
+local match = require "rfsm.shared.match"
+local location = require "rfsm.shared.location"
+local subject = require "rfsm.explore.subject"
+local reactions = require "rfsm.explore.reactions"
+local rehearsal = require "rfsm.tests.rehearsal"
+
+local error, ipairs, pairs, rawget = error, ipairs, pairs, rawget
+local tonumber, type = tonumber, type
+local ceil, max = math.ceil, math.max
+local concat = table.concat
+
+local tests = {}
+
+--- Runs of a chart.
+---@class rfsm_checks.Tests
+---@field runs { steps: rfsm_checks.TestStep[] }[]
+---@field steps integer of all runs
+---@field least integer a lower bound for the steps of any tests
+---@field taken integer how many transitions they take
+---@field transitions integer of the chart
+---@field skipped integer runs that a rehearsal cannot repeat
+
+--- A step of a rehearsal, and its result.
+---@class rfsm_checks.TestStep
+---@field what table the argument of `Rehearsal:step`
+---@field result string
+
+-- Returns the transition from the same node that is tried next.
+local function next_of(tr)
+  for i, other in ipairs(tr.src._otrs) do
+    if other == tr then return tr.src._otrs[i + 1] end
+  end
+end
+
+-- Steps of the exploration ..........................................................
+
+-- Can the events of a step be written?
+local function is_plain(events)
+  for i = 1, #events do
+    local kind = type(events[i].event)
+    if kind ~= "string" and kind ~= "number" and kind ~= "boolean"
+      or events[i].part.owner then
+      return false
+    end
+  end
+  return true
+end
+
+-- Lists the facts that a step shows, as keys: each transition taken, with each of its
+-- events that came, and with the next one in order if that was enabled, too.
+local function shown_by(own)
+  local keys, events = {}, own.last_events
+  for _, number in ipairs(own.taken) do
+    local tr, key = own.transitions[number].tr, "taken " .. number
+    keys[#keys + 1] = key
+    for _, event in ipairs(events) do
+      if match.names(tr, event) then
+        keys[#keys + 1] = key .. " on " .. own:number_of_event(event)
+      end
+    end
+    local following = next_of(tr)
+    if following and match.may_enable(following, events) then
+      keys[#keys + 1] = key .. " before " .. own.number_of[following]
+    end
+  end
+  return keys
+end
+
+-- Notes the steps, once for each target and list of facts.
+local function watch_steps(walk)
+  local edges, is_noted, own = {}, {}, walk.subject
+  own.notes_events = true
+  function walk.look(_, from, tgt, events, label)
+    local keys = shown_by(own)
+    local key = from .. " " .. tgt .. " " .. concat(keys, ",")
+    if is_noted[key] or not is_plain(events) or tgt == from and not keys[1] then
+      return
+    end
+    is_noted[key] = true
+    edges[from] = edges[from] or {}
+    edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
+      taken = #own.taken, label = label() }
+  end
+  walk.edges = edges
+end
+
+-- Runs ..............................................................................
+
+local function is_wanted(edge, left)
+  for _, key in ipairs(edge.shows) do
+    if left[key] then return true end
+  end
+  return false
+end
+
+-- Returns the steps up to the last one.
+local function way_to(edge, came)
+  local way = { edge }
+  while came[way[1].from] do table.insert(way, 1, came[way[1].from]) end
+  return way
+end
+
+-- Returns the shortest list of steps from a configuration whose last one is wanted.
+local function find_way(walk, start, left)
+  local came, pending = { [start] = false }, { start }
+  for _, number in ipairs(pending) do -- which gets longer
+    for _, edge in ipairs(walk.edges[number] or {}) do
+      if is_wanted(edge, left) then return way_to(edge, came) end
+      if came[edge.tgt] == nil then
+        came[edge.tgt], pending[#pending + 1] = edge, edge.tgt
+      end
+    end
+  end
+end
+
+local LONG = 12 -- steps after which a run may end
+
+-- Returns runs, lists of steps, that show all facts in `left`.
+local function plan(walk, left)
+  local runs, run, at = {}, nil, 1
+  while true do
+    local way = run and find_way(walk, at, left)
+    local fresh = (not way or #run + #way > LONG) and find_way(walk, 1, left)
+    if not (way or fresh) then return runs end
+    if not way or fresh and #fresh <= #way then
+      run, way = {}, fresh
+      runs[#runs + 1] = run
+    end
+    for _, edge in ipairs(way) do
+      run[#run + 1] = edge
+      for _, key in ipairs(edge.shows) do left[key] = nil end
+    end
+    at = way[#way].tgt
+  end
+end
+
+-- Steps for the rehearsal ...........................................................
+
+-- "e_after(3)@root.a" becomes 3, to be waited for.
+local function seconds_of(event)
+  return type(event) == "string" and tonumber(event:match("^e_after%(([%d.]+)%)@"))
+end
+
+local MARGIN = 0.001 -- seconds; a timer fires after its time
+
+-- Returns the argument of the rehearsal for a step.
+local function told_of(walk, own, edge, waits)
+  local what, events = own:what_of(walk:rerun(edge.from, edge.label)), {}
+  for i = #what, 1, -1 do events[i], what[i] = what[i], nil end
+  for _, event in ipairs(events) do
+    local seconds = waits and seconds_of(event)
+    if seconds then
+      what.after = seconds + MARGIN
+    else
+      what[#what + 1] = event
+    end
+  end
+  return what
+end
+
+-- Is a transition taken on any event in a leaf?
+local function takes_any(part, leaf)
+  for _, node in ipairs(leaf and location.line(part.fsm, leaf) or {}) do
+    for _, tr in ipairs(node._otrs) do
+      if match.triggers(tr, "e_unknown") ~= false then return true end
+    end
+  end
+  return false
+end
+
+-- Lists steps that a leaf ignores: without an event; with an event that no transition
+-- names; with one to which other leaves react.
+local function steps_at_rest(walk, number)
+  local own, conf = walk.subject, walk:configuration(number)
+  local leaf = conf[1].leaf
+  local found = reactions.of(own.parts[1], leaf)
+  local is_open = takes_any(own.parts[1], leaf) or rfsm.regions(leaf)[1]
+  if subject.is_driven(conf) or is_open then return {} end
+  local goes_on = conf[1].mode == "active" and { location.name_of(leaf, "root") } or nil
+  local list = { { goes_on = goes_on }, { "e_unknown" } }
+  for _, event in ipairs(own:named_texts()) do
+    if not (found.set[event] or own:maker_of(event)) then
+      list[3] = { event }
+      break
+    end
+  end
+  return list
+end
+
+-- Is the last step of the rehearsal that of the exploration?
+local function is_as_explored(walk, own, edge)
+  local step = walk:rerun(edge.from, edge.label)
+  local paths = own.subject:paths_of()
+  return concat(step.taken, ",") == concat(paths, ",")
+    and step.leaf == rfsm.get_actleaf_fqn(own.subject.parts[1].fsm)
+end
+
+-- Rehearses a planned run; with `waits` time goes by for its timers. Returns the steps;
+-- nil if the rehearsal departs from the plan. Notes the leaves that are visited.
+local function rehearse(walk, model, run, waits, is_seen, callbacks)
+  local steps, own = {}, rehearsal.rehearsal(model, { callbacks = callbacks })
+  local function add(what)
+    steps[#steps + 1] = { what = what, result = own:step(what) }
+  end
+  for _, edge in ipairs(run) do
+    add(told_of(walk, own, edge, waits))
+    if not is_as_explored(walk, own, edge) then return nil end
+    local leaf = walk:configuration(edge.tgt)[1].leaf
+    local at_rest = not is_seen[leaf] and steps_at_rest(walk, edge.tgt) or {}
+    is_seen[leaf] = is_seen[leaf] or at_rest[1] ~= nil
+    for _, what in ipairs(at_rest) do add(what) end
+  end
+  return steps
+end
+
+-- Public functions ..................................................................
+
+--- Plan runs that take every transition of a model that can be taken.
+---@param callbacks? boolean run entries, exits and effects
+---@return rfsm_checks.Tests
+function tests.plan(model, callbacks)
+  callbacks = callbacks or false
+  local walk = explore.walk(model, { together = 2, timers = "free" },
+    watch_steps)
+  local left, most, result = {}, 1, { runs = {}, steps = 0, least = 0,
+    taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
+    skipped = 0 }
+  for _, list in pairs(walk.edges) do -- any order: a set, and the greatest
+    for _, edge in ipairs(list) do
+      most = max(most, edge.taken)
+      for _, key in ipairs(edge.shows) do left[key] = true end
+    end
+  end
+  result.least = ceil(result.taken / most)
+  local is_seen = {}
+  for _, run in ipairs(plan(walk, left)) do
+    local steps = rehearse(walk, model, run, true, is_seen, callbacks)
+      or rehearse(walk, model, run, false, is_seen, callbacks)
+    if steps then
+      result.runs[#result.runs + 1] = { steps = steps }
+      result.steps = result.steps + #steps
+    else
+      result.skipped = result.skipped + 1
+    end
+  end
+  return result
+end
+
+-- Text ..............................................................................
+
+local function quoted(value)
+  return type(value) == "string" and ("%q"):format(value) or rfsm.text_of(value)
+end
+
+local function guard_texts(guards)
+  local texts = {}
+  for i, name in ipairs(rfsm.sorted_keys(guards or {})) do
+    texts[i] = ("[%q] = %s"):format(name, rfsm.text_of(guards[name]))
+  end
+  return texts
+end
+
+local function quoted_list(list)
+  local texts = {}
+  for i, value in ipairs(list or {}) do texts[i] = quoted(value) end
+  return texts
+end
+
+local function step_text(what)
+  local parts = {}
+  local function add(field, items)
+    if items[1] then
+      parts[#parts + 1] = field .. " = { " .. concat(items, ", ") .. " }"
+    end
+  end
+  for i = 1, #what do parts[i] = quoted(what[i]) end
+  if what.after then parts[#parts + 1] = "after = " .. rfsm.text_of(what.after) end
+  add("guards", guard_texts(what.guards))
+  add("ends", quoted_list(what.ends))
+  add("goes_on", quoted_list(what.goes_on))
+  return parts[1] and "run:step { " .. concat(parts, ", ") .. " }" or "run:step()"
+end
+
+local HEAD = [[
+-- Runs of %s that take %d of its %d transitions, in %d steps.
+--
+-- %s
+-- `guards` has the answers of guards, `ends` and `goes_on` states whose doo does so;
+-- `after` lets that many seconds go by. What is asked and not mentioned is part of the
+-- result.
+
+%slocal rehearsal = require("rfsm_checks").rehearsal
+
+local here = debug.getinfo(1, "S").source:match("^@(.*/)") or ""
+local FILE = %s
+local OPTIONS = { callbacks = %s }
+
+]]
+
+local RUNS = {
+  [true] = "Entries, exits and effects run, in the order that is behind the colon.\n"
+    .. "-- The field `fakes` of OPTIONS has what they find as globals.",
+  [false] = "Callbacks of the chart do not run.",
+}
+
+local BEGIN = "-- rfsm check --tests: what stands from here ...\n"
+local END = "-- rfsm check --tests: ... to here is written anew.\n"
+
+local WIDTH = 88 -- of a line
+
+local function add_step(lines, step)
+  local call, result = step_text(step.what), quoted(step.result)
+  local line = ("    assert.equal(%s, %s)"):format(result, call)
+  if #line > WIDTH then
+    line = ("    assert.equal(%s,\n      %s)"):format(result, call)
+  end
+  lines[#lines + 1] = line
+end
+
+-- Names a run by its leaves, as far as a line has room.
+local function name_of(run)
+  local names, last = {}, nil
+  for _, step in ipairs(run.steps) do
+    local leaf = step.result:gsub(", %(.*$", ""):gsub(": .*$", "")
+      :match("%-> ([^>]*)$")
+    if leaf and leaf ~= last then names[#names + 1] = leaf end
+    last = leaf or last
+  end
+  local text = concat(names, ", ")
+  while #text > WIDTH - 30 and names[3] do
+    table.remove(names, #names - 1)
+    text = concat(names, ", ", 1, #names - 1) .. " ... " .. names[#names]
+  end
+  return "goes to " .. text
+end
+
+-- Returns the expression for the chart's file, relative to the folder of the spec.
+local function file_text(file, output)
+  local folder = output and output ~= "-" and output:match("^(.*/)") or ""
+  if file:sub(1, 1) == "/" or not output or output == "-"
+    or folder:sub(1, 1) == "/" or folder:find("..", 1, true) then
+    return quoted(file)
+  end
+  local first = folder:match("^[^/]*/")
+  while first and file:sub(1, #first) == first do
+    folder, file = folder:sub(#first + 1), file:sub(#first + 1)
+    first = folder:match("^[^/]*/")
+  end
+  return "here .. " .. quoted(folder:gsub("%.?[^/]*/", "../") .. file)
+end
+
+-- Returns an old file with new runs in place of its own.
+local function merge(old, head, body)
+  if not old or old == "" then return head .. BEGIN .. body .. END end
+  local _, from = old:find(BEGIN, 1, true)
+  local to = from and old:find(END, from + 1, true)
+  if not to then error("the output has no marks of an earlier call: it is kept", 0) end
+  return old:sub(1, from) .. body .. old:sub(to)
+end
+
+--- Write the runs of a chart as a spec for busted.
+---@param file string of the chart
+---@param callbacks? boolean the runs run entries, exits and effects, too
+---@param output? string the file of the spec; the chart is loaded relative to it
+---@param old? string the text of that file, in which the marked lines are replaced
+---@return string text
+---@return rfsm_checks.Tests
+function tests.busted(file, model, callbacks, output, old)
+  callbacks = callbacks or false
+  local result = tests.plan(model, callbacks)
+  local modules = rawget(_G, "package").loaded.rfsm_timeevent
+    and 'require "rfsm_timeevent"\n' or ""
+  local blocks = {}
+  for i, run in ipairs(result.runs) do
+    local lines = { ("  it(%q, function()"):format(name_of(run)),
+      "    local run = rehearsal(FILE, OPTIONS)" }
+    for _, step in ipairs(run.steps) do add_step(lines, step) end
+    blocks[i] = concat(lines, "\n") .. "\n  end)\n"
+  end
+  local head = HEAD:format(file, result.taken, result.transitions, result.steps,
+    RUNS[callbacks], modules, file_text(file, output), rfsm.text_of(callbacks))
+  return merge(old, head, ("describe(%q, function()\n"):format(file)
+    .. concat(blocks, "\n") .. "end)\n"), result
+end
+
+return tests

@@ -1,0 +1,327 @@
+--- A chart that the page drives, with a clock that the page can stop.
+--
+-- A turn is a command of the page, or a timer that ran out. To go back, the events from
+-- outside are replayed without callbacks. When the file has changed it is loaded anew,
+-- and the machine is put into the state that was active, if the chart still has it. The
+-- output of the chart goes to the log of the page.
+--
+-- The file reads in this order: load, turns, commands, timers and the file.
+--
+-- @module rfsm.web.driven
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local calls = require "rfsm.shared.calls"
+local chart = require "rfsm.shared.chart"
+local clock = require "rfsm.clock"
+local files = require "rfsm.shared.files"
+local record = require "rfsm.record"
+local snapshot = require "rfsm.snapshot"
+local LocalView = require "rfsm.web.local_view"
+local breakpoints = require "rfsm.observe.breakpoints"
+local utf8 = require("rfsm.marsh").utf8
+
+local ipairs, os, pcall = ipairs, os, pcall
+local rawget, rawset, setmetatable = rawget, rawset, setmetatable
+local type, remove = type, table.remove
+local ceil, floor, huge, max, min = math.ceil, math.floor, math.huge, math.max, math.min
+local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
+
+local MAX_RECORDED = 10000 -- iterations that can be undone
+local LOOK_TIME = 0.5 -- seconds between two looks at the file
+local TICK = 1e-6 -- seconds are rounded up to multiples of it
+
+--- Where a turn began.
+---@class rfsm.web.Turn
+---@field now number
+---@field count integer? iterations that were recorded
+---@field queue any[]
+
+--- A chart and its machine.
+---@class rfsm.web.Driven
+---@field file string
+---@field view rfsm.web.LocalView|false false while the chart has a mistake
+---@field problems string[] those of the chart; empty if it runs
+---@field generation integer counts the charts that a page has to draw
+---@field turn integer the number of turns
+---@field turns table<integer, rfsm.web.Turn> those that can be undone
+---@field recorder rfsm.record.Recorder|false false if the chart cannot be recorded
+---@field snap table? of the machine, while the chart has a mistake
+---@field now number seconds since the machine began, as the chart reads them
+---@field is_live boolean does the clock go on by itself?
+---@field points rfsm.observe.Breakpoint[] breakpoints
+---@field stopped string|false the breakpoint at which the last run has ended
+local Driven = { MAX_STEPS = 1000 } -- of one run
+Driven.__index = Driven
+
+-- Load: a chart becomes a machine, or a list of problems ----------------------------
+
+-- Adds an entry to the log, also before there is a view.
+local function tell(session, kind, text)
+  if session.view then return session.view:note(kind, text) end
+  session.early[#session.early + 1] = { kind, text }
+end
+
+-- Calls f(session, ...) while `print` goes to the log; a failure goes there, too.
+local function guarded(session, f, ...)
+  local real = rawget(_G, "print")
+  rawset(_G, "print", function(...) tell(session, "output", calls.text("\t", ...)) end)
+  local ok, result = pcall(f, session, ...)
+  rawset(_G, "print", real)
+  if ok then return result end
+  if rfsm.is_interrupt(result) then error(result, 0) end
+  tell(session, "error", chart.first_line(result))
+end
+
+local function init(session, model)
+  local own_warn = model.warn
+  if model.err == nil then model.err = false end
+  if model.info == nil then model.info = false end
+  if own_warn == nil then
+    model.warn = function(...)
+      tell(session, "warning", (calls.text("\t", ...):gsub("^WARNING: ", "")))
+    end
+  end
+  local fsm, text, problems = rfsm.init(model)
+  if not fsm then return fsm, text, problems end
+  fsm.gettime = session.gettime
+  if own_warn == nil then fsm.warn = false end -- the view listens to `warn`
+  return fsm, text, problems
+end
+
+local function read(file) return files.read(file) or "" end
+
+-- Turns: each is a command of the page, or a timer -----------------------------------
+
+-- Starts the clock of the machine at its own time.
+local function start_clock(session) session.since = session.real() - session.now end
+
+local function start_recorder(session)
+  if session.recorder then session.recorder:stop() end
+  local ok, recorder = pcall(record.record, session.view.fsm, {})
+  session.recorder, session.turns = ok and recorder or false, {}
+end
+
+local function begin_turn(session)
+  local recorder = session.recorder
+  if recorder and recorder.count > MAX_RECORDED then start_recorder(session) end
+  if session.is_live then
+    session.now = max(session.now, ceil((session.real() - session.since) / TICK) * TICK)
+  end
+  session.turn, session.stopped = session.turn + 1, false
+  session.turns[session.turn] = {
+    now = session.now, count = session.recorder and session.recorder.count,
+    queue = { unpack(session.view.fsm._intq) },
+  }
+  session.view:begin_turn(session.turn)
+end
+
+local function step(session) return rfsm.step(session.view.fsm) end
+
+-- Steps until the machine is idle or a breakpoint is reached, MAX_STEPS at most.
+local function run(session)
+  local view = session.view
+  for _ = 1, Driven.MAX_STEPS do
+    view.hit = false
+    local is_idle = guarded(session, step)
+    session.stopped = view.hit
+    if view.hit then return view:note("note", "stopped at " .. view.hit) end
+    if is_idle == nil then return end
+    if is_idle then return view:settle() end
+  end
+  view:note("note", ("not idle after %d steps"):format(Driven.MAX_STEPS))
+end
+
+local function take_snapshot(fsm)
+  local ok, snap = pcall(snapshot.take, fsm)
+  return ok and snap or nil
+end
+
+-- Begins with a machine, in the state of a snapshot if the chart still has it.
+local function begin(session, fsm, snap)
+  session.view = LocalView.new(fsm, function() return session.now end)
+  session.view.points = session.points
+  breakpoints.renew(session.view, function(line) tell(session, "warning", line) end)
+  session.view:observe(true)
+  for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
+  local function migrate(old) return old end
+  if not (snap and snapshot.put(fsm, snap, { migrate = migrate })) then
+    session.now = 0
+    run(session)
+  end
+  start_recorder(session)
+  start_clock(session)
+end
+
+-- Loads the chart; `keeps_state`: the new machine goes on in the state of the old one.
+local function load(session, keeps_state)
+  local snap = keeps_state and (session.view and take_snapshot(session.view.fsm)
+    or session.snap) or nil
+  session.text, session.view, session.early = read(session.file), false, {}
+  session.generation, session.turn = session.generation + 1, 0
+  session.recorder, session.turns = false, {}
+  local fsm, problems = chart.open(session.file, function(model)
+    return init(session, model)
+  end, function(line) tell(session, "warning", line) end, session.has_stubs)
+  session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
+  if fsm then begin(session, fsm, snap) end
+end
+
+-- Commands of the page ------------------------------------------------------------
+
+--- The commands of a page; each returns nothing, or its problem.
+Driven.commands = {}
+local commands = Driven.commands
+
+function commands.send(session, message)
+  local event, problem = session.view:event_of(message)
+  if problem then return problem end
+  begin_turn(session)
+  rfsm.send_events(session.view.fsm, event)
+  session.view:touch()
+  if message.run then run(session) end
+end
+
+function commands.step(session)
+  begin_turn(session)
+  if guarded(session, step) then session.view:settle() end
+end
+
+function commands.run(session)
+  begin_turn(session)
+  run(session)
+end
+
+-- Undoes the turns after number `to`, without any callback.
+function commands.back(session, message)
+  local to = message.to or session.turn - 1
+  local turn = session.turns[type(to) == "number" and to + 1]
+  if not (turn and session.recorder) then return "there is no such turn" end
+  session.now = turn.now
+  local ok, problem = session.recorder:back(session.recorder.count - turn.count)
+  if not ok then return problem end
+  local fsm = session.view.fsm -- events that a page has sent are in no record
+  rfsm.send_events(fsm, unpack(turn.queue, #fsm._intq + 1))
+  for i = to + 1, session.turn do session.turns[i] = nil end
+  session.turn = to
+  session.view:go_back(to)
+  start_clock(session)
+end
+
+-- The log goes on, and `back` undoes the reset.
+function commands.reset(session)
+  begin_turn(session)
+  rfsm.reset(session.view.fsm)
+  session.view:note("note", "reset")
+  run(session)
+end
+
+function commands.why(session)
+  local text = guarded(session, function() return session.view:why() end)
+  return nil, text or "not known: an error in the log"
+end
+
+function commands.clock(session, message)
+  if session.is_live then begin_turn(session) end
+  session.is_live = message.live == true
+  session.view:touch()
+  start_clock(session)
+end
+
+local function pass(session, seconds)
+  begin_turn(session)
+  session.now = session.now + seconds
+  start_clock(session)
+  run(session)
+end
+
+function commands.wait(session, message)
+  local seconds = message.seconds
+  if type(seconds) ~= "number" or seconds < 0 or seconds >= 1e9 then
+    return "seconds: number expected"
+  end
+  pass(session, seconds)
+end
+
+-- Sets or removes a breakpoint: a state, an event, or a transition "off -> on".
+function commands.breakpoint(session, message)
+  local list = session.points
+  if type(message.at) ~= "string" then
+    return "at: state, event or transition expected"
+  end
+  local ok, number = pcall(breakpoints.add, session.view, message.at)
+  if not ok then return number end
+  local name = list[number].name
+  for i = message.on and number - 1 or number, 1, -1 do -- equal breakpoints
+    if list[i].name == name then remove(list, i) end
+  end
+  session.view:touch()
+end
+
+commands.inspect = LocalView.answer_inspect
+
+local function next_timer(session)
+  return session.view and clock.until_timer(session.view.fsm) or nil
+end
+
+function commands.next(session)
+  local seconds = next_timer(session)
+  if not seconds then return "no timer runs" end
+  pass(session, ceil(seconds / TICK) * TICK)
+end
+
+-- Timers and the file ----------------------------------------------------------------
+
+-- Seconds until the next timer is due by the clock on the wall.
+local function time_left(session)
+  local seconds = session.is_live and next_timer(session)
+  return seconds and session.now + seconds + TICK - (session.real() - session.since)
+end
+
+--- Run a timer that is due, and load the file again if it has changed.
+function Driven:poll()
+  local left = time_left(self)
+  if left and left <= 0 then
+    begin_turn(self)
+    run(self)
+  end
+  if self.real() < self.look_at then return end
+  self.look_at = self.real() + LOOK_TIME
+  if read(self.file) ~= self.text then guarded(self, load, true) end
+end
+
+--- Return the seconds until `poll` has something to do.
+function Driven:wait()
+  return max(0, min(self.look_at - self.real(), time_left(self) or huge))
+end
+
+--- Add what the page shows of a session to a message.
+function Driven:describe(message)
+  message.clock, message.live = self.now, self.is_live
+  message.timer = next_timer(self) or false
+  message.stopped, message.points = self.stopped, {}
+  for i, point in ipairs(self.points) do
+    message.points[i] = utf8(point.name)
+  end
+  message.can_back = self.recorder ~= false and self.turns[self.turn] ~= nil
+end
+
+--- Open a chart, also one with mistakes; `real` is the clock of the wall, in seconds.
+function Driven.open(file, real, has_stubs)
+  local session = setmetatable({
+    file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
+    generation = 0, turn = 0, turns = {}, recorder = false, now = 0, since = 0,
+    is_live = true, points = {}, stopped = false,
+    has_stubs = has_stubs,
+    look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
+  }, Driven)
+  local start = os.time() -- e_at needs the time of day
+  function session.gettime()
+    local sec = floor(session.now)
+    return start + sec, floor((session.now - sec) * 1e9 + 0.5)
+  end
+  guarded(session, load, false)
+  return session
+end
+
+return Driven

@@ -1,0 +1,65 @@
+--- A machine that a program drives: pages watch it, and may do what its program allows.
+--
+-- @module rfsm.web.served
+-- @license BSD-3-Clause
+
+local rfsm = require "rfsm"
+local clock = require "rfsm.clock"
+local LocalView = require "rfsm.web.local_view"
+
+local setmetatable, huge = setmetatable, math.huge
+
+--- A machine that a program drives.
+---@class rfsm.web.Served
+---@field view rfsm.web.LocalView
+---@field title string
+---@field problems string[]
+---@field generation integer
+---@field commands table<string, function>
+---@field has_history boolean it is observed also while no page is open
+---@field is_observed boolean
+local Served = {}
+Served.__index = Served
+
+local COMMANDS = {}
+
+function COMMANDS.send(served, message)
+  local event, problem = served.view:event_of(message)
+  if problem then return problem end
+  rfsm.send_events(served.view.fsm, event)
+  served.view:touch()
+end
+
+function COMMANDS.why(served) return nil, served.view:why() end
+
+--- Turn the notes of what the machine does on or off.
+function Served:observe(is_wanted)
+  self.is_observed = is_wanted or self.has_history
+  self.view:observe(self.is_observed)
+end
+
+function Served:close() self.view:close() end
+
+--- Note the events that did nothing, once the machine has taken them.
+function Served:poll()
+  local view = self.view
+  if view.lost[1] ~= nil and view.fsm._intq[1] == nil then view:settle() end
+end
+
+function Served.wait() return huge end
+
+function Served:describe(message) message.clock = self.view.clock() end
+
+--- Show a machine.
+function Served.new(fsm, title, settings)
+  local served = setmetatable({
+    view = LocalView.new(fsm, clock.from_now()), title = title, problems = {},
+    generation = 1, has_history = settings.history, is_observed = false,
+    commands = { inspect = LocalView.answer_inspect,
+      send = settings.allow_send and COMMANDS.send or nil,
+      why = settings.allow_why and COMMANDS.why or nil } }, Served)
+  if settings.history then served:observe(true) end
+  return served
+end
+
+return Served
