@@ -1,5 +1,5 @@
 -- Components that launch their machine in their own configureHook, and
--- rfsm/rtt/main.lua as a component's whole program. On the stand-in in
+-- rfsm/rtt/program.lua as a component's whole program. On the stand-in in
 -- spec/support/rtt.lua, or in a rttlua.
 
 local helper = require "spec.helper"
@@ -160,12 +160,12 @@ return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
   end
 end)
 
-describe("rfsm/rtt/main.lua as lua_file", function()
-  local MAIN = "rfsm/rtt/main.lua"
+describe("rfsm/rtt/program.lua as lua_file", function()
+  local PROGRAM = "rfsm/rtt/program.lua"
 
   local function whole(text, luatype)
     local arm, exec_str = load("arm", luatype)
-    arm:getProperty("lua_file"):set(MAIN)
+    arm:getProperty("lua_file"):set(PROGRAM)
     arm:getProperty("lua_string"):set(text)
     return arm, exec_str
   end

@@ -366,6 +366,7 @@ local function set_up(launch)
   pcall(collectgarbage)
   local fsm, getevents = load_machine(launch)
   launch.stage = "the machine is connected"
+  pcall(collectgarbage)
   connect(launch, fsm, getevents, write_fqn)
   set_port_globals(launch)
   launch.fsm, launch.meter = fsm, update.new_meter(launch)

@@ -3,7 +3,7 @@
 -- `lua_string` may set. Without it the chart is NAME.lua in the current folder, by the
 -- name of the component.
 --
---   gripper.lua_file = "/usr/local/share/lua/5.1/rfsm/rtt/main.lua"
+--   gripper.lua_file = "/usr/local/share/lua/5.1/rfsm/rtt/program.lua"
 --   gripper.lua_string = "rfsm_launch = { fsmfile = 'charts/gripper.lua' }"
 --
 -- OCL ignores a failure of this file, and takes a missing configureHook for success. So
@@ -12,7 +12,7 @@
 local source = debug.getinfo(1, "S").source
 
 local function launch()
-  local folder = source:match("^@(.*)rfsm[/\\]rtt[/\\]main%.lua$")
+  local folder = source:match("^@(.*)rfsm[/\\]rtt[/\\]program%.lua$")
   if folder and not package.loaded.rfsm then
     package.path = folder .. "?.lua;" .. folder .. "compat/?.lua;" .. package.path
   end
