@@ -161,32 +161,19 @@ end
 
 local function is_code() return true end
 
-local LEVELS = { err = "Error", warn = "Warning", info = "Info" }
-
--- Sets the printers that the chart has not; returns them. A pool has no room for
--- rfsm/advice.lua, which is loaded if `init` may warn: `rfsm check` at the desk warns.
-local function add_printers(launch, model)
-  local own = {}
-  for name, level in pairs(LEVELS) do -- any order
-    if model[name] == nil then
-      own[name] = update.printer(launch, level)
-      model[name] = own[name]
-    end
-  end
-  if own.warn and rawget(_G, "tlsf") then model.warn = false end
-  return own
-end
-
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
   local ok, model = limit.load(limit.SECONDS, is_code, { os.time }, rfsm.load,
     launch.fsmfile)
   if not ok then error(model, 0) end
-  local own = add_printers(launch, model)
+  for name, level in pairs { err = "Error", warn = "Warning", info = "Info" } do
+    if model[name] == nil then -- any order
+      model[name] = update.printer(launch, level)
+    end
+  end
   launch.stage = "the machine is made"
   local fsm, _, problems = rfsm.init(model)
   if not fsm then error("no machine:\n  " .. concat(problems, "\n  "), 0) end
-  fsm.warn = own.warn or fsm.warn
   return fsm, model.getevents
 end
 
