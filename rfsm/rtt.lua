@@ -21,7 +21,7 @@ local min = math.min
 
 -- The pool of a TLSF component fails when it is full, and Lua 5.1 does not collect
 -- because memory is short. So the collector never pauses there, from now on, and is
--- through with the heap before 5 % of it are garbage. Lua 5.5 has other parameters.
+-- through with the heap before 5 % of it are garbage. RTT's Lua is 5.1.
 if rawget(_G, "tlsf") then
   pcall(collectgarbage, "setpause", 100)
   pcall(collectgarbage, "setstepmul", 3000)

@@ -84,6 +84,18 @@ describe("rfsm.rtt.launch", function()
     end
   end)
 
+  it("uses ports that the program has made, and refuses those of another type",
+    function()
+      for kind, is_right in pairs { string = true, int = false } do -- any order
+        local arm = own(("fsmfile = %q, fqn_port = 'state'"):format(chart_file()),
+          ("rtt.getTC():addPort(rtt.OutputPort.new('%s', 'state'))"):format(kind))
+        assert.equal(is_right, arm:configure())
+        assert.same(is_right and { "state", "events_in" } or { "state" },
+          arm:getPortNames())
+        rtt_helper.reset()
+      end
+    end)
+
   it("reads the chart again, and no machine is left of the one before", function()
     local chart = chart_file()
     local arm, exec_str = own(("fsmfile = %q"):format(chart))

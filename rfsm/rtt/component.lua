@@ -29,7 +29,6 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@class rfsm.rtt.Launched : rfsm.rtt.Launch
 ---@field is_component boolean false: a service
 ---@field is_own boolean? does the component launch in its own configureHook?
----@field before rfsm.rtt.Launched? the one before, in the same Lua
 ---@field theirs table<string, function> the program's hooks, by name
 ---@field log fun(level: string, ...) writes to RTT's log
 ---@field rtt table the module of RTT
@@ -60,43 +59,10 @@ local function new_port(launch, field, held)
   local real = launch.rtt[class].new(facts.type, facts.name, facts.desc)
   local is_trigger = class == "InputPort" and launch.is_component
   launch.component[is_trigger and "addEventPort" or "addPort"](launch.component, real)
-  held.real = real
+  held.real, held.is_made = real, true
   if held.last and field == "fqn_port" then real:write(held.last) end
   if field ~= "timer" then return end
   real:connect(launch.component:getPeer(launch.timer):getPort("timer_0"))
-end
-
--- Returns the port that the launch before has made, if the component still has it.
-local function port_before(launch, field, name)
-  local held = launch.before and launch.before.ports[field]
-  return held and held.name == name and held:find() and held.real
-end
-
--- Has the component no port of that name, or is it the one of the launch before?
-local function is_free(launch, field, name)
-  return not held_port.of(launch.component, name)
-    or port_before(launch, field, name) and true or false
-end
-
--- Holds the port that a field of the launch asks for: true, or its name. RTT would
--- replace and disconnect one whose name is used again. With `ports = "configure"`, the
--- port is made when the component is configured.
-local function add_port(launch, field)
-  local wanted, target = launch[field], launch.component
-  if not wanted then return nil end
-  local class, name, _, text, kind = unpack(PORTS[field], 1, 5)
-  if wanted ~= true and field ~= "timer" then name = wanted end
-  local held = held_port.reserve(target, { name = name, type = kind or "string",
-    desc = text, porttype = class == "InputPort" and "in" or "out" })
-  held.real = port_before(launch, field, name) or false
-  if launch.ports_at ~= "configure" and not held.real then
-    if not is_free(launch, field, name) then
-      error(("'%s' has a port '%s' already"):format(target:getName(), name), 0)
-    end
-    new_port(launch, field, held)
-  end
-  launch.ports[field] = held
-  return held
 end
 
 -- Raises if a port that was found has another direction or type than that of a launch.
@@ -105,6 +71,32 @@ local function check_port(held)
   if found.porttype == wanted.porttype and found.type == wanted.type then return end
   error(("port '%s': %sput port of type %s expected, got an %sput port of type %s")
     :format(held.name, wanted.porttype, wanted.type, found.porttype, found.type), 0)
+end
+
+-- Makes a port. RTT would replace and disconnect one whose name is used again. A
+-- component that launches by itself may have it, also from the launch before.
+local function provide_port(launch, field, held)
+  if launch.is_own and held:find() then return check_port(held) end
+  if held_port.of(held.component, held.name) then
+    error(("'%s' has a port '%s' already"):format(held.component:getName(), held.name),
+      0)
+  end
+  new_port(launch, field, held)
+end
+
+-- Holds the port that a field of the launch asks for: true, or its name. With
+-- `ports = "configure"`, the port is made when the component is configured.
+local function add_port(launch, field)
+  local wanted = launch[field]
+  if not wanted then return nil end
+  local class, name, _, text, kind = unpack(PORTS[field], 1, 5)
+  if wanted ~= true and field ~= "timer" then name = wanted end
+  local held = held_port.reserve(launch.component, { name = name,
+    type = kind or "string", desc = text,
+    porttype = class == "InputPort" and "in" or "out" })
+  if launch.ports_at ~= "configure" then provide_port(launch, field, held) end
+  launch.ports[field] = held
+  return held
 end
 
 local function set_port_globals(launch)
@@ -141,19 +133,23 @@ local function port_of(getevents)
   end }
 end
 
--- Makes the getevents of the machine: the port for events replaces that of the chart.
 -- The global `extra_in_ports` lists more ports, of a prefile.
-local function add_getevents(launch, fsm, getevents)
-  if launch.ev_inport == nil and not getevents then
-    launch.ev_inport = is_free(launch, "ev_inport", "events_in")
-  end
+local function hold_extra_ports(launch)
   local extra = rawget(_G, "extra_in_ports") or {}
   if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises for wrong ones
   for i, real in ipairs(extra) do
     launch.extra[i] = held_port.hold(real, real:info())
   end
+end
+
+-- Makes the getevents of the machine: the port for events replaces that of the chart.
+local function add_getevents(launch, fsm, getevents)
+  if launch.ev_inport == nil and not getevents then
+    launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
+  end
+  hold_extra_ports(launch)
   local input = add_port(launch, "ev_inport")
-  if not input and not extra[1] then return end
+  if not input and not launch.extra[1] then return end
   local first = input or getevents and port_of(getevents)
   local sources = first and { first, unpack(launch.extra) } or launch.extra
   fsm.getevents = rfsm_rtt.gen_read_events(launch.samples, unpack(sources))
@@ -393,10 +389,10 @@ end
 -- Takes away what a launch has made. Ports and attributes are no garbage for Lua.
 local function undo(launch)
   for _, field in ipairs(FIELDS) do
-    local real = launch.ports[field] and launch.ports[field].real
-    if real then
-      launch.component:removePort(real:info().name) -- else `delete` ends the process
-      real:delete()
+    local held = launch.ports[field]
+    if held and held.is_made and held.real then
+      launch.component:removePort(held.name) -- else `delete` ends the process
+      held.real:delete()
     end
   end
   for _, name in ipairs(launch.attributes) do
@@ -439,7 +435,7 @@ function component.start(launch)
   local ok, result = pcall(set_up, launch)
   rfsm_rtt.forget_modules()
   if not ok then update.fail(launch, result) end
-  launch.before, rfsm_rtt.launched = nil, launch
+  rfsm_rtt.launched = launch
   return result
 end
 
@@ -456,7 +452,7 @@ end
 function component.launch(args)
   local launch = read(args)
   set_globals(launch.env)
-  launch.is_own, launch.before = true, rfsm_rtt.launched
+  launch.is_own = true
   component.start(launch)
 end
 

@@ -139,7 +139,7 @@ function update.add_attributes(launch, types)
       launch.attributes[#launch.attributes + 1] = name
     end
     local value, before = attribute:getRaw(), launch.variables[name]
-    if launch.before then value:assign(0) end -- it begins anew
+    if launch.is_own and not before then value:assign(0) end -- it begins anew
     if before and not ok then value:assign(before) end
     launch.variables[name] = value
   end
